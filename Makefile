@@ -5,7 +5,7 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
-FAST := $(addprefix tests/,wire eds rigs recording $(addprefix host/test_,host_cycle.py host_phases.py host_control.py host_watches.py transitions.py))
+FAST := $(addprefix tests/,wire eds rigs recording $(addprefix host/cycle/test_,cycle.py phases.py host_control.py monitors.py transitions.py))
 NEEDED := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
 	"$$p" -c '$(NEEDED)' 2>/dev/null && { echo "$$p"; break; }; done)
@@ -29,7 +29,7 @@ fast: $(VENV)/.dev  ## a minute of tests in plain Python: nothing is compiled
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --durations=3 -m "not real_time and not slow" $(FAST)
 
 COVERED := $(BIN)/python -m coverage run --parallel-mode -m pytest -q -p no:cacheprovider -m "not real_time and not slow"
-REACHED := wire/*,eds/*,rigs/*,recording/*,host/cycle/*
+REACHED := coulombus/wire/*,eds/*,coulombus/rigs/*,coulombus/recording/*,host/cycle/*
 
 coverage: $(VENV)/.dev  ## which lines those tests reach, kernels included
 	@rm -f .coverage .coverage.*

@@ -25,9 +25,9 @@ from coulombus.eds.cia301 import CobId
 from coulombus.host.laws.laws import karnopp
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.rigs.rig import Rig, load_rig
+from coulombus.system.realtime import ask_for_real_time, die_with_parent, set_fifo
 from coulombus.wire.address import parse_address
 from coulombus.wire.can_interface import CoulombusBus
-from coulombus.wire.realtime import ask_for_real_time, die_with_parent, set_fifo
 
 BINS = 20_000
 LEAD_NS = 20_000_000

@@ -31,7 +31,7 @@ from coulombus.rigs.rig import Rig, load_rig
 from coulombus.wire.address import BusAddress
 from coulombus.wire.ancillary import SO_TIMESTAMPNS
 from coulombus.wire.client import Client
-from coulombus.wire.hello import SEND_BUFFER, Flags, Hello
+from coulombus.wire.handshake import SEND_BUFFER, Flags, Hello
 
 ROOT = Path(__file__).resolve().parent.parent
 BINS = 20_000

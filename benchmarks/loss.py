@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from coulombus.cli.tables import progress
 from coulombus.host.run.result import RunResult
 from coulombus.lab.simulate import simulate
 from coulombus.sim_bus.network.network import Heard
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
-from coulombus.verbs.shown import progress
 from coulombus.wire.frame import CAN_ERR_FLAG, data_word
 
 NOISE = 'seed = 3\n[[fault]]\nkind = "noise"\nrate = 1e-4\n'

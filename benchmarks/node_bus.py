@@ -8,14 +8,14 @@ import binascii
 from dataclasses import dataclass
 from typing import Any
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import parse_eds
+from coulombus.kernels.decorator import kernel
 from coulombus.node import core
 from coulombus.node.device import Device
 from coulombus.node.kinds import GENERIC
 from coulombus.node.record import new_nodes
-from coulombus.sim_bus.copper.arbiter import end_frame, new_bus, start_frame, start_ns
+from coulombus.sim_bus.can_bus.arbiter import end_frame, new_bus, start_frame, start_ns
 from coulombus.wire.frame import data_bytes, data_word, frames, new_queue, push
 
 __all__ = ["DOMAIN", "NodeBus", "Transfer"]

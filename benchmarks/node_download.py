@@ -21,7 +21,7 @@ from socket import socket
 from benchmarks.node_bus import DOMAIN, EDS, NODE_ID
 from coulombus.eds.cia301 import CobId
 from coulombus.wire.address import parse_address
-from coulombus.wire.hello import connect
+from coulombus.wire.handshake import connect
 
 __all__ = ["Cost", "block_download"]
 

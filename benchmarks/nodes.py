@@ -17,14 +17,14 @@ import numpy as np
 from benchmarks.node_bus import NodeBus
 from benchmarks.node_download import block_download
 from benchmarks.size import size
-from coulombus.compiled.decorator import Entry
 from coulombus.eds.codec import PDO
 from coulombus.eds.reader import parse_eds, read_eds
+from coulombus.kernels.decorator import Entry
 from coulombus.node import core
+from coulombus.node.constants import MAX_PDOS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.record import NODE, new_nodes
-from coulombus.node.sizes import MAX_PDOS
 from coulombus.wire.frame import data_word, new_queue
 
 __all__ = ["expedited_us", "fuzz", "nodes"]

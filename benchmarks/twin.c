@@ -2,7 +2,7 @@
  *
  *   twin loop FD PERIOD_NS WINDOW_NS SECONDS PRIORITY CPU     the data plane's cycle on a bus (host/realtime/loop.py)
  *   twin probe TX RX BURSTS PERIOD_NS PRIORITY CPU FRAME_NS FRAMES GAP_NS EVERY EXTRA_NS   frames sent, and when a bus delivers them
- *   twin serve CPU FD...                                      a bus without time: the fan-out of sim_bus/server/paced.py
+ *   twin serve CPU FD...                                      a bus without time: the fan-out of sim_bus/server/realtime_loop.py
  *   twin crowd ROUNDS MESSAGE_FRAMES CPU FD...                clients that all send, and read what the others sent
  *
  * Descriptors are connected AF_UNIX SOCK_SEQPACKET sockets (or AF_CAN for the loop) that the parent has greeted. The result is one line of
@@ -62,7 +62,7 @@ static void histogram(const char *name, const int64_t *bins)
     printf("]");
 }
 
-/* As wire/realtime.py: nothing is required. */
+/* As coulombus/system/realtime.py: nothing is required. */
 static void real_time(int priority, int cpu)
 {
     static const int32_t zero = 0;
@@ -83,7 +83,7 @@ static void real_time(int priority, int cpu)
     }
 }
 
-/* One message with the kernel's stamp; as wire/mailbox.py. */
+/* One message with the kernel's stamp; as coulombus/wire/recvmsg.py. */
 static ssize_t receive(int fd, frame_t *into, size_t bytes, int flags, int64_t *stamp)
 {
     char room[128];

@@ -4,8 +4,8 @@ What a script needs, imported only when it is asked for::
 
     from coulombus import Device, read, simulate
 
-The packages below are links to the folders beside this one: `coulombus.node` is ``node/``. Import
-them by this name only.
+Four of the packages below are links to the folders beside this one: `coulombus.node` is ``node/``,
+and so are `host`, `eds` and `sim_bus`. Import them by this name only.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from coulombus.lab.simulate import simulate
+    from coulombus.monitor.callbacks import live
     from coulombus.recording.reading import read
     from coulombus.rigs.rig import load_rig
-    from coulombus.scope.callbacks import live
     from coulombus.sim_bus.network.network import VirtualNetwork
     from coulombus.sim_bus.server.own_device import Device
 
@@ -26,7 +26,7 @@ __all__ = ["Device", "VirtualNetwork", "live", "load_rig", "read", "simulate"]
 _PLACES = {
     "Device": "coulombus.sim_bus.server.own_device",
     "VirtualNetwork": "coulombus.sim_bus.network.network",
-    "live": "coulombus.scope.callbacks",
+    "live": "coulombus.monitor.callbacks",
     "load_rig": "coulombus.rigs.rig",
     "read": "coulombus.recording.reading",
     "simulate": "coulombus.lab.simulate",

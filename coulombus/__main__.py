@@ -6,7 +6,7 @@ Its imports take a second, in which a signal may come.
 import atexit
 import gc
 
-from coulombus.wire.stopping import at_once
+from coulombus.system.stop_signals import at_once
 
 YOUNG, MIDDLE, OLD = 10_000, 50, 20
 """How often Python looks for circles: among as many new objects, among those that this has left so
@@ -20,7 +20,7 @@ def main() -> None:
     at_once()
     gc.set_threshold(YOUNG, MIDDLE, OLD)
     atexit.register(gc.freeze)  # Python looks for circles once more at the end, a fifth of a short verb's time
-    from coulombus.verbs.main import main as verbs
+    from coulombus.cli.main import main as verbs
 
     verbs(prog_name="coulombus")
 

@@ -22,9 +22,9 @@ import struct
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.compiled.decorator import kernel
-from coulombus.compiled.records import Record
 from coulombus.eds.cia301 import MAX_FIELDS
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Record
 
 __all__ = ["MAX_FIELDS", "PDO", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
 

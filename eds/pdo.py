@@ -16,7 +16,7 @@ from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, MAX_FIELDS, predefined
 from coulombus.eds.reader import Description, EdsError, Variable
 
 if TYPE_CHECKING:
-    from coulombus.compiled.records import Record  # needs numpy
+    from coulombus.kernels.records import Record  # needs numpy
 
 __all__ = [
     "COMMUNICATION",

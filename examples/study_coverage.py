@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from coulombus.analysis.study.report import report
-from coulombus.lab.experiment.displays import VirtualDisplays
-from coulombus.lab.experiment.felt import felt_Nm
-from coulombus.lab.experiment.folder import SubjectFolder
-from coulombus.lab.experiment.observer import Observer
-from coulombus.lab.experiment.session import People, SubjectSession, run_session
-from coulombus.lab.experiment.study import read_study
+from coulombus.lab.study.displays import VirtualDisplays
+from coulombus.lab.study.felt import felt_Nm
+from coulombus.lab.study.folder import SubjectFolder
+from coulombus.lab.study.observer import Observer
+from coulombus.lab.study.results.report import report
+from coulombus.lab.study.session import People, SubjectSession, run_session
+from coulombus.lab.study.study import read_study
 
 JND_NM, REFERENCE_NM = 0.15, 2.0
 SUBJECT = "S01"

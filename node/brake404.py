@@ -20,14 +20,14 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.own_devices import PRODUCTS
+from coulombus.kernels.decorator import kernel
 from coulombus.node import coil404, emcy, slots, slots404
+from coulombus.node.constants import NodeRecord
 from coulombus.node.profile import BY_ITSELF, BY_RESET, Behaviour, Objects, Profile
 from coulombus.node.scaling404 import AUTO_ZERO, SCALED, auto_zero, scale
 from coulombus.node.sdo_abort import SdoAbort
-from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue
 
 __all__ = ["BRAKE404", "actuate", "connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start"]

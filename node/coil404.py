@@ -24,9 +24,9 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import kernel
+from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, slots404
-from coulombus.node.sizes import NodeRecord
+from coulombus.node.constants import NodeRecord
 
 __all__ = ["demagnetise", "look", "next_deadline", "start"]
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from coulombus.eds.cia301 import Abort
+from coulombus.node.constants import MAX_CONSUMERS, MAX_SDO_SERVERS
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.pdo_parameters import restricted
 from coulombus.node.sdo_abort import SdoAbort
-from coulombus.node.sizes import MAX_CONSUMERS, MAX_SDO_SERVERS
 
 __all__ = ["CHECKS", "CONSUMER", "EXTENDED", "INVALID", "PRODUCER", "SDO_SERVERS", "SHORTEST_SYNC_US"]
 

@@ -15,11 +15,11 @@ from coulombus.eds.cia301 import Abort, CobId
 from coulombus.eds.pdo import COMMUNICATION
 from coulombus.node import core, guarding
 from coulombus.node.communication_checks import CHECKS, CONSUMER, INVALID, PRODUCER, SDO_SERVERS
+from coulombus.node.constants import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.pdo_parameters import Pdos
 from coulombus.node.profile import Profile
 from coulombus.node.sdo_abort import SdoAbort
-from coulombus.node.sizes import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY
 from coulombus.wire.frame import Record
 
 __all__ = ["Communication"]

@@ -10,12 +10,12 @@ PDOs, `k` a number from 0, `out` the queue of frames to send.
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.nmt import ALLOWED, Service
+from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, guarding, slots
+from coulombus.node.constants import FAR_FUTURE_NS, NodeRecord
 from coulombus.node.reactions import alarm
-from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["expire", "heartbeat_received", "next_deadline", "settle", "stop"]

@@ -21,6 +21,7 @@ from coulombus.eds.reader import Description, Value
 from coulombus.node import core, guarding
 from coulombus.node.communication_checks import PRODUCER, SDO_SERVERS
 from coulombus.node.communication_objects import Communication
+from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.dictionary import Dictionary, DictionaryState
 from coulombus.node.kinds import number
 from coulombus.node.lss import Lss
@@ -28,7 +29,6 @@ from coulombus.node.parameters import Parameters
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Profile
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_service import SdoService
-from coulombus.node.sizes import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.store import Store
 from coulombus.node.time_stamp import LENGTH as TIME_LENGTH
 from coulombus.node.time_stamp import time_of_day, time_word

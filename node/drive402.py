@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.own_devices import PRODUCTS
+from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, slots402, states402
+from coulombus.node.constants import NodeRecord
 from coulombus.node.profile import (
     BY_RESET,
     SUPPLY_LOST,
@@ -29,7 +30,6 @@ from coulombus.node.profile import (
     Profile,
 )
 from coulombus.node.sdo_abort import SdoAbort
-from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue
 
 __all__ = ["DRIVE402", "with_own_mode"]

@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from coulombus.compiled.decorator import constant, kernel
 from coulombus.eds.nmt import ALLOWED, Service
+from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import slots
-from coulombus.node.sizes import EMCY_WAITING, MAX_HISTORY, NodeRecord
+from coulombus.node.constants import EMCY_WAITING, MAX_HISTORY, NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = [

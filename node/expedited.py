@@ -11,9 +11,9 @@ In the kernels: `n` the node's record (`node.record`), `out` the queue of frames
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
+from coulombus.kernels.decorator import kernel
+from coulombus.node.constants import FAR_FUTURE_NS, NodeRecord
 from coulombus.node.reactions import actuate, sample
-from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["answer"]

@@ -11,11 +11,11 @@ In the kernels: `n` the node's record (`node.record`), `out` the queue of frames
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.nmt import ALLOWED, Service
+from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy
-from coulombus.node.sizes import NodeRecord
+from coulombus.node.constants import NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["LOST", "answer", "late", "next_deadline", "restart"]

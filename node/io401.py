@@ -26,12 +26,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import Abort, NmtState
+from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy
+from coulombus.node.constants import NodeRecord
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Behaviour, CoreObject, Objects, Profile, Terminal
 from coulombus.node.sdo_abort import SdoAbort
-from coulombus.node.sizes import NodeRecord
 from coulombus.node.slots import FIRST_OF_KIND, REGISTER
 from coulombus.wire.frame import Queue
 

@@ -18,8 +18,8 @@ from collections.abc import Callable, Mapping
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia305 import BIT_RATES, FASTSCAN_START, UNCONFIGURED, LssService, LssState
 from coulombus.node import core, outbox
+from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.dictionary import Dictionary
-from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.node.store import Store
 from coulombus.wire.frame import Queue, Record, data_bytes, data_word, push
 

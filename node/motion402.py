@@ -26,10 +26,10 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import constant, kernel
 from coulombus.eds import cia402
+from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import slots402
-from coulombus.node.sizes import NodeRecord
+from coulombus.node.constants import NodeRecord
 
 __all__ = [
     "MODES",

@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.compiled.decorator import kernel
-from coulombus.node.sizes import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.kernels.decorator import kernel
+from coulombus.node.constants import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS, NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["AHEAD", "POLL_NS", "drain", "forget", "put"]

@@ -8,9 +8,9 @@ In the kernels: `n` the node's record (`node.record`), `out` the queue of frames
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
+from coulombus.kernels.decorator import kernel
 from coulombus.node import core
-from coulombus.node.sizes import NodeRecord
+from coulombus.node.constants import NodeRecord
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import Queue
 

@@ -3,7 +3,7 @@ and the records that follow (CiA 301, 7.5.2.35-38).
 
 The procedure to change a map: destroy the PDO (bit 31 of its COB-ID), set the count to 0, write the
 entries, set the count, create the PDO again. A write that leaves the procedure is aborted, one that
-changes nothing is accepted. PDOs beyond `node.sizes.MAX_PDOS` of a direction have their objects but
+changes nothing is accepted. PDOs beyond `node.constants.MAX_PDOS` of a direction have their objects but
 cannot be made valid.
 """
 
@@ -27,11 +27,11 @@ from coulombus.eds.pdo import (
     entry_of,
     fill,
 )
+from coulombus.node.constants import MAX_PDOS
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.kinds import PROFILES
 from coulombus.node.profile import Profile
 from coulombus.node.sdo_abort import SdoAbort
-from coulombus.node.sizes import MAX_PDOS
 from coulombus.wire.frame import Record
 
 __all__ = ["Pdos", "restricted"]

@@ -12,11 +12,11 @@ PDOs, `k` a number from 0, `out` the queue of frames to send.
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.codec import pack, unpack
+from coulombus.kernels.decorator import kernel
 from coulombus.node import deadlines, emcy
+from coulombus.node.constants import NodeRecord
 from coulombus.node.reactions import actuate, alarm, apply, sample
-from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue, Record, push
 
 __all__ = ["act_pending", "answer_rtr", "forget_pending", "receive", "start", "transmit_events", "transmit_sync"]

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from coulombus.compiled.decorator import constant, kernel
-from coulombus.node.sizes import NodeRecord
+from coulombus.kernels.decorator import constant, kernel
+from coulombus.node.constants import NodeRecord
 from coulombus.wire.frame import Queue
 
 __all__ = [

@@ -2,7 +2,7 @@
 
 `new_nodes` makes the records of several nodes at once; a kernel takes one of them, by reference. A
 node's PDOs nest in its record. Everything is int64 or float64; times are int64 nanoseconds; a time
-that never comes is `node.sizes.FAR_FUTURE_NS`. What a kind of device keeps stands in its profile
+that never comes is `node.constants.FAR_FUTURE_NS`. What a kind of device keeps stands in its profile
 (`node.kinds`), and in every record.
 """
 
@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.codec import PDO
-from coulombus.node.kinds import PROFILES
-from coulombus.node.sizes import (
+from coulombus.node.constants import (
     BLOCK_SEGMENTS,
     EMCY_WAITING,
     FAR_FUTURE_NS,
@@ -24,6 +23,7 @@ from coulombus.node.sizes import (
     OUTBOX,
     SLOTS,
 )
+from coulombus.node.kinds import PROFILES
 from coulombus.wire.clock import CLOCK_FIELDS
 from coulombus.wire.frame import Records
 

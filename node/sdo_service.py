@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.compiled.decorator import Entry
 from coulombus.eds.cia301 import Abort
+from coulombus.kernels.decorator import Entry
 from coulombus.node import core, outbox
 from coulombus.node.communication_objects import Communication
+from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_server import SdoServer, abort_frame
-from coulombus.node.sizes import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.wire.frame import Queue, Record, data_bytes, data_word, push
 
 __all__ = ["SdoService"]

@@ -11,8 +11,8 @@ In the kernels: `n` the node's record (`node.record`), `k` a number from 0.
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
-from coulombus.node.sizes import FAR_FUTURE_NS, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.kernels.decorator import kernel
+from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS, NodeRecord
 
 __all__ = ["collect"]
 

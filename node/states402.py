@@ -25,14 +25,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds import cia402
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, Command, PowerState
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
+from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, motion402, slots, slots402
+from coulombus.node.constants import NodeRecord
 from coulombus.node.motion402 import MODES
-from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue
 
 __all__ = [

@@ -22,10 +22,10 @@ from typing import Any, NamedTuple
 
 from click.testing import CliRunner
 
+from coulombus.cli.main import main as coulombus
 from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
 from coulombus.rigs.pdo_maps import mode_of
 from coulombus.rigs.rig import load_rig
-from coulombus.verbs.main import main as coulombus
 
 PAGE = Path(__file__).parents[1] / "docs" / "drives.md"
 SECONDS = "2"

@@ -6,7 +6,7 @@ for the module have to fail with it. A survivor is a hole in the tests, or equiv
 `mutants_equivalent.toml` lists it with its proof.
 
     .venv/bin/python scripts/mutate.py                         # everything
-    .venv/bin/python scripts/mutate.py --module host/cycle/watch.py
+    .venv/bin/python scripts/mutate.py --module host/cycle/monitors.py
     .venv/bin/python scripts/mutate.py --sample 100 --seed 3
     .venv/bin/python scripts/mutate.py --list --module host/cycle/step.py
 
@@ -52,40 +52,40 @@ class Target:
 
 
 TARGETS = {
-    "host/cycle/watch.py": Target(("test_host_watches", "test_host_cycle", "test_host_roles")),
-    "host/cycle/step.py": Target(("test_host_cycle", "test_host_roles", "test_live_parameters")),
+    "host/cycle/monitors.py": Target(("test_monitors", "test_cycle", "test_cycle_roles")),
+    "host/cycle/step.py": Target(("test_cycle", "test_cycle_roles", "test_live_parameters")),
     "host/cycle/phases.py": Target(
         (
-            "test_host_phases",
-            "host/test_felt",
-            "test_host_mirrored",
-            "test_host_cycle",
+            "test_phases",
+            "cycle/test_felt",
+            "test_mirrored",
+            "test_cycle",
             "test_transitions",
-            "test_host_roles",
-            "test_late",
+            "test_cycle_roles",
+            "test_study_delay",
         )
     ),
-    "host/cycle/late.py": Target(("test_late",)),
-    "host/cycle/inside.py": Target(("test_host_inside",)),
-    "host/cycle/iron.py": Target(("test_iron",)),
+    "host/cycle/study_delay.py": Target(("test_study_delay",)),
+    "host/cycle/telemetry.py": Target(("test_telemetry",)),
+    "host/cycle/brake_hysteresis.py": Target(("test_brake_hysteresis",)),
     "host/cycle/axes.py": Target(("test_host_axes",)),
     "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
     "host/laws/wall.py": Target(("test_law_edges",), ("wall",)),
     "host/laws/karnopp.py": Target(("test_law_edges",), ("karnopp",)),
     "host/laws/coulomb.py": Target(("test_law_edges",), ("coulomb",)),
     "host/cycle/controller.py": Target(
-        ("test_host_control", "test_host_roles"),
+        ("test_host_control", "test_cycle_roles"),
         ("_cycles", "Controller._new_control", "Controller.motor_limit_raw", "Controller.start", "Controller.stop"),
     ),
     "host/cycle/demand.py": Target(
-        ("test_demand_edges", "test_demand", "test_host_roles"),
+        ("test_demand_edges", "test_demand", "test_cycle_roles"),
         left_out="counted_and_told or nowhere or displays_its or begins_before or run_is_refused",
     ),
-    "host/cycle/live.py": Target(("test_live_parameters",)),
-    "host/run/course.py": Target(("test_course_edges",)),
+    "host/cycle/live_parameters.py": Target(("test_live_parameters",)),
+    "host/run/run_sequence.py": Target(("test_run_sequence_edges",)),
     "host/run/control_socket.py": Target(("test_control_socket_edges", "test_control_socket")),
     "host/run/deadman.py": Target(("test_deadman_edges", "test_deadman", "test_keys")),
-    "host/run/deadman_outside.py": Target(("test_deadman_edges", "test_deadman")),
+    "host/run/deadman_external.py": Target(("test_deadman_edges", "test_deadman")),
     "host/realtime/loop.py": Target(
         ("test_loop_edges",),
         (
@@ -93,9 +93,9 @@ TARGETS = {
             "run_plane",
         ),
     ),
-    "host/setup/reactions.py": Target(("test_reactions_edges",)),
-    "host/run/real_course.py": Target(
-        ("test_real_course_edges",),
+    "host/setup/host_loss.py": Target(("test_host_loss_edges",)),
+    "host/run/realtime_sequence.py": Target(
+        ("test_realtime_sequence_edges",),
         tuple(
             f"RealCourse.{name}"
             for name in (

@@ -25,10 +25,10 @@ from mkdocs.structure.files import File, Files
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from coulombus.cli.exit_status import STATUSES
+from coulombus.cli.main import main
 from coulombus.rigs.axis import Sections
-from coulombus.rigs.words import accepted_range, fields_of, kinds_of, named_in, unit_of
-from coulombus.verbs.exit_status import STATUSES
-from coulombus.verbs.main import main
+from coulombus.rigs.field_help import accepted_range, fields_of, kinds_of, named_in, unit_of
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests" / "support")]
@@ -75,12 +75,12 @@ PYTHON = {
     "Rigs": ("rigs.rig.load_rig", "rigs.rig.Rig"),
     "Laws": ("host.laws.law.friction_law", "host.laws.law.Parameters"),
     "Buses and devices": (
-        *("scope.callbacks.live", "scope.callbacks.LiveBus"),
+        *("monitor.callbacks.live", "monitor.callbacks.LiveBus"),
         *("sim_bus.server.own_device.Device", "sim_bus.network.network.VirtualNetwork"),
     ),
     "Theory": (
-        *("analysis.loop.describing.coulomb_psi", "analysis.loop.describing.karnopp_psi"),
-        *("analysis.loop.describing.numeric", "analysis.loop.bounds.bounds", "analysis.loop.crossings.crossings"),
+        *("analysis.theory.describing.coulomb_psi", "analysis.theory.describing.karnopp_psi"),
+        *("analysis.theory.describing.numeric", "analysis.theory.bounds.bounds", "analysis.theory.crossings.crossings"),
     ),
 }
 """What `reference/python.md` shows, without `coulombus.`."""

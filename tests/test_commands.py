@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from coulombus.verbs.main import main
+from coulombus.cli.main import main
 from documented import HERE, ROOT, RULES, commands_of, documented, pages, rule_of, strangers
 from reader import Reader, missing
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 import tomllib
-from pathlib import Path
 
 import click
 import pytest
 
+from coulombus.cli.exit_status import STATUSES
+from coulombus.cli.main import main
 from coulombus.eds import nmt
 from coulombus.eds.cia402 import TRANSITIONS
 from coulombus.eds.cia402 import diagram as power_states
@@ -20,10 +21,8 @@ from coulombus.node.emcy import CAUSES
 from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
-from coulombus.verbs.exit_status import STATUSES
-from coulombus.verbs.main import main
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 DOCS = [ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NAMES = [str(path.relative_to(ROOT)) for path in DOCS]
 LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")

@@ -1,12 +1,11 @@
 """docs/drives.md: each file of other makers that is there, tried as the page says."""
 
 import importlib.util
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-CORPUS = ROOT.parent / "shared" / "eds-corpus"
+from places import CORPUS, ROOT
+
 FILES = sorted(path for path in CORPUS.glob("*") if path.suffix.lower() in (".eds", ".dcf"))
 PAGE = (ROOT / "docs" / "drives.md").read_text()
 

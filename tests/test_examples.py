@@ -5,13 +5,13 @@ from __future__ import annotations
 import runpy
 import subprocess
 import sys
-from pathlib import Path
 
 from coulombus import simulate
-from coulombus.lab.experiment.study import read_study
+from coulombus.lab.study.study import read_study
 from coulombus.lab.sweep.file import read_sweep
+from places import ROOT
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+EXAMPLES = ROOT / "examples"
 
 
 def run(name, folder, *arguments):
@@ -67,7 +67,7 @@ def test_every_example_is_run():
         "release.py",
         "two_axes.py",
         "virtual_network.py",
-        "own_device.py",  # tests/sim_bus/test_own_device.py
+        "own_device.py",  # tests/sim_bus/server/test_own_device.py
         "study_coverage.py",
     }
 

@@ -9,11 +9,12 @@ import subprocess
 import sys
 import time
 import types
-from pathlib import Path
 
 import pytest
 
-SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
+from places import ROOT
+
+SCRIPTS = ROOT / "scripts"
 
 
 def load(name):

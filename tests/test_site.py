@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -16,11 +15,11 @@ import yaml
 from mkdocs.exceptions import PluginError
 
 import coulombus
+from coulombus.cli.main import main
 from coulombus.rigs.axis import Sections
-from coulombus.rigs.words import fields_of
-from coulombus.verbs.main import main
+from coulombus.rigs.field_help import fields_of
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))
 hooks = importlib.import_module("site_hooks")
 diagrams = importlib.import_module("site_diagrams")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 
+from places import ROOT
 from reader import Reader, missing
 
-ROOT = Path(__file__).resolve().parent.parent
 TUTORIALS = ROOT / "docs" / "tutorials"
 NOT_RUN = ("dask ", "coulombus sweep still.toml -o out --dask")
 """Commands of a cluster: tests/lab runs a sweep on one."""

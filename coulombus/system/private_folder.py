@@ -3,7 +3,7 @@ that move a motor.
 
 A folder is made with mode 0700, whatever the umask is. One that is there already is refused where
 another user could have written to it, or could exchange it. It imports nothing of this project:
-`coulombus.compiled` and `coulombus.wire`, which do not know each other, both use it.
+`coulombus.kernels` and `coulombus.wire`, which do not know each other, both use it.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from coulombus.host.commission.step import Exercise, Finding, Given, Outcome, Ri
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.result import RunResult
 from coulombus.recording.reading import read
-from coulombus.rigs.mistakes import dotted, toml_value
+from coulombus.rigs.errors import dotted, toml_value
 from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 

@@ -11,10 +11,10 @@ nobody.
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import constant, kernel
-from coulombus.compiled.records import Integers
 from coulombus.host.cycle import step
 from coulombus.host.cycle.records import AxisRecords, Image, LawFunction, Phase, Trip
+from coulombus.kernels.decorator import constant, kernel
+from coulombus.kernels.records import Integers
 from coulombus.wire.frame import Queue, push
 
 __all__ = [

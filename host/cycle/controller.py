@@ -13,7 +13,7 @@ from coulombus.eds.codec import PDO
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw, motor_limit_Nm
-from coulombus.host.cycle.live import LIVE
+from coulombus.host.cycle.live_parameters import LIVE
 from coulombus.host.cycle.records import (
     CONTROL,
     DRIVE_PDOS,
@@ -28,11 +28,11 @@ from coulombus.host.cycle.records import (
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.deadman_object import deadman_mask
 from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.model import MOST_DEVICES
 from coulombus.rigs.signals import RigPdo, Signal
-from coulombus.rigs.switch import deadman_mask
 from coulombus.wire.frame import Records, new_records
 
 __all__ = ["AXIS", "COUNTERS", "TRIP_TEXT", "Controller"]

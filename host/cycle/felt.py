@@ -22,7 +22,7 @@ where it has no direction to push in. So the brake bears
 
 with which the fluid follows as if its lag were a third and the coil's a half of what they are. The
 believed course gets the set-point that was limited, so a limit winds nothing up. Iron with hysteresis
-between them (`[brake.iron]`) is inverted (`host.cycle.iron`): :math:`c^*` becomes the coil's torque
+between them (`[brake.iron]`) is inverted (`host.cycle.brake_hysteresis`): :math:`c^*` becomes the coil's torque
 with which the fluid sees that. No measurement
 enters: a wrong belief makes the brake late or early by the difference, and never unstable.
 
@@ -53,9 +53,9 @@ compensate.
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
-from coulombus.host.cycle.iron import coil_for, magnetise
+from coulombus.host.cycle.brake_hysteresis import coil_for, magnetise
 from coulombus.host.cycle.records import KINETIC_CYCLES, TRACK, ControlRecord, HostRecord, Phase
+from coulombus.kernels.decorator import kernel
 
 __all__ = ["brake_level", "expect", "lead", "observe", "slide_velocity"]
 

@@ -12,10 +12,8 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
 from coulombus.host.cycle.felt import brake_level, lead, observe, slide_velocity
-from coulombus.host.cycle.late import forget, hold_back
 from coulombus.host.cycle.records import (
     KINETIC_CYCLES,
     AxisRecord,
@@ -27,7 +25,9 @@ from coulombus.host.cycle.records import (
     SignResult,
     Trip,
 )
+from coulombus.host.cycle.study_delay import forget, hold_back
 from coulombus.host.cycle.transitions import BRAKE_CONTROLWORDS, CONTROLWORDS
+from coulombus.kernels.decorator import kernel
 
 __all__ = [
     "advance",

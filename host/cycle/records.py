@@ -14,7 +14,7 @@ import numpy as np
 
 from coulombus.host.laws.law import LawFunction
 from coulombus.rigs.devices import TABLE_POINTS
-from coulombus.rigs.iron import MOST_PLAYS
+from coulombus.rigs.hysteresis import MOST_PLAYS
 from coulombus.rigs.model import MOST_DELAY_CYCLES, MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
 from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
 
@@ -183,7 +183,7 @@ CONTROL = np.dtype(
         ("velocity_band_counts", np.float64),
         ("slide_band_counts", np.float64),  # the band of the estimate over `window_cycles`
         ("gain_step", np.float64),  # a cycle
-        ("late_cycles", np.int64),  # for which what the law asks for is held back (`host.cycle.late`)
+        ("late_cycles", np.int64),  # for which what the law asks for is held back (`host.cycle.study_delay`)
         # what the hand feels (`host.cycle.felt`)
         ("window_cycles", np.int64),  # of the estimate of a slow velocity; 1: a backward difference
         ("felt", np.int64),  # 1: the law says what the hand feels, and not what the brake bears
@@ -238,7 +238,7 @@ CONTROL = np.dtype(
         ("release_Nm", np.float64),  # by which the brake's set-point falls in a cycle of the safe state
         ("unloaded_Nm", np.float64),  # ... where no load is on the handle
         ("release_counts", np.float64),  # a cycle; the release pauses while the handle is faster
-        # what the host tells of itself (`host.cycle.inside`)
+        # what the host tells of itself (`host.cycle.telemetry`)
         ("law_keeps", np.int64),  # numbers, by its declaration
     ],
     align=True,
@@ -351,7 +351,7 @@ HOST = np.dtype(
         ("slowed_setpoints", np.int64),  # ... fell faster than its rate
         ("negative_setpoints", np.int64),
         ("withheld_compensation", np.int64),  # the observer let the motor give less than its compensation
-        # what the host has told of itself (`host.cycle.inside`)
+        # what the host has told of itself (`host.cycle.telemetry`)
         ("told_cycle", np.int64),  # the last cycle of which it told
         ("told", np.int64, (6,)),  # counters as they were then
     ],

@@ -9,7 +9,7 @@ frames received, and their stamps         the recording, and which of its frames
 which of them the step saw in a cycle     virtual time: their stamps; real time: the trace
 when a cycle was due and when it ended    the same; skipped periods let the position age, which divides the velocity
 the wish to stop, the dead man's switch   the trace; in virtual time so are the changes of the host's clock, on which its deadlines are
-changed parameters                        the markers "set" (`host.cycle.parameters`), and the trace in which cycle they were taken
+changed parameters                        the markers "set" (`host.cycle.parameter_changes`), and the trace in which cycle they were taken
 rig, mode, law                            attached (a law of the user's own: its file beside the recording)
 ========================================  =======================================================================================
 
@@ -27,8 +27,8 @@ import numpy.typing as npt
 
 from coulombus.host.cycle import axes
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.live import offer
-from coulombus.host.cycle.parameters import Order
+from coulombus.host.cycle.live_parameters import offer
+from coulombus.host.cycle.parameter_changes import Order
 from coulombus.host.cycle.records import Trip
 from coulombus.recording.trace import EVENT, Event, Moment
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, set_clock

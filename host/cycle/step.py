@@ -16,13 +16,13 @@ and transducer agree on the sign.
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import pack, unpack
-from coulombus.host.cycle.live import follow
+from coulombus.host.cycle.live_parameters import follow
+from coulombus.host.cycle.monitors import measure, watch
 from coulombus.host.cycle.phases import advance
 from coulombus.host.cycle.records import AxisRecord, ControlRecord, HostRecord, Image, LawFunction, Phase, Trip
-from coulombus.host.cycle.watch import measure, watch
+from coulombus.kernels.decorator import kernel
 from coulombus.wire.frame import CAN_RTR_FLAG, Queue, push
 
 __all__ = ["SOURCE_HOST", "begin", "brake_raw", "finish", "limit_torque", "on_frame", "send"]

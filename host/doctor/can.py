@@ -16,7 +16,7 @@ from coulombus.host.doctor.finding import Check, Outcome
 from coulombus.host.doctor.kernel import preempt_rt
 from coulombus.host.doctor.machine import Absent, CannotRead, Machine, nonsense
 from coulombus.host.doctor.rights import PRIORITY
-from coulombus.wire.quoting import comment, extended_regex, shell
+from coulombus.system.quoting import comment, extended_regex, shell
 
 __all__ = ["Interface", "checks"]
 

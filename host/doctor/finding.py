@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from coulombus.host.doctor.machine import CannotRead
-from coulombus.wire.quoting import comment
+from coulombus.system.quoting import comment
 
 __all__ = ["Check", "Finding", "Outcome", "examine", "script"]
 

@@ -22,7 +22,7 @@ from typing import Any
 
 from coulombus.host.doctor.finding import Finding, Outcome
 from coulombus.host.doctor.wanted import Wanted
-from coulombus.wire.realtime import die_with_parent
+from coulombus.system.realtime import die_with_parent
 
 __all__ = ["Latency", "Wakeups", "bars", "judge", "measure_latency", "read_cyclictest"]
 

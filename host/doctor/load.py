@@ -11,7 +11,7 @@ import sys
 import tempfile
 from contextlib import suppress
 
-from coulombus.wire.realtime import die_with_parent
+from coulombus.system.realtime import die_with_parent
 
 __all__ = ["main"]
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from coulombus.wire.realtime import cpu_list
+from coulombus.system.realtime import cpu_list
 
 __all__ = ["Absent", "CannotRead", "Machine", "hardware_stamps", "nonsense", "run_program"]
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.compiled.decorator import kernel
-from coulombus.compiled.libc import EINTR, now_ns, sleep_until
-from coulombus.compiled.records import Integers
-from coulombus.wire.realtime import ask_for_real_time, die_with_parent
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.libc import EINTR, now_ns, sleep_until
+from coulombus.kernels.records import Integers
+from coulombus.system.realtime import ask_for_real_time, die_with_parent
 
 __all__ = ["BINS", "main", "wake"]
 

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.compiled.decorator import kernel
-from coulombus.compiled.records import Record, Records, new_records
 from coulombus.host.laws.law import LAW, LAW_STATE, MOTION, Declaration, LawFunction, Parameters
 from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.host.laws.parameters import set_parameters
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Record, Records, new_records
 
 __all__ = ["COUNT_RAD", "SAMPLE", "Driven", "GivenLaw", "drive", "given_law"]
 

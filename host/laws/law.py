@@ -27,9 +27,9 @@ from typing import Any, ClassVar, TypeAlias, TypeVar, get_args
 import numpy as np
 from pydantic import Field
 
-from coulombus.compiled.records import Record
+from coulombus.kernels.records import Record
+from coulombus.rigs.field_help import accepted_range, unit_of
 from coulombus.rigs.model import Section
-from coulombus.rigs.words import accepted_range, unit_of
 
 __all__ = [
     "LAW",

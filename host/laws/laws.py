@@ -43,7 +43,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from coulombus.compiled.decorator import JIT_DISABLED, cacheable
 from coulombus.host.laws.bliman_sorine import bliman_sorine
 from coulombus.host.laws.coulomb import COULOMB, coulomb
 from coulombus.host.laws.dahl import dahl
@@ -71,6 +70,7 @@ from coulombus.host.laws.stribeck import stribeck
 from coulombus.host.laws.texture import texture
 from coulombus.host.laws.viscous import viscous
 from coulombus.host.laws.wall import wall
+from coulombus.kernels.decorator import JIT_DISABLED, cacheable
 
 import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
 import numba.experimental.function_type  # isort: skip  (what the type of a compiled law is)

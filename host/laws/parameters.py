@@ -11,11 +11,11 @@ from pydantic import Field, ValidationError, create_model
 from coulombus.host.laws.law import Declaration, Parameters
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.mistakes import Source, nearest, shown
+from coulombus.rigs.errors import Source, nearest, shown
+from coulombus.rigs.field_help import explain
 from coulombus.rigs.model import Section
 from coulombus.rigs.text import apply_override
 from coulombus.rigs.toml_lines import read_toml
-from coulombus.rigs.words import explain
 
 __all__ = ["axis_parameters", "law_parameters", "set_parameters"]
 

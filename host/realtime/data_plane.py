@@ -28,7 +28,7 @@ from coulombus.recording.trace import TRACE
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import Client
 from coulombus.wire.frame import Records, frames, new_records
-from coulombus.wire.hello import Flags, Hello
+from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["DataPlane", "PlaneError", "Spread", "rig_filters"]
 

@@ -24,8 +24,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from coulombus.compiled.decorator import kernel
-from coulombus.compiled.libc import (
+from coulombus.eds.cia301 import CobId
+from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramps_a_brake, safe_setpoints
+from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
+from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.host.cycle.telemetry import tell
+from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.libc import (
     CLOCK_REALTIME,
     CLOCK_THREAD_CPUTIME_ID,
     EAGAIN,
@@ -44,16 +50,10 @@ from coulombus.compiled.libc import (
     sleep_until,
     store_release,
 )
-from coulombus.compiled.records import Integers, Record, Records
-from coulombus.eds.cia301 import CobId
-from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramps_a_brake, safe_setpoints
-from coulombus.host.cycle.inside import tell
-from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
-from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
+from coulombus.kernels.records import Integers, Record, Records
 from coulombus.recording.trace import Moment
 from coulombus.wire.frame import CAN_ERR_FLAG
-from coulombus.wire.mailbox import receive
+from coulombus.wire.recvmsg import receive
 
 __all__ = ["MESSAGE_FRAMES", "Buffers", "run_plane", "take_log", "take_trace"]
 
@@ -82,7 +82,7 @@ class Buffers(NamedTuple):
     tx: Integers
     poll: Integers
     out: Record
-    told: Records  # room for what one axis tells of itself (`host.cycle.inside`)
+    told: Records  # room for what one axis tells of itself (`host.cycle.telemetry`)
 
 
 def _offset(name: str) -> int:

@@ -25,11 +25,11 @@ from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
 from coulombus.host.realtime.loop import MESSAGE_FRAMES, Buffers, run_plane
 from coulombus.host.realtime.shared_memory import Command, SharedPlane
-from coulombus.recording.inside import MOST_FRAMES
+from coulombus.recording.host_telemetry import MOST_FRAMES
+from coulombus.system.realtime import ask_for_real_time, die_with_parent, outlive_parent
+from coulombus.system.stop_signals import SIGNALS
 from coulombus.wire.frame import FRAME, QUEUE_CAPACITY, new_queue, new_records
-from coulombus.wire.mailbox import new_mailbox
-from coulombus.wire.realtime import ask_for_real_time, die_with_parent, outlive_parent
-from coulombus.wire.stopping import SIGNALS
+from coulombus.wire.recvmsg import new_mailbox
 
 __all__ = ["main", "new_buffers", "warm_up"]
 

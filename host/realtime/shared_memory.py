@@ -2,7 +2,7 @@
 
 The parent fills in the AXIS records, and commands; the data plane runs the cycle on the very same
 records, logs the frames into a ring and counts. Fields of PLANE that one side polls and the other
-writes are read and written atomically (`compiled.libc`); everything else is written by one side
+writes are read and written atomically (`kernels.libc`); everything else is written by one side
 only while the other looks on.
 """
 
@@ -67,7 +67,7 @@ PLANE = np.dtype(
         ("log_tail", np.int64),  # frames that the parent has taken from the ring
         ("trace_tail", np.int64),  # and rows from the trace
         ("packed", np.int64),  # 1: one message may carry several frames
-        ("order", np.int64),  # number of the newest order of parameters (`host.cycle.live`)
+        ("order", np.int64),  # number of the newest order of parameters (`host.cycle.live_parameters`)
         ("order_axis", np.int64),  # ... and whose it is
         # written by the data plane
         ("status", np.int64),

@@ -21,8 +21,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from coulombus.wire.realtime import die_with_parent
-from coulombus.wire.stopping import status_of, taken
+from coulombus.system.realtime import die_with_parent
+from coulombus.system.stop_signals import status_of, taken
 
 __all__ = ["BusProcess", "merged", "path_on", "supervise"]
 

@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from coulombus.host.cycle.parameters import OVER_S, Change, LiveParameters, NotTaken, Refused
+from coulombus.host.cycle.parameter_changes import OVER_S, Change, LiveParameters, NotTaken, Refused
 from coulombus.host.run.arm_key import ArmKey
 
 __all__ = ["Changes"]

@@ -23,9 +23,9 @@ from typing import ClassVar, Self
 from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.host.errors import SafetyTrip
 from coulombus.rigs.rig import Rig
+from coulombus.system.keyboard import Keys
+from coulombus.system.watch_thread import Lookout
 from coulombus.wire.address import BusAddress
-from coulombus.wire.keys import Keys
-from coulombus.wire.lookout import Lookout
 
 __all__ = ["RELEASE_S", "HeldKey", "Switch", "Watcher", "deadman_of"]
 

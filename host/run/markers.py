@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.rigs.mistakes import nearest
+from coulombus.rigs.errors import nearest
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records
 

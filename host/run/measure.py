@@ -20,10 +20,10 @@ import numpy as np
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.host.errors import SafetyTrip
-from coulombus.host.run.compute import measure_compute
 from coulombus.host.run.control_socket import HostSocket
-from coulombus.host.run.real_course import LISTEN_S
-from coulombus.host.run.refusals import check_no_rehearsal
+from coulombus.host.run.host_latency import measure_compute
+from coulombus.host.run.preflight import check_no_rehearsal
+from coulombus.host.run.realtime_sequence import LISTEN_S
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.host.setup.response import DeviceTimes, Stamped, measure_devices
 from coulombus.rigs.axis import Axis
@@ -31,7 +31,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.toml_lines import Key
 from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.client import BusFull, Client, pack_frame
-from coulombus.wire.hello import Flags, Hello
+from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["Measured", "Spread", "measure_rig", "proposed_ns", "quiet_mode"]
 
@@ -68,7 +68,7 @@ class Measured:
     Attributes
     ----------
     host : times of the host
-    real_time : which real-time rights the host was granted (`wire.realtime`)
+    real_time : which real-time rights the host was granted (`system.realtime`)
     """
 
     devices: tuple[DeviceTimes, ...]

@@ -8,16 +8,16 @@ import can
 
 from coulombus.host.cycle.demand import check_demand
 from coulombus.host.run.outputs import Outputs
-from coulombus.host.run.real_course import RealCourse
-from coulombus.host.run.refusals import check_no_delay, check_no_rehearsal, refusing
+from coulombus.host.run.preflight import check_no_delay, check_no_rehearsal, refusing
+from coulombus.host.run.realtime_sequence import RealCourse
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
 from coulombus.recording.output_file import new_file
 from coulombus.rigs.rig import Rig
+from coulombus.system.exit import say
+from coulombus.system.realtime import default_cpu
+from coulombus.system.stop_signals import Signals
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
-from coulombus.wire.realtime import default_cpu
-from coulombus.wire.stopping import Signals
-from coulombus.wire.verdict import say
 
 __all__ = ["real_run"]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from coulombus.system.quoting import extended_regex, interface_name, shell, systemd_program, systemd_word, unit_name
 from coulombus.wire.address import parse_address
-from coulombus.wire.quoting import extended_regex, interface_name, shell, systemd_program, systemd_word, unit_name
 
 __all__ = ["Service", "files"]
 

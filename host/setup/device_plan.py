@@ -16,7 +16,7 @@ from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQ
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.host.cycle.controller import Controller
-from coulombus.host.setup.reactions import NO_REACTION, Reaction, reactions_of
+from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Device, Motor

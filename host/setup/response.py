@@ -27,7 +27,7 @@ from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bits import frame_bits
-from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 __all__ = ["DeviceTimes", "PdoTimes", "Stamped", "Wire", "measure_devices", "responses_ns"]
 

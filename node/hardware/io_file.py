@@ -22,10 +22,10 @@ from coulombus.eds.description import Description
 from coulombus.eds.object_name import object_key
 from coulombus.eds.regular_file import NoRegularFile, read_regular
 from coulombus.node.profile import Key, Profile, Terminal
-from coulombus.rigs.mistakes import RigError, Source
+from coulombus.rigs.errors import RigError, Source
+from coulombus.rigs.field_help import explain
 from coulombus.rigs.model import Section
 from coulombus.rigs.toml_lines import read_toml
-from coulombus.rigs.words import explain
 
 __all__ = [
     "CounterInput",
@@ -202,7 +202,7 @@ def read_io_file(path: str | Path, description: Description, profile: Profile) -
 
     Raises
     ------
-    coulombus.rigs.mistakes.RigError
+    coulombus.rigs.errors.RigError
         with every mistake of it, each with file:line
     """
     try:

@@ -20,7 +20,7 @@ from contextlib import suppress
 
 from coulombus.node.hardware.board import load_class
 from coulombus.node.hardware.channels import HardwareError, put
-from coulombus.wire.stopping import ignore
+from coulombus.system.stop_signals import ignore
 
 __all__ = ["READY", "TRIPPED", "carry_out", "guard_outputs"]
 

@@ -34,8 +34,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
-from coulombus.sim_bus.copper.faults import MAX_FAULTS, TAIL_BIT
-from coulombus.sim_bus.faults.words import mistakes
+from coulombus.sim_bus.can_bus.faults import MAX_FAULTS, TAIL_BIT
+from coulombus.sim_bus.faults.error_text import mistakes
 
 __all__ = [
     "BASES",

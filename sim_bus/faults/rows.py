@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from coulombus.rigs.toml_lines import Key
-from coulombus.sim_bus.copper.controller import MANUAL, STATIONS
-from coulombus.sim_bus.copper.faults import FaultKind, plan_alarm
-from coulombus.sim_bus.copper.noise import seeded
-from coulombus.sim_bus.copper.records import BusRecord, FaultRecord
-from coulombus.sim_bus.copper.stations import refresh
-from coulombus.sim_bus.copper.waiting import FAR_NS
-from coulombus.sim_bus.copper.whom import ALL, CLIENT_ROWS, CLIENTS
+from coulombus.sim_bus.can_bus.fault_confinement import MANUAL, STATIONS
+from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
+from coulombus.sim_bus.can_bus.noise import seeded
+from coulombus.sim_bus.can_bus.records import BusRecord, FaultRecord
+from coulombus.sim_bus.can_bus.stations import refresh
+from coulombus.sim_bus.can_bus.targets import ALL, CLIENT_ROWS, CLIENTS
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.file import (
     BASES,
     BIT_NAMES,
@@ -140,7 +140,7 @@ def install(
 
     Parameters
     ----------
-    bus : the record of `sim_bus.copper.arbiter.BUS`
+    bus : the record of `sim_bus.can_bus.arbiter.BUS`
     seed : of the noise, where the file has none of its own
     stations, node_ids : stations by name and by node id
 

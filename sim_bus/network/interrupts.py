@@ -1,4 +1,4 @@
-"""Signals that end a verb (`wire.stopping`), held until a compiled kernel has returned.
+"""Signals that end a verb (`system.stop_signals`), held until a compiled kernel has returned.
 
 At the entry of a kernel that takes a friction law, numba runs Python code
 (`numba.experimental.function_type`) and does not look whether an exception came of it: with one
@@ -12,7 +12,7 @@ import threading
 from types import FrameType, TracebackType
 from typing import Any
 
-from coulombus.wire.stopping import SIGNALS
+from coulombus.system.stop_signals import SIGNALS
 
 __all__ = ["InterruptsHeld"]
 

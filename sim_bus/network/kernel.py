@@ -27,26 +27,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from coulombus.compiled.decorator import inlined, kernel
-from coulombus.compiled.numba_inside import borrowed
-from coulombus.compiled.records import Floats, Integers, Record, Records
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
-from coulombus.host.cycle.inside import tell_all
 from coulombus.host.cycle.records import LawFunction
+from coulombus.host.cycle.telemetry import tell_all
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.kernels.numba_inside import borrowed
+from coulombus.kernels.records import Floats, Integers, Record, Records
 from coulombus.node import core, emcy, own_time
-from coulombus.recording.inside import MOST_FRAMES
-from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
-from coulombus.sim_bus.copper.attempt import attempt
-from coulombus.sim_bus.copper.cut import choose
-from coulombus.sim_bus.copper.outcome import MOST_ROWS, end_attempt
-from coulombus.sim_bus.copper.stage import Delivered, Stage
-from coulombus.sim_bus.network.agenda import keep_deadline, look_again, next_device
+from coulombus.recording.host_telemetry import MOST_FRAMES
+from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
+from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
+from coulombus.sim_bus.can_bus.cable_cut import choose
+from coulombus.sim_bus.can_bus.error_path import attempt
+from coulombus.sim_bus.can_bus.frame_result import MOST_ROWS, end_attempt
+from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, next_device
 from coulombus.sim_bus.rig.coupling import COUPLING, BrakeOutput, brake_torque, show
-from coulombus.sim_bus.rig.course import CourseFunction
 from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm
+from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
 from coulombus.wire.frame import FRAME, QUEUE_CAPACITY, Queue
 
@@ -114,7 +114,7 @@ WORLD = np.dtype(
         ("keep_sent", np.int64),  # 1: keep what the host asks the bus to send, whatever becomes of it
         ("sent_count", np.int64),
         ("sent", FRAME, (SENT_FRAMES,)),
-        ("tells", np.int64),  # 1: the host tells of itself after each cycle (`host.cycle.inside`)
+        ("tells", np.int64),  # 1: the host tells of itself after each cycle (`host.cycle.telemetry`)
         ("told_count", np.int64),
         # who wants the last frame
         ("services", np.int64),  # how many devices
@@ -151,7 +151,7 @@ class World(NamedTuple):
     state: Record
     """A record of `WORLD`."""
     bus: Records
-    """`sim_bus.copper.arbiter.new_bus`: the wire, and its second half while the cable is cut."""
+    """`sim_bus.can_bus.arbiter.new_bus`: the wire, and its second half while the cable is cut."""
     out: Queue
     """A record of `wire.frame.QUEUE`: what the bus is asked to send."""
     log: Records
@@ -159,9 +159,9 @@ class World(NamedTuple):
     nodes: Records
     """`node.record.new_nodes`: the devices."""
     deadlines: Integers
-    """`sim_bus.network.agenda.new_deadlines`: when each device wants to be called."""
+    """`sim_bus.network.deadline_tree.new_deadlines`: when each device wants to be called."""
     wants: Integers
-    """`sim_bus.network.agenda.new_wants`: which devices want a frame."""
+    """`sim_bus.network.deadline_tree.new_wants`: which devices want a frame."""
     listening: Integers
     """By identifier: 1 where one of Python's stations wants the frame."""
     axes: Records

@@ -41,8 +41,6 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from coulombus.compiled.decorator import Entry
-from coulombus.compiled.records import Floats, Integers
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.reader import Description, read_eds
@@ -50,21 +48,23 @@ from coulombus.host.cycle.controller import AXIS as HOST_AXIS
 from coulombus.host.cycle.controllers import unused_law
 from coulombus.host.cycle.records import LawFunction
 from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.kernels.decorator import Entry
+from coulombus.kernels.records import Floats, Integers
 from coulombus.node.device import Device
 from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
 from coulombus.rigs.arguments import a_number, path_text
-from coulombus.sim_bus.copper.arbiter import FAR_NS, new_bus
-from coulombus.sim_bus.copper.cut import divide, wire_of
-from coulombus.sim_bus.copper.stations import attach, detach
-from coulombus.sim_bus.copper.waiting import withdraw
-from coulombus.sim_bus.network.agenda import IDENTIFIERS, new_deadlines, new_wants
+from coulombus.sim_bus.can_bus.arbiter import FAR_NS, new_bus
+from coulombus.sim_bus.can_bus.cable_cut import divide, wire_of
+from coulombus.sim_bus.can_bus.stations import attach, detach
+from coulombus.sim_bus.can_bus.tx_queue import withdraw
+from coulombus.sim_bus.network.deadline_tree import IDENTIFIERS, new_deadlines, new_wants
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
 from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, TOLD_FRAMES, WORLD, Exit, Host, World, run
 from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
-from coulombus.sim_bus.rig.course import CourseFunction, course_of
 from coulombus.sim_bus.rig.plant import PLANT, TRUTH_COLUMNS
+from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import (
     CAN_RTR_FLAG,
@@ -169,7 +169,7 @@ class VirtualNetwork:
         self.devices: list[Device] = []
         self.injection: Injected | None = None
         self.opened: tuple[str, ...] = ()
-        """What devices have otherwise than their EDS files, a line each (`node.opened`)."""
+        """What devices have otherwise than their EDS files, a line each (`node.relaxed_eds`)."""
         self.on_frames = on_frames
         self._stations: list[Station] = []
         self._script: list[tuple[int, int, Callable[[Any], None]]] = []

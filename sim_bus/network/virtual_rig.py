@@ -15,7 +15,7 @@ import numpy as np
 
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.parameters import OVER_S, Change, LiveParameters
+from coulombus.host.cycle.parameter_changes import OVER_S, Change, LiveParameters
 from coulombus.host.cycle.records import Trip
 from coulombus.node.device import Device
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
@@ -24,9 +24,9 @@ from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, TOLD_FRAMES, Exit, Host
 from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
-from coulombus.sim_bus.rig.course import course_of
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, new_plant, truth_columns
+from coulombus.sim_bus.rig.plant_step import course_of
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
 from coulombus.wire.clock import own_ns, set_clock
 from coulombus.wire.frame import FRAME, Records, new_records
@@ -263,7 +263,7 @@ class VirtualRig(VirtualNetwork):
         self._world["keep_sent"] = 1
 
     def keep_told(self) -> None:
-        """Keep from now on what the host tells of itself after each cycle (`host.cycle.inside`)."""
+        """Keep from now on what the host tells of itself after each cycle (`host.cycle.telemetry`)."""
         self._world["tells"] = 1
 
     def take_told(self) -> Records:
@@ -352,7 +352,7 @@ class VirtualRig(VirtualNetwork):
 
         Raises
         ------
-        coulombus.host.cycle.parameters.Refused
+        coulombus.host.cycle.parameter_changes.Refused
             nothing is changed; the text says why
         """
         return self._want(self.parameters.change(values, axis, over_s))

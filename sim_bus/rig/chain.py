@@ -27,8 +27,8 @@ In the kernels: `p` a record of `sim_bus.rig.plant.PLANT`, `d` its `detail`.
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import inlined, kernel
-from coulombus.compiled.records import Record
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.kernels.records import Record
 from coulombus.sim_bus.rig.detail import BODIES, DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import foretold, wind
 from coulombus.sim_bus.rig.own_friction import set_bristles, set_levels

@@ -17,8 +17,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from coulombus.compiled.decorator import kernel
-from coulombus.compiled.records import Record, Records
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Record, Records
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.sim_bus.rig.plant import encoder_rad
 

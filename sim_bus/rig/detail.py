@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from coulombus.compiled.records import Record
+from coulombus.kernels.records import Record
 from coulombus.rigs.plant import Plant
 from coulombus.rigs.plant_detail import MOST_ELEMENTS, Cable, Handle
 from coulombus.sim_bus.rig.wave import WAVE
@@ -28,7 +28,7 @@ LAWS = {"coulomb": DRY, "lugre": LUGRE, "gms": ELEMENTS, "leuven": ELEMENTS}
 
 DETAIL = np.dtype(
     [
-        ("on", np.int64),  # 1: the plant needs `sim_bus.rig.course.advance_detailed`
+        ("on", np.int64),  # 1: the plant needs `sim_bus.rig.plant_step.advance_detailed`
         ("count", np.int64),  # of bodies
         ("drum", np.int64),  # the body with the brake
         # bodies: parameters and state

@@ -34,8 +34,8 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import inlined, kernel
-from coulombus.compiled.records import Record
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.kernels.records import Record
 
 __all__ = ["elements_torque", "foretold", "set_elements", "stored_in_elements", "wind"]
 

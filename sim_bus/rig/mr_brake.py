@@ -31,8 +31,8 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import kernel
-from coulombus.compiled.records import Record
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Record
 
 __all__ = ["brake_capacity", "heat", "iron", "thin"]
 

@@ -32,8 +32,8 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import kernel
-from coulombus.compiled.records import Record
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Record
 from coulombus.sim_bus.rig.detail import BODIES, DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import elements_torque, set_elements
 from coulombus.sim_bus.rig.wave import wave

@@ -56,8 +56,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from coulombus.compiled.decorator import inlined, kernel
-from coulombus.compiled.records import Floats
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.kernels.records import Floats
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.plant import Plant
 from coulombus.sim_bus.rig.detail import DETAIL, DETAIL_COLUMNS, detail_of

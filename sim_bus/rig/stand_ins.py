@@ -13,15 +13,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from coulombus.compiled.records import Record
+from coulombus.kernels.records import Record
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402, with_own_mode
 from coulombus.node.io401 import ANALOGUE_OUT, OUTPUTS
 from coulombus.node.kinds import of_description
 from coulombus.node.motion402 import MODES
-from coulombus.node.opened import Opened, opened
 from coulombus.node.profile import CoreObject, Key, Profile
+from coulombus.node.relaxed_eds import Opened, opened
 from coulombus.node.slots import FIRST_FREE
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.pdo_maps import mode_of

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from coulombus.compiled.decorator import kernel
-from coulombus.compiled.records import Record
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Record
 
 __all__ = ["WAVE", "wave"]
 

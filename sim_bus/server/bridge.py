@@ -16,13 +16,13 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
+from coulombus.system.sd_notify import Notifier
+from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress, BusUnavailable
-from coulombus.wire.can_id import CAN_RTR_FLAG
+from coulombus.wire.can_flags import CAN_RTR_FLAG
 from coulombus.wire.client import CAN_FRAME, BusDown, BusFull, Client
-from coulombus.wire.hello import Hello
+from coulombus.wire.handshake import Hello
 from coulombus.wire.identifiers import Ranges
-from coulombus.wire.notify import Notifier
-from coulombus.wire.stopping import StopSignals
 
 __all__ = ["QUEUE_FRAMES", "Between", "Counts", "Frame", "SameBus", "bridge", "faults"]
 

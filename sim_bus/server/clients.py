@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from coulombus.compiled.decorator import inlined, kernel
-from coulombus.compiled.libc import (
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.kernels.libc import (
     EAGAIN,
     ECONNRESET,
     EINTR,
@@ -31,14 +31,14 @@ from coulombus.compiled.libc import (
     errno,
     send,
 )
-from coulombus.compiled.records import Integers, Record, Records
-from coulombus.sim_bus.copper.arbiter import receives
-from coulombus.sim_bus.copper.cut import divide
-from coulombus.sim_bus.copper.error_frames import with_counters
-from coulombus.sim_bus.copper.stage import Stage
-from coulombus.sim_bus.copper.waiting import ROOM, STATION_MASK, take_in
+from coulombus.kernels.records import Integers, Record, Records
+from coulombus.sim_bus.can_bus.arbiter import receives
+from coulombus.sim_bus.can_bus.bus_state import Stage
+from coulombus.sim_bus.can_bus.cable_cut import divide
+from coulombus.sim_bus.can_bus.error_frames import with_counters
+from coulombus.sim_bus.can_bus.tx_queue import ROOM, STATION_MASK, take_in
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Queue, push
-from coulombus.wire.mailbox import receive
+from coulombus.wire.recvmsg import receive
 
 __all__ = ["BATCH", "MESSAGE_FRAMES", "SLOT", "SLOTS", "STATION", "Need", "State", "flush", "hand_out", "take"]
 
@@ -119,7 +119,7 @@ class Clients(NamedTuple):
     slots: Records
     """Records of `SLOT`."""
     boxes: Records
-    """Records of `wire.mailbox.MAILBOX`."""
+    """Records of `wire.recvmsg.MAILBOX`."""
     words: Integers
     """The message that was read last."""
     filters: Integers

@@ -3,7 +3,7 @@
 What is served is what the description says: every object with its default, PDOs, SDO, NMT,
 heartbeat, EMCY, LSS. There is no behaviour behind it, a value stays what was written to it last,
 unless the file is one of our own devices' or a kind is asked for. The kind "auto" is what the
-file's objects allow (`node.kinds.of_description`); what is opened for it (`node.opened`) is told.
+file's objects allow (`node.kinds.of_description`); what is opened for it (`node.relaxed_eds`) is told.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from coulombus.node.hardware.guard import Guard
 from coulombus.node.hardware.io_file import read_io_file
 from coulombus.node.hardware.pump import Pump
 from coulombus.node.kinds import of_description, of_identity
-from coulombus.node.opened import Opened, opened
 from coulombus.node.profile import Profile
+from coulombus.node.relaxed_eds import Opened, opened
 from coulombus.node.store import FileStore, Store
 from coulombus.sim_bus.network.network import Heard, VirtualNetwork
 from coulombus.sim_bus.server.server import BusServer
-from coulombus.sim_bus.server.serving import PRIORITY, run_sim
+from coulombus.sim_bus.server.sim_command import PRIORITY, run_sim
+from coulombus.system.exit import printed, say, show
+from coulombus.system.quoting import shell
 from coulombus.wire.address import BusAddress
-from coulombus.wire.quoting import shell
-from coulombus.wire.verdict import printed, say, show
 
 __all__ = ["LiveNodes", "NodeError", "run_nodes"]
 
@@ -253,7 +253,7 @@ def serves(server: BusServer) -> bool:
 
 
 def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> None:
-    """Serve the nodes until the time is over, or a signal of `wire.stopping`.
+    """Serve the nodes until the time is over, or a signal of `system.stop_signals`.
 
     End with the exit status.
     """

@@ -38,8 +38,8 @@ from coulombus.rigs.arguments import a_number, path_text
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.live_nodes import LiveNodes, run_nodes
 from coulombus.sim_bus.server.server import BusServer
+from coulombus.system.exit import say
 from coulombus.wire.address import parse_address
-from coulombus.wire.verdict import say
 
 __all__ = ["Device"]
 

@@ -12,12 +12,12 @@ from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.recording.recorder import PACED, About, Recorder
 from coulombus.recording.wall_clock import wall_clock
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.copper.stations import detach
+from coulombus.sim_bus.can_bus.stations import detach
 from coulombus.sim_bus.faults.file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.server.clients import STATION
-from coulombus.sim_bus.server.paced import Serve
+from coulombus.sim_bus.server.realtime_loop import Serve
 from coulombus.sim_bus.server.server import BusServer, SimResult
 from coulombus.wire.address import BusAddress
 from coulombus.wire.frame import Records, push
@@ -53,7 +53,7 @@ class PacedRig(VirtualRig):
 
     def rest(self) -> None:
         """End the schedule of each axis whose drive has left Operation Enabled: what
-        `sim_bus.server.paced` looks for after each event.
+        `sim_bus.server.realtime_loop` looks for after each event.
         """
         for axis, one in enumerate(self._axes):
             state = self.nodes[int(one["motor"])]["power_state"]

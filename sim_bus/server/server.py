@@ -1,7 +1,7 @@
 """A world in real time as one process, for clients of a virtual bus, on a SocketCAN interface, or
 on another process' virtual bus.
 
-`BusServer` owns the sockets and answers what the compiled loop (`sim_bus.server.paced.serve`) needs
+`BusServer` owns the sockets and answers what the compiled loop (`sim_bus.server.realtime_loop.serve`) needs
 Python for.
 """
 
@@ -20,21 +20,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coulombus.compiled.decorator import Entry
-from coulombus.sim_bus.copper.controller import state_of
-from coulombus.sim_bus.copper.cut import wire_of
-from coulombus.sim_bus.copper.stations import attach, detach
+from coulombus.kernels.decorator import Entry
+from coulombus.sim_bus.can_bus.cable_cut import wire_of
+from coulombus.sim_bus.can_bus.fault_confinement import state_of
+from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
-from coulombus.sim_bus.server.beside import Worker, settle
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
-from coulombus.sim_bus.server.paced import PACE, Serve, serve
-from coulombus.sim_bus.server.warm_up import warm_up
+from coulombus.sim_bus.server.precompile import warm_up
+from coulombus.sim_bus.server.python_worker import Worker, settle
+from coulombus.sim_bus.server.realtime_loop import PACE, Serve, serve
 from coulombus.system.file_lock import lock_file
+from coulombus.system.realtime import RealTime, ask_for_real_time, bus_cpu
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.frame import new_records
-from coulombus.wire.hello import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
-from coulombus.wire.mailbox import MAILBOX, ask_for_stamps, set_up
-from coulombus.wire.realtime import RealTime, ask_for_real_time, bus_cpu
+from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
+from coulombus.wire.recvmsg import MAILBOX, ask_for_stamps, set_up
 from coulombus.wire.socketcan import can_socket, is_virtual
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class BusServer:
         compiled, and thrown away
     bit_rate : of the virtual bus; 0: frames take no time
     join : take part in the virtual bus of another process, if there is one
-    beside : the bus goes on while Python serves the nodes (`sim_bus.server.beside`)
+    beside : the bus goes on while Python serves the nodes (`sim_bus.server.python_worker`)
 
     Raises
     ------

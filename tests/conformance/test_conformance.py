@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from functools import lru_cache
-from pathlib import Path
 
 import pytest
 
@@ -15,8 +14,9 @@ from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.eds.reader import parse_eds
 from coulombus.node.brake404 import BRAKE404
+from places import CASES
 
-LIST = Path(__file__).resolve().parent.parent.parent.parent / "shared" / "conformance" / "cases.csv"
+LIST = CASES
 
 
 def test_every_case_has_a_function_and_a_text():

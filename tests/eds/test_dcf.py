@@ -8,7 +8,6 @@ from __future__ import annotations
 import struct
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -17,8 +16,8 @@ from coulombus.eds.reader import parse_eds
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
 from eds_text import HEAD, complaints, variable
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 NODE = 9
 COMMISSIONED = "[DeviceComissioning]\nNodeID=0x11\nBaudrate=250\n"
 

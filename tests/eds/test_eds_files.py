@@ -13,8 +13,8 @@ import pytest
 
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.reader import read_eds
+from places import RIGS, ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 NODES = {"motor": 1, "mr_brake": 2}
 BOTH = pytest.mark.parametrize("name", NODES)
 
@@ -319,7 +319,7 @@ def test_every_default_that_may_be_mapped_or_read_exists(name):
 @BOTH
 def test_the_device_information_matches_1018_and_the_rig_file(name):
     d = description(name)
-    rig = tomllib.loads((ROOT / "rigs" / "bench.toml").read_text())[{"mr_brake": "brake"}.get(name, name)]
+    rig = tomllib.loads((RIGS / "bench.toml").read_text())[{"mr_brake": "brake"}.get(name, name)]
     assert rig["eds"] == f"{name}.eds"
     assert rig["node_id"] == NODES[name]
     assert int(d.info["VendorNumber"], 0) == d.variable(0x1018, 1).default == rig["vendor_id"]
@@ -330,7 +330,7 @@ def test_the_device_information_matches_1018_and_the_rig_file(name):
 
 
 def test_the_rig_s_numbers_stand_in_the_motor_s_objects():
-    rig = tomllib.loads((ROOT / "rigs" / "bench.toml").read_text())
+    rig = tomllib.loads((RIGS / "bench.toml").read_text())
     d = description("motor")
     assert d.variable(0x608F, 1).default == rig["motor"]["encoder_counts_rev"]
     assert d.variable(0x6076, 0).default == round(1000 * rig["motor"]["rated_torque_Nm"])

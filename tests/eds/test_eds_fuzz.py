@@ -5,7 +5,6 @@ bounded time.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 from hypothesis import example, given, settings
@@ -16,8 +15,8 @@ from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.description import Description
 from coulombus.eds.reader import EdsError, parse_eds
 from eds_text import HEAD, record, variable
+from places import EDS
 
-EDS = Path(__file__).resolve().parent.parent.parent / "eds"
 PDO = "".join(
     f"[{index:04X}]\nParameterName=P\nObjectType=9\nSubNumber=3\n"
     + "".join(

@@ -9,7 +9,6 @@ import random
 import re
 import socket
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -17,9 +16,8 @@ from coulombus.eds.cia301 import ABORT_TEXT, DATA_TYPES, EMCY_TEXT, Abort, Emcy,
 from coulombus.eds.pdo import layouts
 from coulombus.eds.reader import EdsError, read_eds
 from eds_text import HEAD, complaints, record, variable
+from places import CORPUS, ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
-CORPUS = ROOT.parent / "shared" / "eds-corpus"
 CORPUS_FILES = sorted(CORPUS.glob("*.eds")) + sorted(CORPUS.glob("*.dcf"))
 
 

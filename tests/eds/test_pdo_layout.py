@@ -1,7 +1,6 @@
 """PDO layouts from EDS defaults: read right or refused with file and line, never shifted."""
 
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +8,7 @@ import pytest
 from coulombus.eds.codec import MAX_FIELDS, PDO, pack, real_bits, real_value, unpack
 from coulombus.eds.pdo import Entry, PdoLayout, entry_of, fill, layouts, read_layout
 from coulombus.eds.reader import EdsError, read_eds
-
-ROOT = Path(__file__).resolve().parents[2]
-CORPUS = ROOT.parent / "shared" / "eds-corpus"
+from places import CORPUS, ROOT
 
 TYPES = {"BOOLEAN": 1, "INTEGER8": 2, "INTEGER16": 3, "INTEGER32": 4, "UNSIGNED8": 5, "UNSIGNED16": 6, "UNSIGNED32": 7}
 TYPES |= {"REAL32": 8, "VISIBLE_STRING": 9, "INTEGER24": 0x10, "INTEGER40": 0x12, "INTEGER56": 0x14, "UNSIGNED64": 0x1B}

@@ -10,14 +10,13 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
+from places import ROOT
 from real_bench import SHARED_MACHINE, simulation
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 FAR = ("sim_bus", "node", "lab", "analysis")
 """Rooms that a rig's PC does not have."""
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig

@@ -5,7 +5,6 @@ simulated rig, by scripts.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -16,9 +15,10 @@ from coulombus.sim_bus.network.script import FAULTS, Entry, ScriptError, read_sc
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from eds_edit import SENSOR
 from node_bench import EDS
+from places import ROOT
 
 MS = 1_000_000
-DOCS = Path(__file__).resolve().parent.parent.parent / "docs" / "devices.md"
+DOCS = ROOT / "docs" / "devices.md"
 NODE = {"motor": 1, "brake": 2}
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from coulombus.lab.simulate import simulate
+from places import ROOT
 
-ELASTIC = Path(__file__).parents[2] / "examples" / "elastic.toml"
+ELASTIC = ROOT / "examples" / "elastic.toml"
 
 
 @pytest.mark.parametrize("cable", [900.0, 2500.0])

@@ -10,12 +10,12 @@ from click.testing import CliRunner
 
 import coulombus.eds
 import coulombus.rigs
+from coulombus.cli.main import main
 from coulombus.eds.check import check
 from coulombus.eds.reader import read_eds
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.emergency import emcy_identifier, is_mute
 from coulombus.sim_bus.network.kernel import BRAKE
-from coulombus.verbs.main import main
 
 MS = 1_000_000
 EDS, RIGS = (Path(next(iter(package.__path__))) for package in (coulombus.eds, coulombus.rigs))

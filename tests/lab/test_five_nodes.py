@@ -9,13 +9,13 @@ import json
 import pytest
 from click.testing import CliRunner
 
+from coulombus.cli.main import main
 from coulombus.host.errors import DeviceMismatch
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
-from coulombus.rigs.plan.by_role import longer_period
 from coulombus.rigs.plan.rig_plan import plan, shortest_period_ns
+from coulombus.rigs.plan.role_costs import longer_period
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
-from coulombus.verbs.main import main
 from foreign_eds import BRAKE, MOTOR, U8, edited, with_array
 from node_bench import EDS
 

@@ -9,6 +9,7 @@ import json
 import pytest
 from click.testing import CliRunner
 
+from coulombus.cli.main import main
 from coulombus.lab.bringup import switch_on
 from coulombus.rigs.guarding import life_of
 from coulombus.rigs.rig import load_rig
@@ -16,7 +17,6 @@ from coulombus.sim_bus.faults.file import read_faults
 from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.kernel import MOTOR
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
-from coulombus.verbs.main import main
 from foreign_rigs import brake, drive, written
 
 MS = 1_000_000

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.lab import set_up as module
 from coulombus.lab.bringup import switch_on
 from coulombus.lab.set_up import forget, give_back, ready_world, set_up
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from places import ROOT
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = ROOT / "examples"
 DISPLAY_NS = 700_000_000
 
 pytestmark = pytest.mark.skipif(JIT_DISABLED, reason="the plants' way through the set-up is a compiled function")

@@ -9,7 +9,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,8 +21,7 @@ from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.frame import data_bytes
-
-ROOT = Path(__file__).resolve().parent.parent.parent
+from places import ROOT
 
 
 @pytest.fixture(scope="module")

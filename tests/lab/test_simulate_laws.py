@@ -9,13 +9,13 @@ import json
 import pytest
 from click.testing import CliRunner
 
+from coulombus.cli.main import main
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.replay.virtual_replay import virtual_replay
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from coulombus.verbs.main import main
 
 pytestmark = pytest.mark.slow
 

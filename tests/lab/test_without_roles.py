@@ -5,7 +5,6 @@ own: every verb works on them, and says what is not there.
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,22 +14,22 @@ from coulombus.analysis.figures.report import hold_lines
 from coulombus.analysis.figures.rig import write_fig14, write_identification, write_stick_figure
 from coulombus.analysis.rig.hold import hold_study
 from coulombus.analysis.rig.through_bus import bus_cycle
+from coulombus.cli.main import main
 from coulombus.lab.demo.demo import judge
 from coulombus.lab.demo.traces import figure_14, traces
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.simulate import simulate
+from coulombus.monitor.decode import rows
+from coulombus.monitor.live import Live
+from coulombus.monitor.screen import as_dict
 from coulombus.recording.friction.identify import IdentifyError, identify
 from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
-from coulombus.scope.decode import rows
-from coulombus.scope.live import Live
-from coulombus.scope.screen import as_dict
-from coulombus.verbs.main import main
 from coulombus.wire.frame import data_bytes
 from eds_edit import SENSOR
 from foreign_rigs import brake, drive, rig_of
+from places import CORPUS
 
-CORPUS = Path(__file__).resolve().parents[3] / "shared" / "eds-corpus"
 HOLD_AND_STROKE = """phase=[{kind="rest", duration_s=0.6},
 {kind="hold", duration_s=1.2, push_F_s=0.6, frequency_Hz=1.0, taps_s=[0.3], tap_Nm=0.6, tap_s=0.01},
 {kind="stroke", duration_s=2.4, speed_rad_s=2.0, move_s=0.6, dwell_s=0.6}]""".replace("\n", " ")

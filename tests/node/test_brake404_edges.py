@@ -10,9 +10,9 @@ import pytest
 
 from coulombus.node import brake404, coil404, emcy, slots, slots404
 from coulombus.node.brake404 import BRAKE404
+from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.kinds import number
 from coulombus.node.record import new_nodes
-from coulombus.node.sizes import FAR_FUTURE_NS
 
 KIND_BRAKE = number(BRAKE404)
 

@@ -10,7 +10,7 @@ from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia402 import PowerState
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
-from coulombus.sim_bus.copper.stations import refresh
+from coulombus.sim_bus.can_bus.stations import refresh
 from coulombus.sim_bus.network.network import VirtualNetwork
 from node_bench import EDS
 

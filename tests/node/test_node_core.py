@@ -4,8 +4,6 @@ frames.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,14 +11,15 @@ from hypothesis import strategies as st
 
 from coulombus.eds.reader import read_eds
 from coulombus.node import core, emcy, slots402
+from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
-from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 from node_bench import MS, US, Bench, SdoAborted, cycle, description, motor, setpoint
+from places import CORPUS
 
 
 def test_powered_off_nothing_goes_in_and_nothing_comes_out():
@@ -317,9 +316,6 @@ def test_a_device_refuses_what_it_cannot_be():
             Device(description("motor"), node_id, kind, nodes[0])
     with pytest.raises(KeyError, match="no object 5555h"):
         Bench("motor").device[0x5555, 0]
-
-
-CORPUS = Path(__file__).resolve().parent.parent.parent.parent / "shared" / "eds-corpus"
 
 
 @pytest.mark.skipif(not CORPUS.is_dir(), reason="the corpus of vendors' EDS files is not here")

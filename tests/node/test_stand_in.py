@@ -4,8 +4,6 @@ guarding, its first TPDOs.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from coulombus.eds.reader import parse_eds, read_eds
@@ -13,12 +11,12 @@ from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402, with_own_mode
 from coulombus.node.io401 import IO401, IO404
 from coulombus.node.kinds import GENERIC, of_description
-from coulombus.node.opened import opened
+from coulombus.node.relaxed_eds import opened
 from coulombus.wire.frame import CAN_RTR_FLAG
 from foreign_eds import BRAKE, I16, I32, MOTOR, U8, U16, another, edited, with_array, with_variable, without
 from node_bench import MS, Bench, SdoAborted
+from places import CORPUS
 
-CORPUS = Path(__file__).resolve().parents[3] / "shared" / "eds-corpus"
 FILES = sorted(path for kind in ("*.eds", "*.dcf") for path in CORPUS.glob(kind))
 
 

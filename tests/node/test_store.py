@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 import coulombus.node.store
+from coulombus.cli.main import main
 from coulombus.node.store import FileStore
-from coulombus.verbs.main import main
 from node_bench import Bench, SdoAborted
 
 SAVE, LOAD = b"save", b"load"

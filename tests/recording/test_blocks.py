@@ -12,6 +12,7 @@ import pytest
 from scipy.signal import welch
 
 import coulombus.recording.pcapng_reader
+from coulombus.monitor.decode import rows
 from coulombus.recording import measures
 from coulombus.recording.friction.identify import IdentifyError, identify
 from coulombus.recording.measures import measure, phases
@@ -20,7 +21,6 @@ from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import blocks, read
 from coulombus.recording.signals import series
 from coulombus.rigs.rig import load_rig
-from coulombus.scope.decode import rows
 from coulombus.wire.frame import FRAME
 
 MS = 1_000_000

@@ -27,8 +27,8 @@ from coulombus.recording.pcapng_blocks import PcapngError, RecordingError, attac
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 needs_tshark = pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
 
 Row = tuple[int, int, bytes]  # t_ns, can_id with flags, data

@@ -8,15 +8,16 @@ import pytest
 
 from bench_recording import record
 from coulombus.lab.simulate import simulate
+from coulombus.monitor.callbacks import live
 from coulombus.recording.comparison import compare
 from coulombus.recording.export.export import export
 from coulombus.recording.reading import blocks, read
 from coulombus.recording.signals import series
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import RigError, load_rig
-from coulombus.scope.callbacks import live
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.own_device import Device
+from places import ROOT
 
 
 class Place(os.PathLike):
@@ -173,8 +174,8 @@ def test_a_path_is_a_file_also_where_its_name_is_a_rigs(tmp_path, monkeypatch):
 def test_the_picture_of_a_comparison_is_looked_at_before_it_is_made(source, tmp_path, monkeypatch):
     from click.testing import CliRunner
 
+    from coulombus.cli.main import main
     from coulombus.recording import comparison
-    from coulombus.verbs.main import main
 
     def never(*_, **__):
         raise AssertionError("two long recordings are read")
@@ -191,7 +192,7 @@ def test_the_picture_of_a_comparison_is_looked_at_before_it_is_made(source, tmp_
 
 
 def test_numbers_of_a_simulation_and_of_a_device_are_numbers():
-    eds = Path(__file__).resolve().parent.parent.parent / "eds" / "motor.eds"
+    eds = ROOT / "eds" / "motor.eds"
     told(lambda: simulate("bench", "hybrid", "1s"), "seconds is '1s'", "seconds=13.0")
     told(lambda: simulate("bench", "hybrid", 1.0, seed="x"), "seed is 'x': expected an integer", "seed=7")
     told(lambda: simulate("bench", "hybrid", True), "seconds is True")

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from coulombus.cli.main import main
 from coulombus.recording import segments as module
 from coulombus.recording.folders import runs, segments
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError
@@ -24,7 +25,6 @@ from coulombus.recording.recorder import About
 from coulombus.recording.segments import Rotation, SegmentedRecorder, parse_rotation, parse_size, reserve
 from coulombus.recording.wall_clock import attached_object, clock_state, utc, wall_clock
 from coulombus.rigs.rig import load_rig
-from coulombus.verbs.main import main
 from coulombus.wire.frame import FRAME, new_records
 
 STARTED_NS = 1_795_000_000 * 10**9

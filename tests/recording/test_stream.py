@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -19,10 +18,10 @@ from coulombus.recording.stream import stream
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusGone, Client
+from places import ROOT
 
 pytestmark = [pytest.mark.real_time, pytest.mark.patient, pytest.mark.usefixtures("private_sockets")]
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 BENCH = parse_address("coulombus:bench")
 PATIENCE_S = 60.0
 SENT = [(0x181, bytes(range(8))), (0x80000123, b"x"), (0x20000004, bytes(8)), (0x080, b"")]

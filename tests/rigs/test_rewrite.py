@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import difflib
 import stat
-from pathlib import Path
 
 import pytest
 
-from coulombus.rigs.mistakes import RigError
+from coulombus.rigs.errors import RigError
 from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
 from coulombus.rigs.rig import load_rig, load_rig_text, packaged_rig
 from coulombus.rigs.toml_lines import read_toml
+from places import RIGS
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-
-BENCH = (ROOT / "rigs" / "bench.toml").read_text(encoding="utf-8")
+BENCH = (RIGS / "bench.toml").read_text(encoding="utf-8")
 MOTOR, HOST = ("motor", "response_us"), ("host", "compute_s")
 
 TEXT = """\
@@ -130,7 +128,7 @@ def test_line_ends_stay(ending):
 
 
 def test_named_axes_have_their_own():
-    text = (ROOT / "rigs" / "two_axes.toml").read_text()
+    text = (RIGS / "two_axes.toml").read_text()
     after = changed(text, {("axis", "left", *MOTOR): 110.0, ("axis", "right", "brake", "response_us"): 90.0})
     rig = load_rig_text(after, "r.toml")
     assert [axis.motor.response_us for axis in rig.axes] == [110.0, 20.0]

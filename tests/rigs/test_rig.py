@@ -19,12 +19,12 @@ from pydantic import BaseModel, ValidationError
 from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.rigs.axis import Sections
 from coulombus.rigs.devices import Roles, Sdo, Sensor
+from coulombus.rigs.field_help import accepted_range, fields_of, kinds_of, unit_of
 from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
-from coulombus.rigs.words import accepted_range, fields_of, kinds_of, unit_of
+from places import RIGS, ROOT
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-BENCH = (ROOT / "rigs" / "bench.toml").read_text(encoding="utf-8")
+BENCH = (RIGS / "bench.toml").read_text(encoding="utf-8")
 EDS = {name: (ROOT / "eds" / name).read_text(encoding="utf-8") for name in ("motor.eds", "mr_brake.eds")}
 
 

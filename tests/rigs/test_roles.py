@@ -6,15 +6,14 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 
 import pytest
 
 from coulombus.rigs.rig import RigError, load_rig_text
 from eds_edit import SENSOR, edit, fixed, gone, mapped
+from places import RIGS, ROOT
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-BENCH = (ROOT / "rigs" / "bench.toml").read_text(encoding="utf-8")
+BENCH = (RIGS / "bench.toml").read_text(encoding="utf-8")
 MOTOR, BRAKE = ((ROOT / "eds" / name).read_text(encoding="utf-8") for name in ("motor.eds", "mr_brake.eds"))
 COUNT = 2 * math.pi / (8192 * 9.587)
 

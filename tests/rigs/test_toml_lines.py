@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.rigs.toml_lines import read_toml
+from places import RIGS, ROOT
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-BENCH = (ROOT / "rigs" / "bench.toml").read_text(encoding="utf-8")
+BENCH = (RIGS / "bench.toml").read_text(encoding="utf-8")
 EDS = {name: (ROOT / "eds" / name).read_text(encoding="utf-8") for name in ("motor.eds", "mr_brake.eds")}
 
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import canopen
 
-EDS = Path(__file__).resolve().parent.parent.parent / "eds"
+from places import EDS
+
 MOTOR, FREE_ID, ABSENT = 1, 11, 100
 WAIT_S = 120.0
 TEXT = "".join(f"{k:04d}" for k in range(500))

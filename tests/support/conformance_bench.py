@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import deque
 from functools import lru_cache
-from pathlib import Path
 
 from coulombus.conformance.catalogue import catalogue
 from coulombus.conformance.runner import Report, check_before, run, select
@@ -21,8 +20,8 @@ from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
 from coulombus.wire.bus_link import RTR, Frame
 from coulombus.wire.frame import data_bytes, data_word, new_queue
+from places import EDS
 
-EDS = Path(__file__).resolve().parent.parent.parent / "eds"
 KIND_OF = {"motor": DRIVE402, "mr_brake": BRAKE404}
 DELAY_NS = 100_000
 

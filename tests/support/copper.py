@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, new_bus, receives, start_frame, start_ns
-from coulombus.sim_bus.copper.attempt import attempt
-from coulombus.sim_bus.copper.faults import plan_alarm
-from coulombus.sim_bus.copper.outcome import MOST_ROWS, end_attempt
-from coulombus.sim_bus.copper.stage import Delivered, Stage
-from coulombus.sim_bus.copper.stations import attach, refresh
-from coulombus.sim_bus.copper.whom import ALL
+from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, new_bus, receives, start_frame, start_ns
+from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
+from coulombus.sim_bus.can_bus.error_path import attempt
+from coulombus.sim_bus.can_bus.faults import plan_alarm
+from coulombus.sim_bus.can_bus.frame_result import MOST_ROWS, end_attempt
+from coulombus.sim_bus.can_bus.stations import attach, refresh
+from coulombus.sim_bus.can_bus.targets import ALL
 from coulombus.wire.frame import CAN_ERR_FLAG, data_bytes, data_word, frames, new_queue, push
 
 US = 1_000

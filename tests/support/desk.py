@@ -8,7 +8,7 @@ from devices_bench import DevicesLink
 __all__ = ["BUS", "put_on_desk"]
 
 BUS = ("--bus", "coulombus:desk")
-HOLDERS = ("coulombus.host.devices.bitrates", "coulombus.host.devices.scan", "coulombus.verbs.sdo_shell")
+HOLDERS = ("coulombus.host.devices.bitrates", "coulombus.host.devices.scan", "coulombus.cli.sdo_shell")
 
 
 class DeskLink(DevicesLink):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import heapq
 from itertools import count
-from pathlib import Path
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.own_devices import told_identity
@@ -19,8 +18,8 @@ from coulombus.node.record import new_nodes
 from coulombus.wire.bus_link import RTR, Frame
 from coulombus.wire.frame import data_bytes, data_word, new_queue
 from eds_edit import edit
+from places import EDS
 
-EDS = Path(__file__).resolve().parent.parent.parent / "eds"
 DELAY_NS = 100_000
 UNCONFIGURED = 255
 

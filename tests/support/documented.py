@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+from places import ROOT
+
 HERE = "run by tests/test_commands.py"
 FIRST = re.compile(
     r"([A-Z_]+=\S+ )*(\S*/)?(coulombus|make|pip|python3?|tshark|git|podman|cantools|candump|canplayer|can_\w+|"
@@ -24,11 +25,11 @@ MACHINE = "changes the machine's settings: for a rig's PC"
 LIVE = "needs a bus or a host that lives: "
 RULES = (
     # other tests run the page
-    (r"docs/deploy\.md: ", "run by tests/verbs/test_afternoon.py"),
+    (r"docs/deploy\.md: ", "run by tests/cli/test_afternoon.py"),
     (r"docs/tutorials/sweep\.md: (dask|.*--dask)", "needs a cluster; tests/lab/sweep runs a sweep on one"),
     (r"docs/tutorials/", "run by tests/test_tutorials.py"),
     (r"docs/service\.md: (?!.*socketcan)", "run by tests/test_commands.py, on a live bus"),
-    (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/verbs/test_export_docs.py"),
+    (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/cli/test_export_docs.py"),
     # what installs, tests and measures this project
     (r": (sudo|echo|for)", MACHINE),
     (r": (make|git|pip|python3 -m venv|scripts/ci)", "installs or tests this checkout: .ci/run does the same"),
@@ -39,12 +40,12 @@ RULES = (
     (r"socketcan:|: candump", "needs a CAN interface: tests/vm runs such verbs in a virtual machine"),
     (r"docs/months\.md: ", LIVE + "tests/host and tests/recording run `run --rotate`, `status` and `systemd`"),
     # living buses and programs with a window
-    (r": can_(logger|player)", LIVE + "tests/sim_bus/test_other_clients.py runs both"),
+    (r": can_(logger|player)", LIVE + "tests/sim_bus/server/test_other_clients.py runs both"),
     (r": can_viewer", "fills a terminal; tests/wire tries python-can's interface"),
     (r": timeout 300 sh", LIVE + "tests/sim_bus"),
     (r": kill", LIVE + "tests/lab replays such a session"),
     (r"wireshark", "opens a window; tests/scope pipe the same bytes into tshark"),
-    (r": coulombus demo", "half a minute in real time: tests/host/test_run.py"),
+    (r": coulombus demo", "half a minute in real time: tests/host/run/test_run.py"),
     (r": (coulombus )?(\S*)conformance|--junit", "a minute of real time: tests/conformance, tests/sim_bus"),
     (r": (coulombus sim\b|.*coulombus run\b)", LIVE + "tests/host and tests/sim_bus"),
     (r": coulombus (watch|.*&& )|mkfifo|monitor -i", LIVE + "tests/scope"),
@@ -53,14 +54,14 @@ RULES = (
         r": coulombus (node|bridge)|own_device\.(py|eds) .*coulombus:|--bus coulombus:bench --eds",
         LIVE + "tests/sim_bus",
     ),
-    (r": coulombus commission", "minutes of virtual time: tests/verbs/test_commission_command.py"),
-    (r": coulombus sweep", "64 runs: tests/verbs/test_sweep_command.py runs smaller ones"),
-    (r": coulombus experiment", "a study of many trials: tests/verbs/test_experiment_command.py runs shorter ones"),
+    (r": coulombus commission", "minutes of virtual time: tests/cli/test_commission_command.py"),
+    (r": coulombus sweep", "64 runs: tests/cli/test_sweep_command.py runs smaller ones"),
+    (r": coulombus experiment", "a study of many trials: tests/cli/test_experiment_command.py runs shorter ones"),
     (r": .*study_coverage\.py", "half an hour of processor time: tests/test_examples.py runs a short one"),
     (r": coulombus analyse study", "reads a study's folder: docs/tutorials/study.md analyses the one that it makes"),
-    (r"--sensor amplifier", "files of three makers: tests/verbs/test_init_command.py"),
-    (r"eds check --json \*\.eds", "needs jq: tests/verbs/test_eds_command.py reads the JSON"),
-    (r"candump\.log", "a log of another bus: tests/recording/test_export.py"),
+    (r"--sensor amplifier", "files of three makers: tests/cli/test_init_command.py"),
+    (r"eds check --json \*\.eds", "needs jq: tests/cli/test_eds_command.py reads the JSON"),
+    (r"candump\.log", "a log of another bus: tests/recording/export/test_export.py"),
 )
 
 

@@ -43,6 +43,6 @@ def hide():
 
 if __name__ == "__main__":
     hide()
-    from coulombus.verbs.main import main
+    from coulombus.cli.main import main
 
     main(sys.argv[1:], prog_name="coulombus")

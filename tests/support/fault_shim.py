@@ -12,9 +12,9 @@ import errno
 import sys
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+from places import ROOT
+
 SYSTEM = {"posix", "_socket", "select", "time", "mmap", "_io", "io", "fcntl", "socket"}
 """Modules of C whose functions and objects call the system."""
 NEVER = {"close", "__exit__", "unlink", "fileno"}

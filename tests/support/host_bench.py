@@ -6,13 +6,13 @@ import copy
 import math
 from functools import cache
 
-from coulombus.compiled.decorator import Entry
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.cycle.step import begin, finish, on_frame
 from coulombus.host.cycle.transitions import allowed
+from coulombus.kernels.decorator import Entry
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import new_queue, push
 from plain_records import record_for_kernels, records_for_kernels

@@ -1,4 +1,4 @@
-"""The compiled loops while calls of the C library fail: run by tests/host/test_libc_faults.py, with
+"""The compiled loops while calls of the C library fail: run by tests/host/realtime/test_libc_faults.py, with
 tests/support/libc_shim.c preloaded.
 
 ``python libc_faults.py plane|sim NUMBERS`` prints a line of JSON for each fault: what it was,
@@ -22,6 +22,8 @@ import threading
 import time
 from pathlib import Path
 
+from coulombus.cli.errors import Failure, errors
+from coulombus.cli.exit_status import FAULT
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
 from coulombus.host.cycle.controllers import Controllers
@@ -32,10 +34,8 @@ from coulombus.host.realtime.shared_memory import Command, SharedPlane, Status
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.server.rig_server import SimServer
-from coulombus.verbs.exit_status import FAULT
-from coulombus.verbs.failures import Failure, errors
 from coulombus.wire.address import BusAddress, socket_path
-from coulombus.wire.hello import connect
+from coulombus.wire.handshake import connect
 
 FRAME = struct.Struct("=IB3xq")
 FUNCTIONS = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node import core
@@ -15,8 +14,8 @@ from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
 from coulombus.node.store import Store
 from coulombus.wire.frame import data_bytes, data_word, new_queue
+from places import EDS
 
-EDS = Path(__file__).resolve().parent.parent.parent / "eds"
 MS, US = 1_000_000, 1_000
 KIND_OF = {"motor": DRIVE402, "mr_brake": BRAKE404}
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.kernels.decorator import JIT_DISABLED
 
 
 class PlainRecords(list):

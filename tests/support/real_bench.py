@@ -16,10 +16,10 @@ from pathlib import Path
 from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusUnavailable, Client, pack_frame
-from coulombus.wire.hello import Hello
+from coulombus.wire.handshake import Hello
+from places import ROOT
 from warm_start import InBackground, Warm
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 PATIENCE_S = 240  # never reached where all is well; the first start compiles
 REST = '{kind = "rest", duration_s = 1.0}'
 HOLD = f"""[{REST}, {{kind = "hold", duration_s = 20.0, push_F_s = 0.6, frequency_Hz = 0.5, \

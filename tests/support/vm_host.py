@@ -12,7 +12,7 @@ import pytest
 
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import Client
-from coulombus.wire.hello import Hello
+from coulombus.wire.handshake import Hello
 from vm_interfaces import ROOT
 from warm_start import Warm
 

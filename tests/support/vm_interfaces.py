@@ -5,6 +5,5 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 INTERFACES = [name for name in os.environ.get("COULOMBUS_TEST_CAN", "").split(",") if name]
 MISSING = [name for name in INTERFACES if not Path("/sys/class/net", name).exists()]

@@ -28,7 +28,7 @@ from contextlib import suppress
 from pathlib import Path
 
 MODULES = (
-    *("coulombus.verbs.run", "coulombus.verbs.sim", "coulombus.verbs.replay", "coulombus.verbs.main"),
+    *("coulombus.cli.run", "coulombus.cli.sim", "coulombus.cli.replay", "coulombus.cli.main"),
     *("coulombus.host.run.real_run", "coulombus.host.realtime.data_plane", "coulombus.sim_bus.server.rig_server"),
     *("coulombus.sim_bus.server.server", "coulombus.sim_bus.server.bridge", "coulombus.lab.demo.real_demo"),
     *("scipy.signal", "scipy.stats", "matplotlib.figure"),  # each takes a second; some verbs import them when they run
@@ -260,10 +260,10 @@ def run_module(bound, module, words):
 
 def leave_out():
     """Leave out what takes a second of each start."""
-    from coulombus.host.run import real_course
-    from coulombus.wire import realtime
+    from coulombus.host.run import realtime_sequence
+    from coulombus.system import realtime
 
-    real_course.LISTEN_S = LISTEN_S
+    realtime_sequence.LISTEN_S = LISTEN_S
     realtime.lock_memory = lambda: realtime.Right("locked memory", True, "mlockall", "")
 
 
@@ -297,6 +297,6 @@ if __name__ == "__main__":
     gc.collect()
     gc.freeze()  # else each child copies the memory of all modules, when it looks for rubbish at its end: 0.6 s
     serve(int(sys.argv[1]))
-    from coulombus.verbs.main import main
+    from coulombus.cli.main import main
 
     main(prog_name="coulombus")

@@ -9,13 +9,13 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.parameters import Change, LiveParameters
+from coulombus.host.cycle.parameter_changes import Change, LiveParameters
 from coulombus.host.run.changes import Changes
+from coulombus.monitor.web.capture import Capture
+from coulombus.monitor.web.page import Page
+from coulombus.monitor.web.server import Server, listening
+from coulombus.monitor.web.state import HostDoor
 from coulombus.rigs.rig import load_rig
-from coulombus.scope.web.capture import Capture
-from coulombus.scope.web.page import Page
-from coulombus.scope.web.server import Server, listening
-from coulombus.scope.web.state import HostDoor
 
 MS = 1_000_000
 BEGIN_NS = 1_800_000_000_000 * MS

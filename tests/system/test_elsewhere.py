@@ -6,11 +6,11 @@ import os
 import shlex
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+from places import ROOT
+
 pytestmark = pytest.mark.slow
 
 SWEEP = """

@@ -10,7 +10,7 @@ import canopen
 import pytest
 from click.testing import CliRunner
 
-from coulombus.verbs.main import main
+from coulombus.cli.main import main
 from vm_interfaces import INTERFACES, ROOT
 
 pytestmark = pytest.mark.real_time

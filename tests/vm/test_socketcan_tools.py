@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.wire.can_id import CAN_EFF_FLAG
+from coulombus.wire.can_flags import CAN_EFF_FLAG
 from coulombus.wire.frame import FRAME, new_records
 from vm_interfaces import ROOT
 from warm_start import Warm

@@ -152,7 +152,8 @@ def test_names_of_the_buses_that_are_there(runtime):
 
 def test_clients_start_without_numba():
     code = (
-        "import sys, coulombus.wire.address, coulombus.wire.hello, coulombus.wire.client, coulombus.wire.can_interface, coulombus.recording.can_io\n"
+        "import sys, coulombus.wire.address, coulombus.wire.handshake, coulombus.wire.client\n"
+        "import coulombus.wire.can_interface, coulombus.recording.can_io\n"
         "sys.exit(', '.join({'numba', 'scipy', 'pydantic', 'canopen'} & set(sys.modules)) or 0)"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

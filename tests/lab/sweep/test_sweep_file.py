@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from coulombus.lab.sweep.file import SweepError, read_sweep
 from coulombus.lab.sweep.points import seed_of
 from coulombus.rigs.rig import RigError, packaged_rig
 from mutilated import mutilated
+from places import ROOT
 
 GOOD = """\
 rig = "bench"
@@ -234,7 +234,7 @@ def test_a_file_that_is_none_is_told(tmp_path):
 
 def test_a_fingerprint_knows_the_source_of_a_law(write, tmp_path):
     law = tmp_path / "law.py"
-    law.write_text((Path(__file__).parents[3] / "examples" / "own_law.py").read_text())
+    law.write_text((ROOT / "examples" / "own_law.py").read_text())
     rig = packaged_rig("bench").read_text().replace('"karnopp"', '"law.py:stribeck"')
     (tmp_path / "mine.toml").write_text(rig.replace("user = []", "user = [0.5]"))
     sweep = read_sweep(write('rig = "mine.toml"\n' + GOOD.partition("\n")[2]))

@@ -24,6 +24,7 @@ from coulombus.lab.sweep.workers import ClusterError, on_processes
 from coulombus.lab.sweep.worst import shrunk
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig, load_rig_text, packaged_rig
+from places import ROOT
 
 pytestmark = pytest.mark.slow
 
@@ -392,7 +393,7 @@ def test_the_worst_case_of_a_rig_elsewhere_finds_its_files(tmp_path, at_once):
     (tmp_path / "lab").mkdir()
     eds = (Path(packaged_rig("bench")).parents[1] / "eds" / "motor.eds").read_text()
     (tmp_path / "lab" / "mine.eds").write_text(eds)
-    (tmp_path / "lab" / "law.py").write_text((Path(__file__).parents[3] / "examples" / "own_law.py").read_text())
+    (tmp_path / "lab" / "law.py").write_text((ROOT / "examples" / "own_law.py").read_text())
     rig = packaged_rig("bench").read_text().replace('eds = "motor.eds"', 'eds = "mine.eds"')
     (tmp_path / "lab" / "rig.toml").write_text(
         rig.replace('"karnopp"', '"law.py:stribeck"').replace("user = []", "user = [0.5]")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -11,10 +10,11 @@ from coulombus.node.brake404 import BRAKE404
 from coulombus.node.hardware import io_file
 from coulombus.node.hardware.io_file import read_io_file
 from coulombus.node.kinds import GENERIC
-from coulombus.rigs.mistakes import RigError
-from coulombus.rigs.words import fields_of
+from coulombus.rigs.errors import RigError
+from coulombus.rigs.field_help import fields_of
 from fake_sysfs import BRAKE_IO
 from node_bench import description
+from places import ROOT
 
 
 def read(folder, text, kind=BRAKE404):
@@ -130,7 +130,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path, what):
 
 
 def test_the_page_names_each_key():
-    text = (Path(__file__).resolve().parents[3] / "docs" / "own-device.md").read_text()
+    text = (ROOT / "docs" / "own-device.md").read_text()
     for model in (io_file.Loop, io_file.Brake, io_file.Python, io_file.IioOutput, io_file.PwmOutput, io_file.IioInput):
         for name in fields_of(model):
             assert re.search(rf"\b{name}\b", text), f"{model.__name__}.{name}"

@@ -1,0 +1,301 @@
+"""Everything together: compute the study, and say it as JSON, as text and as figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.analysis.rig.friction_study import FrictionStudy, friction_study
+from coulombus.analysis.rig.hold import HoldStudy, hold_study
+from coulombus.analysis.rig.maps import OscillationMap, oscillation_map
+from coulombus.analysis.rig.through_bus import BENCH_HARDWARE, BusCycle, through_bus
+from coulombus.analysis.theory.absolute import AbsoluteStability, absolute_stability
+from coulombus.analysis.theory.crossings import Crossings, crossings
+from coulombus.analysis.theory.delay import DelayRow, delay_table
+from coulombus.analysis.theory.fig10 import Fig10, Run, figure_10
+from coulombus.analysis.theory.linear import Disk, alias_weights, passive_disk
+from coulombus.analysis.theory.orbits import Orbits, orbits
+from coulombus.analysis.theory.parameters import Parameters
+from coulombus.rigs.rig import Rig
+
+__all__ = [
+    "Study",
+    "as_json",
+    "delay_lines",
+    "disk_of",
+    "fig10_json",
+    "lines",
+    "nyquist_json",
+    "orbits_json",
+    "plain",
+    "study",
+    "weights_at",
+]
+
+STARTS = 200
+DISK_POINTS = 101
+
+Step = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Study:
+    """All results of `coulombus analyse`, as dataclasses."""
+
+    parameters: Parameters
+    rig: Rig
+    crossings: Crossings
+    orbits: Orbits
+    disk: Disk | None
+    absolute: AbsoluteStability
+    fig10: Fig10
+    delays: tuple[DelayRow, ...]
+    friction: FrictionStudy
+    through_bus: tuple[BusCycle, ...]
+    hold: HoldStudy
+    map: OscillationMap
+
+
+def disk_of(parameters: Parameters) -> Disk | None:
+    """Return the passive set's disks from 0 to fs/2; None for b = 0, where they are half-planes."""
+    if parameters.damping_Ns_m == 0:
+        return None
+    return passive_disk(np.linspace(0.0, parameters.nyquist_Hz, DISK_POINTS), parameters)
+
+
+def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambda name: None) -> Study:
+    """Compute everything; `step` is called with the name of what comes next.
+
+    `parameters` are the loop's on paper; `rig` is the one whose friction is identified, that holds
+    and strokes, and that the map is about. The limit cycle through the bus is that of the rig
+    "paper".
+    """
+    step("describing function")
+    found = crossings(parameters)
+    step("orbits")
+    motions = orbits(parameters, starts=STARTS, seed=seed)
+    step("absolute stability")
+    absolute = absolute_stability(parameters, shown=motions)
+    step("Fig. 10")
+    runs = figure_10(parameters)
+    step("delay table")
+    rows = delay_table(parameters, seed=seed)
+    step("friction")
+    friction = friction_study(rig, seed=seed)
+    step("through the bus")
+    bus = through_bus()
+    step("hold and stroke")
+    held = hold_study(rig, seed=seed)
+    step("map")
+    oscillating = oscillation_map(base=rig)
+    return Study(
+        parameters, rig, found, motions, disk_of(parameters), absolute, runs, rows, friction, bus, held, oscillating
+    )
+
+
+def plain(value: Any) -> Any:
+    """Return `value` as what JSON knows: dataclasses as objects, arrays as lists, NaN and infinity
+    as null, complex as [re, im].
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        own = getattr(value, "as_dict", None)
+        return plain(own()) if callable(own) else {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Path | Rig):
+        return str(value if isinstance(value, Path) else value.name)
+    return value
+
+
+def nyquist_json(found: Crossings, disk: Disk | None, absolute: AbsoluteStability) -> dict[str, Any]:
+    """Return the frequency domain's part of the contract."""
+    disks = None
+    if disk is not None:
+        disks = {
+            "frequency_Hz": plain(disk.frequency_Hz),
+            "center_re": plain(disk.center.real),
+            "center_im": plain(disk.center.imag),
+            "radius": plain(disk.radius),
+        }
+    return {
+        "crossings": plain(found.found),
+        "crossings_text": found.text,
+        "passive_disk": disks,
+        "certified_slope_Ns_m": {
+            "passive_set": absolute.passive_set,
+            "tsypkin": absolute.tsypkin,
+            "zames_falb": absolute.zames_falb,
+        },
+        "zames_falb_proved": absolute.certificate is not None and absolute.certificate.proved,
+        "nyquist_slope_Ns_m": absolute.nyquist,
+        "ideal_coulomb": {"verdict": absolute.ideal.value, "text": absolute.text},
+    }
+
+
+def weights_at(frequency_Hz: float, parameters: Parameters, orders: int = 3) -> dict[str, Any]:
+    """Return the weights of the aliases in eq. (12)'s sum at a crossing, by their order."""
+    weights = alias_weights(np.array([frequency_Hz]), parameters, orders)[0]
+    return {
+        "frequency_Hz": frequency_Hz,
+        "weights": {str(k): float(w) for k, w in zip(range(-orders, orders + 1), weights, strict=True)},
+    }
+
+
+def orbits_json(motions: Orbits) -> dict[str, Any]:
+    """Return the orbits' part of the contract."""
+    return {"orbits": plain(motions.found), "orbits_elsewhere_share": motions.elsewhere}
+
+
+def _run_json(run: Run) -> dict[str, Any]:
+    figures = {
+        f.name: plain(getattr(run, f.name)) for f in fields(run) if f.name not in ("t_s", "x_m", "v_m_s", "force_N")
+    }
+    trace = {name: plain(getattr(run, name)) for name in ("t_s", "x_m", "v_m_s", "force_N")}
+    return {**figures, "trace": trace}
+
+
+def fig10_json(runs: Fig10) -> dict[str, Any]:
+    """Return Fig. 10's part of the contract."""
+    return {"fig10": {"passive": _run_json(runs.passive), "active": _run_json(runs.active)}}
+
+
+def as_json(found: Study) -> dict[str, Any]:
+    """Return the machine-readable contract of `coulombus analyse --json`."""
+    friction = found.friction
+    traces = ("t_s", "v_m_s", "force_N")
+    return {
+        "parameters": plain(found.parameters),
+        **nyquist_json(found.crossings, found.disk, found.absolute),
+        **orbits_json(found.orbits),
+        **fig10_json(found.fig10),
+        "delay_table": plain(found.delays),
+        "friction": {
+            "coulomb_before_Nm": plain(friction.coulomb_before_Nm),
+            "coulomb_after_Nm": plain(friction.coulomb_after_Nm),
+            "viscous_Nms_rad": plain(friction.viscous_Nms_rad),
+        },
+        **{
+            key: [
+                {f.name: plain(getattr(row, f.name)) for f in fields(row) if f.name not in traces}
+                for row in found.through_bus
+                if (row.hardware == BENCH_HARDWARE) == bench
+            ]
+            for key, bench in (("through_bus", False), ("through_bus_bench_hardware", True))
+        },
+        "hold": plain(found.hold),
+        "map": {
+            "points": found.map.share.size,
+            "oscillating": float(np.mean(found.map.oscillates)),
+            "simulated_s": found.map.simulated_s,
+        },
+    }
+
+
+def nyquist_lines(found: Crossings, absolute: AbsoluteStability) -> Iterable[str]:
+    """Yield the frequency domain's results for people."""
+
+    def slope(value: float | None) -> str:
+        return "every slope" if value is None else f"{value:.5g} Ns/m"
+
+    yield f"describing function   {found.text}"
+    yield f"ideal friction        {absolute.text}"
+    yield f"certified slopes      any passive operator: {slope(absolute.passive_set)} (Tsypkin)"
+    yield f"                      this operator: {slope(absolute.tsypkin)} (Tsypkin)"
+    if absolute.certificate is not None:
+        c = absolute.certificate
+        how = "proved at every frequency" if c.proved else f"verified at {c.points} frequencies"
+        multiplier = f"Zames-Falb, {len(c.taps)} taps, {how}"
+        yield f"                      this operator: {slope(absolute.zames_falb)} ({multiplier})"
+    yield f"                      limit of a linear damper (Nyquist): {slope(absolute.nyquist)}"
+    yield f"                      with the brake (circle criterion): {slope(absolute.passive_brake)}"
+
+
+def fig10_lines(runs: Fig10) -> Iterable[str]:
+    """Yield Fig. 10's results for people."""
+    for name, run in (("active", runs.active), ("passive", runs.passive)):
+        chatter = "no chatter" if run.chatter_Hz is None else f"chatter at {run.chatter_Hz:.3g} Hz"
+        above = ", ".join(
+            f"{value:.3g} m/s above {f} Hz"
+            for f, value in ((20, run.velocity_rms_above_20Hz_m_s), (100, run.velocity_rms_above_100Hz_m_s))
+            if value is not None
+        )
+        yield (
+            f"Fig. 10 {name:<13} {len(run.stick_intervals_s)} stick intervals, {run.force_flips_per_s:.3g} force flips/s, "
+            f"velocity RMS {above}, {chatter}"
+        )
+
+
+def delay_lines(rows: Iterable[DelayRow]) -> Iterable[str]:
+    """Yield the delay table for people."""
+    yield "rate [Hz]  delay [ms]   frequency [Hz]          amplitude [mm/s]"
+    yield "                       predicted  simulated    predicted  simulated"
+    for r in rows:
+        p = "none" if r.predicted_Hz is None else f"{r.predicted_Hz:.1f}"
+        a = "none" if r.predicted_amplitude_m_s is None else f"{r.predicted_amplitude_m_s * 1e3:.3f}"
+        yield (
+            f"{r.sample_rate_Hz:9g}  {r.delay_s * 1e3:10g}  {p:>9}  {r.simulated_Hz:9.1f}    {a:>9}  {r.simulated_amplitude_m_s * 1e3:9.3f}"
+        )
+
+
+def hold_lines(found: HoldStudy) -> Iterable[str]:
+    """Yield the hold and stroke tests for people."""
+    yield f"rig {found.rig}; velocity RMS in rad/s while it should be still; breakaway under a push within 1 s and 50 ms, as a share of F_s"
+    yield "mode     stick entry  brake   K_p      hold      dwells    slow    fast    hold's peak"
+    for row in found.rows:
+        still = [
+            f"{v:8.2g}" if v is not None else f"{'-':>8}"
+            for v in (row.hold_velocity_rms_rad_s, row.stick_velocity_rms_rad_s)
+        ]
+        away = [f"{'-' if push is None else push.verdict('.0%'):>6}" for push in (row.slow, row.fast)]
+        peak = "-" if row.hold_peak_Hz is None else f"{row.hold_peak_Hz:.3g} Hz"
+        yield (
+            f"{row.mode:<8} {row.stick_entry:<12} {row.brake_stick:<7} {row.K_p_Nm_rad:<7g} {still[0]}  {still[1]}  {away[0]}  {away[1]}  {peak}"
+        )
+    yield from (f"note: {remark}" for remark in found.remarks)
+
+
+def map_lines(found: OscillationMap) -> Iterable[str]:
+    """Yield a map's figures for people."""
+    axes = " x ".join(f"{name} ({len(values)})" for name, values in found.axes.items())
+    yield f"map of {found.share.size} points: {axes}"
+    yield (
+        f"{np.mean(found.oscillates):.0%} of them oscillate; {found.simulated_s:.3g} s simulated in {found.elapsed_s:.3g} s, "
+        f"{found.speed:.3g} s a second"
+    )
+
+
+def lines(found: Study) -> Iterable[str]:
+    """Yield all results for people."""
+    yield from nyquist_lines(found.crossings, found.absolute)
+    yield f"exact orbits          {found.orbits.text}"
+    yield from fig10_lines(found.fig10)
+    yield ""
+    yield from delay_lines(found.delays)
+    yield ""
+    for row in found.through_bus:
+        yield f"through the bus       {row.hardware}, {row.actuation}: {row.frequency_Hz:.1f} Hz with {row.delay_s * 1e3:.3f} ms of delay"
+    yield from hold_lines(found.hold)
+    yield from map_lines(found.map)
+    f = found.friction
+    yield (
+        f"friction ({found.rig.name})      {f.coulomb_before_Nm:.4f} Nm identified, {f.coulomb_after_Nm:.4f} Nm after compensation, "
+        f"viscous {f.viscous_Nms_rad:.4f} Nms/rad"
+    )

@@ -1,0 +1,319 @@
+r"""What the literature says of the laws, computed with them: the published benchmarks, the describing
+functions, and what a law gives back at most.
+
+A benchmark holds what a law gives against another way to the same number: a closed form, or the
+continuous equations integrated by an implicit method (Radau).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.host.laws.along import ASKED, GivenLaw, given_law
+from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Record, Records, new_records
+
+__all__ = [
+    "CANUDAS",
+    "Benchmark",
+    "Sweep",
+    "benchmarks",
+    "break_away",
+    "describing_function",
+    "energy",
+    "lines",
+    "plain",
+    "stick_slip",
+    "sweep",
+]
+
+Floats = npt.NDArray[np.float64]
+
+CANUDAS = {
+    "F_c_Nm": 1.0,
+    "F_s_Nm": 1.5,
+    "v_s_rad_s": 0.001,
+    "sigma_0_Nm_rad": 1e5,
+    "sigma_1_Nms_rad": math.sqrt(1e5),
+    "sigma_2_Nms_rad": 0.4,
+}
+"""The parameters of Canudas de Wit et al. 1995, table I, for a mass of 1 kg."""
+
+SPRING, PULL = 2.0, 0.1
+"""Of its stick-slip experiment: stiffness [N/m], speed of the spring's end [m/s]."""
+
+PUSHED = np.dtype(
+    [
+        ("mass", np.float64),
+        ("spring", np.float64),
+        ("speed", np.float64),  # of the spring's end
+        ("force_rate", np.float64),  # of a force that acts without a spring
+        ("step_s", np.float64),
+    ],
+    align=True,
+)
+COURSE = np.dtype([("t_s", np.float64), ("x", np.float64), ("v", np.float64), ("friction", np.float64)], align=True)
+
+
+@kernel
+def _push(asked: Record, law_function: Any, pushed: Record, course: Records, every: int) -> None:
+    """Let a mass move under a law: pulled by a spring whose end goes on, pushed by a force that
+    grows; keep each `every`-th step.
+    """
+    motion, h = asked.motion, pushed.step_s
+    motion.dt_s = h
+    x = v = t = 0.0
+    for k in range(len(course) * every):
+        motion.x_rad = x
+        motion.v_rad_s = v
+        motion.v_counts = v * h / asked.count_rad
+        psi = law_function(motion, asked.law, asked.state)
+        if k % every == 0:
+            one = course[k // every]
+            one.t_s = t
+            one.x = x
+            one.v = v
+            one.friction = psi
+        force = pushed.spring * (pushed.speed * t - x) + pushed.force_rate * t
+        v += h * (force - psi) / pushed.mass
+        x += h * v
+        t = (k + 1) * h
+
+
+def _course(law: GivenLaw, seconds: float, every: int, **pushed: float) -> Records:
+    record, asked = new_records(PUSHED), new_records(ASKED)
+    record["mass"], record["step_s"] = 1.0, 1e-5
+    for name, value in pushed.items():
+        record[name] = value
+    asked["count_rad"] = 1e-9
+    if law.declaration is not None and law.parameters is not None:
+        law.declaration.fill(asked[0]["law"], law.parameters)
+    course = new_records(COURSE, math.ceil(seconds / (float(record["step_s"][0]) * every)))
+    _push(asked[0], law.pointer, record[0], course, every)
+    return course
+
+
+def _lugre(**values: float) -> GivenLaw:
+    return given_law("lugre", [f"{key}={value!r}" for key, value in {**CANUDAS, **values}.items()])
+
+
+def _begins(t: Floats, v: Floats, level: float = 0.05) -> Floats:
+    """Return when the speed rises above `level`: the begins of the slips, between two samples on a
+    straight line.
+    """
+    k = np.flatnonzero((v[1:] > level) & (v[:-1] <= level))
+    return np.asarray(t[k] + (level - v[k]) / (v[k + 1] - v[k]) * (t[k + 1] - t[k]), np.float64)
+
+
+def stick_slip(law: GivenLaw) -> tuple[float, float]:
+    """Return the period of stick-slip [s] of 1 kg on a spring of 2 N/m that is pulled at 0.1 m/s,
+    and the largest friction [N]: Canudas de Wit et al. 1995, Fig. 4.
+    """
+    course = _course(law, 40.0, 100, spring=SPRING, speed=PULL)
+    return float(np.diff(_begins(course["t_s"], course["v"])).mean()), float(course["friction"].max())
+
+
+def break_away(law: GivenLaw, rate: float) -> float:
+    """Return the largest friction [N] that 1 kg meets under a force that grows by `rate` [N/s]:
+    Canudas de Wit et al. 1995, Fig. 5.
+    """
+    seconds = 2.5 / rate
+    return float(_course(law, seconds, max(1, round(seconds * 10)), force_rate=rate)["friction"].max())
+
+
+def _continuous(force: Callable[[float, float], float], seconds: float) -> tuple[Floats, Floats, Floats]:
+    """Return times, speeds and friction of LuGre's equations with the parameters `CANUDAS`,
+    integrated by the Radau method.
+    """
+    from scipy.integrate import solve_ivp
+
+    F_c, F_s, v_s, s_0, s_1, s_2 = CANUDAS.values()
+
+    def friction(v: Any, z: Any) -> tuple[Any, Any]:
+        g = F_c + (F_s - F_c) * np.exp(-((v / v_s) ** 2))
+        z_rate = v - s_0 * np.abs(v) / g * z
+        return s_0 * z + s_1 * z_rate + s_2 * v, z_rate
+
+    def rates(t: float, y: Floats) -> list[float]:
+        psi, z_rate = friction(y[1], y[2])
+        return [y[1], force(t, y[0]) - psi, z_rate]
+
+    found = solve_ivp(rates, (0, seconds), [0.0, 0.0, 0.0], "Radau", rtol=1e-7, atol=1e-10, max_step=seconds / 2000)
+    return found.t, found.y[1], friction(found.y[1], found.y[2])[0]
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A number that a law gives, and what it should be."""
+
+    law: str
+    what: str
+    unit: str
+    expected: float
+    by: str
+    """Where `expected` comes from."""
+    found: float
+    tolerance: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether it is so."""
+        return abs(self.found - self.expected) <= self.tolerance
+
+
+EACH = 2000
+"""Samples between two turning points."""
+
+
+def _loop(law: str, turns: Sequence[float], each: int = EACH, **values: float) -> tuple[Floats, Any]:
+    pieces = [np.linspace(a, b, each, endpoint=False) for a, b in pairwise(turns)]
+    x = np.concatenate([*pieces, [turns[-1]]])
+    driven = given_law(law, [f"{key}={value!r}" for key, value in values.items()]).along(np.arange(len(x)) * 1e-3, x)
+    return x, driven
+
+
+def _lugre_benchmarks() -> Iterator[Benchmark]:
+    law = _lugre()
+    t, v, friction = _continuous(lambda t, x: SPRING * (PULL * t - x), 40.0)
+    period, most = stick_slip(law)
+    yield Benchmark(
+        "lugre", "stick-slip, period (1995, Fig. 4)", "s", float(np.diff(_begins(t, v)).mean()), "Radau", period, 1e-3
+    )
+    yield Benchmark("lugre", "stick-slip, largest friction", "N", float(friction.max()), "Radau", most, 2e-3)
+    for rate in (1.0, 5.0, 20.0, 50.0):
+        _, _, friction = _continuous(lambda t, x, rate=rate: rate * t, 2.5 / rate)  # type: ignore[misc]
+        found = break_away(law, rate)
+        what = f"break-away at {rate:g} N/s (1995, Fig. 5)"
+        yield Benchmark("lugre", what, "N", float(friction.max()), "Radau", found, 5e-3)
+
+
+def benchmarks() -> tuple[Benchmark, ...]:
+    """Compute all benchmarks."""
+    found = list(_lugre_benchmarks())
+    A, F_c, sigma = 0.05, 1.0, 100.0
+    _, driven = _loop("dahl", (0, A, -A, A, -A, A, -A, A))
+    loss = float(driven.work_J[-1] - driven.work_J[-1 - 2 * EACH])
+    closed = 4 * F_c * (A - F_c / sigma * math.tanh(sigma * A / F_c))
+    found.append(Benchmark("dahl", "loss of a turn of +-0.05 rad", "J", closed, "closed form", loss, 1e-5))
+    only: dict[str, Any] = dict.fromkeys(("k_2_Nm_rad", "k_3_Nm_rad", "k_4_Nm_rad"), 1e-9)
+    only |= {"w_1": 1e6, "w_2": 1e-6, "w_3": 1e-6, "w_4": 1e-6, "F_s_Nm": 1.0, "sigma_1_Nms_rad": 0.0}
+    _, driven = _loop("leuven", (0, A, -A, A, -A, A, -A, A), **only)
+    loss = float(driven.work_J[-1] - driven.work_J[-1 - 2 * EACH])
+    found.append(
+        Benchmark("leuven", "the same with one element, which is Dahl's", "J", closed, "closed form", loss, 1e-5)
+    )
+    _, driven = _loop("gms", (0, 0.03, -0.02, 0.01, -0.005, 0.01, -0.02, 0.03), F_s_Nm=1.0, C_Nm_s=1e9)
+    torque = driven.samples["torque_Nm"]
+    error = max(abs(float(torque[EACH * a] - torque[EACH * b])) for a, b in ((5, 3), (6, 2), (7, 1)))
+    found.append(Benchmark("gms", "return-point error of two inner loops (2005)", "Nm", 0.0, "theory", error, 1e-9))
+    shakes = (0, *(5.5e-3, 2.5e-3) * 200, 4e-3)
+    for name in ("elastoplastic", "lugre"):
+        x, driven = _loop(name, shakes, 50, sigma_1_Nms_rad=0.0)
+        drift = float(x[-1] - driven.samples["torque_Nm"][-1] / 100.0)
+        if name == "elastoplastic":
+            what = "drift after 200 shakes below break-away (2002)"
+            found.append(Benchmark(name, what, "rad", 0.0, "theory", drift, 1e-12))
+        else:
+            found.append(Benchmark(name, "the same drift, which it has", "rad", 4e-3, "theory: all", drift, 1e-3))
+    x, driven = _loop("kikuuwe", (0, 0.04, -0.04, 0.01, 0.04), 100, B_Nms_rad=0.0)
+    play, e = [0.0], 0.0
+    for dx in np.diff(x):
+        e = min(max(e + dx, -0.01), 0.01)
+        play.append(100 * e)
+    error = float(np.abs(driven.samples["torque_Nm"] - play).max())
+    found.append(Benchmark("kikuuwe", "error to the set-valued law (2006)", "Nm", 0.0, "theory", error, 1e-9))
+    x, driven = _loop("bliman_sorine", (0, 0.1), 20000)
+    peak = math.log(1.5 / (0.5 * 0.25)) / (1 / 0.005 - 1 / 0.02)
+    top = 1.5 * (1 - math.exp(-peak / 0.005)) - 0.5 * (1 - math.exp(-peak / 0.02))
+    torque = driven.samples["torque_Nm"]
+    found.append(Benchmark("bliman_sorine", "peak from rest", "Nm", top, "closed form", float(torque.max()), 1e-5))
+    return tuple(found)
+
+
+def describing_function(law: GivenLaw, a: float, frequency_Hz: float, samples: int = 20_000) -> complex:
+    r"""Return :math:`\Psi(a, f)` [Nm s/rad] of any law: the fundamental of its torque under
+    :math:`v = a \sin\theta`, divided by a; numerically, of the sixth period.
+    """
+    theta = np.arange(6 * samples + 1) * (2 * math.pi / samples)
+    x = a / (2 * math.pi * frequency_Hz) * (1 - np.cos(theta))
+    torque = law.along(theta / (2 * math.pi * frequency_Hz), x, 1e-12).samples["torque_Nm"][-samples:]
+    last = theta[-samples:]
+    return complex(float(torque @ np.sin(last)), float(torque @ np.cos(last))) * 2 / (samples * a)
+
+
+def energy(law: GivenLaw, seed: int = 0) -> tuple[float, float]:
+    r"""Return the least work [J] that a law has taken up on the way of a motion of five sines, and
+    the sum of all that it took and gave, :math:`\int |\psi v|\,dt`.
+
+    A law that is passive from its relaxed state has taken up nothing less than 0 at any time.
+    """
+    draw, t = np.random.default_rng(seed), np.arange(200_001) * 1e-4
+    x = sum(
+        draw.uniform(0.02, 0.1) * (np.sin(2 * math.pi * f * t + phase) - math.sin(phase))
+        for f, phase in zip(draw.uniform(0.2, 3.0, 5), draw.uniform(0, 2 * math.pi, 5), strict=True)
+    )
+    driven = law.along(t, np.asarray(x), 1e-12)
+    return float(driven.work_J.min()), float(np.abs(np.diff(driven.work_J)).sum())
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A law with its defaults under v = a sin: what it is to a loop, and to energy."""
+
+    law: str
+    psi: complex
+    """At a = 1 rad/s and 1 Hz [Nm s/rad]."""
+    least_J: float
+    turned_J: float
+
+    @property
+    def passive(self) -> bool:
+        """Whether it never gave more than it had taken, but for a share of 1e-6."""
+        return self.least_J >= -1e-6 * self.turned_J
+
+
+def sweep() -> tuple[Sweep, ...]:
+    """Compute describing function and energy of every law."""
+    laws = [given_law(name) for name in OWN_LAWS]
+    return tuple(Sweep(law.name, describing_function(law, 1.0, 1.0), *energy(law)) for law in laws)
+
+
+def lines(found: Sequence[Benchmark], swept: Sequence[Sweep]) -> Iterator[str]:
+    """Yield the results as tables, as docs/laws.md has them."""
+    yield "| law | benchmark | expected | by | found | |"
+    yield "|---|---|---|---|---|---|"
+    for one in found:
+        verdict = "ok" if one.ok else "FAIL"
+        told = f"{one.found:.4g}" if abs(one.found) > one.tolerance or one.expected else "0"
+        yield f"| `{one.law}` | {one.what} | {one.expected:.4g} {one.unit} | {one.by} | {told} {one.unit} | {verdict} |"
+    yield ""
+    yield "| law | Re Psi [Nm s/rad] | Im Psi [Nm s/rad] | passive |"
+    yield "|---|---|---|---|"
+    for each in swept:
+        imaginary = each.psi.imag if abs(each.psi.imag) >= 5e-4 else 0.0
+        yield f"| `{each.law}` | {each.psi.real:.3f} | {imaginary:.3f} | {'yes' if each.passive else 'no'} |"
+
+
+def plain(found: Sequence[Benchmark], swept: Sequence[Sweep]) -> dict[str, Any]:
+    """Return the results as plain values."""
+    return {
+        "benchmarks": [{**asdict(one), "ok": one.ok} for one in found],
+        "laws": [
+            {
+                "law": one.law,
+                "psi": [one.psi.real, one.psi.imag],
+                "least_J": one.least_J,
+                "turned_J": one.turned_J,
+                "passive": one.passive,
+            }
+            for one in swept
+        ],
+    }

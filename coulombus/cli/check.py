@@ -1,0 +1,263 @@
+"""``coulombus check``: a rig file and everything that follows from it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.common import json_option, load, rig_option, set_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.tables import PROSE, echo, on_terminal
+from coulombus.system.wrap_text import columns_of
+
+if TYPE_CHECKING:
+    from coulombus.host.setup.device_plan import DevicePlan
+    from coulombus.host.setup.host_loss import Reaction
+    from coulombus.rigs.errors import RigError
+    from coulombus.rigs.plan.rig_plan import Plan
+    from coulombus.rigs.rig import Rig
+
+__all__ = ["check"]
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")
+@json_option
+def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool) -> None:
+    """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle
+    fits on the bus; nothing is run.
+
+    A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow
+    for its value, another identity, a limit that would cut the law off, a device that does not
+    notice the host's loss. "lost" is what bring-up leaves out, as the device is not ours or has no
+    such object; "open" is what only the device itself can answer.
+
+    \b
+    Examples:
+      coulombus check --rig my-rig.toml
+      coulombus check --rig my-rig.toml --steps
+      coulombus check --rig bench --set bus.bitrate_bit_s=500000
+    """
+    with errors():
+        from coulombus.rigs.errors import RigError
+
+        try:
+            found = _Findings(load(rig_name, overrides))
+        except RigError as error:
+            if as_json:
+                told = {"event": "error", "error": str(error), "exit_status": error.exit_status}
+                print_json(told | {"ok": False, "problems": _refused(error), "losses": [], "reactions": []})
+            raise
+        with verdict(0 if found.ok else 1):
+            if as_json:
+                print_json(found.document(steps))
+            else:
+                found.tell(steps)
+
+
+def _refused(error: RigError) -> list[dict[str, str]]:
+    """Return the mistakes of a rig file as problems: those of roles with their role, the others as
+    they are told.
+    """
+    from coulombus.rigs.problem import Problem
+
+    known = [problem._asdict() for problem in error.problems]
+    told = [text for text in error.errors if not any(problem["text"] in text for problem in known)]
+    return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in told]
+
+
+GENTLER = "give limits.safe_ramp_s more time, up to 1.8 s"
+
+
+def _once(texts: Iterable[Any]) -> list[Any]:
+    return list(dict.fromkeys(texts))
+
+
+class _Findings:
+    """What follows from a rig: its PDOs, its plan, what bring-up does in each mode."""
+
+    def __init__(self, rig: Rig) -> None:
+        from coulombus.eds.own_devices import is_own, told_identity
+        from coulombus.host.cycle.controller import Controller
+        from coulombus.host.cycle.demand import brake_limit, cut_off
+        from coulombus.host.setup.device_plan import device_plans
+        from coulombus.host.setup.limit_meanings import meanings_of
+        from coulombus.host.setup.release import release_of
+        from coulombus.rigs.plan.rig_plan import plans
+
+        self.rig = rig
+        self.buses: dict[str, Plan] = plans(rig)
+        self.fits = all(planned.fits for planned in self.buses.values())
+        unfit = (planned for planned in self.buses.values() if not planned.fits)
+        self.planned = next(unfit, self.buses[rig.channels[0]])
+        self.limits: dict[str, int] = {}
+        devices: list[DevicePlan] = []
+        self.by_mode: dict[str, list[DevicePlan]] = {}
+        for axis in rig.axes:
+            for mode in axis.mode:
+                controller = Controller(axis, mode)
+                self.limits[axis.prefix + mode] = controller.drive_limit_pm()
+                made = device_plans(controller)
+                self.by_mode.setdefault(mode, []).extend(made)
+                devices += made
+        self.problems = _once(one for device in devices for one in device.problems)  # each mode has its own limit
+        self.questions: list[str] = _once(text for device in devices for text in device.questions)
+        self.losses: list[str] = _once(text for device in devices for text in device.losses)
+        self.reactions: list[Reaction] = _once(one for device in devices for one in device.reactions)
+        self.releases = [
+            release_of(
+                axis,
+                brake_limit(axis)[0],
+                axis.brake.ramp_s if is_own("brake", told_identity(axis.description("brake"))) else 0.0,
+            )
+            for axis in rig.axes
+        ]
+        self.meanings: list[str] = _once(
+            text for axis in rig.axes for mode in axis.mode for text in meanings_of(axis, mode)
+        )
+        self.cut: list[str] = _once(text for mode in rig.modes for text in cut_off(rig, mode))
+        self.diagnoses = [str(d) for node in rig.nodes for d in node.description.diagnoses]
+        self.ok = self.fits and not self.problems and not self.cut
+
+    def _steps(self) -> list[dict[str, Any]]:
+        from coulombus.host.setup.device_plan import steps_of
+
+        mode = self.rig.modes[-1]
+        return [
+            {
+                "device": plan.name,
+                "object": f"{one.index:04X}h:{one.subindex:02X}",
+                "value": one.value,
+                "bits": one.variable(plan.description).bits,
+                "why": one.why,
+                "only_if_different": one.unless_equal,
+                "verified": one.verify,
+            }
+            for plan, one in steps_of(self.by_mode[mode])
+        ]
+
+    def document(self, steps: bool) -> dict[str, Any]:
+        """Return everything for ``--json``."""
+        planned = self.planned
+        document = {
+            "rig": self.rig.name,
+            "ok": self.ok,
+            "cut_off": self.cut,
+            "diagnoses": self.diagnoses,
+            "bitrate_bit_s": planned.timing.bitrate_bit_s,
+            "period_s": planned.timing.period_ns * 1e-9,
+            "busy_s": planned.busy_ns * 1e-9,
+            "utilisation": planned.busy_ns / planned.timing.period_ns,
+            "fits": self.fits,
+            "late": list(planned.reasons),
+            "latest_rpdo_s": planned.latest_rpdo_ns * 1e-9,
+            "motor_limit_per_mille": self.limits,
+            "problems": [one._asdict() for one in self.problems],
+            "questions": self.questions,
+            "losses": self.losses,
+            "reactions": [one._asdict() for one in self.reactions],
+            "releases": [one._asdict() | {"gentle": one.is_gentle} for one in self.releases],
+            "limits": self.meanings,
+            "accepted": list(self.rig.host.accept),
+            "roles": [
+                {
+                    "role": one.kind.name,
+                    "node": axis.prefix + one.node,
+                    "object": f"{one.entry.index:04X}h:{one.entry.subindex:02X}",
+                    "bits": one.entry.bits,
+                    "scale": one.scale,
+                    "unit": one.kind.unit,
+                    "decided_by": one.decided,
+                }
+                for axis in self.rig.axes
+                for one in axis.allocation.bound.bindings
+            ],
+            "frames": [
+                {"name": m.name, "can_id": m.can_id, "bytes": m.length, "bits": m.bits}
+                for one in self.buses.values()
+                for m in one.cyclic
+            ],
+        }
+        return document | ({"steps": self._steps()} if steps else {})
+
+    def tell(self, steps: bool) -> None:
+        """Print everything for people."""
+        from coulombus.host.laws.laws import OWN_LAWS
+
+        for text in self.diagnoses:
+            echo(text)
+        self._tell_pdos()
+        self._tell_buses()
+        if steps:
+            echo(f"\nbring-up in mode {self.rig.modes[-1]}:")
+            for step in self._steps():
+                when = " if it differs" if step["only_if_different"] else ""
+                value = f"{step['value']:#x} ({step['bits']} bits){when}"
+                echo(on_terminal(f"  {step['device']:<12} {step['object']} := {value}  {step['why']}", 15))
+        self._tell_reactions()
+        echo("")
+        for release in self.releases:
+            echo(on_terminal(f"release: {release}", 4, PROSE))
+            if not release.is_gentle:
+                echo(on_terminal(f"  that throws the hand: {GENTLER}", 4, PROSE))
+        for text in self.meanings:
+            echo(on_terminal(f"limit: {text}", 4, PROSE))
+        for mode, limit in self.limits.items():
+            echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
+        if self.rig.law_function.strip() not in OWN_LAWS:
+            unknown = "what a limit cuts off of it is not known before it runs; the run tells"
+            echo(on_terminal(f"law {self.rig.law_function}: {unknown}", 4))
+        for text in self.rig.host.accept:
+            echo(on_terminal(f"accepted: {text}", 4))
+        for text in self.losses:
+            echo(on_terminal(f"lost: {text}", 4))
+        for text in self.questions:
+            echo(on_terminal(f"open: {text}", 4))
+        for problem in (*self.problems, *self.cut):
+            echo(on_terminal(f"FAIL: {problem}", 4))
+        for planned in self.buses.values():
+            if not planned.fits:
+                echo(on_terminal(f"FAIL: {planned.verdict()}", 4))
+        if self.ok:
+            echo("ok, if the devices answer what is open above" if self.questions else "ok")
+
+    def _tell_pdos(self) -> None:
+        decided = {
+            axis.prefix + one.kind.signal: one.decided
+            for axis in self.rig.axes
+            for one in axis.allocation.bound.bindings
+            if one.decided
+        }
+        columns = columns_of(sys.stdout) or PROSE
+        for pdo in self.rig.pdos():
+            echo(
+                f"\n{pdo.node} {pdo.name}, COB-ID {pdo.layout.cob_id:03X}h, transmission type {pdo.layout.transmission}"
+                + (", its map is fixed" if pdo.fixed else "")
+            )
+            echo(pdo.layout.diagram(columns))
+            for signal in pdo.signals:
+                unit = f" {signal.unit}" if signal.unit else ""
+                by = f"  by {decided[signal.name]}" if signal.name in decided else ""
+                echo(on_terminal(f"  {signal.name:<28} = raw x {signal.scale:.9g}{unit}{by}", 6, PROSE))
+
+    def _tell_buses(self) -> None:
+        for planned in self.buses.values():
+            echo(f"\nworst case on the wire at {planned.timing.bitrate_bit_s / 1e6:g} Mbit/s:")
+            for m in planned.cyclic:
+                echo(f"  {m.can_id:03X}h  {m.name:<14} {m.length} bytes  {m.bits:>4} bits")
+            busy, period = planned.busy_ns, planned.timing.period_ns
+            echo(f"  together {busy / 1e3:.0f} us of each {period / 1e3:.0f} us: {busy / period:.1%}")
+            echo(f"  the latest RPDO is through {planned.latest_rpdo_ns / 1e3:.0f} us after SYNC (coulombus plan)")
+
+    def _tell_reactions(self) -> None:
+        if self.reactions:
+            echo("\nwhen the host is lost:")
+        for one in self.reactions:
+            within = f"within {one.within_s:g} s by {one.who}" if one.who else "nobody notices"
+            off = "" if one.safe_s is None else f" within {one.safe_s:g} s"
+            echo(on_terminal(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}", 26, PROSE))

@@ -1,0 +1,343 @@
+"""``coulombus commission``: from a rig file that believes to one that was measured."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import (
+    bus_option,
+    check_shared_machine,
+    force_option,
+    json_option,
+    load,
+    say,
+    seed_option,
+    set_option,
+    shared_machine_option,
+    verdict,
+)
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import OutputFile
+from coulombus.cli.tables import echo, progress, table_console
+
+if TYPE_CHECKING:
+    from coulombus.host.commission.session import Done, Runner, Session
+    from coulombus.host.commission.step import Exercise, Finding, Risk, Step
+    from coulombus.host.run.result import RunResult
+
+__all__ = ["commission"]
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """The rig of a rehearsal, as the options say it."""
+
+    virtual: bool
+    truth: Path | None
+    seed: int
+
+    def runner(self, axis: str | None) -> Runner:
+        """Return what runs the steps in virtual time."""
+        from coulombus.lab.rehearsal import rehearsed
+
+        true = None if self.truth is None else load(str(self.truth.resolve()), ()).alone(axis)
+        return rehearsed(true, seed=self.seed)
+
+
+rehearsal_options = bundle(
+    "rehearsal",
+    Rehearsal,
+    click.option("--virtual", is_flag=True, help="Rehearse in virtual time, on the rig file's own [plant]."),
+    click.option(
+        "--truth",
+        type=click.Path(readable=False, path_type=Path, dir_okay=False),
+        metavar="T.toml",
+        help="With --virtual: the rig file of the simulated rig as it truly is.",
+    ),
+    seed_option,
+)
+
+
+@dataclass(frozen=True)
+class Own:
+    """The rig file that is written, and its bus, as the options say it."""
+
+    rig_path: Path | None
+    bus_name: str | None
+    axis: str | None
+    overrides: tuple[str, ...]
+    shared_machine: bool
+
+    def path(self) -> Path:
+        """Return the rig file.
+
+        Raises
+        ------
+        click.UsageError
+            None is named, or one that is not written.
+        """
+        from coulombus.rigs.rig import known_rigs
+
+        if self.rig_path is None:
+            raise click.UsageError("give --rig MY.toml: what is found is written into it")
+        if not self.rig_path.is_file() and str(self.rig_path) in known_rigs():
+            raise click.UsageError(
+                f"{self.rig_path} is a rig of the package, which is not written; make a file of your own: "
+                "coulombus init --drive bench --brake bench --rehearse -o my-rig.toml"
+            )
+        return self.rig_path
+
+    def all_overrides(self) -> tuple[str, ...]:
+        """Return what is set in the rig, the wider limits of a shared machine before it."""
+        from coulombus.rigs.overrides import SHARED_MACHINE
+        from coulombus.wire.address import parse_address
+
+        if not self.shared_machine:
+            return self.overrides
+        check_shared_machine(() if self.bus_name is None else (parse_address(self.bus_name),))
+        return (*SHARED_MACHINE, *self.overrides)
+
+
+@dataclass(frozen=True)
+class Doing:
+    """Which steps are done, and how, as the options say it."""
+
+    names: tuple[str, ...]
+    listed: bool
+    again: bool
+    yes: bool
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """What a person has measured for a step, as the options say it."""
+
+    weight_Nm: float | None
+    marks_rad: float | None
+
+
+own_options = bundle(
+    "own",
+    Own,
+    click.option(
+        "--rig",
+        "rig_path",
+        type=click.Path(readable=False, path_type=Path, dir_okay=False),
+        metavar="MY.toml",
+        help="The rig file to commission; it is written.",
+    ),
+    bus_option,
+    click.option("--axis", metavar="NAME", help="The axis, where the rig file names axes."),
+    set_option,
+    shared_machine_option,
+)
+doing_options = bundle(
+    "doing",
+    Doing,
+    click.option("--step", "names", multiple=True, metavar="NAME", help="Only this step; may be given several times."),
+    click.option("--list", "listed", is_flag=True, help="Print the steps, and which are done; nothing moves."),
+    click.option("--again", is_flag=True, help="Do the steps that are done once more."),
+    click.option("--yes", is_flag=True, help="Ask nothing: for a rehearsal, or a rig that nobody touches."),
+)
+weighed_options = bundle(
+    "weighed",
+    Weighed,
+    click.option(
+        "--weight-Nm", "weight_Nm", type=float, help="Torque of a known weight at the handle, for the step weight."
+    ),
+    click.option(
+        "--marks-rad", "marks_rad", type=float, help="Angle between two marks at the handle, for the step encoder."
+    ),
+)
+
+
+@click.command(epilog=EXIT_STATUS)
+@own_options
+@doing_options
+@rehearsal_options
+@weighed_options
+@click.option("--report", type=OutputFile(".html"), metavar="F.html", help="Write the report there, too.")
+@force_option
+@json_option
+def commission(
+    own: Own,
+    doing: Doing,
+    rehearsal: Rehearsal,
+    weighed: Weighed,
+    report: Path | None,
+    overwrite: bool,  # of the report: `OutputFile` asks for it
+    as_json: bool,
+) -> None:
+    """Measure the rig step by step, and write what is found into its rig file.
+
+    Before a step moves anything it says what will move, and at most how far, and asks. Ctrl-C stops
+    it safely. The findings are written with their date; a copy of the old file is kept. Completed
+    steps are skipped, so an interrupted session continues where it stopped.
+
+    \b
+    Examples:
+      coulombus commission --list
+      coulombus commission --rig my.toml --bus socketcan:can0
+      coulombus commission --rig my.toml --bus socketcan:can0 --step friction
+      coulombus commission --rig two.toml --axis left --bus socketcan:can0
+      coulombus commission --rig my.toml --virtual --truth truth.toml --yes --json
+    """
+    with errors():
+        from coulombus.host.commission.session import Session, results
+        from coulombus.host.commission.step import Given
+        from coulombus.host.commission.steps import STEPS
+
+        chosen = _chosen(STEPS, doing.names)
+        if doing.listed:
+            _print_list(chosen, own.rig_path, own.axis, as_json)
+        path = own.path()
+        if rehearsal.truth is not None and not rehearsal.virtual:
+            raise click.UsageError("--truth is for --virtual")
+        if rehearsal.virtual and own.bus_name is not None:
+            raise click.UsageError("--virtual has a bus of its own; leave out --bus")
+        overrides = own.all_overrides()
+        if not doing.yes and not _somebody():
+            raise click.UsageError("nobody is there to be asked: give --yes")
+        load(str(path.resolve()), overrides)
+        run = rehearsal.runner(own.axis) if rehearsal.virtual else _real(own.bus_name, as_json)
+        given = Given(weighed.weight_Nm, weighed.marks_rad)
+        session = Session(path, run, given, _now, overrides, own.axis)
+        done = _commission(session, chosen, doing, report)
+        asked_for_what_lacks = bool(doing.names) and any(one.what == "lacking" for one in done)
+        with verdict(1 if asked_for_what_lacks else 0):
+            if as_json:
+                print_json(results(done))
+            elif any(one.outcome for one in done):
+                _print_findings(done)
+
+
+def _chosen(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]:
+    known = [step.name for step in steps]
+    for name in names:
+        if name not in known:
+            from coulombus.rigs.errors import nearest
+
+            raise click.BadParameter(
+                f"{name!r}: expected one of {', '.join(known)}{nearest(name, known)}", param_hint="--step"
+            )
+    return tuple(step for step in steps if not names or step.name in names)
+
+
+def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None, as_json: bool) -> None:
+    """Print the steps, and end."""
+    from coulombus.host.commission.state import State, folder_of
+
+    done = State.load(folder_of(rig_path, axis)).steps if rig_path is not None else {}
+    rows = [{"step": step.name, "title": step.title, "done": done.get(step.name, {}).get("at")} for step in steps]
+    with verdict(0):
+        if as_json:
+            print_json({"steps": rows})
+        else:
+            for row in rows:
+                echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
+
+
+def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report: Path | None) -> list[Done]:
+    """Do the steps, and return what came of them."""
+    done: list[Done] = []
+    for step in steps:
+        if step.name in session.state.steps and not (doing.again or doing.names):
+            say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
+            continue
+        one = session.do(step, lambda step, risk: _agree(step, risk, doing.yes))
+        done.append(one)
+        _tell(one)
+        if one.what == "done":
+            _report(session, report)
+    return done
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _real(bus_name: str | None, as_json: bool) -> Runner:
+    from coulombus.host.run.outputs import Outputs
+    from coulombus.host.run.real_run import real_run
+    from coulombus.system.stop_signals import Signals
+    from coulombus.wire.address import parse_address
+
+    address = None if bus_name is None else parse_address(bus_name)
+
+    def run(one: Exercise, path: Path) -> RunResult:
+        with Signals() as signals, progress(not as_json) as bar:
+            return real_run(
+                one.rig,
+                one.mode,
+                one.seconds,
+                bus=address,
+                outputs=Outputs(record=path, force=True),
+                signals=signals,
+                progress=lambda t: bar(one.name, t, one.seconds),
+            )
+
+    return run
+
+
+def _somebody() -> bool:
+    """Tell whether there is somebody who can be asked."""
+    return sys.stdin.isatty()
+
+
+def _agree(step: Step, risk: Risk, yes: bool) -> bool:
+    say(f"\nstep {step.name}: {step.title}")
+    for line in risk.lines():
+        say(f"  {line}")
+    if yes:
+        return True
+    try:
+        return click.confirm("  begin?", default=True, err=True)
+    except click.Abort:  # Ctrl-C, or the terminal is gone
+        raise KeyboardInterrupt from None
+
+
+def _tell(one: Done) -> None:
+    if one.what != "done":
+        say(f"{one.step}: {one.what}{': ' + one.why if one.why else ''}")
+        return
+    say(f"{one.step}: done{', written: ' + ', '.join(one.written) if one.written else ', nothing to change'}")
+    for text in one.outcome.remarks if one.outcome else ():
+        say(f"  note: {text}")
+
+
+def _report(session: Session, path: Path | None) -> None:
+    """Write the report after each step: what was found is on paper, whatever comes next."""
+    from coulombus.host.commission.report import report
+    from coulombus.host.commission.steps import STEPS
+    from coulombus.rigs.rewrite import write_whole
+
+    page = report(session.rig(), session.state, {step.name: step.title for step in STEPS}).encode()
+    write_whole(session.state.folder / "report.html", page)
+    if path is not None:
+        write_whole(path, page)
+
+
+def _print_findings(done: list[Done]) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for name, justify in (("finding", "left"), ("was", "right"), ("is", "right"), ("+-", "right"), ("unit", "left")):
+        table.add_column(name, justify=justify)  # type: ignore[arg-type]
+    for one in done:
+        for finding in one.outcome.findings if one.outcome else ():
+            reach = "" if finding.uncertainty is None else f"{finding.uncertainty:.2g}"
+            table.add_row(finding.key or finding.name, _figure(finding.old), _figure(finding.new), reach, finding.unit)
+    table_console(80).print(table)
+
+
+def _figure(value: Finding | object) -> str:
+    if isinstance(value, list | tuple):
+        return f"{len(value)} points"
+    return "-" if value is None else f"{value:.5g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,161 @@
+"""What the verbs have in common: options, and the rig that they name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.system.exit import printed, say, verdict
+
+if TYPE_CHECKING:
+    from coulombus.rigs.rig import Rig
+    from coulombus.wire.address import BusAddress
+
+__all__ = [
+    "MODES",
+    "bus_option",
+    "buses_option",
+    "channel_option",
+    "check_mode",
+    "check_shared_machine",
+    "display_s",
+    "faults_option",
+    "force_option",
+    "json_option",
+    "listed",
+    "load",
+    "mode_option",
+    "printed",
+    "record_option",
+    "recording_argument",
+    "rig_option",
+    "say",
+    "script_option",
+    "seconds_option",
+    "seed_option",
+    "set_option",
+    "shared_machine_option",
+    "signals_option",
+    "verdict",
+]
+MODES = ("active", "passive", "hybrid")
+
+
+def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
+    """Load a rig and say on stderr what is allowed in it and yet may not be meant."""
+    from coulombus.rigs.rig import load_rig
+
+    rig = load_rig(rig_name, overrides)
+    for warning in rig.warnings:
+        say(f"warning: {warning}")
+    return rig
+
+
+def check_shared_machine(addresses: Iterable[BusAddress]) -> None:
+    """Refuse --shared-machine on a bus that is not built in."""
+    real = [str(address) for address in addresses if address.kind != "coulombus"]
+    if real:
+        text = (
+            f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"
+        )
+        raise click.BadParameter(text, param_hint="--shared-machine")
+
+
+def check_mode(rig: Rig, rig_name: str, mode: str) -> None:
+    """Refuse a mode that the rig does not have."""
+    if mode not in rig.modes:
+        raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.modes)}", param_hint="--mode")
+
+
+def display_s(rig: Rig, seconds: float | None) -> float:
+    """Return how long to display: so many seconds, or the rig's schedule."""
+    total = rig.schedule_s if seconds is None else seconds
+    if not total > 0:
+        raise click.UsageError(
+            f"the rig {rig.name} has no schedule ([[phase]]) that would tell how long to display: give --seconds"
+        )
+    return total
+
+
+mode_option = click.option(
+    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
+)
+seconds_option = click.option(
+    "--seconds",
+    type=SECONDS,
+    default=None,
+    help="Length of the display.  [default: the rig's schedule]",
+)
+record_option = click.option(
+    "--record", type=OutputFile(".pcapng"), metavar="F.pcapng", help="Record every frame there, in a new file."
+)
+recording_argument = click.argument("file", type=InputPath())
+signals_option = click.option(
+    "--signals",
+    "signals",
+    multiple=True,
+    callback=lambda ctx, param, texts: listed(texts),
+    metavar="A,B",
+    help="Only these signals, by their names.  [default: all]",
+)
+force_option = click.option(
+    "--force", "overwrite", is_flag=True, is_eager=True, help="Replace files that exist; else they are refused."
+)
+rig_option = click.option(
+    "--rig",
+    "rig_name",
+    default="bench",
+    show_default=True,
+    metavar="R",
+    help="A packaged rig (bench, paper, two_axes) or the path of a rig file.",
+)
+set_option = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="SECTION.KEY=V",
+    help="Set any key of the rig file, as in --set plant.inertia_kg_m2=3e-3. May be given several times.",
+)
+shared_machine_option = click.option(
+    "--shared-machine", is_flag=True, help="Wider limits, for simulated nodes on a machine that does other work, too."
+)
+faults_option = click.option(
+    "--faults",
+    type=click.Path(readable=False, path_type=Path),
+    metavar="F.toml",
+    help="A fault file: what goes wrong on the bus, and when.",
+)
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Start of everything random."
+)
+bus_option = click.option(
+    "--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]"
+)
+buses_option = click.option(
+    "--bus",
+    "bus_names",
+    multiple=True,
+    metavar="B",
+    help="coulombus:NAME or socketcan:IF; CHANNEL=B for each bus of a rig that has several.  [default: coulombus:RIG]",
+)
+channel_option = click.option(
+    "--channel",
+    metavar="C",
+    help="Only the axes on this bus of a rig that has several.  [default: all, a process each]",
+)
+script_option = click.option(
+    "--script",
+    type=click.Path(readable=False, path_type=Path),
+    metavar="F.toml",
+    help="Switch nodes off and on, reset them, let device faults come and go at given times.",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON to stdout.")
+
+
+def listed(texts: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Return the names of one option or several, None where there is none."""
+    return tuple(name.strip() for text in texts for name in text.split(",") if name.strip()) or None

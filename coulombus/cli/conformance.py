@@ -1,0 +1,210 @@
+"""`coulombus conformance`. Imports what it needs only when it runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import json_option, printed, say
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import OutputFile
+
+if TYPE_CHECKING:
+    from coulombus.conformance.catalogue import Case
+    from coulombus.conformance.runner import Report
+
+__all__ = ["conformance"]
+
+LONGEST_TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True)
+class Tested:
+    """The device and how it is tested, as the options say it."""
+
+    bus_name: str
+    node_id: int
+    eds_path: Path
+    timeout: float
+    seed: int
+    force: bool
+
+
+@dataclass(frozen=True)
+class Reports:
+    """What ``conformance`` writes, as the options say it."""
+
+    overwrite: bool
+    junit: Path | None
+    report_path: Path | None
+
+    def write(self, report: Report) -> None:
+        """Write the files that were asked for."""
+        from coulombus.conformance.report import write_junit, write_report
+        from coulombus.recording.output_file import new_file
+
+        for place, write in ((self.junit, write_junit), (self.report_path, write_report)):
+            if place is not None:
+                with new_file(place, force=self.overwrite) as path:
+                    write(report, path)
+
+
+tested_options = bundle(
+    "tested",
+    Tested,
+    click.option("--bus", "bus_name", required=True, metavar="B", help="coulombus:NAME or socketcan:IF."),
+    click.option(
+        "--node", "node_id", required=True, type=click.IntRange(1, 127), metavar="N", help="The device's node id."
+    ),
+    click.option(
+        "--eds",
+        "eds_path",
+        required=True,
+        type=click.Path(readable=False, path_type=Path),
+        metavar="E",
+        help="Its EDS or DCF file.",
+    ),
+    click.option("--timeout", default=1.0, show_default=True, metavar="S", help="How long an answer may take."),
+    click.option("--seed", default=0, show_default=True, help="Start of everything random."),
+    click.option(
+        "--force",
+        is_flag=True,
+        help="Also on a device in NMT OPERATIONAL, a drive in Operation Enabled, or one that is not the EDS's.",
+    ),
+)
+reports_options = bundle(
+    "reports",
+    Reports,
+    click.option(
+        "--overwrite",
+        is_flag=True,
+        is_eager=True,
+        help="Replace reports that exist; else they are refused. --force is about the device.",
+    ),
+    click.option("--junit", type=OutputFile(), metavar="F.xml", help="Write JUnit XML there."),
+    click.option(
+        "--report",
+        "report_path",
+        type=OutputFile(),
+        metavar="F.md|F.html",
+        help="Write a readable report there, with the frames of each failure.",
+    ),
+)
+
+
+@click.command("conformance", epilog=EXIT_STATUS)
+@tested_options
+@click.option(
+    "--case", "numbers", multiple=True, metavar="ID", help="Only this case, as 2.10. May be given several times."
+)
+@reports_options
+@json_option
+def conformance(
+    tested: Tested,
+    numbers: tuple[str, ...],
+    reports: Reports,
+    as_json: bool,
+) -> None:
+    """Test a CANopen device against its EDS and CiA 301, 305 and 402, over its bus alone.
+
+    127 cases of a conformance test plan and cases of our own (ids that begin with a letter): pass,
+    fail, or not applicable with the reason. The run resets the device, changes its objects, stores
+    and restores them; at the end it has its defaults. Nothing is moved: target torque stays 0.
+    Ends with 1 when a case fails, or the tester itself fails in one. An interrupted run writes the
+    results that it has.
+
+    \b
+    Examples:
+      coulombus conformance --bus coulombus:bench --node 1 --eds eds/motor.eds
+      coulombus conformance --bus socketcan:can0 --node 5 --eds drive.eds --report drive.html
+      coulombus conformance --bus coulombus:bench --node 2 --eds eds/mr_brake.eds --case 2.10
+    """
+    with errors():
+        from coulombus.conformance.report import as_dict
+        from coulombus.conformance.runner import check_before, run, select
+        from coulombus.conformance.tester.unit import Timing, Unit
+        from coulombus.eds.reader import read_eds
+        from coulombus.wire.address import parse_address
+        from coulombus.wire.bus_link import BusLink
+
+        if not 0.01 <= tested.timeout <= LONGEST_TIMEOUT_S:
+            raise click.BadParameter(
+                f"{tested.timeout}: expected 0.01 to {LONGEST_TIMEOUT_S:.0f} s", param_hint="--timeout"
+            )
+        cases = select(numbers)
+        address = parse_address(tested.bus_name)
+        description = read_eds(tested.eds_path)
+        with BusLink(address) as link:
+            unit = Unit(link, description, tested.node_id, Timing.of(tested.timeout), tested.seed)
+            check_before(unit, force=tested.force)
+            say(f"node {tested.node_id} on {address} is reset and changed now, and has its defaults at the end")
+            with _progress(len(cases), not as_json) as progress:
+                report = run(unit, cases, progress)
+        failed = bool(report.count("fail") + report.count("error"))
+        with printed(1 if failed or report.ended_by is not None else 0):
+            if as_json:
+                print_json(as_dict(report))
+            else:
+                _print(report)
+        reports.write(report)
+        if report.ended_by is not None:
+            raise report.ended_by
+        sys.exit(1 if failed else 0)
+
+
+@contextmanager
+def _progress(total: int, enabled: bool) -> Iterator[Callable[[int, Case], None]]:
+    """Show a bar on stderr, where that is a terminal."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from coulombus.system.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
+    if not enabled or not console.is_terminal:
+        yield lambda number, case: None
+        return
+    columns = (
+        BarColumn(30),
+        TextColumn("{task.completed:.0f} of {task.total:.0f}  {task.description}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bars:
+        task = bars.add_task("", total=total)
+
+        def report(number: int, case: Case) -> None:
+            bars.update(task, completed=number, description=f"{case.id} {case.name}")
+
+        yield report
+
+
+def _print(report: Report) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from coulombus.conformance.report import WORDS, summary
+    from coulombus.system.printable_console import PrintableConsole
+
+    console = PrintableConsole()
+    table = Table(box=None, pad_edge=False)
+    for head in ("case", "", "result", "reason"):
+        table.add_column(head, overflow="fold")
+    colour = {"pass": "green", "fail": "bold red", "not_applicable": "dim", "error": "bold magenta"}
+    for one in report.outcomes:
+        result = f"[{colour[one.result]}]{WORDS[one.result]}[/]"
+        table.add_row(one.case.id, escape(one.case.name), result, escape(one.reason))
+    console.print(table)
+    for one in report.outcomes:
+        if one.result in ("fail", "error"):
+            console.print(
+                f"\n[bold]{one.case.id} {escape(one.case.name)}[/]: {escape(one.case.objective)}\n{escape(one.reason)}"
+            )
+            for line in one.frames:
+                console.print(f"  {escape(line)}", highlight=False)
+    console.print(f"\n{summary(report)}")

@@ -1,0 +1,170 @@
+"""What the verbs for devices have in common: their bus, who else is on it, one line of progress."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import load, say
+from coulombus.cli.option_types import SECONDS, InputPath
+from coulombus.system.foreign_text import printable
+
+if TYPE_CHECKING:
+    from coulombus.host.devices.device import Device
+    from coulombus.wire.bus_link import BusLink
+
+__all__ = [
+    "DeviceOptions",
+    "LiveLine",
+    "beside_option",
+    "device_options",
+    "devices_bus_option",
+    "eds_folder_option",
+    "open_link",
+    "timeout_option",
+]
+
+devices_bus_option = click.option(
+    "--bus", "bus_name", required=True, metavar="B", help="coulombus:NAME or socketcan:IF."
+)
+beside_option = click.option(
+    "--beside-host", "beside", is_flag=True, help="Also while a host is at work on the bus, at your own risk."
+)
+eds_folder_option = click.option(
+    "--eds",
+    "eds_folder",
+    type=InputPath(file_okay=False),
+    metavar="FOLDER",
+    help="Folder of EDS and DCF files; each device's file is found there by its identity (1018h).",
+)
+
+
+eds_option = click.option(
+    "--eds",
+    "eds",
+    type=click.Path(readable=False, path_type=Path),
+    metavar="E",
+    help="Its EDS or DCF file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
+)
+rig_option = click.option(
+    "--rig", "rig_name", metavar="R", help="A rig file that has the node: its EDS file and its SI units."
+)
+timeout_option = click.option(
+    "--timeout",
+    "timeout_s",
+    type=SECONDS,
+    default=1.0,
+    show_default=True,
+    metavar="S",
+    help="How long an answer may take.",
+)
+
+
+@contextmanager
+def open_link(bus_name: str, *, beside: bool = False) -> Iterator[BusLink]:
+    """Open a bus for a service: alone on it, or beside a host, which is said then."""
+    from coulombus.host.devices.guard import FILTERS, check_alone
+    from coulombus.wire.address import parse_address
+    from coulombus.wire.bus_link import BusLink
+
+    address = parse_address(bus_name)
+    with BusLink(address, FILTERS) as link:
+        found = check_alone(link, address, beside=beside)
+        if found:
+            say(f"coulombus: a host is on bus {address}: {found}; its display may be disturbed")
+        yield link
+
+
+class LiveLine:
+    """One line on a terminal's stderr that tells how far a service is; nothing elsewhere."""
+
+    def __init__(self) -> None:
+        from coulombus.system.printable_console import PrintableConsole
+
+        self._console = PrintableConsole(stderr=True)
+        self._last_s, self._shown = 0.0, False
+
+    def __enter__(self) -> LiveLine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            self._write("")
+
+    def __call__(self, text: str) -> None:
+        """Show a text, at most ten times a second."""
+        if time.monotonic() - self._last_s > 0.1:
+            self._last_s, self._shown = time.monotonic(), True
+            self._write(text)
+
+    def _write(self, text: str) -> None:
+        if self._console.is_terminal:
+            self._console.file.write(f"\r\x1b[2K{printable(text)[: self._console.width - 1]}")
+            self._console.file.flush()
+
+
+@dataclass(frozen=True)
+class DeviceOptions:
+    """How a device is reached and described, as the options say it."""
+
+    bus_name: str
+    eds: Path | None
+    rig_name: str | None
+    timeout_s: float
+    beside: bool
+
+    @contextmanager
+    def open(self, node_id: int, *, to_write: bool = False) -> Iterator[tuple[BusLink, Device]]:
+        """Open the bus and a node on it, with its EDS file where there is one.
+
+        Parameters
+        ----------
+        to_write : a host at work on the bus is a reason to refuse, unless the options allow it
+        """
+        from coulombus.host.devices.device import Device, describe
+        from coulombus.host.devices.sdo import SdoClient
+
+        if self.eds is not None and self.rig_name is not None:
+            raise click.UsageError("the EDS file is that of --eds, or that of --rig; give one of them")
+        with open_link(self.bus_name, beside=self.beside or not to_write) as link:
+            client = SdoClient(link, node_id, self.timeout_s)
+            if self.rig_name is not None:
+                description, units = _of_rig(self.rig_name, node_id)
+                yield link, Device(client, description, units)
+                return
+            with LiveLine() as show:
+                source = "device" if self.eds is not None and str(self.eds) == "device" else self.eds
+                description = describe(client, source, lambda done, total: show(f"EDS file: {done} of {total} bytes"))
+            yield link, Device(client, description)
+
+
+device_options = bundle(
+    "reached", DeviceOptions, devices_bus_option, eds_option, rig_option, timeout_option, beside_option
+)
+
+
+def _of_rig(rig_name: str, node_id: int) -> tuple[Any, dict[tuple[int, int], Any]]:
+    """Return the EDS file of a node of a rig, and the units of what the host exchanges with it."""
+    from coulombus.eds.units import Unit
+    from coulombus.host.errors import DeviceMismatch
+
+    rig = load(rig_name, ())
+    units = {
+        (signal.index, signal.subindex): Unit(signal.scale, signal.unit, signal.offset)
+        for pdo in rig.pdos()
+        if pdo.node_id == node_id
+        for signal in pdo.signals
+        if signal.unit
+    }
+    for axis in rig.axes:
+        for name in axis.devices:
+            if axis.part(name).node_id == node_id:
+                return axis.description(name), units
+    raise DeviceMismatch(f"the rig {rig_name} has no node {node_id}")

@@ -1,0 +1,138 @@
+"""``coulombus doctor``: what is wrong with a rig's PC, and how it is mended."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.cli.common import buses_option, json_option, load, rig_option, say, set_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import CPU, SECONDS
+from coulombus.cli.tables import echo, progress, table_console
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from coulombus.host.doctor.finding import Finding
+    from coulombus.host.doctor.latency import Latency
+    from coulombus.host.doctor.wanted import Wanted
+
+__all__ = ["doctor"]
+
+WIDTH, INDENT = 80, 8
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+@set_option
+@click.option(
+    "--latency",
+    "latency_s",
+    type=SECONDS,
+    metavar="SECONDS",
+    help="Also measure for this time how late the cycle would wake while every CPU is busy.",
+)
+@click.option("--cpu", type=CPU, default=None, help="CPU for the cycle.  [default: the one that run takes]")
+@click.option("--fix", is_flag=True, help="Print only a shell script of the commands that mend; nothing is run.")
+@json_option
+def doctor(
+    rig_name: str,
+    bus_names: tuple[str, ...],
+    overrides: tuple[str, ...],
+    latency_s: float | None,
+    cpu: int | None,
+    fix: bool,
+    as_json: bool,
+) -> None:
+    """Check this PC for a rig: kernel, processors, rights, CAN card, disk, software; nothing is
+    changed.
+
+    Each finding that has to be mended comes with the command that mends it, and the exit status is
+    1. What cannot be read counts as not ok.
+
+    \b
+    Examples:
+      coulombus doctor
+      coulombus doctor --rig my-rig.toml --bus socketcan:can0 --latency 60
+      coulombus doctor --bus socketcan:can0 --fix > mend.sh
+    """
+    if fix and as_json:
+        raise click.UsageError("--fix prints a script, and --json a document: give one of them")
+    with errors():
+        from coulombus.host.doctor.examination import examination
+        from coulombus.host.doctor.finding import script
+        from coulombus.host.doctor.wanted import Wanted
+        from coulombus.rigs.buses import bus_addresses
+        from coulombus.system.realtime import default_cpu
+
+        cpu = default_cpu() if cpu is None else cpu
+        rig = load(rig_name, overrides)
+        wanted = Wanted.of(rig)
+        addresses = bus_addresses(rig, bus_names)
+        findings = examination(wanted, addresses, given_cpu=cpu)
+        measured = None
+        if latency_s is not None:
+            measured, finding = _latency(latency_s, wanted, cpu, quiet=as_json or fix)
+            findings.append(finding)
+        with verdict(0 if all(one.ok for one in findings) else 1):
+            if fix:
+                echo(script(findings), nl=False)
+            elif as_json:
+                print_json([one.as_dict() for one in findings])
+            else:
+                _tell(findings)
+                if measured is not None:
+                    _draw(measured)
+
+
+def _latency(seconds: float, wanted: Wanted, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, Finding]:
+    from coulombus.host.doctor.finding import Finding
+    from coulombus.host.doctor.latency import LatencyError, judge, measure_latency
+
+    with progress(not quiet, "measured") as report:
+        try:
+            measured = measure_latency(
+                seconds,
+                wanted,
+                cpu=cpu,
+                progress=lambda t: report("latency", t, seconds),
+            )
+        except LatencyError as error:
+            return None, Finding("latency", False, f"the test did not run: {error}", "# see what stands above")
+    return measured, judge(measured, wanted)
+
+
+def _tell(findings: Sequence[Finding]) -> None:
+    import textwrap
+
+    width = max(len(one.check) for one in findings)
+    for one in findings:
+        head = f"{'ok' if one.ok else 'MEND':<6}{one.check:<{width}}  "
+        text = one.found
+        echo(textwrap.fill(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)))
+        for line in one.fix.splitlines():
+            echo(" " * INDENT + line)  # to be copied: not wrapped
+    bad = sum(not one.ok for one in findings)
+    if bad:
+        echo(f"{bad} of {len(findings)} to mend; `coulombus doctor --fix` prints all commands as a script")
+    else:
+        echo("ok")
+
+
+def _draw(measured: Latency) -> None:
+    from rich.table import Table
+
+    from coulombus.host.doctor.latency import bars
+
+    table = Table(box=None, header_style="", pad_edge=False)
+    table.add_column("woke late by")
+    for name in ("the cycle", *(["cyclictest"] if measured.cyclictest is not None else [])):
+        table.add_column(name, justify="right")
+        table.add_column("")
+    for late, own, bar, other, beside in bars(measured):
+        table.add_row(late, str(own), bar, *([] if other is None else [str(other), beside]))
+    table_console(WIDTH).print(table)
+    if measured.reason:
+        say(f"coulombus: {measured.reason}: there is no reference to compare with")

@@ -1,0 +1,290 @@
+"""What ends a verb: errors and signals as texts and exit statuses, on stderr, and on stdout with
+--json.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import select
+import signal
+import socket
+import sys
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, NoReturn
+
+import click
+
+from coulombus.cli.exit_status import FAULT, STATUSES
+from coulombus.cli.tables import echo
+from coulombus.system.c_library import NeedsLinux
+from coulombus.system.exit import abandon_stdout, say, verdict
+from coulombus.system.foreign_text import printable
+from coulombus.system.stop_signals import Stopped, as_exceptions, raised, status_of, told
+from coulombus.system.wrap_text import hanging
+
+__all__ = [
+    "EXIT_STATUS",
+    "Failure",
+    "Verbs",
+    "errors",
+    "print_json",
+    "remark",
+]
+
+EXIT_STATUS = (
+    "\b\nExit status:\n"
+    + "".join(hanging(f"{status:>3}  {text}", 76, 5) + "\n" for status, text in STATUSES.items())
+    + """With --json, what ends a verb before its result is an object on stdout, too:
+{"event": "error", "error": TEXT, "exit_status": N}
+"""
+)
+
+LINUX_MODULES = ("fcntl", "resource", "termios", "tty")
+
+WORDS, RESULT, OUTPUTS = f"{__name__}.words", f"{__name__}.result", f"{__name__}.outputs"
+"""What a context keeps: the words after the verb, that the result has been printed, and which
+option writes which file.
+"""
+
+
+class Failure(Exception):
+    """What ends a verb: a text and an exit status."""
+
+    def __init__(self, text: str, status: int) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class Verbs(click.Group):
+    """The verbs. What ends one before its result is told on stderr.
+
+    With --json it is an object on stdout, too.
+
+    Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs; so with the
+    other signals of `system.stop_signals`. What no verb foresees is a mistake of this program: it is told
+    with its place, and is no "a check failed".
+    """
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Read the words up to the verb; ``--help`` and ``--version`` print here, on a stdout that
+        may take nothing.
+        """
+        try:
+            with _failures():
+                return super().make_context(info_name, args, parent, **extra)
+        except Failure as failure:
+            if isinstance(failure.__cause__, OSError):
+                abandon_stdout()  # it has taken nothing: that is told now, and need not be told at the end
+            _end(failure)
+        except click.ClickException as error:
+            raise _printable(error) from None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Keep the words, to know of --json even where the rest of them is refused."""
+        _open_all_streams()
+        ctx.meta[WORDS] = tuple(args)
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb."""
+
+        def tell(text: str, status: int) -> None:
+            if "--json" in ctx.meta.get(WORDS, ()) and RESULT not in ctx.meta:
+                with suppress(OSError):  # of a stdout that takes nothing, stderr tells
+                    echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
+
+        try:
+            try:
+                with as_exceptions(), _failures():
+                    return super().invoke(ctx)
+            except click.UsageError as error:
+                meant = _option_meant(error)
+                if isinstance(error, click.NoSuchOption):  # of --mod, --mode is meant, and --record is noise
+                    begun = [one for one in error.possibilities or () if one.startswith(error.option_name)]
+                    if begun:
+                        raise click.NoSuchOption(error.option_name, None, begun, error.ctx) from None
+                raise click.UsageError(f"{error.format_message()}{meant}", error.ctx) if meant else error from None
+            except Stopped as stopped:
+                raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
+            except KeyboardInterrupt:
+                raise _by_signal(signal.SIGINT) from None
+        except Failure as failure:
+            if failure.status == FAULT and raised():  # what became of the signal's own exception
+                failure = _by_signal(raised())
+            tell(str(failure), failure.status)
+            _end(failure)
+        except click.ClickException as error:
+            tell(error.format_message(), error.exit_code)
+            raise _printable(error) from None
+
+
+def _printable(error: click.ClickException) -> click.ClickException:
+    """Return the error that click tells by itself, without control characters in its text."""
+    error.message = printable(error.message)  # type: ignore[misc]  # Final to typeshed alone
+    return error
+
+
+def _option_meant(error: click.UsageError) -> str:
+    """Return what was meant, or is missing, as the end of the error's sentence; nothing where that
+    is not known.
+    """
+    if re.match(r"No such command '(help|\?)'", error.message, re.IGNORECASE):
+        return " The list of verbs is coulombus --help."
+    verb = re.fullmatch(r"No such command '(\S+)'\.?", error.message)  # click has found none that is like it
+    if verb is not None and error.ctx is not None and isinstance(error.ctx.command, click.Group):
+        known = verb[1].lower().removesuffix("_command").replace("_", "-")
+        if known == "version":
+            known = "--version"
+        return f" Did you mean '{known}'?" if known in (*error.ctx.command.commands, "--version") else ""
+    if isinstance(error, click.MissingParameter) and error.param is not None and "--bus" in error.param.opts:
+        return " Say --bus coulombus:bench, which coulombus sim serves, or --bus socketcan:can0."
+    if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
+        known = (re.match(r"'([^']*)' is not one of", error.message) or ("", ""))[1].lower()
+        return f" Did you mean '{known}'?" if known in error.param.type.choices else ""
+    found = re.fullmatch(r"Got unexpected extra arguments? \((\S+).*\)", error.message)
+    if found is None or error.ctx is None:
+        return ""
+    word = found[1]
+    known = {option: param for param in error.ctx.command.params for option in param.opts}
+    words = error.ctx.meta.get(WORDS, ())
+    place = words.index(word) if word in words else 0
+    if words[max(0, place - 2) : place - 1] == ("--set",) and "=" not in words[place - 1]:
+        return f"; did you mean --set {words[place - 1]}={word}?"
+    modes = getattr(known["--mode"].type, "choices", ()) if "--mode" in known else ()
+    kinds = (
+        ("--bus", re.match(r"(coulombus|socketcan):", word)),
+        ("--record", word.endswith(".pcapng")),
+        ("--mode", word in modes),
+        ("--rig", word.endswith(".toml") or word in ("bench", "paper", "two_axes")),
+    )
+    meant = next((option for option, fits in kinds if fits and option in known), None)
+    return f"; did you mean {meant} {word}?" if meant else ""
+
+
+@contextmanager
+def errors() -> Iterator[None]:
+    """Turn every error into its text and its exit status.
+
+    Tell on a terminal when something has to be compiled first.
+    """
+    if sys.stderr.isatty():
+        from coulombus.kernels.compile_notice import on_compiling
+
+        on_compiling(lambda: say("compiling, which takes a minute or two and is kept ..."))
+    with _failures():
+        yield
+
+
+@contextmanager
+def _failures() -> Iterator[None]:
+    """Turn an error into a `Failure`: one that a user can cause by its attribute `exit_status` or
+    what it is, all else by FAULT.
+    """
+    try:
+        yield
+    except (Failure, click.ClickException, click.exceptions.Exit, click.Abort):
+        raise
+    except BrokenPipeError:  # the reader of a pipe went away, as `head` does
+        abandon_stdout()
+        sys.exit(0)
+    except Exception as error:
+        raise _failure(error) from error
+
+
+def _failure(error: Exception) -> Failure:
+    status = getattr(error, "exit_status", None)
+    if status is not None:
+        return Failure(str(error), status)
+    absent = _needs_linux(error)
+    if absent:
+        return _failure(NeedsLinux(absent))
+    if isinstance(error, MemoryError):
+        return Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2)
+    if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("coulombus."):
+        room = (error.name or "").split(".")[1]
+        text = f"this installation has no coulombus.{room}, which this verb needs: it is the host's alone; install coulombus whole"
+        return Failure(text, 2)
+    if isinstance(error, OSError):  # a file that cannot be read or written
+        if isinstance(error, FileNotFoundError) and not error.filename and not _has_folder():
+            return Failure("the current folder is no longer there; change into another one (cd)", 2)
+        where = f"{error.filename}: " if error.filename else ""
+        full = "; free some space, or write elsewhere" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        return Failure(f"{where}{error.strerror or error}{full}", 2)
+    kernels = sys.modules.get("coulombus.kernels.decorator")
+    if kernels is not None and kernels.CACHE_DIR is not None:
+        from coulombus.kernels.kernel_cache import damaged, empty
+
+        if damaged(error):
+            empty(kernels.CACHE_DIR)
+            return Failure(f"the compiled code in {kernels.CACHE_DIR} was damaged and is removed; start again", 2)
+    return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
+
+
+def _needs_linux(error: Exception) -> str:
+    """Return what of Linux an error misses; "" where it is another error."""
+    if isinstance(error, ModuleNotFoundError) and error.name in LINUX_MODULES:
+        return error.name
+    if isinstance(error, AttributeError):
+        return next((f"{one.__name__}.{error.name}" for one in (os, select, signal, socket) if error.obj is one), "")
+    return ""
+
+
+def _has_folder() -> bool:
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
+
+
+def _by_signal(number: int) -> Failure:
+    return Failure(told(number), status_of(number))
+
+
+def _end(failure: Failure) -> NoReturn:
+    """Tell what ended a verb, a mistake of this program with its traceback, and end with its
+    status.
+    """
+    with verdict(failure.status):
+        if failure.status == FAULT and failure.__cause__ is not None:
+            say("".join(traceback.format_exception(failure.__cause__)).rstrip())
+        say(f"coulombus: {failure}")
+    raise AssertionError("a verdict ends")
+
+
+def _open_all_streams() -> None:
+    """Put /dev/null where the shell has closed stdin, stdout or stderr (``>&-``): else the next
+    file that is opened gets its number.
+    """
+    for fd, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            if null != fd:
+                os.dup2(null, fd)
+                os.close(null)
+            setattr(sys, name, open(fd, mode, encoding="utf-8"))  # noqa: SIM115
+
+
+def remark(texts: Iterable[str]) -> None:
+    """Say on stderr what a recording or a run lacks, sentence by sentence
+    (`recording.signals.Recording.remarks`, `RunResult.losses`).
+    """
+    for text in texts:
+        say(f"coulombus: {text}")
+
+
+def print_json(value: Any) -> None:
+    """Print a result to stdout; what goes wrong after it is told on stderr only."""
+    echo(json.dumps(value, indent=2, allow_nan=False))
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta[RESULT] = True

@@ -1,0 +1,277 @@
+"""``coulombus experiment``: a study with people, trial by trial."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import bus_option, check_shared_machine, json_option, say, shared_machine_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.tables import echo
+from coulombus.system.keyboard import in_foreground
+
+if TYPE_CHECKING:
+    from coulombus.lab.study.displays import Displays
+    from coulombus.lab.study.folder import SubjectFolder
+    from coulombus.lab.study.lsl import LslMarkers, LslSignals
+    from coulombus.lab.study.observer import Observer
+    from coulombus.lab.study.session import People, Session, SubjectSession
+    from coulombus.lab.study.study import Study
+    from coulombus.lab.study.trials import Trial
+
+__all__ = ["experiment_command"]
+
+LAST_S = 0.5
+"""So long the page may take to fetch its last text."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """On which bus a study is displayed, as the options say it."""
+
+    bus_name: str | None
+    virtual: bool
+    shared_machine: bool
+
+    def words(self) -> list[str]:
+        """Return the options' words."""
+        words = ["--virtual"] if self.virtual else [] if self.bus_name is None else ["--bus", self.bus_name]
+        return words + ["--shared-machine"] * self.shared_machine
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Who answers, how, and who hears of it, as the options say it."""
+
+    observer: float | None
+    felt: bool
+    page: bool
+    port: int | None
+    lsl: bool
+
+    def words(self) -> list[str]:
+        """Return the options' words."""
+        words = [] if self.observer is None else ["--observer", f"{self.observer:g}"] + ["--felt"] * self.felt
+        words += ["--page"] * self.page + (["--port", str(self.port)] if self.port else [])
+        return words + ["--lsl"] * self.lsl
+
+
+where_options = bundle(
+    "where",
+    Where,
+    bus_option,
+    click.option("--virtual", is_flag=True, help="Display in virtual time, on the simulated rig."),
+    shared_machine_option,
+)
+asked_options = bundle(
+    "asked",
+    Asked,
+    click.option(
+        "--observer",
+        type=click.FloatRange(0, min_open=True),
+        metavar="JND",
+        help="A simulated observer of this just noticeable difference answers.",
+    ),
+    click.option("--felt", is_flag=True, help="It judges the torque that was felt, as recorded; JND is in Nm."),
+    click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed."),
+    click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]"),
+    click.option("--lsl", is_flag=True, help="Send markers and signals by the lab streaming layer."),
+)
+
+
+@click.command("experiment", epilog=EXIT_STATUS)
+@click.argument("file", type=click.Path(readable=False, path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(readable=False, file_okay=False, path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Keep the study there.",
+)
+@click.option("--subject", required=True, metavar="S", help="The subject, by letters and digits: S01.")
+@where_options
+@asked_options
+@json_option
+def experiment_command(
+    file: Path,
+    out: Path,
+    subject: str,
+    where: Where,
+    asked: Asked,
+    as_json: bool,
+) -> None:
+    """Show a study's trials to a subject, ask, and keep the answers.
+
+    FILE says conditions, levels, method and order (docs/experiment.md). Every level of every
+    condition is held against the rig's limits before anything moves. Each display is a run of its
+    own, which arms and ends safely, and is recorded.
+
+    Answers are keys of the terminal, or of a page in the browser (--page); q ends the session.
+    The same command, given again, continues after the last answer. `coulombus analyse study DIR`
+    computes the thresholds.
+
+    \b
+    Examples:
+      coulombus experiment study.toml -o out/study --subject S01 --bus socketcan:can0
+      coulombus experiment study.toml -o out/study --subject S01 --virtual --observer 0.15
+    """
+    with errors():
+        from coulombus.lab.study.folder import SubjectFolder
+        from coulombus.lab.study.session import SubjectSession, run_session
+        from coulombus.lab.study.study import read_study
+
+        if where.virtual and (where.bus_name is not None or where.shared_machine):
+            raise click.UsageError("--virtual needs no bus and no wider limits; take --bus and --shared-machine out")
+        if asked.observer is not None and asked.page:
+            raise click.UsageError("--observer answers by itself; take --page out")
+        if asked.felt and asked.observer is None:
+            raise click.UsageError("--felt is how a simulated observer judges; add --observer JND")
+        if asked.port is not None and not asked.page:
+            raise click.UsageError("--port is the page's; add --page")
+        study = read_study(file)
+        known = "a person" if asked.observer is None else f"simulated, JND {asked.observer:g}" + " Nm felt" * asked.felt
+        meta = {"observer": known}
+        if asked.observer is None:
+            meta["began"] = datetime.now(UTC).isoformat(timespec="seconds")
+        displays, meta["bus"] = _displays(study, where)
+        with SubjectFolder(study, out, subject, meta) as folder:
+            session = SubjectSession(folder, displays, *_streams(folder, asked.lsl))
+            with _people(session, asked) as people:
+                came = run_session(session, people)
+        with verdict(came.exit_status):
+            if not came.complete:
+                words = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
+                words += [*asked.words(), *where.words()]
+                say(f"coulombus: ended: {came.ended_by}; nothing is lost; to go on: {shlex.join(words)}")
+            _tell(came, out, as_json)
+
+
+def _displays(study: Study, where: Where) -> tuple[Displays, str]:
+    from coulombus.lab.study.displays import BusDisplays, VirtualDisplays
+    from coulombus.rigs.overrides import SHARED_MACHINE
+    from coulombus.wire.address import default_address, parse_address
+
+    if where.virtual:
+        return VirtualDisplays(), "virtual time"
+    if len(study.rig.channels) > 1:
+        raise click.UsageError(f"the rig {study.rig.name} has several buses; a study runs on one")
+    address = default_address(study.rig.name) if where.bus_name is None else parse_address(where.bus_name)
+    if where.shared_machine:
+        check_shared_machine([address])
+    return BusDisplays(address, SHARED_MACHINE if where.shared_machine else ()), str(address)
+
+
+def _streams(folder: SubjectFolder, lsl: bool) -> tuple[()] | tuple[LslMarkers, LslSignals]:
+    if not lsl:
+        return ()
+    from coulombus.lab.study.lsl import LslMarkers, LslSignals
+
+    return LslMarkers(folder), LslSignals(folder)
+
+
+@contextmanager
+def _people(session: SubjectSession, asked: Asked) -> Iterator[People]:
+    from coulombus.lab.study.displays import VirtualDisplays
+    from coulombus.lab.study.observer import Observer
+    from coulombus.lab.study.session import People
+
+    study = session.study
+    if asked.observer is not None:
+        judged = [_felt(session.folder)] if asked.felt else []
+        yield _simulated(Observer(asked.observer, study.file.seed, session.folder.number, *judged))
+    elif asked.page:
+        from coulombus.lab.study.page import AnswerPage
+
+        with AnswerPage(study.file.question, session.stop, asked.port or 0) as asking:
+            say(f"coulombus: the page: {asking.url}")
+            yield People(asking.tell, asking.ask, asking.go_on, time.monotonic)
+            asking.over("The study is over. Thank you." if session.trial is None else "The session has ended.")
+            time.sleep(LAST_S)
+    else:
+        if not isinstance(session.displays, VirtualDisplays):
+            say("q or Escape ends a display at once, and the session with it")
+        yield _at_the_terminal(study)
+
+
+def _tell(session: Session, out: Path, as_json: bool) -> None:
+    if as_json:
+        print_json(session.as_dict())
+    else:
+        left = "complete" if session.complete else "not complete"
+        echo(f"{session.subject}: {session.trials} trials answered, {left}: {out}")
+
+
+def _felt(folder: SubjectFolder) -> Callable[[Trial], list[float]]:
+    from coulombus.lab.study.felt import felt_Nm
+
+    def judged(trial: Trial) -> list[float]:
+        return [felt_Nm(folder.recording(trial, number)) for number in range(1, len(trial.levels) + 1)]
+
+    return judged
+
+
+def _simulated(observer: Observer) -> People:
+    from coulombus.lab.study.session import People
+
+    return People(tell=lambda text: None, ask=observer.answer, go_on=lambda text: True)
+
+
+def _at_the_terminal(study: Study) -> People:
+    """Ask on stderr, read from stdin: stdout has the result alone."""
+    from coulombus.lab.study.session import People
+    from coulombus.lab.study.trials import is_answer
+
+    def go_on(text: str) -> bool:
+        say(text)
+        while True:
+            given = _key("Go on? y or q:", "yq")
+            if given in ("y", "q", None):
+                return given == "y"
+
+    def ask(trial: Trial) -> str | None:
+        wanted = "a number of 0 or more" if trial.reference is None else "1 or 2"
+        while True:
+            given = _key(f"{study.file.question} ({wanted}; q: stop)", "" if trial.reference is None else "12q")
+            if given is None or given == "q":
+                return None
+            if is_answer(given, trial):
+                return given
+
+    return People(tell=say, ask=ask, go_on=go_on, clock=time.monotonic)
+
+
+def _key(text: str, keys: str) -> str | None:
+    """Return what is typed: one of `keys` as it is struck at a terminal, else a line; None at the end
+    of the input. What was struck before the question is no answer to it.
+    """
+    echo(f"{text} ", err=True, nl=False)
+    if not (keys and in_foreground()):
+        given = sys.stdin.readline()
+        return given.strip() if given else None
+    fd = sys.stdin.fileno()
+    before = termios.tcgetattr(fd)
+    try:
+        tty.setcbreak(fd, termios.TCSAFLUSH)
+        while True:
+            struck = os.read(fd, 1).decode("ascii", "replace")
+            if struck in ("", "\x04"):
+                return None
+            if struck in keys:
+                echo(struck, err=True)
+                return struck
+    finally:
+        termios.tcsetattr(fd, termios.TCSADRAIN, before)

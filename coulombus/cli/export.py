@@ -1,0 +1,105 @@
+"""``coulombus export``: a recording as other programs read it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coulombus.cli.common import force_option, recording_argument, say, signals_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
+from coulombus.cli.option_types import OutputFile
+from coulombus.cli.tables import progress
+
+__all__ = ["export_command"]
+
+KINDS = ("csv", "parquet", "mf4", "mcap", "hdf5", "mat", "candump", "asc", "blf")
+UNITS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+
+
+class _Time(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """A length of time with its unit, in whole ns."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        text = str(value)
+        unit = next((unit for unit in UNITS if text.endswith(unit)), "")
+        try:
+            ns = round(float(text.removesuffix(unit)) * UNITS[unit])
+        except (KeyError, ValueError, OverflowError):
+            ns = 0
+        if not 1_000 <= ns <= 3_600_000_000_000:
+            self.fail(f"{text!r}: expected a time from 1us to 3600s, with its unit, as in 1ms", param, ctx)
+        return ns
+
+
+@click.command("export", epilog=EXIT_STATUS)
+@recording_argument
+@click.option("--to", "kind", type=click.Choice(KINDS), required=True, help="What to write.")
+@signals_option
+@click.option(
+    "--grid",
+    "grid_ns",
+    type=_Time(),
+    metavar="TIME",
+    help="A row each 1ms (us, ms, s), values held.  [default: a row for each frame of a PDO, as it came]",
+)
+@click.option("-o", "--out", type=OutputFile(), metavar="F", help="Write there.  [default: FILE, with another ending]")
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@force_option
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON to stdout.")
+def export_command(
+    file: Path,
+    kind: str,
+    signals: tuple[str, ...] | None,
+    grid_ns: int | None,
+    out: Path | None,
+    rig_name: str | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write a recording as other programs read it: signals by name in SI units (csv, parquet, mf4,
+    mcap, hdf5, mat), or whole frames (candump, asc, blf).
+
+    The file is written whole or not at all, in a memory that does not grow with the recording.
+    parquet, mf4, mcap and hdf5 need libraries: pip install 'coulombus[export]'.
+
+    \b
+    Examples:
+      coulombus export run.pcapng --to csv
+      coulombus export run.pcapng --to mf4 --grid 1ms -o run.mf4
+      coulombus export run.pcapng --to parquet --signals motor.position_rad,brake.setpoint_Nm
+      coulombus export run.pcapng --to candump -o run.log && canplayer -I run.log vcan0=can0
+    """
+    with errors():
+        from coulombus.recording.export.export import KINDS as SUFFIXES
+        from coulombus.recording.export.export import export
+        from coulombus.recording.output_file import reason_against
+
+        if kind in ("candump", "asc", "blf") and (signals is not None or grid_ns is not None):
+            raise click.UsageError(f"{kind} has whole frames: leave --signals and --grid out")
+        place = out or (Path(f"{file}{SUFFIXES[kind]}") if file.is_dir() else file.with_suffix(SUFFIXES[kind]))
+        reason = reason_against(place, force=overwrite, remedy="choose another name by -o, or replace it with --force")
+        if reason is not None:
+            raise click.UsageError(reason)
+        with progress(not as_json, "exported") as report:
+            found = export(
+                file,
+                place,
+                kind,
+                signals=signals,
+                grid_ns=grid_ns,
+                rig=rig_name,
+                force=overwrite,
+                progress=lambda t_s: report(kind, t_s, None),
+            )
+        with verdict(0):
+            remark(found.remarks)
+            if as_json:
+                told = {"file": str(found.path), "to": found.kind, "until_s": found.until_s, "rows": found.rows}
+                print_json({**told, "signals": list(found.signals), "remarks": list(found.remarks)})
+            else:
+                what = f"{found.rows} rows of {len(found.signals)} signals" if found.signals else f"{found.rows} frames"
+                say(f"{found.path}: {what}, {found.until_s:.3f} s")

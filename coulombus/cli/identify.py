@@ -1,0 +1,141 @@
+"""`coulombus identify`: friction, a law or the brake's iron from a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coulombus.cli.common import force_option, json_option, printed, say
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
+from coulombus.cli.option_types import PICTURE, InputPath
+from coulombus.cli.tables import echo, on_terminal
+
+__all__ = ["identify"]
+
+
+@click.command("identify", epilog=EXIT_STATUS)
+@click.argument("file", type=InputPath())
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@click.option("--figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf).")
+@force_option
+@click.option("--axis", metavar="A", help="Which axis of a rig that has several.")
+@click.option("--law", "law", metavar="NAME", help="Fit this law's parameters instead.")
+@click.option("--iron", is_flag=True, help="Fit the magnetic hysteresis of the brake instead.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="With --law: hold a parameter at a value.")
+@json_option
+def identify(
+    file: Path, rig_name: str | None, figure: Path | None, overwrite: bool, axis: str | None, **options: Any
+) -> None:
+    """Identify friction from a recording by least squares: Coulomb, viscous, and Stribeck where the
+    data carry it.
+
+    What is felt at the handle comes first, the device's own friction (the motor's torque added)
+    second, each with its 95 % confidence interval. The recording needs strokes, to and fro, best at
+    several speeds and with the coil off.
+
+    With --law the parameters of that law are sought that give the hand's torque along the recorded
+    angle. FILE may be a CSV file with the columns t_s,x_rad,torque_Nm, too.
+
+    With --iron the brake's magnetic hysteresis is sought, as [brake.iron] of the rig file takes it.
+    The brake's set-point must change up and down while the handle slides.
+
+    \b
+    Examples:
+      coulombus simulate --mode active --record active.pcapng && coulombus identify active.pcapng
+      coulombus identify strokes.pcapng --json
+      coulombus identify strokes.pcapng --figure friction.png
+      coulombus identify strokes.csv --law lugre --set sigma_2_Nms_rad=0
+      coulombus identify damper.pcapng --iron
+    """
+    as_json = options["as_json"]
+    if options["iron"]:
+        if figure is not None or options["law"] is not None or options["overrides"]:
+            raise click.UsageError("--iron goes with none of --figure, --law and --set")
+        with errors():
+            _identify_iron(file, rig_name, axis, as_json=as_json)
+        return
+    if options["law"] is not None:
+        if figure is not None:
+            raise click.UsageError("--figure is of the fit without --law")
+        with errors():
+            _identify_law(file, rig_name, axis, options)
+        return
+    if options["overrides"]:
+        raise click.UsageError("--set holds a parameter of a law: give --law NAME, too")
+    with errors():
+        from coulombus.recording.friction import identify as friction
+        from coulombus.recording.output_file import new_file
+        from coulombus.recording.reading import blocks
+        from coulombus.rigs.rig import load_rig
+
+        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        seen = recording.one_axis(axis)
+        try:
+            found = friction.identify(seen)
+        finally:
+            remark(seen.remarks)
+        if figure is not None:
+            from coulombus.analysis.figures.rig import write_identification
+
+            with new_file(figure, force=overwrite) as path:
+                write_identification(path, found)
+            say(f"figure: {figure}")
+        with printed():
+            if as_json:
+                print_json(found.as_dict())
+            else:
+                _print(friction.lines(found))
+
+
+def _print(lines: Iterable[str]) -> None:
+    for line in "\n".join(lines).split("\n"):
+        echo(on_terminal(line, 6 if line.startswith("note: ") else 23))
+
+
+def _identify_iron(file: Path, rig_name: str | None, axis: str | None, *, as_json: bool) -> None:
+    from coulombus.recording.friction.hysteresis_fit import identify_iron, iron_lines
+    from coulombus.recording.reading import blocks
+    from coulombus.rigs.rig import load_rig
+
+    seen = blocks(file, rig=None if rig_name is None else load_rig(rig_name)).one_axis(axis)
+    try:
+        found = identify_iron(seen)
+    finally:
+        remark(seen.remarks)
+    with printed():
+        if as_json:
+            print_json(found.as_dict())
+        else:
+            _print(iron_lines(found))
+
+
+def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
+    from coulombus.analysis.rig.law_fit import Stretch, fit_law, lines, stretches_of
+    from coulombus.host.laws.path import read_columns
+    from coulombus.recording.friction.sliding import IdentifyError
+    from coulombus.recording.reading import blocks
+    from coulombus.rigs.rig import load_rig
+
+    table = file.suffix.lower() == ".csv"
+    data: tuple[Stretch, ...]
+    if table:
+        data = (Stretch(*read_columns(file, ("t_s", "x_rad", "torque_Nm"))),)
+    else:
+        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        seen = recording.one_axis(axis)
+        try:
+            data = stretches_of(seen)
+        finally:
+            remark(seen.remarks)
+    try:
+        found = fit_law(options["law"], data, options["overrides"], rig=not table)
+    except IdentifyError as error:
+        raise IdentifyError(f"{file}: {error}".replace(f"{file}: {file}:", f"{file}:")) from error
+    with printed():
+        if options["as_json"]:
+            print_json(found.as_dict())
+        else:
+            _print(lines(found))

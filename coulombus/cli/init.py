@@ -1,0 +1,190 @@
+"""``coulombus init``: a rig file for devices that nobody has described yet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import say, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.option_types import InputPath, OutputFile
+from coulombus.cli.tables import echo
+from coulombus.system.quoting import shell
+
+if TYPE_CHECKING:
+    from coulombus.rigs.draft.discover import Wanted
+    from coulombus.rigs.rig import Rig
+
+__all__ = ["init"]
+
+NODE_ID = click.IntRange(1, 127)
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """Which devices the rig shall have, as the options say it."""
+
+    drive: str
+    brake: str
+    sensors: tuple[str, ...]
+    drive_id: int | None
+    brake_id: int | None
+    sensor_ids: tuple[int, ...]
+
+    def check(self, asked: bool) -> None:
+        """Refuse what is not enough, or contradicts itself.
+
+        Parameters
+        ----------
+        asked : the devices of a bus are asked who they are
+
+        Raises
+        ------
+        click.UsageError
+            It says which options are missing or too many.
+        """
+        if not asked and not (self.drive and self.brake):
+            raise click.UsageError("give --drive and --brake, or --bus to ask who is there")
+        if len(self.sensor_ids) > len(self.sensors):
+            raise click.UsageError("--sensor-id is given more often than --sensor")
+        given = [one for one in (self.drive_id, self.brake_id, *self.sensor_ids) if one is not None]
+        if len(set(given)) < len(given):
+            raise click.UsageError("each device has a node id of its own")
+
+    def wanted(self) -> list[Wanted]:
+        """Return them by the names that they have in the rig file."""
+        from coulombus.rigs.draft.discover import Wanted
+
+        found = [Wanted("motor", self.drive, self.drive_id), Wanted("brake", self.brake, self.brake_id)]
+        for number, (eds, node_id) in enumerate(zip_longest(self.sensors, self.sensor_ids), 1):
+            found.append(Wanted("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
+        return found
+
+
+wishes_options = bundle(
+    "wishes",
+    Wishes,
+    click.option("--drive", default="", metavar="F.eds", help="EDS file of the motor's drive; `bench`: our own."),
+    click.option("--brake", default="", metavar="G.eds", help="EDS file of the brake's driver; `bench`: our own."),
+    click.option(
+        "--sensor",
+        "sensors",
+        multiple=True,
+        metavar="H.eds",
+        help="EDS file of a further node: the handle's transducer.",
+    ),
+    click.option("--drive-id", type=NODE_ID, help="Node id of the drive.  [default: a DCF's own, else 1]"),
+    click.option("--brake-id", type=NODE_ID, help="Node id of the brake's driver.  [default: a DCF's own, else 2]"),
+    click.option(
+        "--sensor-id", "sensor_ids", type=NODE_ID, multiple=True, help="Node id of each sensor, in their order."
+    ),
+)
+
+
+@click.command(epilog=EXIT_STATUS)
+@wishes_options
+@click.option("--like", default="bench", show_default=True, metavar="R", help="The rig that all else is taken from.")
+@click.option("--bus", "bus_name", metavar="B", help="Ask who is on coulombus:NAME or socketcan:IF.")
+@click.option(
+    "--eds-folder",
+    type=InputPath(file_okay=False),
+    help="Folder with the EDS files of the devices on the bus; those of our own devices are known.",
+)
+@click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")
+@click.option("-o", "--output", type=OutputFile(".toml"), metavar="MY.toml", help="A new file.  [default: stdout]")
+def init(
+    wishes: Wishes,
+    like: str,
+    bus_name: str | None,
+    eds_folder: Path | None,
+    rehearse: bool,
+    output: Path | None,
+) -> None:
+    """Write a rig file for a drive and a brake's driver, from their EDS files.
+
+    Every role is bound, and every guess is marked `# CHECK:` with its reason. What a device cannot
+    do is not acknowledged: `coulombus check` names it. A file that exists is never replaced. With
+    --bus the live devices are asked, and those that no option names are found in --eds-folder by
+    their identity (1018h). A device that cannot have its role is refused (3): a drive without a
+    torque or current set-point, for one.
+
+    \b
+    Examples:
+      coulombus init --drive vendor.eds --brake bench -o my-rig.toml
+      coulombus init --drive vendor.eds --brake io.eds --sensor amplifier.eds --drive-id 5
+      coulombus init --drive vendor.eds --brake bench --rehearse -o try.toml
+      coulombus init --bus socketcan:can0 --eds-folder eds -o my-rig.toml
+    """
+    wishes.check(asked=bus_name is not None)
+    with errors():
+        from coulombus.rigs.draft.discover import gather
+        from coulombus.rigs.draft.draft import Draft
+        from coulombus.rigs.draft.text import CHECK
+        from coulombus.rigs.rig import load_rig
+
+        folder = None if output is None else output.parent.resolve()
+        answered = {} if bus_name is None else _answered(bus_name)
+        devices = gather(wishes.wanted(), folder, answered, eds_folder)
+        path = "rig.toml" if output is None else str(output)
+        draft = Draft(devices, load_rig(like).one_axis(), path, rehearse=rehearse)
+        if rehearse:
+            draft.acknowledge(_acknowledgements(draft.rig))
+        text = str(draft)
+        if output is None:
+            echo(text, nl=False)
+        else:
+            with output.open("x", encoding="utf-8") as file:  # `x`: whoever made one meanwhile keeps it
+                file.write(text)
+        with verdict(0):
+            count, name = text.count(f"# {CHECK}:"), "it" if output is None else str(output)
+            say(
+                f"coulombus: guesses marked '# {CHECK}:' in {name}: {count}; then: coulombus check --rig {shell(str(path))}"
+            )
+
+
+def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
+    """Ask who is on a bus; say it, and return what the objects of each node hold.
+
+    A node id that two devices have is refused, and an identity that cannot be trusted: whose
+    objects were read, nobody knows.
+    """
+    from coulombus.host.devices.scan import survey
+    from coulombus.host.errors import AnswerUntrusted, DeviceMismatch
+    from coulombus.wire.address import parse_address
+
+    found = survey(parse_address(bus_name))
+    for answers in found:
+        if answers.twice:
+            what_to_do = "take one off the bus, and give the other another id (coulombus lss)"
+            raise DeviceMismatch(f"{answers.remark}; {what_to_do}")
+        if answers.doubt:
+            raise AnswerUntrusted(answers.remark)
+        say(f"coulombus: {answers}")
+    if not found:
+        look = f"coulombus scan --bus {bus_name} tells of devices without a node id, of silent ones and of the wire"
+        say(f"coulombus: nobody on {bus_name} answers SDO: {look}")
+    return {answers.node_id: dict(answers.numbers) for answers in found}
+
+
+def _acknowledgements(rig: Rig) -> Iterator[str]:
+    """Yield what the rig file has to acknowledge of its devices before they are armed
+    (`rigs.problem.Problem.accept`).
+    """
+    from coulombus.host.cycle.controller import Controller
+    from coulombus.host.setup.device_plan import device_plans
+    from coulombus.rigs.errors import RigError
+
+    for axis in rig.axes:
+        for mode in axis.mode:
+            try:
+                controller = Controller(axis, mode)
+            except RigError:  # of this mode; `check` tells
+                continue
+            for plan in device_plans(controller):
+                yield from (problem.accept for problem in plan.problems if problem.accept)

@@ -1,0 +1,274 @@
+"""``coulombus decode``, ``watch`` and ``dbc``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import force_option, listed, printed, rig_option, say, set_option
+from coulombus.cli.errors import EXIT_STATUS, errors, remark
+from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.cli.page_options import PageOptions, page_options, serve_page
+from coulombus.cli.rig_options import OneBusOptions, one_bus_options, one_channel_option
+from coulombus.cli.tables import echo
+from coulombus.system.foreign_text import printable
+from coulombus.system.wrap_text import columns_of
+
+if TYPE_CHECKING:
+    from coulombus.rigs.rig import Rig
+    from coulombus.wire.address import BusAddress
+
+__all__ = ["dbc", "decode", "host_text", "watch"]
+
+
+@click.command(epilog=EXIT_STATUS)
+@click.argument("file", type=InputPath())
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
+def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
+    """Print a recording frame by frame, PDOs by name in SI units.
+
+    Takes pcapng and, with --rig, what python-can reads: candump's .log, .asc, .blf, .trc, .csv.
+
+    \b
+    Examples:
+      coulombus decode out/demo/hybrid.pcapng | less
+      coulombus decode candump.log --rig bench
+      coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
+    """
+    with errors():
+        from coulombus.monitor.decode import as_json as as_json_line
+        from coulombus.monitor.decode import as_text, fitted, rows
+        from coulombus.recording.reading import blocks
+        from coulombus.rigs.rig import load_rig
+
+        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        out = sys.stdout
+        width = columns_of(out)
+
+        def line(row: dict[str, Any]) -> str:
+            text = as_json_line(row) if as_json else printable(as_text(row))
+            return text if as_json or width is None else fitted(text, width)
+
+        for row in rows(recording):
+            out.write(line(row) + "\n")
+        out.flush()
+        remark(recording.remarks)
+
+
+def host_text(address: BusAddress) -> str | None:
+    """Return what the host on a bus does, in a line; None where none answers."""
+    from coulombus.host.run.control_socket import NoHost, ask_status
+
+    try:
+        found = ask_status(address)
+    except NoHost:
+        return None
+    text = f"host: mode {found['mode']}" if "mode" in found else f"host: {found.get('error')}"
+    for axis in found.get("axes") or ():
+        text += f"  {axis.get('axis') or 'phase'} {axis.get('phase')}"
+    return text + (f"  trip: {found['trip']}" if found.get("trip") else "")
+
+
+@dataclass(frozen=True)
+class View:
+    """How a live bus is shown, or to whom it is handed on, as the options say it."""
+
+    interval: float | None
+    pcapng: Path | None
+    overwrite: bool
+    scope: tuple[str, ...]
+    foxglove: int | None
+    plotjuggler: int | None
+
+    def check(self, page: PageOptions, as_json: bool) -> None:
+        """Refuse what does not go together.
+
+        Raises
+        ------
+        click.UsageError
+            It says which options, and which of them to leave out.
+        """
+        ways = {
+            "--web": page.web,
+            "--pcapng": self.pcapng,
+            "--foxglove": self.foxglove,
+            "--plotjuggler": self.plotjuggler,
+        }
+        given = [option for option, value in ways.items() if value is not None and value is not False]
+        if len(given) > 1:
+            raise click.UsageError(f"{given[0]} and {given[1]}: choose one of them")
+        if self.scope and (given or as_json or not sys.stdout.isatty()):
+            raise click.UsageError(f"--scope draws in a terminal: leave {' and '.join(given) or 'it'} out")
+        if given and self.interval is not None:
+            raise click.UsageError(f"--interval is of the table in a terminal: leave it or {given[0]} out")
+        if self.pcapng is not None and as_json:
+            raise click.UsageError("--pcapng shows nothing: leave --json out")
+
+
+view_options = bundle(
+    "view",
+    View,
+    click.option(
+        "--interval",
+        type=click.FloatRange(0.02),
+        default=None,
+        help="Seconds between two looks.  [default: 0.1 in a terminal, else 1]",
+    ),
+    click.option(
+        "--pcapng",
+        "pcapng",
+        type=OutputFile(".pcapng", dash=True),
+        metavar="F",
+        help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
+    ),
+    force_option,
+    click.option(
+        "--scope",
+        multiple=True,
+        callback=lambda ctx, param, texts: listed(texts) or (),
+        metavar="A,B",
+        help="Draw these signals over the last 10 s, in a terminal.",
+    ),
+    click.option(
+        "--foxglove",
+        type=click.IntRange(0, 65535),
+        is_flag=False,
+        flag_value=8765,
+        metavar="[PORT]",
+        help="Show nothing; serve Foxglove at this port of the loopback; 0: a free one.  [default: 8765]",
+    ),
+    click.option(
+        "--plotjuggler",
+        type=click.IntRange(1, 65535),
+        is_flag=False,
+        flag_value=9870,
+        metavar="[PORT]",
+        help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
+    ),
+)
+
+
+@click.command(epilog=EXIT_STATUS)
+@one_bus_options
+@click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
+@view_options
+@page_options
+@click.option("--beside", is_flag=True, hidden=True, help="Another verb began this page, and ends it.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
+def watch(
+    chosen: OneBusOptions,
+    seconds: float | None,
+    view: View,
+    page: PageOptions,
+    beside: bool,
+    as_json: bool,
+) -> None:
+    """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes,
+    emergencies, losses.
+
+    Nothing is sent. A live table in a terminal (p holds the picture, b shows raw bytes, those that
+    changed stand out, w names the bits of status- and controlwords, q ends it), else lines; with
+    --web a page in a browser, whose STOP does what `coulombus stop` does. Ends with 0 on
+    Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, with 4 when the bus goes away.
+
+    \b
+    Examples:
+      coulombus watch --bus coulombus:bench
+      coulombus watch --bus socketcan:can0 --rig my-rig.toml
+      coulombus watch --json --seconds 5 | jq .signals
+      coulombus watch --pcapng - | wireshark -k -i -
+      coulombus watch --bus coulombus:bench --scope motor.position_rad
+      coulombus watch --bus coulombus:bench --web
+      coulombus watch --bus coulombus:bench --foxglove
+    """
+    with errors():
+        from coulombus.monitor.watch import LiveView
+        from coulombus.monitor.watch import watch as run
+
+        rig, address = chosen.found()
+        view.check(page, as_json)
+        if view.foxglove is not None or view.plotjuggler is not None:
+            _forward(rig, address, view, seconds=seconds, as_json=as_json)
+        elif page.web:
+            serve_page(rig, address, page, seconds=seconds, as_json=as_json, beside=beside)
+        elif view.pcapng is not None:
+            from coulombus.recording.stream import stream
+
+            stream(
+                *(rig, address, str(view.pcapng)),
+                seconds=seconds,
+                say=lambda text: say(f"coulombus: {text}"),
+                force=view.overwrite,
+            )
+        else:
+            named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
+            run(
+                *(rig, address, LiveView(as_json, view.interval, named, view.scope)),
+                seconds=seconds,
+                host=lambda: host_text(address),
+            )
+
+
+def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None, as_json: bool) -> None:
+    """Feed Foxglove or PlotJuggler until a signal; tell where, and at the end how much."""
+    from coulombus.monitor.forward import Foxglove, PlotJuggler, Sink, forward
+
+    def ready(url: str) -> None:
+        if as_json:
+            echo(json.dumps({"event": "ready", "url": url}))
+        else:
+            say(f"{address} at {url}; Ctrl-C ends it")
+
+    sink: Sink = Foxglove(rig, view.foxglove) if view.foxglove is not None else PlotJuggler(view.plotjuggler or 0)
+    try:
+        found = forward(rig, address, sink, seconds=seconds, ready=ready)
+    finally:
+        sink.close()
+    if as_json:
+        echo(json.dumps({"event": "end", **found}))
+    else:
+        say(f"{found['pdos']} PDOs handed on, {found['unheard']} unheard, {found['lost']} lost")
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@one_channel_option
+@click.option(
+    "-o",
+    "--out",
+    type=OutputFile(),
+    metavar="F.dbc",
+    help="Write the file there.  [default: stdout]",
+)
+@force_option
+def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Path | None, overwrite: bool) -> None:
+    """Write a DBC file of the rig's PDOs and services, for cantools, SavvyCAN, PlotJuggler.
+
+    \b
+    Examples:
+      coulombus dbc --rig bench -o bench.dbc
+      cantools monitor -i coulombus -c bench bench.dbc
+      candump -L can0 | cantools decode bench.dbc
+    """
+    with errors():
+        from coulombus.monitor.dbc import dbc_text
+        from coulombus.recording.output_file import new_file
+        from coulombus.rigs.buses import one_bus
+        from coulombus.rigs.rig import load_rig
+
+        text = dbc_text(one_bus(load_rig(rig_name, overrides), None, channel)[0])
+        if out is None:
+            with printed():
+                echo(text, nl=False)
+            return
+        with new_file(out, force=overwrite) as path:
+            path.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect

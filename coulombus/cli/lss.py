@@ -1,0 +1,155 @@
+"""``coulombus lss``: give devices node ids and bit rates (CiA 305)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import json_option, verdict
+from coulombus.cli.device_options import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import BIT_RATE
+from coulombus.cli.tables import echo
+
+if TYPE_CHECKING:
+    from coulombus.host.devices.lss import Identity
+
+__all__ = ["lss"]
+
+
+class IdentityType(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """VENDOR:PRODUCT:REVISION:SERIAL in hexadecimal."""
+
+    name = "identity"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Identity:
+        """Return the identity; BadParameter says how one is spelled."""
+        from coulombus.host.devices.lss import Identity
+
+        if isinstance(value, Identity):
+            return value
+        try:
+            return Identity.parse(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is given to which devices, as the options say it."""
+
+    node_id: int | None
+    everybody: bool
+    identity: Identity | None
+    bitrate: int | None
+    store: bool
+
+    @property
+    def changes(self) -> bool:
+        """Whether anything is given to anybody."""
+        return self.node_id is not None or self.bitrate is not None or self.store
+
+    def check(self) -> None:
+        """Refuse what does not go together.
+
+        Raises
+        ------
+        click.UsageError
+            It says what to give with it, or to leave out.
+        """
+        from coulombus.host.devices.lss import rate_index
+
+        if self.everybody and (self.identity is not None or self.node_id is None):
+            raise click.UsageError("--all goes with --set-id, and not with --device")
+        if self.bitrate is not None and not self.store:
+            raise click.UsageError("a bit rate counts from the next power-on: add --store, or the device forgets it")
+        if self.bitrate is not None:
+            try:
+                rate_index(self.bitrate)
+            except ValueError as error:
+                raise click.BadParameter(str(error), param_hint="--bitrate") from None
+
+
+wanted_options = bundle(
+    "wanted",
+    Wanted,
+    click.option("--set-id", "node_id", type=click.IntRange(1, 127), metavar="N", help="Give the device this node id."),
+    click.option("--all", "everybody", is_flag=True, help="All devices without a node id: N, N + 1, and so on."),
+    click.option(
+        "--device",
+        "identity",
+        type=IdentityType(),
+        metavar="V:P:R:S",
+        help="The device of this identity (1018h, hexadecimal), with a node id or without.",
+    ),
+    click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Give the device this bit rate; needs --store."),
+    click.option("--store", is_flag=True, help="Let the device keep it when it is switched off."),
+)
+
+
+@click.command(epilog=EXIT_STATUS)
+@devices_bus_option
+@eds_folder_option
+@wanted_options
+@beside_option
+@json_option
+def lss(
+    bus_name: str,
+    eds_folder: Path | None,
+    wanted: Wanted,
+    beside: bool,
+    as_json: bool,
+) -> None:
+    """List the devices without a node id, or give devices node ids and bit rates (LSS).
+
+    Without --set-id, --bitrate and --store nothing is changed. A device without a node id boots at
+    once with the one that it gets; one that has an id is reset (communication only) to take the
+    new one. A bit rate counts from the next power-on. An id that another node has is refused (3).
+
+    \b
+    Examples:
+      coulombus lss --bus socketcan:can0
+      coulombus lss --bus socketcan:can0 --set-id 5 --store
+      coulombus lss --bus socketcan:can0 --set-id 10 --all --store
+      coulombus lss --bus socketcan:can0 --device 4C0:402:10000:7 --set-id 6
+      coulombus lss --bus socketcan:can0 --device 4C0:402:10000:7 --bitrate 1000000 --store
+    """
+    with errors():
+        from coulombus.eds.folder import fitting, read_folder
+        from coulombus.eds.own_devices import packaged
+        from coulombus.host.devices.lss import LssMaster
+        from coulombus.host.devices.numbering import Number, check_free, give, only
+
+        wanted.check()
+        files = [*(read_folder(eds_folder)[0] if eds_folder is not None else ()), *packaged()]
+        numbered: list[Number] = []
+        with LiveLine() as show, open_link(bus_name, beside=beside) as link, LssMaster(link) as master:
+            found = [] if wanted.identity else master.unconfigured(lambda count: show(f"fastscan: {count} found"))
+            if wanted.changes:
+                chosen = found if wanted.everybody else [wanted.identity or only(found)]
+                ids = [None if wanted.node_id is None else wanted.node_id + k for k in range(len(chosen))]
+                if wanted.node_id is not None:
+                    check_free(link, [one for one in ids if one is not None], show)
+                for one, new in zip(chosen, ids, strict=True):
+                    show(f"setting {one}")
+                    numbered.append(give(master, link, one, new, bit_s=wanted.bitrate, store=wanted.store))
+        status = 0 if all(one.booted is not False for one in numbered) else 5
+        with verdict(status):
+            rows = [
+                {**one._asdict(), "eds": None if (file := fitting(files, one[:2], one.revision)) is None else file.path}
+                for one in found
+            ]
+            if as_json:
+                print_json({"unconfigured": rows, "set": [one.as_dict() for one in numbered]})
+            elif wanted.changes:
+                for done in numbered:
+                    echo(str(done))
+            else:
+                for one, row in zip(found, rows, strict=True):
+                    echo(f"{one}  {Path(row['eds']).name if row['eds'] else 'no EDS file'}")
+                count = len(found) or "no"
+                echo(f"{count} device{'s' * (len(found) != 1)} without a node id on {bus_name}")

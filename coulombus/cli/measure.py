@@ -1,0 +1,240 @@
+"""``coulombus measure``: the devices' and the host's times, which the planner counts."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.common import json_option, say, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import CPU
+from coulombus.cli.rig_options import OneBusOptions, one_bus_options
+from coulombus.cli.tables import echo, table_console
+from coulombus.system.quoting import shell
+
+if TYPE_CHECKING:
+    from coulombus.host.run.measure import Measured
+    from coulombus.rigs.rig import Rig
+
+__all__ = ["measure"]
+
+WIDTH = 80
+MARK = "measured by coulombus measure"
+"""How the comment above a written value begins."""
+
+
+@click.command(epilog=EXIT_STATUS)
+@one_bus_options
+@click.option(
+    "--rounds", type=click.IntRange(10, 100_000), default=500, show_default=True, help="SYNCs for each device."
+)
+@click.option(
+    "--cycles", type=click.IntRange(100, 1_000_000), default=2000, show_default=True, help="Cycles of the host."
+)
+@click.option("--write", is_flag=True, help="Write the values into the rig file; the old one is kept beside it.")
+@click.option("--cpu", type=CPU, default=None, help="CPU for the cycle's process.  [default: the last one]")
+@json_option
+def measure(
+    chosen: OneBusOptions,
+    rounds: int,
+    cycles: int,
+    write: bool,
+    cpu: int | None,
+    as_json: bool,
+) -> None:
+    """Measure how long the devices take from SYNC to their TPDOs, and the host from the last TPDO
+    to its RPDOs: response_us of each device and host.compute_s, which the planner counts.
+
+    The devices are configured as for a run and made OPERATIONAL one by one. Only SYNC is sent: no
+    controlword, no set-point, so that no drive is enabled. A bus on which another host cycles is
+    refused. The host is measured without the bus, by the process that a run has.
+
+    Ends with 1 when the rig's plan does not fit with the times that were measured.
+
+    \b
+    Examples:
+      coulombus measure --rig my-rig.toml --bus socketcan:can0
+      coulombus measure --rig my-rig.toml --bus socketcan:can0 --write
+      coulombus measure --rig bench --json
+    """
+    with errors():
+        from coulombus.host.run.measure import measure_rig
+        from coulombus.rigs.buses import one_bus
+        from coulombus.rigs.plan.rig_plan import plan
+
+        rig = chosen.load()
+        if write:
+            _refuse_to_write(chosen.rig_name, rig, chosen.overrides)
+        on_bus, address = one_bus(rig, chosen.bus_name, chosen.channel)
+        with _progress(not as_json, rounds, cycles) as report:
+            found = measure_rig(on_bus, address, rounds=rounds, cycles=cycles, cpu=cpu, progress=report)
+        numbers = found.numbers(on_bus)
+        changed = on_bus.variant(*(f"{'.'.join(map(str, key))}={value!r}" for key, value in numbers.items()))
+        fits = plan(changed).fits
+        document = _document(found, on_bus, str(address)) | {
+            "values": {".".join(map(str, key)): value for key, value in numbers.items()},
+            "fits": fits,
+            "backup": None,
+        }
+        if write:
+            try:
+                document["backup"] = str(_write(rig, found, on_bus))
+            except Exception:  # what was measured is not lost
+                say("\n".join(_lines(document)))
+                raise
+        with verdict(0 if fits else 1):
+            if as_json:
+                print_json(document)
+            else:
+                _print(document, chosen.rig_name)
+
+
+def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> None:
+    """Refuse --write where the file is not the user's, before anything is measured."""
+    from coulombus.recording.output_file import reason_against
+    from coulombus.rigs.rig import known_rigs
+
+    if rig_name in known_rigs():
+        text = f"the rig {rig_name} is the package's own; copy it first: cp {rig.path} my-rig.toml"
+        raise click.BadParameter(text, param_hint="--write")
+    if overrides:
+        raise click.UsageError("--write changes the rig file, and --set is not in it: use one of them")
+    path = Path(rig.path).resolve()
+    for one in (path, path.with_name(f"{path.name}.bak")):
+        reason = reason_against(one, force=True)
+        if reason is not None:
+            raise click.BadParameter(reason, param_hint="--write")
+
+
+def _document(found: Measured, rig: Rig, bus: str) -> dict[str, Any]:
+    from coulombus.host.run.measure import Spread
+
+    before = {node.name: node.part.response_us for node in rig.nodes}
+    devices = []
+    for device in found.devices:
+        pdos = [
+            {
+                "pdo": one.name,
+                "can_id": one.can_id,
+                "missed": one.missed,
+                **(_spread(Spread.of(one.times_ns)) if one.times_ns else {}),
+            }
+            for one in device.pdos
+        ]
+        devices.append(
+            {
+                "node": device.plan.name,
+                "node_id": device.plan.node_id,
+                "tpdos": pdos,
+                "why_not": device.why,
+                "emergencies": list(device.emergencies),
+                "response_us": found.response_us(device),
+                "before_us": before[device.plan.name],
+            }
+        )
+    host = _spread(found.host) | {"compute_s": found.compute_s, "before_s": rig.host.compute_s}
+    return {"rig": rig.name, "bus": bus, "devices": devices, "host": host, "real_time": list(found.real_time)}
+
+
+def _spread(spread: Any) -> dict[str, Any]:
+    return {"count": spread.count, "p50_us": spread.p50, "p99_us": spread.p99, "max_us": spread.max}
+
+
+def _write(rig: Rig, found: Measured, on_bus: Rig) -> Path:
+    """Write the values into the rig file, each with where it comes from."""
+    from coulombus.host.run.measure import Spread
+    from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
+    from coulombus.rigs.rig import load_rig_text
+
+    today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+
+    def note(spread: Spread) -> str:
+        return f"{today}: p50 {spread.p50:.0f}, p99 {spread.p99:.0f}, max {spread.max:.0f} us of {spread.count}"
+
+    times = {
+        device.plan.name: [t for pdo in device.pdos for t in pdo.times_ns] for device in found.devices if device.pdos
+    }
+    numbers = {}
+    for key, value in found.numbers(on_bus).items():
+        name = str(key[-2]) if key[0] != "axis" else f"{key[1]}.{key[-2]}"
+        spread = found.host if key == ("host", "compute_s") else Spread.of(times[name])
+        numbers[key] = NewValue(value, note(spread))
+    text = rewritten(rig.text, numbers, MARK, rig.path)
+    load_rig_text(text, rig.path)  # what is written is a rig
+    return replace_file(Path(rig.path), rig.text, text)
+
+
+def _lines(document: dict[str, Any]) -> list[str]:
+    """Return the values as a rig file has them."""
+    return [f"{key} = {value!r}" for key, value in document["values"].items()]
+
+
+def _print(document: dict[str, Any], path: str) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    for heading in ("what", "PDO"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("times", "p50", "p99", "max", "before", "proposed"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for device in document["devices"]:
+        for pdo in device["tpdos"]:
+            figures = [str(pdo.get("count", 0)), *(f"{pdo[key]:.0f}" for key in ("p50_us", "p99_us", "max_us"))]
+            last = pdo is device["tpdos"][-1]
+            ends = [f"{device['before_us']:.0f}", f"{device['response_us']:.0f}"] if last else ["", ""]
+            table.add_row(device["node"], pdo["pdo"], *figures, *ends)
+    host = document["host"]
+    figures = [str(host["count"]), *(f"{host[key]:.0f}" for key in ("p50_us", "p99_us", "max_us"))]
+    table.add_row("host", "", *figures, f"{host['before_s'] * 1e6:.0f}", f"{host['compute_s'] * 1e6:.0f}")
+    table_console(WIDTH).print(table)
+    echo("times in us; devices: from SYNC to their TPDOs; host: from the last TPDO to its RPDOs")
+    for device in document["devices"]:
+        if device["why_not"]:
+            echo(f"{device['node']}: not measured, {device['why_not']}")
+        for pdo in device["tpdos"]:
+            if pdo["missed"]:
+                echo(f"{device['node']}: {pdo['pdo']} did not come after {pdo['missed']} SYNCs")
+        for code in device["emergencies"]:
+            echo(f"{device['node']}: EMCY {code:04X}h while it was measured")
+    for right in document["real_time"]:
+        if not right["granted"]:
+            echo(f"{right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
+    if document["backup"] is None:
+        echo("\n".join(_lines(document)))
+    else:
+        echo(f"written into {path}; the old file is {document['backup']}")
+    if document["fits"]:
+        echo("ok: the plan fits with these times")
+    else:
+        words = " ".join(f"--set {key}={value!r}" for key, value in document["values"].items())
+        again = shell(str(path)) if document["backup"] is not None else f"{shell(str(path))} {words}"
+        echo(f"FAIL: the plan does not fit with these times: coulombus plan --rig {again}")
+
+
+@contextmanager
+def _progress(enabled: bool, rounds: int, cycles: int) -> Iterator[Callable[[str, int], None]]:
+    """Show a bar for each device and for the host, on a terminal."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+
+    from coulombus.system.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
+    if not enabled or not console.is_terminal:
+        if enabled:
+            say("coulombus: measuring, which takes some seconds a device; only SYNC is sent")
+        yield lambda what, done: None
+        return
+    tasks: dict[str, TaskID] = {}
+    with Progress(TextColumn("{task.description:<16}"), BarColumn(30), MofNCompleteColumn(), console=console) as bars:
+
+        def report(what: str, done: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=cycles if what == "host" else rounds)
+            bars.update(tasks[what], completed=done)
+
+        yield report

@@ -1,0 +1,65 @@
+"""``coulombus nmt``: start, stop and reset nodes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from coulombus.cli.common import json_option, say, verdict
+from coulombus.cli.device_options import beside_option, devices_bus_option, open_link
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import SECONDS
+from coulombus.cli.tables import echo
+
+__all__ = ["nmt"]
+
+WORDS = ("start", "stop", "preop", "reset", "reset-communication")
+MISSING = 5
+
+
+class NodeOrAll(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """A node id, or "all"."""
+
+    name = "node"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Return the node id, 0 for all."""
+        if value != "all" and not (str(value).isdecimal() and 1 <= int(value) <= 127):
+            self.fail(f"{value!r}: expected a node id, 1 to 127, or all", param, ctx)
+        return 0 if value == "all" else int(value)
+
+
+@click.command(epilog=EXIT_STATUS)
+@click.argument("word", type=click.Choice(WORDS), metavar="COMMAND")
+@click.argument("node_id", type=NodeOrAll(), metavar="NODE|all")
+@devices_bus_option
+@click.option(
+    "--timeout", "timeout_s", type=SECONDS, default=2.0, show_default=True, metavar="S", help="How long to wait."
+)
+@beside_option
+@json_option
+def nmt(word: str, node_id: int, bus_name: str, timeout_s: float, beside: bool, as_json: bool) -> None:
+    """Send an NMT command: start, stop, preop, reset or reset-communication; to a node, or to all.
+
+    Waits for the heartbeat or boot-up and prints the state that it reports. Ends with 5 when a node
+    that has a heartbeat does not follow. Refused while a host is at work on the bus.
+
+    \b
+    Examples:
+      coulombus nmt preop 5 --bus socketcan:can0
+      coulombus nmt reset all --bus socketcan:can0
+    """
+    with errors():
+        from coulombus.host.devices.nmt import command
+
+        with open_link(bus_name, beside=beside) as link:
+            told = command(link, word, node_id or None, timeout_s)
+        with verdict(MISSING if any(one.well is False for one in told) else 0):
+            if as_json:
+                states = [(one.node_id, None if one.state is None else one.state.name, one.well) for one in told]
+                print_json({"nodes": [{"node_id": n, "state": state, "followed": well} for n, state, well in states]})
+            for one in () if as_json else told:
+                echo(str(one))
+            if not told:
+                say(f"coulombus: sent to all; no heartbeat came within {timeout_s:g} s")

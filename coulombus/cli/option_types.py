@@ -1,0 +1,185 @@
+"""What the values of options and arguments may be: files, folders, times, rates."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coulombus.cli.errors import OUTPUTS, Failure
+from coulombus.recording.output_file import is_stream, reason_against
+
+__all__ = [
+    "BIT_RATE",
+    "CPU",
+    "PICTURE",
+    "SECONDS",
+    "InputPath",
+    "OutputDirectory",
+    "OutputFile",
+    "RecordingPlace",
+]
+
+
+class InputPath(click.Path):
+    """A file or a folder that is read.
+
+    One that is not there ends the verb as a missing rig file does, and says what may be meant.
+    """
+
+    def __init__(self, *, file_okay: bool = True) -> None:
+        super().__init__(file_okay=file_okay, exists=True, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; `Failure` where nothing stands, BadParameter where it is of no use."""
+        from coulombus.eds.regular_file import mode_of
+
+        try:
+            mode_of(value)
+        except FileNotFoundError as error:
+            raise Failure(f"{value}: cannot be read ({error.strerror})", 3) from None
+        except OSError as error:
+            self.fail(f"{value}: {error.strerror}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class OutputFile(click.Path):
+    """A file that will be written: what forbids it is told before anything is run for it.
+
+    See `recording.output_file`.
+
+    A file that exists is refused unless the verb's parameter `overwrite` is given (`force_option`).
+
+    Parameters
+    ----------
+    suffixes : endings of the name, one of which it must have; none: any
+    dash : whether ``-`` may stand for the standard output
+    """
+
+    def __init__(self, *suffixes: str, dash: bool = False) -> None:
+        super().__init__(dir_okay=False, path_type=Path)
+        self.suffixes, self.dash = suffixes, dash
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; BadParameter says what is wrong with it."""
+        if self.dash and str(value) in ("-", "/dev/stdout"):
+            return Path("-")
+        path = Path(str(super().convert(value, param, ctx)))
+        pipe = ".pcapng" in self.suffixes and is_stream(path)  # it may have any name
+        if not pipe:
+            self._named(path, param, ctx)
+        force = None if ctx is None else next((p for p in ctx.command.params if p.name == "overwrite"), None)
+        remedy = "choose another name" + (f", or replace it with {force.opts[0]}" if force else "")
+        given = ctx is not None and bool(ctx.params.get("overwrite"))
+        reason = reason_against(path, force=given, remedy=remedy)
+        if reason is not None:
+            self.fail(reason, param, ctx)
+        if not pipe:
+            self._named(path.resolve(), param, ctx)  # what a link stands for would be replaced
+        if ctx is not None and param is not None and not is_stream(path):
+            first = ctx.meta.setdefault(OUTPUTS, {}).setdefault(path.resolve(), param.opts[0])
+            if first != param.opts[0]:
+                self.fail(f"{path}: {first} writes there, too; choose another name", param, ctx)
+        return path
+
+    def _named(self, path: Path, param: click.Parameter | None, ctx: click.Context | None) -> None:
+        if self.suffixes and path.suffix.lower() not in self.suffixes:
+            self.fail(f"{path}: expected a name that ends in {', '.join(self.suffixes)}", param, ctx)
+
+
+class OutputDirectory(click.Path):
+    """A directory, made where it is not there yet.
+
+    What forbids it is told before anything is run for it. With `make` false the verb makes it, as
+    soon as nothing is refused any more.
+    """
+
+    def __init__(self, *, make: bool = True) -> None:
+        super().__init__(file_okay=False, path_type=Path)
+        self.make = make
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; BadParameter says what is wrong with it."""
+        path = Path(value)
+        if path.suffix.lower() == ".toml" and not path.is_dir():
+            self.fail(f"{path}: expected a folder, and this is the name of a rig file: --rig {path}", param, ctx)
+        super().convert(value, param, ctx)
+        if not self.make:
+            return path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            self.fail(f"{path}: expected a folder, and it is none", param, ctx)
+        except OSError as error:
+            self.fail(f"{path}: cannot be made: {error.strerror}", param, ctx)
+        return path
+
+
+class RecordingPlace(OutputFile):
+    """Where a run is recorded: a new file ``F.pcapng``, or a folder for segments - one that exists,
+    or any name where the verb's parameter `rotate` is given.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(".pcapng")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; BadParameter says what is wrong with it."""
+        path = Path(value)
+        rotated = ctx is not None and ctx.params.get("rotate") is not None
+        if path.suffix.lower() != ".pcapng" and not is_stream(path) and (path.is_dir() or rotated):
+            return OutputDirectory().convert(value, param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PICTURE = OutputFile(".png", ".svg", ".pdf")
+
+
+class _Seconds(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """A length of time in s: a number above 0, at most a year."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            seconds = float(value)
+        except ValueError:
+            seconds = float("nan")
+        if not 0 < seconds <= YEAR_S:
+            self.fail(f"{value!r}: expected a number above 0, at most {YEAR_S} (a year), in s", param, ctx)
+        return seconds
+
+
+class _Cpu(click.ParamType):  # type: ignore[type-arg]
+    """The number of a CPU that this process may use."""
+
+    name = "cpu"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        from coulombus.system.realtime import usable_cpus
+
+        allowed = sorted(usable_cpus())
+        if not str(value).isdecimal() or int(value) not in allowed:
+            self.fail(f"{value!r}: this process may use the CPUs {', '.join(map(str, allowed))}", param, ctx)
+        return int(value)
+
+
+class _BitRate(click.ParamType):  # type: ignore[type-arg]
+    """A bit rate in bit/s; k and M stand for a thousand and a million."""
+
+    name = "bit rate"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*([kM]?)(?:bit/s|bps)?", str(value))
+        rate = float(found[1]) * {"": 1, "k": 1e3, "M": 1e6}[found[2]] if found else 0.0
+        if not (10_000 <= rate <= 20_000_000 and rate == int(rate)):
+            self.fail(f"{value!r}: expected a bit rate from 10k to 20M, such as 1000000, 500k or 1M", param, ctx)
+        return int(rate)
+
+
+YEAR_S = 31_557_600
+SECONDS = _Seconds()
+CPU = _Cpu()
+BIT_RATE = _BitRate()

@@ -1,0 +1,154 @@
+"""The page of ``watch --web``, ``run --web`` and ``sim --web``: its options, and the process that
+serves it beside another verb.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.cli.bundle import bundle, repeated
+from coulombus.cli.common import say
+from coulombus.cli.tables import echo
+
+if TYPE_CHECKING:
+    from coulombus.cli.rig_options import BusesOptions
+    from coulombus.rigs.rig import Rig
+    from coulombus.wire.address import BusAddress
+
+__all__ = ["LOOPBACK", "PORT", "PageOptions", "page_options", "serve_page"]
+
+LOOPBACK = "127.0.0.1"
+PORT = 8642
+END_S = 5.0
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """The options of the page as they are given."""
+
+    web: bool
+    web_port: int
+    web_host: str
+
+    def refuse_several(self) -> None:
+        """Refuse a page of several buses.
+
+        Raises
+        ------
+        click.UsageError
+            A page is asked for.
+        """
+        if self.web:
+            raise click.UsageError("--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`")
+
+    @contextmanager
+    def beside(self, chosen: BusesOptions, address: BusAddress) -> Iterator[None]:
+        """Serve the page of a bus in a process of its own meanwhile, where it is asked for.
+
+        The process ends with this one, however that ends; what goes wrong there concerns nobody
+        here. Its address is printed on stderr.
+        """
+        if not self.web:
+            yield
+            return
+        words = ["--rig", chosen.rig_name, "--bus", str(address), "--web-host", self.web_host]
+        words += ["--web-port", str(self.web_port), *([] if chosen.channel is None else ["--channel", chosen.channel])]
+        words += repeated("--set", chosen.overrides)
+        command = [sys.executable, "-m", "coulombus", "watch", "--web", "--beside", *words]
+        child = None
+        try:
+            child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.stderr.fileno(), start_new_session=True)
+        except OSError as error:
+            say(f"coulombus: the page cannot be served: {error.strerror or error}")
+        try:
+            yield
+        finally:
+            if child is not None:
+                _end(child)
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    """End the page's process: by the end of its stdin, or else by a signal."""
+    assert child.stdin is not None
+    child.stdin.close()
+    try:
+        child.wait(END_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+
+
+page_options = bundle(
+    "page",
+    PageOptions,
+    click.option("--web", is_flag=True, help="Serve a page with it to a browser; its address is printed."),
+    click.option(
+        "--web-port",
+        type=click.IntRange(0, 65535),
+        metavar="N",
+        default=PORT,
+        show_default=True,
+        help="Port of the page; 0: a free one.",
+    ),
+    click.option(
+        "--web-host",
+        metavar="H",
+        default=LOOPBACK,
+        show_default=True,
+        help="Serve the page at this address of the machine: others of its network reach it.",
+    ),
+)
+
+
+def serve_page(
+    rig: Rig, address: BusAddress, page: PageOptions, *, seconds: float | None, as_json: bool, beside: bool
+) -> None:
+    """Serve the page of a bus until a signal; its address is printed when it is there.
+
+    Parameters
+    ----------
+    beside : another verb began this process, and holds the other end of stdin
+    """
+    from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
+    from coulombus.host.run.law_curve import law_curve
+    from coulombus.host.run.runbook import anchor
+    from coulombus.monitor.web import WebError
+    from coulombus.wire.address import socket_path
+
+    try:
+        from coulombus.monitor.web.guard import kept_token
+        from coulombus.monitor.web.server import Shown, serve
+        from coulombus.monitor.web.state import HostDoor
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "tornado":
+            raise
+        raise WebError("the page needs Tornado: pip install 'coulombus[web]'") from None
+
+    def ready(url: str) -> None:
+        echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")
+
+    kept = f"{address.kind}-{address.name}".replace("/", "_") + ".web-token"
+    door = HostDoor(
+        status=lambda: ask_status(address, 1.0),
+        stop=lambda: stop_host(address),
+        advice=anchor,
+        change=lambda order: ask_change(address, order, 1.0),
+        mark=lambda text: ask_mark(address, text, 1.0),
+        curve=law_curve,
+    )
+    serve(
+        Shown(rig, address, door, kept_token(socket_path(address.kind).parent / kept)),
+        ready,
+        host=page.web_host,
+        port=page.web_port,
+        seconds=seconds,
+        parent=sys.stdin.fileno() if beside else None,
+    )

@@ -1,0 +1,360 @@
+"""`coulombus plan`: whether a rig's messages fit on its bus, and what would."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import force_option, json_option, say, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import BIT_RATE, PICTURE
+from coulombus.cli.rig_options import RigOptions, rig_options
+from coulombus.cli.tables import echo, print_fitting, table_console
+from coulombus.system.wrap_text import hanging
+
+if TYPE_CHECKING:
+    from coulombus.rigs.plan.response_times import Errors, Response
+    from coulombus.rigs.plan.rig_plan import Assumptions, Plan
+    from coulombus.rigs.plan.role_costs import Change
+    from coulombus.rigs.rig import Rig
+
+__all__ = ["as_dict", "message_rows", "plan_command", "role_rows"]
+
+WATCHES = "motor and brake: sync_timeout_s, setpoint_fault_s"
+WIDTH = 110
+"""Of the table in a file or a pipe, at most: it is as wide as its cells."""
+PROSE = 80
+HEADINGS = ("COB-ID", "message", "bits", "every", "cycle", "due", "block", "jitter", "worst", "limit", "")
+LEFT = 2
+"""So many of them stand on the left."""
+
+
+def as_dict(plan: Plan, rig: Rig) -> dict[str, Any]:
+    """Return the plan as it is printed with --json; times in us, the highest priority first."""
+    from coulombus.rigs.plan.rig_plan import bitrates_that_fit, largest_axes, shortest_period_ns
+    from coulombus.rigs.plan.role_costs import longer_period, without_roles
+
+    shortest = shortest_period_ns(rig, plan)
+    bus_errors = plan.assumptions.errors
+    return {
+        "rig": rig.name,
+        "bus": rig.channels[0],
+        "bitrate": plan.timing.bitrate_bit_s,
+        "period_us": plan.timing.period_ns / 1e3,
+        "axes": plan.axes,
+        "utilisation": plan.utilisation,
+        "fits": plan.fits,
+        "reasons": list(plan.reasons),
+        "cycle": {
+            "fits": plan.cycle.fits,
+            "busy_us": plan.busy_ns / 1e3,
+            "latest_tpdo_us": plan.cycle.latest_ns("tpdo") / 1e3,
+            "window_us": plan.timing.window_ns / 1e3,
+            "latest_rpdo_us": plan.latest_rpdo_ns / 1e3,
+            "slack_us": (plan.timing.period_ns - plan.latest_rpdo_ns) / 1e3,
+            "latest_rpdo_with_us": {name: value / 1e3 for name, value in plan.interference_ns.items()},
+        },
+        "assumed": {
+            "node_us": plan.timing.node_ns / 1e3,
+            "host_us": plan.timing.host_ns / 1e3,
+            "errors": bus_errors.count,
+            "errors_interval_us": bus_errors.interval_ns / 1e3 if bus_errors.count else None,
+        },
+        "would_fit": {
+            "bitrates": list(bitrates_that_fit(rig, plan)),
+            "shortest_period_us": None if shortest is None else shortest / 1e3,
+            "axes": largest_axes(rig, plan),
+            "period": None if plan.fits else _change(longer_period(rig, plan, shortest)),
+            "without": None if plan.fits else _change(without_roles(rig, plan)),
+        },
+        "roles": role_rows(plan, rig),
+        "messages": message_rows(plan),
+    }
+
+
+def _change(change: Change | None) -> dict[str, Any] | None:
+    if change is None:
+        return None
+    return {
+        "period_us": change.period_ns / 1e3,
+        "set": list(change.overrides),
+        "roles": list(change.roles),
+        "lost": list(change.lost),
+    }
+
+
+def role_rows(plan: Plan, rig: Rig) -> list[dict[str, Any]]:
+    """Return a row for each entry of the rig's PDOs: its role and what it costs each cycle [us]."""
+    from coulombus.rigs.plan.role_costs import role_costs
+
+    return [
+        {
+            "role": cost.role,
+            "node": cost.node,
+            "object": cost.place,
+            "pdo": cost.pdo,
+            "bits": cost.bits,
+            "wire_us": cost.wire_ns / 1e3,
+            "saved_us": None if cost.saved_ns is None else cost.saved_ns / 1e3,
+        }
+        for cost in role_costs(rig, plan.timing.bitrate_bit_s)
+    ]
+
+
+def message_rows(plan: Plan) -> list[dict[str, Any]]:
+    """Return a row for each message; times in us, the highest priority first."""
+    cycle = {frame.message.name: frame for frame in plan.cycle.frames}
+
+    def row(response: Response) -> dict[str, Any]:
+        message, frame = response.message, cycle.get(response.message.name)
+        return {
+            "name": message.name,
+            "can_id": message.can_id,
+            "bits": message.bits,
+            "response_us": response.response_ns / 1e3,
+            "deadline_us": message.deadline_ns / 1e3,
+            "period_us": message.period_ns / 1e3,
+            "jitter_us": response.jitter_ns / 1e3,
+            "blocking_us": response.blocking_ns / 1e3,
+            "bounded": response.bounded,
+            "fits": response.fits,
+            "cycle_end_us": None if frame is None else frame.end_ns / 1e3,
+            "cycle_deadline_us": None if frame is None else frame.deadline_ns / 1e3,
+        }
+
+    return [row(response) for response in plan.responses]
+
+
+def _print(found: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    rows = []
+    for row in found["messages"]:
+        cells = [f"{row['can_id']:03X}h", row["name"], str(row["bits"]), f"{row['period_us']:g}"]
+        cells += ["" if row[key] is None else f"{row[key]:.0f}" for key in ("cycle_end_us", "cycle_deadline_us")]
+        cells += [f"{row['blocking_us']:.0f}", f"{row['jitter_us']:.0f}" if row["bounded"] else ""]
+        cells += [f"{row['response_us']:.0f}" if row["bounded"] else "no bound", f"{row['deadline_us']:.0f}"]
+        rows.append((*cells, "[green]ok[/]" if row["fits"] else "[red]LATE[/]"))
+
+    def build(left: Collection[str]) -> Table:
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        kept = [place for place, heading in enumerate(HEADINGS) if heading not in left]
+        for place in kept:
+            table.add_column(HEADINGS[place], justify="left" if place < LEFT else "right", no_wrap=True)
+        for cells in rows:
+            table.add_row(*(cells[place] for place in kept))
+        return table
+
+    print_fitting(table_console(WIDTH), build, ("block", "jitter", "bits", "due"))
+    _print_roles(found["roles"])
+    cycle, would = found["cycle"], found["would_fit"]
+    more = cycle["latest_rpdo_with_us"]
+    rates = ", ".join(f"{rate // 1000}" for rate in would["bitrates"]) or "none of CiA 301's"
+    period = would["shortest_period_us"]
+    lines = (
+        f"times in us, at {found['bitrate'] / 1e3:g} kbit/s; axes: {found['axes']}; all messages take {found['utilisation']:.1%} of the bus",
+        f"TPDOs      all through {cycle['latest_tpdo_us']:.0f} after SYNC's release; the host waits for {cycle['window_us']:g}",
+        f"RPDOs      the latest is through at {cycle['latest_rpdo_us']:.0f} of {found['period_us']:g}: slack {cycle['slack_us']:.0f}",
+        f"           SYNC and PDOs alone {more['cycle']:.0f}, with heartbeats {more['heartbeats']:.0f}, with SDO {more['sdo']:.0f}, "
+        f"with EMCY and NMT {more['emcy_nmt']:.0f}",
+        f"would fit  at {rates} kbit/s with this period; with a period of {'-' if period is None else f'{period:g}'} or more at this bit rate; "
+        f"at most {would['axes']} of such axes",
+    )
+    if found["bus"]:
+        echo(f"\nbus {found['bus']}")
+    echo("\n" + "\n".join(hanging(line, PROSE, 11) for line in lines))
+    for reason in found["reasons"]:
+        echo(hanging(f"  {reason}", PROSE, 4))
+    if not found["fits"]:
+        _print_changes(would)
+    echo("ok: the plan fits" if found["fits"] else "FAIL: the plan does not fit")
+
+
+def _print_roles(rows: list[dict[str, Any]]) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    for heading in ("role", "node", "object", "PDO"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("bits", "wire", "saved"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        saved = "needed" if row["saved_us"] is None else f"{row['saved_us']:.1f}"
+        name = row["role"] or "(not used)"
+        cells = (name, row["node"], row["object"], row["pdo"], str(row["bits"]), f"{row['wire_us']:.1f}")
+        table.add_row(*cells, saved if row["role"] else "")
+    echo()
+    table_console(WIDTH).print(table)
+
+
+def _print_changes(would: dict[str, Any]) -> None:
+    """Tell what to change so that the plan fits: the period, or the roles."""
+    period, without = would["period"], would["without"]
+    if period is not None:
+        echo(f"a period of {period['period_us']:g} us fits:")
+        echo(f"  --set {' --set '.join(period['set'])}")
+    elif would["shortest_period_us"] is not None:
+        told = f"{would['shortest_period_us']:g} us fits only with longer watches of SYNC and PDOs"
+        echo(f"a period of {told} ({WATCHES})")
+    if without is None:
+        echo("without the optional roles, too, this period does not fit")
+        return
+    echo(f"this period fits without {', '.join(without['roles'])}:")
+    for text in without["set"]:
+        echo(f"  --set '{text}'")
+    for text in without["lost"]:
+        echo(f"  lost: {text}")
+
+
+def _draw(path: Path, found: dict[str, Plan], *, force: bool) -> None:
+    """Draw each bus, into a file of its own where there are several."""
+    from coulombus.recording.output_file import new_file
+    from coulombus.rigs.plan.gantt import write_gantt
+
+    for channel, one in found.items():
+        each = path.with_stem(f"{path.stem}-{channel}") if len(found) > 1 else path
+        with new_file(each, force=force) as beside:
+            write_gantt(beside, one)
+        say(f"figure: {each}")
+
+
+def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> Errors:
+    from coulombus.rigs.plan.response_times import Errors
+
+    try:
+        return Errors.parse(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error), ctx=ctx, param=param) from None
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What the planned traffic has otherwise than the rig, as the options say it."""
+
+    bitrate: int | None
+    period_us: float | None
+    axes: int | None
+
+    def options(self) -> dict[str, Any]:
+        """Return them as `rigs.plan.rig_plan.plans` takes them."""
+        period_ns = None if self.period_us is None else round(self.period_us * 1e3)
+        return {"bitrate_bit_s": self.bitrate, "period_ns": period_ns, "axes": self.axes}
+
+
+@dataclass(frozen=True)
+class Times:
+    """What is assumed of devices, host and bus, as the options say it."""
+
+    bus_errors: Errors
+    node_us: float | None
+    host_us: float | None
+    sporadic_ms: float | None
+
+    def assumptions(self) -> Assumptions:
+        """Return them in ns, as the planner takes them."""
+        from coulombus.rigs.plan.rig_plan import Assumptions
+
+        node, host = (None if us is None else round(us * 1e3) for us in (self.node_us, self.host_us))
+        sporadic = None if self.sporadic_ms is None else round(self.sporadic_ms * 1e6)
+        return Assumptions(node, host, sporadic, self.bus_errors)
+
+
+traffic_options = bundle(
+    "traffic",
+    Traffic,
+    click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Bit rate, such as 500k.  [default: the rig's]"),
+    click.option(
+        "--period-us",
+        type=click.FloatRange(100, 1e6),
+        help="SYNC period; the TPDO window and the watches keep their share of it.  [default: the rig's]",
+    ),
+    click.option("--axes", type=click.IntRange(1, 16), help="Number of axes like the rig's.  [default: the rig's]"),
+)
+times_options = bundle(
+    "times",
+    Times,
+    click.option(
+        "--errors",
+        "bus_errors",
+        default="0",
+        show_default=True,
+        metavar="N/INTERVAL",
+        callback=_errors_option,
+        help="At most N bus errors in any INTERVAL, perhaps at once: 1/10ms, 3/ms, 20/s.",
+    ),
+    click.option(
+        "--node-us",
+        type=click.FloatRange(0, 1e6),
+        help="Longest time from SYNC to a TPDO's queue.  [default: each device's response_us in the rig]",
+    ),
+    click.option(
+        "--host-us",
+        type=click.FloatRange(0, 1e6),
+        help="Longest time of the host's computing.  [default: the rig's host.compute_s]",
+    ),
+    click.option(
+        "--sporadic-ms",
+        type=click.FloatRange(0.1, 1e6),
+        help="Least interval of EMCYs, SDO transfers, NMT.  [default: 10 periods]",
+    ),
+)
+
+
+@click.command("plan", epilog=EXIT_STATUS)
+@rig_options
+@json_option
+@traffic_options
+@times_options
+@click.option(
+    "--gantt",
+    type=PICTURE,
+    metavar="F.png",
+    help="Draw the worst cycle there (.png, .svg, .pdf).",
+)
+@force_option
+def plan_command(
+    chosen: RigOptions,
+    traffic: Traffic,
+    times: Times,
+    gantt: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Compute whether a rig's messages fit on its bus: worst-case response times, SYNC window,
+    latest RPDO, slack; what each role costs on the wire. Where they do not fit, the period that
+    would is named, and the roles without which they would.
+
+    Exit status 0 when the plan fits, 1 when it does not; the late frames are named. docs/planner.md
+    has the equations and how to read the table.
+
+    \b
+    Examples:
+      coulombus plan
+      coulombus plan --rig my-rig.toml --bitrate 500000 --period-us 2000
+      coulombus plan --axes 2 --period-us 2000 --errors 1/10ms --gantt plan.png
+      coulombus plan --json | jq .messages
+    """
+    with errors():
+        from coulombus.rigs.plan.rig_plan import plans
+
+        rig = chosen.load()
+        try:
+            found = plans(rig, **traffic.options(), assumptions=times.assumptions())
+        except ValueError as error:
+            raise click.BadParameter(str(error), param_hint="--axes") from None
+        if gantt is not None:
+            _draw(gantt, found, force=overwrite)
+        documents = [as_dict(one, rig.on(channel)) for channel, one in found.items()]
+        worst = min(documents, key=lambda document: (document["fits"], -document["utilisation"]))
+        with verdict(0 if worst["fits"] else 1):
+            if as_json:
+                several = {"buses": documents} if len(documents) > 1 else {}
+                print_json({**worst, **several})
+            else:
+                for document in documents:
+                    _print(document)

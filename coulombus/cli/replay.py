@@ -1,0 +1,410 @@
+"""``coulombus replay`` and ``coulombus bridge``: what the command line says, and what is printed of
+what came of it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import json_option, printed, say, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, remark
+from coulombus.cli.option_types import InputPath
+from coulombus.cli.tables import echo, progress
+
+if TYPE_CHECKING:
+    from coulombus.lab.replay.host_replay import HostReplay
+    from coulombus.lab.replay.player import Tape
+    from coulombus.lab.replay.virtual_replay import VirtualReplay
+    from coulombus.rigs.rig import Rig
+    from coulombus.sim_bus.server.bridge import Between
+
+__all__ = ["bridge", "replay"]
+
+
+class NotToTheRig(Exception):
+    """What would move a rig is not sent there without being asked for."""
+
+    exit_status = 7
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which frames of a recording are played, as the options say it."""
+
+    from_s: float | None
+    to_s: float | None
+    ids_text: str | None
+    nodes: tuple[int, ...]
+    only_host: bool
+
+    def of(self, tape: Tape, rig_name: str | None) -> Tape:
+        """Return the frames that are left."""
+        import numpy as np
+
+        from coulombus.recording.frame_sender import HOST, rig_of, senders
+        from coulombus.wire.identifiers import among, parse_identifiers
+
+        chosen = np.ones(len(tape.frames), bool)
+        if self.from_s is not None:
+            chosen &= tape.t_ns >= round(self.from_s * 1e9)
+        if self.to_s is not None:
+            chosen &= tape.t_ns <= round(self.to_s * 1e9)
+        if self.ids_text is not None:
+            chosen &= among(tape.frames["can_id"], parse_identifiers(self.ids_text))
+        if self.nodes or self.only_host:
+            wanted = (*self.nodes, HOST) if self.only_host else self.nodes
+            chosen &= np.isin(senders(tape.frames["can_id"], rig_of(tape.path, rig_name)), wanted)
+        return tape.take(chosen)
+
+
+choice_options = bundle(
+    "choice",
+    Choice,
+    click.option("--from-s", type=float, default=None, help="Begin there, in the time that `coulombus decode` shows."),
+    click.option("--to-s", type=float, default=None, help="End there."),
+    click.option(
+        "--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x."
+    ),
+    click.option("--node", "nodes", type=click.IntRange(1, 127), multiple=True, help="Only what this node sent."),
+    click.option("--only-host", is_flag=True, help="Only what the host sent: SYNC, NMT, RPDOs, SDO requests."),
+)
+
+
+@dataclass(frozen=True)
+class Playing:
+    """How a recording is played, as the options say it."""
+
+    speed: float
+    loops: int
+    to_rig: bool
+    priority: int
+
+
+playing_options = bundle(
+    "playing",
+    Playing,
+    click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="2: twice as fast."),
+    click.option(
+        "--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="How often; 0: for ever."
+    ),
+    click.option("--to-rig", is_flag=True, help="Let the host's frames go to a real interface: they move the motor."),
+    click.option(
+        "--priority", type=click.IntRange(0, 99), default=70, show_default=True, help="SCHED_FIFO; 0: ordinary."
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Otherwise:
+    """What differs from the recording's own rig, as the options say it."""
+
+    rig_name: str | None
+    law: str | None
+    overrides: tuple[str, ...]
+
+    def rig(self) -> Rig | None:
+        """Return the rig that is named; None: the recording's own."""
+        from coulombus.rigs.rig import load_rig
+
+        return None if self.rig_name is None else load_rig(self.rig_name)
+
+    def all_overrides(self) -> tuple[str, ...]:
+        """Return what is set in the rig, the law as one of them."""
+        if self.law is None:
+            return self.overrides
+        path, colon, function = self.law.rpartition(":")
+        place = str(Path(path).absolute()) if path.endswith(".py") else path
+        return (*self.overrides, f"law.function={place}{colon}{function}")
+
+
+otherwise_options = bundle(
+    "otherwise",
+    Otherwise,
+    click.option("--rig", "rig_name", metavar="R", help="This rig instead of the attached one."),
+    click.option(
+        "--law",
+        metavar="M:F",
+        help="With --host: what this law would have commanded. Your own law runs only if it is named here.",
+    ),
+    click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values."),
+)
+
+
+@click.command("replay", epilog=EXIT_STATUS)
+@click.argument("file", type=InputPath())
+@click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
+@click.option("--host", "as_host", is_flag=True, help="Feed the host with it: do its outputs come out again?")
+@click.option("--virtual", is_flag=True, help="Feed the bus with it in virtual time: do its frames come out again?")
+@playing_options
+@choice_options
+@otherwise_options
+@json_option
+def replay(
+    file: Path,
+    bus_name: str | None,
+    as_host: bool,
+    virtual: bool,
+    playing: Playing,
+    choice: Choice,
+    otherwise: Otherwise,
+    as_json: bool,
+) -> None:
+    """Play a recording onto a bus, or check the host (--host) or the bus model (--virtual) against
+    it.
+
+    Plays pcapng and what python-can reads: candump's .log, .asc, .blf, .trc, .csv. A torn file
+    plays to its last whole block. With --host and --virtual it ends with 1 when an
+    output differs, and shows the first difference.
+
+    \b
+    Examples:
+      coulombus replay run.pcapng --bus coulombus:bench
+      coulombus replay run.pcapng --bus socketcan:vcan0 --speed 0.5 --from-s 3 --to-s 5
+      coulombus replay run.pcapng --host
+      coulombus replay run.pcapng --host --law my_law.py:law
+      coulombus replay run.pcapng --virtual
+    """
+    with errors():
+        if (bus_name is not None) + as_host + virtual != 1:
+            raise click.UsageError("give one of --bus B (play it there), --host and --virtual (check it)")
+        if (otherwise.overrides or otherwise.law) and not as_host:
+            raise click.UsageError("--law and --set go with --host")
+        if bus_name is not None:
+            _play(file, bus_name, otherwise.rig_name, playing, choice, as_json)
+        else:
+            _check(file, otherwise, as_host, as_json)
+
+
+def _check(file: Path, otherwise: Otherwise, as_host: bool, as_json: bool) -> None:
+    """Hold the host, or the bus model, against a recording."""
+    rig = otherwise.rig()
+    if as_host:
+        from coulombus.lab.replay.host_replay import host_replay
+
+        checked = host_replay(file, otherwise.all_overrides(), rig)
+        found: HostReplay | VirtualReplay = checked
+        lines = _host_lines(checked)
+    else:
+        from coulombus.lab.replay.virtual_replay import virtual_replay
+
+        found = virtual_replay(file, rig)
+        lines = found.lines()
+    remark(found.remarks)
+    with verdict(found.exit_status):
+        echo(json.dumps(found.as_dict(), indent=2, allow_nan=False) if as_json else "\n".join(lines))
+
+
+def _host_lines(found: HostReplay) -> list[str]:
+    counts = ", ".join(f"{n} {name}" for name, n in found.frames.items())
+    lines = [f"mode {found.mode}: {found.cycles} cycles, {found.inputs} frames in"]
+    one = found.difference
+    if one is None:
+        lines.append(f"identical: {counts}")
+    elif found.judged:
+        lines.append(f"FAIL at {one.t_s:.6f} s, cycle {one.cycle}: {one.name} (before that the same: {counts})")
+    else:
+        lines.append(f"the first difference is at {one.t_s:.6f} s, cycle {one.cycle}: {one.name}")
+    if one is not None:
+        lines.append(f"  {'':<28} {'recorded':>18} {'computed':>18}")
+        lines.append(f"  {'data':<28} {_or_none(one.recorded):>18} {_or_none(one.computed):>18}")
+        for name, (recorded, computed) in one.signals.items():
+            mark = "" if recorded == computed else "  <"
+            lines.append(f"  {name:<28} {_number(recorded):>18} {_number(computed):>18}{mark}")
+    if found.rms is not None:
+        lines += [f"  RMS difference of {name}: {value:.6g}" for name, value in found.rms.items()]
+    if found.computed_trip != found.recorded_trip:
+        lines += [f"trip recorded: {found.recorded_trip or 'none'}", f"trip computed: {found.computed_trip or 'none'}"]
+    if found.refused:
+        lines.append(f"{found.refused} frames that the bus had not taken are in no recording")
+    if found.unchecked:
+        lines.append(f"{found.unchecked} frames behind the trace's end were not checked: was the recording killed?")
+    return lines
+
+
+def _or_none(text: str | None) -> str:
+    return "no frame" if text is None else text or "no data"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.9g}"
+
+
+def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, choice: Choice, as_json: bool) -> None:
+    """Play a recording onto a bus."""
+    from coulombus.lab.replay.player import NOTHING, load_tape, play
+    from coulombus.system.realtime import ask_for_real_time
+    from coulombus.system.stop_signals import Stopped, StopSignals
+    from coulombus.wire.address import parse_address
+    from coulombus.wire.client import Client
+    from coulombus.wire.handshake import Hello
+    from coulombus.wire.socketcan import is_virtual
+
+    address = parse_address(bus_name)
+    tape = choice.of(load_tape(file), rig_name)
+    remark(tape.remarks)
+    if not len(tape.frames):
+        raise click.UsageError(f"{file}: no frame is left to be played")
+    if address.kind == "socketcan" and not playing.to_rig and _moves(tape) and not is_virtual(address.name):
+        raise NotToTheRig(
+            f"{file} has frames of a host (NMT, SYNC, RPDOs): on {address} they would move a motor, and no host would watch it. "
+            "Leave them out (--node N, --ids), or give --to-rig if that is what you want"
+        )
+    total = float(tape.t_ns[-1] - tape.t_ns[0]) / 1e9 / playing.speed * max(playing.loops, 1)
+    with (
+        Client(address, Hello(filters=NOTHING)) as client,
+        StopSignals() as stop,
+        progress(not as_json, "played") as report,
+    ):
+        ask_for_real_time(playing.priority or None)
+        played = play(
+            tape,
+            client,
+            stop,
+            speed=playing.speed,
+            loops=playing.loops,
+            progress=lambda t_s: report("replay", t_s, total),
+        )
+        number = stop.number
+    late = played.late_us
+    cut_short = not played.complete and number and playing.loops
+    with printed(1 if cut_short else 0):
+        if as_json:
+            echo(
+                json.dumps(
+                    {
+                        "file": str(file),
+                        "bus": str(address),
+                        "frames": played.frames,
+                        "loops": played.loops,
+                        "seconds": played.seconds,
+                        "late_us": late,
+                        "full": played.full,
+                        "complete": played.complete,
+                    },
+                    indent=2,
+                )
+            )
+        else:
+            times = (
+                ""
+                if late is None
+                else f", late by {late['p50']:.0f} / {late['p99']:.0f} / {late['max']:.0f} us (p50 / p99 / max)"
+            )
+            full = f", {played.full} of them waited for a full bus" if played.full else ""
+            echo(f"{played.frames} frames onto {address} in {played.seconds:.3f} s{times}{full}")
+    if cut_short:
+        raise Stopped(number, f"after {played.frames} frames")
+
+
+def _moves(tape: Tape) -> bool:
+    """Tell whether frames of a host are among them."""
+    import numpy as np
+
+    from coulombus.recording.frame_sender import HOST, rig_of, senders
+
+    return bool(np.any(senders(tape.frames["can_id"], rig_of(tape.path, None)) == HOST))
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What a bridge does to the frames, as the options say it."""
+
+    delay_ms: float
+    drop: float
+    duplicate: float
+    corrupt: float
+    seed: int
+
+    def of(self, direction: int) -> Between:
+        """Return it for one direction, 0 or 1, each with chances of its own."""
+        from coulombus.sim_bus.server.bridge import faults
+
+        return faults(self.delay_ms, self.drop, self.seed + direction, duplicate=self.duplicate, corrupt=self.corrupt)
+
+
+disturbance_options = bundle(
+    "disturbance",
+    Disturbance,
+    click.option("--delay-ms", type=click.FloatRange(0, 60_000), default=0.0, help="Delay every frame by this time."),
+    click.option("--drop", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share of frames to drop."),
+    click.option("--duplicate", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share to send twice."),
+    click.option(
+        "--corrupt",
+        metavar="RATE",
+        type=click.FloatRange(0, 1),
+        default=0.0,
+        help="Share with one data bit turned around.",
+    ),
+    click.option("--seed", default=0, show_default=True, help="Start of what is random."),
+)
+
+
+@click.command("bridge", epilog=EXIT_STATUS)
+@click.argument("a")
+@click.argument("b")
+@click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")
+@click.option("--one-way", is_flag=True, help="From A to B only.")
+@disturbance_options
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after this many seconds.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line: ready, then what came of it.")
+def bridge(
+    a: str,
+    b: str,
+    ids_text: str | None,
+    one_way: bool,
+    disturbance: Disturbance,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Join two buses, each coulombus:NAME or socketcan:IF: what one carries is sent on the other.
+
+    Ends with 0 on Ctrl-C, SIGTERM, SIGHUP, SIGQUIT or after --seconds, with 4 when a bus goes away.
+
+    \b
+    Examples:
+      coulombus bridge coulombus:bench socketcan:vcan0
+      coulombus bridge coulombus:bench socketcan:can0 --ids 181,182,281 --one-way
+      coulombus bridge coulombus:a coulombus:b --delay-ms 2 --drop 0.01 --seed 7
+    """
+    with errors():
+        from coulombus.sim_bus.server.bridge import bridge as join
+        from coulombus.wire.address import parse_address
+        from coulombus.wire.identifiers import parse_identifiers
+
+        ends = parse_address(a), parse_address(b)
+        ranges = () if ids_text is None else parse_identifiers(ids_text)
+
+        def ready() -> None:
+            text = f"{a} and {b} are joined; Ctrl-C ends it"
+            with printed():  # the buses are joined, whoever reads of it
+                echo(json.dumps({"event": "ready", "a": a, "b": b}) if as_json else text)
+
+        result = join(
+            *ends,
+            between=disturbance.of(0),
+            back=disturbance.of(1),
+            ranges=ranges,
+            one_way=one_way,
+            seconds=seconds,
+            ready=ready,
+        )
+        if result.gone:
+            say(f"coulombus: {result.gone}")
+        with verdict(result.exit_status):
+            if as_json:
+                echo(json.dumps({"event": "end", **result.as_dict()}))
+            else:
+                for way, counts in result.as_dict()["ways"].items():
+                    rest = ", ".join(
+                        f"{n} {name}" for name, n in counts.items() if n and name not in ("received", "forwarded")
+                    )
+                    echo(
+                        f"{way}: {counts['received']} received, {counts['forwarded']} forwarded"
+                        + (f", {rest}" if rest else "")
+                    )

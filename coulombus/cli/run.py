@@ -1,0 +1,206 @@
+"""``coulombus run`` and ``coulombus stop``: the host on one bus or on several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.bundle import repeated
+from coulombus.cli.common import (
+    buses_option,
+    check_mode,
+    check_shared_machine,
+    json_option,
+    mode_option,
+    rig_option,
+    say,
+    shared_machine_option,
+    verdict,
+)
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import CPU, SECONDS
+from coulombus.cli.outputs import OutputOptions, outputs_options
+from coulombus.cli.page_options import PageOptions, page_options
+from coulombus.cli.rig_options import BusesOptions, buses_options
+from coulombus.cli.run_table import print_runs
+from coulombus.cli.tables import echo, progress
+from coulombus.system.foreign_text import printable
+
+if TYPE_CHECKING:
+    from coulombus.wire.address import BusAddress
+
+__all__ = ["run_command", "stop"]
+
+
+@click.command("run", epilog=EXIT_STATUS)
+@buses_options
+@mode_option
+@click.option("--seconds", type=SECONDS, default=None, help="Length of the display.  [default: until it is stopped]")
+@outputs_options
+@shared_machine_option
+@click.option(
+    "--cpu",
+    type=CPU,
+    default=None,
+    help="CPU for the cycle's process.  [default: the last isolated one, else the last]",
+)
+@page_options
+@json_option
+def run_command(
+    chosen: BusesOptions,
+    mode: str,
+    seconds: float | None,
+    outputs: OutputOptions,
+    shared_machine: bool,
+    cpu: int | None,
+    page: PageOptions,
+    as_json: bool,
+) -> None:
+    """Run the host alone, in real time, on a bus where the nodes are: simulated ones
+    (`coulombus sim`) or a rig.
+
+    Ends safely when the time is over, by q or Escape in its terminal (exit status 0), on Ctrl-C
+    (130), SIGTERM (143), when the terminal is closed (129), on Ctrl-Backslash (131), `coulombus stop`
+    (0), or a trip (7). After a trip nothing re-arms by itself. Real-time rights are asked for; what is
+    refused is told with the command that grants it.
+
+    \b
+    Examples:
+      coulombus sim                     # in a terminal of its own; then:
+      coulombus run --mode hybrid --seconds 13 --record run.pcapng
+      coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
+      coulombus run --record runs --rotate 1h --keep 20GB --meta subject=S01
+    """
+    with errors():
+        from coulombus.host.run.buses import path_on
+        from coulombus.host.run.real_run import real_run
+        from coulombus.host.run.runbook import anchor  # before the run: at its end no file may be opened any more
+        from coulombus.recording.output_file import check as check_output
+        from coulombus.rigs.overrides import SHARED_MACHINE
+        from coulombus.system.stop_signals import Signals
+
+        rig = chosen.load(*(SHARED_MACHINE if shared_machine else ()))
+        addresses = chosen.addresses(rig)
+        if shared_machine:
+            check_shared_machine(addresses.values())
+        check_mode(rig, chosen.rig_name, mode)
+        out = outputs.outputs(rig)
+        if chosen.channel is not None:
+            rig = rig.on(chosen.channel)
+        if len(rig.channels) > 1:
+            page.refuse_several()
+            words = ["run", "--rig", chosen.rig_name, "--mode", mode, "--json"]
+            words += [] if seconds is None else ["--seconds", str(seconds)]
+            words += repeated("--set", chosen.overrides)
+            words += ["--shared-machine"] if shared_machine else []
+            words += [] if cpu is None else ["--cpu", str(cpu)]
+            for path in (path_on(path, channel) for path in outputs.refusable() for channel in addresses):
+                check_output(path, force=outputs.overwrite)  # of all buses before the first one starts
+            _run_buses([*words, *outputs.words()], addresses, outputs.files, mode, as_json)
+        (address,) = addresses.values()
+        with page.beside(chosen, address), Signals() as signals, progress(not as_json) as report:
+            result = real_run(
+                rig,
+                mode,
+                seconds,
+                bus=address,
+                outputs=out,
+                signals=signals,
+                progress=lambda t: report(mode, t, seconds),
+                cpu=cpu,
+            )
+        with verdict(result.exit_status, f"trip: {printable(result.trip)}" if result.trip else ""):
+            _say_what_to_do(result.trip, anchor, shared_machine)
+            if as_json:
+                print_json(result.as_dict())
+            else:
+                print_runs({mode: result})
+
+
+def _say_what_to_do(trip: str | None, anchor: Callable[[str], str | None], shared_machine: bool) -> None:
+    """After a trip: where its causes stand (`anchor`); for want of TPDOs on a machine of one's own,
+    what else it may be.
+    """
+    if trip is None:
+        return
+    if "TPDO_LOST" in trip and not shared_machine:
+        text = "a machine that does other work may have stood still for that long: --shared-machine widens the limits"
+        say(f"coulombus: {text} (docs/realtime.md)")
+    if place := anchor(trip):
+        say(f"coulombus: likely causes, and what to do: {place}")
+
+
+def _run_buses(
+    words: list[str], addresses: dict[str, BusAddress], files: dict[str, Path], mode: str, as_json: bool
+) -> None:
+    """Run the host on several buses, a process each, and end with the status that they come to."""
+    from coulombus.host.run.buses import merged, path_on, supervise
+    from coulombus.host.run.result import RunResult
+    from coulombus.host.run.runbook import anchor
+
+    def arguments(channel: str) -> list[str]:
+        there = ((option, path_on(path, channel)) for option, path in files.items())
+        own = [word for option, path in there for word in (option, str(path))]
+        return [*words, *own, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"]
+
+    buses = supervise(list(addresses), arguments)
+    whole = merged({b.channel: b.result for b in buses}, {b.channel: b.status for b in buses})
+    with verdict(whole["exit_status"]):
+        _say_what_to_do(whole.get("trip"), anchor, "--shared-machine" in words)
+        if as_json:
+            print_json(whole)
+        elif "mode" in whole:
+            print_runs({mode: RunResult(**whole)})
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
+    """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled.
+
+    Waits for its end.
+
+    Ends with 0 when each host that was asked has taken the request and ended, tripped or not. Ends
+    with 4 when none runs there, or it cannot be reached, refuses, or does not end in time: then the
+    rig may still be armed.
+
+    \b
+    Examples:
+      coulombus stop
+      coulombus stop --bus socketcan:can0
+    """
+    with errors():
+        from coulombus.host.run.control_socket import NoHost, StopRequest
+        from coulombus.rigs.buses import bus_addresses
+        from coulombus.rigs.rig import load_rig
+        from coulombus.wire.address import parse_address
+
+        rig = load_rig(rig_name)
+        addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
+        requests = [StopRequest(address) for address in addresses]  # all are asked before one is waited for
+        failures, told = [], []
+        for request in requests:
+            try:
+                told.append(_what_came(request.address, request.result()))
+            except NoHost as failure:
+                failures.append(str(failure))
+        for text in told if failures else ():
+            say(text)
+        if failures:
+            raise NoHost("; ".join(failures))
+        with verdict(0):
+            for text in told:
+                echo(text)
+
+
+def _what_came(address: BusAddress, result: Mapping[str, Any]) -> str:
+    """Return what a host said to a stop, as a sentence."""
+    if not result:
+        return f"the host on {address} took the request and ended without a word"
+    if result["trip"]:
+        return f"the host on {address} had tripped: {result['trip']}"
+    return f"the host on {address} stopped safely after {result['cycles']} cycles in mode {result['mode']}"

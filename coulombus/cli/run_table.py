@@ -1,0 +1,110 @@
+"""What runs came to, as a table for people."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from coulombus.cli.tables import echo, table_console
+from coulombus.system.wrap_text import folded
+
+if TYPE_CHECKING:
+    from coulombus.host.run.result import RunResult
+
+__all__ = ["print_remark", "print_runs", "print_verdict"]
+
+WIDTH = 80
+"""Of the table in a file or a pipe."""
+
+REAL_TIME_ROWS = ("stopped_by", "wakeup_us", "sync_to_rpdo_us", "cpu_us_per_cycle", "deadman")
+
+
+def _columns(results: dict[str, RunResult]) -> Iterator[tuple[str, RunResult]]:
+    """Yield a column for each result, for each axis of a rig that has several."""
+    from dataclasses import replace
+
+    for title, result in results.items():
+        if result.buses:
+            yield from _columns({title + f", {bus}": replace(result, **own) for bus, own in result.buses.items()})
+            continue
+        if not result.axes:
+            yield title, result
+        for axis, own in (result.axes or {}).items():
+            yield f"{title}, {axis}", replace(result, **own)
+
+
+def print_runs(results: dict[str, RunResult]) -> None:
+    """Print a column for each result, or for each axis of it."""
+    from rich.table import Table
+
+    rows: tuple[tuple[str, str, str], ...] = (
+        ("cycles displayed", "cycles", ""),
+        ("lost PDOs", "lost_pdos", ""),
+        ("missed deadlines", "missed_deadlines", ""),
+        ("hold: velocity RMS", "hold_velocity_rms_rad_s", "rad/s"),
+        ("hold: encoder peak to peak", "hold_counts_p2p", "counts"),
+        ("hold: torque flips", "torque_flips_per_s", "/s"),
+        ("hold: spectral peak", "hold_peak_Hz", "Hz"),
+        ("hold: largest push", "hold_push_Nm", "Nm"),
+        ("dwells: velocity RMS", "stick_velocity_rms_rad_s", "rad/s"),
+        ("law shown whole after", "full_gain_s", "s"),
+        ("sign check", "sign_check", ""),
+        ("recording", "recording", ""),
+        ("stopped by", "stopped_by", ""),
+        ("trip", "trip", ""),
+        ("wake-up p50 / p99 / max", "wakeup_us", "us"),
+        ("SYNC to RPDO p50 / p99 / max", "sync_to_rpdo_us", "us"),
+        ("CPU a cycle", "cpu_us_per_cycle", "us"),
+        ("dead man's switch", "deadman", ""),
+    )
+    remarks = {title: result.remarks for title, result in results.items()}
+    results = dict(_columns(results))
+    console = table_console(WIDTH)
+    room = (console.width - max(len(label) for label, _, _ in rows)) // max(1, len(results)) - 1
+    beneath: list[str] = []
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    for mode in results:
+        table.add_column(mode, justify="right", overflow="fold")
+    for label, field, unit in rows:
+        cells = []
+        for result in results.values():
+            value = getattr(result, field)
+            if isinstance(value, dict):
+                value = " / ".join(f"{part:.0f}" for part in value.values())
+            text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+            cells.append(f"{text} {unit}".strip() if value is not None else text)
+        if any(
+            isinstance(getattr(result, field), str) and len(cell) > room
+            for result, cell in zip(results.values(), cells, strict=True)
+        ):
+            beneath += [f"{label}, {mode}: {cell}" for mode, cell in zip(results, cells, strict=True) if cell != "-"]
+        elif field not in REAL_TIME_ROWS or any(cell != "-" for cell in cells):
+            table.add_row(label, *cells)
+    console.print(table)
+    for line in beneath:  # paths and sentences, whole
+        echo(folded(line, sys.stdout))
+    for title, texts in remarks.items():
+        for text in texts:
+            print_remark(f"{title}: {text}")
+
+
+def print_remark(text: str) -> None:
+    """Print a line that begins with "remark"."""
+    _print_marked("yellow", "remark", f" {text}")
+
+
+def print_verdict(holds: bool | None, text: str) -> None:
+    """Print whether a criterion holds (None: it could not be judged), and its text."""
+    colour, mark = ("yellow", "?   ") if holds is None else ("green", "ok  ") if holds else ("red", "FAIL")
+    _print_marked(colour, mark, f" {text}")
+
+
+def _print_marked(colour: str, mark: str, text: str) -> None:
+    from rich.markup import escape
+
+    from coulombus.system.printable_console import PrintableConsole
+
+    rest = folded(mark + text, sys.stdout, len(mark) + 1)[len(mark) :]
+    PrintableConsole(highlight=False).print(f"[{colour}]{mark}[/]{escape(rest)}", soft_wrap=True)

@@ -1,0 +1,366 @@
+"""``coulombus sdo``: read and write a device's objects."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.common import force_option, json_option, say, verdict
+from coulombus.cli.device_options import (
+    DeviceOptions,
+    LiveLine,
+    beside_option,
+    device_options,
+    devices_bus_option,
+    open_link,
+    timeout_option,
+)
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import OutputFile
+from coulombus.cli.tables import echo, table_console
+from coulombus.system.foreign_text import printable
+
+if TYPE_CHECKING:
+    from coulombus.host.devices.configuration import Difference
+    from coulombus.host.devices.device import Device
+
+__all__ = ["sdo"]
+
+WIDTH = 80
+CHECK_FAILED, ABORTED = 1, 6
+
+node_argument = click.argument("node_id", type=click.IntRange(1, 127), metavar="NODE")
+object_argument = click.argument("name", metavar="OBJECT")
+type_option = click.option(
+    "--type", "type_name", default="", metavar="T", help="Data type without an EDS file, as UNSIGNED16."
+)
+part_option = click.option(
+    "--part",
+    type=click.IntRange(1, 127),
+    default=1,
+    show_default=True,
+    help="1: all; 2: communication; 3: application.",
+)
+
+
+class SdoGroup(click.Group):
+    """The verbs; a node id in the place of one opens the shell."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the word `shell` before a node id."""
+        if args and args[0].isdecimal():
+            args = ["shell", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group(cls=SdoGroup, epilog=EXIT_STATUS)
+def sdo() -> None:
+    """Read and write the objects of a device by SDO; `coulombus sdo NODE` opens a shell.
+
+    Objects are named by number (6041h, 0x6041, 1018h:01; sub-indices are hexadecimal, too) or by
+    their name in the EDS file. Values are typed and have units. Long ones go by block transfer.
+
+    \b
+    Examples:
+      coulombus sdo get 5 1008h --bus socketcan:can0
+      coulombus sdo set 5 Producer_heartbeat_time 100 --eds drive.eds --bus socketcan:can0
+      coulombus sdo dump 5 drive.dcf --eds drive.eds --bus socketcan:can0
+      coulombus sdo restore 5 drive.dcf --bus socketcan:can0
+      coulombus sdo 5 --eds drive.eds --bus socketcan:can0
+    """
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@object_argument
+@device_options
+@click.option(
+    "-o", "--output", type=OutputFile(), metavar="F", help="Write the object's bytes there; for long objects."
+)
+@force_option
+@json_option
+def get(
+    node_id: int,
+    name: str,
+    reached: DeviceOptions,
+    output: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Read an object: its value, its unit, and the raw number.
+
+    \b
+    Examples:
+      coulombus sdo get 1 6041h --bus coulombus:bench
+      coulombus sdo get 2 7130h:01 --bus coulombus:bench --json
+      coulombus sdo get 1 1021h --bus coulombus:bench -o device.eds
+    """
+    with errors():
+        from coulombus.recording.output_file import new_file
+
+        with reached.open(node_id) as (_, device), LiveLine() as show:
+            variable = device.find(name)
+            reading = device.read(variable, lambda done, total: show(f"{done} of {total or '?'} bytes"))
+        if output is not None:
+            with new_file(output, force=overwrite) as path:
+                path.write_bytes(reading.data)
+        with verdict(0):
+            if as_json:
+                print_json(reading.as_dict(node_id))
+            elif output is None:
+                echo(reading)
+            else:
+                say(f"{len(reading.data)} bytes are in {output}")
+
+
+@sdo.command("set", epilog=EXIT_STATUS)
+@node_argument
+@object_argument
+@click.argument("value", metavar="VALUE")
+@device_options
+@type_option
+@json_option
+def set_command(
+    node_id: int,
+    name: str,
+    value: str,
+    reached: DeviceOptions,
+    type_name: str,
+    as_json: bool,
+) -> None:
+    """Write an object, and read it back.
+
+    The value is checked against type, limits and access of the EDS file before it is sent. A number
+    is raw; with the object's unit behind it ("0.5 Nm") it is converted. Bytes are hexadecimal or a
+    file's (@FILE). Ends with 1 when the device holds another value afterwards. Refused while a host
+    is at work on the bus.
+
+    \b
+    Examples:
+      coulombus sdo set 1 1017h 100 --bus coulombus:bench
+      coulombus sdo set 2 7300h:01 "0.5 Nm" --bus coulombus:bench
+      coulombus sdo set 5 2000h:03 7 --type UNSIGNED8 --bus socketcan:can0
+    """
+    with errors():
+        with reached.open(node_id, to_write=True) as (_, device), LiveLine() as show:
+            variable = device.find(name)
+            data = device.parse(variable, value, type_name=type_name)
+            back = device.write(variable, data, lambda done, total: show(f"{done} of {total} bytes"))
+        kept = back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
+        with verdict(0 if kept else CHECK_FAILED):
+            if as_json:
+                print_json(None if back is None else back.as_dict(node_id))
+            else:
+                echo("written; it can only be written" if back is None else str(back))
+            if not kept:
+                say(f"coulombus: {data.hex(' ')} was written, and the device holds another value")
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@click.argument("output", type=OutputFile(".dcf"), metavar="F.dcf")
+@device_options
+@force_option
+@json_option
+def dump(
+    node_id: int,
+    output: Path,
+    reached: DeviceOptions,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write the configuration of a device to a DCF file (CiA 306).
+
+    All objects that can be read and written, but those that act when they are written: set-points,
+    controlwords, what the RPDOs carry, commands.
+
+    \b
+    Examples:
+      coulombus sdo dump 1 motor.dcf --bus coulombus:bench
+      coulombus sdo dump 5 drive.dcf --eds drive.eds --bus socketcan:can0
+    """
+    with errors():
+        from coulombus.eds.dcf_text import with_values
+        from coulombus.eds.sdo_frames import where
+        from coulombus.host.devices.configuration import dump as read_all
+        from coulombus.recording.output_file import new_file
+
+        with (
+            reached.open(node_id) as (link, device),
+            LiveLine() as show,
+        ):
+            description = _described(device)
+            found = read_all(device, lambda done, total: show(f"{done} of {total} objects"))
+            rate = link.bitrate_bit_s
+        with new_file(output, force=overwrite) as path:
+            path.write_text(with_values(description, found.values, node_id, rate), encoding="utf-8", newline="")
+        with verdict(0):
+            left_out = [where(*place) for place in found.left_out]
+            if as_json:
+                print_json({"values": len(found.values), "left_out": left_out, "aborted": list(found.aborted)})
+            else:
+                echo(f"{len(found.values)} values are in {output}")
+                for text in found.aborted:
+                    say(f"coulombus: not in it: {text}")
+                if left_out:
+                    say(f"coulombus: not in it, for they act when they are written: {', '.join(left_out)}")
+
+
+def _described(device: Device) -> Any:
+    """Return the EDS file of a device, without which a DCF cannot be made."""
+    from coulombus.host.errors import DeviceMismatch
+
+    if device.description is None:
+        raise DeviceMismatch(
+            f"node {device.node_id} is no device of ours: name its EDS file by --eds, or --eds device, if it keeps one"
+        )
+    return device.description
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@click.argument("dcf", type=click.Path(readable=False, path_type=Path), metavar="F.dcf")
+@devices_bus_option
+@timeout_option
+@beside_option
+@click.option("--yes", is_flag=True, help="Write without asking.")
+@json_option
+def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bool, yes: bool, as_json: bool) -> None:
+    """Write the values of a DCF file to a device: what differs is shown first, and only that is
+    written.
+
+    Every value is read back. PDOs are made invalid while their mapping changes; a device may want
+    to be pre-operational for that (coulombus nmt preop NODE). A file of another device is refused
+    (3). Nothing is stored in the device: that is `coulombus sdo store`. Ends with 6 when the device
+    refused a value; all others are written.
+
+    \b
+    Examples:
+      coulombus sdo restore 1 motor.dcf --bus coulombus:bench
+      coulombus sdo restore 1 motor.dcf --bus coulombus:bench --yes --json
+    """
+    with errors():
+        from coulombus.eds.reader import read_eds
+        from coulombus.host.devices.configuration import Restored, check_file, differences
+        from coulombus.host.devices.configuration import restore as write_all
+        from coulombus.host.devices.device import Device
+        from coulombus.host.devices.sdo import SdoClient
+
+        description = read_eds(dcf)
+        told = Restored()
+        with open_link(bus_name, beside=beside) as link:
+            device = Device(SdoClient(link, node_id, timeout_s), description)
+            with LiveLine() as show:
+                values = check_file(device, description)
+                found = differences(device, description, values, lambda done, total: show(f"{done} of {total} objects"))
+            if not as_json:
+                _print_differences(found)
+            if found and not yes and not _agreed(f"write {len(found)} of {len(values)} values to node {node_id}?"):
+                with verdict(CHECK_FAILED):
+                    say("coulombus: nothing was written")
+            try:
+                with LiveLine() as show:
+                    write_all(device, values, found, lambda done, total: show(f"{done} of {total} written"), told)
+            except BaseException:
+                say(f"coulombus: {len(told.written)} of {len(found)} values were written before the end")
+                raise
+        with verdict(ABORTED if told.failed else 0):
+            if as_json:
+                rows = [one.as_dict() for one in found]
+                print_json({"differences": rows, "written": len(told.written), "failed": told.failed})
+            else:
+                done = f"{len(told.written)} of {len(found)} values written; " if found else ""
+                echo(f"{done}{len(values) - len(found)} were right already")
+                for text in told.failed:
+                    say(f"coulombus: {text}")
+
+
+def _agreed(question: str) -> bool:
+    """Ask on the terminal; without one nothing is written."""
+    if not sys.stdin.isatty():
+        raise click.UsageError("say --yes: there is no terminal to ask on")
+    return click.confirm(printable(question), err=True)
+
+
+def _print_differences(found: list[Difference]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from coulombus.eds.sdo_frames import where
+
+    if not found:
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for head, options in (("object", {"no_wrap": True}), ("name", {"overflow": "fold"}), ("device", {}), ("file", {})):
+        table.add_column(head, **options)
+    for one in found:
+        held, wanted = (
+            "-" if v is None else v.hex(" ") if isinstance(v, bytes) else str(v) for v in (one.held, one.wanted)
+        )
+        table.add_row(where(*one.place), *(escape(text) for text in (one.variable.name, held, wanted)))
+    table_console(WIDTH).print(table)
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@devices_bus_option
+@part_option
+@beside_option
+def store(node_id: int, bus_name: str, part: int, beside: bool) -> None:
+    """Let a device keep its parameters when it is switched off (1010h, "save").
+
+    \b
+    Example:
+      coulombus sdo store 1 --bus coulombus:bench
+    """
+    with errors():
+        from coulombus.host.devices.sdo import store_parameters
+
+        with open_link(bus_name, beside=beside) as link:
+            store_parameters(link, node_id, part)
+        with verdict(0):
+            echo(f"node {node_id} has stored its parameters (1010h:{part:02X})")
+
+
+@sdo.command("restore-defaults", epilog=EXIT_STATUS)
+@node_argument
+@devices_bus_option
+@part_option
+@beside_option
+def restore_defaults(node_id: int, bus_name: str, part: int, beside: bool) -> None:
+    """Give a device its maker's parameters back, from its next reset on (1011h, "load").
+
+    \b
+    Example:
+      coulombus sdo restore-defaults 1 --bus coulombus:bench
+    """
+    with errors():
+        from coulombus.host.devices.sdo import load_defaults
+
+        with open_link(bus_name, beside=beside) as link:
+            load_defaults(link, node_id, part)
+        with verdict(0):
+            echo(f"node {node_id} has its defaults after: coulombus nmt reset {node_id} --bus {bus_name}")
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@device_options
+def shell(node_id: int, reached: DeviceOptions) -> None:
+    """Read and write objects one after the other, with completion of names (Tab) and a history.
+
+    From a pipe the first line that fails ends it, with that line's exit status.
+
+    \b
+    Examples:
+      coulombus sdo 1 --bus coulombus:bench
+      echo "get 1008h" | coulombus sdo 1 --bus coulombus:bench
+    """
+    with errors():
+        from coulombus.cli.sdo_shell import Shell, run
+
+        with reached.open(node_id) as (link, device):
+            run(Shell(link, device, beside=reached.beside))

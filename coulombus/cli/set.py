@@ -1,0 +1,155 @@
+"""``coulombus set``: the parameters of a running host, changed while it displays."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import bus_option, channel_option, json_option, rig_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.tables import echo, print_table, table_console
+
+__all__ = ["set_command"]
+
+SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3}
+
+
+def _values(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    """Return NAME=VALUE as numbers by name."""
+    from coulombus.rigs.errors import number_hint
+
+    found: dict[str, float] = {}
+    for text in texts:
+        name, equals, number = (part.strip() for part in text.partition("="))
+        reason = f"{name} is given twice" if name in found else ""
+        try:
+            value = float(number)
+        except ValueError:
+            hint = number_hint(number, "") or "; expected NAME=VALUE, as in F_s=2.0"
+            value, reason = float("nan"), f"'{number}' is no number{hint}"
+        if not equals or not name:
+            reason = "expected NAME=VALUE, as in F_s=2.0"
+        if reason:
+            raise click.BadParameter(f"{text!r}: {reason}")
+        found[name] = value
+    return found
+
+
+def _seconds(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:
+    if text is None:
+        return None
+    match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(ms|s|)\s*", text)
+    try:
+        return float(match[1]) * SECONDS[match[2]]  # type: ignore[index]  # None: TypeError
+    except (TypeError, ValueError):
+        raise click.BadParameter(f"{text!r}: expected a time, as in 0.5s or 500ms") from None
+
+
+@dataclass(frozen=True)
+class Manner:
+    """Of which axis, how fast and by whose right values change, as the options say it."""
+
+    axis: str
+    over_s: float | None
+    undo: bool
+    key: str
+
+    def order(self, values: dict[str, float]) -> dict[str, Any]:
+        """Return what the host is asked for."""
+        order: dict[str, Any] = {"values": values, "axis": self.axis, "undo": self.undo, "key": self.key}
+        return order if self.over_s is None else {**order, "over_s": self.over_s}
+
+
+manner_options = bundle(
+    "manner",
+    Manner,
+    click.option("--axis", default="", metavar="NAME", help="The axis, where the rig has several."),
+    click.option(
+        "--over",
+        "over_s",
+        callback=_seconds,
+        metavar="TIME",
+        help="Ramp to the new values within this time.  [default: 0.5s]",
+    ),
+    click.option("--undo", is_flag=True, help="Take the last change back; again: the one before it."),
+    click.option(
+        "--key", default="", metavar="KEY", help="The arm key that `coulombus run` has printed, on a real rig."
+    ),
+)
+
+
+@click.command("set", epilog=EXIT_STATUS)
+@click.argument("values", nargs=-1, metavar="[NAME=VALUE]...", callback=_values)
+@manner_options
+@rig_option
+@bus_option
+@channel_option
+@json_option
+def set_command(
+    values: dict[str, float],
+    manner: Manner,
+    rig_name: str,
+    bus_name: str | None,
+    channel: str | None,
+    as_json: bool,
+) -> None:
+    """Change parameters of the law while the host on a bus displays it; without any, list them.
+
+    The host ramps to the new values within --over. A value out of its bounds is refused (2), and then
+    nothing changes. Each change is a marker of the recording, `set ...`, from which a replay repeats
+    it. A name may lack its unit. Ends with 4 where no host runs.
+
+    \b
+    Examples:
+      coulombus set --bus coulombus:bench
+      coulombus set F_s=2.0 F_d=1.5 --over 0.5s
+      coulombus set --undo
+    """
+    with errors():
+        from coulombus.host.run.control_socket import ask_change
+        from coulombus.rigs.buses import one_bus
+        from coulombus.rigs.rig import load_rig
+        from coulombus.wire.address import parse_address
+
+        if manner.undo and values:
+            raise click.UsageError("--undo takes the last change back: leave the values out")
+        address = parse_address(bus_name) if bus_name else one_bus(load_rig(rig_name), None, channel)[1]
+        found = ask_change(address, manner.order(values))
+        with verdict(0):
+            if as_json:
+                print_json(found)
+            elif "marker" in found:
+                echo(str(found["marker"]).partition(" [")[0])
+            else:
+                _list(found)
+
+
+def _list(found: dict[str, Any]) -> None:
+    """Print the parameters for people."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter", no_wrap=True)
+    for name in ("value", "from", "to"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("unit")
+    for name, row in _rows(found):
+        low = f"above {row['low']:g}" if row["above_low"] else f"{row['low']:g}"
+        table.add_row(name, f"{row['value']:g}", low, f"{row['high']:g}", row["unit"])
+    console = table_console(80)
+    print_table(console, table)
+    if found.get("arm_key"):
+        echo("a change needs the arm key that coulombus run has printed: --key")
+
+
+def _rows(found: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Return each parameter with its name, that of its axis before it."""
+    return [
+        (f"{row['axis']}.{row['name']}" if row.get("axis") else row["name"], row)
+        for rows in found["parameters"]
+        for row in rows
+    ]

@@ -1,0 +1,78 @@
+"""``coulombus status``: what the host on a bus is doing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from coulombus.cli.common import buses_option, json_option, rig_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.tables import echo
+
+__all__ = ["status"]
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+@json_option
+def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
+    """Ask the host that runs on a bus what it is doing: phase, torques, lateness, counters.
+
+    The host answers beside its data plane, whose cycle is not disturbed. Ends with 4
+    where no host runs, or none answers. For a line ten times a second, start the host with
+    `coulombus run --status SOCKET` and read that socket.
+
+    \b
+    Examples:
+      coulombus status
+      coulombus status --bus socketcan:can0 --json
+      socat UNIX-CONNECT:/tmp/rig.status -
+    """
+    with errors():
+        from coulombus.host.run.control_socket import ask_status
+        from coulombus.rigs.buses import bus_addresses
+        from coulombus.rigs.rig import load_rig
+        from coulombus.wire.address import parse_address
+
+        rig = load_rig(rig_name)
+        addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
+        found = [ask_status(address) for address in addresses]
+        with verdict(0):
+            if as_json:
+                print_json(found[0] if len(found) == 1 else found)
+            else:
+                for one in found:
+                    _tell(one)
+
+
+def _tell(found: dict[str, Any]) -> None:
+    """Print a host's state for people."""
+    shown = found.get("display_s")
+    since = "not yet displaying" if shown is None else f"displaying for {_number(shown)} s"
+    rows = [
+        f"{found.get('bus')}: rig {found.get('rig')}, mode {found.get('mode')}, {since}, {found.get('cycles')} cycles"
+    ]
+    for axis in found.get("axes") or ():
+        rows.append(
+            f"  {axis.get('axis') or 'axis'}: {axis.get('phase')}, at {_number(axis.get('position_rad'))} rad, "
+            f"{_number(axis.get('velocity_rad_s'))} rad/s"
+        )
+        torques = (("motor", "motor_torque_Nm"), ("brake", "brake_torque_Nm"), ("handle", "handle_torque_Nm"))
+        rows.append("    torque: " + ", ".join(f"{name} {_number(axis.get(key))} Nm" for name, key in torques))
+    for name, text in (("wakeup_us", "woke late by"), ("sync_to_rpdo_us", "SYNC to RPDO")):
+        if spread := found.get(name):
+            rows.append(f"  {text}: " + ", ".join(f"{key} {_number(value)}" for key, value in spread.items()) + " us")
+    counted = {name: n for name, n in (found.get("counters") or {}).items() if n and name != "rx_frames"}
+    rows.append("  counted: " + (", ".join(f"{name} {n}" for name, n in counted.items()) or "nothing amiss"))
+    if found.get("recording"):
+        rows.append(f"  recording: {found['recording']}")
+    if found.get("trip"):
+        rows.append(f"  trip: {found['trip']}")
+    for row in rows:
+        echo(row)
+
+
+def _number(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, (int, float)) else "-"

@@ -1,0 +1,171 @@
+"""``coulombus sweep``: many rigs and hands, simulated and counted."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.common import force_option, json_option, say, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.tables import echo, running
+from coulombus.system.quoting import shell
+
+if TYPE_CHECKING:
+    from coulombus.lab.sweep.sweep import SweepResult
+
+__all__ = ["sweep_command"]
+
+TOLD_EVERY_S = 10.0
+"""How often a line tells the progress where stderr is no terminal."""
+
+
+@click.command("sweep", epilog=EXIT_STATUS)
+@click.argument("file", type=click.Path(readable=False, path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(readable=False, file_okay=False, path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Keep the runs there.",
+)
+@click.option(
+    "--processes",
+    type=click.IntRange(1, 1024),
+    metavar="N",
+    help="Number of processes on this machine.  [default: one for each CPU]",
+)
+@click.option("--dask", metavar="ADDRESS", help="Run on a dask.distributed cluster: tcp://HOST:8786. The same numbers.")
+@click.option(
+    "--keep-recordings",
+    "keep",
+    type=click.Choice(("none", "failing", "all")),
+    default="none",
+    show_default=True,
+    help="Keep recordings of the runs that trip or miss a rate, or of all.",
+)
+@force_option
+@json_option
+def sweep_command(
+    file: Path, out: Path, processes: int | None, dask: str | None, keep: Any, overwrite: bool, as_json: bool
+) -> None:
+    """Simulate many rigs and hands, and count how often they fail.
+
+    FILE says what is varied - a grid, a Latin hypercube, a Sobol sequence, at random - and which
+    rates are counted (docs/sweep.md). The table is DIR/runs.parquet, a row for each run with its rig.
+    Rates have intervals of 95 % confidence (Clopper-Pearson). For each rate the mildest failing rig
+    is searched for and kept as a rig file, and a map is drawn.
+
+    The same command, given again, continues where it was interrupted. The table needs pyarrow: pip
+    install 'coulombus[export]'. A cluster needs dask: pip install 'coulombus[cluster]'.
+
+    \b
+    Examples:
+      coulombus sweep sweep.toml -o out/sweep
+      coulombus sweep sweep.toml -o out/sweep --processes 8 --keep-recordings failing
+      coulombus sweep sweep.toml -o out/sweep --dask tcp://cluster:8786 --json
+    """
+    with errors():
+        from coulombus.lab.sweep.file import read_sweep
+        from coulombus.lab.sweep.sweep import run_sweep
+
+        if dask is not None and processes is not None:
+            raise click.UsageError("--processes is of this machine, --dask of a cluster; give one of them")
+        sweep = read_sweep(file)
+        reached = [0]
+        with _progress() as report:
+
+            def progress(what: str, done: int, of: int, failed: int) -> None:
+                if what == "runs":
+                    reached[0] = done
+                report(what, done, of, failed)
+
+            try:
+                result = run_sweep(
+                    sweep, out, processes=processes, dask=dask, keep=keep, force=overwrite, progress=progress
+                )
+            except KeyboardInterrupt:
+                again = shlex.join(["coulombus", "sweep", str(file), "-o", str(out)])
+                say(f"coulombus: {reached[0]} of {sweep.runs} runs are done and kept; to go on: {again}")
+                raise
+        with verdict(0):
+            if as_json:
+                print_json(result.as_dict())
+            else:
+                _tell(result, sweep.seconds)
+
+
+def _tell(result: SweepResult, seconds: float | None) -> None:
+    """Print what a sweep came to."""
+    for rate in result.rates.values():
+        echo(rate.text)
+    echo(f"{result.runs} runs, {result.failed} of them failed (column error)")
+    if result.simulated_s_per_core_s is not None:
+        echo(f"{result.simulated_s_per_core_s:.0f} s displayed for each second of one core")
+    for name, found in result.worst.items():
+        values = ", ".join(
+            f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}"
+            for key, value in found["values"].items()
+        )
+        length = "" if seconds is None else f" --seconds {seconds:g}"
+        call = f"coulombus simulate --rig {shell(found['file'])} --mode {found['mode']}{length} --seed {found['seed']}"
+        echo(f"mildest rig that misses {name}: {values or 'the rig itself'} (of run {found['run']})\n  {call}")
+    for path in (result.table, *result.maps.values()):
+        echo(str(path))
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int, int], None]]:
+    """Show a bar on stderr, or tell a line now and then where that is no terminal."""
+    from coulombus.system.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
+    if not console.is_terminal:
+        yield _lines()
+        return
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(40),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[told]}"),
+        *(TimeElapsedColumn(), TimeRemainingColumn()),
+    )
+    bars = Progress(*columns, console=console)
+    tasks: dict[str, Any] = {}
+    with running(bars) as shown:
+
+        def report(what: str, done: int, of: int, failed: int) -> None:
+            with shown:
+                if what not in tasks:
+                    tasks[what] = bars.add_task(what, total=of or None, told="")
+                bars.update(tasks[what], completed=done, told=f"{failed} failed" if failed else "")
+
+        yield report
+
+
+def _lines() -> Callable[[str, int, int, int], None]:
+    told_s = time.monotonic()
+
+    def report(what: str, done: int, of: int, failed: int) -> None:
+        nonlocal told_s
+        if time.monotonic() - told_s >= TOLD_EVERY_S:
+            told_s = time.monotonic()
+            whole = f" of {of}" if of else ""
+            say(f"{what}: {done}{whole}" + (f", {failed} failed" if failed else ""))
+
+    return report

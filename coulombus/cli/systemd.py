@@ -1,0 +1,81 @@
+"""``coulombus systemd``: host, simulation and bridge as services."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import click
+
+from coulombus.cli.common import bus_option, check_mode, force_option, load, mode_option, printed, rig_option
+from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.option_types import OutputDirectory
+from coulombus.cli.tables import echo
+
+__all__ = ["systemd"]
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@bus_option
+@mode_option
+@click.option("--user", is_flag=True, help="For your own service manager (systemctl --user), not for the system's.")
+@click.option(
+    "-o",
+    "--out",
+    "folder",
+    type=OutputDirectory(make=False),
+    default=Path("coulombus-systemd"),
+    show_default=True,
+    metavar="DIR",
+    help="Where the files are written.",
+)
+@force_option
+def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: Path, overwrite: bool) -> None:
+    """Write systemd units for host, simulation and bridge, and what belongs to them: user, limits,
+    device rules, the CAN interface.
+
+    Nothing is installed: INSTALL.txt says how. The host's unit is never restarted, as nothing
+    re-arms by itself after a trip; its watchdog is fed only while the cycle goes on. A file that
+    exists is left as it is without --force.
+
+    \b
+    Examples:
+      coulombus systemd --rig my-rig.toml --bus socketcan:can0 --mode hybrid -o units
+      coulombus systemd --user
+    """
+    with errors():
+        from coulombus.host.service.units import Service, files
+        from coulombus.recording.output_file import check as check_output
+        from coulombus.recording.output_file import new_file
+        from coulombus.rigs.buses import one_bus
+        from coulombus.rigs.rig import known_rigs
+
+        rig = load(rig_name, ())
+        check_mode(rig, rig_name, mode)
+        if len(rig.channels) > 1:
+            text = f"{rig_name}: a unit runs one bus, and the rig has the buses {', '.join(rig.channels)}"
+            raise click.BadParameter(text, param_hint="--rig")
+        one, address = one_bus(rig, bus_name, None)
+        script = shutil.which("coulombus", path=str(Path(sys.prefix, "bin")))
+        limits = [axis.limits for axis in one.axes]
+        service = Service(
+            program=(script,) if script else (sys.executable, "-P", "-m", "coulombus"),
+            rig=rig_name if rig_name in known_rigs() else str(Path(rig_name).absolute()),
+            bus=str(address),
+            mode=mode,
+            bitrate_bit_s=one.bus.bitrate_bit_s,
+            ending_s=max(limit.safe_hold_s + limit.safe_ramp_s for limit in limits),
+            user=user,
+        )
+        made = {folder / name: text for name, text in files(service).items()}
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in made:  # all or none
+            check_output(path, force=overwrite)
+        for path, text in made.items():
+            with new_file(path, force=overwrite) as new:
+                new.write_text(text)
+        with printed():
+            for path in made:
+                echo(str(path))

@@ -1,0 +1,141 @@
+"""The report of a run as JSON, JUnit XML, Markdown and HTML."""
+
+from __future__ import annotations
+
+import html
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from coulombus.conformance.runner import Outcome, Report
+from coulombus.system.foreign_text import one_line, printable
+from coulombus.system.quoting import xml
+
+__all__ = ["WORDS", "as_dict", "junit", "markdown", "summary", "write_junit", "write_report"]
+
+WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable", "error": "ERROR of the tester"}
+_SHOWN = ("fail", "error")
+
+
+def as_dict(report: Report) -> dict[str, Any]:
+    """Return the report as JSON has it; the frames are those of a failure or an error."""
+    return {
+        "passed": report.count("pass"),
+        "failed": report.count("fail"),
+        "not_applicable": report.count("not_applicable"),
+        "errors": report.count("error"),
+        "complete": report.ended_by is None,
+        "cases": [
+            {
+                "id": one.case.id,
+                "name": one.case.name,
+                "result": one.result,
+                "reason": one.reason,
+                **({"frames": list(one.frames)} if one.result in _SHOWN else {}),
+            }
+            for one in report.outcomes
+        ],
+    }
+
+
+def summary(report: Report) -> str:
+    """Return one line: how many cases passed, failed, do not apply."""
+    listed = [one for one in report.outcomes if not one.case.own]
+    passed = sum(one.result == "pass" for one in listed)
+    counts = (
+        f"{report.count('pass')} passed, {report.count('fail')} failed, {report.count('not_applicable')} not applicable"
+    )
+    if errors := report.count("error"):
+        counts += f", {errors} ended by an error of the tester"
+    counts += f" ({passed} passed of the {len(listed)} listed cases)"
+    return counts if report.ended_by is None else f"{counts}; the run was ended before its last case"
+
+
+def junit(report: Report) -> ElementTree.Element:
+    """Return the report as JUnit XML: one suite, a case that does not apply is skipped."""
+    suite = ElementTree.Element(
+        "testsuite",
+        name=f"conformance of node {report.node_id}",
+        tests=str(len(report.outcomes)),
+        failures=str(report.count("fail")),
+        skipped=str(report.count("not_applicable")),
+        errors=str(report.count("error")),
+        time=f"{sum(one.seconds for one in report.outcomes):.3f}",
+    )
+    for one in report.outcomes:
+        name = f"{one.case.id} {one.case.name}"
+        test = ElementTree.SubElement(suite, "testcase", classname="conformance", name=name, time=f"{one.seconds:.3f}")
+        if one.result in _SHOWN:
+            kind = "failure" if one.result == "fail" else "error"
+            failure = ElementTree.SubElement(test, kind, message=xml(one.reason))
+            failure.text = xml("\n".join((one.reason, *one.frames)))
+        elif one.result == "not_applicable":
+            ElementTree.SubElement(test, "skipped", message=xml(one.reason))
+    suites = ElementTree.Element("testsuites")
+    suites.append(suite)
+    return suites
+
+
+def write_junit(report: Report, path: Path) -> None:
+    """Write the report as JUnit XML."""
+    tree = ElementTree.ElementTree(junit(report))
+    ElementTree.indent(tree)
+    tree.write(path, encoding="utf-8", xml_declaration=True)
+
+
+def markdown(report: Report) -> str:
+    """Return the report as Markdown: the count, a table, and the frames of each failure."""
+    lines = [
+        f"# Conformance of {_cell(report.device)}, node {report.node_id}",
+        "",
+        f"EDS: `{report.eds}`. {summary(report)}.",
+        "",
+    ]
+    lines += ["| case | | result | reason |", "|---|---|---|---|"]
+    lines += [
+        f"| {one.case.id} | {_cell(one.case.name)} | {WORDS[one.result]} | {_cell(one.reason)} |"
+        for one in report.outcomes
+    ]
+    for one in _failures(report):
+        lines += ["", f"## {one.case.id} {one.case.name}", "", one.case.objective, "", _cell(one.reason), ""]
+        lines += ["```", *one.frames, "```"]
+    return "\n".join(lines) + "\n"
+
+
+def page(report: Report) -> str:
+    """Return the report as an HTML page of its own."""
+    text = html.escape
+    rows = "".join(
+        f'<tr class="{one.result}"><td>{text(one.case.id)}<td>{text(one.case.name)}'
+        f"<td>{WORDS[one.result]}<td>{text(one.reason)}</tr>\n"
+        for one in report.outcomes
+    )
+    details = "".join(
+        f"<h2>{text(one.case.id)} {text(one.case.name)}</h2><p>{text(one.case.objective)}</p><p>{text(one.reason)}</p>"
+        f"<pre>{text(chr(10).join(one.frames))}</pre>\n"
+        for one in _failures(report)
+    )
+    title = text(f"Conformance of {report.device}, node {report.node_id}")
+    style = (
+        "body{font-family:sans-serif;margin:2em}td,th{padding:.2em .8em;text-align:left;vertical-align:top}"
+        ".fail{background:#fdd}.error{background:#fed}.pass{background:#efe}.not_applicable{color:#666}pre{background:#f4f4f4;padding:1em}"
+    )
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{style}</style>\n'
+        f"<h1>{title}</h1><p>EDS: {text(report.eds)}. {summary(report)}.</p>\n"
+        f"<table><tr><th>case<th><th>result<th>reason</tr>\n{rows}</table>\n{details}</html>\n"
+    )
+
+
+def write_report(report: Report, path: Path) -> None:
+    """Write the readable report; the ending says whether Markdown or HTML."""
+    content = page(report) if path.suffix.lower() in (".html", ".htm") else markdown(report)
+    path.write_text(printable(content), encoding="utf-8")
+
+
+def _failures(report: Report) -> list[Outcome]:
+    return [one for one in report.outcomes if one.result in _SHOWN]
+
+
+def _cell(text: str) -> str:
+    return one_line(text).replace("|", "\\|")

@@ -1,0 +1,137 @@
+"""The one way this project compiles a function, and where the machine code is kept.
+
+It is numba's own way, by its public interface: ``numba.njit`` with ``cache=True``. What is kept of
+a kernel stands in a folder of ours, which `kernels.kernel_cache` chooses by the sources of all
+kernels (`kernels.sources`): numba's cache looks at the file of the function that it compiles, not
+at those of its callees.
+
+Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (ours are
+sub-directories of it all the same); ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
+
+Kernels take records: a record is one pointer, and an array in a record costs nothing to pass. What
+has no fixed size (a log, a row of devices) comes as an array in a named tuple; 23 of them take
+`Entry` 10 us (6 us one by one), which only Python's rare calls pay. A law's function stands beside
+the tuples: in a tuple numba would type it as a value that the disk cache cannot keep.
+
+Numba compiles a function anew for each literal with which another kernel calls it, because the
+literal 2 is a type of its own. Where that would compile much twice, the number is a `constant`.
+
+A call that passes five arrays costs about 25 ns: an array is a structure of seven words, and its
+reference is counted atomically on the way in and out. `inlined` makes a kernel part of its caller;
+`kernels.numba_inside.borrowed` returns arrays whose references are not counted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from coulombus.kernels.kernel_cache import alone, choose, kept
+from coulombus.kernels.sources import source_key
+
+__all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "cacheable", "constant", "inlined", "is_kept", "kernel"]
+
+
+@contextmanager
+def _without(module: str) -> Iterator[None]:
+    """Let `module` be absent while another one is imported; one that is loaded stays."""
+    if module in sys.modules:
+        yield
+        return
+    sys.modules[module] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[module]
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+CACHE_DIR = choose(source_key())
+"""Where the machine code is kept; None where no place can be written."""
+
+with _without("coverage"):  # numba would load it, a tenth of a start, to ask whether it measures
+    import numba  # only now does numba read NUMBA_CACHE_DIR
+import numpy as np  # noqa: E402
+
+numba.config.CACHE_DIR = str(CACHE_DIR or "")
+JIT_DISABLED = bool(numba.config.DISABLE_JIT)
+
+from coulombus.kernels import numba_inside  # noqa: E402
+
+numba_inside.listen()
+
+
+def constant(value: int) -> int:
+    """Return a number that kernels pass on as an int64, as they do with a variable."""
+    return value if JIT_DISABLED else np.int64(value)  # type: ignore[return-value]
+
+
+def cacheable(function: Callable[..., Any]) -> bool:
+    """Tell whether the machine code of `function` can be kept: it stands in a file, and there is a
+    place.
+    """
+    return CACHE_DIR is not None and os.path.isfile(function.__code__.co_filename)
+
+
+def kernel(function: F) -> F:
+    """Compile `function` on its first call: no GIL, cached on disk, C's arithmetic errors (no
+    exceptions).
+
+    Inside a kernel all integers are int64: mixing int64 with uint64 gives float64.
+    """
+    return _compiled(function)
+
+
+def inlined(function: F) -> F:
+    """Compile `function` as `kernel` does; LLVM makes it part of each of its callers.
+
+    Numba's own way copies a caller once for each call: a third of what `run` took.
+    """
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: F, **options: Any) -> F:
+    compiled: F = numba.njit(nogil=True, error_model="numpy", cache=cacheable(function), **options)(function)
+    return compiled
+
+
+def _name(function: Callable[..., Any]) -> str:
+    return f"{function.__module__}.{function.__qualname__}"
+
+
+def is_kept(function: Callable[..., Any]) -> bool:
+    """Tell whether nothing is to be compiled for the entry `function`, or nothing can be kept."""
+    return JIT_DISABLED or CACHE_DIR is None or kept(CACHE_DIR, _name(function))
+
+
+class Entry:
+    """A kernel that Python calls often, always with arguments of the same types.
+
+    The dispatcher looks at the type of each argument at each call, which takes 40 us for a dozen
+    arrays of records; after the first call this goes past it.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._entry: Callable[..., Any] | None = function if JIT_DISABLED else None
+
+    def load(self, *arguments: Any) -> Callable[..., Any]:
+        """Compile the kernel for arguments like these, or load it out of the cache.
+
+        It is not called. Return what is called then. Of several processes that need what nobody has
+        kept yet, one compiles it.
+        """
+        if self._entry is None:
+            dispatcher: Any = self._function
+            with alone(CACHE_DIR, _name(self._function)):
+                self._entry = dispatcher.compile(tuple(map(numba.typeof, arguments)))
+        assert self._entry is not None
+        return self._entry
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the kernel."""
+        return (self._entry or self.load(*arguments))(*arguments)

@@ -1,0 +1,301 @@
+"""Where the machine code of the kernels is kept: a directory for each state of the sources, and
+which of them are removed.
+
+::
+
+    BASE/coulombus/kernels-0123456789abcdef/coulombus-kernels      the marker: who made it, locked as long as a process uses it
+    BASE/coulombus/kernels-0123456789abcdef/entries                what is compiled whole; locked by who compiles
+    BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     what numba keeps
+
+BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run:
+a directory that another user may enter is refused, so is one above it in which another user could
+exchange it, and the next place is taken (`coulombus.system.private_folder`). Nothing is removed that was not made here: the name has
+our form, the marker stands in it and says the same name, no process uses it, and of its content
+only the marker and files with numba's endings go. No link is followed.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import re
+import shutil
+import stat
+import sys
+import tempfile
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from coulombus.kernels.compile_notice import compiling
+from coulombus.system.file_lock import lock_file
+from coulombus.system.private_folder import make_private, reason_against, reason_against_above
+
+__all__ = ["KEPT", "MARKER", "alone", "choose", "damaged", "empty", "kept", "say"]
+
+OURS = "coulombus"
+MARKER = "coulombus-kernels"
+ENTRIES = "entries"
+KEPT = 4
+"""Directories that stay, the newest ones; one that a process uses stays in any case."""
+
+_NAME = re.compile(r"kernels-[0-9a-f]{16}")
+_FILES = re.compile(rf".+\.(nbi|nbc)(\.tmp\.[0-9a-f]+)?|{ENTRIES}")
+_TRIES = 8
+_locks: list[int] = []  # descriptors of the markers that this process holds
+
+
+def say(text: str) -> None:
+    """Tell a line on stderr, where there is one."""
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write(f"coulombus: {text}\n")
+        sys.stderr.flush()
+
+
+def choose(key: str) -> Path | None:
+    """Return the directory for the sources whose hash is `key`, made and marked as used; None where
+    no place can be written.
+
+    The variable ``NUMBA_CACHE_DIR`` is set to it, so that a child process takes the same.
+    """
+    name = f"kernels-{key}"
+    inherited = _inherited(name)
+    directory = inherited or _first(_places(), name)
+    if directory is None:
+        say(
+            "compiled code cannot be kept, so every start compiles: no directory can be written; name one by NUMBA_CACHE_DIR"
+        )
+        os.environ.pop("NUMBA_CACHE_DIR", None)
+        return None
+    os.environ["NUMBA_CACHE_DIR"] = str(directory)
+    if inherited is None:
+        _tidy(directory)
+    return directory
+
+
+def kept(directory: Path | None, name: str) -> bool:
+    """Tell whether a process has compiled, or loaded, the entry `name`."""
+    with suppress(OSError):
+        return directory is not None and name in (directory / ENTRIES).read_text().split()
+    return False
+
+
+@contextmanager
+def alone(directory: Path | None, name: str) -> Iterator[None]:
+    """Compile, or load, the entry `name` within this: as long as nobody has done so, one process
+    goes on at a time, and the others wait for what it keeps.
+
+    So no two processes keep the same kernel for different types of arguments at the same time:
+    numba would name both files alike.
+    """
+    if directory is None or kept(directory, name):
+        yield
+        return
+    lock = None
+    with suppress(OSError):  # there is no room, or a file system without locks
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.open(directory / ENTRIES, flags, 0o600)
+        try:
+            lock_file(lock)
+        except BlockingIOError:
+            compiling()  # another process does
+            lock_file(lock, wait=True)
+    try:
+        yield
+        if lock is not None:
+            with suppress(OSError):
+                os.write(lock, f"{name}\n".encode())
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+def _base() -> Path:
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    if named:
+        path = Path(named).absolute()
+        ours = _NAME.fullmatch(path.name) and path.parent.name == OURS
+        return path.parent.parent if ours else path  # what a parent with other sources chose
+    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")).absolute()
+
+
+def _inherited(name: str) -> Path | None:
+    """Return the directory that a parent of the same sources chose."""
+    named = Path(os.environ.get("NUMBA_CACHE_DIR") or "/")
+    if named.name != name or named.parent.name != OURS or not _usable(named):
+        return None
+    return named
+
+
+def _places() -> Iterator[Path]:
+    """Yield the directories in which ours may stand, the wished one first."""
+    base = _base()
+    yield base / OURS
+    try:
+        mine = Path(tempfile.gettempdir()) / f"coulombus-{os.getuid()}"
+    except OSError:  # there is no place for temporary files
+        return
+    with suppress(OSError):  # no folder can be made
+        make_private(mine)
+        why = reason_against(mine)  # in a folder that all may write to, anybody can make it, or place a link
+        if why:
+            say(f"refused for compiled code: {why}")
+        else:
+            yield mine / OURS
+    with suppress(OSError):  # something else is there
+        lost = Path(tempfile.mkdtemp(prefix="coulombus-"))
+        _remove_at_exit(lost)
+        say(f"compiled code cannot be kept in {base}, so every start compiles; name a directory by NUMBA_CACHE_DIR")
+        yield lost / OURS
+
+
+def _own(path: Path) -> bool:
+    """Tell whether it is a directory of this user, and no link."""
+    with suppress(OSError):
+        found = path.lstat()
+        return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
+    return False
+
+
+def _reason_against(directory: Path) -> str:
+    """Return why what is kept in `directory` may come from another user; "" where it cannot."""
+    ours, base = directory.parent, directory.parent.parent
+    return reason_against(directory) or reason_against_above(ours) or reason_against_above(base)
+
+
+def _first(places: Iterator[Path], name: str) -> Path | None:
+    return next((place / name for place in places if _usable(place / name)), None)
+
+
+def _remove_at_exit(path: Path) -> None:
+    made_by = os.getpid()
+
+    def remove() -> None:
+        if os.getpid() == made_by:
+            shutil.rmtree(path, ignore_errors=True)
+
+    atexit.register(remove)
+
+
+def _usable(directory: Path) -> bool:
+    """Make the directory and its marker, hold the marker's lock.
+
+    Tell whether all that, and writing, works.
+    """
+    for _ in range(_TRIES):  # another process may remove it between two of these calls
+        try:
+            make_private(directory)
+            why = _reason_against(directory)
+            if why:
+                say(f"refused for compiled code: {why}")
+                return False
+            lock = _marker(directory, create=True)
+            if lock is None:
+                return False
+            with suppress(OSError):  # a file system without locks: there nothing is ever removed
+                lock_file(lock, shared=True, wait=True)
+            if not _stands(directory, lock):
+                os.close(lock)
+                continue
+            with tempfile.NamedTemporaryFile(dir=directory, suffix=".nbi"):
+                pass
+            os.utime(lock)
+        except OSError:
+            return False
+        _locks.append(lock)
+        return True
+    return False
+
+
+def _marker(directory: Path, *, create: bool = False) -> int | None:
+    """Open the marker; None where it is not ours.
+
+    It tells the directory's name, so that a copied one counts for nothing.
+    """
+    flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_CREAT if create else 0)
+    told = f"{directory.name}\n".encode()
+    lock = os.open(directory / MARKER, flags, 0o600)
+    found = os.fstat(lock)
+    if stat.S_ISREG(found.st_mode) and found.st_uid == os.getuid():
+        if create and found.st_size == 0:
+            os.pwrite(lock, told, 0)
+        if os.pread(lock, len(told) + 1, 0) == told:
+            return lock
+    os.close(lock)
+    return None
+
+
+def _stands(directory: Path, lock: int) -> bool:
+    """Tell whether the open marker is still the one of the directory."""
+    with suppress(OSError):
+        return os.path.samestat(os.fstat(lock), os.lstat(directory / MARKER))
+    return False
+
+
+def _tidy(directory: Path) -> None:
+    """Remove the oldest directories of ours beside `directory`, but `KEPT`."""
+    with suppress(OSError):
+        if directory.parent.is_symlink():
+            return
+        for stale in _others(directory)[KEPT - 1 :]:
+            with suppress(OSError):
+                _remove(stale)
+
+
+def _others(directory: Path) -> list[Path]:
+    """Return the directories of this user's other states of the sources, the last used first."""
+    if not (_NAME.fullmatch(directory.name) and directory.parent.name == OURS):
+        return []
+    try:
+        names = [entry.name for entry in os.scandir(directory.parent) if entry.is_dir(follow_symlinks=False)]
+    except OSError:
+        return []
+    found = [directory.parent / name for name in names if _NAME.fullmatch(name) and name != directory.name]
+    return sorted((one for one in found if _own(one) and _used_ns(one)), key=_used_ns, reverse=True)
+
+
+def _used_ns(directory: Path) -> int:
+    try:
+        return (directory / MARKER).lstat().st_mtime_ns
+    except OSError:
+        return 0  # no marker: none of ours
+
+
+def damaged(error: BaseException | None) -> bool:
+    """Tell whether an error comes from reading what numba has kept: a power cut has cut it short."""
+    while error is not None:
+        frames = traceback.extract_tb(error.__traceback__)
+        if any(Path(frame.filename).parts[-3:] == ("numba", "core", "caching.py") for frame in frames):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def empty(directory: Path) -> None:
+    """Remove what is kept in a directory of ours; what was not made here stays."""
+    for _, folders, files, at in os.fwalk(directory, topdown=False, follow_symlinks=False):
+        for name in filter(_FILES.fullmatch, files):
+            os.unlink(name, dir_fd=at)
+        for name in folders:
+            with suppress(OSError):  # not empty, or a link
+                os.rmdir(name, dir_fd=at)
+
+
+def _remove(directory: Path) -> None:
+    """Remove a directory of ours that no process uses.
+
+    What is not ours in it stays, and then the directory with it.
+    """
+    lock = _marker(directory)
+    if lock is None:
+        return
+    try:
+        lock_file(lock)  # OSError: a process uses it
+        if not _stands(directory, lock):
+            return
+        empty(directory)
+        (directory / MARKER).unlink()
+        directory.rmdir()
+    finally:
+        os.close(lock)

@@ -1,0 +1,47 @@
+"""By which state of the sources the kernels are kept.
+
+Numba's disk cache looks at the file of the function that it compiles, not at the files of the
+functions which that one calls: an edited callee would be served stale. So what is kept stands in a
+folder that is named by the hash of all sources which may hold a kernel, or feed one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+__all__ = ["KERNEL_PACKAGES", "ROOT", "source_key"]
+
+KERNEL_PACKAGES = (
+    "kernels",
+    "system",
+    "wire",
+    "eds",
+    "rigs",
+    "recording",
+    "node",
+    "host",
+    "sim_bus",
+    "lab",
+    "analysis",
+)
+
+ROOT = Path(__file__).resolve().parent.parent
+"""The folder of the packages."""
+
+
+def source_key(root: Path = ROOT) -> str:
+    """Hash of all Python sources under `root` that may hold or feed a kernel, and of what machine
+    code depends on and numba does not look at: the versions, and Python's ``-O``, which leaves out
+    assertions.
+    """
+    versions = (sys.version, sys.flags.optimize, *map(version, ("numpy", "numba", "llvmlite")))
+    digest = hashlib.sha256(repr(versions).encode())
+    for package in KERNEL_PACKAGES:
+        folder = root / package
+        for path in sorted(folder.rglob("*.py")):
+            content = path.read_bytes()
+            digest.update(f"{path.relative_to(folder)}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()[:16]

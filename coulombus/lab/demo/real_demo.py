@@ -1,0 +1,162 @@
+"""The paper's experiment in real time: for each mode a ``coulombus sim`` process with bus, nodes
+and rig, and a host on its bus.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.errors import HostError
+from coulombus.host.realtime.data_plane import DataPlane
+from coulombus.host.realtime.loop import run_plane
+from coulombus.host.run.outputs import Outputs
+from coulombus.host.run.real_run import real_run
+from coulombus.host.run.result import RunResult
+from coulombus.host.setup.bringup import check_plan
+from coulombus.kernels.decorator import is_kept
+from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge
+from coulombus.rigs.rig import Rig
+from coulombus.system.realtime import die_with_parent
+from coulombus.system.stop_signals import Signals, Stopped
+from coulombus.wire.address import BusAddress
+
+__all__ = ["SimProcess", "run_real_demo"]
+
+END_TIMEOUT_S = 10.0
+
+
+class SimDied(HostError):
+    """The simulation's process ended by itself."""
+
+    exit_status = 4
+
+
+class SimProcess:
+    """A ``coulombus sim`` of its own; `wait_ready` before use, and as a context manager it is ended
+    at the end.
+    """
+
+    def __init__(self, rig: str, address: BusAddress, mode: str, seed: int, overrides: Sequence[str]) -> None:
+        self.address, self._ready = address, False
+        root = str(Path(__file__).parents[__name__.count(".")])
+        path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+        sets = [part for override in overrides for part in ("--set", override)]
+        arguments = ["--rig", rig, "--bus", str(address), "--mode", mode, "--seed", str(seed), "--json", *sets]
+        parent, cpus = os.getpid(), sorted(os.sched_getaffinity(0))
+        if len(cpus) > 1:  # the host's cycle has the last one
+            arguments += ["--cpu", str(cpus[0])]
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "coulombus", "sim", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: die_with_parent(parent, signal.SIGTERM),
+            env={**os.environ, "PYTHONPATH": path},
+        )
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process exists."""
+        return self.process.poll() is None
+
+    def wait_ready(self) -> None:
+        """Wait until the bus is there; SimDied when it does not come to that."""
+        assert self.process.stdout is not None
+        if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
+            raise SimDied(f"coulombus sim on {self.address} ended with status {self.process.wait()}")
+        self._ready = True
+
+    def __enter__(self) -> SimProcess:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.process.send_signal(signal.SIGTERM if self._ready else signal.SIGKILL)  # before, it would tell of it
+        try:
+            self.process.communicate(timeout=END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.communicate()
+
+
+def compile_host(rig: Rig) -> None:
+    """Compile the host's cycle, by a data plane without a bus, while the simulations start.
+
+    Nothing is done where the host's code is kept.
+    """
+    if is_kept(run_plane):
+        return
+    line, nobody = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with nobody:
+        plane = DataPlane(Controllers(rig, DEMO_MODES[0]), BusAddress("coulombus", "demo"), priority=None, line=line)
+        try:
+            plane.wait_ready()
+        finally:
+            plane.close()
+
+
+def run_real_demo(
+    rig: Rig,
+    rig_name: str,
+    directory: Path,
+    *,
+    seed: int = 0,
+    overrides: Sequence[str] = (),
+    signals: Signals | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Demo:
+    """Run both modes against the wall clock.
+
+    Write the recordings and ``demo.json`` under `directory`.
+
+    Parameters
+    ----------
+    rig : with `overrides`, as the host and the simulation use it
+    rig_name : its name or path, for the simulation's process
+    """
+    check_plan(rig)
+    directory.mkdir(parents=True, exist_ok=True)
+    seconds = rig.schedule_s
+    results: dict[str, RunResult] = {}
+    with ExitStack() as stack:
+        sims = {}
+        for mode in DEMO_MODES:  # all at once: the second is ready when the first run is over
+            address = BusAddress("coulombus", f"demo-{os.getpid()}-{mode}")
+            sims[mode] = stack.enter_context(SimProcess(rig_name, address, mode, seed, overrides))
+        compile_host(rig)
+        for sim in sims.values():
+            sim.wait_ready()
+        for mode, sim in sims.items():
+
+            def report(t_s: float, mode: str = mode) -> None:
+                if progress is not None:
+                    progress(mode, t_s)
+
+            results[mode] = real_run(
+                rig,
+                mode,
+                seconds,
+                bus=sim.address,
+                outputs=Outputs(
+                    record=directory / f"{mode}.pcapng", histogram=directory / f"{mode}-timing.png", force=True
+                ),
+                signals=signals,
+                progress=report,
+            )
+            if signals is not None and signals.number:
+                raise Stopped(signals.number, "before the demo was over")
+    demo = Demo(results, judge(rig, results))
+    (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")
+    return demo

@@ -1,0 +1,100 @@
+"""What is wrong with a file that plans many runs - a sweep, a study -, each mistake with its line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from pydantic import BaseModel, ValidationError
+
+from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.errors import nearest, shown
+from coulombus.rigs.rig import Rig, RigError, load_rig
+from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key
+from coulombus.sim_bus.faults.error_text import WANTED
+
+__all__ = ["FileMistakes", "rig_beside", "text_of"]
+
+
+class FileMistakes:
+    """Collects the mistakes of a file.
+
+    Parameters
+    ----------
+    error : what `raise_all` raises
+    """
+
+    def __init__(self, path: str, document: Document, error: type[Exception]) -> None:
+        self._path, self._document, self._error = path, document, error
+        self._found: list[tuple[int, str]] = []
+
+    def say(self, key: Key, text: str) -> None:
+        """Note that something is wrong with a key."""
+        line = self._document.line(key)
+        name, text = (_one_line(one) for one in (".".join(map(str, key)), text))
+        self._found.append((line, f"{self._path}:{line}: {name}: {text}" if name else f"{self._path}:{line}: {text}"))
+
+    def explain(self, error: ValidationError, above: Key, model: type[BaseModel]) -> None:
+        """Note what pydantic found in the table `above`."""
+        for one in error.errors():
+            place = tuple(part for part in one["loc"] if not (isinstance(part, str) and "[" in part))
+            given = "" if isinstance(one["input"], dict) else f", not {shown(one['input'])}"
+            if one["type"] == "extra_forbidden":
+                hint = nearest(str(place[-1]), model.model_fields)
+                text = f"no such key here{hint or '; expected ' + ', '.join(model.model_fields)}"
+            elif one["type"] == "missing":
+                text = "is missing"
+            elif one["type"] == "too_short":
+                text = "expected one value or more"
+            elif one["type"] in ("dict_type", "model_type"):
+                text = f"expected a table [{place[-1]}]{given}"
+            else:
+                words = {key: value for key, value in one.get("ctx", {}).items() if key != "error"}
+                text = f"expected {WANTED.get(one['type'], one['msg']).format(**words)}{given}"
+                if one["type"] == "literal_error" and isinstance(one["input"], str):
+                    text += nearest(one["input"], re.findall(r"'(\w+)'", words["expected"]))
+            self.say((*above, *place), text)
+
+    def raise_all(self) -> None:
+        """Raise the error with every mistake, in the file's order, if there is one."""
+        if self._found:
+            ordered = sorted(self._found, key=lambda one: one[0])
+            raise self._error("\n".join(dict.fromkeys(text for _, text in ordered)))
+
+
+def _one_line(text: str) -> str:
+    """Return a text whose line ends are written out: a mistake is one line."""
+    return text.replace("\r", "\\r").replace("\n", "\\n")
+
+
+def text_of(path: Path, what: str, error: type[Exception]) -> str:
+    """Return the text of the file `path`; `error` says why it cannot be read."""
+    try:
+        raw = read_regular(path, MOST_CHARACTERS)
+    except OSError as reason:
+        raise error(f"{path}: the {what} file cannot be read ({reason.strerror or reason})") from None
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as reason:
+        line = raw.count(b"\n", 0, reason.start) + 1
+        raise error(f"{path}:{line}: byte {raw[reason.start]:02X}h is not UTF-8; save the file as UTF-8") from None
+
+
+def rig_beside(path: Path, name: str, mistakes: FileMistakes) -> Rig:
+    """Return the rig that the file `path` names: a packaged one, or a path beside it."""
+    is_path = "/" in name or name.endswith(".toml")
+    place = path.parent / name
+    if is_path and not place.exists():
+        mistakes.say(("rig",), f"there is no file {place}; expected a path beside this file, or the name of a rig")
+        mistakes.raise_all()
+    try:
+        rig = load_rig(str(place) if "/" in str(place) else f"./{place}") if is_path else load_rig(name)
+        for axis in rig.axes:
+            _ = axis.simulation
+    except RigError as error:
+        if is_path and place.is_file():
+            raise
+        mistakes.say(("rig",), str(error).removeprefix(f"--rig {name}: "))
+        mistakes.raise_all()
+        raise
+    return rig

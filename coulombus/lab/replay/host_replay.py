@@ -1,0 +1,325 @@
+"""``coulombus replay FILE --host``: the controller on a recording's inputs, held against the
+recording's outputs.
+
+Without overrides every SYNC, heartbeat and RPDO must come out bit for bit; the first one that does
+not is shown signal by signal. So must it with a law that is named anew, if its source is the
+recorded one. A law of the user's own runs only if it is named so: a recording may be a stranger's,
+and its law is a program. With another law, or other values of the rig file, differences are
+expected: then the difference of each commanded signal is given as RMS. The rig does not react to
+what is computed here, so this tells what another law would have asked for, not what would have come
+of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from coulombus.eds.cia301 import CobId
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.parameter_changes import Order, orders_of
+from coulombus.host.cycle.replay import Inputs, Sent, replay
+from coulombus.host.laws.law_source import law_source, recorded_sha256
+from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording
+from coulombus.recording.trace import EVENT, TRACE, Event, Moment, unpack, unpack_sent
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.frame import Records
+
+__all__ = ["Difference", "HostReplay", "ReplayError", "host_replay"]
+
+
+class ReplayError(Exception):
+    """The recording does not hold what a replay needs; the text says what."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first frame that came out otherwise; `recorded` or `computed` is None where there is
+    none.
+    """
+
+    t_s: float
+    cycle: int
+    name: str
+    recorded: str | None
+    computed: str | None
+    signals: dict[str, tuple[float | None, float | None]]
+    """Name -> recorded, computed [SI]."""
+
+
+@dataclass
+class HostReplay:
+    """What came of a replay."""
+
+    file: str
+    mode: str
+    inputs: int = 0
+    """Frames that the host was fed with."""
+    cycles: int = 0
+    frames: dict[str, int] = field(default_factory=dict)
+    """Frames that came out the same, by name."""
+    refused: int = 0
+    """Frames that the step sent and the bus had not taken: none of them is in the recording."""
+    unchecked: int = 0
+    """Recorded frames behind the trace's end: the recording process was killed, or the file is
+    torn.
+    """
+    difference: Difference | None = None
+    rms: dict[str, float] | None = None
+    """With overrides: RMS difference of each signal that the host commands [its unit]."""
+    judged: bool = True
+    """Whether all must come out the same: without overrides, and with a law that is the recorded
+    one.
+    """
+    recorded_trip: str | None = None
+    computed_trip: str | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def exit_status(self) -> int:
+        """Exit status of the command: 1 when something came out otherwise that should not."""
+        return 1 if self.judged and self.difference is not None else 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {"identical": self.difference is None, **asdict(self)}
+
+
+def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None = None) -> HostReplay:
+    """Feed the host with a recording's inputs.
+
+    Parameters
+    ----------
+    overrides : ``SECTION.KEY=VALUE`` of the rig file; differences are then measured, not held to be
+        mistakes; `law.function` with the source that is attached is no such override
+    rig : this one and not the attached one
+
+    Raises
+    ------
+    ReplayError
+        The recording lacks something; nothing was computed.
+    coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError,
+    coulombus.recording.pcapng_blocks.PcapngError
+    """
+    recording = read(path, rig=rig)
+    attachments = recording.capture.attachments
+    mode = attachments.get("mode", b"").decode(errors="replace")
+    if mode not in recording.rig.modes:
+        raise ReplayError(
+            f"{path}: it does not tell the host's mode (attachment 'mode'): --host replays what "
+            "`coulombus run --record` or `coulombus simulate --record` wrote"
+        )
+    chosen = recording.rig.variant(*overrides) if overrides else recording.rig
+    if [pdo.layout for pdo in chosen.pdos()] != [pdo.layout for pdo in recording.rig.pdos()]:
+        raise ReplayError(f"{path}: the overrides change the PDOs, whose recorded words would mean something else")
+    controllers = Controllers(chosen, mode)
+    known = _known(recording, controllers)
+    known = known._replace(inputs=replace(known.inputs, orders=_orders(recording, controllers, known.inputs)))
+    law_remarks, same_law = _compare_laws(recording, chosen)
+    others = [text for text in overrides if text.partition("=")[0].strip() != "law.function"]
+    check = _Check(recording, controllers, known, keep=bool(overrides))
+    result = check.result
+    result.judged = not others and (same_law or not overrides)
+    result.mode, result.inputs, result.remarks = mode, len(known.inputs.frames), (*recording.remarks, *law_remarks)
+    check.run(known.inputs)
+    trips = [text[len("trip ") :] for _, text in recording.markers if text.startswith("trip ")]
+    result.recorded_trip = trips[0] if trips else None
+    result.computed_trip = controllers.trip
+    return result
+
+
+def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], bool]:
+    """Return what is to be told of the law, and whether its source is the recorded one."""
+    now, recorded = law_source(chosen), recorded_sha256(recording.capture.attachments)
+    name = recording.rig.law_function
+    if now is None or recorded is None:
+        text = f"{recording.path}: whether {chosen.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
+        own = chosen.law_function == name and name in OWN_LAWS  # as in recordings of earlier versions
+        return () if own else (text,), own
+    if now.sha256 == recorded:
+        return (), True
+    text = f"{recording.path}: the law is {chosen.law_function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
+    return (text,), False
+
+
+def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, Order]:
+    """Return the changed parameters that the markers tell; all that the trace has must be there."""
+    orders = orders_of((text for _, text in recording.markers), controllers)
+    kinds = inputs.trace["kind"] == (Event.SET if inputs.virtual else Moment.SET)
+    missing = set(inputs.trace["value"][kinds].tolist()) - set(orders)
+    if missing:
+        raise ReplayError(
+            f"{recording.path}: parameters were changed (order {min(missing)}), and the marker 'set' that tells which is not in it"
+        )
+    return orders
+
+
+class _Known(NamedTuple):
+    """What a recording tells of its host."""
+
+    inputs: Inputs
+    sent: Records
+    """What it asked for, where that was kept, else what the bus has carried of it."""
+    last_ns: int
+    """How far that goes."""
+    behind: int = 0
+    """Frames of the host behind that."""
+
+
+def _known(recording: Recording, controllers: Controllers) -> _Known:
+    attachments = recording.capture.attachments
+    in_virtual_time = "seed" in attachments and "bus" not in attachments
+    found = unpack(attachments, EVENT if in_virtual_time else TRACE)
+    if found is None:
+        raise ReplayError(
+            f"{recording.path}: it has no trace of the host (attachments 'host.trace.N'): what the host received, and in which cycle it did, is not "
+            "known. Record with `coulombus run --record` or `coulombus simulate --record` of this version"
+        )
+    known, trace = found
+    if in_virtual_time and not np.any(trace["kind"] == Event.START):
+        raise ReplayError(f"{recording.path}: the host's cycle does not begin in it")
+    of_the_host = np.isin(recording.frames["can_id"], controllers.own_identifiers)
+    frames = recording.frames[: len(known)] if in_virtual_time else recording.frames
+    if not len(frames):
+        raise ReplayError(
+            f"{recording.path}: there is no frame in it of which its trace tells: the recording was ended too soon"
+        )
+    last_ns = int(frames["t_ns"][-1])
+    if in_virtual_time:
+        sent = unpack_sent(attachments)
+        own = of_the_host[: len(frames)]
+        inputs = Inputs(frames[~known[: len(frames)]], trace)
+        return _Known(inputs, frames[own] if sent is None else sent, last_ns, int(np.sum(of_the_host[len(known) :])))
+    own = of_the_host.copy()
+    own[: len(known)] = known[: len(own)]
+    if len(trace) and trace["dropped"].any():
+        trace = trace[: int(np.argmax(trace["dropped"] > 0))]  # the log had no room: from here on frames are missing
+    return _Known(Inputs(recording.frames[~own], trace), recording.frames[own], last_ns)
+
+
+class _Check:
+    """Holds what is computed against the recording, identifier by identifier, each in its order."""
+
+    def __init__(self, recording: Recording, controllers: Controllers, known: _Known, *, keep: bool) -> None:
+        self.recording, self.controllers, self.keep = recording, controllers, keep
+        self.result = HostReplay(recording.path, controllers.mode)
+        self.pdos = {pdo.layout.cob_id: pdo for pdo in recording.rig.pdos() if pdo.layout.direction == "rpdo"}
+        can_ids, columns = known.sent["can_id"], np.stack([known.sent[name] for name in ("t_ns", "length", "word")], 1)
+        identifiers = {*controllers.own_identifiers, *np.unique(can_ids).tolist()}
+        self.streams = {can_id: columns[can_ids == can_id] for can_id in sorted(identifiers)}
+        self.at = dict.fromkeys(self.streams, 0)
+        self.last_ns = known.last_ns
+        self.result.unchecked = known.behind
+        self.period_ns = int(controllers.control["period_ns"][0])
+        self.refused: dict[int, int] = {}
+        self.words: dict[int, list[tuple[int, int]]] = {one: [] for one in self.pdos}
+
+    def name(self, can_id: int) -> str:
+        if can_id in self.pdos:
+            return f"{self.pdos[can_id].node}.{self.pdos[can_id].name}"
+        return "SYNC" if can_id == CobId.SYNC else "heartbeat"
+
+    def run(self, inputs: Inputs) -> None:
+        result = self.result
+        for sent in replay(self.controllers, inputs):
+            if inputs.virtual and self._ended(sent):
+                break
+            result.cycles = sent.cycle
+            self._take(sent)
+            if result.difference is not None and not self.keep:
+                return
+        left = [
+            (stream[self.at[one]].tolist(), one) for one, stream in self.streams.items() if self.at[one] < len(stream)
+        ]
+        killed = not inputs.virtual and not (len(inputs.trace) and inputs.trace["kind"][-1] == Moment.END)
+        if left and killed:
+            result.unchecked = sum(len(stream) - self.at[one] for one, stream in self.streams.items())
+        elif left and result.difference is None:
+            (t_ns, length, word), can_id = min(left)
+            self._differ(t_ns, result.cycles, can_id, (length, word), None)
+        if self.keep:
+            result.rms = self._rms()
+
+    def _ended(self, sent: Sent) -> bool:
+        """Tell whether this is the cycle that the recording does not have: in virtual time the host
+        goes on for ever.
+        """
+        if sent.can_id != CobId.SYNC or self.at[sent.can_id] < len(self.streams[sent.can_id]):
+            return False
+        if not self.controllers.done:
+            where = "the recording ends" if sent.t_ns >= self.last_ns - self.period_ns else "the host's cycle ends"
+            phases = ", ".join(one.phase.name for one in self.controllers)
+            self.result.remarks += (f"{where} in phase {phases}",)
+        return True
+
+    def _take(self, sent: Sent) -> None:
+        can_id = sent.can_id
+        stream, at = self.streams[can_id], self.at[can_id]
+        if at == len(stream) or stream[at][0] > sent.until_ns:  # it is not in the recording
+            if self.refused.get(sent.cycle, 0) < sent.refusable:
+                self.refused[sent.cycle] = self.refused.get(sent.cycle, 0) + 1
+                self.result.refused += 1
+            elif sent.t_ns < self.last_ns - self.period_ns:  # else: the recording ends within the cycle
+                self._differ(sent.t_ns, sent.cycle, can_id, None, (sent.length, sent.word))
+            return
+        self.at[can_id] += 1
+        t_ns, length, word = stream[at].tolist()
+        if self.keep and can_id in self.words:
+            self.words[can_id].append((word, sent.word))
+        if (length, word) == (sent.length, sent.word):
+            name = self.name(can_id)
+            self.result.frames[name] = self.result.frames.get(name, 0) + 1
+        else:
+            self._differ(t_ns, sent.cycle, can_id, (length, word), (sent.length, sent.word))
+
+    def _differ(
+        self, t_ns: int, cycle: int, can_id: int, recorded: tuple[int, int] | None, computed: tuple[int, int] | None
+    ) -> None:
+        if self.result.difference is not None:
+            return
+        texts = [_text(one) for one in (recorded, computed)]
+        pdo = self.pdos.get(can_id)
+        values = [_values(pdo, one) for one in (recorded, computed)]
+        signals = {name: (values[0].get(name), values[1].get(name)) for name in values[0] | values[1]}
+        t_s = (t_ns - self.recording.epoch_ns) / 1e9
+        self.result.difference = Difference(t_s, cycle, self.name(can_id), texts[0], texts[1], signals)
+
+    def _rms(self) -> dict[str, float]:
+        found = {}
+        for can_id, pdo in self.pdos.items():
+            table = np.array(self.words[can_id], np.int64).reshape(-1, 2)
+            for signal, entry, start in zip(pdo.signals, pdo.layout.entries, pdo.layout.starts, strict=True):
+                if not signal.unit:
+                    continue
+                columns = (np.ascontiguousarray(table[:, i]) for i in range(2))
+                recorded, computed = (decode_field(column, start, entry) * signal.scale for column in columns)
+                error = computed - recorded
+                found[signal.name] = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
+        return found
+
+
+def _text(frame: tuple[int, int] | None) -> str | None:
+    if frame is None:
+        return None
+    return int(frame[1]).to_bytes(8, "little", signed=True)[: frame[0]].hex(" ")
+
+
+def _values(pdo: RigPdo | None, frame: tuple[int, int] | None) -> dict[str, float]:
+    if pdo is None or frame is None or frame[0] != pdo.layout.length:
+        return {}
+    word = np.array([frame[1]], np.int64)
+    layout = pdo.layout
+    return {
+        signal.name: float(decode_field(word, start, entry)[0]) * signal.scale + signal.offset
+        for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True)
+    }

@@ -1,0 +1,225 @@
+"""Play recorded frames onto a bus with their original timing.
+
+Each frame has an absolute deadline, so nothing drifts: a frame that was late makes the next one no
+later. A stamp is the end of a frame; on a bus that tells its bit rate a frame is sent one frame's
+length earlier, so that on an idle bus it ends when it ended then.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.recording.log_files import WALL_CLOCK_NS, is_pcapng, read_log
+from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.client import BusFull, Client, pack_frame
+from coulombus.wire.frame import CAN_ERR_FLAG, CAN_RTR_FLAG, Records, data_bytes
+
+__all__ = ["NOTHING", "Played", "Tape", "load_tape", "play"]
+
+Integers = npt.NDArray[np.int64]
+
+FULL_NS = 2_000_000_000
+FULL_PAUSE_S = 5e-4
+PROGRESS_NS = 100_000_000
+LEAD_NS = 20_000_000
+LONG_NS = 600_000_000_000
+NOTHING = ((0x20000000, 0),)
+"""A filter of SocketCAN's that lets nothing pass: all identifiers, inverted (CAN_INV_FILTER)."""
+
+
+@dataclass(frozen=True)
+class Tape:
+    """Frames in the order in which they are played.
+
+    `t_ns` are times from the run's start or, where stamps come from a clock, from the first frame,
+    as `coulombus decode` shows them.
+    """
+
+    path: str
+    frames: Records
+    t_ns: Integers
+    remarks: tuple[str, ...] = ()
+
+    def take(self, chosen: npt.NDArray[np.bool_]) -> Tape:
+        """Return the chosen frames only."""
+        return Tape(self.path, self.frames[chosen], self.t_ns[chosen], self.remarks)
+
+
+@dataclass(frozen=True)
+class Played:
+    """What was played: frames, how late they were sent [us], how often the bus was full, and how
+    long it took [s].
+    """
+
+    frames: int
+    loops: int
+    seconds: float
+    late_us: dict[str, float] | None
+    full: int
+    complete: bool
+
+
+class Stop(Protocol):
+    """What ends a playing early (`system.stop_signals.StopSignals`)."""
+
+    def wait(self, seconds: float) -> bool:
+        """Sleep for so long; tell whether to stop."""
+
+
+def load_tape(path: str | Path) -> Tape:
+    """Read what can be played: pcapng, and what python-can reads (candump's .log, .asc, .blf, .trc,
+    .csv, .mf4, .db, each also .gz).
+
+    Error frames and CAN FD frames are left out, with a remark.
+
+    Raises
+    ------
+    coulombus.recording.log_files.LogError, coulombus.recording.pcapng_blocks.PcapngError
+        The file is of another kind or damaged.
+    """
+    if Path(path).suffix == ".pcapng" or Path(path).is_dir() or is_pcapng(path):
+        from coulombus.recording.pcapng_reader import read_pcapng
+
+        capture = read_pcapng(path)
+        frames, remarks = capture.frames, list(capture.warnings)
+        if capture.torn:
+            remarks.append(f"{path}: the last block is unfinished: {capture.torn} bytes were left out")
+        if capture.skipped:
+            remarks.append(f"{path}: {capture.skipped} packets are no classical CAN frames and were left out")
+    else:
+        frames, remarks = read_log(path)
+    errors = frames["can_id"] & CAN_ERR_FLAG != 0
+    if errors.any():
+        remarks.append(f"{path}: {int(errors.sum())} error frames were left out: they belong to their own wire")
+        frames = frames[~errors]
+    stamps: Integers = np.ascontiguousarray(frames["t_ns"])
+    epoch = int(stamps[0]) if len(stamps) and stamps[0] >= WALL_CLOCK_NS else 0
+    t_ns = np.maximum.accumulate(stamps - epoch) if len(stamps) else stamps
+    return Tape(str(path), frames, t_ns, (*remarks, *_leaps(path, stamps, t_ns + epoch)))
+
+
+def _leaps(path: str | Path, stamps: Integers, played_ns: Integers) -> Iterator[str]:
+    """Yield what there is to say of stamps that do not simply rise."""
+    back = played_ns - stamps
+    if back.any():
+        row, count = int(np.argmax(back)), int(np.count_nonzero(back))
+        yield f"{path}: {count} stamps go back, that of frame {row + 1} by {back[row] / 1e9:g} s: such frames follow the one before them at once"
+    gaps = np.diff(played_ns)
+    if len(gaps) and gaps.max() >= LONG_NS:
+        row = int(np.argmax(gaps))
+        yield f"{path}: frame {row + 2} comes {gaps[row] / 1e9:g} s after the one before it; --from-s and --to-s play a part"
+
+
+def play(
+    tape: Tape,
+    client: Client,
+    stop: Stop,
+    *,
+    speed: float = 1.0,
+    loops: int = 1,
+    progress: Callable[[float], None] = lambda seconds: None,
+) -> Played:
+    """Send the frames on the client's bus; return what came of it.
+
+    Parameters
+    ----------
+    speed : 2 plays in half the time
+    loops : how often; 0: until `stop`
+    progress : called ten times a second with the time played [s]
+
+    Raises
+    ------
+    coulombus.wire.client.BusUnavailable
+        The bus went away, or took no frame for 2 s.
+    """
+    messages, due, once_ns = _plan(tape, client.bitrate_bit_s, speed)
+    late: list[Integers] = []
+    full = sent = done = 0
+    begin = time.monotonic_ns() + LEAD_NS
+    shown = begin
+    running = True
+    while running and (loops == 0 or done < loops):
+        lates = np.zeros(len(messages), np.int64)
+        at = 0
+        for message, offset in zip(messages, due, strict=True):
+            deadline = begin + offset
+            now = time.monotonic_ns()
+            if now < deadline or not at & 0xFF:  # asked now and then also when it is late all the time
+                running = not _wait_until(stop, deadline, now)
+                if not running:
+                    break
+            retries = _send(client, message)
+            full += retries > 0
+            now = time.monotonic_ns()
+            lates[at] = now - deadline
+            at += 1
+            if now - shown > PROGRESS_NS:
+                shown = now
+                progress((now - begin) / 1e9)
+        late.append(lates[:at])
+        sent += at
+        done += running
+        begin += once_ns
+    everything = np.concatenate(late) if late else np.zeros(0, np.int64)
+    seconds = (time.monotonic_ns() - (begin - len(late) * once_ns)) / 1e9
+    return Played(sent, done, seconds, _spread(everything), full, running)
+
+
+def _plan(tape: Tape, bitrate_bit_s: int, speed: float) -> tuple[list[bytes], list[int], int]:
+    """Return each frame's bytes, when it is due after the beginning [ns], and how long one loop
+    lasts [ns].
+    """
+    frames = tape.frames
+    columns = (frames[name].tolist() for name in ("can_id", "length", "word"))
+    messages, lengths = [], np.zeros(len(frames), np.int64)
+    for row, (can_id, length, word) in enumerate(zip(*columns, strict=True)):
+        data = b"" if can_id & CAN_RTR_FLAG else data_bytes(word, length)
+        messages.append(pack_frame(can_id, data, length))
+        if bitrate_bit_s:
+            lengths[row] = data_frame_bits(can_id, length, word) * 1_000_000_000 // bitrate_bit_s
+    ends = np.round((tape.t_ns - tape.t_ns[:1]) / speed).astype(np.int64)
+    due = np.maximum.accumulate(ends - lengths + lengths[:1]) if len(frames) else ends
+    gap = int(ends[-1]) // (len(ends) - 1) if len(ends) > 1 else 1_000_000
+    return messages, due.tolist(), int(ends[-1]) + gap if len(ends) else 0
+
+
+def _wait_until(stop: Stop, deadline: int, now: int) -> bool:
+    while True:
+        if stop.wait(min((deadline - now) / 1e9, 0.25)):
+            return True
+        now = time.monotonic_ns()
+        if now >= deadline:
+            return False
+
+
+def _send(client: Client, message: bytes) -> int:
+    """Send; return how often the bus was full before that."""
+    retries = 0
+    give_up = 0
+    while True:
+        try:
+            client.send(message)
+            return retries
+        except BusFull as error:
+            now = time.monotonic_ns()
+            give_up = give_up or now + FULL_NS
+            if now > give_up:
+                from coulombus.wire.address import BusUnavailable
+
+                raise BusUnavailable(error.errno, f"{error.strerror}: it has taken no frame for 2 s") from None
+            retries += 1
+            time.sleep(FULL_PAUSE_S)
+
+
+def _spread(late_ns: Integers) -> dict[str, float] | None:
+    if not len(late_ns):
+        return None
+    p50, p99 = np.percentile(late_ns, (50, 99))
+    return {"p50": float(p50) / 1e3, "p99": float(p99) / 1e3, "max": float(late_ns.max()) / 1e3}

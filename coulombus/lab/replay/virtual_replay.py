@@ -1,0 +1,223 @@
+"""``coulombus replay FILE --virtual``: the nodes and the bus in virtual time on a recording's host,
+held against the recording.
+
+The frames that the host sent are asked for again at the instants at which they started on the wire;
+the simulated nodes, the rig and the hand are computed anew from the attached rig, mode and seed. So
+every frame must come out again: the same order, the same bytes, and the same end of frame to the
+nanosecond.
+
+That holds for recordings whose stamps are the bus's own time: of `coulombus simulate --record`, and
+of a session in real time as `coulombus sim --record` keeps it. A recording of `coulombus run` has
+the stamps of the host's clock, of when frames reached it, and does not tell when the bus carried
+them: it is refused here; `--host` checks it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.lab.replay.host_replay import ReplayError
+from coulombus.recording.frame_sender import senders
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording
+from coulombus.rigs.rig import Rig
+from coulombus.sim_bus.can_bus.arbiter import INTER_FRAME_BITS
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.sim_bus.server.rig_server import PacedRig
+from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.frame import Records, data_bytes, push
+
+__all__ = ["VirtualReplay", "virtual_replay"]
+
+BATCH = 32
+"""Frames of the host that are asked for ahead of time."""
+FIELDS = ("t_ns", "can_id", "length", "word")
+
+
+@dataclass
+class VirtualReplay:
+    """What came of it; `recorded` and `computed` tell the first difference."""
+
+    file: str
+    frames: int
+    """Frames of the recording."""
+    asked: int
+    """Those of them that the host sent."""
+    same: int
+    """Frames from the beginning on that came out the same."""
+    t_s: float | None = None
+    recorded: str | None = None
+    computed: str | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def identical(self) -> bool:
+        """Whether all came out the same."""
+        return self.t_s is None
+
+    @property
+    def exit_status(self) -> int:
+        """1 where something came out otherwise."""
+        return 0 if self.identical else 1
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {"identical": self.identical, **asdict(self)}
+
+    def lines(self) -> list[str]:
+        """Return the result for people."""
+        asked = f"{self.asked} of them from the host, the others computed"
+        if self.identical:
+            return [f"identical: {self.frames} frames ({asked}), order, data and end of frame"]
+        return [
+            f"FAIL at {self.t_s:.9f} s, after {self.same} of {self.frames} frames ({asked})",
+            f"  recorded  {self.recorded or 'no more frames'}",
+            f"  computed  {self.computed or 'no frame'}",
+        ]
+
+
+def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
+    """Compute a recording's frames anew from what its host sent.
+
+    Raises
+    ------
+    coulombus.lab.replay.host_replay.ReplayError
+        The recording's stamps are not the bus's time, it does not tell mode and seed, or there were
+        faults.
+    coulombus.rigs.rig.RigError, coulombus.recording.pcapng_blocks.PcapngError
+    """
+    recording = read(path, rig=rig)
+    attachments = recording.capture.attachments
+    if "seed" not in attachments or "mode" not in attachments:
+        raise ReplayError(
+            f"{path}: its stamps are not the bus's own time (no attachment 'seed'): --virtual checks recordings of `coulombus simulate "
+            "--record` and `coulombus sim --record`; --host checks those of `coulombus run --record` too"
+        )
+    struck = next((text for _, text in recording.markers if text.startswith("fault ")), None)
+    if struck is not None:
+        raise ReplayError(
+            f"{path}: faults of a fault file struck in it ({struck}), and what they did to the bits is not in a recording: --virtual checks "
+            "recordings without faults; --host checks this one"
+        )
+    if recording.rig.law_of_recording and recording.rig.law_function not in OWN_LAWS:
+        recording = replace(
+            recording, rig=recording.rig.with_law(next(iter(OWN_LAWS)))
+        )  # nobody asks it: the host's frames are the recorded ones
+    seed, mode = (attachments[name].decode(errors="replace") for name in ("seed", "mode"))
+    if not seed.isdecimal() or mode not in recording.rig.modes:
+        raise ReplayError(
+            f"{path}: its attachments 'seed' and 'mode' are {seed!r} and {mode!r}, expected a number and a mode of its rig"
+        )
+    frames = recording.frames
+    if not len(frames) or recording.epoch_ns:
+        why = "its stamps are a clock's, and not the bus's own time" if len(frames) else "there is no frame in it"
+        raise ReplayError(
+            f"{path}: {why}: take a recording of `coulombus simulate --record` or `coulombus sim --record`"
+        )
+    sent = senders(frames["can_id"], recording.rig) <= 0
+    compared = _Comparison(frames)
+    with suppress(_DifferentError):
+        _compute(recording, mode, int(seed), sent, compared.go_on)
+    result = VirtualReplay(recording.path, len(frames), int(sent.sum()), compared.same, remarks=recording.remarks)
+    if compared.same < len(frames) or len(compared.other):
+        rows = frames[compared.same : compared.same + 1], compared.other
+        result.t_s = min(int(one["t_ns"][0]) for one in rows if len(one)) / 1e9
+        result.recorded, result.computed = (_text(one) for one in rows)
+    return result
+
+
+class _DifferentError(Exception):
+    """A frame came out otherwise: nothing more need be computed."""
+
+
+class _Comparison:
+    """Holds what is computed against the recorded frames as it comes, up to the first that is
+    `other` than recorded.
+    """
+
+    def __init__(self, frames: Records) -> None:
+        self.frames, self.same, self.other = frames, 0, frames[:0]
+
+    def go_on(self, computed: Records) -> None:
+        """Compare a batch."""
+        recorded = self.frames[self.same : self.same + len(computed)]
+        both = len(recorded)
+        equal = np.logical_and.reduce([recorded[name] == computed[name][:both] for name in FIELDS])
+        same = both if equal.all() else int(np.argmin(equal))
+        self.same += same
+        if same < len(computed):
+            self.other = computed[same : same + 1].copy()
+            raise _DifferentError
+
+
+class _Nodes(VirtualRig):
+    """The rig with its nodes, and a host that listens only: whoever looks at a frame lets the
+    devices sample, and that draws from the noise.
+    """
+
+    def ask(self, frames: Records) -> None:
+        """Let frames of the host take part in the arbitration from when they started on."""
+        asked = frames.tolist()
+        starts = [_start_ns(frame, self.rig.bus.bitrate_bit_s) for frame in asked]
+        for begin in range(0, len(asked), BATCH):
+            self.run_until(max(self.t_ns, starts[begin] - 1))
+            for start, frame in zip(starts[begin : begin + BATCH], asked[begin : begin + BATCH], strict=True):
+                push(self._out, SOURCE_HOST, start, *frame[1:4])
+
+
+def _compute(
+    recording: Recording, mode: str, seed: int, sent: npt.NDArray[np.bool_], on_frames: Callable[[Records], None]
+) -> None:
+    if "bus" in recording.capture.attachments:
+        _compute_paced(recording, mode, seed, sent, on_frames)
+        return
+    world = _Nodes(recording.rig, mode, seed=seed, on_frames=on_frames)
+    frames = recording.frames
+    marked = [row for row, text in recording.capture.comments if text.startswith("run ")]
+    begin = marked[0] if marked else len(frames)
+    world.power_on()
+    world.ask(frames[:begin][sent[:begin]])
+    if marked:
+        world.run_until(_start_ns(frames[begin].tolist(), recording.rig.bus.bitrate_bit_s) - 1)
+        world.controllers.start(world.t_ns)  # it knows the nodes' NMT states from here on
+    world.ask(frames[begin:][sent[begin:]])
+    world.run_until(int(frames["t_ns"][-1]))
+    world.flush()
+
+
+def _compute_paced(
+    recording: Recording, mode: str, seed: int, sent: npt.NDArray[np.bool_], on_frames: Callable[[Records], None]
+) -> None:
+    """As `_compute`, of what a bus in real time recorded: its clients are elsewhere, and the hand
+    rests when the drive does.
+    """
+    rate = recording.rig.bus.bitrate_bit_s
+    world = PacedRig(recording.rig, mode, seed, rate, on_frames)
+    world.power_on()
+    for frame, of_a_client in zip(recording.frames.tolist(), sent.tolist(), strict=True):
+        if of_a_client:
+            world.ask(_start_ns(frame, rate), *frame[1:4])
+        world.run_until(frame[0])
+        world.rest()
+    world.flush()
+
+
+def _start_ns(frame: tuple[int, ...], bitrate_bit_s: int) -> int:
+    end_ns, can_id, length, word = frame[:4]
+    return end_ns - (data_frame_bits(can_id, length, word) - INTER_FRAME_BITS) * 1_000_000_000 // bitrate_bit_s
+
+
+def _text(row: Records) -> str | None:
+    if not len(row):
+        return None
+    t_ns, can_id, length, word = (int(row[name][0]) for name in FIELDS)
+    return f"{t_ns / 1e9:.9f} s  {can_id:03X}h  [{length}]  {data_bytes(word, length).hex(' ')}"

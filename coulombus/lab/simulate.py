@@ -1,0 +1,402 @@
+"""One run of the rig in virtual time: bring-up, arming, display, safe end - over real PDOs,
+recorded like a real one.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.host.cycle.demand import check_demand
+from coulombus.host.cycle.records import Trip
+from coulombus.host.laws.law_source import law_attachments
+from coulombus.host.run.buses import merged, path_on
+from coulombus.host.run.result import RunResult
+from coulombus.host.run.run_sequence import Course, Figures
+from coulombus.host.setup.bringup import check_plan, release, shut_down
+from coulombus.lab.bringup import switch_on
+from coulombus.lab.set_up import give_back, ready_world, set_up
+from coulombus.recording.measures import Measures, measure
+from coulombus.recording.memory_recording import MeasuredFrames
+from coulombus.recording.output_file import check as check_output
+from coulombus.recording.output_file import open_new
+from coulombus.recording.pcapng_blocks import RecordingError
+from coulombus.recording.recorder import About, Recorder
+from coulombus.rigs.arguments import a_number, path_text, texts
+from coulombus.rigs.rig import Rig, load_rig
+from coulombus.sim_bus.faults.file import FaultPlan, read_faults
+from coulombus.sim_bus.faults.injection import Injection, controllers_of
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.sim_bus.rig.plant import truth_columns
+from coulombus.wire.clock import bus_ns
+from coulombus.wire.frame import Records
+
+__all__ = ["TruthError", "simulate"]
+
+PROGRESS_NS = 250_000_000
+LOOK_NS = 1_000_000_000
+"""Longest step of a run that shows and writes nothing."""
+TRUTH_BYTES = 8e9
+
+
+class TruthError(Exception):
+    """The plant's true course cannot be saved."""
+
+    exit_status = 2
+
+
+class _VirtualRun(Course):
+    """The course in virtual time, whose times are the world's."""
+
+    def __init__(self, order: _Order) -> None:
+        rig, mode, seed = order.rig, order.mode, order.seed
+        on_frames = None if order.record is None and not order.measured else self._write
+        ready = ready_world(rig, mode, seed) if order.only_figures and order.simulated is rig else None
+        self.is_ready = ready is not None
+        """The world is behind its set-up already."""
+        self.world, losses = ready or (
+            VirtualRig(order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None),
+            (),
+        )
+        self.world.on_frames = on_frames
+        super().__init__(self.world.controllers, order.record, order.progress)
+        self.losses = losses
+        plants = [axis.simulation.plant for axis in order.simulated.axes]
+        warms = any(plant.heat is not None or plant.coil_thermal_K_W > 0 for plant in plants)
+        shows = order.progress is not None or order.record is not None
+        self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # what warms does so in the pieces of a recorded run
+        self.only_figures = order.only_figures
+        self.measured = MeasuredFrames(rig) if order.measured else None
+        if order.record is not None:
+            about = About(law=law_attachments(rig), law_state=self.world.controller.law_state)
+            self.recorder = Recorder(order.record, rig, mode, seed, about=about, force=order.force)
+            self.world.on_host = self._write_host
+            self.world.keep_told()
+        self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)
+        self.injection: Injection | None = None
+        self.ended_ns = 0
+        """When the host has ended, which it does behind its safe state."""
+
+    def _write(self, frames: Records) -> None:
+        if self.measured is not None:
+            self.measured.write(frames)
+        told = self.world.take_told()
+        if len(told):  # at one instant first what the bus carried
+            frames = np.concatenate((frames, told))
+            frames = frames[np.argsort(frames["t_ns"], kind="stable")].view(np.recarray)
+        self.record(lambda recorder: recorder.write(frames))
+
+    def _write_host(self, had: Records, events: Records, sent: Records) -> None:
+        self.record(lambda recorder: recorder.trace(~had, events, sent))
+
+    @property
+    def now_ns(self) -> int:
+        """The world's time."""
+        return self.world.t_ns
+
+    @property
+    def starts_ns(self) -> tuple[int | None, ...]:
+        """When each axis' drive entered Operation Enabled; the host learns of it a little later."""
+        return self.world.starts_ns
+
+    @property
+    def safe_ns(self) -> int | None:
+        """When the first axis entered its safe state, by the world's clock and not by the
+        host's.
+        """
+        safe_ns = self.k.safe_ns
+        return None if safe_ns is None else int(bus_ns(self.world.host_clock, safe_ns))
+
+    def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
+        """Run in steps short enough to show progress and to write what was recorded."""
+        world = self.world
+        world.run_until(min(until_ns, world.t_ns + self._look_ns), done)
+        waiting = self.k.host["waiting"] != 0
+        if self.k.done and waiting.any():  # the run ends with a whole cycle of all axes
+            window_ns = int(self.k.host["next_ns"][waiting].max())
+            world.run_until(int(bus_ns(world.host_clock, window_ns)) + 1)
+        self.mark_course(world.t_ns + (world.t_ns < until_ns))  # what begins at the display's end does not begin
+        world.flush()
+        enabled = self.enabled_ns
+        if self.progress is not None and enabled is not None:
+            self.progress((world.t_ns - enabled) * 1e-9)
+        return not self.k.ending
+
+    def stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask the host for the safe state."""
+        self.world.ask_to_stop(trip)
+
+    def course(self, seconds: float) -> None:
+        """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end
+        safely.
+        """
+        world, k = self.world, self.k
+        if not self.is_ready:
+            self.losses = (set_up if self.only_figures else switch_on)(world)
+        self.mark(world.t_ns, f"run {k.mode}")
+        world.start_host()
+        self.display(seconds)
+        self.make_safe()
+        world.stop_host()
+        self.ended_ns = world.t_ns
+        if not self.only_figures:
+            release(k, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
+            shut_down(world)
+
+    def mark(self, t_ns: int, text: str) -> None:
+        """Mark what is recorded or measured at `t_ns`."""
+        if self.measured is not None:
+            self.measured.mark(t_ns, text)
+        super().mark(t_ns, text)
+
+    def figures(self) -> Figures:
+        """Return the display's figures, of the frames in memory where they were kept."""
+        if self.measured is None:
+            return super().figures()
+        if self.enabled_ns is None:
+            return Figures([Measures() for _ in self.k], None)
+        return Figures([measure(one) for one in self.measured.recordings()], None)
+
+    def close(self) -> None:
+        """Write what is left and close the recording."""
+        self.world.flush()
+        if self.recorder is not None:
+            try:
+                self.recorder.close()
+            except RecordingError as error:
+                self.failure = self.failure or str(error)
+
+    def result(self) -> RunResult:
+        """Return what the run came to."""
+        k, enabled, trip = self.k, self.enabled_ns, self.trip
+        return self.result_of(
+            self.figures(),
+            missed_deadlines=int(k.host[0]["missed_deadlines"]),
+            simulated_s=0.0 if enabled is None else (self.ended_ns - enabled) * 1e-9,
+            counters=k.counters(),
+            exit_status=7 if trip else 0,
+            opened=list(self.world.opened) or None,
+            trip_ns=int(bus_ns(self.world.host_clock, k.trip_ns)) if k.trip_ns else None,
+            faults=None if self.injection is None else self.injection.results(),
+            controllers=None if self.injection is None else controllers_of(self.world),
+        )
+
+
+def simulate(
+    rig: Rig | str | os.PathLike[str] = "bench",
+    mode: str = "hybrid",
+    seconds: float = 13.0,
+    *,
+    record: str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    truth: str | os.PathLike[str] | None = None,
+    overrides: tuple[str, ...] = (),
+    script: Callable[[VirtualRig], None] | None = None,
+    faults: FaultPlan | str | os.PathLike[str] | None = None,
+    progress: Callable[[float], None] | None = None,
+    force: bool = False,
+    simulated: Rig | None = None,
+    measured: bool = False,
+) -> RunResult:
+    """Run the rig in virtual time and return what came of it.
+
+    Parameters
+    ----------
+    rig : a rig, the name of a packaged one, or a path
+    mode : ``active``, ``passive`` or ``hybrid``
+    seconds : length of the display, from Operation Enabled on
+    record : write a pcapng recording there; the display's figures are computed from it
+    seed : of everything random; same seed, same bytes
+    truth : save the plant's true course there (npz, the arrays of
+        `sim_bus.rig.plant.TRUTH_COLUMNS`)
+    overrides : ``SECTION.KEY=VALUE`` of the rig file
+    script : called before power-on; plans faults with ``world.at(t_ns, action)``
+    faults : a fault file (docs/bus.md): what goes wrong on the bus, and when
+    progress : called with the display's time in s every 0.25 s of it
+    force : replace `record` and `truth` where they exist
+    simulated : the rig as it truly is, where the host's `rig` believes something else of it: plant,
+        hand and devices are this one's; same buses, same nodes
+    measured : compute the display's figures of the frames in memory, with or without a recording;
+        a file that is recorded beside has then no sum (`RunResult.recording_sha256`)
+
+    Raises
+    ------
+    coulombus.host.errors.HostError
+        a node is missing, refuses a value or is not what the rig file says; nothing was armed
+    coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError,
+    coulombus.recording.pcapng_blocks.RecordingError
+        the rig file, the law or the recording's path is wrong, or a limit would cut the law off
+    FileExistsError
+        `record` or `truth` exists, and `force` was not given; nothing was run
+    coulombus.sim_bus.faults.file.FaultError
+        the fault file is wrong
+    coulombus.rigs.arguments.WrongCall
+        an argument is of a type that is not taken
+    """
+    for name, one in (("record", record), ("truth", truth)):
+        if one is not None:
+            path_text(one, name, f'simulate({name}="run.{"npz" if name == "truth" else "pcapng"}")')
+    wrong = faults if faults is None or isinstance(faults, FaultPlan) else read_faults(_fault_file(faults))
+    overrides = texts(overrides, "overrides", "mode.active.F_s_Nm=1.0")
+    chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
+    if mode not in chosen.modes:
+        raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.modes)}")
+    a_number(seconds, "seconds", "13.0")
+    a_number(seed, "seed", "7", whole=True)
+    if not (math.isfinite(seconds) and seconds > 0):
+        raise ValueError(f"seconds {seconds!r}: expected a number above 0")
+    if record is not None or truth is not None or len(chosen.channels) > 1:
+        check_plan(chosen)  # before a file is made; bring-up refuses it, too
+    check_demand(chosen, mode)
+    for path in (Path(one) for one in (record, truth) if one is not None):
+        for channel in chosen.channels:  # known before the first bus is run
+            check_output(path_on(path, channel) if len(chosen.channels) > 1 else path, force=force)
+    if truth is not None:
+        axes = (simulated or chosen).axes
+        size = sum(
+            seconds / axis.simulation.plant.step_s * 8 * len(truth_columns(axis.simulation.plant)) for axis in axes
+        )
+        if size > TRUTH_BYTES:
+            raise TruthError(
+                f"{truth}: {size / 1e9:.0f} GB of truth; show less than {seconds:g} s, or raise plant.step_s"
+            )
+    if wrong is not None and len(chosen.channels) == 1:
+        wrong = wrong.on(chosen.channels[0], chosen.channels)
+    order = _Order(
+        rig=chosen,
+        simulated=simulated or chosen,
+        mode=mode,
+        seconds=seconds,
+        record=None if record is None else Path(record),
+        seed=seed,
+        truth=None if truth is None else Path(truth),
+        script=script,
+        faults=wrong,
+        progress=progress,
+        force=force,
+        measured=measured,
+    )
+    return _simulate_bus(order) if len(chosen.channels) == 1 else _simulate_buses(order)
+
+
+def _fault_file(faults: str | os.PathLike[str]) -> Path:
+    return Path(path_text(faults, "faults", 'simulate(faults="faults.csv")'))
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What `simulate` was asked for, checked."""
+
+    rig: Rig
+    simulated: Rig
+    mode: str
+    seconds: float
+    record: Path | None
+    seed: int
+    truth: Path | None
+    script: Callable[[VirtualRig], None] | None
+    faults: FaultPlan | None
+    progress: Callable[[float], None] | None
+    force: bool
+    measured: bool
+
+    @property
+    def only_figures(self) -> bool:
+        """Whether nobody sees more of the run than its figures: then the set-up may be an earlier
+        run's, and what follows the host's end is left out.
+        """
+        return self.measured and all(one is None for one in (self.record, self.truth, self.script, self.faults))
+
+    def on(self, channel: str, stop_ns: int | None) -> _Order:
+        """Return what that is on one bus, whose host is stopped at `stop_ns`.
+
+        It has files of its own.
+        """
+
+        def script(world: VirtualRig) -> None:
+            if self.script is not None:
+                self.script(world)
+            if stop_ns is not None:
+                world.at(stop_ns, lambda _: world.ask_to_stop(Trip.OTHER_AXIS))
+
+        record = None if self.record is None else path_on(self.record, channel)
+        truth = None if self.truth is None else path_on(self.truth, channel)
+        faults = None if self.faults is None else self.faults.on(channel, self.rig.channels)
+        rig = self.rig.on(channel)
+        return replace(
+            self,
+            rig=rig,
+            simulated=rig if self.simulated is self.rig else self.simulated.on(channel),
+            record=record,
+            truth=truth,
+            script=None if self.script is None and stop_ns is None else script,
+            faults=faults,
+        )
+
+
+def _simulate_buses(order: _Order) -> RunResult:
+    """Run each bus of the rig.
+
+    Where one trips, the others are run once more and stopped at that instant.
+
+    The buses share nothing but that, so one after the other is exact.
+    """
+    orders = {channel: order.on(channel, None) for channel in order.rig.channels}
+    results = {channel: _simulate_bus(one) for channel, one in orders.items()}
+    trips = {result.trip_ns: channel for channel, result in results.items() if result.trip_ns}
+    if trips:
+        first, again = min(trips), replace(order, force=True)  # its files are those of the first time
+        results = {c: r if c == trips[first] else _simulate_bus(again.on(c, first)) for c, r in results.items()}
+    told = {channel: result.as_dict() for channel, result in results.items()}
+    return RunResult(**merged(told, {channel: result.exit_status for channel, result in results.items()}))
+
+
+def _simulate_bus(order: _Order) -> RunResult:
+    """Run the axes of one bus."""
+    if order.truth is not None:  # whether it can be written is better known before the run
+        _create(order.truth, force=order.force)
+    run = _VirtualRun(order)
+    try:
+        if order.faults is not None:
+            run.injection = Injection(
+                run.world, order.faults, order.seed, run.mark if run.recorder or run.measured else None
+            )
+        if order.script is not None:
+            order.script(run.world)
+        run.course(order.seconds)
+    except BaseException:  # refused, or interrupted: what was recorded stays readable
+        run.close()
+        raise
+    run.close()
+    if order.truth is not None:
+        _save(order.truth, run.world.truth())
+    result = run.result()
+    if order.only_figures:
+        give_back(run.world)
+    return result
+
+
+def _create(path: Path, *, force: bool) -> None:
+    try:
+        os.close(open_new(path, force=force))
+    except OSError as error:
+        raise _no_truth(path, error) from error
+
+
+def _save(path: Path, arrays: Mapping[str, Any]) -> None:
+    try:
+        with path.open("wb") as file:  # given a name, numpy would append .npz to it
+            np.savez(file, **arrays)
+    except OSError as error:
+        raise _no_truth(path, error) from error
+
+
+def _no_truth(path: Path, error: OSError) -> TruthError:
+    reason = error.strerror or error
+    return TruthError(f"{path}: the truth cannot be written ({reason}); name a file with room for it")

@@ -1,0 +1,117 @@
+"""What a varied key of a sweep can be: some values, or a range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from coulombus.rigs.errors import toml_value
+
+__all__ = ["Vary"]
+
+
+@dataclass(frozen=True)
+class Vary:
+    """A key of the rig file, and what is tried of it.
+
+    Attributes
+    ----------
+    key : as ``--set`` takes it
+    own : what the rig itself has there; None where it has nothing
+    values : what is chosen from; none where it is a range
+    low, high, logarithmic, count : the range; `count` values of it are a grid's
+    """
+
+    key: str
+    own: Any = None
+    values: tuple[Any, ...] = ()
+    low: float = 0.0
+    high: float = 0.0
+    logarithmic: bool = False
+    count: int = 0
+
+    @property
+    def whole(self) -> bool:
+        """Whether the rig has an integer there, so that a range is one of integers."""
+        return isinstance(self.own, int) and not isinstance(self.own, bool)
+
+    def on(self, own: Any) -> Vary:
+        """Return the key of a rig that has `own` there: of an integer, a range of integers.
+
+        Raises
+        ------
+        ValueError
+            the range holds no integer
+        """
+        found = replace(self, own=own)
+        if not found.whole or self.values:
+            return found
+        low, high = math.ceil(self.low), math.floor(self.high)
+        if low > high:
+            raise ValueError(f"there is no integer from {self.low:g} to {self.high:g}, and the rig has one there")
+        return replace(found, low=low, high=high)
+
+    def at(self, u: float) -> Any:
+        """Return the value at the share `u` of the range, from 0 to below 1."""
+        if self.values:
+            return self.values[min(int(u * len(self.values)), len(self.values) - 1)]
+        if self.whole and not self.logarithmic:
+            return min(int(self.low + u * (self.high - self.low + 1)), int(self.high))
+        return self.between(self.low, self.high, u)
+
+    def between(self, a: float, b: float, u: float) -> Any:
+        """Return the value at the share `u` of the way from `a` to `b`, on the range's scale."""
+        if u in (0.0, 1.0):
+            value = b if u else a
+        elif self.logarithmic and a > 0 and b > 0:
+            value = math.exp(math.log(a) + u * (math.log(b) - math.log(a)))
+        else:
+            value = a + u * (b - a)
+        value = min(max(value, min(a, b)), max(a, b))
+        return round(value) if self.whole else value
+
+    def grid(self) -> tuple[Any, ...]:
+        """Return the values of a grid, the range's ends included."""
+        if self.values:
+            return self.values
+        shares = (k / (self.count - 1) for k in range(self.count))
+        return tuple(dict.fromkeys(self.between(self.low, self.high, u) for u in shares))
+
+    def tried(self) -> tuple[Any, ...]:
+        """Return values by which the key is tried: those that are given, or the range's ends and
+        its middle.
+        """
+        if self.values:
+            return self.values[:3]
+        return tuple(dict.fromkeys(self.between(self.low, self.high, u) for u in (0.0, 1.0, 0.5)))
+
+    @property
+    def numeric(self) -> bool:
+        """Whether its values are numbers, and the rig's own, too, where it has one."""
+        return all(_number(value) for value in (*self.values, 0.0 if self.own is None else self.own))
+
+    def deviation(self, value: Any) -> float:
+        """Return how far `value` is from the rig's own, as a share of what is tried: 0 is the same.
+
+        Of what is no number, and of what the rig has not, 0 or 1.
+        """
+        if self.own is None or value == self.own:
+            return 0.0
+        if not self.numeric:
+            return 1.0
+        low, high = (min(self.values), max(self.values)) if self.values else (self.low, self.high)
+        if self.logarithmic and self.own > 0:
+            value, own, low, high = map(math.log, (value, self.own, low, high))
+        else:
+            own = self.own
+        width = high - low
+        return float(abs(value - own) / width) if width > 0 else 1.0
+
+    def override(self, value: Any) -> str:
+        """Return the value as ``--set`` takes it."""
+        return f"{self.key}={toml_value(value)}"
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

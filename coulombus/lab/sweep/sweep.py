@@ -1,0 +1,179 @@
+"""A sweep from its file to its rates: the runs, the table, the worst cases, the maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from coulombus.lab.sweep.file import Sweep
+from coulombus.lab.sweep.folder import Folder, FolderError
+from coulombus.lab.sweep.one_run import Job, Keep, Order, order_of
+from coulombus.lab.sweep.picture import MapPoint, map_of
+from coulombus.lab.sweep.rates import Rate
+from coulombus.lab.sweep.workers import on_cluster, on_processes
+from coulombus.lab.sweep.worst import nearest_failing, rig_files, shrunk
+from coulombus.system.realtime import usable_cpus
+
+__all__ = ["SweepResult", "run_sweep"]
+
+FIGURE = "hold_counts_p2p"
+"""What is drawn of a sweep that counts nothing."""
+
+Progress = Callable[[str, int, int, int], None]
+"""Called with what is going on, how much of it is done, of how much (0: nobody knows), and how many
+runs failed.
+"""
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """What a sweep came to.
+
+    Attributes
+    ----------
+    runs, failed : how many there are, and how many have an error
+    rates : by their names; of several modes ``MODE.NAME``
+    simulated_s_per_core_s : what was displayed for each second of one core, set-up included; None
+        where nothing was
+    worst : rate -> its mildest rig that fails, with the file's path
+    maps : rate -> picture
+    """
+
+    runs: int
+    failed: int
+    rates: Mapping[str, Rate]
+    simulated_s_per_core_s: float | None
+    table: Path
+    worst: Mapping[str, Mapping[str, Any]]
+    maps: Mapping[str, Path]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as plain values for JSON."""
+        return {
+            "runs": self.runs,
+            "failed": self.failed,
+            "rates": {name: rate.as_dict() for name, rate in self.rates.items()},
+            "simulated_s_per_core_s": self.simulated_s_per_core_s,
+            "table": str(self.table),
+            "worst": {name: dict(found) for name, found in self.worst.items()},
+            "maps": {name: str(path) for name, path in self.maps.items()},
+        }
+
+
+def run_sweep(
+    sweep: Sweep,
+    folder: Path,
+    *,
+    processes: int | None = None,
+    dask: str | None = None,
+    keep: Keep = "none",
+    force: bool = False,
+    progress: Progress = lambda what, done, of, failed: None,
+) -> SweepResult:
+    """Carry out the runs of a sweep that are not done in `folder`, and return what all came to.
+
+    Parameters
+    ----------
+    processes : here; default one for each CPU that this process may use
+    dask : address of a dask.distributed scheduler, whose workers do it instead
+    keep : recordings that are kept of the runs that are left
+    force : replace another sweep's results
+
+    Raises
+    ------
+    coulombus.lab.sweep.folder.FolderError
+        the folder holds another sweep, or cannot be written
+    coulombus.lab.sweep.workers.ClusterError
+        there is no cluster
+    """
+    job = Job.of(sweep, keep)
+    with Folder.open(folder, sweep, force=force) as kept:
+        left = kept.left
+        if left:
+            _carry_out(kept, job, left, processes or len(usable_cpus()), dask, progress)
+        if not kept.finished:
+            kept.finish()
+        return _summary(kept, job, progress)
+
+
+def _carry_out(kept: Folder, job: Job, left: list[int], processes: int, dask: str | None, progress: Progress) -> None:
+    sweep = kept.sweep
+    done, failed = sweep.runs - len(left), 0
+    progress("runs", done, sweep.runs, failed)
+    orders = [order_of(sweep, run) for run in left]
+    source = on_cluster(job, orders, dask) if dask else on_processes(job, orders, processes)
+    try:
+        with closing(source):  # type: ignore[type-var]
+            for found in source:
+                kept.taken.simulated_s += found.simulated_s
+                kept.taken.cpu_s += found.cpu_s
+                row = dict(found.row)
+                if found.recording is not None:
+                    row["recording"] = kept.keep_recording(row["run"], found.recording)
+                kept.add(row)
+                done, failed = done + 1, failed + (row["error"] is not None)
+                progress("runs", done, sweep.runs, failed)
+    except FolderError:
+        raise
+    except BaseException:  # interrupted: what is done stays
+        kept.flush()
+        progress("runs", sweep.runs - len(kept.left), sweep.runs, failed)
+        raise
+
+
+def _summary(kept: Folder, job: Job, progress: Progress) -> SweepResult:
+    sweep = kept.sweep
+    conditions = [f"rates.{name}" for name in sweep.rates]
+    rows = kept.rows("run", "mode", "error", "cycles", FIGURE, *conditions)
+    rates: dict[str, Rate] = {}
+    maps: dict[str, Path] = {}
+    for mode in sweep.modes:
+        own = [row for row in rows if row["mode"] == mode]
+        for name in sweep.rates or ((FIGURE,) if sweep.vary else ()):
+            label = name if len(sweep.modes) == 1 else f"{mode}.{name}"
+            shown: Rate | str = name
+            if name in sweep.rates:
+                rates[label] = shown = Rate(label, sum(row[f"rates.{name}"] for row in own), len(own))
+                failing = [order_of(sweep, row["run"]) for row in own if _fails(row, name)]
+                _find_worst(kept, job, name, label, failing, progress)
+            if sweep.vary:
+                points = [_point(sweep, row, name) for row in own]
+                maps[label] = kept.path / f"map-{label}.png"
+                kept.write(maps[label], map_of(sweep.vary, points, shown))
+    taken = kept.taken
+    return SweepResult(
+        runs=len(rows),
+        failed=sum(row["error"] is not None for row in rows),
+        rates=rates,
+        simulated_s_per_core_s=taken.simulated_s / taken.cpu_s if taken.cpu_s > 0 and taken.simulated_s > 0 else None,
+        table=kept.path / "runs.parquet",
+        worst={name: _placed(kept.worst[name], kept.path) for name in rates if name in kept.worst},
+        maps=maps,
+    )
+
+
+def _placed(found: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    return {**found, "file": str(folder / found["file"])}
+
+
+def _fails(row: Mapping[str, Any], rate: str) -> bool:
+    """Tell whether the condition does not hold for a rig that was simulated."""
+    return row["cycles"] is not None and not row[f"rates.{rate}"]
+
+
+def _point(sweep: Sweep, row: Mapping[str, Any], rate: str) -> MapPoint:
+    holds = None if row["cycles"] is None else row.get(f"rates.{rate}")
+    return MapPoint(sweep.points[row["run"] // len(sweep.modes)], holds, row[FIGURE])
+
+
+def _find_worst(kept: Folder, job: Job, rate: str, label: str, failing: list[Order], progress: Progress) -> None:
+    start = nearest_failing(job.vary, failing)
+    if start is None or label in kept.worst:
+        return
+    worst = shrunk(job, rate, start, lambda tried: progress(f"worst case of {label}", tried, 0, 0))
+    rig = job.rig.variant(*(one.override(value) for one, value in zip(job.vary, worst.order.values, strict=True)))
+    files = rig_files(rig, kept.path, f"worst-{label}.toml")
+    kept.keep_worst(label, {**worst.as_dict(), "rate": label, "file": f"worst-{label}.toml"}, files)

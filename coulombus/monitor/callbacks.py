@@ -1,0 +1,215 @@
+"""Call-backs for the signals of a bus, by their names: `live`."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from coulombus.monitor.live import values_of
+from coulombus.recording.signals import signal_of
+from coulombus.rigs.arguments import WrongCall
+from coulombus.rigs.buses import one_bus
+from coulombus.rigs.rig import Rig, load_rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.client import BusDown, BusFull, Client
+from coulombus.wire.handshake import Flags, Hello
+
+__all__ = ["Callback", "LiveBus", "live"]
+
+WAIT_S = 0.1
+ASK_S = 1.0
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class Callback:
+    """One function that is called; `calls` and `errors` count how often, and how often it raised.
+
+    `error` is the first thing that it raised. `end` ends it; a call that runs is not cut off.
+    """
+
+    names: tuple[str, ...]
+    function: Callable[..., object]
+    calls: int = 0
+    errors: int = 0
+    error: Exception | None = None
+    _newest: dict[str, float] = field(default_factory=dict, repr=False)
+    _ended: bool = field(default=False, repr=False)
+
+    def end(self) -> None:
+        """Call the function no more."""
+        self._ended = True
+
+    def _take(self, t_s: float, values: dict[str, float]) -> None:
+        found = {name: values[name] for name in self.names if name in values}
+        self._newest.update(found)
+        if self._ended or not found or len(self._newest) < len(set(self.names)):
+            return
+        self.calls += 1
+        try:
+            self.function(t_s, *(self._newest[name] for name in self.names))
+        except Exception as error:
+            self.errors += 1
+            if self.error is None:
+                self.error = error
+                logger.exception("the call-back of %s raised; it is told once, and counted", ", ".join(self.names))
+
+
+class LiveBus:
+    """A bus that is listened to in a thread of its own, until `close` or the end of ``with``.
+
+    `malformed` counts by "motor.TPDO1" the frames of a PDO whose length is not the rig's: they call
+    nothing. The first of each PDO, and the first frames that are lost, are logged as a warning.
+    """
+
+    def __init__(self, client: Client, rig: Rig) -> None:
+        self.rig = rig
+        self._client = client
+        self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
+        self._carried = {can_id: {signal.name for signal in pdo.signals} for can_id, pdo in self._pdos.items()}
+        self.malformed: dict[str, int] = {}
+        self._told_lost = False
+        self._callbacks: tuple[Callback, ...] = ()
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._failure: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="bus call-backs", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> LiveBus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def on(self, signals: str | Iterable[str], function: Callable[..., object]) -> Callback:
+        """Call ``function(t_s, value, ...)`` with each frame that carries one of the signals.
+
+        `t_s` is the frame's stamp [s since 1970]; the values are in SI, in the order of the names,
+        the newest of each. With several signals, the first call comes when each has come once.
+        All functions are called in one thread, one after another, in the order of the frames and
+        of `on`: a slow one delays the others. What one raises is logged once and counted in the
+        `Callback`; it is called again, and so are the others.
+
+        Raises
+        ------
+        coulombus.recording.signals.UnknownSignal
+            The rig has no such signal; the nearest names are told.
+        ValueError
+            No signal is named.
+        """
+        names = (signals,) if isinstance(signals, str) else tuple(signals)
+        if not names:
+            raise ValueError('no signal is named: on("motor.position_rad", f) or on(["...", "..."], f)')
+        for name in names:
+            signal_of(self.rig.pdos(), name, f"rig {self.rig.name}")
+        callback = Callback(names, function)
+        with self._lock:
+            self._callbacks = (*(one for one in self._callbacks if not one._ended), callback)
+        return callback
+
+    @property
+    def lost(self) -> int:
+        """Frames that found no place in this listener's queue: the call-backs are slower than the
+        bus. The virtual bus is asked once a second.
+        """
+        return self._client.lost
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until the bus is closed, at most so long [s]; tell whether it is.
+
+        Raises
+        ------
+        coulombus.wire.address.BusUnavailable
+            The bus went away.
+        """
+        self._thread.join(seconds)
+        if self._failure is not None:
+            raise self._failure
+        return not self._thread.is_alive()
+
+    def close(self) -> None:
+        """Call nothing more, and leave the bus; a call-back may call this, too."""
+        self._stop.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        with self._client as client:
+            asked = time.monotonic()
+            while not self._stop.is_set():
+                try:
+                    client.wait(WAIT_S)
+                    while not self._stop.is_set() and (found := client.receive()):
+                        for t_ns, can_id, length, data in found:
+                            self._take(t_ns, can_id, length, data)
+                        if time.monotonic() - asked > ASK_S:
+                            break
+                    if time.monotonic() - asked > ASK_S:
+                        asked = time.monotonic()
+                        client.ask()
+                    self._tell_lost()
+                except (BusDown, BusFull):
+                    self._stop.wait(WAIT_S)
+                except OSError as error:
+                    self._failure = error
+                    return
+
+    def _tell_lost(self) -> None:
+        if self.lost and not self._told_lost:
+            self._told_lost = True
+            text = "%s: %d frames were lost: the call-backs are slower than the bus; it is told once, and counted"
+            logger.warning(text, self._client.address, self.lost)
+
+    def _tell_malformed(self, pdo: RigPdo, length: int) -> None:
+        name = f"{pdo.node}.{pdo.name}"
+        self.malformed[name] = self.malformed.get(name, 0) + 1
+        if self.malformed[name] == 1:
+            text = "%s came with %d bytes, the rig has %d: is this the rig of this bus? it is told once, and counted"
+            logger.warning(text, name, length, pdo.layout.length)
+
+    def _take(self, t_ns: int, can_id: int, length: int, data: bytes) -> None:
+        pdo = self._pdos.get(can_id)
+        if pdo is None:
+            return
+        if pdo.layout.length != length:
+            self._tell_malformed(pdo, length)
+            return
+        wanting = [one for one in self._callbacks if not self._carried[can_id].isdisjoint(one.names)]
+        told = values_of(pdo, data) if wanting else {}
+        values = {name: math.nan if value is None else value for name, value in told.items()}
+        for callback in wanting:
+            if self._stop.is_set():
+                return
+            callback._take(t_ns / 1e9, values)
+
+
+def live(bus: str = "bench", rig: str | os.PathLike[str] = "bench", channel: str | None = None) -> LiveBus:
+    """Listen to a bus, and call functions with its signals::
+
+        with live("bench") as bus:
+            bus.on("brake.handle_torque_Nm", lambda t_s, torque_Nm: print(t_s, torque_Nm))
+            bus.wait(10)
+
+    It sends nothing. `bus` is an address, as ``socketcan:can0``; a name alone is that of a virtual
+    bus. `rig` is a rig or a path of a rig file, `channel` the bus of one that has several.
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        There is no such bus.
+    coulombus.wire.address.AddressError
+        `bus` is no address, or the rig has several buses and `channel` is none of them.
+    coulombus.rigs.arguments.WrongCall
+        `bus` is no text, or `rig` is neither a rig's name nor a path.
+    """
+    if not isinstance(bus, str):
+        raise WrongCall(f'bus is {bus!r}: expected a bus\' name or address, as in live("socketcan:can0")')
+    found, address = one_bus(load_rig(rig), bus if ":" in bus else f"coulombus:{bus}", channel)
+    return LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), found)

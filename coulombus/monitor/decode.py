@@ -1,0 +1,233 @@
+"""A recording row by row: each frame as a dict for ``coulombus decode --json``, or as a line for
+the eye.
+
+Every row has `t_s`, `can_id`, `node` (a name of the rig, a node id's number as text, or None) and
+`pdo` ("TPDO1" or None). A PDO of the rig adds its signals by name in SI units; any other frame adds
+`service`, `data` (hexadecimal) and what the service says; a comment adds `marker`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import textwrap
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from coulombus.eds.cia301 import CobId
+from coulombus.eds.reader import Description
+from coulombus.monitor.error_frames import error_frame
+from coulombus.monitor.services import Row, Sdo, emcy, heartbeat, lss, nmt, sync
+from coulombus.recording.pdo_table import PdoTable
+from coulombus.recording.signals import Recording, Source
+from coulombus.rigs.rig import Rig
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
+
+__all__ = ["Row", "as_json", "as_text", "fitted", "rows"]
+
+NODE_ID = 0x7F
+FUNCTION = 0x780
+PDO_NAMES = {int(one): one.name for one in CobId if one.name.startswith(("TPDO", "RPDO"))}
+"""The predefined connection set (CiA 301, section 7.3.5)."""
+
+COMMON = ("t_s", "can_id", "node", "pdo", "extended", "remote", "service", "data", "marker", "code")
+HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X"}
+WIDTH = 11
+INDENT = 26
+"""Where the content that has no room in its line goes on: under the node's name."""
+BETWEEN_ITEMS = re.compile(r"(?<=\S)  (?=\w+=)")
+
+
+def rows(recording: Source) -> Iterator[Row]:
+    """Yield one dict for each frame, in the file's order.
+
+    The PDOs of a block are decoded beforehand, as whole columns.
+    """
+    services = _Services(recording.rig)
+    for block in recording:
+        yield from _block_rows(block, services)
+
+
+def _block_rows(block: Recording, services: _Services) -> Iterator[Row]:
+    frames = block.frames
+    table_of = np.full(len(frames), -1, np.int64)
+    tables = [table for table in block.tables if not table.inside]
+    for number, table in enumerate(tables):
+        table_of[table.rows] = number
+    pdos = [_pdo_rows(table) for table in tables]
+    comments: dict[int, str] = {}
+    for row, text in block.capture.comments:
+        comments[row] = f"{comments[row]}; {text}" if row in comments else text
+    columns = (block.t_s, frames["can_id"], frames["length"], frames["word"], table_of)
+    for i, (t_s, can_id, length, word, number) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
+        if number >= 0:
+            found: Row = {"t_s": t_s, "can_id": can_id}
+            found.update(next(pdos[number]))
+        else:
+            found = services.row(t_s, can_id, length, word)
+        if i in comments:
+            found["marker"] = comments[i].replace("\n", "; ")
+        yield found
+
+
+def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
+    """Yield the items of each frame of one PDO, from node on."""
+    names = ("node", "pdo", *(signal.name for signal in table.pdo.signals))
+    head = (table.pdo.node, table.pdo.name)
+    for values in zip(*(column.tolist() for column in table.columns), strict=True):
+        yield zip(names, head + values, strict=True)
+
+
+class _Services:
+    """Decodes what is no PDO of the rig."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._names = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
+        self._descriptions: dict[str, Description] = {node.name: node.description for node in rig.nodes}
+        self._emergencies = {node.emcy_id: node.name for node in rig.nodes}
+        self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
+        self._servers: dict[int, Sdo] = {}
+
+    def row(self, t_s: float, can_id: int, length: int, word: int) -> Row:
+        """Return the row of one frame."""
+        data = b"" if can_id & CAN_RTR_FLAG else data_bytes(word, length)
+        row: Row = {"t_s": t_s, "can_id": can_id & 0x1FFFFFFF, "node": None, "pdo": None}
+        if can_id & CAN_ERR_FLAG:
+            return row | {"service": "error", "data": data.hex(), **error_frame(can_id, data)}
+        if can_id & CAN_EFF_FLAG:
+            row |= {"extended": True, "service": "unknown", "data": data.hex()}
+        else:
+            row |= self._base(can_id & 0x7FF, data, remote=bool(can_id & CAN_RTR_FLAG))
+        if can_id & CAN_RTR_FLAG:
+            row |= {"remote": True, "length": length}
+        return row
+
+    def _name(self, node_id: int) -> str:
+        return self._names.get(node_id, str(node_id))
+
+    def _base(self, can_id: int, data: bytes, remote: bool) -> Row:
+        """Name the service of an 11-bit identifier; a remote frame has nothing to decode."""
+        function, node_id = can_id & FUNCTION, can_id & NODE_ID
+        row: Row = {"service": "unknown", "data": data.hex()}
+        if can_id in self._pdos:
+            pdo = self._pdos[can_id]
+            row |= {"node": pdo.node, "pdo": pdo.name, "service": "pdo"}
+            wrong = {"malformed": f"{len(data)} bytes, expected {pdo.layout.length}"}
+            return row if remote else row | wrong
+        decoder: Callable[[bytes], Row] | None = None
+        if can_id == CobId.NMT:
+            row["service"], decoder = "nmt", lambda content: nmt(content, self._name)
+        elif can_id == CobId.SYNC:
+            row["service"], decoder = "sync", sync
+        elif can_id == CobId.TIME:
+            row["service"] = "time"
+        elif can_id in (CobId.LSS_TX, CobId.LSS_RX):
+            row["service"], decoder = "lss", lambda content: lss(content, can_id == CobId.LSS_TX)
+        elif can_id in self._emergencies:
+            row |= {"service": "emcy", "node": self._emergencies[can_id]}
+            decoder = emcy
+        elif node_id:
+            row["node"] = self._name(node_id)
+            if function == CobId.EMCY:
+                row["service"], decoder = "emcy", emcy
+            elif function == CobId.HEARTBEAT:
+                row["service"], decoder = "heartbeat", heartbeat
+            elif function in (CobId.SDO_TX, CobId.SDO_RX):
+                row["service"], decoder = "sdo", lambda content: self._sdo(node_id, content, function == CobId.SDO_TX)
+            elif function in PDO_NAMES:
+                row |= {"service": "pdo", "pdo": PDO_NAMES[function]}
+            else:
+                row["node"] = None
+        return row if remote or decoder is None else row | decoder(data)
+
+    def _sdo(self, node_id: int, data: bytes, from_server: bool) -> Row:
+        if node_id not in self._servers:
+            self._servers[node_id] = Sdo(self._descriptions.get(self._name(node_id)))
+        return self._servers[node_id].row(data, from_server)
+
+
+def as_json(row: Row) -> str:
+    """Return a row as one line of JSON; a number that is none (of a REAL object) as text, for JSON
+    has no word for it.
+    """
+    try:
+        return json.dumps(row, allow_nan=False)
+    except ValueError:
+        numbers = {key: value for key, value in row.items() if isinstance(value, float) and not math.isfinite(value)}
+        return json.dumps(row | {key: repr(value) for key, value in numbers.items()})
+
+
+def as_text(row: Row) -> str:
+    """Return a row as one line, columns aligned: time [s], identifier, node, PDO or service,
+    content, marker.
+
+    ::
+
+            1.004321  181  motor  TPDO1      statusword=0x0237      position_rad=   +0.12345  torque_Nm=   -0.00173
+    """
+    can_id = f"{row['can_id']:08X}" if row.get("extended") else f"{row['can_id']:03X}"
+    what = row["pdo"] or row["service"]
+    line = f"{row['t_s']:14.6f}  {can_id:>8}  {row['node'] or '-':<6} {what:<10}"
+    if row.get("remote"):
+        line += f" remote request, {row['length']} bytes"
+    elif row.get("service") == "error":
+        line += " " + row["text"]
+    elif "sdo" in row:
+        line += " " + _sdo_text(row)
+    else:
+        content = [_item(key, value) for key, value in row.items() if key not in COMMON]
+        if row.get("data") and (not content or "malformed" in row):
+            content.append(row["data"])
+        line += " " + "  ".join(content)
+    if "marker" in row:
+        line = f"{line.rstrip()}  # {row['marker']}"
+    return line.rstrip()
+
+
+def fitted(line: str, width: int) -> str:
+    """Return a line of `as_text` broken between its items, so that none is beyond `width` as long as
+    it has room in a line.
+    """
+    first, *items = BETWEEN_ITEMS.split(line)
+    lines = [first]
+    for item in items:
+        if len(lines[-1]) + 2 + len(item) <= width:
+            lines[-1] += "  " + item
+        else:
+            lines.append(" " * INDENT + item)
+    return "\n".join(
+        textwrap.fill(one, width, subsequent_indent=" " * INDENT, break_long_words=False, break_on_hyphens=False)
+        if len(one) > width > 2 * INDENT
+        else one
+        for one in lines
+    )
+
+
+def _item(key: str, value: Any) -> str:
+    name = key.rpartition(".")[2]
+    if name == "text":
+        return str(value)
+    if isinstance(value, float):
+        return f"{name}={value:+{WIDTH}.5f}"
+    if name in HEXADECIMAL:
+        return f"{name}=0x{value:{HEXADECIMAL[name]}}"
+    return f"{name}={value}"
+
+
+def _sdo_text(row: Row) -> str:
+    line = f"{row['sdo']:<26}"
+    if "index" in row:
+        line += f" {row['index']:04X}:{row['subindex']:02X}"
+    if "name" in row:
+        line += f" {row['name']}"
+    if "value" in row:
+        value = row["value"]
+        line += f" = {value}" + (f" (0x{value:X})" if isinstance(value, int) and value > 9 else "")
+    if "size" in row:
+        line += f" ({row['size']} bytes follow)"
+    if "segment" in row:
+        line += f" {row['segment']}" + (" (last)" if row["last"] else "")
+    return line + (f" {row['text']}" if "text" in row else "")

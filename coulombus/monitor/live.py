@@ -1,0 +1,460 @@
+"""What is on a bus right now: the last value of every PDO, rates, ages, the nodes' states, and what
+happened.
+
+Frames are only kept when they are taken, so a reader keeps up with a full bus; counting and
+decoding are done by NumPy, when somebody looks (`Live.snapshot`). Time is an argument: nanoseconds since 1970,
+as the frames' stamps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from operator import itemgetter
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds.cia301 import CobId, NmtState, abort_text
+from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from coulombus.monitor.error_frames import error_frame
+from coulombus.monitor.services import STATES, emcy, lss, nmt
+from coulombus.recording.pdo_table import decode_field
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.client import Received
+from coulombus.wire.frame_batches import Block
+
+__all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value", "values_of"]
+
+WINDOW_NS = 1_000_000_000
+SYNC_SILENT_NS = 100_000_000
+NEVER_NS = 1 << 62
+STATUSWORD = 0x6041
+CAN_ERR_BUSOFF = 0x40
+CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
+"""What makes a node known that the rig does not have."""
+TPDOS = (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
+SENT_BY_NODES = (*CALLS, *TPDOS)
+"""With the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
+BITS = np.array([34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9)])
+"""Bits of a frame of so many bytes with the worst stuffing, as `wire.bits.worst_case_bits`, which
+needs numba's start.
+"""
+TOGETHER = 20_000
+"""Frames that wait to be looked at, at most."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened: when [ns since 1970], and what; `grave` where a run cannot go on."""
+
+    t_ns: int
+    text: str
+    grave: bool = False
+
+
+@dataclass(frozen=True)
+class Value:
+    """A signal's last value in `unit`; None: it never came."""
+
+    name: str
+    value: int | float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class PdoRow:
+    """One PDO: frames so far and each second, age of the last one [s] (None: none came), values."""
+
+    name: str
+    can_id: int
+    count: int
+    rate_per_s: float
+    age_s: float | None
+    malformed: int
+    values: tuple[Value, ...]
+    least_s: float | None = None
+    most_s: float | None = None
+    """Shortest and longest time between two of them since the last snapshot [s]; None of fewer."""
+    data: bytes = b""
+    """Its last bytes; none as long as none came."""
+    changed: frozenset[int] = frozenset()
+    """Places of the bytes that are others than at the last snapshot."""
+
+
+@dataclass(frozen=True)
+class NodeRow:
+    """One node: NMT state (None: never heard), age of its heartbeat [s], power state and last
+    emergency, if any.
+
+    `frames` are those that it sent: PDOs, SDO responses, emergencies, heartbeats, the host's SYNC.
+    A node that the rig does not have (not `known`) is called by its number.
+    """
+
+    name: str
+    node_id: int
+    state: str | None
+    age_s: float | None
+    silent: bool
+    power_state: str | None
+    emergency: str | None
+    known: bool
+    frames: int
+    rate_per_s: float
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All of it at one time."""
+
+    t_ns: int
+    frames: int
+    frames_per_s: float
+    sync_per_s: float
+    error_frames: int
+    unknown: int
+    bits_per_s: float
+    """Bits on the wire [1/s], at most: with the worst stuffing, error frames not counted."""
+    pdos: tuple[PdoRow, ...]
+    nodes: tuple[NodeRow, ...]
+    events: tuple[Event, ...]
+    """Those since the last snapshot."""
+
+
+@dataclass
+class _Line:
+    """Frames of one identifier."""
+
+    length: int = -1  # expected, -1: any
+    count: int = 0
+    malformed: int = 0
+    t_ns: int = 0
+    data: bytes = b""
+    looked_at: bytes = b""
+    """The data at the last snapshot."""
+    least_ns: int = NEVER_NS
+    most_ns: int = -1
+
+
+@dataclass
+class _Node:
+    name: str
+    node_id: int
+    timeout_ns: int
+    state: int = -1
+    power: int = -1
+    silent: bool = False
+    emergency: str | None = None
+    known: bool = True
+    services: int = 0
+    """Frames that it sent besides those that have a line."""
+    heartbeat: _Line = field(default_factory=_Line)
+
+
+class Live:
+    """The state of a rig's bus; `take` frames, look at `snapshot`."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self._pdos = rig.pdos()
+        self._lines = {pdo.layout.cob_id: _Line(pdo.layout.length) for pdo in self._pdos}
+        self._sync = self._lines[CobId.SYNC] = _Line()
+        self._nodes = [_Node(n.name, n.node_id, round(n.part.heartbeat_timeout_s * 1e9)) for n in rig.nodes]
+        self._nodes.append(_Node("host", rig.host.node_id, round(3e9 * rig.host.heartbeat_s)))
+        self._by_id = {node.node_id: node for node in self._nodes}
+        self._emergencies = {node.emcy_id: self._by_id[node.node_id] for node in rig.nodes}
+        self._sends = {
+            n.node_id: [p.layout.cob_id for p in self._pdos if p.layout.direction == "tpdo" and p.node_id == n.node_id]
+            for n in self._nodes
+        }
+        rpdos = [p.layout.cob_id for p in self._pdos if p.layout.direction == "rpdo"]
+        self._sends[rig.host.node_id] = [int(CobId.SYNC), *rpdos]
+        self._statuswords = {
+            pdo.layout.cob_id: (self._by_id[pdo.node_id], start // 8)
+            for pdo in self._pdos
+            for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True)
+            if entry.index == STATUSWORD
+        }
+        self._waiting: list[Block] = []
+        self._waiting_frames = 0
+        self._row = 0  # of the frame that is looked at
+        self._events: list[tuple[int, Event]] = []  # with the row of the frame that tells it
+        self._history: deque[tuple[int, dict[int, int], dict[int, int], int, int]] = deque()
+        self._sync_silent = False
+        self._error_class = 0
+        self.frames = self.bits = self.error_frames = self.unknown = 0
+        self._foreign: set[int] = set()
+
+    def take(self, received: Block | Sequence[Received]) -> None:
+        """Take frames; nothing in them raises.
+
+        They are looked at together, when somebody looks or when they are `TOGETHER`.
+        """
+        block = received if isinstance(received, Block) else Block.of(received)
+        self._waiting.append(block)
+        self._waiting_frames += len(block)
+        if self._waiting_frames >= TOGETHER:
+            self._catch_up()
+
+    def _catch_up(self) -> None:
+        """Look at the frames that were taken, identifier by identifier; the events of them stand in
+        the order in which the frames came.
+        """
+        block, self._waiting, self._waiting_frames = Block.joined(self._waiting), [], 0
+        if not len(block):
+            return
+        self.frames += len(block)
+        real = block.lengths[block.can_ids & CAN_ERR_FLAG == 0]
+        self.bits += int(BITS[real].sum())
+        before, others = len(self._events), []
+        for can_id, rows in block.rows.items():
+            line = self._lines.get(can_id)
+            if line is None:
+                others.append(rows)
+            else:
+                self._take_line(line, can_id, block, rows)
+        if others:
+            rows = np.sort(np.concatenate(others))
+            for self._row, (t_ns, can_id, length, data) in zip(rows.tolist(), block.frames(rows), strict=True):
+                self._other(t_ns, can_id, data[:length])
+        self._events[before:] = sorted(self._events[before:], key=itemgetter(0))
+
+    def _take_line(self, line: _Line, can_id: int, block: Block, rows: npt.NDArray[np.int64]) -> None:
+        """Take the rows of a block that are of one line."""
+        if line.length != -1:
+            right = block.lengths[rows] == line.length
+            if not right.all():
+                wrong, rows = rows[~right], rows[right]
+                self._row = int(wrong[0])
+                if not line.malformed:
+                    length = block.lengths[wrong[0]]
+                    text = f"{can_id:03X}h has {length} bytes, the rig's has {line.length}: another rig?"
+                    self._note(int(block.t_ns[wrong[0]]), text, grave=True)
+                line.malformed += len(wrong)
+                if not len(rows):
+                    return
+        t_ns = block.t_ns[rows]
+        if line.count:
+            t_ns = np.concatenate(([line.t_ns], t_ns))
+        gaps = t_ns[1:] - t_ns[:-1]
+        if len(gaps):
+            line.least_ns, line.most_ns = min(line.least_ns, int(gaps.min())), max(line.most_ns, int(gaps.max()))
+        line.count += len(rows)
+        line.t_ns = int(t_ns[-1])
+        if can_id in self._statuswords:
+            motor, start = self._statuswords[can_id]
+            words = block.words[rows] >> 8 * start & 0x7F
+            for k in (0, *(np.flatnonzero(words[1:] != words[:-1]) + 1).tolist()):
+                self._row = row = int(rows[k])
+                self._power_state(int(block.t_ns[row]), motor, start, block.data(row))
+        line.data = block.data(rows[-1])
+
+    def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
+        """Note an event that is seen elsewhere, as the bus going away; it stands behind those of the
+        frames so far.
+        """
+        self._catch_up()
+        self._note(t_ns, text, grave)
+
+    def _note(self, t_ns: int, text: str, grave: bool = False) -> None:
+        self._events.append((self._row, Event(t_ns, text, grave)))
+
+    def _power_state(self, t_ns: int, motor: _Node, start: int, data: bytes) -> None:
+        state = int(STATE_OF_STATUSWORD[data[start] & 0x7F])
+        if state == motor.power:
+            return
+        fault = state in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
+        if motor.power >= 0 or fault:
+            self._note(t_ns, f"{motor.name}: {_power_text(motor.power)} -> {_power_text(state)}", fault)
+        motor.power = state
+
+    def _other(self, t_ns: int, can_id: int, data: bytes) -> None:
+        if can_id & CAN_ERR_FLAG:
+            self._error(t_ns, can_id, data)
+            return
+        if can_id & (CAN_RTR_FLAG | CAN_EFF_FLAG):
+            self.unknown += 1
+            return
+        if can_id == CobId.NMT:
+            row = nmt(data, lambda number: self._by_id[number].name if number in self._by_id else str(number))
+            if "command" in row:
+                self._note(t_ns, f"NMT: {row['command']}, to {row['node']}")
+            return
+        if can_id in (CobId.LSS_TX, CobId.LSS_RX):
+            row = lss(data, can_id == CobId.LSS_TX)
+            if "command" in row and row["command"] != "fastscan":
+                said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in row.items() if key != "command")
+                self._note(t_ns, f"LSS: {row['command']}" + (f", {said}" if said else ""))
+            return
+        function, node = can_id & 0x780, self._by_id.get(can_id & 0x7F)
+        if can_id in self._emergencies:
+            function, node = CobId.EMCY, self._emergencies[can_id]
+        if function in TPDOS and node is not None and node.known and can_id not in self._foreign:
+            self._foreign.add(can_id)
+            self._note(t_ns, f"{node.name}: {can_id:03X}h comes, which the rig does not have", grave=True)
+        if node is None and function in CALLS and can_id & 0x7F:
+            node = self._stranger(can_id & 0x7F)
+            self._note(t_ns, f"{node.name}: a node that the rig does not have; --rig says which rig it is")
+        if node is not None and function in SENT_BY_NODES:
+            node.services += 1
+        if function == CobId.HEARTBEAT and node is not None and len(data) == 1:
+            self._heartbeat(t_ns, node, data[0] & 0x7F)
+        elif function == CobId.EMCY and node is not None:
+            self._emergency(t_ns, node, data)
+        elif function in (CobId.SDO_TX, CobId.SDO_RX) and node is not None and len(data) == 8:
+            if data[0] == 0x80:
+                index, subindex = int.from_bytes(data[1:3], "little"), data[3]
+                reason = abort_text(int.from_bytes(data[4:8], "little"))
+                self._note(t_ns, f"{node.name}: SDO abort {index:04X}h:{subindex}: {reason}")
+        elif node is None or node.known or function not in SENT_BY_NODES:
+            self.unknown += 1
+
+    def _emergency(self, t_ns: int, node: _Node, data: bytes) -> None:
+        row = emcy(data)
+        grave = bool(row.get("code", True))  # one without a code is a doubt, too
+        node.emergency = row.get("text", "without a code") if grave else None
+        register = f" (register {row['register']:02X}h)" if "register" in row else ""
+        length = f", {row['malformed']}" if "malformed" in row else ""
+        self._note(
+            t_ns, f"{node.name}: EMCY {node.emergency or 'error reset or no error'}{register}{length}", grave=grave
+        )
+
+    def _stranger(self, node_id: int) -> _Node:
+        """Take up a node that the rig does not have.
+
+        How often its heartbeat comes is not known, so it is not watched.
+        """
+        node = self._by_id[node_id] = _Node(str(node_id), node_id, timeout_ns=0, known=False)
+        self._sends[node_id] = []
+        self._nodes.append(node)
+        self._nodes.sort(key=lambda one: (not one.known, one.node_id if not one.known else 0))
+        return node
+
+    def _heartbeat(self, t_ns: int, node: _Node, state: int) -> None:
+        name = _nmt_text(state)
+        if node.silent:
+            self._note(t_ns, f"{node.name}: heard again, {name}")
+        elif state == NmtState.INITIALISING:
+            self._note(t_ns, f"{node.name}: {name}")
+        elif node.state >= 0 and state != node.state:
+            self._note(t_ns, f"{node.name}: {_nmt_text(node.state)} -> {name}")
+        node.state, node.silent = state, False
+        node.heartbeat.count += 1
+        node.heartbeat.t_ns = t_ns
+
+    def _error(self, t_ns: int, can_id: int, data: bytes) -> None:
+        self.error_frames += 1
+        kind = can_id & 0x1FF
+        if kind != self._error_class:  # a bad cable sends thousands of them each second
+            self._note(t_ns, f"error frame: {error_frame(can_id, data)['text']}", grave=bool(kind & CAN_ERR_BUSOFF))
+        self._error_class = kind
+
+    def snapshot(self, t_ns: int) -> Snapshot:
+        """Return what is known at `t_ns`, with the events since the last call."""
+        self._catch_up()
+        self._watch(t_ns)
+        counts = {can_id: line.count for can_id, line in self._lines.items()}
+        sent = {n.node_id: n.services + sum(counts[can_id] for can_id in self._sends[n.node_id]) for n in self._nodes}
+        self._history.append((t_ns, counts, sent, self.frames, self.bits))
+        while len(self._history) > 2 and self._history[1][0] <= t_ns - WINDOW_NS:
+            self._history.popleft()
+        before_ns, before, sent_before, frames, bits = self._history[0]
+        seconds = (t_ns - before_ns) / 1e9
+
+        def rate(now: int, then: int) -> float:
+            return (now - then) / seconds if seconds > 0 else 0.0
+
+        events, self._events = tuple(event for _, event in self._events), []
+        return Snapshot(
+            t_ns=t_ns,
+            frames=self.frames,
+            frames_per_s=rate(self.frames, frames),
+            sync_per_s=rate(self._sync.count, before[CobId.SYNC]),
+            error_frames=self.error_frames,
+            unknown=self.unknown,
+            bits_per_s=rate(self.bits, bits),
+            pdos=tuple(
+                self._pdo_row(pdo, t_ns, rate(counts[pdo.layout.cob_id], before[pdo.layout.cob_id]))
+                for pdo in self._pdos
+            ),
+            nodes=tuple(
+                _node_row(node, t_ns, sent[node.node_id], rate(sent[node.node_id], sent_before.get(node.node_id, 0)))
+                for node in self._nodes
+            ),
+            events=events,
+        )
+
+    def _watch(self, t_ns: int) -> None:
+        """Note what did not come."""
+        for node in self._nodes:
+            age_ns = t_ns - node.heartbeat.t_ns
+            if node.state >= 0 and node.known and not node.silent and age_ns > node.timeout_ns:
+                node.silent = True
+                self._note(t_ns, f"{node.name}: no heartbeat for {node.timeout_ns / 1e9:g} s", grave=True)
+        silent = self._sync.count > 0 and t_ns - self._sync.t_ns > SYNC_SILENT_NS
+        if silent != self._sync_silent:
+            self._note(t_ns if silent else self._sync.t_ns, "SYNC stopped" if silent else "SYNC again", grave=silent)
+        self._sync_silent = silent
+
+    def _pdo_row(self, pdo: RigPdo, t_ns: int, rate_per_s: float) -> PdoRow:
+        layout = pdo.layout
+        line = self._lines[layout.cob_id]
+        least_ns, most_ns = line.least_ns, line.most_ns
+        line.least_ns, line.most_ns = NEVER_NS, -1
+        changed = frozenset(n for n, (a, b) in enumerate(zip(line.data, line.looked_at, strict=False)) if a != b)
+        line.looked_at = line.data
+        values = values_of(pdo, line.data) if line.count else {}
+        return PdoRow(
+            name=f"{pdo.node}.{pdo.name}",
+            can_id=layout.cob_id,
+            count=line.count,
+            rate_per_s=rate_per_s,
+            age_s=max(0.0, (t_ns - line.t_ns) / 1e9) if line.count else None,
+            malformed=line.malformed,
+            values=tuple(Value(signal.name, values.get(signal.name), signal.unit) for signal in pdo.signals),
+            least_s=None if most_ns < 0 else least_ns / 1e9,
+            most_s=None if most_ns < 0 else most_ns / 1e9,
+            data=line.data[: layout.length],
+            changed=changed,
+        )
+
+
+def values_of(pdo: RigPdo, data: bytes) -> dict[str, int | float | None]:
+    """Return what a frame's 8 bytes say: signal -> value in SI, a word's as it is, None where it is
+    no finite number.
+    """
+    layout, word = pdo.layout, np.frombuffer(data, "<i8").astype(np.int64)
+    found: dict[str, int | float | None] = {}
+    for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):
+        raw = decode_field(word, start, entry)[0].item()
+        value = raw if not signal.unit and signal.scale == 1 else signal.si(raw)
+        found[signal.name] = value if math.isfinite(value) else None
+    return found
+
+
+def _node_row(node: _Node, t_ns: int, frames: int, rate_per_s: float) -> NodeRow:
+    heard = node.state >= 0
+    return NodeRow(
+        name=node.name,
+        node_id=node.node_id,
+        state=_nmt_text(node.state) if heard else None,
+        age_s=max(0.0, (t_ns - node.heartbeat.t_ns) / 1e9) if heard else None,
+        silent=node.silent,
+        power_state=_power_text(node.power) if node.power >= 0 else None,
+        emergency=node.emergency,
+        known=node.known,
+        frames=frames,
+        rate_per_s=rate_per_s,
+    )
+
+
+def _nmt_text(state: int) -> str:
+    return STATES.get(state, f"unknown state {state}")
+
+
+def _power_text(state: int) -> str:
+    return "unknown state" if state < 0 else PowerState(state).name.lower().replace("_", " ")

@@ -1,0 +1,96 @@
+"""A PDO of a rig for the eye: its bits as a diagram, its objects and signals as a table, the bits
+of status- and controlwords by name. At most 80 columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from coulombus.eds.cia402 import word_fields
+from coulombus.monitor.live import PdoRow
+from coulombus.monitor.names import fields
+from coulombus.rigs.signals import RigPdo
+
+__all__ = ["as_dict", "as_lines"]
+
+COLUMNS = 80
+
+
+def as_lines(pdo: RigPdo, now: PdoRow | None = None) -> Iterator[str]:
+    """Yield head, diagram, table, and an empty line.
+
+    With what a bus carries `now` also the last bytes, and values instead of the value of one bit.
+    """
+    layout = pdo.layout
+    yield f"{pdo.node} {pdo.name}  {layout.cob_id:03X}h  {layout.length} bytes  {_when(pdo)}"
+    yield from layout.diagram(COLUMNS).splitlines()
+    if now is not None:
+        yield f"     {_last(now)}"
+    last = "value of one bit" if now is None else "last value"
+    values = {} if now is None else {value.name: value.value for value in now.values}
+    yield f"     {'bits':>5}  {'object':<9} {'signal':<32} {'unit':<7} {last}"
+    for signal, entry, start in fields(pdo):
+        bits = f"{start}-{start + entry.bits - 1}" if entry.bits > 1 else str(start)
+        place, one = f"{entry.index:04X}h:{entry.subindex}", f"{signal.scale:.6g}" if signal.unit else ""
+        offset = f"{signal.offset:+.6g}" if signal.offset else ""
+        said = f"{one}{offset}" if now is None else _value(values.get(signal.name))
+        yield f"     {bits:>5}  {place:<9} {signal.name:<32} {signal.unit:<7} {said}".rstrip()
+        for part in word_fields(entry.index):
+            first = start + part.start
+            of = f"{first}-{first + part.bits - 1}" if part.bits > 1 else str(first)
+            yield f"     {of:>5}  {'':<9}   .{part.name}"
+    yield ""
+
+
+def _last(now: PdoRow) -> str:
+    if now.age_s is None:
+        return "it did not come"
+    return f"last {now.data.hex(' ').upper()}, {1e3 * now.age_s:.0f} ms ago, {now.rate_per_s:.1f} /s"
+
+
+def _value(value: int | float | None) -> str:
+    return "-" if value is None else f"{value:.6g}" if isinstance(value, float) else f"{value} ({value:X}h)"
+
+
+def _when(pdo: RigPdo) -> str:
+    kind = pdo.layout.transmission
+    return "every SYNC" if kind == 1 else f"every {kind} SYNCs" if 1 < kind <= 240 else f"transmission type {kind}"
+
+
+def as_dict(pdo: RigPdo, now: PdoRow | None = None) -> dict[str, Any]:
+    """Return a PDO for ``--json``, with what a bus carries `now` under the key ``now``."""
+    layout = pdo.layout
+    found: dict[str, Any] = {
+        "node": pdo.node,
+        "node_id": pdo.node_id,
+        "pdo": pdo.name,
+        "can_id": layout.cob_id,
+        "length": layout.length,
+        "transmission": layout.transmission,
+        "fixed": pdo.fixed,
+        "entries": [
+            {
+                "object": f"{entry.index:04X}:{entry.subindex:02X}",
+                "name": entry.name,
+                "signal": signal.name,
+                "start": start,
+                "bits": entry.bits,
+                "signed": entry.signed,
+                "kind": entry.kind,
+                "scale": signal.scale,
+                "offset": signal.offset,
+                "unit": signal.unit,
+                "fields": {part.name: [part.start, part.bits] for part in word_fields(entry.index)},
+            }
+            for signal, entry, start in fields(pdo)
+        ],
+    }
+    if now is not None:
+        found["now"] = {
+            "data": now.data.hex() if now.age_s is not None else None,
+            "age_s": now.age_s,
+            "rate_per_s": now.rate_per_s,
+            "signals": {value.name: value.value for value in now.values},
+        }
+    return found

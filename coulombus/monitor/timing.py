@@ -1,0 +1,211 @@
+"""When frames come: rate and jitter of each identifier, and the delay of each PDO behind SYNC.
+
+The period of an identifier is the median of the times between its frames. The jitter of one frame
+is how far the time since the one before is from that. All times come from the frames' own stamps.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds.cia301 import CobId
+from coulombus.recording.signals import Source
+from coulombus.rigs.rig import Rig
+from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.address import BusAddress
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.client import Client
+from coulombus.wire.handshake import Flags, Hello
+
+__all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recorded", "timing"]
+
+Integers = npt.NDArray[np.int64]
+FLAGS = CAN_ERR_FLAG | CAN_RTR_FLAG
+WAIT_S = 0.1
+NAMES = {int(one): one.name for one in CobId}
+NODE_SERVICES = {
+    int(CobId.EMCY): "EMCY",
+    int(CobId.SDO_TX): "SDO tx",
+    int(CobId.SDO_RX): "SDO rx",
+    int(CobId.HEARTBEAT): "heartbeat",
+}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median, 99 % and largest of some times [us]."""
+
+    p50_us: float
+    p99_us: float
+    max_us: float
+
+    @classmethod
+    def of(cls, times_ns: Integers) -> Spread | None:
+        """Return those of the times; None of no time."""
+        if not len(times_ns):
+            return None
+        p50, p99, most = np.percentile(times_ns, (50, 99, 100)) / 1e3
+        return cls(float(p50), float(p99), float(most))
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One identifier: frames, mean rate, median period [ms], jitter, and delay behind the last
+    SYNC. What takes two frames is None of one; the delay is that of the rig's PDOs.
+    """
+
+    can_id: int
+    name: str
+    frames: int
+    rate_per_s: float | None
+    period_ms: float | None
+    jitter: Spread | None
+    from_sync: Spread | None
+
+
+class Stamps:
+    """The stamps [ns] of each identifier, in the order in which they came."""
+
+    def __init__(self) -> None:
+        self.of: dict[int, array[int]] = {}
+
+    def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
+        """Take frames of a live bus, as `wire.client.Client.receive` returns them."""
+        for t_ns, can_id, _, _ in received:
+            if not can_id & FLAGS:
+                self._line(can_id).append(t_ns)
+
+    def take_all(self, t_ns: Integers, can_ids: Integers) -> None:
+        """Take frames of a recording."""
+        for can_id in np.unique(can_ids).tolist():
+            if not can_id & FLAGS:
+                self._line(can_id).frombytes(t_ns[can_ids == can_id].astype(np.int64).tobytes())
+
+    def _line(self, can_id: int) -> array[int]:
+        line = self.of.get(can_id)
+        if line is None:
+            line = self.of[can_id] = array("q")
+        return line
+
+
+def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
+    """Listen to a bus for so long, or until a signal; return the stamps, and how many frames found
+    no place in our receive queue.
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        There is no bus, or it went away meanwhile.
+    """
+    stamps = Stamps()
+    with Client(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0 and not stop.wait(0):
+            client.wait(min(left, WAIT_S))
+            while found := client.receive():
+                stamps.take(found)
+        client.ask()
+        client.wait(WAIT_S)
+        while found := client.receive():
+            stamps.take(found)
+        return stamps, client.lost
+
+
+def recorded(source: Source) -> Stamps:
+    """Return the stamps of a recording."""
+    stamps = Stamps()
+    for block in source:
+        stamps.take_all(block.frames["t_ns"].astype(np.int64), block.frames["can_id"].astype(np.int64))
+    return stamps
+
+
+def timing(rig: Rig, stamps: Stamps) -> tuple[Timing, ...]:
+    """Return the timing of each identifier, the lowest first."""
+    syncs = np.array(stamps.of.get(int(CobId.SYNC), ()), np.int64)
+    pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in rig.pdos()}
+    nodes = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
+    found = []
+    for can_id, line in sorted(stamps.of.items()):
+        t_ns = np.array(line, np.int64)
+        gaps = np.diff(t_ns)
+        period = float(np.median(gaps)) if len(gaps) else None
+        span_s = (t_ns[-1] - t_ns[0]) / 1e9
+        found.append(
+            Timing(
+                can_id=can_id & ~CAN_EFF_FLAG,
+                name=pdos.get(can_id) or _name(can_id, nodes),
+                frames=len(t_ns),
+                rate_per_s=float(len(gaps) / span_s) if span_s > 0 else None,
+                period_ms=None if period is None else period / 1e6,
+                jitter=None if period is None else Spread.of(np.abs(gaps - period).astype(np.int64)),
+                from_sync=Spread.of(_delays(t_ns, syncs)) if can_id in pdos else None,
+            )
+        )
+    return tuple(found)
+
+
+def _name(can_id: int, nodes: dict[int, str]) -> str:
+    if can_id & CAN_EFF_FLAG:
+        return "extended"
+    if can_id in NAMES and not (can_id & 0x7F and can_id < CobId.LSS_TX):
+        return NAMES[can_id]
+    service = NODE_SERVICES.get(can_id & 0x780)
+    node = nodes.get(can_id & 0x7F, str(can_id & 0x7F))
+    return f"{node} {service}" if service else "-"
+
+
+def _delays(t_ns: Integers, syncs: Integers) -> Integers:
+    """Return the times since the last SYNC of those that came behind one."""
+    last = np.searchsorted(syncs, t_ns, side="right") - 1
+    return t_ns[last >= 0] - syncs[last[last >= 0]]
+
+
+def as_dict(row: Timing) -> dict[str, object]:
+    """Return a row for ``--json``."""
+
+    def spread(one: Spread | None) -> dict[str, float] | None:
+        return None if one is None else {"p50_us": one.p50_us, "p99_us": one.p99_us, "max_us": one.max_us}
+
+    return {
+        "can_id": row.can_id,
+        "name": row.name,
+        "frames": row.frames,
+        "rate_per_s": row.rate_per_s,
+        "period_ms": row.period_ms,
+        "jitter": spread(row.jitter),
+        "from_sync": spread(row.from_sync),
+    }
+
+
+def as_lines(rows: Iterable[Timing]) -> Iterator[str]:
+    """Yield the table, at most 80 columns wide where names have at most 22 characters."""
+    rows = list(rows)
+    wide = max((len(row.name) for row in rows), default=4)
+    yield f"{'':>3} {'':<{wide}} {'':>7} {'':>7} {'period':>7} {'jitter [us]':>17} {'from SYNC':>11}"
+    heads = " ".join(f"{text:>5}" for text in ("p50", "p99", "max", "p50", "max"))
+    yield f"{'id':>3} {'name':<{wide}} {'frames':>7} {'rate/s':>7} {'[ms]':>7} {heads}"
+    for row in rows:
+        jitter, sync = row.jitter, row.from_sync
+        cells = (
+            *((None, None, None) if jitter is None else (jitter.p50_us, jitter.p99_us, jitter.max_us)),
+            *((None, None) if sync is None else (sync.p50_us, sync.max_us)),
+        )
+        rate = "-" if row.rate_per_s is None else f"{row.rate_per_s:.1f}"
+        period = "-" if row.period_ms is None else f"{row.period_ms:.3f}"
+        times = " ".join(f"{_us(t):>5}" for t in cells)
+        yield f"{row.can_id:03X} {row.name:<{wide}} {row.frames:>7} {rate:>7} {period:>7.7} {times}"
+
+
+def _us(value: float | None) -> str:
+    """Return microseconds in at most five characters."""
+    if value is None:
+        return "-"
+    if value < 1e5:
+        return f"{value:.1f}" if value < 999.95 else f"{value:.0f}"
+    return f"{value / 1e6:.2f}s" if value < 9.995e6 else f"{value / 1e6:.0f}s"

@@ -1,0 +1,82 @@
+"""All files of `coulombus tools`, by their names in the folder."""
+
+from __future__ import annotations
+
+from coulombus.monitor.dbc import database
+from coulombus.monitor.tools.layouts import foxglove, plotjuggler
+from coulombus.monitor.tools.wireshark import dissector, profile
+from coulombus.rigs.rig import Rig
+from coulombus.wire.address import default_address
+
+__all__ = ["tool_files"]
+
+RECIPES = """# The rig {rig} in other tools
+
+Written by `coulombus tools` from the rig file; write it anew when the rig file has changed. A
+signal is called as in `coulombus.read`, in SI units.
+
+| file | for |
+|---|---|
+| `{rig}.dbc` | cantools, SavvyCAN, asammdf, PlotJuggler: every signal |
+| `{rig}-bits.dbc` | the same, with state and bits of status- and controlwords by name |
+| `{rig}.kcd`, `{rig}.sym` | Kayak, PCAN-Explorer: as `{rig}-bits.dbc` |
+| `{rig}.lua` | Wireshark and tshark: the dissector |
+| `wireshark/{rig}/` | Wireshark: a profile with colours, columns, buttons and I/O graphs |
+| `{rig}-plotjuggler.xml` | PlotJuggler: a layout |
+| `{rig}-foxglove.json` | Foxglove: a layout |
+
+## cantools
+
+    candump -L can0 | cantools decode --single-line {rig}-bits.dbc
+    cantools monitor -i socketcan -c can0 {rig}-bits.dbc
+    cantools monitor -i coulombus -c {rig} {rig}-bits.dbc
+    can_logconvert run.pcapng run.log && cantools decode {rig}.dbc < run.log
+
+## Wireshark and tshark
+
+    tshark -X lua_script:{rig}.lua -r run.pcapng
+    tshark -X lua_script:{rig}.lua -r run.pcapng -Y '{example} > 1'
+    tshark -X lua_script:{rig}.lua -r run.pcapng -T fields -e frame.time_relative -e {example}
+    coulombus watch --bus coulombus:{rig} --pcapng - | wireshark -k -i - -X lua_script:{rig}.lua -C {rig}
+
+Copy `{rig}.lua` to `~/.local/lib/wireshark/plugins/` and it is always there. Copy the folder
+`wireshark/{rig}` to `~/.config/wireshark/profiles/` and choose the profile `{rig}`. There,
+Statistics > I/O Graphs has a line for each signal. `coulombus.sync_delay` is the time from SYNC to
+a PDO, [s]. SDO and LSS are left to Wireshark's CANopen: `-d can.subdissector,canopen`, or Analyze >
+Decode As > CAN next level dissector.
+
+## SavvyCAN
+
+1. `can_logconvert run.pcapng run.log`, then File > Load Log File, "candump".
+2. File > DBC File Manager > Load: `{rig}-bits.dbc`, and "Interpret Frames" in the main window.
+3. RE Tools > Graph Data draws a signal. Live: Connection > Add New > SocketCAN.
+
+## asammdf
+
+    can_logconvert run.pcapng run.mf4
+    python -c "from asammdf import MDF; MDF('run.mf4').extract_bus_logging({{'CAN': [('{rig}.dbc', 0)]}}).to_dataframe()"
+
+## PlotJuggler and Foxglove
+
+    coulombus export run.pcapng --to csv -o run.csv       # PlotJuggler: load it, then the layout
+    coulombus export run.pcapng --to mcap -o run.mcap     # Foxglove: open it, import the layout
+"""
+
+
+def tool_files(rig: Rig) -> dict[str, str]:
+    """Return the text of each file by its path within the folder."""
+    split = database(rig, bits=True)
+    example = next((f"coulombus.{a.prefix}motor.position" for a in rig.axes), "coulombus.motor.position")
+    name = default_address(rig.name).name  # a file's name on any system, and a word in the commands of README.md
+    files = {
+        f"{name}.dbc": database(rig).as_dbc_string(),
+        f"{name}-bits.dbc": split.as_dbc_string(),
+        f"{name}.kcd": split.as_kcd_string(),
+        f"{name}.sym": split.as_sym_string(),
+        f"{name}.lua": dissector(rig),
+        f"{name}-plotjuggler.xml": plotjuggler(rig),
+        f"{name}-foxglove.json": foxglove(rig),
+        "README.md": RECIPES.format(rig=name, example=example),
+    }
+    files |= {f"wireshark/{name}/{part}": text for part, text in profile(rig).items()}
+    return {path: text.replace("\r\n", "\n") for path, text in files.items()}

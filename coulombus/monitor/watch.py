@@ -1,0 +1,262 @@
+"""``coulombus watch``: a bus in one live table, or line by line where no terminal is.
+
+The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread
+draws and takes the signals. Nothing is ever sent. Chosen signals are drawn over time. In a terminal
+p or the space bar holds the picture while the counting goes on, b shows the raw bytes before other
+columns, w takes status- and controlwords apart in lines of their own, q ends it.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live as Display
+
+from coulombus.monitor.live import Event, Live, Snapshot
+from coulombus.monitor.screen import Screen, as_dict, as_lines
+from coulombus.monitor.traces import Trace, Traces
+from coulombus.rigs.rig import Rig
+from coulombus.system.foreign_text import printable
+from coulombus.system.keyboard import Keys, in_foreground
+from coulombus.system.printable_console import PrintableConsole
+from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.address import BusAddress
+from coulombus.wire.client import BusDown, BusFull, BusGone, Client
+from coulombus.wire.handshake import Flags, Hello
+
+__all__ = ["LiveView", "ViewKeys", "look_once", "watch"]
+
+DRAW_S = 0.1
+LINE_S = 1.0
+WAIT_S = 0.1
+ASK_NS = 1_000_000_000
+COLLECT_S = 0.002  # frames of this time are taken together: it saves most of the wake-ups
+EVENTS = 200
+HOST_S = 0.5
+PAUSE_KEYS, RAW_KEYS, WORD_KEYS, END_KEYS = b"p ", b"b", b"w", b"q"
+
+
+@dataclass(frozen=True)
+class LiveView:
+    """What of a bus is shown, and how."""
+
+    as_json: bool = False
+    """Lines of JSON, in a terminal, too."""
+    interval_s: float | None = None
+    """Between two pictures or sets of lines; None: `DRAW_S` in a terminal, else `LINE_S`."""
+    all_nodes: bool = True
+    """Show also the nodes of the rig that were never heard."""
+    scope: Sequence[str] = ()
+    """Signals that a terminal draws over the last ten seconds."""
+
+
+EVERYTHING = LiveView()
+
+
+def watch(
+    rig: Rig,
+    address: BusAddress,
+    view: LiveView = EVERYTHING,
+    *,
+    seconds: float | None = None,
+    console: Console | None = None,
+    host: Callable[[], str | None] | None = None,
+) -> None:
+    """Show the bus until a signal, the key q, or for `seconds`.
+
+    Parameters
+    ----------
+    host : tells what the bus' host does, in words, None where none runs; it is asked twice a second
+        in a thread of its own
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        There is no bus, or it went away meanwhile.
+    coulombus.recording.signals.UnknownSignal
+        the rig has no signal of ``view.scope``
+    """
+    console = console or PrintableConsole()
+    live = Live(rig)
+    traces = Traces(rig, view.scope)
+    begin_ns = time.time_ns()
+    live.snapshot(begin_ns)  # rates count from here
+    hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
+    with Client(address, hello) as client, StopSignals() as stop, _Reader(client, live, traces) as reader:
+
+        def look() -> tuple[Snapshot, dict[str, Any]]:
+            with reader.lock:
+                snapshot = live.snapshot(time.time_ns())
+                seen = traces.look(snapshot.t_ns) if terminal else ()
+            facts = {"bus": str(address), "bitrate_bit_s": client.bitrate_bit_s}
+            return snapshot, facts | {"lost": client.lost, "malformed": client.malformed} | (
+                {"traces": seen} if terminal else {}
+            )
+
+        terminal = console.is_terminal and not view.as_json
+        pause_s = view.interval_s or (DRAW_S if terminal else LINE_S)
+        show = _on_terminal if terminal else _line_by_line
+        keys = ViewKeys()
+        with (
+            Keys(keys.struck) if terminal and in_foreground() else nullcontext(),
+            _Asker(host if terminal else None) as asker,
+            show(console, view, begin_ns) as draw,
+        ):
+            end = None if seconds is None else time.monotonic() + seconds
+            running = True
+            while running:
+                wait_s = pause_s if end is None else min(pause_s, max(0.0, end - time.monotonic()))
+                running = not stop.wait(wait_s) and reader.failure is None and not keys.ended
+                running = running and (end is None or time.monotonic() < end)
+                snapshot, facts = look()
+                asked = {"paused": keys.paused, "raw": keys.raw, "words": keys.words, "host": asker.told}
+                draw(snapshot, facts | asked if terminal else facts)
+        if reader.failure is not None:
+            raise reader.failure
+
+
+def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
+    """Listen to a bus for so long; return what it carries then. Nothing is sent.
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        There is no bus, or it went away meanwhile.
+    """
+    live = Live(rig)
+    live.snapshot(time.time_ns())
+    hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
+    with Client(address, hello) as client, StopSignals() as stop, _Reader(client, live) as reader:
+        stop.wait(seconds)
+        if reader.failure is not None:
+            raise reader.failure
+        with reader.lock:
+            return live.snapshot(time.time_ns())
+
+
+class ViewKeys:
+    """What the keys of the terminal ask for; `struck` is called in the keys' thread."""
+
+    def __init__(self) -> None:
+        self.paused = self.raw = self.words = self.ended = False
+
+    def struck(self, strokes: bytes) -> None:
+        """Take strokes as the terminal gives them; keys that mean nothing are passed over."""
+        for key in strokes:
+            self.paused ^= key in PAUSE_KEYS
+            self.raw ^= key in RAW_KEYS
+            self.words ^= key in WORD_KEYS
+            self.ended |= key in END_KEYS
+
+
+class _Asker:
+    """Asks again and again in a thread of its own; `told` is the last answer."""
+
+    def __init__(self, ask: Callable[[], str | None] | None) -> None:
+        self.told: str | None = None
+        self._ask = ask
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="host asker", daemon=True)
+
+    def __enter__(self) -> _Asker:
+        if self._ask is not None:
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        if self._ask is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        while self._ask is not None and not self._stop.is_set():
+            try:
+                self.told = self._ask()
+            except Exception as error:  # whatever is wrong with the host's answer, the view goes on
+                self.told = f"host: {error}"
+            self._stop.wait(HOST_S)
+
+
+class _Reader:
+    """Takes frames off the bus in a thread of its own; `failure` is why it ended by itself."""
+
+    def __init__(self, client: Client, live: Live, traces: Traces | None = None) -> None:
+        self.lock = threading.Lock()
+        self.failure: OSError | None = None
+        self._client, self._live, self._traces = client, live, traces
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="bus reader", daemon=True)
+
+    def __enter__(self) -> _Reader:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        asked_ns = time.monotonic_ns()
+        while not self._stop.is_set():
+            try:
+                self._client.wait(WAIT_S)
+                while found := self._client.receive():
+                    with self.lock:
+                        self._live.take(found)
+                        if self._traces is not None and self._traces.names:
+                            self._traces.take(found)
+                if time.monotonic_ns() - asked_ns > ASK_NS:
+                    asked_ns = time.monotonic_ns()
+                    self._client.ask()
+            except BusDown as error:
+                with self.lock:
+                    self._live.tell(time.time_ns(), str(error), grave=True)
+            except BusFull:
+                pass  # it does not read: its own affair, and told by the silence of all nodes
+            except BusGone as error:
+                self.failure = error
+                return
+            except OSError as error:
+                self.failure = error
+                return
+            self._stop.wait(COLLECT_S)
+
+
+@contextmanager
+def _on_terminal(console: Console, view: LiveView, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+    past: deque[Event] = deque(maxlen=EVENTS)
+    held: list[tuple[Snapshot, tuple[Event, ...], tuple[Trace, ...]]] = []
+    with Display(console=console, auto_refresh=False) as display:
+
+        def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
+            past.extend(snapshot.events)
+            if not held or not facts.get("paused"):
+                held[:] = [(snapshot, tuple(past), facts["traces"])]
+            facts = facts | {"frames": snapshot.frames}
+            seen, events, traces = held[0]
+            display.update(Screen(seen, facts, events, begin_ns, view.all_nodes, traces), refresh=True)
+
+        yield draw
+
+
+@contextmanager
+def _line_by_line(console: Console, view: LiveView, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+    def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
+        if view.as_json:
+            sys.stdout.write(json.dumps(as_dict(snapshot, facts, begin_ns), allow_nan=False) + "\n")
+        else:
+            sys.stdout.write(
+                "".join(printable(line) + "\n" for line in as_lines(snapshot, facts, begin_ns, view.all_nodes))
+            )
+        sys.stdout.flush()
+
+    yield draw

@@ -1,0 +1,108 @@
+"""What goes to a browser: a batch each 33 ms, of which a page says that it has taken it before it
+gets another.
+
+A batch is a length (four bytes, little-endian), so many bytes of JSON, and numbers as little-endian
+float32 behind it. The JSON's ``parts`` tell in order what the numbers are::
+
+    {"k": "envelope", "s": NAME, "first": BIN, "n": N}    N minima, N maxima
+    {"k": "raw", "s": NAME, "n": N}                       N times before `now` [s], N values
+    {"k": "friction", "n": N}                             N velocities, N torques, oldest first
+
+A page that takes nothing, as a tab that sleeps, is sent nothing: so nothing piles up for it. When
+it wakes it gets the bins since its last batch, ten seconds at most.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from coulombus.monitor.tracks import BIN_NS, Samples
+from coulombus.monitor.web.capture import RAW_NS, ROWS, Capture
+from coulombus.rigs.axis import Axis
+
+__all__ = ["IN_FLIGHT", "Flow", "batch", "layout", "unpacked"]
+
+IN_FLIGHT = 2
+"""Batches that a page may have before it has said that it took them."""
+LENGTH = struct.Struct("<I")
+
+
+@dataclass
+class Flow:
+    """What a page has: batches sent and taken, and from which bin of each signal it needs more."""
+
+    sent: int = 0
+    taken: int = 0
+    bins: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def free(self) -> bool:
+        """Whether it takes another batch."""
+        return self.sent - self.taken < IN_FLIGHT
+
+    def take(self, number: int) -> bool:
+        """Note that the page took the batch `number`; False: it was never sent."""
+        if not self.taken < number <= self.sent:
+            return False
+        self.taken = number
+        return True
+
+
+def batch(capture: Capture, axis: Axis, flow: Flow, more: dict[str, Any]) -> bytes:
+    """Return the next batch of a page, and note in `flow` what it holds.
+
+    Parameters
+    ----------
+    more : further keys of the JSON
+    """
+    flow.sent += 1
+    parts: list[dict[str, Any]] = []
+    numbers: list[np.ndarray] = []
+    names = [name for some in capture.names(axis).values() for name in some]
+    for name in names:
+        first, low, high = capture.track(name).bins_since(flow.bins.get(name, 0))
+        if len(low):
+            parts.append({"k": "envelope", "s": name, "first": first, "n": len(low)})
+            numbers += [low, high]
+            flow.bins[name] = first + len(low) - 1  # the newest bin may still grow
+    pieces: dict[Samples, tuple[np.ndarray, np.ndarray]] = {}  # signals of one PDO have the same times
+    for name in names:
+        track = capture.track(name)
+        if track.samples not in pieces:
+            t_ns, rows = track.samples.all_since(capture.newest_ns - RAW_NS)
+            pieces[track.samples] = (t_ns - capture.newest_ns) * 1e-9, rows
+        times, rows = pieces[track.samples]
+        parts.append({"k": "raw", "s": name, "n": len(times)})
+        numbers += [times, rows[track.signal]]
+    found = capture.friction(axis)
+    if found is not None:
+        parts.append({"k": "friction", "n": len(found[0])})
+        numbers += [*found]
+    head = {"n": flow.sent, "now_bin": capture.newest_ns / BIN_NS, "parts": parts, **more}
+    text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)  # the numbers begin at a multiple of four
+    body = np.concatenate(numbers, dtype="<f4", casting="same_kind").tobytes() if numbers else b""
+    return LENGTH.pack(len(text)) + text + body
+
+
+def unpacked(message: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
+    """Return a batch's JSON and, for each of its parts, two rows of numbers: what the page does."""
+    (length,) = LENGTH.unpack_from(message)
+    head: dict[str, Any] = json.loads(message[LENGTH.size : LENGTH.size + length])
+    numbers = np.frombuffer(message, "<f4", offset=LENGTH.size + length)
+    rows, start = [], 0
+    for part in head["parts"]:
+        rows.append(numbers[start : start + 2 * part["n"]].reshape(2, -1))
+        start += 2 * part["n"]
+    return head, rows
+
+
+def layout(capture: Capture, axis: Axis) -> list[dict[str, Any]]:
+    """Return the plots of an axis: title, unit, names of the signals."""
+    names = capture.names(axis)
+    return [{"title": title, "unit": unit, "signals": names[title]} for title, unit, _ in ROWS]

@@ -1,0 +1,272 @@
+"""The bus as the page shows it: batches of frames become samples, envelopes and figures of each
+PDO.
+
+A batch is decoded by NumPy, PDO by PDO. Time is an argument: nanoseconds since 1970, as the frames'
+stamps. Nothing that the bus carries raises.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from coulombus.monitor.live import Event, Live, Snapshot
+from coulombus.monitor.tracks import Envelope, Integers, Samples, Track, velocity
+from coulombus.recording.pdo_table import decode_field
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.bits import frame_bits
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.client import Received
+from coulombus.wire.frame_batches import Block
+
+__all__ = ["ROWS", "VELOCITY", "Capture", "Curve", "Period", "has_plain_curve"]
+
+WINDOW_NS = 1_000_000_000
+RAW_NS = 200_000_000
+"""How much of the raw samples is drawn."""
+FADE_NS = 2_000_000_000
+"""How much of the phase plot."""
+VELOCITY_CYCLES = 5
+POSITION, HANDLE = "motor.position_rad", "brake.handle_torque_Nm"
+VELOCITY = "handle.velocity_rad_s"
+"""Of the page itself, where no PDO carries one: the difference of the position."""
+ROWS = (
+    ("torque", "Nm", (HANDLE, "brake.setpoint_Nm", "motor.torque_Nm", "motor.target_torque_Nm")),
+    ("position", "rad", (POSITION,)),
+    ("velocity", "rad/s", ("motor.velocity_rad_s", VELOCITY)),
+)
+"""The plots: title, unit, which signals they may show (`Signal.key`)."""
+SHOWN = frozenset(key for _, _, keys in ROWS for key in keys)
+EVENTS = 200
+BITS_NS, BITS_IDS = 100_000_000, 256
+"""How often the bits on the wire are counted: after so long, or so many identifiers."""
+
+
+@dataclass(frozen=True)
+class Period:
+    """The time between two frames of a PDO in the last second [ms]; its `jitter_ms` is the larger
+    deviation of the two from the mean.
+    """
+
+    least_ms: float
+    mean_ms: float
+    most_ms: float
+
+    @property
+    def jitter_ms(self) -> float:
+        """The larger deviation from the mean."""
+        return max(self.most_ms - self.mean_ms, self.mean_ms - self.least_ms)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The friction that a law displays, as a line over the velocity."""
+
+    velocity_rad_s: tuple[float, ...]
+    friction_Nm: tuple[float, ...]
+
+
+def has_plain_curve(axis: Axis) -> bool:
+    """Tell whether the curve of an axis' law is F_s at rest and F_d in motion: then nobody is asked
+    for it.
+    """
+    return axis.law.function in ("karnopp", "coulomb")
+
+
+class _Pdo:
+    """What is kept of a PDO."""
+
+    def __init__(self, pdo: RigPdo, capacity: int) -> None:
+        self.pdo = pdo
+        starts, entries = pdo.layout.starts, pdo.layout.entries
+        self.fields = tuple(zip(pdo.signals, entries, starts, strict=True))
+        ends = (start + entry.bits - 1 for start, entry in zip(starts, entries, strict=True))
+        self.places = tuple(f"{a}-{b}" if b > a else str(a) for a, b in zip(starts, ends, strict=True))
+        self.data: bytes | None = None
+        self.drawn = tuple(field for field in self.fields if field[0].key in SHOWN)
+        self.samples, self.envelope = Samples(capacity, len(self.drawn)), Envelope(len(self.drawn))
+        tracks = (Track(self.samples, self.envelope, k) for k in range(len(self.drawn)))
+        self.tracks = {field[0].name: track for field, track in zip(self.drawn, tracks, strict=True)}
+
+    def take(self, t_ns: Integers, words: Integers) -> None:
+        """Take the frames of a batch that have this PDO's length."""
+        values = np.empty((len(self.drawn), len(t_ns)))
+        for row, (signal, entry, start) in zip(values, self.drawn, strict=True):
+            row[:] = decode_field(words, start, entry) * signal.scale + signal.offset
+        self.samples.add(t_ns, values)
+        if self.drawn:
+            self.envelope.add(t_ns, values)
+
+    def period(self, now_ns: int) -> Period | None:
+        """Return the figures of the last second; None of less than two frames."""
+        t_ns, _ = self.samples.all_since(now_ns - WINDOW_NS)
+        if len(t_ns) < 2:
+            return None
+        steps = (t_ns[1:] - t_ns[:-1]) * 1e-6
+        return Period(float(steps.min()), float(steps.mean()), float(steps.max()))
+
+
+class Capture:
+    """Takes batches of frames of one bus (`take`); what is known is asked by `snapshot`, `period`
+    and `track`.
+
+    Attributes
+    ----------
+    events : the last `EVENTS` of them
+    newest_ns : the newest stamp
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig, self.live = rig, Live(rig)
+        period_ns = rig.bus.period_ns
+        self._capacity = max(64, 2 * FADE_NS // period_ns)
+        self._pdos = {pdo.layout.cob_id: _Pdo(pdo, self._capacity) for pdo in rig.pdos()}
+        self._tracks = {name: one for pdo in self._pdos.values() for name, one in pdo.tracks.items()}
+        self._differences: list[tuple[Track, Track]] = []
+        for axis in rig.axes:
+            position = self._tracks.get(axis.prefix + POSITION)
+            if position is not None and axis.prefix + "motor.velocity_rad_s" not in self._tracks:
+                made = self._tracks[axis.prefix + VELOCITY] = Track(Samples(self._capacity), Envelope(), 0)
+                self._differences.append((made, position))
+        self._names = {
+            axis.name: {
+                title: [n for n in (axis.prefix + key for key in keys) if n in self._tracks] for title, _, keys in ROWS
+            }
+            for axis in rig.axes
+        }
+        self._taken = [0] * len(self._differences)
+        self._bits: deque[tuple[int, int]] = deque()
+        self._bits_sum = self._bits_ns = 0
+        self._counts: dict[int, int] = {}
+        self._last: dict[int, tuple[int, bytes]] = {}
+        frame_bits(0)  # compiled now, or loaded, and not with the first frames
+        self.events: deque[Event] = deque(maxlen=EVENTS)
+        self.newest_ns = 0
+
+    def names(self, axis: Axis) -> dict[str, list[str]]:
+        """Return which signals each plot of an axis shows, by the plot's title."""
+        return self._names[axis.name]
+
+    def take(self, frames: Sequence[Received]) -> None:
+        """Take the frames of some milliseconds."""
+        self.take_block(Block.of(frames))
+
+    def take_block(self, block: Block) -> None:
+        """Take the frames of some milliseconds."""
+        if not len(block):
+            return
+        self.live.take(block)
+        self.newest_ns = max(self.newest_ns, int(block.t_ns.max()))
+        for can_id, rows in block.rows.items():
+            self._counts[can_id] = self._counts.get(can_id, 0) + len(rows)
+            self._last[can_id] = int(block.lengths[rows[-1]]), block.data(rows[-1])
+            line = self._pdos.get(can_id)
+            if line is None:
+                continue
+            rows = rows[block.lengths[rows] == line.pdo.layout.length]
+            if len(rows):
+                line.take(block.t_ns[rows], block.words[rows])
+                line.data = block.data(rows[-1])[: line.pdo.layout.length]
+        for k in range(len(self._differences)):
+            self._difference(k)
+        if self.newest_ns - self._bits_ns >= BITS_NS or len(self._counts) > BITS_IDS:
+            self._count_bits()
+
+    def _difference(self, k: int) -> None:
+        """Add the velocity of the positions that are new."""
+        made, position = self._differences[k]
+        t_ns, angle = position.last(position.samples.count - self._taken[k] + VELOCITY_CYCLES)
+        self._taken[k] = position.samples.count
+        times, speeds = velocity(t_ns, angle, self.rig.bus.period_ns, VELOCITY_CYCLES)
+        made.samples.add(times, speeds)
+        made.bins.add(times, speeds)
+
+    def _count_bits(self) -> None:
+        """Count the bits that the frames took on the wire: of each identifier as its last frame."""
+        for can_id, count in self._counts.items():
+            if can_id & CAN_ERR_FLAG:
+                continue
+            length, data = self._last[can_id]
+            remote = bool(can_id & CAN_RTR_FLAG)
+            extended = bool(can_id & CAN_EFF_FLAG)
+            number = can_id & (0x1FFFFFFF if extended else 0x7FF)
+            one = frame_bits(number, length if remote else data[:length], extended=extended, remote=remote)
+            self._bits_sum += one * count
+        self._counts.clear()
+        self._last.clear()
+        self._bits_ns = self.newest_ns
+        self._bits.append((self.newest_ns, self._bits_sum))
+        while len(self._bits) > 2 and self._bits[1][0] <= self.newest_ns - WINDOW_NS:
+            self._bits.popleft()
+
+    def load(self, now_ns: int, bitrate_bit_s: int) -> float:
+        """Return the share of the last second in which the bus was busy, 0 to 1.
+
+        A batch that is late counts over the time that it is of.
+        """
+        if len(self._bits) < 2 or now_ns - self._bits[-1][0] > WINDOW_NS:
+            return 0.0
+        (first_ns, before), (last_ns, after) = self._bits[0], self._bits[-1]
+        return (after - before) / (bitrate_bit_s * max(last_ns - first_ns, 1) * 1e-9)
+
+    def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
+        """Note an event that is seen elsewhere."""
+        self.live.tell(t_ns, text, grave)
+
+    def snapshot(self, now_ns: int) -> Snapshot:
+        """Return what is known now, and keep the new events."""
+        found = self.live.snapshot(now_ns)
+        self.events.extend(found.events)
+        return found
+
+    def last_data(self, can_id: int) -> bytes | None:
+        """Return the data of the last right frame of a PDO."""
+        return self._pdos[can_id].data
+
+    def places(self, can_id: int) -> tuple[str, ...]:
+        """Return which bits of a PDO each signal is: "0-15"."""
+        return self._pdos[can_id].places
+
+    def period(self, can_id: int, now_ns: int) -> Period | None:
+        """Return the figures of a PDO's period in the last second."""
+        return self._pdos[can_id].period(now_ns)
+
+    def track(self, name: str) -> Track:
+        """Return what is kept of a signal."""
+        return self._tracks[name]
+
+    def friction(self, axis: Axis, points: int = 200) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return velocity [rad/s] and handle torque [Nm] of the last two seconds, oldest first.
+
+        None where the axis has no transducer or no position.
+        """
+        speed = next((n for n in (axis.prefix + k for k in ROWS[2][2]) if n in self._tracks), None)
+        torque = axis.prefix + HANDLE
+        if speed is None or torque not in self._tracks:
+            return None
+        t_v, v = self._tracks[speed].since(self.newest_ns - FADE_NS)
+        t_f, f = self._tracks[torque].since(self.newest_ns - FADE_NS)
+        step = max(1, self._capacity // 2 // points)
+        t_v, v = t_v[::-step][::-1], v[::-step][::-1]
+        if not len(t_f):
+            return None
+        return v, f[np.clip(np.searchsorted(t_f, t_v), 0, len(t_f) - 1)]
+
+    def law_curve(self, axis: Axis, mode: str, live: Mapping[str, float] | None = None) -> Curve | None:
+        """Return what a law with a plain curve displays in a mode: F_s at rest, F_d in motion; the
+        values that are `live`, else those of the rig file.
+
+        None of another law, and of an unknown mode.
+        """
+        if not has_plain_curve(axis) or mode not in axis.mode:
+            return None
+        said = axis.mode[mode]
+        F_d = (live or {}).get("F_d_Nm", said.F_d_Nm)
+        F_s = (live or {}).get("F_s_Nm", said.F_s_Nm) if axis.law.function == "karnopp" else F_d
+        far = axis.limits.speed_rad_s
+        return Curve((-far, 0.0, 0.0, 0.0, 0.0, far), (-F_d, -F_d, -F_s, F_s, F_d, F_d))

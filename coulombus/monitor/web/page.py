@@ -1,0 +1,368 @@
+"""The page: what all who look at it share, and what it answers over HTTP and WebSocket.
+
+All addresses begin with the token; all others are 403. A request for another host than the one that
+is served is 421::
+
+    GET  /TOKEN/            the page (?axis=NAME of a rig that has several)
+    GET  /TOKEN/static/F    its style and its scripts
+    GET  /TOKEN/layout      which plot shows which signals
+    GET  /TOKEN/data        WebSocket: batches there (`monitor.web.batch`), "took N", "control", "set {...}" and
+                            "mark N" here
+    POST /TOKEN/stop        a safe stop: what ``coulombus stop`` asks for
+
+Nothing that a browser sends reaches the bus. The stop needs neither plots nor WebSocket.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import re
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from weakref import WeakSet
+
+import tornado.web
+import tornado.websocket
+from tornado.iostream import IOStream
+
+from coulombus.monitor.live import Snapshot
+from coulombus.monitor.web.batch import Flow, batch, layout
+from coulombus.monitor.web.capture import Capture, Curve
+from coulombus.monitor.web.guard import Seat, right_token, same_origin, served_as
+from coulombus.monitor.web.state import HostDoor, HostView, document
+from coulombus.rigs.axis import Axis
+
+__all__ = ["Page", "application", "order_of"]
+
+STATE_S = 0.2
+SESSIONS = 16
+STOPS = 8
+"""Requests to stop that may be under way."""
+MESSAGE_BYTES = 512
+QUESTIONS = 4
+"""Changes and markers that may be under way."""
+ANSWERS = 8
+"""That wait for a page: each state takes one along."""
+RUBBISH = 100
+"""Messages that mean nothing, after which a page is let go."""
+TOOK = re.compile(r"took ([0-9]{1,15})")
+MARK = re.compile(r"mark ([1-9])")
+TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
+POLICY = "; ".join(
+    (
+        *("default-src 'none'", "script-src 'self'", "style-src 'self'", "connect-src 'self'"),
+        *("img-src 'self' data:", "form-action 'self'", "frame-ancestors 'none'", "base-uri 'none'"),
+    )
+)
+"""Nothing is loaded from anywhere else."""
+FORBIDDEN, MISDIRECTED = 403, 421
+REFUSALS = {
+    FORBIDDEN: "the address needs the page's token: open the URL that the command printed",
+    MISDIRECTED: "this page is not served under that name and port: open the URL that the command printed",
+}
+
+
+class Page:
+    """What all who look at the page share: the capture, the host's view, the seat, the sessions."""
+
+    def __init__(
+        self,
+        capture: Capture,
+        door: HostDoor,
+        token: str,
+        facts: Callable[[], dict[str, Any]],
+        lock: threading.Lock,
+    ) -> None:
+        self.capture, self.door, self.token, self.facts, self.lock = capture, door, token, facts, lock
+        self.name = ""
+        """By which a browser asks for it, beside the address itself."""
+        self.host = HostView(door.advice)
+        self.curves: Mapping[str, Curve | None] = {}
+        """Of the laws that have no plain one, by the axis' name."""
+        self.seat = Seat()
+        self.sessions: set[Data] = set()
+        self.sockets: WeakSet[IOStream] = WeakSet()
+        """The connections of the sessions."""
+        self.numbers = itertools.count(1)
+        self.stops = ThreadPoolExecutor(STOPS, "stop")
+        self.stopping = 0
+        self.questions = ThreadPoolExecutor(1, "question")  # a stop does not wait behind them
+        self.asking = 0
+        self._told_s = -1.0
+        self._state: dict[str, Any] | None = None
+        self._version = 0
+
+    def axis(self, name: str) -> Axis:
+        """Return the axis of this name, or the first."""
+        axes = self.capture.rig.axes
+        return next((axis for axis in axes if axis.name == name), axes[0])
+
+    def tick(self, now_ns: int) -> None:
+        """Send each page that takes it what is new."""
+        with self.lock:
+            if now_ns * 1e-9 - self._told_s >= STATE_S or now_ns * 1e-9 < self._told_s:
+                self._told_s = now_ns * 1e-9
+                snapshot: Snapshot = self.capture.snapshot(now_ns)
+                self._state = document(self.capture, snapshot, self.facts(), self.host)
+                self._version += 1
+            for session in self.sessions:
+                if session.flow.free:
+                    session.send(self._state, self._version)
+
+    async def stop(self) -> dict[str, Any]:
+        """Ask the host for a safe stop, wait for its end, and return what came of it as words."""
+        if self.stopping >= STOPS:
+            return {"ok": False, "text": "a stop is under way already"}
+        self.stopping += 1
+        try:
+            result = await asyncio.get_running_loop().run_in_executor(self.stops, self.door.stop)
+        except Exception as error:
+            return {"ok": False, "text": str(error)}
+        finally:
+            self.stopping -= 1
+        with self.lock:
+            self.host.ended(result)
+        trip = result.get("trip")
+        return {"ok": True, "text": f"the host had tripped: {trip}" if trip else "the host stopped safely"}
+
+    async def ask(self, session: Data, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
+        """Ask the host for a change or a marker, as the page that controls; the answer goes to that
+        page as words.
+        """
+        if self.seat.holder != session.number:
+            session.answers.append(f"{what}: this page looks on; take control first")
+            return
+        if self.asking >= QUESTIONS:
+            session.answers.append(f"{what}: too many are under way; again in a moment")
+            return
+        self.asking += 1
+        try:
+            told = await asyncio.get_running_loop().run_in_executor(self.questions, question)
+            session.answers.append(str(told.get("marker", what)).partition(" [")[0])
+        except Exception as error:
+            session.answers.append(f"{what}: {error}")
+        finally:
+            self.asking -= 1
+
+
+class _Guarded(tornado.web.RequestHandler):
+    """A request of who has the token, for the address that is served."""
+
+    page: Page
+
+    def initialize(self, page: Page) -> None:
+        self.page = page
+
+    def admit(self) -> IOStream:
+        """Return the connection of a request that may be answered.
+
+        Raises
+        ------
+        tornado.web.HTTPError
+            its header Host names another server, or its address has not the token
+        """
+        stream: IOStream = self.request.connection.stream  # type: ignore[union-attr]  # it has one
+        address, port = stream.socket.getsockname()[:2]
+        if not served_as(self.request.headers.get("Host"), address, port, self.page.name):
+            raise tornado.web.HTTPError(MISDIRECTED)
+        if not right_token(self.path_args[0] if self.path_args else "", self.page.token):
+            raise tornado.web.HTTPError(FORBIDDEN)
+        return stream
+
+    def from_the_page(self) -> bool:
+        """Tell whether the page itself asks, and no other one."""
+        return same_origin(self.request.headers.get("Origin"), self.request.headers.get("Host"))
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """Say why, as plain text."""
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(REFUSALS.get(status_code, self._reason) + "\n")
+
+
+class _Handler(_Guarded):
+    def set_default_headers(self) -> None:
+        for name, value in (
+            ("Content-Security-Policy", POLICY),
+            ("Referrer-Policy", "same-origin"),
+            ("X-Content-Type-Options", "nosniff"),
+            ("X-Frame-Options", "DENY"),
+            ("Cache-Control", "no-store"),
+            ("Server", "coulombus"),
+        ):
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        self.admit()
+        if self.request.method == "POST" and not self.from_the_page():
+            raise tornado.web.HTTPError(FORBIDDEN)
+
+
+class _Nothing(_Handler):
+    """What is nowhere: 403, also with the right token."""
+
+    def prepare(self) -> None:
+        self.admit()
+        raise tornado.web.HTTPError(FORBIDDEN)
+
+
+class _Html(_Handler):
+    async def get(self, _: str) -> None:
+        rig = self.page.capture.rig
+        axis = self.page.axis(self.get_query_argument("axis", ""))
+        links = "".join(
+            f'<a href="?axis={escape(name)}"{" aria-current=page" if name == axis.name else ""}>{escape(name)}</a>'
+            for name in rig.axis_names
+        )
+        text = files(__package__).joinpath("page.html").read_text(encoding="utf-8")
+        text = text.replace("{{rig}}", escape(rig.name)).replace("{{axes}}", links)
+        self.finish(text)
+
+
+class _Static(_Handler):
+    OWN = ("page.css", "stop.js", "data.js", "plots.js", "controls.js", "words.js", "page.js")
+
+    async def get(self, _: str, name: str) -> None:
+        if name not in self.OWN:
+            raise tornado.web.HTTPError(404)
+        self.set_header("Content-Type", TYPES[Path(name).suffix] + "; charset=utf-8")
+        self.finish(files(__package__).joinpath(name).read_bytes())
+
+
+class _Layout(_Handler):
+    async def get(self, _: str) -> None:
+        axis = self.page.axis(self.get_query_argument("axis", ""))
+        self.finish({"rows": layout(self.page.capture, axis)})
+
+
+class _Stop(_Handler):
+    async def post(self, _: str) -> None:
+        self.finish(await self.page.stop())
+
+
+class Data(_Guarded, tornado.websocket.WebSocketHandler):
+    """One page: what is sent to it, and the little that it says."""
+
+    def initialize(self, page: Page) -> None:
+        """Keep what all pages share."""
+        super().initialize(page)
+        self.flow = Flow()
+        self.number, self.rubbish, self.version, self.refused = next(page.numbers), 0, 0, False
+        self.answers: deque[str] = deque(maxlen=ANSWERS)
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def prepare(self) -> None:
+        """Refuse who has not the token, comes from another page, or is one too many."""
+        self._stream = self.admit()
+        if not self.from_the_page():
+            raise tornado.web.HTTPError(FORBIDDEN)
+        if len(self.page.sessions) >= SESSIONS:
+            raise tornado.web.HTTPError(503)
+
+    def check_origin(self, origin: str) -> bool:
+        """`prepare` has looked at it."""
+        return same_origin(origin, self.request.headers.get("Host"))
+
+    def open(self, *_: str, **__: str) -> None:
+        """Begin; the first page controls."""
+        self.set_nodelay(True)
+        self.axis = self.page.axis(self.get_query_argument("axis", ""))
+        self.page.seat.take(self.number)
+        self.page.sessions.add(self)
+        self.page.sockets.add(self._stream)
+
+    def on_close(self) -> None:
+        """Forget it; its seat is free."""
+        self.page.sessions.discard(self)
+        self.page.seat.leave(self.number)
+
+    def on_message(self, message: str | bytes) -> None:
+        """Take what a page says; all else is counted, and too much of it ends the session."""
+        text = message if isinstance(message, str) else ""
+        took = TOOK.fullmatch(text)
+        if took is not None and self.flow.take(int(took[1])):
+            return
+        if text == "control":
+            self.refused = not self.page.seat.take(self.number)
+            return
+        mark = MARK.fullmatch(text)
+        if mark is not None:
+            self._ask(f"mark {mark[1]}", lambda: self.page.door.mark(mark[1]))
+            return
+        order = order_of(text, self.axis.name)
+        if order is not None:
+            self._ask("not changed", lambda: self.page.door.change(order))
+            return
+        self.rubbish += 1
+        if self.rubbish > RUBBISH:
+            self.close(1008, "what this page says means nothing")
+
+    def _ask(self, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
+        task = asyncio.get_running_loop().create_task(self.page.ask(self, what, question))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def send(self, state: dict[str, Any] | None, version: int) -> None:
+        """Send the next batch, with the state where the page does not have it yet."""
+        more: dict[str, Any] = {}
+        if version != self.version:
+            self.version = version
+            controls = self.page.seat.holder == self.number
+            more = {"state": state, "controls": controls, "refused": self.refused and not controls}
+            more |= {
+                "law": self._law(),
+                "axis": self.axis.name,
+                "answer": self.answers.popleft() if self.answers else "",
+            }
+        try:
+            sent = self.write_message(batch(self.page.capture, self.axis, self.flow, more), binary=True)
+            sent.add_done_callback(lambda done: done.exception())  # a page that has gone: on_close comes
+        except tornado.websocket.WebSocketClosedError:
+            pass
+
+    def _law(self) -> dict[str, Any] | None:
+        host, axis = self.page.host, self.axis
+        plain = self.page.capture.law_curve(axis, host.mode, host.live(axis.name))
+        curve = plain or self.page.curves.get(axis.name)
+        return None if curve is None else {"v": curve.velocity_rad_s, "f": curve.friction_Nm}
+
+
+def order_of(message: str, axis: str) -> dict[str, Any] | None:
+    """Return the order for the host that a page's message ``set {...}`` asks for; None where it is
+    none. A page changes the parameters of the axis that it shows.
+    """
+    verb, _, content = message.partition(" ")
+    try:
+        found = json.loads(content) if verb == "set" else None
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or not found.keys() <= {"values", "undo", "key"}:
+        return None
+    return {**found, "axis": axis}
+
+
+def application(page: Page) -> tornado.web.Application:
+    """Return the application of a page."""
+    shared = {"page": page}
+    return tornado.web.Application(
+        [
+            (r"/([^/]*)/", _Html, shared),
+            (r"/([^/]*)/static/([a-z.]+)", _Static, shared),
+            (r"/([^/]*)/layout", _Layout, shared),
+            (r"/([^/]*)/data", Data, shared),
+            (r"/([^/]*)/stop", _Stop, shared),
+        ],
+        default_handler_class=_Nothing,
+        default_handler_args=shared,
+        log_function=lambda handler: None,
+        websocket_max_message_size=MESSAGE_BYTES,
+        websocket_ping_interval=10,
+        websocket_ping_timeout=10,
+    )

@@ -1,0 +1,145 @@
+"""The threads beside the page's server: one reads the bus in batches, one asks the host, one has the
+law's curve made.
+
+Nothing is ever sent to the bus.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from coulombus.monitor.web.capture import Capture, Curve, has_plain_curve
+from coulombus.monitor.web.state import HostDoor, HostView
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+from coulombus.wire.client import BusDown, BusFull, Client
+from coulombus.wire.frame_batches import Block, BlockReader
+
+__all__ = ["BATCH_S", "BusReader", "CurveReader", "HostReader"]
+
+BATCH_S = 0.033
+COLLECT_S = 0.01
+"""How often a SocketCAN socket is emptied: it keeps some 270 frames of a reader that sleeps."""
+ASK_S = 1.0
+HOST_S = 0.2
+
+
+class _Worker:
+    """A thread that ends with its ``with`` block."""
+
+    def __init__(self, name: str) -> None:
+        self.stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def __enter__(self) -> _Worker:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop.set()
+        self._thread.join(timeout=5)
+
+    def _run(self) -> None:
+        raise NotImplementedError
+
+
+class BusReader(_Worker):
+    """Takes frames off the bus into `capture`; `failure` is why it ended by itself.
+
+    Parameters
+    ----------
+    lock : held while `capture` changes
+    """
+
+    def __init__(self, client: Client, capture: Capture, lock: threading.Lock) -> None:
+        super().__init__("bus reader")
+        self.failure: OSError | None = None
+        self.until_ns = time.time_ns()
+        """All frames until then are in `capture`: what did not come until then did not come."""
+        self._client, self._capture, self._lock = client, capture, lock
+        self._reader = BlockReader(client)
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known of the bus besides its frames."""
+        c = self._client
+        return {"bus": c.address, "bitrate_bit_s": c.bitrate_bit_s, "lost": c.lost, "malformed": c.malformed}
+
+    def _run(self) -> None:
+        asked = taken = time.monotonic()
+        blocks: list[Block] = []
+        pause_s = COLLECT_S if self._client.address.kind == "socketcan" else BATCH_S
+        while not self.stop.wait(pause_s):
+            now, now_ns = time.monotonic(), time.time_ns()
+            try:
+                if len(found := self._reader.receive()):
+                    blocks.append(found)
+                if now - asked > ASK_S:
+                    asked = now
+                    self._client.ask()
+            except BusDown as error:
+                with self._lock:
+                    self._capture.tell(time.time_ns(), str(error), grave=True)
+                self.stop.wait(ASK_S)
+            except BusFull:
+                pass  # it does not read: told by the silence of all nodes
+            except OSError as error:
+                self.failure = error
+            if now - taken >= BATCH_S or self.failure is not None:
+                taken = max(taken + BATCH_S, now - pause_s)  # so that batches are of BATCH_S on average
+                with self._lock:
+                    self._capture.take_block(Block.joined(blocks))
+                    self.until_ns = now_ns
+                blocks = []
+            if self.failure is not None:
+                return
+
+
+class HostReader(_Worker):
+    """Asks the host for its state, five times a second, and tells it to `view`."""
+
+    def __init__(self, door: HostDoor, view: HostView, lock: threading.Lock) -> None:
+        super().__init__("host reader")
+        self._door, self._view, self._lock = door, view, lock
+
+    def _run(self) -> None:
+        while not self.stop.wait(HOST_S):
+            try:
+                status = self._door.status()
+            except Exception:  # no host, or one that does not answer: nothing that ends the page
+                status = None
+            with self._lock:
+                self._view.tell(status)
+
+
+class CurveReader(_Worker):
+    """Has the curve of each axis' law made anew when the mode or a parameter is another one.
+
+    The curves stand in `curves`, by the axis' name; None of a law that has none, or that fails.
+    """
+
+    def __init__(self, door: HostDoor, view: HostView, rig: Rig, lock: threading.Lock) -> None:
+        super().__init__("curve reader")
+        self.curves: dict[str, Curve | None] = {}
+        self._made: dict[str, object] = {}
+        self._door, self._view, self._rig, self._lock = door, view, rig, lock
+
+    def _run(self) -> None:
+        while not self.stop.wait(HOST_S):
+            for axis in self._rig.axes:
+                with self._lock:
+                    mode, live = self._view.mode, self._view.live(axis.name)
+                self.make(axis, mode, live)
+
+    def make(self, axis: Axis, mode: str, live: dict[str, float]) -> None:
+        """Make a curve where it is not that of the last time."""
+        wanted = (mode, tuple(live.items()))
+        if self._made.get(axis.name) == wanted or mode not in axis.mode or has_plain_curve(axis):
+            return
+        self._made[axis.name] = wanted
+        try:
+            found = self._door.curve(axis, mode, live)
+        except Exception:  # a law of somebody's own: the host says what is wrong with it
+            found = None
+        self.curves[axis.name] = None if found is None else Curve(*found)

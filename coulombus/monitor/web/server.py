@@ -1,0 +1,222 @@
+"""The page's server: HTTP and WebSocket by Tornado, on the loopback interface unless said otherwise."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import os
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import tornado.httpserver
+from tornado.iostream import IOStream
+
+from coulombus.monitor.web import WebError
+from coulombus.monitor.web.capture import Capture
+from coulombus.monitor.web.page import SESSIONS, Page, application
+from coulombus.monitor.web.reader import BATCH_S, BusReader, CurveReader, HostReader
+from coulombus.monitor.web.state import HostDoor
+from coulombus.rigs.rig import Rig
+from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.address import BusAddress, BusUnavailable
+from coulombus.wire.client import Client
+from coulombus.wire.handshake import Flags, Hello
+
+__all__ = ["Server", "Shown", "listening", "serve"]
+
+CONNECTIONS = 128
+"""That may be open besides the pages' sockets: one more takes the place of the oldest."""
+IDLE_S = 10.0
+"""How long a connection may say nothing."""
+RETRY_S = 0.5
+
+
+class Server(tornado.httpserver.HTTPServer):
+    """The HTTP server of a page, which bounds what strangers take of it: how many connections, for
+    how long, and how much is read of each.
+    """
+
+    def initialize(self, page: Page) -> None:  # type: ignore[override]  # tornado's way to construct
+        """Keep the page; see `tornado.util.Configurable`."""
+        super().initialize(
+            application(page),
+            max_header_size=16384,
+            max_body_size=4096,
+            idle_connection_timeout=IDLE_S,
+            body_timeout=IDLE_S,
+        )
+        self._page, self._streams = page, deque[IOStream]()
+
+    def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
+        """Serve a connection; where there are too many, the oldest that is no page's ends."""
+        kept = self._page.sockets
+        self._streams = deque(one for one in self._streams if not one.closed() and one not in kept)
+        while len(self._streams) >= CONNECTIONS:
+            self._streams.popleft().close()
+        self._streams.append(stream)
+        super().handle_stream(stream, address)
+
+
+def listening(host: str, port: int) -> list[socket.socket]:
+    """Return the sockets that listen there; port 0: a free one.
+
+    Raises
+    ------
+    WebError
+        the port is in use, may not be taken, or there is no such address
+    """
+    try:
+        return [_bound(host, port)]
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise WebError(
+                f"port {port} of {host} is in use: choose another with --web-port, or 0 for a free one"
+            ) from None
+        if error.errno == errno.EACCES:
+            raise WebError(f"port {port} may not be taken: choose one of 1024 or more with --web-port") from None
+        raise WebError(
+            f"the page cannot be served at {host}: {error.strerror or error}; --web-host names an address of this machine"
+        ) from None
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    made = socket.socket(family, kind, protocol)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(place)
+        made.listen(SESSIONS)
+        made.setblocking(False)
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page shows: a rig, its bus, the door of its host; and the token of who may look."""
+
+    rig: Rig
+    address: BusAddress
+    door: HostDoor
+    token: str
+
+
+def serve(
+    shown: Shown,
+    ready: Callable[[str], None],
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    seconds: float | None = None,
+    parent: int | None = None,
+) -> None:
+    """Serve the page until a signal, or for `seconds`.
+
+    Parameters
+    ----------
+    ready : called with the page's URL when it is there
+    parent : a pipe of the process that began this one: its end ends the page, the bus is waited
+        for, and its going away is no failure
+
+    Raises
+    ------
+    WebError
+        the port or address cannot be taken
+    coulombus.wire.address.BusUnavailable
+        there is no bus, or it went away meanwhile
+    """
+    tornado_log = logging.getLogger("tornado")  # strangers would fill a terminal with it, and it tells the token
+    tornado_log.addHandler(logging.NullHandler())
+    tornado_log.propagate = False
+    sockets = listening(host, port)
+    name = _named(host)
+    url = f"http://{name}:{sockets[0].getsockname()[1]}/{shown.token}/"
+    try:
+        with StopSignals() as stop:
+            asyncio.run(_serve(shown, lambda: ready(url), name, sockets, seconds, parent, stop))
+    except BusUnavailable:
+        if parent is None:
+            raise
+    finally:
+        for one in sockets:
+            one.close()
+
+
+async def _serve(
+    shown: Shown,
+    ready: Callable[[], None],
+    name: str,
+    sockets: list[socket.socket],
+    seconds: float | None,
+    parent: int | None,
+    stop: StopSignals,
+) -> None:
+    loop, over = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(stop.fileno(), over.set)
+    if parent is not None:
+        loop.add_reader(parent, lambda: None if os.read(parent, 64) else over.set())
+    if seconds is not None:
+        loop.call_later(seconds, over.set)
+    client = await _client(shown.address, patient=parent is not None, over=over)
+    if client is None:
+        return
+    capture = Capture(shown.rig)
+    capture.snapshot(time.time_ns())  # rates count from here
+    with client:
+        lock = threading.Lock()
+        reader = BusReader(client, capture, lock)
+        page = Page(capture, shown.door, shown.token, reader.facts, lock)
+        page.name = name
+        server = Server(page)
+        curves = CurveReader(shown.door, page.host, shown.rig, lock)
+        page.curves = curves.curves
+        with reader, HostReader(shown.door, page.host, lock), curves:
+            server.add_sockets(sockets)
+            ready()
+            due_s = loop.time()
+            while not over.is_set() and reader.failure is None:
+                page.tick(reader.until_ns)
+                due_s = max(due_s + BATCH_S, loop.time())  # what came too late is not made up for
+                await asyncio.sleep(due_s - loop.time())  # `_pause` makes a task and cancels it
+        server.stop()
+        await server.close_all_connections()
+        page.stops.shutdown(wait=False)
+        page.questions.shutdown(wait=False, cancel_futures=True)
+        if reader.failure is not None:
+            raise reader.failure
+
+
+async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) -> Client | None:
+    """Return a client of the bus; where it is not there yet, who is patient waits until it is all
+    `over` (None).
+    """
+    while not over.is_set():
+        try:
+            return Client(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS))
+        except BusUnavailable:
+            if not patient:
+                raise
+            await _pause(over, RETRY_S)
+    return None
+
+
+async def _pause(over: asyncio.Event, seconds: float) -> None:
+    """Wait so long, or until it is all over."""
+    with suppress(TimeoutError):
+        await asyncio.wait_for(over.wait(), seconds)
+
+
+def _named(host: str) -> str:
+    """Return what a browser calls the address: a name of this machine for all its addresses."""
+    if host in ("0.0.0.0", "::", ""):
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host

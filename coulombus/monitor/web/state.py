@@ -1,0 +1,233 @@
+"""What the page says in words and figures, five times a second: one plain document, made of the bus
+and of what the host tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from coulombus.eds.cia402 import PowerState
+from coulombus.monitor.live import NodeRow, PdoRow, Snapshot, Value
+from coulombus.monitor.web.capture import Capture
+from coulombus.monitor.word_bits import WORDS, bits_set, meaning
+from coulombus.rigs.axis import Axis
+
+__all__ = ["HostDoor", "HostView", "arm_state", "document"]
+
+ENABLED = PowerState.OPERATION_ENABLED.name.lower().replace("_", " ")
+EVENTS_SHOWN = 40
+BINS_SHOWN = 200
+PHASES = {
+    "off": "off",
+    "still": "waiting for a still handle",
+    "enable": "enabling the drive",
+    "sign": "checking the signs",
+    "settle": "settling",
+    "run": "running",
+    "safe": "safe state",
+    "disable": "disabling the drive",
+    "done": "done",
+}
+"""The phases of the host's cycle in words; another one is shown by its name."""
+
+
+@dataclass(frozen=True)
+class HostDoor:
+    """How the page reaches the host: `status` asks for its state, `stop` asks for a safe stop and
+    waits for its end, `change` asks for other parameters, `mark` for a marker; all raise OSError or
+    an error with a text.
+
+    Attributes
+    ----------
+    advice : the runbook's place for a trip's words
+    curve : what the law of an axis displays in a mode with the live parameters of now, as
+        velocities and friction; asked in a thread of its own
+    """
+
+    status: Callable[[], Mapping[str, Any]]
+    stop: Callable[[], Mapping[str, Any]]
+    advice: Callable[[str], str | None]
+    change: Callable[[dict[str, Any]], Mapping[str, Any]]
+    mark: Callable[[str], Mapping[str, Any]]
+    curve: Callable[[Axis, str, Mapping[str, float]], tuple[tuple[float, ...], tuple[float, ...]] | None]
+
+
+class HostView:
+    """The last state that the host told, and its last trip, which stays when the host has gone."""
+
+    def __init__(self, advice: Callable[[str], str | None]) -> None:
+        self._advice = advice
+        self._status: Mapping[str, Any] | None = None
+        self._trip: str | None = None
+        self.mode = ""
+
+    def tell(self, status: Mapping[str, Any] | None) -> None:
+        """Take what the host told; None: no host runs.
+
+        What is of a wrong type in it counts as not told.
+        """
+        if status is not None:
+            fresh = self._status is None
+            self._status = status
+            self.mode = text(status.get("mode"))
+            if trip := text(status.get("trip")):
+                self._trip = trip
+            elif fresh:  # another run: the last one's trip is over
+                self._trip = None
+        else:
+            self._status = None
+
+    def ended(self, result: Mapping[str, Any]) -> None:
+        """Take what the host told of its end."""
+        if trip := text(result.get("trip")):
+            self._trip = trip
+
+    def _axes(self) -> list[Mapping[str, Any]]:
+        return [one for one in _list((self._status or {}).get("axes")) if isinstance(one, Mapping)]
+
+    def _parameters(self) -> list[dict[str, Any]]:
+        return [row for one in self._axes() for row in map(_parameter, _list(one.get("parameters"))) if row]
+
+    def live(self, axis: str) -> dict[str, float]:
+        """Return the live parameters of an axis as they are now, by their names."""
+        return {row["name"]: row["now"] for row in self._parameters() if row["axis"] == axis}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the page shows of the host."""
+        status, axes = self._status or {}, self._axes()
+        said, counted = _map(status.get("meta")), _map(status.get("histograms_us"))
+        words = [(text(one.get("axis")), text(one.get("phase"))) for one in axes]
+        phases = [f"{axis} {PHASES.get(phase, phase)}".strip() for axis, phase in words]
+        return {
+            "runs": self._status is not None,
+            "mode": self.mode if self._status is not None else "",
+            "phase": ", ".join(phases),
+            "display_s": _number(status.get("display_s")),
+            "cycles": _number(status.get("cycles")),
+            "trip": self._trip or "",
+            "advice": (self._advice(self._trip) or "") if self._trip else "",
+            "recording": text(status.get("recording")),
+            "subject": text(said.get("subject")),
+            "trial": text(said.get("trial")),
+            "parameters": self._parameters(),
+            "arm_key": status.get("arm_key") is True,
+            "wakeup_us": _spread(status.get("wakeup_us")),
+            "sync_to_rpdo_us": _spread(status.get("sync_to_rpdo_us")),
+            "histograms": {name: _histogram(counted.get(name)) for name in ("wakeup", "sync_to_rpdo")},
+            "deadline_us": _number(counted.get("deadline")),
+        }
+
+
+def document(capture: Capture, snapshot: Snapshot, facts: Mapping[str, Any], host: HostView) -> dict[str, Any]:
+    """Return the document: top line, PDOs, nodes, events.
+
+    Parameters
+    ----------
+    facts : of the reader: bus, bitrate_bit_s, lost, malformed
+    """
+    load = capture.load(snapshot.t_ns, int(facts["bitrate_bit_s"]) or capture.rig.bus.bitrate_bit_s)
+    return {
+        "rig": capture.rig.name,
+        "bus": str(facts["bus"]),
+        "load_percent": round(100 * load, 1),
+        "frames_per_s": round(snapshot.frames_per_s),
+        "sync_per_s": round(snapshot.sync_per_s, 1),
+        "lost": int(facts["lost"]),
+        "malformed": int(facts["malformed"]) + sum(row.malformed for row in snapshot.pdos),
+        "error_frames": snapshot.error_frames,
+        "unknown": snapshot.unknown,
+        "arm": arm_state(snapshot),
+        "host": host.as_dict(),
+        "pdos": [_pdo(capture, row, snapshot.t_ns) for row in snapshot.pdos],
+        "nodes": [_node(row) for row in snapshot.nodes],
+        "events": [[event.t_ns / 1e9, event.text, event.grave] for event in list(capture.events)[-EVENTS_SHOWN:]],
+    }
+
+
+def arm_state(snapshot: Snapshot) -> str:
+    """Return "armed" where a drive on the bus is enabled, "disarmed" where all drives say that they
+    are not, "unknown" where one has never been heard, or not of late.
+
+    The bus itself tells it: the host may be another machine's.
+    """
+    drives = [node for node in snapshot.nodes if node.power_state is not None]
+    if any(node.power_state == ENABLED and not node.silent for node in drives):
+        return "armed"
+    return "disarmed" if drives and not any(node.silent for node in drives) else "unknown"
+
+
+def text(value: object) -> str:
+    """Return a text of what may be anything; nothing for what is none."""
+    return value if isinstance(value, str) else ""
+
+
+def _list(value: object) -> list[Any]:
+    return list(value) if isinstance(value, (list, tuple)) else []
+
+
+def _map(value: object) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _number(value: object) -> float | None:
+    right = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return value if right else None  # type: ignore[return-value]  # mypy does not follow `right`
+
+
+def _parameter(row: object) -> dict[str, Any] | None:
+    """Return a live parameter as the page takes it; None for what is none."""
+    if not isinstance(row, Mapping):
+        return None
+    found = {name: text(row.get(name)) for name in ("axis", "name", "unit")}
+    numbers = {name: _number(row.get(name)) for name in ("value", "now", "low", "high")}
+    more = {"step": _number(row.get("step")), "above_low": row.get("above_low") is True}
+    return {**found, **numbers, **more} if found["name"] and None not in numbers.values() else None
+
+
+def _histogram(told: object) -> dict[str, list[float]] | None:
+    """Return edges [us] and counts of a histogram; None where they are not told, or are no such."""
+    found = _map(told)
+    edges, counts = _list(found.get("edges"))[: BINS_SHOWN + 1], _list(found.get("counts"))[:BINS_SHOWN]
+    right = len(edges) == len(counts) + 1 and None not in map(_number, [*edges, *counts])
+    return {"edges": edges, "counts": counts} if right else None
+
+
+def _spread(spread: object) -> list[float] | None:
+    """Return median, 99th percentile and maximum of a time [us]; None where they are not told."""
+    found = [_number(spread.get(name)) for name in ("p50", "p99", "max")] if isinstance(spread, Mapping) else [None]
+    return None if None in found else found  # type: ignore[return-value]  # mypy does not see that none is None
+
+
+def _pdo(capture: Capture, row: PdoRow, now_ns: int) -> dict[str, Any]:
+    period = capture.period(row.can_id, now_ns)
+    data = capture.last_data(row.can_id)
+    return {
+        "name": row.name,
+        "id": f"{row.can_id:03X}h",
+        "raw": "" if data is None else data.hex(" ").upper(),
+        "rate": round(row.rate_per_s, 1),
+        "jitter_ms": None if period is None else round(period.jitter_ms, 3),
+        "stale": row.age_s is None or row.age_s > 0.1,
+        "signals": [_signal(value, place) for value, place in zip(row.values, capture.places(row.can_id), strict=True)],
+    }
+
+
+def _signal(value: Value, place: str) -> dict[str, Any]:
+    word = not value.unit and value.name.rpartition(".")[2] in WORDS
+    shown = value.value if value.value is None or not word else f"{int(value.value):04X}h"
+    told = "; ".join(filter(None, (meaning(value), bits_set(value))))
+    return {"name": value.name, "value": shown, "unit": value.unit, "bits": place, "meaning": told}
+
+
+def _node(row: NodeRow) -> dict[str, Any]:
+    return {
+        "name": row.name,
+        "id": row.node_id,
+        "state": row.state or "",
+        "silent": row.silent,
+        "power": row.power_state or "",
+        "emergency": row.emergency or "",
+    }

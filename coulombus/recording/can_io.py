@@ -1,0 +1,124 @@
+"""pcapng files for python-can's programs: ``can_logger -f run.pcapng``, ``can_player run.pcapng``,
+``can_logconvert``.
+
+Found by the entry points ``can.io.message_writer`` and ``can.io.message_reader``, whose keys carry
+the dot. python-can loads every plug-in for each file it opens, of whatever kind, so the compiled
+modules are imported only for a pcapng file.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import can
+from can.io.generic import MessageReader, SizedMessageWriter
+
+from coulombus.wire.python_can_messages import can_id_of, is_classical, message_of, word_of
+
+if TYPE_CHECKING:
+    from coulombus.wire.frame import Records
+
+__all__ = ["PcapngMessageReader", "PcapngMessageWriter"]
+
+BATCH = 256
+BATCH_NS = 100_000_000
+_log = logging.getLogger(__name__)
+
+
+class PcapngMessageReader(MessageReader):
+    """The frames of a pcapng file (link type SocketCAN) as python-can's messages; `channel` is the
+    interface's number.
+
+    Raises
+    ------
+    coulombus.recording.pcapng_blocks.PcapngError
+        The file is damaged or of another kind.
+    """
+
+    def __init__(self, file: Any, **_: Any) -> None:
+        from coulombus.recording.pcapng_reader import read_pcapng
+
+        self._capture = read_pcapng(_path(file))
+
+    def __iter__(self) -> Iterator[can.Message]:
+        frames = self._capture.frames
+        columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "word", "source"))
+        for t_ns, can_id, length, word, source in zip(*columns, strict=True):
+            data = int(word).to_bytes(8, "little", signed=True)
+            yield message_of(t_ns / 1e9, can_id, length, data, channel=source)
+
+    def stop(self) -> None:
+        """Nothing to do: the file was read as a whole."""
+
+
+class PcapngMessageWriter(SizedMessageWriter):
+    """Write python-can's messages to a pcapng file that Wireshark and ``coulombus decode --rig R``
+    read.
+
+    A file that exists is replaced, as python-can's own writers do. Messages are handed over in
+    batches of 0.1 s, so of a killed program no more than that is missing. CAN FD frames are left
+    out, counted (`skipped`) and told at the end.
+
+    Raises
+    ------
+    coulombus.recording.pcapng_blocks.RecordingError
+        The file cannot be written, from here and from each message.
+    ValueError
+        Appending, which would need the old file's interfaces.
+    """
+
+    def __init__(self, file: Any, append: bool = False, channel: Any = None, **_: Any) -> None:
+        if append:
+            raise ValueError(f"{file}: a pcapng file is not appended to; record to a new one, join with mergecap")
+        from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
+        from coulombus.wire.frame import frames
+
+        name = str(channel) if channel else "can0"
+        self._writer = PcapngWriter(
+            _path(file), attachments={}, texts=SectionTexts(application="python-can"), interface=name, force=True
+        )
+        self._batch: Records = frames(BATCH)
+        self._count = 0
+        self._stopped = False
+        self.skipped = 0
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Take one message."""
+        if not is_classical(msg):
+            self.skipped += 1
+            return
+        t_ns = max(0, round(msg.timestamp * 1e9))
+        if self._count and (self._count == BATCH or t_ns - int(self._batch[0].t_ns) >= BATCH_NS):
+            self._flush()
+        self._batch[self._count] = (t_ns, can_id_of(msg), msg.dlc, word_of(msg), 0)
+        self._count += 1
+
+    def _flush(self) -> None:
+        count, self._count = self._count, 0
+        self._writer.write(self._batch[:count])
+
+    def file_size(self) -> int:
+        """Return the bytes written so far."""
+        return self._writer.bytes
+
+    def stop(self) -> None:
+        """Write what waits and close the file; may be called again."""
+        if self._stopped:
+            return
+        self._stopped = True
+        try:
+            if self._count:
+                self._flush()
+        finally:
+            self._writer.close()
+        if self.skipped:
+            _log.warning("%s: %d CAN FD frames were left out", self._writer.path, self.skipped)
+
+
+def _path(file: Any) -> str:
+    if isinstance(file, str | os.PathLike):
+        return os.fspath(file)
+    raise ValueError("a pcapng file is given by its path; compress it afterwards, with zstd or gzip")

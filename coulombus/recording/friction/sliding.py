@@ -1,0 +1,424 @@
+r"""Which samples of a recording obey the regression of `recording.friction.identify`, and the
+equations that come of them.
+
+The equation :math:`f = J\,\dot v + [c + b\,|v|]\,\mathrm{sgn}(v) + f_0` holds for what the hand
+feels only while the host displays one thing. So a sample is taken only
+
+- in the host's phase RUN with its gain at 1: not before the display, not in the sign check, not
+  after the end or a trip. A recording has no phases, but what the wire shows bounds them: Operation
+  Enabled, then the sign check's torque, then a handle that is still without torque for `SETTLE_S`;
+- while the handle slides in one direction, faster than the law's band, and from `REVERSAL_S` after
+  it began to: by then the motor's lag and the PDOs' delay are over. Near the speed limit the host
+  takes the motor's torque away, so not there either;
+- while the brake's set-point has been the same for `COIL_S`, by which its fluid has followed.
+
+What was left out is counted by its first reason.
+
+Equations. Encoder and transducer go through *one* weight :math:`F`, a window of `WINDOW_S`:
+
+.. math:: \textstyle\sum F f = J \sum F'' x\,T + b \sum F' x\,T + c\,\mathrm{sgn}(v) + f_0
+
+:math:`F''` is Savitzky and Golay's second derivative of a quadratic, and :math:`F` is what it is
+the second difference of, so speed, acceleration and torque are filtered alike at every frequency
+(but for :math:`(\omega T)^4/240`). The encoder's quantisation makes :math:`v` and :math:`a` wrong
+by a known variance, :math:`\Delta^2/12` times the weight's squared norm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from coulombus.recording.host_telemetry import PHASE_RUN
+from coulombus.recording.signals import Series, Source, series
+
+__all__ = [
+    "Equations",
+    "Floats",
+    "IdentifyError",
+    "Slide",
+    "Sliding",
+    "equations",
+    "runs",
+    "signals",
+    "since",
+    "sliding",
+    "stretches",
+]
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Flags: TypeAlias = npt.NDArray[np.bool_]
+
+WINDOW_S = 0.061
+"""Length of the window behind each equation."""
+SPEED_SAMPLES = 15
+"""Length of the shorter window behind a sample's own speed, for Stribeck's term."""
+REVERSAL_S = 0.02
+"""A slide counts from so long after its beginning."""
+COIL_S = 0.25
+"""The brake's set-point stays the same for so long: the fluid has followed to 1e-6."""
+SETTLE_S = 0.05
+"""So long the handle is still after the sign check (`host.cycle.controller.SETTLE_S`)."""
+SETTLE_COUNTS = 1
+STILL_MARGIN_S = 0.05
+SPEED_SHARE = 0.8
+"""Of the speed limit.
+
+Above it the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`).
+"""
+LEAST_SAMPLES = 100
+
+
+class IdentifyError(ValueError):
+    """The recording does not show friction: the text says what is missing."""
+
+    exit_status = 1
+
+
+@dataclass(frozen=True)
+class Slide:
+    """Samples in a row, one cycle apart, in which the handle slides in one direction."""
+
+    t_s: Floats
+    x_rad: Floats
+    hand_Nm: Floats
+    """The transducer's."""
+    motor_Nm: Floats
+    """The motor's, as the drive tells it (6077h), or as it was told where the drive does not."""
+
+
+@dataclass(frozen=True)
+class Sliding:
+    """What of a recording obeys the regression."""
+
+    slides: tuple[Slide, ...]
+    period_s: float
+    count_rad: float
+    """The encoder's resolution at the handle."""
+    coil_off: bool
+    """True: only samples without brake were taken."""
+    left_out: dict[str, int]
+    """Samples that were left out, by why; 0 where that never was."""
+    remarks: tuple[str, ...]
+
+    @property
+    def samples(self) -> int:
+        """How many samples were taken."""
+        return sum(len(slide.t_s) for slide in self.slides)
+
+
+def _nearest(series: Series, t: Floats, within_s: float) -> Floats:
+    """Return the series' values nearest to `t`, NaN where none is `within_s`."""
+    if not len(series):
+        return np.full(len(t), np.nan)
+    after = np.clip(np.searchsorted(series.t_s, t), 1, max(len(series) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(series) - 1)
+    closer = np.where(np.abs(series.t_s[before] - t) <= np.abs(series.t_s[after] - t), before, after)
+    values: Floats = np.asarray(series.values, np.float64)[closer]
+    return np.where(np.abs(series.t_s[closer] - t) <= within_s, values, np.nan)
+
+
+def since(flags: Flags) -> npt.NDArray[np.int64]:
+    """Return for how many samples `flags` has been true, the present one included."""
+    index = np.arange(len(flags))
+    return index - np.maximum.accumulate(np.where(flags, -1, index))
+
+
+def runs(flags: Flags) -> list[tuple[int, int]]:
+    """Return first and end of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _armed(counts: Floats, target: Floats, settle: int) -> int | None:
+    """Return the sample of an enabled stretch at which the law begins; None: it is not seen to.
+
+    Without any motor torque there was no sign check. Else the law begins when the handle has been
+    still, without torque, for `settle` samples after the check.
+    """
+    driven = np.flatnonzero(target != 0.0)
+    if not len(driven):
+        return 0
+    still, reference = 0, math.nan
+    for i in range(int(driven[0]), len(counts)):
+        if target[i] != 0.0 or not abs(counts[i] - reference) <= SETTLE_COUNTS:
+            reference, still = counts[i], 0
+        else:
+            still += 1
+        if still >= settle:
+            return i + 1
+    return None
+
+
+def _told(recording: Source, t: Floats) -> Flags:
+    """Tell in which samples the host says that it displays the law at full gain."""
+    phase, gain = series(recording, "host.phase", "host.gain")
+    return np.asarray((phase.held(t, 0.0) == PHASE_RUN) & (gain.held(t, 0.0) >= 1.0 - 1e-9))
+
+
+def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tuple[str, ...]]:
+    """Tell which samples are in the host's phase RUN at full gain, and what had to be assumed."""
+    if recording.has("host.phase"):  # a law that moves the handle by itself leaves no rest behind the sign check
+        return _told(recording, t), ()
+    axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
+    statusword, target = series(recording, "motor.statusword", "motor.target_torque_Nm")
+    ends = sorted(
+        at
+        for block in recording
+        for at, text in block.markers
+        if text in ("phase end", "safe") or text.startswith("trip ")
+    )
+    marked = any(text.startswith(("run ", "phase ")) for block in recording for _, text in block.markers)
+    if not len(statusword):
+        return np.ones(len(t), bool), (
+            "no statusword was recorded, so the phases of the host are not known: what slides in the arming is fitted, too",
+        )
+    words = statusword.held(t, 0.0).astype(np.int64)
+    enabled = (np.asarray(STATE_OF_STATUSWORD)[words & 0x7F] == PowerState.OPERATION_ENABLED) & (t >= statusword.t_s[0])
+    torque = target.held(t, 0.0)
+    shown, notes = np.zeros(len(t), bool), list[str]()
+    for first, end in runs(enabled):
+        armed = _armed(counts[first:end], torque[first:end], round(SETTLE_S / period))
+        if armed is None and not marked and len(torque[first:end]):
+            notes.append(
+                "the sign check is not seen to end, so the phases are not known: all samples with the drive enabled count"
+            )
+            armed = 0
+        if armed is None:
+            continue
+        begin_s = t[min(first + armed, end - 1)] + axis.law.gain_ramp_s
+        inside = [at for at in ends if t[first] <= at]
+        # in the safe state the drive stays enabled, without torque, until the brake is off
+        end_s = inside[0] if inside else t[end - 1] - axis.limits.safe_hold_s - axis.limits.safe_ramp_s - STILL_MARGIN_S
+        shown[first:end] = (t[first:end] >= begin_s) & (t[first:end] < end_s)
+    return shown, tuple(dict.fromkeys(notes))
+
+
+class _Samples:
+    """Samples, and why the others were left out: each counts for the first reason only."""
+
+    def __init__(self, n: int) -> None:
+        self.good = np.ones(n, bool)
+        self.left_out: dict[str, int] = {}
+
+    def keep(self, reason: str, flags: Flags) -> None:
+        """Leave out what is not in `flags`, for `reason`."""
+        self.left_out[reason] = int(np.sum(self.good & ~flags))
+        self.good &= flags
+
+
+class Signals(NamedTuple):
+    """What a recording has of the handle, cycle by cycle."""
+
+    t: Floats
+    x: Floats
+    moved: Floats
+    """Counts since the cycle before."""
+    hand: Floats
+    motor: Floats
+    brake: Floats
+    shown: Flags
+    """In the display at full gain."""
+    notes: tuple[str, ...]
+    count_rad: float
+    """An encoder count at the handle [rad]."""
+
+
+def signals(recording: Source) -> Signals:
+    """Return what a recording has of the handle, cycle by cycle.
+
+    Raises
+    ------
+    IdentifyError
+        the rig has no transducer, there is no sample, or the recording's stamps go back
+    """
+    period = recording.rig.bus.period_s
+    names = ("motor.position_rad", "brake.handle_torque_Nm")
+    if not recording.has(names[1]):
+        raise IdentifyError(
+            f"{recording.path}: the rig {recording.rig.name!r} does not measure the hand's torque, and without it what is felt at the "
+            "handle is not known; give the rig a transducer ([role.handle_torque])"
+        )
+    told = recording.has("motor.torque_Nm")
+    found = series(recording, *names, "motor.torque_Nm" if told else "motor.target_torque_Nm", "brake.setpoint_Nm")
+    angle, transducer, drive_torque, setpoint = found
+    for name, one in zip(names, found, strict=False):
+        if not len(one):
+            raise IdentifyError(
+                f"{recording.path}: no sample of {name}; record a run of the rig {recording.rig.name!r} with strokes, or give --rig"
+            )
+    if any(np.any(np.diff(one.t_s) < 0.0) for one in found):
+        raise IdentifyError(
+            f"{recording.path}: its stamps go back, as in a file joined from several; sort it with 'reordercap IN OUT', or take one run"
+        )
+    t, x = angle.t_s, np.asarray(angle.values, np.float64)
+    count = abs(recording.scale("motor.position_rad"))
+    counts = np.rint(x / count)
+    moved = np.diff(counts, prepend=counts[:1])
+    hand, motor = _nearest(transducer, t, 0.5 * period), _nearest(drive_torque, t, 0.5 * period)
+    brake = setpoint.held(t, 0.0)
+    shown, notes = _displayed(recording, t, counts)
+    if not told:
+        motor = drive_torque.held(t, 0.0)
+        notes += ("the motor's torque is not measured: the device's own friction is with the torque that it was told",)
+    return Signals(t, x, moved, hand, motor, brake, shown, notes, count)
+
+
+def stretches(recording: Source) -> tuple[Slide, ...]:
+    """Return the samples in a row of the display at full gain, those at rest, too.
+
+    Raises
+    ------
+    IdentifyError
+        the rig has no transducer, there is hardly a sample, or the recording's stamps go back
+    """
+    period, seen = recording.rig.bus.period_s, signals(recording)
+    good = seen.shown & np.isfinite(seen.x) & np.isfinite(seen.hand) & np.isfinite(seen.motor)
+    gaps = np.abs(np.diff(seen.t, prepend=seen.t[:1] - period) - period) >= 0.5 * period
+    edges = [(a, b) for first, end in runs(good) for a, b in _apart(first, end, gaps)]
+    found = tuple(
+        Slide(seen.t[a:b], seen.x[a:b], seen.hand[a:b], seen.motor[a:b]) for a, b in edges if b - a >= LEAST_SAMPLES
+    )
+    if not found:
+        raise IdentifyError(
+            f"{recording.path}: {int(good.sum())} samples are in the display at full gain; expected at least {LEAST_SAMPLES} in a row: "
+            "record strokes, to and fro"
+        )
+    return found
+
+
+def _apart(first: int, end: int, gaps: Flags) -> list[tuple[int, int]]:
+    """Split a run of samples where a cycle is missing."""
+    cuts = first + 1 + np.flatnonzero(gaps[first + 1 : end])
+    return list(pairwise([first, *cuts.tolist(), end]))
+
+
+def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
+    """Return the samples of a recording that obey the regression.
+
+    Raises
+    ------
+    IdentifyError
+            the rig has no transducer; hardly a sample does, the text counts why; or the recording's
+        stamps go back
+    """
+    axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
+    size = 2 * max(round(0.5 * (window_s / period - 1)), 2) + 1
+    t, x, moved, hand, motor, brake, shown, notes, count = signals(recording)
+
+    samples = _Samples(len(t))
+    samples.keep("not in the display at full gain (arming, gain ramp, after the end)", shown)
+    whole = np.isfinite(x) & np.isfinite(hand) & np.isfinite(motor) & np.isfinite(brake)
+    samples.keep("a signal is missing in the cycle, or no number", whole)
+    even = np.abs(np.diff(t, prepend=t[:1] - period) - period) < 0.5 * period
+    samples.keep("a cycle is missing before it", even & (np.abs(moved) <= axis.limits.encoder_jump_counts))
+    samples.keep("the handle does not slide", np.abs(moved) > axis.law.velocity_band_counts)
+    slow = np.abs(moved) * count / period <= SPEED_SHARE * axis.limits.speed_rad_s
+    samples.keep(f"faster than {SPEED_SHARE:g} of the speed limit", slow)
+    one_way = samples.good & np.concatenate(([False], moved[1:] * moved[:-1] > 0.0))
+    one_way[1:] &= samples.good[:-1]
+    samples.keep(
+        f"within {REVERSAL_S * 1e3:g} ms of a stop or a reversal", since(one_way) >= round(REVERSAL_S / period)
+    )
+    constant = since(np.concatenate(([True], brake[1:] == brake[:-1]))) >= round(COIL_S / period)
+    off = constant & (brake == 0.0)
+    coil_off = int(np.sum(samples.good & off)) >= LEAST_SAMPLES
+    samples.keep(f"brake on, or changed within {COIL_S * 1e3:g} ms", off if coil_off else constant)
+
+    long = np.zeros(len(t), bool)
+    spans = []
+    for first, end in runs(samples.good):
+        for a, b in _one_way(first, end, moved):
+            if b - a >= max(size, SPEED_SAMPLES):
+                spans.append((a, b))
+                long[a:b] = True
+    samples.keep(f"a slide shorter than the window of {size * period * 1e3:g} ms", long)
+    if int(np.sum(long)) < LEAST_SAMPLES:
+        why = "; ".join(f"{n}: {reason}" for reason, n in samples.left_out.items() if n)
+        raise IdentifyError(
+            f"{recording.path}: {int(np.sum(long))} of {len(t)} samples slide as friction is fitted; expected at least {LEAST_SAMPLES}: "
+            f"record strokes, to and fro, at two speeds or more. Left out: {why}"
+        )
+    if not coil_off:
+        notes += (
+            "hardly a sample slides with the coil off: what is felt, and what is called the device's own, include the brake's display",
+        )
+    slides = tuple(Slide(t[a:b], x[a:b], hand[a:b], motor[a:b]) for a, b in spans)
+    return Sliding(slides, period, count, coil_off, samples.left_out, notes)
+
+
+def _one_way(first: int, end: int, moved: Floats) -> list[tuple[int, int]]:
+    """Split a run of samples where the direction changes (it cannot, but by a jump)."""
+    turns = first + 1 + np.flatnonzero(np.sign(moved[first + 1 : end]) != np.sign(moved[first : end - 1]))
+    edges = [first, *turns.tolist(), end]
+    return list(pairwise(edges))
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Filtered samples: one row of each array is one equation."""
+
+    v: Floats
+    a: Floats
+    hand_Nm: Floats
+    motor_Nm: Floats
+    slide: npt.NDArray[np.int64]
+    """Which slide an equation is of."""
+    v_variance: float
+    a_variance: float
+    """Of the errors that the encoder's quantisation makes in v and a."""
+    speeds: tuple[Floats, ...]
+    """Each slide's speed, sample by sample."""
+    weight: Floats
+    hop: int
+
+    def smooth(self, samples: list[Floats]) -> Floats:
+        """Return what each slide's samples are behind the equations' filter."""
+        return _filtered(samples, self.weight, self.hop)
+
+
+def _filtered(samples: list[Floats], weight: Floats, hop: int) -> Floats:
+    return np.concatenate([np.correlate(one, weight, "valid")[::hop] for one in samples])
+
+
+def weights(size: int, period_s: float) -> tuple[Floats, Floats, Floats]:
+    """Return the weights F (of torques), F' and F'' (of positions), `size` samples each."""
+    from scipy.signal import savgol_coeffs  # takes a second to load: an import for the few who fit
+
+    second = np.asarray(savgol_coeffs(size, 2, deriv=2, delta=period_s, use="dot"), np.float64)
+    window = np.cumsum(np.cumsum(second))[:-2] * period_s**2  # its second difference is `second`
+    first = np.convolve(window, [-0.5, 0.0, 0.5]) / period_s
+    # a second difference is the mean of the acceleration under a triangle of +- one period: so is
+    # the torque's mean (Numerov)
+    return np.convolve(window, [1 / 12, 10 / 12, 1 / 12]), first, second
+
+
+def equations(slides: tuple[Slide, ...], period_s: float, count_rad: float, window_s: float = WINDOW_S) -> Equations:
+    """Return the equations of slides, each a quarter of a window after the one before."""
+    from scipy.signal import savgol_filter
+
+    size = 2 * max(round(0.5 * (window_s / period_s - 1)), 2) + 1
+    hop = max(size // 4, 1)
+    weight, first, second = weights(size, period_s)
+    slides = tuple(slide for slide in slides if len(slide.t_s) >= size)
+    positions = [slide.x_rad - slide.x_rad[0] for slide in slides]
+    short = min(SPEED_SAMPLES, size)
+    return Equations(
+        v=_filtered(positions, first, hop),
+        a=_filtered(positions, second, hop),
+        hand_Nm=_filtered([slide.hand_Nm for slide in slides], weight, hop),
+        motor_Nm=_filtered([slide.motor_Nm for slide in slides], weight, hop),
+        slide=np.concatenate([np.full((len(s.t_s) - size) // hop + 1, i) for i, s in enumerate(slides)]),
+        v_variance=count_rad**2 / 12 * float(first @ first),
+        a_variance=count_rad**2 / 12 * float(second @ second),
+        speeds=tuple(savgol_filter(x, short, 2, deriv=1, delta=period_s) for x in positions),
+        weight=weight,
+        hop=hop,
+    )

@@ -1,0 +1,163 @@
+"""What the host keeps to itself, as frames of a second interface of the recording.
+
+After each cycle the host tells of each axis what no PDO tells: what it does, which limits acted, and
+the law's output and state. The frames never were on the bus. In the file they stand on an interface
+of their own, `HOST_INTERFACE`, with extended identifiers that no bus of a rig has::
+
+    1FC00000h + 16 * axis     byte 0        1      2      3      4      5      6         7
+                              phase  trip   limits        gain          stuck  position_age
+                         + 1  law_Nm (real32)             law_brake_Nm (real32)
+                         + 2  velocity_rad_s (real32)     x_stuck_rad (real32)
+                         + 3  and further: two numbers (real32) each of what the law keeps;
+                              of an odd number the last frame has one, and 4 bytes
+
+The names of what the law keeps are attached (`NAME`): a JSON list of texts. So the recording tells
+all of it by itself, and `read` has it as signals: ``host.phase``, ``host.law_Nm``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import IntEnum
+from typing import NamedTuple
+
+from coulombus.eds.pdo import Entry, PdoLayout
+from coulombus.recording.pcapng_blocks import HOST_INTERFACE, SOURCE_INSIDE
+from coulombus.rigs.field_help import UNITS, unit_of
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.wire.can_flags import CAN_EFF_FLAG
+
+__all__ = [
+    "FIRST",
+    "HOST_INTERFACE",
+    "MOST_FRAMES",
+    "NAME",
+    "NODE",
+    "PER_AXIS",
+    "PHASE_RUN",
+    "SOURCE_INSIDE",
+    "Limit",
+    "inside_attachment",
+    "inside_pdos",
+    "of_axis",
+]
+
+NAME = "host.inside"
+"""The attachment with the names of what the law keeps."""
+NODE = "host"
+"""What the signals' names begin with, behind the axis."""
+FIRST = CAN_EFF_FLAG | 0x1FC00000
+"""Identifier of the first axis' first frame."""
+PER_AXIS = 16
+"""Identifiers of each axis."""
+MOST_FRAMES = 3 + 8
+"""Frames of an axis in a cycle: a law keeps 16 numbers at most."""
+GAIN = 1e-4
+"""What one count of the gain is."""
+PHASE_RUN = 5
+"""``host.phase`` while the law is displayed (`host.cycle.records.Phase.RUN`)."""
+
+
+class Limit(IntEnum):
+    """What acted in a cycle: bits of ``host.limits``."""
+
+    TORQUE_CLIPPED = 1  # the motor's torque was more than its limit
+    TORQUE_SLOWED = 2  # ... was held back by its rate, or near the speed limit
+    BY_DRIVE = 4  # the drive told of a limit of its own
+    SETPOINT_CLIPPED = 8  # the brake's set-point was more than its limit
+    SETPOINT_NEGATIVE = 16
+    COMPENSATION_WITHHELD = 32  # the observer let the motor give less than its compensation
+    TPDO_MISSED = 64  # a TPDO that comes in every cycle did not come
+    DEADMAN_OPEN = 128
+
+
+class _Field(NamedTuple):
+    name: str
+    bits: int
+    unit: str = ""
+    scale: float = 1.0
+    real: bool = False
+
+
+def _real(name: str) -> _Field:
+    return _Field(name, 32, unit_of(name), real=True)
+
+
+HEAD: tuple[tuple[_Field, ...], ...] = (
+    (
+        _Field("phase", 8),
+        _Field("trip", 8),
+        _Field("limits", 16),
+        _Field("gain", 16, "", GAIN),
+        _Field("stuck", 8),
+        _Field("position_age", 8),
+    ),
+    (_real("law_Nm"), _real("law_brake_Nm")),
+    (_real("velocity_rad_s"), _real("x_stuck_rad")),
+)
+
+
+def inside_attachment(law_state: Sequence[tuple[str, int]]) -> dict[str, bytes]:
+    """Return the attachment of a law that keeps so many numbers by these names."""
+    names = [name if size == 1 else _numbered(name, k + 1) for name, size in law_state for k in range(size)]
+    return {NAME: json.dumps(names).encode()}
+
+
+def _numbered(name: str, k: int) -> str:
+    """Return ``F_2_Nm`` of ``F_Nm``: the unit stays at the name's end."""
+    suffix = next((one for one in UNITS if name.endswith(one)), "")
+    return f"{name.removesuffix(suffix)}_{k}{suffix}"
+
+
+def inside_pdos(rig: Rig, attached: bytes | None) -> tuple[RigPdo, ...]:
+    """Return what the host of `rig` tells in its frames, by the attachment; nothing without it."""
+    if attached is None:
+        return ()
+    try:
+        names = json.loads(attached)
+        kept = [_real(f"law.{name}") for name in names if isinstance(name, str)][: 2 * (MOST_FRAMES - len(HEAD))]
+    except (ValueError, TypeError):
+        return ()
+    pairs = tuple(tuple(kept[k : k + 2]) for k in range(0, len(kept), 2))
+    return tuple(
+        _pdo(rig, axis.prefix, FIRST + PER_AXIS * number, k, fields)
+        for number, axis in enumerate(rig.axes)
+        for k, fields in enumerate(HEAD + pairs)
+    )
+
+
+def _pdo(rig: Rig, prefix: str, first: int, number: int, fields: tuple[_Field, ...]) -> RigPdo:
+    layout = PdoLayout(
+        number=number + 1,
+        direction="tpdo",
+        cob_id=first + number,
+        transmission=1,
+        inhibit_ns=0,
+        event_ns=0,
+        sync_start=0,
+        rtr_allowed=False,
+        entries=tuple(
+            Entry(0, k, one.bits, False, "real" if one.real else "int", one.name) for k, one in enumerate(fields)
+        ),
+    )
+    signals = tuple(
+        Signal(f"{prefix}{NODE}.{one.name}", 0, k, one.scale, 0.0, one.unit) for k, one in enumerate(fields)
+    )
+    return RigPdo(f"{prefix}{NODE}", rig.host.node_id, layout, signals)
+
+
+def of_axis(pdos: Sequence[RigPdo], axis: str) -> tuple[RigPdo, ...]:
+    """Return those of an axis, by their plain names."""
+    before = f"{axis}."
+    return tuple(
+        replace(
+            pdo,
+            node=pdo.node.removeprefix(before),
+            signals=tuple(replace(one, name=one.name.removeprefix(before)) for one in pdo.signals),
+        )
+        for pdo in pdos
+        if pdo.node.startswith(before)
+    )

@@ -1,0 +1,414 @@
+"""Read pcapng files of link type 227: our recordings, and what dumpcap, tcpdump -w, editcap and the
+like leave.
+
+A file is read `CHUNK` bytes at a time, so that its length costs no memory (`iter_pcapng`). A kernel
+walks from block to block, and packets are decoded as whole columns. Sections may have either byte
+order and any time resolution; captured packets may be 16 bytes (as the kernel gives them) or 8 +
+length.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from coulombus.eds.regular_file import naming, require_regular
+from coulombus.kernels.decorator import kernel
+from coulombus.recording.folders import segments
+from coulombus.recording.pcapng_blocks import (
+    ATTACHMENT,
+    BYTE_ORDER_MAGIC,
+    ENHANCED_PACKET,
+    HOST_INTERFACE,
+    IF_NAME,
+    IF_TSOFFSET,
+    IF_TSRESOL,
+    INTERFACE,
+    LINKTYPE_CAN_SOCKETCAN,
+    MAX_BLOCK,
+    OPT_COMMENT,
+    OWN_APPLICATION,
+    PACKET,
+    SHB_APPLICATION,
+    SHB_HARDWARE,
+    SHB_OS,
+    SIMPLE_PACKET,
+    PcapngError,
+    TooLarge,
+    iter_options,
+    read_attachment,
+)
+from coulombus.recording.pcapng_packets import BadPacketError, Integers, Interface, Words, column, decode_packets
+from coulombus.wire.frame import FRAME, Records
+
+__all__ = ["Capture", "iter_pcapng", "read_pcapng"]
+
+CHUNK = 1 << 20
+"""Bytes read at a time: 22,000 frames, 3.6 s of a rig with one axis at 1 kHz."""
+MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
+"""All attachments together have so many bytes at most, and 4 more for each byte of the file before
+them: a trace is shorter than its frames.
+"""
+BLOCKS = 1 << 15  # walked at a time
+END, FULL, SECTION, BAD = range(4)
+OTHER_FORMATS = {
+    "d4c3b2a1": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
+    "a1b2c3d4": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
+    "4d3cb2a1": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
+    "a1b23c4d": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
+    "1f8b": "compressed with gzip: unpack it with 'gunzip'",
+    "28b52ffd": "compressed with zstd: unpack it with 'unzstd'",
+}
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What a file holds, or a stretch of it.
+
+    `frames` are records of `FRAME`: `t_ns` since 1970 (or since the run's start, in virtual time),
+    `source` the number of the interface, in the file's order. `comments` are (row of `frames`,
+    text).
+    """
+
+    path: str
+    frames: Records
+    comments: list[tuple[int, str]]
+    attachments: dict[str, bytes]
+    comment: str = ""
+    application: str = ""
+    hardware: str = ""
+    operating_system: str = ""
+    torn: int = 0
+    """Bytes of an unfinished last block, which are left out; 0: the file is whole."""
+    skipped: int = 0
+    """Packets that are no classical CAN frames (other link types, CAN FD, cut ones)."""
+    warnings: tuple[str, ...] = ()
+    """Damaged attachments, which are left out."""
+    inside: Records = field(default_factory=lambda: np.zeros(0, FRAME))
+    """Frames that were on no bus: what the host tells of itself (`recording.host_telemetry`)."""
+
+
+@dataclass
+class _Reader:
+    path: str
+    file: BinaryIO
+    data: bytes = b""
+    words: Words = field(default_factory=lambda: np.zeros(0, np.uint32))
+    base: int = 0
+    """Where `data` begins in the file."""
+    order: str = "<"
+    own: bool = False
+    """Whether the section is a recording of ours, whose times count from its own time 0."""
+    interfaces: list[Interface] = field(default_factory=list)
+    earlier: int = 0
+    linktypes: set[int] = field(default_factory=set)
+    texts: dict[int, str] = field(default_factory=dict)
+    # of this stretch
+    parts: list[Records] = field(default_factory=list)
+    inside: list[Records] = field(default_factory=list)
+    comments: list[tuple[int, str]] = field(default_factory=list)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    skipped: int = 0
+    attached: int = 0
+    """Bytes of all attachments so far, uncompressed."""
+    excessive: bool = False
+
+    def more(self, at: int) -> bool:
+        """Leave the words before `at` behind and read on; return whether there was more."""
+        with naming(self.path):
+            chunk = self.file.read(CHUNK)
+        self.base += 4 * at
+        self.data = self.data[4 * at :] + chunk
+        self.words = np.frombuffer(self.data, "<u4", len(self.data) // 4)
+        return bool(chunk)
+
+    def take(self, torn: int = 0) -> Capture:
+        """Return the stretch that was read, and begin the next one."""
+        found = Capture(
+            path=self.path,
+            frames=np.concatenate(self.parts) if self.parts else np.zeros(0, FRAME),
+            comments=self.comments,
+            attachments=self.attachments,
+            comment=self.texts.get(OPT_COMMENT, ""),
+            application=self.texts.get(SHB_APPLICATION, ""),
+            hardware=self.texts.get(SHB_HARDWARE, ""),
+            operating_system=self.texts.get(SHB_OS, ""),
+            torn=torn,
+            skipped=self.skipped,
+            warnings=tuple(self.warnings),
+            inside=np.concatenate([np.zeros(0, FRAME), *self.inside]),
+        )
+        self.inside = []
+        self.parts, self.comments, self.attachments, self.warnings, self.skipped = [], [], {}, [], 0
+        return found
+
+
+def iter_pcapng(path: str | Path) -> Iterator[Capture]:
+    """Read a pcapng file of SocketCAN frames stretch by stretch: the memory does not grow with the
+    file. Of a folder (`recording.segments`) the segments of its newest run are read as one.
+
+    Each stretch has what stands in it; the section's texts are those read so far. The last one,
+    perhaps without a frame, tells of an unfinished last block, which is left out (`Capture.torn`).
+    A file that is still being written is read to its present end.
+
+    Raises
+    ------
+    PcapngError
+        The file is empty, of another format, damaged in its midst, or holds no CAN interface: at
+        the stretch where that shows.
+    OSError
+        It cannot be opened or read.
+    """
+    if Path(path).is_dir():
+        for segment in _segments(path):
+            yield from iter_pcapng(segment)
+        return
+    require_regular(path)
+    with Path(path).open("rb") as file:
+        reader = _Reader(str(path), file)
+        reader.more(0)
+        _check_start(reader)
+        offsets = np.zeros(BLOCKS, np.int64)
+        at, reason = 0, FULL
+        while reason != END or reader.more(at):
+            if reason == END:
+                yield reader.take()
+                at = 0
+            count, at, reason = _walk(reader.words, at, int(reader.order == ">"), offsets)
+            _take(reader, offsets[:count])
+            if reason == SECTION:
+                at, reason = _section(reader, at)
+            elif reason == BAD:
+                torn = _zeros(reader, at)
+                break
+        else:
+            torn = len(reader.data)
+    _check_linktypes(reader)
+    yield reader.take(torn)
+
+
+def _segments(path: str | Path) -> list[Path]:
+    """Return the segments in a folder, at least one."""
+    found = segments(Path(path))
+    if not found:
+        raise PcapngError(
+            f"{path}: there is no recording in this folder; expected a run's segments, as in 000001.pcapng"
+        )
+    return found
+
+
+def read_pcapng(path: str | Path) -> Capture:
+    """Read a whole pcapng file of SocketCAN frames, 40 bytes of memory for each.
+
+    Raises as `iter_pcapng`.
+    """
+    parts = list(iter_pcapng(path))
+    first = np.cumsum([0, *(len(part.frames) for part in parts)]).tolist()
+    attachments: dict[str, bytes] = {}
+    for part in parts:
+        attachments |= part.attachments
+    return replace(
+        parts[-1],
+        path=str(path),
+        torn=sum(part.torn for part in parts),
+        frames=np.concatenate([part.frames for part in parts]),
+        comments=[(row + at, text) for row, part in zip(first, parts, strict=False) for at, text in part.comments],
+        attachments=attachments,
+        skipped=sum(part.skipped for part in parts),
+        warnings=tuple(text for part in parts for text in part.warnings),
+        inside=np.concatenate([part.inside for part in parts]),
+    )
+
+
+@kernel
+def _swapped(word: int) -> int:
+    return (word & 0xFF) << 24 | (word & 0xFF00) << 8 | (word >> 8) & 0xFF00 | word >> 24
+
+
+@kernel
+def _walk(words: Words, at: int, swap: int, offsets: Integers) -> tuple[int, int, int]:
+    """Note where blocks begin (in words), from `at` on.
+
+    Return their number, where the walk stopped, and why.
+    """
+    size = words.shape[0]
+    count = 0
+    while True:
+        if size - at < 3:
+            return count, at, END
+        if np.int64(words[at]) == 0x0A0D0D0A:
+            return count, at, SECTION
+        if count == offsets.shape[0]:
+            return count, at, FULL
+        length: Any = np.int64(words[at + 1])
+        if swap:
+            length = _swapped(length)
+        if length < 12 or length % 4 != 0 or length > 0x1000000:
+            return count, at, BAD
+        after = at + length // 4
+        if after > size:
+            return count, at, END
+        if words[after - 1] != words[at + 1]:
+            return count, at, BAD
+        offsets[count] = at
+        count += 1
+        at = after
+
+
+def _check_start(reader: _Reader) -> None:
+    start = reader.data[:4]
+    if not start:
+        raise PcapngError(f"{reader.path}: the file is empty: nothing was recorded; take another file")
+    if not b"\x0a\x0d\x0d\x0a".startswith(start):
+        known = next((text for magic, text in OTHER_FORMATS.items() if start.startswith(bytes.fromhex(magic))), None)
+        what = (
+            f"it is {known}"
+            if known
+            else f"it begins with {start.hex(' ')}, a pcapng file with 0a 0d 0d 0a; a log that python-can reads (candump's .log, .asc, .blf) "
+            f"becomes one with 'can_logconvert {reader.path} OUT.pcapng'"
+        )
+        raise PcapngError(f"{reader.path}: offset 0: not a pcapng file: {what}")
+
+
+def _damaged(reader: _Reader, start: int, what: str) -> PcapngError:
+    """Return the error of what stands at byte `start` of the reader's data."""
+    offset = reader.base + start
+    return PcapngError(
+        f"{reader.path}: offset {offset}: {what}; the file is damaged there: "
+        f"keep what stands before it with 'head -c {offset} {reader.path} > repaired.pcapng'"
+    )
+
+
+def _what_is_bad(reader: _Reader, at: int) -> str:
+    kind, length = struct.unpack_from(reader.order + "II", reader.data, 4 * at)
+    if length < 12 or length % 4 or length > MAX_BLOCK:
+        return f"a block (type {kind:#010x}) of {length} bytes, expected 12 to {MAX_BLOCK} in steps of four"
+    (again,) = struct.unpack_from(reader.order + "I", reader.data, 4 * at + length - 4)
+    return f"a block (type {kind:#010x}) of {length} bytes ends with the length {again}, expected the same"
+
+
+def _section(reader: _Reader, at: int) -> tuple[int, int]:
+    """Take the section header at word `at`.
+
+    Return where the next block begins and FULL, `at` and END where more must be read first.
+    """
+    start = 4 * at
+    if len(reader.data) < start + 12:
+        return at, END
+    for order in "<>":
+        length, magic = struct.unpack_from(order + "II", reader.data, start + 4)
+        if magic == BYTE_ORDER_MAGIC:
+            break
+    else:
+        raise _damaged(reader, start, f"a section header with the byte-order magic {magic:#x}, expected 0x1a2b3c4d")
+    reader.order = order
+    if length < 28 or length % 4 or length > MAX_BLOCK:
+        raise _damaged(reader, start, f"a section header of {length} bytes, expected 28 to {MAX_BLOCK}")
+    if start + length > len(reader.data):
+        return at, END
+    if struct.unpack_from(order + "I", reader.data, start + length - 4)[0] != length:
+        raise _damaged(reader, start, _what_is_bad(reader, at))
+    major = struct.unpack_from(order + "H", reader.data, start + 12)[0]
+    if major != 1:
+        where = f"{reader.path}: offset {reader.base + start}"
+        raise PcapngError(f"{where}: pcapng version {major}, this reads version 1; convert it")
+    reader.own = False
+    for code, value in iter_options(reader.data[start + 24 : start + length - 4], order):
+        text = value.decode(errors="replace")
+        reader.own |= code == SHB_APPLICATION and text == OWN_APPLICATION
+        reader.texts.setdefault(code, text)
+    reader.earlier += len(reader.interfaces)
+    reader.interfaces = []
+    return at + int(length) // 4, FULL
+
+
+def _zeros(reader: _Reader, at: int) -> int:
+    """Return the number of bytes from word `at` on, which must be zeros to the file's end: what a
+    power cut leaves on some file systems.
+    """
+    what, offset, torn = _what_is_bad(reader, at), 4 * at, len(reader.data) - 4 * at
+    tail = reader.data[offset:]
+    while tail:
+        if tail.strip(b"\0"):
+            raise _damaged(reader, offset, what)
+        tail = reader.file.read(CHUNK)
+        torn += len(tail)
+    return torn
+
+
+def _take(reader: _Reader, offsets: Integers) -> None:
+    """Decode the blocks at `offsets` (words): the few others one by one, the packets as columns."""
+    kinds = column(reader.words, offsets, reader.order)
+    for at, kind in zip(offsets[kinds != ENHANCED_PACKET].tolist(), kinds[kinds != ENHANCED_PACKET], strict=True):
+        length = struct.unpack_from(reader.order + "I", reader.data, 4 * at + 4)[0]
+        body = reader.data[4 * at + 8 : 4 * at + length - 4]
+        if kind == INTERFACE:
+            reader.interfaces.append(_interface(reader, 4 * at, body))
+        elif kind == ATTACHMENT:
+            most = MOST_ATTACHED + ATTACHED_SHARE * (reader.base + 4 * at) - reader.attached
+            attached = read_attachment(body, most)
+            if isinstance(attached, TooLarge):
+                if not reader.excessive:
+                    text = f"attachments of more than {reader.attached} bytes, in so small a file, are left out from here on"
+                    reader.warnings.append(f"{reader.path}: offset {reader.base + 4 * at}: {text}")
+                reader.excessive = True
+            elif isinstance(attached, str):
+                reader.warnings.append(f"{reader.path}: offset {reader.base + 4 * at}: {attached}")
+            elif attached is not None:
+                reader.attachments[attached[0]] = attached[1]
+                reader.attached += len(attached[1])
+        elif kind in (PACKET, SIMPLE_PACKET):
+            reader.skipped += 1
+    packets = offsets[kinds == ENHANCED_PACKET]
+    if not len(packets):
+        return
+    try:
+        found = decode_packets(reader.words, packets, reader.order, reader.interfaces, reader.earlier)
+    except BadPacketError as error:
+        raise _damaged(reader, error.offset, error.what) from None
+    done = sum(len(part) for part in reader.parts)
+    frames, rows = found.frames, np.arange(len(found.frames) + 1)
+    if any(one.inside for one in reader.interfaces):
+        inside = np.array([one.inside for one in reader.interfaces])[frames["source"] - reader.earlier]
+        frames, rows = frames[~inside], np.concatenate(([0], np.cumsum(~inside)))
+        reader.inside.append(found.frames[inside])
+    reader.parts.append(frames)
+    reader.skipped += len(packets) - len(found.frames)
+    for number, begin, end in found.options:
+        row = min(int(rows[number]), len(frames) - 1)  # a comment on what was on no bus goes to the frame behind it
+        if row < 0:
+            continue
+        for code, value in iter_options(reader.data[begin:end], reader.order):
+            if code == OPT_COMMENT:
+                reader.comments.append((done + row, value.decode(errors="replace")))
+
+
+def _interface(reader: _Reader, start: int, body: bytes) -> Interface:
+    if len(body) < 8:
+        raise _damaged(reader, start, f"an interface block of {len(body)} bytes, expected at least 8")
+    linktype, resolution, offset_s = struct.unpack_from(reader.order + "H", body)[0], 6, 0
+    inside = False
+    for code, value in iter_options(body[8:], reader.order):
+        if code == IF_TSRESOL and len(value) == 1:
+            resolution = value[0]
+        elif code == IF_TSOFFSET and len(value) == 8:
+            offset_s = 0 if reader.own else struct.unpack(reader.order + "q", value)[0]
+        elif code == IF_NAME:
+            inside = value == HOST_INTERFACE.encode()
+    reader.linktypes.add(linktype)
+    return Interface(linktype, resolution, offset_s, inside)
+
+
+def _check_linktypes(reader: _Reader) -> None:
+    if reader.linktypes and LINKTYPE_CAN_SOCKETCAN not in reader.linktypes:
+        kinds = ", ".join(str(kind) for kind in sorted(reader.linktypes))
+        raise PcapngError(
+            f"{reader.path}: it holds link type {kinds}, expected {LINKTYPE_CAN_SOCKETCAN} (SocketCAN): "
+            "record on a CAN interface (can0, vcan0), not on 'any' or a network card"
+        )

@@ -1,0 +1,102 @@
+"""One PDO's signals out of recorded frames: a row for each frame, a column for each signal in SI
+units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds.pdo import Entry
+from coulombus.recording.unwrap import POSITION, Turns, fastest, follow
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.wire.frame import Records
+
+__all__ = ["PdoTable", "behind", "decode_field", "signals_of", "table_of"]
+
+Array: TypeAlias = npt.NDArray[Any]
+Integers: TypeAlias = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PdoTable:
+    """The frames of one PDO: their rows in `Recording.frames`, their stamps, their places in the
+    file's order, and one column of SI values for each signal. What the host tells of itself
+    (`inside`) has its rows in `Capture.inside`.
+    """
+
+    pdo: RigPdo
+    name: str
+    rows: Integers
+    t_ns: Integers
+    order: Integers
+    columns: tuple[Array, ...]
+    malformed: int
+    turns: Mapping[str, Turns]
+    inside: bool = False
+
+
+def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig, before: Mapping[str, Turns]) -> PdoTable:
+    """Return the signals of a PDO in the frames, each position from where it was `before` on."""
+    layout = pdo.layout
+    came = np.flatnonzero(can_ids == layout.cob_id)
+    rows = came[frames["length"][came] == layout.length]
+    words, stamps = frames["word"][rows], frames["t_ns"][rows]
+    signals, turns = signals_of(pdo, words, stamps, rig, before)
+    columns = tuple(values for _, values in signals)
+    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, stamps, 2 * rows, columns, len(came) - len(rows), turns)
+
+
+def signals_of(
+    pdo: RigPdo,
+    words: Integers,
+    t_ns: Integers,
+    rig: Rig,
+    before: Mapping[str, Turns],
+    keys: Collection[str] | None = None,
+) -> tuple[list[tuple[Signal, Array]], dict[str, Turns]]:
+    """Return a PDO's signals, of these `keys` alone where they are given, with their values in the data
+    words that came at `t_ns`, and where its position was last.
+    """
+    found, turns = [], {}
+    for entry, start, signal in zip(pdo.layout.entries, pdo.layout.starts, pdo.signals, strict=True):
+        if keys is not None and signal.key not in keys:
+            continue
+        raw, name = decode_field(words, start, entry), signal.name
+        if signal.key == POSITION:
+            raw, last = follow(raw, t_ns, entry, before.get(name), fastest(rig, name))
+            if last is not None:
+                turns[name] = last
+        found.append((signal, _si(raw, signal)))
+    return found, turns
+
+
+def behind(table: PdoTable, bus_ns: Integers) -> PdoTable:
+    """Return a table of what the host tells: each row stands behind the bus' last frame before it."""
+    places: Integers = 2 * np.searchsorted(bus_ns, table.t_ns, "right") - 1
+    return replace(table, order=places, inside=True)
+
+
+def _si(raw: Array, signal: Signal) -> Array:
+    if not signal.unit and (signal.scale, signal.offset) == (1.0, 0.0):
+        return raw
+    return raw * signal.scale + signal.offset
+
+
+def decode_field(words: Integers, start: int, entry: Entry) -> Array:
+    """Return the field that begins at bit `start` of each data word: integers, or numbers of an
+    IEEE 754 pattern.
+    """
+    left, right = 64 - start - entry.bits, 64 - entry.bits
+    if entry.kind == "real":
+        pattern = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)
+        return pattern.astype(f"u{entry.bits // 8}").view(f"f{entry.bits // 8}").astype(np.float64)
+    if entry.signed:
+        return words << left >> right
+    field = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)
+    return field if entry.bits == 64 else field.view(np.int64)

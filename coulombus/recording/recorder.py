@@ -1,0 +1,207 @@
+"""A run's recording: frames as they come, the rig, EDS files and the law attached, markers as
+comments of the frames that follow them.
+
+What the host tells of itself (`recording.host_telemetry`) goes to a second interface of the file.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.recording.host_telemetry import HOST_INTERFACE, SOURCE_INSIDE, inside_attachment
+from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
+from coulombus.recording.trace import NAME, SENT, pack, pack_sent
+from coulombus.rigs.rig import Rig
+from coulombus.wire.frame import Records
+
+__all__ = ["PACED", "About", "Markers", "Recorder", "project_version"]
+
+NO_LAW: Mapping[str, bytes] = MappingProxyType({})
+"""What a bus attaches of the law: nobody asked it for one."""
+
+PACED = "paced"
+"""Attachment ``bus`` of a recording that the bus itself made in real time: no host was in its
+process.
+"""
+
+TRACE_BATCH = 2000
+"""Rows, and frames, that an attachment of the trace tells of: some tenths of a second at 1 kHz."""
+
+
+def project_version() -> str:
+    """Return the version of this project."""
+    try:
+        return version("coulombus")
+    except PackageNotFoundError:
+        return "0+unknown"
+
+
+class Markers:
+    """Markers that wait for their frames: each becomes the comment of the first one at or after its
+    time.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, int, str]] = []
+        self._added = 0
+
+    def add(self, t_ns: int, text: str) -> None:
+        """Take a marker."""
+        heapq.heappush(self._waiting, (t_ns, self._added, text))
+        self._added += 1
+
+    def on(self, stamps: npt.NDArray[np.int64]) -> dict[int, str]:
+        """Return the comments of a batch of frames with these rising stamps, by their rows."""
+        comments: dict[int, str] = {}
+        if not len(stamps):
+            return comments
+        due = []
+        while self._waiting and self._waiting[0][0] <= stamps[-1]:
+            due.append(heapq.heappop(self._waiting))
+        rows = np.searchsorted(stamps, [t_ns for t_ns, _, _ in due]).tolist()
+        for row, (_, _, text) in zip(rows, due, strict=True):
+            comments[row] = f"{comments[row]}\n{text}" if row in comments else text
+        return comments
+
+
+@dataclass(frozen=True)
+class About:
+    """What a recording says of its run, beside the rig and its EDS files."""
+
+    law: Mapping[str, bytes] = field(default_factory=lambda: NO_LAW)
+    law_state: Sequence[tuple[str, int]] | None = None
+    """What the law keeps, by name and number; with it frames of `SOURCE_INSIDE` are taken, too."""
+    bus: str = ""
+    more: Mapping[str, bytes] = field(default_factory=lambda: NO_LAW)
+    """Further attachments."""
+    comment: str = ""
+    """Of the file."""
+    started_ns: int = 0
+    """CLOCK_REALTIME at time 0; 0: there is none, as in virtual time."""
+
+
+NOTHING_MORE = About()
+
+
+class Recorder:
+    """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of
+    the first frame at or after its time.
+
+    Raises
+    ------
+    coulombus.recording.pcapng_blocks.RecordingError
+        the file cannot be written (from the constructor, `write` and `close`); what was written
+        before stays readable
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        rig: Rig,
+        mode: str,
+        seed: int | None = None,
+        *,
+        about: About = NOTHING_MORE,
+        force: bool = False,
+    ) -> None:
+        attachments = {
+            "rig.toml": rig.effective().encode(),
+            "mode": mode.encode(),
+            "version": project_version().encode(),
+        }
+        if seed is not None:
+            attachments["seed"] = str(seed).encode()
+        if about.bus:
+            attachments["bus"] = about.bus.encode()
+        attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
+        attachments |= about.law
+        self._inside = about.law_state is not None
+        if about.law_state is not None:
+            attachments |= inside_attachment(about.law_state)
+        self._attachments, self._texts = {**attachments, **about.more}, SectionTexts(about.comment)
+        self._started_ns = about.started_ns
+        self._open(path, force=force)
+        self._markers = Markers()
+        self._traces = self._sents = 0
+        self._own: list[Records] = []
+        self._rows: list[Records] = []
+        self._sent: list[Records] = []
+
+    def _open(self, path: Path, *, force: bool = False) -> None:
+        """Begin a file: with everything attached, so that it can be read alone."""
+        self._writer = PcapngWriter(
+            path,
+            attachments=self._attachments,
+            texts=self._texts,
+            started_ns=self._started_ns,
+            force=force,
+            second=HOST_INTERFACE if self._inside else "",
+        )
+
+    def attach(self, name: str, content: bytes) -> None:
+        """Add an attachment that is known only now."""
+        self._writer.attach(name, content)
+
+    def mark(self, t_ns: int, text: str) -> None:
+        """Let the first frame at or after `t_ns` carry the comment `text`."""
+        self._markers.add(t_ns, text)
+
+    def write(self, frames: Records) -> None:
+        """Append a batch of frames with rising stamps; those of `SOURCE_INSIDE` to the second
+        interface.
+        """
+        if not self._inside:
+            self._writer.write(frames, self._markers.on(frames["t_ns"]))
+            return
+        of_bus = np.flatnonzero(frames["source"] != SOURCE_INSIDE)
+        comments = self._markers.on(frames["t_ns"][of_bus])
+        places = of_bus[list(comments)].tolist()
+        self._writer.write(frames, dict(zip(places, comments.values(), strict=True)))
+
+    def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:
+        """Keep what `recording.trace` keeps: whether each frame of the batch just written was none
+        that the host received; rows; what it sent.
+        """
+        self._own.append(own)
+        self._rows.append(rows)
+        if sent is not None and len(sent):
+            self._sent.append(sent.copy())
+        if sum(map(len, (*self._own, *self._rows, *self._sent))) >= TRACE_BATCH:
+            self._write_trace()
+
+    def _write_trace(self) -> None:
+        own, rows, sent = np.concatenate(self._own), np.concatenate(self._rows), self._sent
+        self._own, self._rows, self._sent = [], [], []
+        self._writer.attach(f"{NAME}{self._traces}", pack(own, rows))
+        self._traces += 1
+        if sent:
+            self._writer.attach(f"{SENT}{self._sents}", pack_sent(np.concatenate(sent)))
+            self._sents += 1
+
+    def _flush_trace(self) -> None:
+        """Write what is left of the trace."""
+        if self._rows:
+            self._write_trace()
+
+    def close(self) -> None:
+        """Write what is left and close the file."""
+        try:
+            self._flush_trace()
+        finally:
+            self._writer.close()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,190 @@
+"""A recording's signals, stretch by stretch, as the writers of tables take them.
+
+Signals of one PDO share their times: they are one `Group`. Without a grid each frame of a PDO is
+one row, which has this PDO's signals and nothing else. On a grid there is one group, a row for each
+instant, in which every signal has the last value that had come by then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.recording.protocols import Block, Readable
+from coulombus.rigs.arguments import texts
+from coulombus.rigs.signals import Signal
+
+__all__ = ["EXAMPLE", "GRID", "Column", "Group", "Rows", "Stretch", "groups_of", "stretches"]
+
+Array: TypeAlias = npt.NDArray[Any]
+Floats: TypeAlias = npt.NDArray[np.float64]
+Integers: TypeAlias = npt.NDArray[np.int64]
+
+GRID = "signals"
+"""The name of the one group that a grid has."""
+EXAMPLE = "motor.position_rad"
+"""A signal, as the messages name one."""
+MOST_ROWS = 1 << 16
+"""Of a grid at a time, however fine it is."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A signal: its name as `read` has it, its unit, and whether it is a word of bits."""
+
+    name: str
+    unit: str
+    word: bool
+
+
+@dataclass(frozen=True)
+class Group:
+    """Signals that share their times; `name` is "motor.TPDO1", or `GRID`."""
+
+    name: str
+    columns: tuple[Column, ...]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of a group: their places in the file's order, times from the recording's time 0, and an
+    array of values for each column.
+
+    On a grid values are float64, and NaN before the signal's first one.
+    """
+
+    order: Integers
+    t_ns: Integers
+    values: tuple[Array, ...]
+
+    @property
+    def t_s(self) -> Floats:
+        """Times [s]."""
+        return self.t_ns / 1e9
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some seconds: rows for each group, and markers as (place in the order, time [s], text)."""
+
+    rows: tuple[Rows, ...]
+    markers: tuple[tuple[int, float, str], ...]
+    until_s: float
+
+
+def groups_of(source: Readable, names: Sequence[str] | None, grid_ns: int | None) -> tuple[Group, ...]:
+    """Return the groups of the signals `names` (None: all), in the order of the rig's PDOs; on a
+    grid one, in the order of `names`.
+
+    Raises
+    ------
+    coulombus.recording.signals.UnknownSignal
+        The recording's rig has no such signal.
+    coulombus.rigs.arguments.WrongCall
+        `names` is no list of texts.
+    """
+    names = None if names is None else texts(names, "signals", EXAMPLE)
+    for name in names or ():
+        source.signal(name)
+    chosen = {
+        f"{pdo.node}.{pdo.name}": [signal for signal in pdo.signals if names is None or signal.name in names]
+        for pdo in source.pdos
+    }
+    if grid_ns is None:
+        return tuple(Group(name, tuple(map(_column, signals))) for name, signals in chosen.items() if signals)
+    columns = {signal.name: _column(signal) for signals in chosen.values() for signal in signals}
+    return (Group(GRID, tuple(columns[name] for name in dict.fromkeys(names or columns))),)
+
+
+def _column(signal: Signal) -> Column:
+    return Column(signal.name, signal.unit, not signal.unit and (signal.scale, signal.offset) == (1.0, 0.0))
+
+
+def stretches(source: Readable, groups: tuple[Group, ...], grid_ns: int | None) -> Iterator[Stretch]:
+    """Go through the recording once."""
+    if grid_ns is None:
+        for block in source:
+            yield _as_it_came(block, groups)
+    else:
+        yield from _on_grid(source, groups[0], grid_ns)
+
+
+def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
+    tables = {table.name: table for table in block.tables}
+    found = []
+    for group in groups:
+        table = tables[group.name]
+        columns = dict(zip((s.name for s in table.pdo.signals), table.columns, strict=True))
+        found.append(
+            Rows(table.order, table.t_ns - block.epoch_ns, tuple(columns[column.name] for column in group.columns))
+        )
+    placed = tuple(
+        (2 * row, (int(block.frames["t_ns"][row]) - block.epoch_ns) / 1e9, line)
+        for row, text in block.capture.comments
+        for line in text.splitlines()
+    )
+    return Stretch(tuple(found), placed, float(block.t_s[-1]) if len(block.frames) else 0.0)
+
+
+class _Held:
+    """A signal's samples from the one that holds at the last instant on."""
+
+    def __init__(self) -> None:
+        self.t_ns = np.zeros(0, np.int64)
+        self.values: Array = np.zeros(0)
+
+    def add(self, t_ns: Integers, values: Array) -> None:
+        """Take the samples of a block."""
+        self.t_ns = np.maximum.accumulate(np.append(self.t_ns, t_ns))
+        self.values = np.append(self.values, values.astype(np.float64))
+
+    def at(self, instants: Integers) -> Floats:
+        """Return the last value at each instant, NaN where there was none, and forget what no
+        later instant needs.
+        """
+        last = np.searchsorted(self.t_ns, instants, "right") - 1
+        found = np.append(self.values, np.nan)[last]
+        if len(last) and last[-1] > 0:
+            self.t_ns, self.values = self.t_ns[last[-1] :], self.values[last[-1] :]
+        return found
+
+
+def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:
+    held = {column.name: _Held() for column in group.columns}
+    following, seen, until = None, 0, 0
+
+    def rows(end_ns: int, markers: list[tuple[float, str]]) -> Iterator[Stretch]:
+        """Yield the instants before `end_ns` that are still to come, not too many at a time."""
+        nonlocal following, seen
+        while True:
+            first = following or 0
+            count = min(-(-end_ns // grid_ns) - first, MOST_ROWS)
+            if count <= 0 and not markers:
+                return
+            instants = (first + np.arange(max(count, 0), dtype=np.int64)) * grid_ns
+            values = tuple(held[column.name].at(instants) for column in group.columns)
+            places = np.arange(seen, seen + len(instants), dtype=np.int64)
+            here = [(t, text) for t, text in markers if t * 1e9 <= end_ns]
+            at = np.searchsorted(instants, [round(t * 1e9) for t, _ in here])
+            placed = tuple((seen + int(k), t, text) for k, (t, text) in zip(at, here, strict=True))
+            markers = []
+            following, seen = first + len(instants), seen + len(instants)
+            yield Stretch((Rows(places, instants, values),), placed, end_ns / 1e9)
+
+    for block in source:
+        if not len(block.frames):
+            continue
+        t_ns = block.frames["t_ns"] - block.epoch_ns
+        for table in block.tables:
+            for signal, values in zip(table.pdo.signals, table.columns, strict=True):
+                if signal.name in held:
+                    held[signal.name].add(table.t_ns - block.epoch_ns, values)
+        if following is None:
+            following = -(-int(t_ns[0]) // grid_ns)
+        until = max(until, int(t_ns.max()))
+        yield from rows(until, block.markers)
+    yield from rows(until + 1, [])

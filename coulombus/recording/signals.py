@@ -1,0 +1,462 @@
+"""A recording as arrays: every signal of the rig's PDOs by name, in SI units.
+
+::
+
+    recording = read("hybrid.pcapng")
+    angle = recording["motor.position_rad"]
+    angle.t_s, angle.values, angle.unit          # two arrays and "rad"
+    recording.markers                            # [(1.004, "phase hold"), ...]
+
+`recording.reading` reads it from a file. A position is followed across the wraps of its counter
+(`recording.unwrap`), so that its angle goes on where a device's 16 bits begin anew; `frames` has
+what was on the wire. `series` gathers single signals of a recording that is not kept.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.recording.host_telemetry import of_axis
+from coulombus.recording.log_files import WALL_CLOCK_NS
+from coulombus.recording.pcapng_reader import Capture
+from coulombus.recording.pdo_table import PdoTable, behind, table_of
+from coulombus.recording.unwrap import Turns
+from coulombus.recording.wall_clock import CLOCK, META, attached_object
+from coulombus.rigs.arguments import WrongCall
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.wire.frame import Records
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "Recording",
+    "Series",
+    "Source",
+    "UnknownSignal",
+    "decode",
+    "epoch_of",
+    "left_out_of",
+    "markers_of",
+    "remarks_on",
+    "series",
+    "signal_of",
+]
+
+Array: TypeAlias = npt.NDArray[Any]
+Floats: TypeAlias = npt.NDArray[np.float64]
+Integers: TypeAlias = npt.NDArray[np.int64]
+MOST_NAMED = 6
+"""Signals that an error names where none is like the one that was asked for."""
+UNSURE = "unsure "  # begins the names of positions with gaps in which they may have wrapped unseen
+
+
+class UnknownSignal(KeyError):
+    """A recording has no signal of this name; the text names the nearest ones."""
+
+    exit_status = 2
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+@dataclass(frozen=True)
+class Series:
+    """One signal: times [s], values in `unit`.
+
+    Words of bits (unit "") are integers, the rest is float64.
+    """
+
+    t_s: Floats
+    values: Array
+    unit: str
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def held(self, t_s: Floats, before: float) -> Floats:
+        """Return the last value at or before each of the times `t_s` [s], `before` where there was
+        none.
+        """
+        last = np.searchsorted(self.t_s, t_s, "right") - 1
+        return np.append(self.values.astype(np.float64), before)[last]  # -1: what was appended
+
+
+class Source:
+    """What figures are computed from: the recording's blocks, one after another, each a `Recording`
+    with the times of the whole.
+    """
+
+    path: str
+    rig: Rig
+    inside: tuple[RigPdo, ...] = ()
+    """What the host tells of itself (`recording.host_telemetry`), as PDOs of a node "host"."""
+
+    @property
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """All that has signals: the rig's PDOs, and what the host tells of itself."""
+        return (*self.rig.pdos(), *self.inside)
+
+    def __iter__(self) -> Iterator[Recording]:
+        """Yield the blocks."""
+        raise NotImplementedError
+
+    def seen_by(self, axis: str) -> Self:
+        """Return the recording as the axis of this name sees it, with the signals' plain names.
+
+        Markers of other axes are left out.
+        """
+        raise NotImplementedError
+
+    def one_axis(self, name: str | None) -> Self:
+        """Return the recording as the axis `name` sees it.
+
+        Without a name the rig must have one axis only.
+
+        Raises
+        ------
+        coulombus.rigs.rig.RigError
+            see `Rig.one_axis`
+        """
+        self.rig.one_axis(name)
+        return self.seen_by(name or "")
+
+    @property
+    def axes(self) -> tuple[Self, ...]:
+        """The recording as each axis of the rig sees it, with the signals' plain names."""
+        if not self.rig.axis_names:
+            return (self,)
+        return tuple(self.seen_by(name) for name in self.rig.axis_names)
+
+    def has(self, name: str) -> bool:
+        """Tell whether the rig has a signal: one whose role is absent is in no PDO."""
+        return any(signal.name == name for pdo in self.pdos for signal in pdo.signals)
+
+    def signal(self, name: str) -> Signal:
+        """Return what the rig says of a signal: object, scale, offset, unit; `UnknownSignal` names
+        the nearest ones.
+        """
+        return signal_of(self.pdos, name, self.path)
+
+    def scale(self, name: str) -> float:
+        """Return the SI value of one raw count of a signal."""
+        return self.signal(name).scale
+
+
+@dataclass(frozen=True, repr=False)
+class Recording(Source):
+    """A recording, decoded; ``recording["motor.position_rad"]`` is a `Series`.
+
+    Attributes
+    ----------
+    path
+        The file.
+    rig
+        The rig whose PDOs these are: the attached one, or the one given.
+    capture
+        The file's content as it stands: frames, comments, attachments, torn bytes.
+    epoch_ns
+        Time 0 of all `t_s`: 0 in virtual time; the first frame's stamp where stamps come from a
+        clock.
+    signals
+        Name -> `Series`, in the order of the rig's PDOs. A PDO that never came gives empty ones.
+    markers
+        (time [s], text) of the comments, one for each line of them, in the file's order.
+    malformed
+        "motor.TPDO1" -> frames of a wrong length, which are left out of the signals.
+    before
+        Where each position was before the first frame, of a block that is not the first.
+    """
+
+    path: str
+    rig: Rig
+    capture: Capture
+    epoch_ns: int
+    tables: tuple[PdoTable, ...]
+    signals: Mapping[str, Series]
+    markers: list[tuple[float, str]]
+    malformed: Mapping[str, int]
+    before: Mapping[str, Turns]
+    inside: tuple[RigPdo, ...] = ()
+
+    def __iter__(self) -> Iterator[Recording]:
+        """Yield the recording itself: it is one block."""
+        yield self
+
+    def seen_by(self, axis: str) -> Recording:
+        """Return the recording as the axis of this name sees it, with the signals' plain names.
+
+        Markers of other axes are left out.
+        """
+        if not axis:
+            return self
+        plain = {name.removeprefix(f"{axis}."): turns for name, turns in self.before.items()}
+        seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns, plain, of_axis(self.inside, axis))
+        return replace(seen, markers=markers_of(axis, self.rig, seen.markers))
+
+    @property
+    def frames(self) -> Records:
+        """All frames, records of `wire.frame.FRAME`."""
+        return self.capture.frames
+
+    @property
+    def clock(self) -> Mapping[str, Any]:
+        """When time 0 was by the clock of the wall, and whether that was kept right
+        (`recording.wall_clock`); empty in virtual time.
+        """
+        return attached_object(self.capture.attachments.get(CLOCK))
+
+    @property
+    def meta(self) -> Mapping[str, Any]:
+        """What a person has said of the recording (``run --meta``)."""
+        return attached_object(self.capture.attachments.get(META))
+
+    @property
+    def t_s(self) -> Floats:
+        """Time of each frame [s]."""
+        return (self.frames["t_ns"] - self.epoch_ns) / 1e9
+
+    @property
+    def turns(self) -> Mapping[str, Turns]:
+        """Where each position was last."""
+        return {name: turns for table in self.tables for name, turns in table.turns.items()}
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed
+        PDOs; and on gaps in which a position may have wrapped unseen.
+        """
+        return remarks_on(self.path, self.capture.warnings, left_out_of(self))
+
+    def __getitem__(self, name: str) -> Series:
+        """Return a signal; `UnknownSignal`, a KeyError, names the nearest ones."""
+        if not isinstance(name, str):
+            raise WrongCall(_one_signal(name))
+        if name not in self.signals:
+            self.signal(name)
+        return self.signals[name]
+
+    def __repr__(self) -> str:
+        """Return it in one line."""
+        return f"<recording {self.path} of rig {self.rig.name}: {self._told()}>"
+
+    def _repr_html_(self) -> str:
+        """Return the signals as a table, for notebooks."""
+        head = f"<p>{escape(self.path)}: rig {escape(self.rig.name)}, {self._told()}</p>"
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{escape(one.unit)}</td><td>{len(one)}</td>"
+            + "".join(f"<td>{value:.6g}</td>" for value in _range(one.values))
+            + "</tr>"
+            for name, one in self.signals.items()
+        )
+        columns = "".join(f"<th>{text}</th>" for text in ("signal", "unit", "samples", "least", "largest"))
+        return f"{head}<table><tr>{columns}</tr>{rows}</table>"
+
+    def _told(self) -> str:
+        """Say how long it is, and what is in it."""
+        seconds = float(np.ptp(self.t_s)) if len(self.frames) else 0.0
+        return f"{seconds:.3f} s, {len(self.frames)} frames, {len(self.signals)} signals, {len(self.markers)} markers"
+
+    def to_pandas(self, signals: Sequence[str] | None = None, *, grid_s: float | None = None) -> pandas.DataFrame:
+        """Return a DataFrame: a column for each signal, indexed by the time ``t_s`` [s].
+
+        Without a grid each frame of a PDO is a row, with NaN in the columns of the other PDOs:
+        ``table["motor.position_rad"].dropna()`` is that signal's `Series`, and ``table.ffill()``
+        holds the values. With `grid_s` there is a row for each of its multiples, with the last
+        values that had come by then. ``table.attrs["units"]`` has the units.
+
+        Raises
+        ------
+        UnknownSignal
+            A signal that the recording does not have.
+        coulombus.rigs.arguments.WrongCall
+            `signals` is no list of texts.
+        coulombus.recording.extras.MissingExtra
+            pandas is not installed.
+        """
+        from coulombus.recording.frames_table import to_pandas
+
+        return to_pandas(self, signals, grid_s)
+
+    def to_xarray(self, signals: Sequence[str] | None = None, *, grid_s: float | None = None) -> xarray.Dataset:
+        """Return a Dataset: a variable for each signal with the attribute ``units``.
+
+        Signals of one PDO share a dimension, as ``t_s.motor.TPDO1`` [s]; with `grid_s` all share
+        ``t_s``. Errors as `to_pandas`.
+        """
+        from coulombus.recording.frames_table import to_xarray
+
+        return to_xarray(self, signals, grid_s)
+
+    def plot(
+        self, signals: Sequence[str] | None = None, *, span: tuple[float | None, float | None] = (None, None)
+    ) -> Figure:
+        """Return a figure of the signals (None: all but words of bits) from `span`'s begin to its
+        end [s]; where samples are many, as the least and largest value.
+
+        Raises
+        ------
+        UnknownSignal
+            A signal that the recording does not have.
+        coulombus.rigs.arguments.WrongCall
+            `signals` is no list of texts, or `span` no pair of times.
+        coulombus.recording.span.SpanError
+            There is no frame in the span.
+        """
+        from coulombus.recording.pictures.plot import plot
+
+        return plot(self, signals, span)
+
+
+def _one_signal(name: Any) -> str:
+    """Say how a recording is asked for a signal, where `name` is no name."""
+    several = f"; of several: series(recording, {', '.join(map(repr, name))})" if _are_texts(name) else ""
+    return f"recording[{name!r}]: expected a signal's name, as in recording['motor.position_rad']{several}"
+
+
+def _are_texts(names: Any) -> bool:
+    return isinstance(names, (list, tuple)) and bool(names) and all(isinstance(name, str) for name in names)
+
+
+def _range(values: Array) -> tuple[float, float]:
+    """Return the least and the largest value, NaN where there is none."""
+    return (float(values.min()), float(values.max())) if len(values) else (float("nan"), float("nan"))
+
+
+def markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Return the markers as an axis of `rig` sees them: its own phases by their plain names, those
+    of the others not at all.
+    """
+    own = f"{axis}.phase "
+    others = tuple(f"{other}.phase " for other in rig.axis_names if other != axis)
+    return [
+        (t_s, text.removeprefix(f"{axis}.") if text.startswith(own) else text)
+        for t_s, text in markers
+        if not text.startswith(others)
+    ]
+
+
+def series(source: Source, *names: str) -> tuple[Series, ...]:
+    """Gather signals on one way through the recording: 16 bytes for each sample, at 1 kHz 16 kB for
+    each second of each signal.
+
+    Raises
+    ------
+    UnknownSignal
+        A signal that the recording does not have.
+    coulombus.rigs.arguments.WrongCall
+        `source` is no recording, or a name is no text.
+    """
+    if not isinstance(source, Source):
+        raise WrongCall(f"source is {source!r}: expected a recording, as in series(read('run.pcapng'), {names[:1]!r})")
+    if any(not isinstance(name, str) for name in names):
+        listed = names[0] if len(names) == 1 and _are_texts(names[0]) else ("motor.position_rad",)
+        call = ", ".join(map(repr, listed))
+        raise WrongCall(f"the names are {names!r}: expected one text each, as in series(recording, {call})")
+    found = [[block[name] for name in names] for block in source]
+    return tuple(
+        Series(
+            np.concatenate([part.t_s for part in parts]), np.concatenate([part.values for part in parts]), parts[0].unit
+        )
+        for parts in zip(*found, strict=True)
+    )
+
+
+def epoch_of(frames: Records) -> int:
+    """Return time 0 of frames the first of which begin a recording."""
+    return int(frames["t_ns"][0]) if len(frames) and frames["t_ns"][0] >= WALL_CLOCK_NS else 0
+
+
+def decode(
+    capture: Capture,
+    rig: Rig,
+    epoch_ns: int | None = None,
+    before: Mapping[str, Turns] = MappingProxyType({}),
+    inside: tuple[RigPdo, ...] = (),
+) -> Recording:
+    """Return the capture with the signals of the rig's PDOs, and of what the host tells of itself
+    (`inside`); `epoch_ns` and where the positions were `before`, where it is a stretch of a longer
+    one.
+    """
+    frames = capture.frames
+    epoch_ns = epoch_of(frames) if epoch_ns is None else epoch_ns
+    can_ids = np.ascontiguousarray(frames["can_id"])
+    tables = tuple(table_of(pdo, frames, can_ids, rig, before) for pdo in rig.pdos())
+    if inside:
+        ids = np.ascontiguousarray(capture.inside["can_id"])
+        told = (table_of(pdo, capture.inside, ids, rig, before) for pdo in inside)
+        tables += tuple(behind(table, frames["t_ns"]) for table in told)
+
+    def at_s(row: int) -> float:
+        return float((frames["t_ns"][row] - epoch_ns) / 1e9)
+
+    signals = {}
+    for table in tables:
+        at: Floats = (table.t_ns - epoch_ns) / 1e9
+        for signal, values in zip(table.pdo.signals, table.columns, strict=True):
+            signals[signal.name] = Series(at, values, signal.unit)
+    return Recording(
+        path=capture.path,
+        rig=rig,
+        capture=capture,
+        epoch_ns=epoch_ns,
+        tables=tables,
+        signals=MappingProxyType(signals),
+        markers=[(at_s(row), line) for row, text in capture.comments for line in text.splitlines()],
+        malformed=MappingProxyType({table.name: table.malformed for table in tables if not table.inside}),
+        before=MappingProxyType(dict(before)),
+        inside=inside,
+    )
+
+
+def left_out_of(block: Recording) -> Counter[str]:
+    """Return how much was left out, by why."""
+    doubts = {
+        f"{UNSURE}{name}": turns.doubts - (block.before[name].doubts if name in block.before else 0)
+        for name, turns in block.turns.items()
+    }
+    return Counter({"torn": block.capture.torn, "skipped": block.capture.skipped, **block.malformed, **doubts})
+
+
+def remarks_on(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
+    """Return what a reader is told: the file's warnings, and what was left out of it."""
+    texts = {
+        "torn": "the last block is unfinished: {} bytes were left out",
+        "skipped": "{} packets are no classical CAN frames and were left out",
+    }
+
+    def text(name: str) -> str:
+        if name.startswith(UNSURE):
+            return (
+                f"{name.removeprefix(UNSURE)} has {{}} gaps that are longer than its counter can be followed "
+                "(limits.encoder_jump_counts); after them it may be wrong by whole wraps"
+            )
+        return texts.get(name, f"{{}} frames of {name} have a wrong length")
+
+    return (*warnings, *(f"{path}: {text(name).format(n)}" for name, n in left_out.items() if n))
+
+
+def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
+    """Return what the PDOs of a rig say of a signal; `UnknownSignal` says that there is none `where`, and
+    names the nearest ones.
+    """
+    signals = {signal.name: signal for pdo in pdos for signal in pdo.signals}
+    if name not in signals:
+        near = difflib.get_close_matches(name, signals, 3, 0.4)
+        some = near or list(signals)[:MOST_NAMED]
+        more = 0 if near else len(signals) - len(some)
+        others = f" and {more} others, which coulombus pdo lists" if more else ""
+        raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(some)}{others}")
+    return signals[name]

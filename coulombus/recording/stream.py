@@ -1,0 +1,105 @@
+"""``coulombus watch --pcapng F``: a bus as a pcapng stream while it runs, for ``wireshark -k -i -``
+or a named pipe.
+
+Every batch of frames is written with one system call as soon as it has come. Nothing is ever sent.
+A reader that is slow holds up only this client: the bus counts what it loses.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from coulombus.recording.pcapng_blocks import RecordingError
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.rigs.rig import Rig
+from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.address import BusAddress
+from coulombus.wire.client import BusDown, BusFull, Client, Received
+from coulombus.wire.frame import FRAME, Records, data_word, new_records
+from coulombus.wire.handshake import Flags, Hello
+
+__all__ = ["stream"]
+
+ASK_S = 1.0
+STDOUT = "/dev/stdout"
+
+
+def stream(
+    rig: Rig,
+    address: BusAddress,
+    path: str,
+    *,
+    seconds: float | None = None,
+    say: Callable[[str], None] = lambda text: None,
+    force: bool = False,
+) -> int:
+    """Write what the bus carries until a signal, for `seconds`, or until the reader of a pipe goes
+    away; return the number of frames.
+
+    Parameters
+    ----------
+    path : a file, a named pipe, or ``-`` for the standard output; rig and EDS files are attached in
+        front
+    force : replace a file that exists
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        There is no bus, or it went away meanwhile.
+    coulombus.recording.pcapng_blocks.RecordingError
+        The file cannot be written.
+    """
+    attachments = {"rig.toml": rig.effective().encode()}
+    attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
+    with Client(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS)) as client:
+        place, force = (STDOUT, True) if path == "-" else (path, force)
+        try:
+            with (
+                PcapngWriter(place, attachments=attachments, interface=str(address), force=force) as writer,
+                StopSignals() as stop,
+            ):
+                _copy(client, writer, stop, None if seconds is None else time.monotonic() + seconds)
+                frames = writer.frames
+        except RecordingError as error:
+            if not isinstance(error.__cause__, BrokenPipeError):
+                raise
+            if path == "-":  # the interpreter would complain at its end
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            return 0
+    if client.lost:
+        say(f"{client.lost} frames were lost: the reader of {Path(place).name} is slower than the bus")
+    return frames
+
+
+def _copy(client: Client, writer: PcapngWriter, stop: StopSignals, end: float | None) -> None:
+    asked = time.monotonic()
+    poll = select.poll()
+    poll.register(stop, select.POLLIN)
+    poll.register(client, select.POLLIN)
+    while not stop.number:
+        now = time.monotonic()
+        if end is not None and now >= end:
+            return
+        poll.poll(1e3 * min(ASK_S, ASK_S if end is None else end - now))
+        found: list[Received] = []
+        try:
+            while part := client.receive():
+                found += part
+            if now - asked > ASK_S:
+                asked = now
+                client.ask()
+        except (BusDown, BusFull):
+            pass
+        finally:  # also when the bus is gone behind the last frames
+            if found:
+                writer.write(_records(found))
+
+
+def _records(received: list[Received]) -> Records:
+    frames = new_records(FRAME, len(received))
+    frames[:] = [(t_ns, can_id, length, data_word(data[:length]), 0) for t_ns, can_id, length, data in received]
+    return frames

@@ -1,0 +1,118 @@
+"""Several axes in one rig file: what each has of its own in ``[axis.NAME]``, and what all must
+share.
+
+::
+
+    [axis.x]                 # everything that is not said here is as in the file's plain sections
+    motor.node_id = 1
+    brake.node_id = 2
+
+    [axis.y]
+    bus.channel = "b"        # hangs on another bus
+    motor.node_id = 3
+    mode.hybrid.F_s_Nm = 2.0
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from itertools import combinations
+from typing import Any
+
+from coulombus.rigs.errors import Source
+from coulombus.rigs.toml_lines import Key, Table
+
+__all__ = ["MAX_AXES", "TAKEN", "check_axes", "device_keys", "split_axes"]
+
+MAX_AXES = 16
+NAME = re.compile(r"[a-z][a-z0-9_]{0,15}")
+TAKEN = frozenset(("motor", "brake", "host", "axis"))
+
+SHARED: tuple[tuple[Key, str], ...] = (
+    (("rig",), "a rig has one name"),
+    (("bus", "period_s"), "one cycle drives all axes"),
+    (("bus", "actuation"), "one cycle drives all axes"),
+    (("bus", "tpdo_window_s"), "one cycle drives all axes"),
+    (("host",), "one host drives all axes"),
+    (("law", "function"), "one compiled law drives all axes; its parameters may differ"),
+    (("plant", "step_s"), "the axes are simulated together"),
+)
+"""What must be the same on all axes, and why."""
+
+ON_ONE_BUS: tuple[tuple[Key, str], ...] = ((("bus", "bitrate_bit_s"), "both hang on one bus"),)
+
+
+def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, Any]] | None:
+    """Return each axis' values, the shared ones included; None for a file without ``[axis.NAME]``.
+
+    `values` is not changed; mistakes of the axes' names are noted in `source`.
+    """
+    if "axis" not in values:
+        return None
+    axes, shared = values["axis"], {key: value for key, value in values.items() if key != "axis"}
+    if not isinstance(axes, dict) or not all(isinstance(own, dict) for own in axes.values()):
+        source.say(("axis",), "is no table of axes; expected [axis.NAME], once for each axis")
+        return {}
+    if not 1 <= len(axes) <= MAX_AXES:
+        source.say(("axis",), f"got {len(axes)} axes, expected 1 to {MAX_AXES}")
+    found: dict[str, dict[str, Any]] = {}
+    for name, own in axes.items():
+        if not NAME.fullmatch(name) or name in TAKEN:
+            wanted = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(TAKEN)
+            source.say(("axis", name), f"'{name}' names an axis; expected {wanted}")
+        found[name] = _merge(shared, own)
+    return found
+
+
+def _merge(shared: Table, own: Table) -> dict[str, Any]:
+    """Return `shared` with the values of `own` in their places; a list is replaced as a whole."""
+    merged = deepcopy(dict(shared))
+    for key, value in own.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = _merge(merged[key], value) if both else deepcopy(value)
+    return merged
+
+
+def device_keys(values: Table) -> list[Key]:
+    """Return where the devices of an axis stand in its values: motor, brake, sensors."""
+    sensors = values.get("sensor")
+    return [("motor",), ("brake",), *(("sensor", name) for name in (sensors if isinstance(sensors, Mapping) else ()))]
+
+
+def _get(values: Table, key: Key) -> Any:
+    found: Any = values
+    for part in key:
+        found = found.get(part) if isinstance(found, Mapping) else None
+    return found
+
+
+def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source]) -> None:
+    """Note what the axes must share and do not, and node ids that two of one bus have."""
+    for first, second in combinations(axes, 2):
+        one, other, source = axes[first], axes[second], sources[second]
+        names = {first: second, second: first}
+        same_bus = _get(one, ("bus", "channel")) == _get(other, ("bus", "channel"))
+        for key, why in SHARED + (ON_ONE_BUS if same_bus else ()):
+            if _get(one, key) != _get(other, key) and not source.is_wrong(key):
+                odd = next((name for name in (second, first) if sources[name].full(key) != key), second)
+                sources[odd].say(key, f"differs from that of axis {names[odd]}; expected the same, because {why}")
+        modes = [set(_get(axis, ("mode",)) or ()) for axis in (one, other)]
+        if modes[0] != modes[1]:
+            source.say(("mode",), f"the modes are not those of axis {first}; expected {', '.join(sorted(modes[0]))}")
+        if same_bus:
+            for key, taken in _ids(one, other):
+                if not source.is_wrong(key):
+                    source.stands(
+                        key, _get(other, key), f"another id than the {taken}'s of axis {first}, on the same bus"
+                    )
+
+
+def _ids(one: Table, other: Table) -> Iterator[tuple[Key, str]]:
+    taken = {_get(one, (*device, "node_id")): device[-1] for device in reversed(device_keys(one))}
+    for device in device_keys(other):
+        key: Key = (*device, "node_id")
+        node_id = _get(other, key)
+        if node_id is not None and node_id in taken:
+            yield key, str(taken[node_id])

@@ -1,0 +1,253 @@
+"""One axis of a rig: a motor and a brake on one handle, with what the host believes of them and
+what the law is to display.
+
+What is per axis takes an `Axis`; what belongs to all of them - buses, host, name - is the
+`rigs.rig.Rig`'s. An axis is frozen through and through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import ConfigDict, Field
+
+from coulombus.eds.reader import Description, parse_eds
+from coulombus.rigs.devices import Brake, Device, Motor, Roles, Sensor
+from coulombus.rigs.errors import RigError, Source, shown
+from coulombus.rigs.frozen_map import FrozenMap
+from coulombus.rigs.model import About, Bus, Host, Law, Limits, Mechanics, Modes, Section
+from coulombus.rigs.pdo_maps import AxisPdos, allocate
+from coulombus.rigs.plant import Operator, Phase, Plant
+from coulombus.rigs.signals import Node, RigPdo
+from coulombus.rigs.text import apply_override
+from coulombus.rigs.toml_lines import Key, read_toml
+
+__all__ = ["NO_DEVICES", "Axis", "Origin", "Sections", "Simulation"]
+
+NO_DEVICES = frozenset(("plant", "operator", "phases"))
+"""The sections that say nothing of the devices, nor of what the host sets them up with."""
+
+
+class Sections(Section):
+    """The sections of a rig file, as one axis has them: its own values, and the shared ones in the
+    places of those that it does not have.
+    """
+
+    rig: About = Field(description="what the rig is called")
+    bus: Bus = Field(description="the CAN bus and the cycle")
+    host: Host = Field(description="the host as a CANopen node")
+    motor: Motor = Field(description="the motor drive")
+    brake: Brake = Field(description="the MR brake's driver")
+    sensor: FrozenMap[Sensor] = Field(
+        default_factory=FrozenMap, description="further nodes that only tell, each with a name of its own"
+    )
+    role: Roles = Field(Roles.model_validate({}), description="which object of which device has which role")
+    mechanics: Mechanics = Field(description="the device, as the controller believes it to be")
+    law: Law = Field(description="the friction law")
+    mode: Modes = Field(description="the modes, each with its parameters")
+    limits: Limits = Field(description="what trips, and the safe state")
+    plant: Plant | None = Field(None, description="the rig as it truly is, for the simulation")
+    operator: Operator | None = Field(None, description="the simulated hand")
+    phases: tuple[Phase, ...] = Field(
+        (),
+        alias="phase",
+        strict=False,
+        description="the operator's schedule",
+        json_schema_extra={"expected": "[[phase]] in double brackets, once for each phase"},
+    )
+
+    @property
+    def devices(self) -> tuple[Node, ...]:
+        """The names of all devices: the motor, the brake, the sensors."""
+        return ("motor", "brake", *self.sensor)
+
+    def part(self, node: Node) -> Device:
+        """Return the section of a device."""
+        return self.motor if node == "motor" else self.brake if node == "brake" else self.sensor[node]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the values of a rig come from.
+
+    Attributes
+    ----------
+    path : the file, or the name given to `load_rig_text`
+    text : the source text, without overrides
+    overrides : as they were given, the last one of a key counts
+    attached : the text is of a recording, perhaps a stranger's
+    law_named : whoever loaded the rig has named its law
+    """
+
+    path: str
+    text: str
+    overrides: tuple[str, ...] = ()
+    attached: bool = False
+    law_named: bool = False
+
+    def source(self, axis: str = "") -> Source:
+        """Return where each value of an axis stands."""
+        document = read_toml(self.text)
+        source = Source(self.path, document)
+        for override in self.overrides:
+            apply_override(document.values, override, source)
+        return source.of_axis(axis) if axis else source
+
+
+class Simulation(NamedTuple):
+    """What only the simulation knows of an axis."""
+
+    plant: Plant
+    operator: Operator
+
+
+class Axis(Sections):
+    """One axis: the sections of the rig file as they hold for it, its EDS files, and its PDOs.
+
+    Attributes
+    ----------
+    name : "" where the rig has one axis; else its signals are called NAME.motor.position_rad
+    descriptions : what the EDS files say of its `devices`, in their order
+    origin : where the values come from
+    """
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    name: str = Field("", exclude=True)
+    descriptions: tuple[Description, ...] = Field(exclude=True)
+    origin: Origin = Field(exclude=True)
+
+    @classmethod
+    def of(
+        cls,
+        sections: Sections,
+        name: str,
+        descriptions: Mapping[Node, Description],
+        origin: Origin,
+        allocation: AxisPdos | None = None,
+    ) -> Axis:
+        """Return the axis that has these sections and EDS files; `allocation` is theirs, where it is
+        known already.
+        """
+        values: dict[str, Any] = {key: getattr(sections, key) for key in Sections.model_fields}
+        ordered = tuple(descriptions[node] for node in sections.devices)
+        axis = cls(**values, name=name, descriptions=ordered, origin=origin)
+        if allocation is not None:
+            axis.__dict__["allocation"] = allocation
+        return axis
+
+    def from_origin(self, origin: Origin) -> Axis:
+        """Return the axis with another origin."""
+        descriptions = dict(zip(self.devices, self.descriptions, strict=True))
+        return Axis.of(self, self.name, descriptions, origin, self.allocation)
+
+    def has_devices_of(self, sections: Sections, descriptions: Mapping[Node, Description]) -> bool:
+        """Tell whether sections and EDS files are this axis' own but for those of `NO_DEVICES`."""
+        names = Sections.model_fields.keys() - NO_DEVICES
+        return all(getattr(sections, name) == getattr(self, name) for name in names) and [
+            descriptions[node].text for node in sections.devices
+        ] == [one.text for one in self.descriptions]
+
+    def without(self, *roles: str) -> Axis:
+        """Return the axis as it were if the rig file took these roles out (object = "none")."""
+        said = self.role.model_dump(exclude_none=True) | {role: {"object": "none"} for role in roles}
+        lean = self.model_copy(update={"role": Roles.model_validate(said)})
+        return Axis.of(lean, self.name, dict(zip(self.devices, self.descriptions, strict=True)), self.origin)
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the names of the axis' nodes and signals: "" or "NAME."."""
+        return f"{self.name}." if self.name else ""
+
+    @property
+    def simulation(self) -> Simulation:
+        """What only the simulation knows.
+
+        Raises
+        ------
+        RigError
+            the rig file is for a host alone: it has no [plant] and [operator]
+        """
+        if self.plant is None or self.operator is None:
+            lacking = " and ".join(f"[{name}]" for name in ("plant", "operator") if getattr(self, name) is None)
+            raise RigError(
+                [f"{self.origin.path}: the rig {self.rig.name} has no {lacking}; a rig that is simulated needs both"]
+            )
+        return Simulation(self.plant, self.operator)
+
+    @property
+    def phase_starts_s(self) -> tuple[float, ...]:
+        """When each phase of the schedule begins, and when the last one ends [s]."""
+        return tuple(accumulate((phase.duration_s for phase in self.phases), initial=0.0))
+
+    def description(self, node: Node) -> Description:
+        """Return what the EDS file says of a device."""
+        return self.descriptions[self.devices.index(node)]
+
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """Return the PDOs that the host uses, with their signals."""
+        return self.allocation.pdos
+
+    @cached_property
+    def allocation(self) -> AxisPdos:
+        """The roles of the axis and the PDOs that carry them."""
+        return allocate(self, self.prefix)
+
+    @property
+    def law_of_recording(self) -> bool:
+        """Whether nobody but a recording names the law: then it is run only if it is one of the
+        project's own.
+        """
+        return self.origin.attached and not self.origin.law_named
+
+    @property
+    def law_directory(self) -> Path:
+        """Where the file of a law is looked for before the current folder: beside the rig file,
+        never beside a recording.
+        """
+        return Path() if self.origin.attached else Path(self.origin.path).parent
+
+    def said(self, text: str) -> str:
+        """Return `text` with each of the rig file's keys in it as the user wrote it:
+        ``axis.NAME.limits.travel_rad`` where this axis has its own.
+        """
+        return self.origin.source(self.name).said(text) if self.name else text
+
+    def mistake(self, key: str, expected: str) -> RigError:
+        """Return the error that says where `key` stands, what stands there, and what was
+        `expected`, for later checks.
+
+        A law's parameter may stand nowhere: then it has its default.
+        """
+        path: Key = tuple(key.split("."))
+        source = self.origin.source(self.name)
+        value: Any = self.model_dump(by_alias=True)
+        for part in path:
+            value = value.get(part, {}) if isinstance(value, dict) else value[part]
+        got = "by default" if value == {} else f"got '{shown(value)}'"
+        return RigError([f"{source.where(path)[1]}: {source.spelled(path)}: {got}, expected {source.said(expected)}"])
+
+    def _identity(self) -> tuple[Any, ...]:
+        values = tuple(getattr(self, key) for key in Sections.model_fields)
+        return self.name, *(one.text for one in self.descriptions), *values
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Axis) and self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        texts = tuple((one.path, one.text) for one in self.descriptions)
+        return _reload, (self.model_dump(by_alias=True), self.name, texts, self.origin)
+
+
+def _reload(values: dict[str, Any], name: str, eds_texts: tuple[tuple[str, str], ...], origin: Origin) -> Axis:
+    sections = Sections.model_validate(values)
+    descriptions = (parse_eds(text.encode(), path) for path, text in eds_texts)
+    return Axis.of(sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin)

@@ -1,0 +1,86 @@
+"""Which of a rig's buses is where: the values of ``--bus`` and ``--channel``.
+
+``--bus`` is ``B`` for a rig with one bus, ``CHANNEL=B`` for each of several. What is not given is
+the virtual bus ``coulombus:RIG``, or ``coulombus:RIG.CHANNEL`` where there are several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from coulombus.rigs.rig import Rig, known_rigs, packaged_rig
+from coulombus.system.quoting import shell
+from coulombus.wire.address import AddressError, BusAddress, default_address, parse_address
+
+__all__ = ["bus_addresses", "one_bus"]
+
+
+def bus_addresses(rig: Rig, given: Sequence[str] = (), channel: str | None = None) -> dict[str, BusAddress]:
+    """Return the address of each of the rig's buses, or of the bus `channel` only.
+
+    Raises
+    ------
+    AddressError
+        a channel that the rig does not have, two addresses for one, or no address
+    """
+    if channel is not None and channel not in rig.channels:
+        raise AddressError(f"--channel {channel}: the rig has {_names(rig)}")
+    if channel is not None:
+        given = [text if "=" in text else f"{channel}={text}" for text in given]
+    found = _all_addresses(rig, given)
+    return found if channel is None else {channel: found[channel]}
+
+
+def one_bus(rig: Rig, given: str | None, channel: str | None) -> tuple[Rig, BusAddress]:
+    """Return the rig as it is on one bus, and that bus' address, for who looks at one bus at a
+    time.
+
+    Raises
+    ------
+    AddressError
+        as above, or the rig has several buses and none was named
+    """
+    if channel is None and len(rig.channels) > 1:
+        raise AddressError(f"the rig has {_names(rig)}; name one with --channel")
+    ((name, address),) = bus_addresses(rig, () if given is None else (given,), channel).items()
+    return rig.on(name), address
+
+
+def _names(rig: Rig) -> str:
+    named = [channel for channel in rig.channels if channel]
+    return f"the buses {', '.join(named)}" if named else "one bus, without a name"
+
+
+def _all_addresses(rig: Rig, given: Sequence[str]) -> dict[str, BusAddress]:
+    name, channels = default_address(rig.name).name, rig.channels
+    several = len(channels) > 1
+    found: dict[str, BusAddress] = {}
+    for text in given:
+        channel, equals, address = text.rpartition("=")
+        if several and not equals:
+            raise AddressError(f"--bus {text}: the rig has {_names(rig)}; say which: {channels[0]}={text}")
+        if channel not in channels and (equals or several):
+            raise AddressError(f"--bus {text}: the rig has no bus '{channel}'; it has {_names(rig)}")
+        channel = channel if several else channels[0]
+        if channel in found:
+            raise AddressError(f"--bus {text}: there is an address for this bus already, {found[channel]}")
+        found[channel] = parse_address(address)
+    usual = {channel: BusAddress("coulombus", f"{name}.{channel}" if several else name) for channel in channels}
+    found = usual | found
+    if len(set(found.values())) < len(found):
+        raise AddressError(
+            f"two of the rig's buses have one address: {', '.join(f'{c}={a}' for c, a in found.items())}"
+        )
+    start = f"coulombus sim --rig {shell(_given_name(rig))}"
+    for channel in channels:
+        if found[channel] != usual[channel]:
+            start += f" --bus {channel}={found[channel]}" if several else f" --bus {found[channel]}"
+    return {channel: replace(found[channel], start=start) for channel in channels}
+
+
+def _given_name(rig: Rig) -> str:
+    """Return the rig as ``--rig`` takes it: a packaged one by its name, another one by its path."""
+    path = Path(rig.path)
+    return path.stem if path.stem in known_rigs() and path == packaged_rig(path.stem) else rig.path

@@ -1,0 +1,137 @@
+"""The text of a rig file: sections, keys, and over each key that is a guess a comment that says
+why.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from coulombus.rigs.axis import Sections
+from coulombus.rigs.errors import toml_value
+from coulombus.rigs.field_help import fields_of, kinds_of, named_in
+from coulombus.rigs.toml_lines import Key
+from coulombus.system.quoting import comment
+
+__all__ = ["CHECK", "REHEARSAL", "RigText", "rehearsal_marks"]
+
+CHECK, REHEARSAL = "CHECK", "REHEARSAL"
+"""Marks of a comment: a guess; what only holds for simulated devices."""
+MARK = re.compile(rf"#.*\b{REHEARSAL}\b")
+COLUMNS, WIDTH = 110, 32
+"""Of a comment, and of the keys and values that have one behind them."""
+NUMBERS = ("vendor_id", "product_code", "index")
+"""Keys whose values people write in hexadecimal."""
+
+
+class RigText:
+    """The values of a rig file while it is made, by section, and what is to be said of them.
+
+    Attributes
+    ----------
+    head : the file's first comment
+    values : the sections, as TOML has them
+    notes : comments over a key or a section
+    """
+
+    def __init__(self, values: dict[str, Any]) -> None:
+        self.head: list[str] = []
+        self.values = values
+        self.notes: dict[Key, list[str]] = {}
+
+    def get(self, path: str) -> Any:
+        """Return the value of a key; None where it has none."""
+        here: Any = self.values
+        for part in path.split("."):
+            here = here.get(part) if isinstance(here, Mapping) else None
+        return here
+
+    def put(self, path: str, value: Any, note: str = "", mark: str = CHECK) -> None:
+        """Set a key; with a note it is marked."""
+        *parents, name = path.split(".")
+        here = self.values
+        for part in parents:
+            here = here.setdefault(part, {})
+        here[name] = value
+        self.notes.pop((*parents, name), None)
+        if note:
+            self.note(path, note, mark)
+
+    def drop(self, path: str) -> None:
+        """Take a key or a section out, with all that is said of it."""
+        *parents, name = path.split(".")
+        here = self.get(".".join(parents)) if parents else self.values
+        if isinstance(here, dict):
+            here.pop(name, None)
+        key: Key = (*parents, name)
+        self.notes = {at: texts for at, texts in self.notes.items() if at[: len(key)] != key}
+
+    def note(self, path: str, text: str, mark: str = "") -> None:
+        """Say something over a key or a section."""
+        self.notes.setdefault(tuple(path.split(".")), []).append(f"{mark}: {text}" if mark else text)
+
+    def __str__(self) -> str:
+        lines = [line for text in self.head for line in _comment(text)]
+        for name, info in fields_of(Sections).items():
+            lines += self._section((name,), self.values.get(name), info)
+        return "\n".join(lines) + "\n"
+
+    def _section(self, key: Key, value: Any, info: FieldInfo | None) -> Iterator[str]:
+        """Yield a section, and those within it."""
+        name, named, models = ".".join(map(str, key)), named_in(info), kinds_of(info)
+        notes = [line for text in self.notes.get(key, ()) for line in _comment(text)]
+        if isinstance(value, list | tuple):
+            for table in value:
+                yield from ("", *notes, f"[[{name}]]", *self._keys((), table, models[table.get("kind", "")]))
+                notes = []
+        elif value:
+            model = None if named else models[""]
+            fields = {} if model is None else fields_of(model)
+            nested = {part for part, one in value.items() if named or _is_section(one)}
+            own = {part: one for part, one in value.items() if part not in nested and one is not None}
+            about = info.description if info and len(key) == 1 else ""
+            head = (*(_comment(f"{about[0].upper()}{about[1:]}.") if about else ()), *notes)
+            if own and model is not None:
+                yield from ("", *head, f"[{name}]", *self._keys(key, own, model))
+            elif head:
+                yield from ("", *head)
+            for part, one in value.items():
+                if part in nested:
+                    yield from self._section((*key, part), one, info_of(named) if named else fields[part])
+
+    def _keys(self, key: Key, own: Mapping[str, Any], model: type[BaseModel]) -> Iterator[str]:
+        fields = fields_of(model)
+        for name, value in sorted(own.items(), key=lambda item: (item[0] != "kind", list(fields).index(item[0]))):
+            for text in self.notes.get((*key, name), ()):
+                yield from _comment(text)
+            plain = value.tolist() if isinstance(value, np.ndarray) else value  # a phase's columns
+            told = f"0x{plain:X}" if name in NUMBERS else toml_value(plain)
+            line = f"{name} = {told}"
+            description = fields[name].description
+            yield f"{line:<{WIDTH}}  # {description}" if description else line
+
+
+def info_of(model: type[BaseModel]) -> FieldInfo:
+    """Return a field of this model, as of each table in a table of names."""
+    return FieldInfo(annotation=model)
+
+
+def _is_section(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return True
+    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(one, Mapping) for one in value)
+
+
+def _comment(text: str) -> list[str]:
+    return [f"# {line}" for line in textwrap.wrap(comment(text), COLUMNS, break_on_hyphens=False)] or ["#"]
+
+
+def rehearsal_marks(text: str) -> tuple[int, ...]:
+    """Return the lines of a rig file that still have the mark of a rehearsal in a comment."""
+    return tuple(number for number, line in enumerate(text.splitlines(), 1) if MARK.search(line))

@@ -1,0 +1,201 @@
+"""The mistakes of a rig file: where they stand, and all of them at once."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from coulombus.rigs.problem import Problem
+from coulombus.rigs.toml_lines import Document, Key
+from coulombus.system.foreign_text import printable
+
+__all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
+
+LONGEST = 60
+_KEY = re.compile(r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|law|mode|limits|plant|operator)(?:\.\w+)+")
+"""What reads as a key of the rig file in a text."""
+_WITH_UNIT = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z\u00b5\u03bc%\u00b0][^\d]*)")
+_WITH_COMMA = re.compile(r"[+-]?\d+,\d+")
+PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+"""SI prefix -> factor."""
+
+
+class RigError(Exception):
+    """A rig file is refused; `errors` holds one line for each mistake, all that were found.
+
+    `problems` are those of them that are about a role; `lacking` has the keys that are missing in a
+    section that is there, as ``--set`` takes them.
+    """
+
+    exit_status = 3
+
+    def __init__(self, errors: Sequence[str], problems: Sequence[Problem] = (), lacking: Sequence[str] = ()) -> None:
+        self.errors, self.problems, self.lacking = tuple(errors), tuple(problems), tuple(lacking)
+        super().__init__("\n".join(self.errors))
+
+    def __reduce__(self) -> tuple[type[RigError], tuple[tuple[str, ...], tuple[Problem, ...], tuple[str, ...]]]:
+        return type(self), (self.errors, self.problems, self.lacking)
+
+
+@dataclass
+class Source:
+    """Where values come from: a file's lines, and overrides by their ``--set`` text.
+
+    Collects the mistakes.
+    """
+
+    path: str
+    document: Document
+    overrides: dict[Key, str] = field(default_factory=dict)
+    axis: Key = ()
+    """("axis", NAME) while the values of one axis are looked at: what it has of its own stands
+    below this.
+    """
+    found: list[tuple[float, str]] = field(default_factory=list)
+    wrong: set[Key] = field(default_factory=set)
+    problems: list[Problem] = field(default_factory=list)
+    """What is wrong with roles."""
+    lacking: list[str] = field(default_factory=list)
+    """Keys that are missing in a section that is there."""
+
+    def of_axis(self, name: str) -> Source:
+        """Return a source of its own for the axis `name` of the same file."""
+        return Source(self.path, self.document, self.overrides, ("axis", name))
+
+    def full(self, key: Key) -> Key:
+        """Return `key` as the user wrote it: below the axis where the axis has it of its own, or
+        more of what holds it than all axes share.
+        """
+        if not self.axis:
+            return key
+        values = self.document.values
+        own = _depth(values, (*self.axis, *key)) - len(self.axis)
+        return (*self.axis, *key) if own == len(key) or own > _depth(values, key) else key
+
+    def spelled(self, key: Key) -> str:
+        """Return `key` as the user wrote it, as a text."""
+        return dotted(self.full(key))
+
+    def said(self, text: str) -> str:
+        """Return `text` with each of the rig file's keys in it as the user wrote it."""
+        return _KEY.sub(lambda found: self.spelled(tuple(found[0].split("."))), text) if self.axis else text
+
+    def where(self, key: Key) -> tuple[float, str]:
+        """Return the place of `key` for sorting, and as text: ``file:line`` or ``--set
+        KEY=VALUE``.
+        """
+        key = self.full(key)
+        for length in range(len(key), 0, -1):
+            if key[:length] in self.overrides:  # of this key, or of all that holds it
+                return float("inf"), f"--set {self.overrides[key[:length]]}"
+        for length in range(len(key), 0, -1):
+            if key[:length] in self.document.lines:
+                line = self.document.lines[key[:length]]
+                return line, f"{self.path}:{line}"
+        for given, text in self.overrides.items():
+            if given[: len(key)] == key:
+                return float("inf"), f"--set {text}"
+        return 1, f"{self.path}:1"
+
+    def say(self, key: Key, text: str) -> None:
+        """Note a mistake of `key`; `text` follows the key's name."""
+        place, where = self.where(key)
+        self.wrong.add(key)
+        self.found.append((place, f"{where}: {self.spelled(key)}: {self.said(text)}"))
+
+    def stands(self, key: Key, value: Any, wanted: str, known: Iterable[str] = ()) -> None:
+        """Note that `value` is not what is `wanted`."""
+        hint = nearest(value, known) if isinstance(value, str) else ""
+        self.say(key, f"got '{shown(value)}', expected {wanted}{hint}")
+
+    def lacks(self, key: Key, wanted: str) -> None:
+        """Note that `key` is missing in a section that is there."""
+        self.lacking.append(self.spelled(key))
+        self.say(key, f"missing in [{dotted(key[:-1])}]; expected {wanted}")
+
+    def is_wrong(self, key: Key) -> bool:
+        """Tell whether the value of `key`, or one that holds it, is known to be wrong."""
+        if self.wrong and any(key[:length] in self.wrong for length in range(1, len(key) + 1)):
+            return True
+        return bool(self.document.broken) and (
+            self.document.is_broken(key) or (self.axis != () and self.document.is_broken((*self.axis, *key)))
+        )
+
+    def raise_all(self) -> None:
+        """Raise RigError with every mistake, in the file's order, if there is one."""
+        if self.found:
+            ordered = [text for _, text in sorted(self.found, key=lambda item: item[0])]
+            said_once = list(dict.fromkeys(ordered))  # what several axes share
+            raise RigError(said_once, self.problems, list(dict.fromkeys(self.lacking)))
+
+
+def _depth(values: Any, key: Key) -> int:
+    """Return how many parts of `key` are found in `values`, one within the other."""
+    for depth, part in enumerate(key):
+        inside = part in values if isinstance(values, Mapping) else isinstance(part, int) and isinstance(values, list)
+        if not inside or (isinstance(part, int) and part >= len(values)):
+            return depth
+        values = values[part]
+    return len(key)
+
+
+def dotted(key: Key) -> str:
+    """Return a key as ``--set`` takes it."""
+    return ".".join(map(str, key))
+
+
+def toml_value(value: Any) -> str:
+    """Spell a value as TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{json.dumps(key)} = {toml_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def shown(value: Any) -> str:
+    """Spell a value as TOML, shortened for a message."""
+    text = printable(toml_value(value))
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def nearest(given: str, known: Iterable[str]) -> str:
+    """Return "; did you mean ...?" for the known word nearest to `given`, or nothing."""
+    by_small, small = {word.lower(): word for word in known}, given.lower()
+    found = difflib.get_close_matches(small, by_small, 1, 0.6)
+    found = found or [word for word in by_small if len(small) > 2 and word.startswith(small)]  # a name without its unit
+    return f"; did you mean '{by_small[found[0]]}'?" if found else ""
+
+
+def number_hint(given: str, unit: str) -> str:
+    """Return "; ..." that says how to write a number which is given with a unit or a decimal comma;
+    nothing where it is neither.
+
+    Parameters
+    ----------
+    given : the text that stands where a number is meant
+    unit : in which the number is; "" where it has none
+    """
+    text = given.strip()
+    if _WITH_COMMA.fullmatch(text):
+        return f"; write {text.replace(',', '.')}, with a decimal point"
+    found = _WITH_UNIT.fullmatch(text)
+    if found is None:
+        return ""
+    number, own = found[1], found[2].strip()
+    prefix = own if own in ("k", "M") else own.removesuffix(unit)
+    if prefix in PREFIXES and (unit or prefix):
+        return (
+            f"; leave the unit off: {float(number) * PREFIXES[prefix]:.12g}"
+            if prefix
+            else (f"; leave the unit off: {number}")
+        )
+    return "; leave the unit off" + (f": the number is in {unit}" if unit else "")

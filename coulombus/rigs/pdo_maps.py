@@ -1,0 +1,464 @@
+"""Which PDO carries which role: each device's PDOs as its EDS file lets them be mapped, filled with
+the roles that the host needs of it.
+
+1. A PDO that cannot be mapped anew or made invalid, and carries nothing but roles, is taken as it
+   is.
+2. PDOs that can be mapped anew take up what is left, in the order of their numbers, those that
+   cannot be made invalid for it last: at most 64 bits, and as many entries as the EDS file has
+   sub-indices. Statusword and position stay together where they fit, so do a controlword and its
+   set-point.
+3. What is left then is looked for in the PDOs that cannot be mapped anew. Further entries of a TPDO
+   are not used; those of an RPDO are sent with the value that bring-up set, or the EDS file's
+   default.
+
+Identifiers are those of the pre-defined connection set for the first four PDOs of each direction,
+where the device lets them be set, and the device's own elsewhere. A TPDO follows SYNC (transmission
+type 1) where it can; one that cannot is sent by the device's event timer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+
+from coulombus.eds.cia301 import CobId
+from coulombus.eds.cia402 import OPERATION_MODE_CST as CST
+from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE as PROFILE_TORQUE
+from coulombus.eds.pdo import COMMUNICATION, MAPPING, PDO_BITS, PDO_COUNT, Entry, PdoLayout, read_layout
+from coulombus.eds.reader import Description, EdsError, Variable
+from coulombus.rigs.deadman_object import bind_switch
+from coulombus.rigs.devices import Brake, Motor
+from coulombus.rigs.model import to_ns
+from coulombus.rigs.problem import Problem
+from coulombus.rigs.roles import Binding, Bound, bind
+from coulombus.rigs.signals import Constant, Direction, Node, Parts, RigPdo, Signal
+
+__all__ = ["MOST_CONSTANTS", "MOST_PDOS", "AxisPdos", "PdoRecord", "allocate", "mode_of", "records_of", "writable"]
+
+FIRST = {"rpdo": CobId.RPDO1, "tpdo": CobId.TPDO1}
+PREDEFINED = 4
+MOST_PDOS, MOST_CONSTANTS = 8, 16
+"""What the host's tables have room for: PDOs of an axis each way, entries of RPDOs that it does not
+command.
+"""
+ON_SYNC, ON_EVENT = 1, 255
+INVALID, NO_RTR, EXTENDED = 1 << 31, 1 << 30, 1 << 29
+TOGETHER = (("controlword", "torque_setpoint"), ("statusword", "position"), ("brake_controlword", "brake_setpoint"))
+"""Roles that are read or commanded together, and stay in one PDO where they fit."""
+
+
+def writable(variable: Variable) -> bool:
+    """Tell whether an object can be written by SDO."""
+    return variable.access not in ("ro", "const")
+
+
+@dataclass(frozen=True)
+class PdoRecord:
+    """What an EDS file lets a PDO be.
+
+    Attributes
+    ----------
+    identifier : 11 bits
+    room : entries that it can be mapped with; 0: only as it is
+    settable : its identifier can be written, so that it can be made invalid while it is mapped
+    entries : its default map; empty where there is none, or none that can be read
+    transmission : the type that it will have
+    event_ns : of a TPDO that does not follow SYNC, the event timer that it will have; 0: it has
+        none
+    deadline : an RPDO's deadline can be set (1400h:05)
+    """
+
+    direction: Direction
+    number: int
+    identifier: int
+    room: int
+    settable: bool
+    entries: tuple[Entry, ...]
+    transmission: int
+    event_ns: int
+    no_rtr: bool
+    deadline: bool
+
+
+def records_of(
+    description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
+) -> tuple[PdoRecord, ...]:
+    """Return the PDOs of a device that can carry something: found once for a description.
+
+    Parameters
+    ----------
+    wanted : the transmission type that they are to have, where they can
+    """
+    found = description.derived.setdefault(records_of, {})
+    key = node_id, direction, period_ns, wanted
+    if key not in found:
+        found[key] = tuple(_records_of(description, *key))
+    records: tuple[PdoRecord, ...] = found[key]
+    return records
+
+
+def _records_of(
+    description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
+) -> Iterator[PdoRecord]:
+    first = COMMUNICATION[direction]
+    for index in sorted(index for index in description.objects if first <= index < first + PDO_COUNT):
+        number, mapping = index - first + 1, index - first + MAPPING[direction]
+        if not (description.has(index, 1) and description.has(mapping, 0)):
+            continue
+        identity = description.variable(index, 1)
+        told = description.default(index, 1, node_id)
+        word = told if isinstance(told, int) else 0
+        identifier = word & 0x1FFFFFFF
+        if writable(identity):
+            if number <= PREDEFINED:
+                identifier = FIRST[direction] + 0x100 * (number - 1) + node_id
+        elif word & INVALID:
+            continue
+        if not 0 < identifier <= 0x7FF:
+            continue
+        transmission = _transmission(description, index, wanted, direction)
+        if transmission is None:
+            continue
+        event_ns = _event_ns(description, index, node_id, period_ns) if direction == "tpdo" else 0
+        yield PdoRecord(
+            direction,
+            number,
+            identifier,
+            _room(description, mapping),
+            writable(identity),
+            _default_map(description, node_id, direction, number),
+            transmission,
+            event_ns if transmission != ON_SYNC else 0,
+            bool(word & NO_RTR),
+            direction == "rpdo" and description.has(index, 5),
+        )
+
+
+def _transmission(description: Description, index: int, wanted: int, direction: Direction) -> int | None:
+    """Return the transmission type that a PDO will have; None where it is sent on request only."""
+    if not description.has(index, 2):
+        return 255
+    variable = description.variable(index, 2)
+    if writable(variable):
+        choices = (wanted, ON_EVENT, ON_EVENT - 1) if direction == "tpdo" else (wanted, ON_EVENT, ON_EVENT - 1, ON_SYNC)
+        return next((kind for kind in choices if variable.admits(kind)), None)
+    kind = variable.default if isinstance(variable.default, int) else ON_EVENT
+    return None if kind in (252, 253) else kind
+
+
+def _event_ns(description: Description, index: int, node_id: int, period_ns: int) -> int:
+    """Return the event timer of a TPDO that does not follow SYNC: the cycle in whole milliseconds,
+    or what the device has.
+    """
+    if not description.has(index, 5):
+        return 0
+    variable = description.variable(index, 5)
+    if writable(variable):
+        milliseconds = max(1, period_ns // 1_000_000)
+        return milliseconds * 1_000_000 if variable.admits(milliseconds) else 0
+    return variable.default * 1_000_000 if isinstance(variable.default, int) else 0
+
+
+def _room(description: Description, mapping: int) -> int:
+    """Return how many entries the PDO can be mapped with anew; 0 where it keeps its map."""
+    variables = description.objects[mapping].variables
+    if not writable(variables[0]):
+        return 0
+    return next(sub - 1 for sub in count(1) if sub not in variables or not writable(variables[sub]))
+
+
+def _default_map(description: Description, node_id: int, direction: Direction, number: int) -> tuple[Entry, ...]:
+    try:
+        return read_layout(description, node_id, direction, number).entries
+    except EdsError:
+        return ()
+
+
+@dataclass(frozen=True)
+class AxisPdos:
+    """The PDOs of an axis, what follows from its roles, and what is wrong with them."""
+
+    bound: Bound
+    pdos: tuple[RigPdo, ...]
+    losses: tuple[str, ...]
+    problems: tuple[Problem, ...]
+
+
+def allocate(parts: Parts, prefix: str = "") -> AxisPdos:
+    """Return the PDOs of an axis; with `problems`, they are not complete.
+
+    Parameters
+    ----------
+    prefix : what stands before the names of the axis' nodes and signals
+    """
+    bound = bind(parts)
+    problems, losses, wanted = [*bound.problems], [*bound.losses], [*bound.bindings]
+    try:
+        switch = bind_switch(parts, wanted)
+    except ValueError as error:
+        problems.append(Problem("deadman", "host", "", f"an input that a device can send, but {error}", ""))
+    else:
+        wanted += [switch] if switch is not None else []
+    pdos: list[RigPdo] = []
+    absent: set[str] = set()
+    for node in parts.devices:
+        for direction in ("rpdo", "tpdo"):
+            own = [one for one in wanted if one.node == node and one.kind.direction == direction]
+            device = _Device(parts, node, direction, prefix)
+            pdos += device.fill(own)
+            absent |= device.absent
+            problems += device.problems
+            losses += device.losses
+    problems += [*_shared(pdos), *_too_many(pdos), *_ambiguous(parts, bound)]
+    kept = tuple(one for one in bound.bindings if one.kind.name not in absent)
+    return AxisPdos(replace(bound, bindings=kept), tuple(pdos), tuple(losses), tuple(problems))
+
+
+def _too_many(pdos: Sequence[RigPdo]) -> Iterator[Problem]:
+    for direction in ("rpdo", "tpdo"):
+        number = sum(pdo.layout.direction == direction for pdo in pdos)
+        if number > MOST_PDOS:
+            text = f"the roles need {number} {direction.upper()}s of an axis; the host has room for {MOST_PDOS}"
+            yield Problem("", pdos[0].device, "", text, "take devices whose PDOs can be mapped anew, or fewer roles")
+    constants = sum(len(pdo.constants) for pdo in pdos)
+    if constants > MOST_CONSTANTS:
+        text = f"the RPDOs carry {constants} objects beside the roles; the host has room for {MOST_CONSTANTS}"
+        yield Problem("", pdos[0].device, "", text, "take devices whose PDOs can be mapped anew")
+
+
+def _shared(pdos: Sequence[RigPdo]) -> Iterator[Problem]:
+    taken: dict[int, RigPdo] = {}
+    for pdo in pdos:
+        first = taken.setdefault(pdo.layout.cob_id, pdo)
+        if first is not pdo and first.node_id != pdo.node_id:  # equal ids are told as such
+            text = (
+                f"{pdo.name} of {pdo.node} has the identifier {pdo.layout.cob_id:03X}h of {first.name} of {first.node}"
+            )
+            yield Problem("", pdo.device, "", text, "give one of the devices another node id")
+
+
+def _ambiguous(parts: Parts, bound: Bound) -> Iterator[Problem]:
+    """Refuse an encoder whose counts wrap so soon that a jump and a wrap look alike."""
+    position = bound.get("position")
+    if position is None or position.entry.bits > 31:
+        return
+    half, limits = 1 << (position.entry.bits - 1), parts.limits
+    if limits.encoder_jump_counts * limits.missed_tpdo_cycles >= half:
+        text = (
+            f"a position of {position.entry.bits} bits wraps after {2 * half} counts, and limits.encoder_jump_counts x "
+            f"limits.missed_tpdo_cycles is {limits.encoder_jump_counts * limits.missed_tpdo_cycles}"
+        )
+        yield Problem("position", position.node, "", text, f"expected less than {half}: lower one of them")
+
+
+class _Device:
+    """The PDOs of one device in one direction, while they are filled."""
+
+    def __init__(self, parts: Parts, node: Node, direction: Direction, prefix: str) -> None:
+        self.parts, self.node, self.direction, self.prefix = parts, node, direction, prefix
+        self.part, self.description = parts.part(node), parts.description(node)
+        self.problems: list[Problem] = []
+        self.losses: list[str] = []
+        self.absent: set[str] = set()
+        """Roles that find no place, and that the host can do without."""
+
+    def fill(self, wanted: Sequence[Binding]) -> list[RigPdo]:
+        """Return the PDOs that carry `wanted`, by their numbers.
+
+        What finds no place is noted in `problems`.
+        """
+        if not wanted:
+            return []
+        transmission = ON_SYNC if self.direction == "tpdo" else self.parts.bus.transmission
+        period_ns = self.parts.bus.period_ns
+        records = records_of(self.description, self.part.node_id, self.direction, period_ns, transmission)
+        standing = [record for record in records if record.entries and not (record.room and record.settable)]
+        left = {one.place[1:]: one for one in wanted}
+        found: dict[int, tuple[PdoRecord, tuple[Entry, ...]]] = {}
+
+        def take(record: PdoRecord, entries: Iterable[Entry]) -> None:
+            found[record.number] = record, tuple(entries)
+            for entry in found[record.number][1]:
+                left.pop((entry.index, entry.subindex), None)
+
+        for record in standing:
+            if all(_carries(entry, left) for entry in record.entries):
+                take(record, record.entries)
+        free = [record for record in records if record.room and record.number not in found]
+        free.sort(key=lambda record: not record.settable)
+        for record, entries in _first_fit(free, _groups(left.values())):
+            take(record, entries)
+        others = [record for record in standing if not record.room and record.number not in found]
+        while left and others:
+            best = max(others, key=lambda record: sum(_carries(entry, left) for entry in record.entries))
+            others.remove(best)
+            if any(_carries(entry, left) for entry in best.entries):
+                take(best, best.entries)
+        for one in left.values():
+            self._no_place(one, bool(records))
+        roles = {one.place[1:]: one for one in wanted}
+        return [self._pdo(*found[number], roles) for number in sorted(found)]
+
+    def _no_place(self, one: Binding, any_pdo: bool) -> None:
+        way = "an RPDO" if self.direction == "rpdo" else "a TPDO"
+        label = f"{one.entry.index:04X}h:{one.entry.subindex:X}"
+        reason = f"no PDO can be mapped with it, and none has it by default, in {one.entry.bits} bits"
+        if not any_pdo:
+            reason = f"the file describes no {self.direction.upper()} that can be used"
+        if not one.kind.needed and getattr(self.parts.role, one.kind.name, None) is None:
+            self.absent.add(one.kind.name)
+            self.losses.append(f"{one.kind.lost} ({label} of {self.prefix}{self.node} finds no place in {way})")
+            return
+        text = f"{self.description.path}: {label} finds no place in {way}: {reason}"
+        optional = "" if one.kind.needed else f', or leave the role out: [role.{one.kind.name}] object = "none"'
+        self.problems.append(
+            Problem(one.kind.name, self.node, label, text, f"take a device that can send it{optional}")
+        )
+
+    def _pdo(self, record: PdoRecord, entries: tuple[Entry, ...], roles: Mapping[tuple[int, int], Binding]) -> RigPdo:
+        receive = self.direction == "rpdo"
+        event_ns = record.event_ns
+        if receive:
+            event_ns = (
+                to_ns(self.part.setpoint_fault_s) if isinstance(self.part, Motor | Brake) and record.deadline else 0
+            )
+        name = f"{self.direction.upper()}{record.number}"
+        layout = PdoLayout(
+            number=record.number,
+            direction=self.direction,
+            cob_id=record.identifier,
+            transmission=record.transmission,
+            inhibit_ns=0,
+            event_ns=event_ns,
+            sync_start=0,
+            rtr_allowed=not record.no_rtr,
+            entries=entries,
+        )
+        mine = [roles[entry.index, entry.subindex] for entry in entries if (entry.index, entry.subindex) in roles]
+        if not receive and record.transmission != ON_SYNC:
+            self._timed(record, name, mine)
+        constants = tuple(self._constants(name, entries, roles)) if receive else ()
+        signals = tuple(self._signal(entry, place, roles) for place, entry in enumerate(entries))
+        stands = not record.room or (not record.settable and entries == record.entries)
+        if not stands and not record.settable:
+            self.losses.append(
+                f"{self.prefix}{self.node}: {name} is mapped while it is valid, as its identifier is read-only"
+            )
+        return RigPdo(self.prefix + self.node, self.part.node_id, layout, signals, fixed=stands, constants=constants)
+
+    def _timed(self, record: PdoRecord, name: str, mine: Sequence[Binding]) -> None:
+        """Tell that a TPDO does not follow SYNC.
+
+        Refuse it where it comes too seldom for its roles.
+        """
+        cycles = record.transmission if 0 < record.transmission <= 240 else 0
+        every_ns = cycles * self.parts.bus.period_ns if cycles else record.event_ns
+        what = f"transmission type {record.transmission}"
+        longest = self.parts.limits.missed_tpdo_cycles * self.parts.bus.period_ns
+        if not 0 < every_ns <= longest:
+            often = f"every {every_ns / 1e6:g} ms" if every_ns else "only when something changes"
+            text = (
+                f"{self.description.path}: {name} of the {self.node} cannot follow each SYNC ({what}) and is sent {often}; "
+                f"limits.missed_tpdo_cycles allow {longest / 1e6:g} ms"
+            )
+            self.problems.append(
+                Problem(
+                    mine[0].kind.name, self.node, "", text, "raise limits.missed_tpdo_cycles, or take another device"
+                )
+            )
+            return
+        self.losses.append(
+            f"{self.prefix}{self.node}: {name} does not follow SYNC ({what}); it is sent every {every_ns / 1e6:g} ms by the device's own "
+            f"clock, and lost after limits.missed_tpdo_cycles"
+        )
+
+    def _constants(
+        self, name: str, entries: Sequence[Entry], roles: Mapping[tuple[int, int], Binding]
+    ) -> Iterator[Constant]:
+        for entry in entries:
+            place = (entry.index, entry.subindex)
+            if entry.dummy or place in roles:
+                continue
+            value, why = self._standing(*place)
+            label = f"{entry.index:04X}h:{entry.subindex:X}"
+            self.losses.append(
+                f"{self.prefix}{self.node}: {name} carries {label} too, which is sent as {value} ({why})"
+            )
+            yield Constant(*place, value)
+
+    def _standing(self, index: int, subindex: int) -> tuple[int, str]:
+        """Return the value that an object of an RPDO is sent with, and why."""
+        said = [one.value for one in self.part.sdo if (one.index, one.sub) == (index, subindex)]
+        if said:
+            return said[-1], f"[[{self.node}.sdo]]"
+        if (index, subindex) == (0x6060, 0) and isinstance(self.part, Motor | Brake):
+            return mode_of(self.part, self.description), "the mode of operation"
+        told = self.description.default(index, subindex, self.part.node_id)
+        return (told, "the EDS file's default") if isinstance(told, int) else (0, "the EDS file has no default")
+
+    def _signal(self, entry: Entry, place: int, roles: Mapping[tuple[int, int], Binding]) -> Signal:
+        one = roles.get((entry.index, entry.subindex))
+        if one is None:
+            label = f"gap{place}" if entry.dummy else f"{entry.index:04X}h_{entry.subindex}"
+            return Signal(f"{self.prefix}{self.node}.{label}", entry.index, entry.subindex, 1.0, 0.0, "")
+        signal = self.prefix + one.kind.signal
+        return Signal(signal, entry.index, entry.subindex, one.scale, one.offset, one.kind.unit)
+
+
+def mode_of(part: Motor | Brake, description: Description) -> int:
+    """Return the mode of operation of a CiA 402 drive: the rig file's, else CST where 6502h offers
+    it or tells nothing, else profile torque.
+    """
+    if part.mode is not None:
+        return part.mode
+    modes = description.variable(0x6502, 0).default if description.has(0x6502, 0) else None
+    if not isinstance(modes, int) or modes == 0 or modes >> (CST - 1) & 1:
+        return CST
+    return PROFILE_TORQUE if modes >> (PROFILE_TORQUE - 1) & 1 else CST
+
+
+def _carries(entry: Entry, left: Mapping[tuple[int, int], Binding]) -> bool:
+    one = left.get((entry.index, entry.subindex))
+    return one is not None and one.entry.bits == entry.bits
+
+
+def _groups(left: Iterable[Binding]) -> list[list[Entry]]:
+    """Return the entries that are to be placed, in their order.
+
+    Those of `TOGETHER` in one group.
+    """
+    groups: list[list[Entry]] = []
+    names: list[str] = []
+    for one in left:
+        partner = next((pair for pair in TOGETHER if one.kind.name in pair), ())
+        if groups and names[-1] in partner:
+            groups[-1].append(one.entry)
+        else:
+            groups.append([one.entry])
+        names.append(one.kind.name)
+    return groups
+
+
+def _first_fit(free: Sequence[PdoRecord], groups: Sequence[list[Entry]]) -> Iterator[tuple[PdoRecord, list[Entry]]]:
+    """Put each group into the first PDO that has room for it.
+
+    One that fits nowhere is put there entry by entry.
+    """
+    placed: dict[int, list[Entry]] = {record.number: [] for record in free}
+
+    def put(group: list[Entry]) -> bool:
+        for record in free:
+            both = placed[record.number] + group
+            if len(both) <= record.room and sum(entry.bits for entry in both) <= PDO_BITS:
+                placed[record.number] = both
+                return True
+        return False
+
+    for group in groups:
+        if not put(group):
+            for entry in group:
+                put([entry])
+    for record in free:
+        if placed[record.number]:
+            yield record, placed[record.number]

@@ -1,0 +1,397 @@
+"""The plan of a rig: which messages its bus carries, whether they fit, and what would.
+
+`messages_of` composes the messages of any number of devices and one host, so that a bus with
+several axes is the same call with more devices.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from coulombus.eds.cia301 import CobId
+from coulombus.rigs.guarding import is_guarded
+from coulombus.rigs.model import CIA_301_BIT_RATES, to_ns
+from coulombus.rigs.plan.response_times import NO_ERRORS, Errors, Message, Response, bit_ns, response_times, utilisation
+from coulombus.rigs.plan.worst_cycle import Cycle, Timing, worst_cycle
+from coulombus.rigs.rig import Rig
+from coulombus.wire.can_flags import CAN_RTR_FLAG
+
+__all__ = [
+    "Assumptions",
+    "DeviceTraffic",
+    "Pdo",
+    "Plan",
+    "bitrates_that_fit",
+    "devices_of",
+    "largest_axes",
+    "messages_of",
+    "plan",
+    "plan_again",
+    "plans",
+    "shortest_period_ns",
+]
+
+MOST_NAMED = 40
+"""Of the late frames in one sentence; `plan` has a row for each."""
+SPORADIC_PERIODS = 10
+LAST_NODE_ID = 127
+MAX_AXES = 16
+"""Of a rig file."""
+SHORTEST_NS, LONGEST_NS, STEP_NS = 100_000, 1_000_000_000, 1_000
+"""The rig file's range of bus.period_s, and the grid of object 1006h."""
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What is assumed beside the rig file.
+
+    Attributes
+    ----------
+    node_ns : int or None
+        Longest time that a device computes between SYNC and its TPDOs; None: what the rig file says
+        of each (`response_us`).
+    host_ns : int or None
+        Longest time that the host computes between the last TPDO and its RPDOs; None: the rig
+        file's `host.compute_s`.
+    sporadic_ns : int or None
+        Least interval between two EMCYs of a node, two SDO transfers with a node, two NMT commands;
+        None: ten periods.
+    """
+
+    node_ns: int | None = None
+    host_ns: int | None = None
+    sporadic_ns: int | None = None
+    errors: Errors = NO_ERRORS
+
+
+@dataclass(frozen=True)
+class Pdo:
+    """A PDO as the device sees it: "tpdo" or "rpdo", its number, identifier and bytes."""
+
+    direction: str
+    number: int
+    cob_id: int
+    length: int
+
+
+@dataclass(frozen=True)
+class DeviceTraffic:
+    """What a device puts on the bus and is sent, and the watches that trip when it comes
+    too late.
+    """
+
+    name: str
+    axis: int
+    node_id: int
+    pdos: tuple[Pdo, ...]
+    heartbeat_ns: int
+    heartbeat_timeout_ns: int
+    tpdo_deadline_ns: int
+    rpdo_deadline_ns: int
+    sync_timeout_ns: int
+    response_ns: int = 0
+    guard_ns: int = 0
+    """How often the host guards it by a remote frame, to which it answers; 0: it has a heartbeat.
+    """
+
+    def moved(self, axis: int, node_id: int, name: str) -> DeviceTraffic:
+        """Return the same device as part of another axis, under another node id."""
+        step = node_id - self.node_id
+        pdos = tuple(replace(pdo, cob_id=pdo.cob_id + step) for pdo in self.pdos)
+        return replace(self, name=name, axis=axis, node_id=node_id, pdos=pdos)
+
+
+def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[DeviceTraffic, ...]:
+    """Return the devices of the rig's axes on one bus: of the first `axes`, and copies beyond them
+    under the next free node ids.
+
+    With another period than the rig's the watches of PDOs and SYNC keep their share of it.
+
+    Raises
+    ------
+    ValueError
+        There are not so many node ids.
+    """
+    scale = period_ns / rig.bus.period_ns
+    pdos: dict[str, list[Pdo]] = {}
+    for pdo in rig.pdos():
+        layout = pdo.layout
+        pdos.setdefault(pdo.node, []).append(Pdo(layout.direction, layout.number, layout.cob_id, layout.length))
+    own = [
+        DeviceTraffic(
+            axis.prefix + node,
+            number,
+            axis.part(node).node_id,
+            tuple(pdos.get(axis.prefix + node, ())),
+            to_ns(axis.part(node).heartbeat_s),
+            to_ns(axis.part(node).heartbeat_timeout_s),
+            axis.limits.missed_tpdo_cycles * period_ns,
+            rpdo_deadline_ns,
+            round(to_ns(sync_timeout_s) * scale),
+            round(axis.part(node).response_us * 1e3),
+            to_ns(rig.host.heartbeat_s) if is_guarded(axis.description(node)) else 0,
+        )
+        for number, axis in enumerate(rig.axes)
+        for node, rpdo_deadline_ns, sync_timeout_s in (
+            ("motor", axis.motor.setpoint_zero_cycles * period_ns, axis.motor.sync_timeout_s),
+            ("brake", round(to_ns(axis.brake.setpoint_fault_s) * scale), axis.brake.sync_timeout_s),
+            *((name, period_ns, axis.motor.sync_timeout_s) for name in axis.sensor),
+        )
+    ]
+    count = len(rig.axes) if axes is None else axes
+    taken = {rig.host.node_id, *(device.node_id for device in own)}
+    free = (node_id for node_id in range(1, LAST_NODE_ID + 1) if node_id not in taken)
+    found = [device for device in own if device.axis < count]
+    for number in range(len(rig.axes), count):
+        for device in own:
+            if device.axis == number % len(rig.axes):
+                node_id = next(free, None)
+                if node_id is None:
+                    raise ValueError(f"{count} axes need more node ids than the {LAST_NODE_ID} that there are")
+                role = device.name.rpartition(".")[2]
+                found.append(device.moved(number, node_id, f"axis{number + 1}.{role}"))
+    return tuple(found)
+
+
+def messages_of(
+    devices: Sequence[DeviceTraffic],
+    *,
+    host_id: int,
+    host_heartbeat_ns: int,
+    sdo_timeout_ns: int,
+    timing: Timing,
+    sporadic_ns: int,
+) -> tuple[Message, ...]:
+    """Return every message of a bus with one host and these devices.
+
+    SYNC and PDOs once a period; a heartbeat of everyone; of each device an SDO request and its
+    response, and an EMCY; NMT commands. EMCY and NMT are no part of ordinary operation. Deadlines
+    are those of the watches: what comes later trips somebody.
+    """
+    period = timing.period_ns
+    after_sync = max(min(device.sync_timeout_ns for device in devices) - period, timing.window_ns)
+    watch = min(device.heartbeat_timeout_ns for device in devices) - host_heartbeat_ns
+
+    def each() -> Iterator[Message]:
+        yield Message("NMT", CobId.NMT, 2, sporadic_ns, sporadic_ns, emergency=True)
+        yield Message("SYNC", CobId.SYNC, 0, period, after_sync, stage="sync")
+        for device in devices:
+            name, node = device.name, device.node_id
+            yield Message(f"{name} EMCY", CobId.EMCY + node, 8, sporadic_ns, sporadic_ns, emergency=True)
+            for pdo in device.pdos:
+                label = f"{name} {pdo.direction.upper()}{pdo.number}"
+                if pdo.direction == "tpdo":
+                    deadline, late, follows = device.tpdo_deadline_ns, device.response_ns, "SYNC"
+                    yield Message(label, pdo.cob_id, pdo.length, period, deadline, late, follows, "tpdo", device.axis)
+                else:  # the host sends it at the window's end at the latest
+                    deadline, late = device.rpdo_deadline_ns, timing.window_ns + timing.host_ns
+                    yield Message(label, pdo.cob_id, pdo.length, period, deadline, late, stage="rpdo", axis=device.axis)
+            request = f"{name} SDO request"
+            yield Message(request, CobId.SDO_RX + node, 8, sporadic_ns, sdo_timeout_ns)
+            yield Message(
+                f"{name} SDO response", CobId.SDO_TX + node, 8, sporadic_ns, sdo_timeout_ns, device.response_ns, request
+            )
+            beat = device.guard_ns or device.heartbeat_ns
+            if device.guard_ns:
+                yield Message(
+                    f"{name} guard request",
+                    CAN_RTR_FLAG | (CobId.HEARTBEAT + node),
+                    1,
+                    beat,
+                    device.heartbeat_timeout_ns - beat,
+                )
+            yield Message(f"{name} heartbeat", CobId.HEARTBEAT + node, 1, beat, device.heartbeat_timeout_ns - beat)
+        yield Message("host heartbeat", CobId.HEARTBEAT + host_id, 1, host_heartbeat_ns, watch)
+
+    return tuple(each())
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The result: every message's response, and the cycle's worst case."""
+
+    timing: Timing
+    assumptions: Assumptions
+    messages: tuple[Message, ...]
+    axes: int
+
+    @cached_property
+    def responses(self) -> tuple[Response, ...]:
+        """Worst-case response times, everything at once; the highest priority first.
+
+        The deadline of a frame that may be late in its cycle is the cycle's, that of any other its
+        watch's.
+        """
+        late = {frame.message.name: frame.deadline_ns for frame in self.cycle.frames if not frame.fits}
+        messages = [replace(m, deadline_ns=min(m.deadline_ns, late.get(m.name, m.deadline_ns))) for m in self.messages]
+        return response_times(messages, self.timing.bitrate_bit_s, self.assumptions.errors)
+
+    @cached_property
+    def cycle(self) -> Cycle:
+        """The worst cycle of ordinary operation: heartbeats and SDO interfere, EMCY and NMT
+        do not.
+        """
+        return self.cycle_under(lambda message: not message.emergency)
+
+    def cycle_under(self, interferes: Callable[[Message], bool]) -> Cycle:
+        """Return the worst cycle when only some of the messages outside it are sent."""
+        chosen = [message for message in self.messages if message.stage or interferes(message)]
+        return worst_cycle(chosen, self.timing, self.assumptions.errors)
+
+    @property
+    def utilisation(self) -> float:
+        """Share of the bus that all messages take."""
+        return utilisation(self.messages, self.timing.bitrate_bit_s)
+
+    @property
+    def cyclic(self) -> tuple[Message, ...]:
+        """The messages of the cycle, in order of priority."""
+        return tuple(response.message for response in self.responses if response.message.stage)
+
+    @property
+    def busy_ns(self) -> int:
+        """Time that the frames of one cycle take."""
+        return sum(bit_ns(message.bits, self.timing.bitrate_bit_s) for message in self.cyclic)
+
+    @property
+    def latest_rpdo_ns(self) -> int:
+        """By when the last RPDO is through in ordinary operation, from SYNC's release."""
+        return self.cycle.latest_ns("rpdo")
+
+    @property
+    def interference_ns(self) -> dict[str, int]:
+        """The latest RPDO with more and more of the bus: the cyclic frames alone, heartbeats, SDO,
+        EMCY and NMT.
+        """
+        return {
+            "cycle": self.cycle_under(lambda m: False).latest_ns("rpdo"),
+            "heartbeats": self.cycle_under(lambda m: "heartbeat" in m.name).latest_ns("rpdo"),
+            "sdo": self.latest_rpdo_ns,
+            "emcy_nmt": self.cycle_under(lambda m: True).latest_ns("rpdo"),
+        }
+
+    @property
+    def fits(self) -> bool:
+        """Whether every message is in time, in its cycle and before its watch."""
+        return self.utilisation < 1.0 and all(response.fits for response in self.responses)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why it does not fit: each frame by name, those of the cycle first."""
+        slow = {response.message.name: response for response in self.responses if not response.fits}
+        ends = [frame for frame in self.cycle.frames if not frame.fits and frame.message.name in slow]
+        for frame in ends:
+            del slow[frame.message.name]
+        found = [
+            f"{_label(frame.message)} is through {frame.end_ns / 1e3:.0f} us after SYNC's release and due at {frame.deadline_ns / 1e3:g} us"
+            for frame in ends
+        ]
+        found += [
+            f"{_label(r.message)} takes {r.response_ns / 1e3:.0f} us, its deadline is {r.message.deadline_ns / 1e3:g} us"
+            for r in slow.values()
+            if r.bounded
+        ]
+        endless = [_label(r.message) for r in slow.values() if not r.bounded]
+        if endless:
+            found.append(f"the bus is full, so that nothing bounds {_some(endless, ', ')}")
+        return tuple(found)
+
+    def verdict(self) -> str:
+        """Say in one text whether it fits, and what to do if not."""
+        if self.fits:
+            return "the plan fits"
+        head = (
+            f"the cycle does not fit on the bus: {self.busy_ns / 1e3:.0f} us of frames in the worst case, "
+            f"every {self.timing.period_ns / 1e3:g} us, at {self.timing.bitrate_bit_s} bit/s"
+        )
+        return f"{head}; {_some(self.reasons, '; ')}; raise bus.bitrate_bit_s or bus.period_s (see coulombus plan)"
+
+
+def _some(texts: Sequence[str], comma: str) -> str:
+    """Return the first of many, and how many more there are."""
+    more = len(texts) - MOST_NAMED
+    return comma.join(texts[:MOST_NAMED]) + (f"{comma}and {more} more" if more > 0 else "")
+
+
+def _label(message: Message) -> str:
+    return f"{message.name} ({message.can_id:03X}h)"
+
+
+def plan(
+    rig: Rig,
+    *,
+    bitrate_bit_s: int | None = None,
+    period_ns: int | None = None,
+    axes: int | None = None,
+    assumptions: Assumptions | None = None,
+) -> Plan:
+    """Plan the bus on which all axes of `rig` hang (`Rig.on` takes those of one bus).
+
+    With another period the TPDO window, and the watches of PDOs and SYNC, keep their share of it.
+
+    Raises
+    ------
+    ValueError
+        More axes than there are node ids, or axes on several buses.
+    """
+    if len(rig.channels) > 1:
+        raise ValueError(f"the axes hang on the buses {', '.join(rig.channels)}; take those of one with Rig.on")
+    given = assumptions or Assumptions()
+    period = rig.bus.period_ns if period_ns is None else period_ns
+    window = round(to_ns(rig.bus.tpdo_window_s) * period / rig.bus.period_ns)
+    host = to_ns(rig.host.compute_s) if given.host_ns is None else given.host_ns
+    devices = devices_of(rig, period, axes)
+    if given.node_ns is not None:
+        devices = tuple(replace(device, response_ns=given.node_ns) for device in devices)
+    slowest = max(device.response_ns for device in devices)
+    timing = Timing(bitrate_bit_s or rig.bus.bitrate_bit_s, period, window, slowest, host)
+    messages = messages_of(
+        devices,
+        host_id=rig.host.node_id,
+        host_heartbeat_ns=to_ns(rig.host.heartbeat_s),
+        sdo_timeout_ns=to_ns(rig.host.sdo_timeout_s),
+        timing=timing,
+        sporadic_ns=given.sporadic_ns or SPORADIC_PERIODS * period,
+    )
+    return Plan(timing, given, messages, len(rig.axes) if axes is None else axes)
+
+
+def plans(rig: Rig, **options: Any) -> dict[str, Plan]:
+    """Return `plan` for each bus of the rig, by the bus' name ("" where there is one without a
+    name).
+    """
+    return {channel: plan(rig.on(channel), **options) for channel in rig.channels}
+
+
+def plan_again(rig: Rig, found: Plan, **changed: Any) -> Plan:
+    """Return the plan of `rig` with all that `found` was made with, but for what is `changed`."""
+    same: dict[str, Any] = {
+        "bitrate_bit_s": found.timing.bitrate_bit_s,
+        "period_ns": found.timing.period_ns,
+        "axes": found.axes,
+        "assumptions": found.assumptions,
+    }
+    return plan(rig, **{**same, **changed})
+
+
+def bitrates_that_fit(rig: Rig, found: Plan) -> tuple[int, ...]:
+    """Return the bit rates of CiA 301 at which the plan `found` of `rig` would fit."""
+    return tuple(rate for rate in CIA_301_BIT_RATES if plan_again(rig, found, bitrate_bit_s=rate).fits)
+
+
+def shortest_period_ns(rig: Rig, found: Plan) -> int | None:
+    """Return the shortest period, in whole microseconds, at which the plan would fit; None when
+    none up to 1 s does.
+    """
+    steps = range(SHORTEST_NS // STEP_NS, LONGEST_NS // STEP_NS + 1)
+    at = bisect_left(steps, True, key=lambda step: plan_again(rig, found, period_ns=step * STEP_NS).fits)
+    return steps[at] * STEP_NS if at < len(steps) else None
+
+
+def largest_axes(rig: Rig, found: Plan) -> int:
+    """Return how many axes like this rig's the bus carries, 16 at most."""
+    return bisect_left(range(1, MAX_AXES + 1), True, key=lambda axes: not plan_again(rig, found, axes=axes).fits)

@@ -1,0 +1,171 @@
+"""What each role of a rig costs on the wire, and what to change where the plan does not fit.
+
+A PDO's longest frame is divided among what it carries in proportion to the bits, so that the roles'
+times add up to the frames of the cycle. What is saved without a role is another question: the other
+roles are placed anew then, and the saving is the difference of the cycles' frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import lcm
+
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.errors import RigError
+from coulombus.rigs.model import to_ns
+from coulombus.rigs.plan.response_times import bit_ns
+from coulombus.rigs.plan.rig_plan import Plan, plan_again
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.roles import ROLES, Kind
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.bits import worst_case_bits
+
+__all__ = ["Change", "RoleCost", "longer_period", "role_costs", "without_roles"]
+
+SPARED = ("velocity", "coil_temperature", "torque", "coil_current", "handle_torque")
+"""Roles that the host can do without, the first to be given up first: what is only recorded, then
+what a watch looks at.
+"""
+RASTER_NS = 50_000
+"""Periods are proposed in whole multiples of this and of plant.step_s."""
+MOST_PERIODS = 20
+"""So many periods of the raster are tried, from the shortest that would fit on."""
+KINDS = {kind.name: kind for kind in ROLES}
+
+
+@dataclass(frozen=True)
+class RoleCost:
+    """What a role costs in each cycle.
+
+    Attributes
+    ----------
+    role : its name; "deadman"; "" for an entry that a fixed map carries beside the roles
+    node : the device that has it, with its axis before it where the rig has several
+    place : the object, as "6064h:00"
+    pdo : the PDO that carries it, as "TPDO1"
+    bits : width of the entry
+    wire_ns : its share of the PDO's longest frame
+    saved_ns : by how much the frames of a cycle are shorter without it; None: the host cannot do
+        without it
+    """
+
+    role: str
+    node: str
+    place: str
+    pdo: str
+    bits: int
+    wire_ns: int
+    saved_ns: int | None
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the rig file with which the plan fits.
+
+    Attributes
+    ----------
+    overrides : what is to be changed, as ``--set`` takes it
+    period_ns : the period that it has then
+    roles : what is left out, with the axis before it where the rig has several
+    lost : what the host loses by that
+    """
+
+    overrides: tuple[str, ...]
+    period_ns: int
+    roles: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
+
+
+def role_costs(rig: Rig, bitrate_bit_s: int) -> tuple[RoleCost, ...]:
+    """Return what each role of the rig costs at a bit rate, in the order of the PDOs; only PDOs of
+    the rig's own axes.
+    """
+    return tuple(cost for axis in rig.axes for cost in _of_axis(axis, bitrate_bit_s))
+
+
+def _of_axis(axis: Axis, rate: int) -> Iterator[RoleCost]:
+    names = {axis.prefix + kind.signal: kind.name for kind in ROLES}
+    whole = _busy_ns(axis.pdos(), rate)
+    saved = {name: _saved_ns(axis, name, whole, rate) for name in SPARED}
+    for pdo in axis.pdos():
+        layout = pdo.layout
+        frame_ns, data_bits = _frame_ns(pdo, rate), sum(entry.bits for entry in layout.entries)
+        for entry, signal in zip(layout.entries, pdo.signals, strict=True):
+            role = names.get(signal.name, "deadman" if signal.name.endswith(".deadman") else "")
+            place = f"{entry.index:04X}h:{entry.subindex:02X}"
+            share = round(frame_ns * entry.bits / data_bits)
+            yield RoleCost(role, pdo.node, place, pdo.name, entry.bits, share, saved.get(role))
+
+
+def _frame_ns(pdo: RigPdo, rate: int) -> int:
+    return bit_ns(worst_case_bits(pdo.layout.length), rate)
+
+
+def _busy_ns(pdos: Sequence[RigPdo], rate: int) -> int:
+    return sum(_frame_ns(pdo, rate) for pdo in pdos)
+
+
+def _saved_ns(axis: Axis, role: str, whole_ns: int, rate: int) -> int | None:
+    if axis.allocation.bound.get(role) is None:
+        return None
+    other = axis.without(role)
+    return None if other.allocation.problems else whole_ns - _busy_ns(other.pdos(), rate)
+
+
+def longer_period(rig: Rig, found: Plan, shortest: int | None) -> Change | None:
+    """Return the shortest period of the raster at which the plan would fit, the TPDO window's share
+    of it kept and nothing else changed; None where there is none.
+
+    `shortest` is what `shortest_period_ns` gives.
+    """
+    if shortest is None:
+        return None
+    steps = [to_ns(axis.plant.step_s) for axis in rig.axes if axis.plant is not None]
+    raster = lcm(RASTER_NS, *steps)
+    first = -(-shortest // raster)
+    for period_ns in (number * raster for number in range(first, first + MOST_PERIODS)):
+        window_s = rig.bus.tpdo_window_s * period_ns / to_ns(rig.bus.period_s)
+        overrides = (f"bus.period_s={period_ns * 1e-9:.9g}", f"bus.tpdo_window_s={window_s:.6g}")
+        if _fits(rig, found, overrides, period_ns):
+            return Change(overrides, period_ns)
+    return None
+
+
+def without_roles(rig: Rig, found: Plan) -> Change | None:
+    """Return which optional roles to leave out so that the plan fits as it is, those first that the
+    host needs least; None where that is not enough.
+    """
+    left: list[tuple[Axis, Kind]] = []
+    for name in SPARED:
+        left += [(axis, KINDS[name]) for axis in rig.axes if axis.allocation.bound.get(name) is not None]
+        if left and plan_again(_lean(rig, left), found).fits:
+            break
+    else:
+        return None
+    for one in reversed(tuple(left)):  # not all of them may be needed for it: what is worth most stays first
+        fewer = [other for other in left if other is not one]
+        if fewer and plan_again(_lean(rig, fewer), found).fits:
+            left = fewer
+    overrides = tuple(
+        f'{f"axis.{axis.name}." if axis.name else ""}role.{kind.name}.object="none"' for axis, kind in left
+    )
+    if not _fits(rig, found, overrides, found.timing.period_ns):
+        return None
+    lost = tuple(dict.fromkeys(kind.lost for _, kind in left if kind.lost))
+    return Change(overrides, found.timing.period_ns, tuple(axis.prefix + kind.name for axis, kind in left), lost)
+
+
+def _lean(rig: Rig, left: Sequence[tuple[Axis, Kind]]) -> Rig:
+    """Return the rig whose axes have not these roles, for its plan alone."""
+    gone = [axis.without(*(kind.name for other, kind in left if other is axis)) for axis in rig.axes]
+    return replace(rig, axes=tuple(gone))
+
+
+def _fits(rig: Rig, found: Plan, overrides: tuple[str, ...], period_ns: int) -> bool:
+    """Tell whether the rig file, so changed, is accepted, and fits."""
+    try:
+        changed = rig.variant(*overrides)
+    except RigError:
+        return False
+    return plan_again(changed, found, period_ns=period_ns).fits

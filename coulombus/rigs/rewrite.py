@@ -1,0 +1,225 @@
+"""Change single values of a rig file as a person would: every other line, comment and blank stays.
+
+A value takes the old one's place. The comment at its line's end stays, in its column where it can,
+and a line above it says where the value comes from. A key that is not there yet is put below the
+header of its section, and its section at the file's end where that is missing, too. A `# CHECK:`
+above a key is a guess that nobody has proved (`rigs.draft.text`): with a found value it is gone.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from coulombus.eds.regular_file import read_regular
+from coulombus.eds.unfinished_file import remove_unfinished, unfinished
+from coulombus.rigs.draft.text import CHECK
+from coulombus.rigs.errors import RigError, dotted, toml_value
+from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
+
+__all__ = ["NewValue", "forget_torn", "replace_file", "rewritten", "write_whole"]
+
+_ASSIGNMENT = re.compile(r"(?P<head>\s*[^=#]*=\s*)(?P<rest>.*)")
+_TEXT_OR_COMMENT = re.compile(r""""(?:[^"\\]|\\.)*"|'[^']*'|(?P<comment>\s*\#.*)""")
+_GUESS = re.compile(rf"\s*#\s*{CHECK}:")
+LONGEST = 200
+"""Lines of a statement."""
+MOST_COPIES = 999
+
+
+@dataclass(frozen=True)
+class NewValue:
+    """A value for a key, and the comment that stands above it."""
+
+    value: Any
+    comment: str
+
+
+def rewritten(text: str, values: Mapping[Key, NewValue], mark: str, path: str) -> str:
+    """Return the text of a rig file with other values.
+
+    Parameters
+    ----------
+    mark : how the comments of this hand begin; an older one of a key is replaced
+
+    Raises
+    ------
+    RigError
+        a key stands where it cannot be changed alone, as in an inline table
+    """
+    ending = "\r\n" if "\r\n" in text else "\n"
+    lines = text.replace("\r\n", "\n").split("\n")
+    for key, new in values.items():
+        document = read_toml("\n".join(lines))
+        at = document.lines.get(key)
+        if at is not None:
+            _replace(lines, at - 1, new, mark)
+        else:
+            _insert(lines, document, key, new, mark)
+        _check("\n".join(lines), key, new.value, path)
+    return ending.join(lines)
+
+
+def _replace(lines: list[str], at: int, new: NewValue, mark: str) -> None:
+    """Put the new value into the statement that begins in a line."""
+    found = _ASSIGNMENT.fullmatch(lines[at])
+    if found is None:
+        return  # `_check` tells
+    indent = lines[at][: len(lines[at]) - len(lines[at].lstrip())]
+    last = _last_line(lines, at)
+    old = found["rest"] if last == at else lines[last]
+    comment = _comment(old)
+    value = toml_value(new.value)
+    if comment and last == at:
+        comment = _in_its_column(comment, len(value) - (len(old) - len(comment)))
+    lines[at : last + 1] = [f"{found['head']}{value}{comment}"]
+    first = at
+    while first > 0 and lines[first - 1].lstrip().startswith("#"):
+        first -= 1
+    kept = [line for line in lines[first:at] if not line.lstrip("# \t").startswith(mark) and not _GUESS.match(line)]
+    lines[first:at] = [*kept, f"{indent}# {mark} {new.comment}"]
+
+
+def _in_its_column(comment: str, longer: int) -> str:
+    """Return a comment behind a value that is so many characters longer: where it was, if two
+    blanks are left.
+    """
+    text = comment.lstrip()
+    blanks = len(comment) - len(text)
+    return " " * max(blanks - longer, min(blanks, 2)) + text
+
+
+def _comment(text: str) -> str:
+    """Return the comment at the end of a line, with the blanks before it."""
+    return next((found["comment"] for found in _TEXT_OR_COMMENT.finditer(text) if found["comment"]), "")
+
+
+def _last_line(lines: list[str], at: int) -> int:
+    """Return the last line of the statement that begins in a line: the first with which it
+    reads.
+    """
+    for last in range(at, min(at + LONGEST, len(lines))):
+        document = read_toml("\n".join(lines[at : last + 1]))
+        if not document.problems:
+            return last
+    return at
+
+
+def _insert(lines: list[str], document: Document, key: Key, new: NewValue, mark: str) -> None:
+    """Put a key below the header of its section; before the first header where the section is
+    dotted keys only; and below a header of its own at the file's end where there is no section.
+    """
+    headers = {n for n, line in enumerate(lines, 1) if line.lstrip().startswith("[")}
+    own = [f"# {mark} {new.comment}", f"{key[-1]} = {toml_value(new.value)}"]
+    at = document.lines.get(key[:-1])
+    if at is not None and at in headers:
+        lines[at:at] = own
+    elif _has(document, key[:-1]):
+        length = max((n for n in range(1, len(key)) if document.lines.get(key[:n]) in headers), default=0)
+        at = document.lines[key[:length]] if length else 0
+        lines[at:at] = [own[0], f"{dotted(key[length:])} = {toml_value(new.value)}"]
+    else:
+        while lines and not lines[-1].strip():
+            lines.pop()
+        lines += ["", f"[{dotted(key[:-1])}]", *own, ""]
+
+
+def _has(document: Document, key: Key) -> bool:
+    """Tell whether the file has something of this name."""
+    here: Any = document.values
+    for part in key:
+        if not isinstance(here, Mapping) or part not in here:
+            return False
+        here = here[part]
+    return True
+
+
+def _check(text: str, key: Key, value: Any, path: str) -> None:
+    """Refuse a text in which the key is not what it is to be."""
+    document = read_toml(text)
+    here: Any = document.values
+    for part in key:
+        here = here.get(part) if isinstance(here, Mapping) else None
+    wanted = [list(row) if isinstance(row, tuple) else row for row in value] if isinstance(value, tuple) else value
+    if document.problems or here != wanted:
+        name = dotted(key)
+        raise RigError([f"{path}: {name} cannot be changed alone as it stands; write it by hand: {name} = {value}"])
+
+
+def replace_file(path: Path, before: str, after: str, copy: Path | None = None) -> Path:
+    """Replace a rig file as a whole, and return the copy of the old one that is kept.
+
+    Parameters
+    ----------
+    before : what was read from it; when somebody has changed it meanwhile, it stays
+    copy : name of the copy, with a number behind it when there is one already; by default the
+        file's own with ``.bak``
+
+    Raises
+    ------
+    RigError
+        the file is another one meanwhile, or there are too many copies
+    OSError
+        as on a full disk; the file is as it was
+    """
+    path = path.resolve()  # what a link stands for
+    raw = read_regular(path, MOST_CHARACTERS)
+    bom = b"\xef\xbb\xbf" if raw.startswith(b"\xef\xbb\xbf") else b""
+    if raw[len(bom) :] != before.encode():
+        raise RigError([f"{path}: the file was changed meanwhile; nothing is written, measure again"])
+    kept = _keep(copy or path.with_name(f"{path.name}.bak"), raw)
+    write_whole(path, bom + after.encode(), stat.S_IMODE(path.stat().st_mode))
+    return kept
+
+
+def _keep(path: Path, content: bytes) -> Path:
+    """Write a copy under a name that is free."""
+    for number in range(1, MOST_COPIES + 1):
+        copy = path.with_name(f"{path.name}{number if number > 1 else ''}")
+        with suppress(FileExistsError):
+            write_whole(copy, content, 0o644, new=True)
+            return copy
+    raise RigError([f"{path}: there are {MOST_COPIES} copies of this name already; take some away"])
+
+
+_BESIDE = re.compile(r"\..+-\d+-[0-9a-f]{8}(\.\w+)?")
+
+
+def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = False) -> None:
+    """Write a file as a whole or not at all: it is on the disk before it has its name.
+
+    Raises
+    ------
+    FileExistsError
+        the file is to be `new` and is there
+    OSError
+        it cannot be written; an old one is as it was
+    """
+    remove_unfinished(path.absolute().parent)
+    beside = unfinished(path)
+    try:
+        with beside.open("xb") as file:
+            os.fchmod(file.fileno(), mode)
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        if new:
+            path.open("xb").close()
+        os.replace(beside, path)
+    finally:
+        with suppress(OSError):
+            beside.unlink()
+
+
+def forget_torn(folder: Path) -> None:
+    """Remove what `write_whole` has left in a folder when it was killed; nobody writes there now."""
+    for path in folder.glob(".*"):
+        if _BESIDE.fullmatch(path.name):
+            with suppress(OSError):
+                path.unlink()

@@ -1,0 +1,516 @@
+"""The rig file: one TOML file says what hangs on the bus, what the controller believes, and what
+the simulation knows.
+
+``load_rig("bench")`` finds a rig of the package, ``load_rig("lab/handle.toml")`` a file. The result
+is frozen and complete; `docs/rig-file.md` explains every key. A rig has buses, a host, and one or
+more axes (`rigs.axis`): a motor and a brake each. Every mistake of a file is reported at once, each
+with ``file:line``, the key, what stands there, what is expected and the nearest known key.
+"""
+
+from __future__ import annotations
+
+import codecs
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from coulombus.eds.reader import Description
+from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.arguments import WrongCall, path_text, texts
+from coulombus.rigs.axes import check_axes, split_axes
+from coulombus.rigs.axis import Axis, Origin, Sections
+from coulombus.rigs.devices import Device
+from coulombus.rigs.emergency import emcy_identifier
+from coulombus.rigs.errors import RigError, Source, nearest
+from coulombus.rigs.field_help import explain
+from coulombus.rigs.files import read_descriptions, read_schedules
+from coulombus.rigs.model import About, Bus, Host
+from coulombus.rigs.pdo_maps import AxisPdos, allocate
+from coulombus.rigs.rules import check, check_roles, remarks
+from coulombus.rigs.signals import Node, RigPdo
+from coulombus.rigs.text import apply_override, emit
+from coulombus.rigs.toml_lines import MOST_CHARACTERS, Table, read_toml
+from coulombus.system.quoting import shell
+
+__all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
+
+
+@dataclass(frozen=True)
+class RigNode:
+    """One device of a rig: "motor", "brake" or a sensor's name, with its axis before it ("x.motor")
+    where there are several.
+    """
+
+    name: str
+    device: Node
+    part: Device
+    description: Description
+
+    @property
+    def node_id(self) -> int:
+        """Its node id."""
+        return self.part.node_id
+
+    @property
+    def emcy_id(self) -> int:
+        """Identifier of its EMCYs."""
+        return emcy_identifier(self.description, self.node_id)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig:
+    """A rig: what belongs to all its axes, and the axes.
+
+    Frozen, with the EDS files that the rig file names.
+
+    What an axis has - devices, mechanics, law, modes, limits, schedule - is asked of one of `axes`,
+    or of `one_axis()`.
+
+    Attributes
+    ----------
+    axes : tuple of Axis
+        At least one. Their host is the same, and so is their cycle: period, actuation, window, law,
+        names of the modes (`rigs.axes.SHARED`).
+    origin : Origin
+        Where the values come from.
+    warnings : tuple of str
+        What is allowed, and yet may not be meant, with ``file:line``.
+    """
+
+    axes: tuple[Axis, ...]
+    origin: Origin
+    warnings: tuple[str, ...] = ()
+    _spelled: str = ""
+    """The values of a rig whose axes have names, as TOML: what is shared stands there once."""
+
+    def __repr__(self) -> str:
+        return f"<rig {self.name} of {self.path}>"
+
+    @property
+    def about(self) -> About:
+        """What the rig is called."""
+        return self.axes[0].rig
+
+    @property
+    def name(self) -> str:
+        """The rig's short name."""
+        return self.about.name
+
+    @property
+    def host(self) -> Host:
+        """The host, which drives all axes."""
+        return self.axes[0].host
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The names of the modes, which all axes have; their parameters are an axis' own."""
+        return tuple(self.axes[0].mode)
+
+    @property
+    def law_function(self) -> str:
+        """The compiled law's name, one for all axes; its parameters are an axis' own."""
+        return self.axes[0].law.function
+
+    @property
+    def buses(self) -> tuple[Bus, ...]:
+        """The buses on which the axes hang, in the file's order."""
+        return tuple({axis.bus.channel: axis.bus for axis in reversed(self.axes)}[name] for name in self.channels)
+
+    @property
+    def bus(self) -> Bus:
+        """The bus of a rig that hangs on one.
+
+        Raises
+        ------
+        TypeError
+            the rig has several buses: ask one of `buses`, or take the rig as it is on one of them
+            (`on`)
+        """
+        if len(self.channels) > 1:
+            raise TypeError(f"the rig {self.name} has the buses {', '.join(self.channels)}; take it on one with Rig.on")
+        return self.axes[0].bus
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The names of the buses on which the axes hang, in the file's order; ("",) for one bus
+        without a name.
+        """
+        return tuple(dict.fromkeys(axis.bus.channel for axis in self.axes))
+
+    @property
+    def schedule_s(self) -> float:
+        """The length of the operator's schedule; of several axes', the longest [s].
+
+        0.0 where there is none.
+        """
+        return max(axis.phase_starts_s[-1] for axis in self.axes)
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """The axes' names; none where the rig file names no axis."""
+        return tuple(axis.name for axis in self.axes if axis.name)
+
+    def one_axis(self, name: str | None = None) -> Axis:
+        """Return the axis `name`; without a name the only one of a rig whose file names no axis.
+
+        Raises
+        ------
+        RigError
+            the rig has named axes and none was given, or it has no such axis
+        """
+        names = self.axis_names
+        if name is None:
+            if names:
+                raise RigError(
+                    [f"the rig {self.name} has the axes {', '.join(names)}; this is about one axis at a time"]
+                )
+            return self.axes[0]
+        if name not in names:
+            has = f"the axes {', '.join(names)}" if names else "one axis, without a name"
+            raise RigError([f"--axis {name}: the rig {self.name} has {has}"])
+        return self.axes[names.index(name)]
+
+    def alone(self, name: str | None = None) -> Rig:
+        """Return the axis `name` as a rig of its own, whose nodes and signals have no axis in their
+        names.
+
+        Raises
+        ------
+        RigError
+            see `one_axis`
+        """
+        axis = self.one_axis(name)
+        if not axis.name:
+            return self
+        texts = {axis.part(node).eds: axis.description(node).text for node in axis.devices}
+        return self._as_said(load_rig_text(_emitted(axis), self.path, texts, attached=self.origin.attached))
+
+    def _as_said(self, rig: Rig) -> Rig:
+        """Return `rig`, whose law was named by whom this one's was."""
+        return _from(rig, replace(rig.origin, law_named=self.origin.law_named or rig.origin.law_named))
+
+    def on(self, channel: str) -> Rig:
+        """Return the rig as it is on the bus `channel`: the axes that hang there and no other."""
+        if self.channels == (channel,):
+            return self
+        there = tuple(axis for axis in self.axes if axis.bus.channel == channel)
+        if not there:
+            raise KeyError(f"the rig has no bus '{channel}'; it has {', '.join(self.channels)}")
+        values = read_toml(self._spelled).values
+        values["axis"] = {axis.name: values["axis"][axis.name] for axis in there}
+        return replace(self, axes=there, _spelled=_spelled(self.name, values))
+
+    @property
+    def path(self) -> str:
+        """The file that the rig was read from."""
+        return self.origin.path
+
+    @property
+    def text(self) -> str:
+        """The source text, without overrides."""
+        return self.origin.text
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The overrides, as they were given."""
+        return self.origin.overrides
+
+    @property
+    def law_of_recording(self) -> bool:
+        """Whether nobody but a recording names the law: then it is run only if it is one of the
+        project's own.
+        """
+        return self.axes[0].law_of_recording
+
+    @property
+    def law_directory(self) -> Path:
+        """Where the file of a law is looked for before the current folder: beside the rig file,
+        never beside a recording.
+        """
+        return self.axes[0].law_directory
+
+    @property
+    def eds_texts(self) -> Mapping[str, str]:
+        """The EDS files' texts by the names that the rig file has for them; a recording attaches
+        them.
+        """
+        return {node.part.eds: node.description.text for node in self.nodes}
+
+    @property
+    def nodes(self) -> tuple[RigNode, ...]:
+        """The devices of all axes: motor, brake and sensors of the first, of the second ..."""
+        return tuple(
+            RigNode(axis.prefix + node, node, axis.part(node), axis.description(node))
+            for axis in self.axes
+            for node in axis.devices
+        )
+
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """Return the PDOs that the host uses of all axes, with their signals."""
+        return tuple(pdo for axis in self.axes for pdo in axis.pdos())
+
+    def effective(self) -> str:
+        """Return the configuration after overrides as TOML text; loading it gives an equal rig."""
+        return self._effective
+
+    @cached_property
+    def _effective(self) -> str:
+        return self._spelled or _emitted(self.axes[0])
+
+    def variant(self, *overrides: str) -> Rig:
+        """Return the rig with further overrides, as ``--set`` takes them."""
+        wrong = next((one for one in overrides if not isinstance(one, str)), None)
+        if wrong is not None:
+            raise WrongCall(f"{wrong!r} is no override: expected texts, as in variant('mode.active.F_s_Nm=1.0')")
+        if not overrides:
+            return self
+        attached = self.origin.attached
+        found = _load(self.effective(), self.path, self.eds_texts, overrides, [], attached, self.axes)
+        both = (*self.overrides, *overrides)  # of the text as it is: `Axis.mistake` says where a value came from
+        return self._as_said(_from(found, replace(found.origin, text=self.text, overrides=both)))
+
+    def with_law(self, name: str) -> Rig:
+        """Return the rig with another law, for all its axes."""
+        own = read_toml(self._spelled).values["axis"] if self._spelled else {}
+        named = [axis for axis, values in own.items() if "function" in values.get("law", ())]
+        return self.variant(f'law.function="{name}"', *(f'axis.{axis}.law.function="{name}"' for axis in named))
+
+    def _identity(self) -> tuple[str, tuple[tuple[str, str], ...]]:
+        return self.effective(), tuple(sorted(self.eds_texts.items()))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Rig) and self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())
+
+    def __copy__(self) -> Rig:
+        return self  # frozen
+
+    def __deepcopy__(self, memo: dict[int, Any] | None = None) -> Rig:
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reload, (self.effective(), self.path, dict(self.eds_texts), self.origin.attached, self.origin.law_named)
+
+
+def _from(rig: Rig, origin: Origin) -> Rig:
+    """Return `rig` with another origin."""
+    return replace(rig, axes=tuple(axis.from_origin(origin) for axis in rig.axes), origin=origin)
+
+
+def _spelled(name: str, values: Table) -> str:
+    return emit(values, f"The rig {name} as it was used, overrides included.")
+
+
+def _emitted(axis: Axis) -> str:
+    return _spelled(axis.rig.name, axis.model_dump(by_alias=True))
+
+
+def _reload(text: str, path: str, eds_texts: Mapping[str, str], attached: bool, law_named: bool) -> Rig:
+    rig = load_rig_text(text, path, eds_texts, attached=attached)
+    return _from(rig, replace(rig.origin, law_named=law_named))
+
+
+def packaged_rig(name: str) -> Path:
+    """Return the file of a rig of the package."""
+    return Path(str(resources.files("coulombus.rigs") / f"{name}.toml"))
+
+
+def known_rigs() -> tuple[str, ...]:
+    """Return the names of the package's rigs."""
+    return tuple(
+        sorted(entry.name[:-5] for entry in resources.files("coulombus.rigs").iterdir() if entry.name.endswith(".toml"))
+    )
+
+
+def load_rig(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig:
+    """Load a rig by its name in the package, or from a file (a path has a separator or ends in
+    .toml).
+
+    Parameters
+    ----------
+    name_or_path : str, os.PathLike
+        "bench", "paper", or a path.
+    overrides : sequence of str
+        "SECTION.KEY=VALUE", a TOML value: "mode.active.F_s_Nm=1.0", "phase.1.duration_s=2" (phases
+        count from 0).
+
+    Raises
+    ------
+    RigError
+        With every mistake that was found.
+    coulombus.rigs.arguments.WrongCall
+        `name_or_path` is neither a name nor a path, or `overrides` no list of texts.
+    """
+    if isinstance(name_or_path, Rig):
+        raise WrongCall(f"load_rig() is given the rig {name_or_path.name}, which is loaded already: use it as it is")
+    name = path_text(name_or_path, "the rig", 'load_rig("bench")')
+    overrides, path = texts(overrides, "overrides", "mode.active.F_s_Nm=1.0"), Path(name)
+    if isinstance(name_or_path, str) and not ("/" in name or name.endswith(".toml")):
+        known = known_rigs()
+        if name not in known:
+            wanted = f"expected one of {', '.join(known)}, or a path such as ./{Path(name).stem or 'my-rig'}.toml"
+            raise RigError([f"--rig {name or chr(39) * 2}: no rig of this name; {wanted}{_meant(path, known)}"])
+        path = packaged_rig(name)
+    try:
+        raw = read_regular(path, MOST_CHARACTERS)
+    except OSError as error:
+        known_names = ", ".join(known_rigs())
+        reason = f"cannot be read ({error.strerror}); expected a rig file, or one of the rigs {known_names}"
+        raise RigError([f"{path}: {reason}"]) from error
+    try:
+        text = raw.decode("utf-8-sig")
+        broken = []
+    except UnicodeDecodeError as error:
+        if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise RigError([f"{path}:1: the file is UTF-16; save it as UTF-8"]) from None
+        line = raw[: error.start].count(b"\n") + 1
+        text = raw.decode("utf-8", "replace").removeprefix("\ufeff")
+        broken = [(line, f"{path}:{line}: the byte 0x{raw[error.start]:02X} is not UTF-8; save the file as UTF-8")]
+    return _load(text, str(path), None, overrides, broken)
+
+
+def _meant(path: Path, known: Sequence[str]) -> str:
+    """Return what to do where `path` names no rig file, but something else that there is."""
+    if path.suffix.lower() in (".eds", ".dcf"):
+        return f"; an EDS file becomes a rig file by coulombus init --drive {shell(str(path))} --brake bench -o my-rig.toml"
+    if path.suffix == ".pcapng":
+        return "; this is the name of a recording, and its rig is attached to it"
+    return f"; {path} is a folder" if path.is_dir() else nearest(str(path), known)
+
+
+def load_rig_text(
+    text: str,
+    name: str,
+    eds_texts: Mapping[str, str] | None = None,
+    overrides: Sequence[str] = (),
+    *,
+    attached: bool = False,
+) -> Rig:
+    """Load a rig from its text; `name` stands in for the file in errors, and gives the folder for
+    relative paths.
+
+    With `eds_texts` (by the names that the rig file has for them) no EDS file is read. With
+    `attached` the text is of a recording, perhaps a stranger's: no file is read at all, and its law
+    is run only if it is one of the project's own, or named by an override.
+
+    Raises
+    ------
+    RigError
+        With every mistake that was found.
+    """
+    return _load(text, name, {} if attached and eds_texts is None else eds_texts, overrides, [], attached)
+
+
+def _load(
+    text: str,
+    path: str,
+    eds_texts: Mapping[str, str] | None,
+    overrides: Sequence[str],
+    broken: Sequence[tuple[float, str]],
+    attached: bool = False,
+    earlier: Sequence[Axis] = (),
+) -> Rig:
+    """Load a rig: `load_rig_text`. The `earlier` axes lend those that have the same devices what was found of these."""
+    document = read_toml(text)
+    source = Source(path, document, found=list(broken))
+    source.found += [(line, f"{path}:{line}: {problem}") for line, problem in document.problems]
+    values = document.values
+    axes_of_file = set(values["axis"]) if isinstance(values.get("axis"), dict) else set()
+    for override in overrides:
+        apply_override(values, override, source)
+    for name in set(values.get("axis", ())) - axes_of_file:
+        known = ", ".join(sorted(axes_of_file)) or "none: the file has no [axis.NAME]"
+        source.say(("axis", name), f"there is no such axis; the rig's axes are {known}")
+        if axes_of_file:
+            del values["axis"][name]
+    named = split_axes(values, source)
+    own_values = {"": values} if named is None else named
+    sources = {"": source} if named is None else {name: source.of_axis(name) for name in named}
+    before = {axis.name: axis for axis in earlier}
+    parts = [
+        _Parts.of(name, own, sources[name], eds_texts, attached=attached, earlier=before.get(name))
+        for name, own in own_values.items()
+    ]
+    if named is not None:
+        check_axes(named, sources)
+        for one in sources.values():
+            source.found += one.found
+            source.lacking += one.lacking
+            source.problems += one.problems
+    source.raise_all()
+    law_named = any(override.partition("=")[0].strip().endswith("law.function") for override in overrides)
+    origin = Origin(path, text, tuple(overrides), attached, law_named)
+    axes = tuple(part.axis(name, origin) for name, part in zip(own_values, parts, strict=True))
+    warnings = [text for name, own in own_values.items() for text in remarks(own, sources[name])]
+    spelled = "" if named is None else _spelled(axes[0].rig.name, values)
+    return Rig(axes, origin, tuple(dict.fromkeys(warnings)), spelled)
+
+
+class _Unnamed:
+    """An axis while it is checked: its sections, and what the EDS files say of its devices
+    (`rigs.signals.Parts`).
+    """
+
+    def __init__(self, sections: Sections, descriptions: Mapping[Node, Description]) -> None:
+        self._sections, self._descriptions = sections, descriptions
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sections, name)
+
+    def description(self, node: Node) -> Description:
+        """Return what the EDS file says of a device."""
+        return self._descriptions[node]
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """What an axis is made of; `sections` is None where they are refused."""
+
+    sections: Sections | None
+    descriptions: Mapping[Node, Description]
+    allocation: AxisPdos | None = None
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        values: dict[str, Any],
+        source: Source,
+        eds_texts: Mapping[str, str] | None,
+        *,
+        attached: bool,
+        earlier: Axis | None,
+    ) -> _Parts:
+        """Validate the values of one axis; mistakes are noted in `source`."""
+        read_schedules(values, source, attached=attached)
+        sections: Sections | None = None
+        try:
+            sections = Sections.model_validate(values)
+        except ValidationError as error:
+            explain(error, values, Sections, source)
+        check(values, source)
+        descriptions = read_descriptions(values, source, eds_texts)
+        allocation = None
+        if sections is not None and len(descriptions) == len(sections.devices):
+            if earlier is not None and earlier.has_devices_of(sections, descriptions):
+                allocation = earlier.allocation
+            else:
+                parts = _Unnamed(sections, descriptions)
+                allocation = allocate(parts, f"{name}." if name else "")
+                check_roles(allocation.problems, parts, values, source)
+        if sections is None and not source.found:
+            raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
+        return cls(sections, descriptions, allocation)
+
+    def axis(self, name: str, origin: Origin) -> Axis:
+        """Return the axis; nothing of it was refused."""
+        assert self.sections is not None
+        return Axis.of(self.sections, name, self.descriptions, origin, self.allocation)

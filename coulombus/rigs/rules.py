@@ -1,0 +1,271 @@
+"""What several keys of a rig file must be together, and what is allowed but may not be meant."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations, pairwise, permutations
+from typing import Any
+
+from coulombus.rigs.axes import TAKEN, device_keys
+from coulombus.rigs.detail_rules import check_detail
+from coulombus.rigs.devices import SENSOR_NAME
+from coulombus.rigs.errors import Source, dotted, shown
+from coulombus.rigs.files import COLUMNS
+from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, MOST_DEVICES, WORK_WINDOW_CYCLES, to_ns
+from coulombus.rigs.problem import Problem
+from coulombus.rigs.signals import Parts
+from coulombus.rigs.toml_lines import Key, Table
+
+__all__ = ["check", "check_roles", "remarks"]
+
+INT16_MAX = 32767
+WITH_F_S = "karnopp"
+"""The project's law that uses the mode's F_s; a user's own law (FILE:NAME) may."""
+NODES = ("host", "motor", "brake")
+SIMULATION = ("plant", "operator")
+"""Sections of a rig that is simulated; the host needs none of them."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """`holds` over the values of `keys`.
+
+    When it does not, the first key is named and `expected` is formatted.
+    """
+
+    keys: tuple[Key, ...]
+    holds: Callable[..., bool]
+    expected: str
+
+
+def _key(path: str) -> Key:
+    return tuple(path.split("."))
+
+
+def _rule(paths: str, holds: Callable[..., bool], expected: str) -> Rule:
+    return Rule(tuple(_key(path) for path in paths.split()), holds, expected)
+
+
+def _less(first: float, second: float) -> bool:
+    return first < second
+
+
+def _at_most(first: float, second: float) -> bool:
+    return first <= second
+
+
+def _at_most_of_law(first: float, second: float, law: str) -> bool:
+    return (law.strip() != WITH_F_S and ":" not in law) or first <= second
+
+
+def _zero(value: float) -> bool:
+    return value == 0
+
+
+RULES = (
+    _rule(
+        "bus.period_s plant.step_s",
+        lambda period, step: to_ns(step) > 0 and to_ns(period) % to_ns(step) == 0,
+        "a whole multiple of plant.step_s, which is {1}",
+    ),
+    _rule("bus.tpdo_window_s bus.period_s", _less, "less than bus.period_s, which is {1}"),
+    _rule(
+        "bus.delay_cycles bus.actuation",
+        lambda cycles, actuation: cycles == 1 or actuation == "next_sync",
+        "no such key, or bus.actuation = 'next_sync': only that delays by whole cycles",
+    ),
+    *(
+        _rule(
+            f"{second}.node_id {first}.node_id", lambda a, b: a != b, f"another id than {first}.node_id, which is {{1}}"
+        )
+        for first, second in combinations(NODES, 2)
+    ),
+    *(
+        _rule(
+            f"{beat}.heartbeat_s {watch}.heartbeat_timeout_s",
+            _less,
+            f"less than {watch}.heartbeat_timeout_s, which is {{1}}",
+        )
+        for beat, watch in (("host", "motor"), ("host", "brake"), ("motor", "motor"), ("brake", "brake"))
+    ),
+    *(
+        _rule(
+            f"{node}.{key} bus.period_s",
+            lambda timeout, period: timeout > period,
+            "more than bus.period_s, which is {1}",
+        )
+        for node in ("motor", "brake")
+        for key in ("setpoint_fault_s", "sync_timeout_s")
+    ),
+    _rule("mode.passive.motor_limit_Nm", _zero, "0: the motor has no part in this mode"),
+    _rule("mode.passive.compensation", _zero, "0: the motor has no part in this mode"),
+    _rule("limits.brake_torque_Nm brake.rated_torque_Nm", _at_most, "at most brake.rated_torque_Nm, which is {1}"),
+    _rule(
+        "limits.net_work_window_s bus.period_s",
+        lambda window, period: window <= WORK_WINDOW_CYCLES * period,
+        f"at most {WORK_WINDOW_CYCLES} x bus.period_s, which is {{1}}",
+    ),
+    _rule("plant.brake_off_state_Nm plant.brake_max_Nm", _at_most, "at most plant.brake_max_Nm, which is {1}"),
+    _rule(
+        "limits.sign_check_travel_rad limits.travel_rad",
+        lambda check, travel: travel == "unlimited" or check < travel,
+        "less than limits.travel_rad, which is {1}",
+    ),
+)
+
+PER_MILLE_RULES = tuple(
+    _rule(
+        f"mode.{mode}.motor_limit_Nm motor.rated_torque_Nm mechanics.ratio",
+        lambda limit, rated, ratio: limit <= INT16_MAX * 1e-3 * rated * ratio,
+        "at most 32.767 x motor.rated_torque_Nm x mechanics.ratio, as 6071 is an INTEGER16 in per mille",
+    )
+    for mode in MODES
+)
+"""They hold of 6071h.
+
+Another object's type and limits are looked at when the limit is made of it.
+"""
+
+REMARKS = (
+    _rule("bus.bitrate_bit_s", lambda rate: rate in CIA_301_BIT_RATES, "one of CiA 301's bit rates for a real bus"),
+    _rule("bus.delay_cycles", lambda cycles: cycles == 1,
+          "no such key, unless a longer delay is studied in virtual time: coulombus run refuses it"),
+    *(
+        _rule(f"plant.{key} mechanics.{key}", lambda truth, belief: truth == belief,
+              f"the same as mechanics.{key} ({{1}}), unless a wrong rig is to be simulated")
+        for key in ("motor_polarity", "encoder_polarity", "transducer_polarity", "ratio")
+    ),
+    _rule("plant.encoder_counts_rev motor.encoder_counts_rev", lambda truth, belief: truth == belief,
+          "the same as motor.encoder_counts_rev ({1}), unless a wrong rig is to be simulated"),
+    _rule("plant.motor_rated_torque_Nm motor.rated_torque_Nm", lambda truth, belief: truth == belief,
+          "the same as motor.rated_torque_Nm ({1}), unless a wrong rig is to be simulated"),
+    *(
+        _rule(f"mode.{mode}.F_d_Nm mode.{mode}.F_s_Nm law.function", _at_most_of_law,
+              "at most F_s_Nm ({1}): this friction grows when it slips")
+        for mode in MODES
+    ),
+    _rule("mode.active.F_s_Nm mode.active.motor_limit_Nm law.function", _at_most_of_law,
+          "at most motor_limit_Nm ({1}), which cuts it off"),
+    *(
+        _rule(f"mode.{mode}.F_s_Nm limits.brake_torque_Nm law.function", _at_most_of_law,
+              "at most limits.brake_torque_Nm ({1}), which cuts it off")
+        for mode in ("passive", "hybrid")
+    ),
+    *(
+        _rule(f"mode.{mode}.motor_limit_Nm mode.{mode}.compensation mechanics.friction_Nm",
+              lambda limit, share, friction: share * friction <= limit,
+              "at least compensation x mechanics.friction_Nm ({1} x {2}), else it is cut off")
+        for mode in MODES
+    ),
+)  # fmt: skip
+
+
+def _rules_of_sensors(values: Table) -> Iterator[Rule]:
+    """Yield for each sensor what holds for motor and brake: an id of its own, heartbeats faster
+    than their time-outs.
+    """
+    others: list[Key] = [("host",), ("motor",), ("brake",)]
+    for key in device_keys(values)[2:]:
+        for other in others:
+            told = f"another id than {dotted(other)}.node_id, which is {{1}}"
+            yield Rule(((*key, "node_id"), (*other, "node_id")), lambda a, b: a != b, told)
+        others.append(key)
+        for beat in (("host",), key):
+            told = f"less than {dotted(key)}.heartbeat_timeout_s, which is {{1}}"
+            yield Rule(((*beat, "heartbeat_s"), (*key, "heartbeat_timeout_s")), _less, told)
+
+
+def _broken_rules(rules: Iterable[Rule], values: Table, source: Source) -> Iterator[tuple[Key, Any, str]]:
+    for rule in rules:
+        if any(source.is_wrong(key) for key in rule.keys):
+            continue
+        found: list[Any] = []
+        for key in rule.keys:
+            value: Any = values
+            for part in key:
+                value = value.get(part) if isinstance(value, Mapping) else None
+            found.append(value)
+        if None not in found and not rule.holds(*found):
+            yield rule.keys[0], found[0], rule.expected.format(*map(shown, found))
+
+
+def check(values: Table, source: Source) -> None:
+    """Note what is wrong between keys that are right by themselves."""
+    roles = values.get("role")
+    per_mille = not (isinstance(roles, Mapping) and "torque_setpoint" in roles)
+    rules = (*RULES, *(PER_MILLE_RULES if per_mille else ()), *_rules_of_sensors(values))
+    for key, value, wanted in list(_broken_rules(rules, values, source)):
+        source.stands(key, value, wanted)
+    check_detail(values, source)
+    for key in device_keys(values)[2:]:
+        if not re.fullmatch(SENSOR_NAME, str(key[-1])) or key[-1] in TAKEN:
+            wanted = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(TAKEN)
+            source.say(key, f"'{key[-1]}' names a sensor; expected {wanted}")
+    if len(device_keys(values)) > MOST_DEVICES:
+        source.say(("sensor",), f"got {len(device_keys(values)) - 2} sensors, expected at most {MOST_DEVICES - 2}")
+    for one, other in permutations(SIMULATION):
+        if one in values and other not in values:
+            source.say(
+                (other,),
+                f"the section is missing; expected [{other}] beside [{one}], or none of them: a simulated rig needs both",
+            )
+    modes = values.get("mode")
+    if isinstance(modes, Mapping) and not modes.keys() & set(MODES) and not source.is_wrong(("mode",)):
+        wanted = ", ".join(f"[mode.{mode}]" for mode in MODES)
+        source.say(("mode",), f"no mode is given; expected at least one of {wanted}")
+    phases = values.get("phase")
+    for i, phase in enumerate(phases if isinstance(phases, list) else ()):
+        kind = phase.get("kind") if isinstance(phase, dict) else None
+        if isinstance(kind, str) and kind in COLUMNS and not source.is_wrong(("phase", i)):
+            _check_columns(phase, ("phase", i), COLUMNS[kind][1], source)
+
+
+def check_roles(problems: Iterable[Problem], parts: Parts, values: Table, source: Source) -> None:
+    """Note which roles of an axis no object has, and which finds no place in a PDO: the problems of
+    its `rigs.pdo_maps.allocate`.
+    """
+    for problem in problems:
+        said = values.get("role", {}).get(problem.role)
+        if problem.role == "deadman":
+            source.stands(("host", "deadman"), parts.host.deadman, problem.text)
+        elif said is not None:
+            source.say(("role", problem.role), str(problem))
+        else:
+            node = problem.node if problem.node in parts.devices else "motor"
+            device = next(key for key in device_keys(values) if key[-1] == node)
+            source.say((*device, "eds"), f"got '{parts.part(node).eds}', but {problem}")
+        source.problems.append(problem)
+
+
+def _check_columns(phase: Table, key: Key, column: str, source: Source) -> None:
+    times, torques = phase.get("t_s"), phase.get(column)
+    if (
+        not isinstance(times, list)
+        or not isinstance(torques, list)
+        or any(source.is_wrong((*key, one)) for one in ("t_s", column))
+    ):
+        return
+    if len(times) != len(torques) or len(times) < 2:
+        source.say(
+            (*key, column),
+            f"got {len(torques)} values where t_s has {len(times)}, expected as many, two or more",
+        )
+    elif times[0] < 0 or any(later <= earlier for earlier, later in pairwise(times)):
+        source.stands((*key, "t_s"), times, "times that grow, from 0 on")
+
+
+def remarks(values: Table, source: Source) -> tuple[str, ...]:
+    """Return what is allowed and yet may not be meant, with file:line."""
+    found = [
+        f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.said(wanted)}"
+        for key, value, wanted in _broken_rules(REMARKS, values, source)
+    ]
+    for i, phase in enumerate(values.get("phase", ())):
+        for tap in phase.get("taps_s", ()) if phase["kind"] == "hold" else ():
+            if tap >= phase["duration_s"]:
+                key = ("phase", i, "taps_s")
+                text = f"the tap at {shown(tap)} comes after the phase's end ({shown(phase['duration_s'])} s)"
+                found.append(f"{source.where(key)[1]}: {source.spelled(key)}: {text}; expected a tap within the phase")
+    return tuple(found)

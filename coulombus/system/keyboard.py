@@ -1,0 +1,72 @@
+"""The keys of the terminal while a verb runs, each as it is struck."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import termios
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Self
+
+from coulombus.system.watch_thread import Lookout
+
+__all__ = ["Keys", "in_foreground"]
+
+FROM_BEHIND = {signal.SIGTTIN, signal.SIGTTOU}
+"""They would stop a process that has been sent to the background, as soon as it reads a key."""
+
+
+def in_foreground() -> bool:
+    """Tell whether the standard input is a terminal whose keys are this process'."""
+    try:
+        return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except (OSError, ValueError):
+        return False
+
+
+class Keys:
+    """Watches the terminal in a thread, and calls ``struck(strokes)`` there; ``ended()`` when it
+    watches no more, be it by an error.
+
+    What was struck before is forgotten, or given to `earlier`.
+    """
+
+    def __init__(
+        self,
+        struck: Callable[[bytes], None],
+        ended: Callable[[], None] = lambda: None,
+        earlier: Callable[[bytes], None] | None = None,
+    ) -> None:
+        self._fd, self._call, self._earlier = sys.stdin.fileno(), struck, earlier
+        self._lookout = Lookout("keys", self._watch, ended)
+        self._mode: list[Any] = []
+
+    def __enter__(self) -> Self:
+        self._mode = termios.tcgetattr(self._fd)
+        tty.setcbreak(self._fd, termios.TCSAFLUSH if self._earlier is None else termios.TCSADRAIN)
+        if self._earlier is not None and select.select([self._fd], [], [], 0)[0]:
+            self._earlier(os.read(self._fd, 4096))
+        self._lookout.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._lookout.end()
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)
+        with suppress(termios.error):
+            termios.tcsetattr(self._fd, termios.TCSAFLUSH, self._mode)  # the repeats that wait are not for the shell
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+    def _watch(self) -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)
+        while self._lookout.ready([self._fd]) is not None:
+            strokes = os.read(self._fd, 64)  # OSError, or nothing: the terminal is gone, or another's
+            if not strokes:
+                return
+            self._call(strokes)

@@ -1,0 +1,196 @@
+"""The name of a bus: ``coulombus:bench`` is a virtual bus of this
+project, ``socketcan:can0`` an interface of Linux.
+
+A virtual bus is a socket in a private directory of the user: ``$XDG_RUNTIME_DIR/coulombus`` where
+the system provides one, else ``coulombus-UID`` in the directory for temporary files. Whoever can
+enter that directory can move the motor, so it has mode 0700, and is refused with any other mode or
+owner (`coulombus.system.private_folder`).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, TypeAlias, get_args
+
+from coulombus.system.private_folder import make_private, reason_against
+from coulombus.system.quoting import INTERFACE
+
+__all__ = [
+    "AddressError",
+    "BusAddress",
+    "BusUnavailable",
+    "bus_names",
+    "default_address",
+    "live_bus_names",
+    "parse_address",
+    "socket_path",
+]
+
+Kind: TypeAlias = Literal["coulombus", "socketcan"]
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_SUN_PATH = 107  # bytes of a socket's path, without the closing zero byte: unix(7)
+_RESERVED = ".host"  # the control socket of the host on bus NAME is NAME.host
+
+
+class AddressError(ValueError):
+    """A bus address that cannot be meant; the text says what can."""
+
+    exit_status = 2
+
+
+class BusUnavailable(OSError):
+    """No bus answers at this address; the text says how to get one."""
+
+    exit_status = 4
+
+    def __str__(self) -> str:
+        return str(self.args[-1]) if self.args else ""  # without OSError's "[Errno 104]": the text is for people
+
+
+@dataclass(frozen=True)
+class BusAddress:
+    """Where a bus is: its kind and its name there. ``str()`` is the
+    form that `parse_address` reads.
+
+    `start` is the command that serves the bus with the rig that is
+    looked for there, where that is known; it makes no other bus of it.
+    """
+
+    kind: Kind
+    name: str
+    start: str = field(default="", compare=False)
+
+    def __str__(self) -> str:
+        return f"{self.kind}:{self.name}"
+
+
+def default_address(rig_name: str) -> BusAddress:
+    """Return the virtual bus of a rig: ``coulombus:RIG``, what cannot
+    stand in a name replaced by ``-``.
+    """
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.").removesuffix(_RESERVED) or "bus"
+    return BusAddress("coulombus", name)
+
+
+def parse_address(text: str) -> BusAddress:
+    """Return the address that `text` names.
+
+    Raises
+    ------
+    AddressError
+        (a ValueError) The text names no bus; the message says what would.
+    """
+    kind, colon, name = text.partition(":")
+    if kind not in get_args(Kind) or not colon:
+        bare = text if not colon and _NAME.fullmatch(text) else name or "bench"
+        if colon and kind not in get_args(Kind):
+            raise AddressError(
+                f"bus {text!r}: there is no kind of bus {kind!r}; expected coulombus:NAME for a virtual bus or "
+                "socketcan:IF for a CAN interface of Linux, as in socketcan:can0, which the card's driver makes"
+            )
+        raise AddressError(
+            f"bus {text!r}: expected KIND:NAME; write coulombus:{bare} for a virtual bus or socketcan:{bare} for a "
+            "SocketCAN interface"
+        )
+    if kind == "socketcan":
+        if not INTERFACE.fullmatch(name):
+            raise AddressError(
+                f"bus {text!r}: expected the name of a network interface, as in socketcan:can0: 1 to 15 letters (A-Z, "
+                "a-z), digits, '_', '-' and '.', not starting with '-' or '.'; another name goes into files of a "
+                "shell and of systemd: ip link set NAME name can0"
+            )
+        return BusAddress("socketcan", name)
+    _check_name(name)
+    if name.endswith(_RESERVED):
+        raise AddressError(f"bus {text!r}: names that end in {_RESERVED} are kept for the host's control socket")
+    return BusAddress("coulombus", name)
+
+
+def _check_name(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise AddressError(
+            f"bus name {name!r}: expected letters, digits, '_', '-' and '.', not starting with '-' or '.', "
+            "as in coulombus:bench"
+        )
+
+
+def socket_path(name: str) -> Path:
+    """Return the path of the socket `name`, in a directory that is
+    made if need be and is this user's alone.
+
+    Raises
+    ------
+    AddressError
+        The name has a character that a name cannot have, or is too long for a socket's address.
+    BusUnavailable
+        The directory belongs to somebody else, or others may enter it.
+    """
+    _check_name(name)
+    path = _directory() / name
+    excess = len(os.fsencode(path)) - _SUN_PATH
+    if excess > 0:
+        raise AddressError(
+            f"bus name {name!r}: {path} is {excess} bytes longer than the {_SUN_PATH} of a socket's path; "
+            "use a shorter name, or set XDG_RUNTIME_DIR or TMPDIR to a shorter path"
+        )
+    _make_private(path.parent)
+    return path
+
+
+def bus_names() -> list[str]:
+    """Return the names of the virtual buses whose sockets are there,
+    dead ones of killed processes among them.
+    """
+    try:
+        found = sorted(path.name for path in _directory().iterdir() if path.is_socket())
+    except OSError:
+        return []
+    return [name for name in found if _NAME.fullmatch(name) and not name.endswith(_RESERVED)]
+
+
+def live_bus_names() -> list[str]:
+    """Return the names of the virtual buses that a process serves."""
+    return [name for name in bus_names() if _answers(_directory() / name)]
+
+
+def _answers(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK) as probe:
+        try:
+            probe.connect(str(path))
+        except BlockingIOError:  # the queue of those who wait is full: it lives
+            return True
+        except OSError:
+            return False
+    return True
+
+
+def _directory() -> Path:
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    if os.path.isabs(runtime):
+        try:
+            # after `su` the variable may still name the other user's directory
+            if os.stat(runtime).st_uid == os.geteuid():
+                return Path(runtime, "coulombus")
+        except OSError:
+            pass
+    return Path(tempfile.gettempdir(), f"coulombus-{os.geteuid()}")
+
+
+def _make_private(directory: Path) -> None:
+    try:
+        make_private(directory)
+        why = reason_against(directory)
+    except OSError as error:
+        raise BusUnavailable(
+            error.errno, f"cannot use {directory} for the sockets of virtual buses: {error.strerror}"
+        ) from None
+    if why:
+        raise BusUnavailable(
+            f"refused for the sockets of virtual buses: {why}; or set XDG_RUNTIME_DIR to a folder of yours"
+        )

@@ -1,0 +1,106 @@
+"""A CAN frame as the kernels see it, and the queue in which frames wait.
+
+All integers are int64. `word` holds the eight data bytes in little-endian order: byte 0 of the
+frame is bits 0-7, as in the second half of Linux's 16-byte ``struct can_frame`` read on a
+little-endian machine. `can_id` carries Linux's flags ``CAN_EFF_FLAG``, ``CAN_RTR_FLAG`` and
+``CAN_ERR_FLAG``.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.kernels.records import Record, Records, new_records
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.data_word import data_bytes, data_word
+
+__all__ = [
+    "CAN_EFF_FLAG",
+    "CAN_ERR_FLAG",
+    "CAN_RTR_FLAG",
+    "FRAME",
+    "QUEUE",
+    "QUEUE_CAPACITY",
+    "Queue",
+    "Record",
+    "Records",
+    "arbitration_key",
+    "data_bytes",
+    "data_word",
+    "frames",
+    "new_queue",
+    "new_records",
+    "push",
+]
+
+Queue: TypeAlias = Record
+"""A record of `QUEUE`: the frames that stations ask the bus to send."""
+
+FRAME = np.dtype(
+    [
+        ("t_ns", np.int64),  # ready to be sent (in a queue), or end of frame (in a log)
+        ("can_id", np.int64),
+        ("length", np.int64),  # data bytes, 0-8
+        ("word", np.int64),  # little-endian word of the eight data bytes, 0 beyond `length`
+        ("source", np.int64),  # number of the sending station
+    ],
+    align=True,
+)
+
+QUEUE_CAPACITY = 1024
+QUEUE = np.dtype(
+    [
+        ("count", np.int64),
+        ("dropped", np.int64),
+        ("waiting", np.int64),  # frames that the bus has taken over and not sent yet, as far as it has told
+        ("frames", FRAME, (QUEUE_CAPACITY,)),  # the first `count` of them
+    ],
+    align=True,
+)
+
+
+def frames(capacity: int) -> Records:
+    """Return `capacity` empty frames."""
+    return new_records(FRAME, capacity)
+
+
+def new_queue() -> Queue:
+    """Return an empty queue: one record of `QUEUE`, which kernels take by reference."""
+    queue: Queue = new_records(QUEUE)[0]
+    return queue
+
+
+@inlined
+def arbitration_key(can_id: int) -> int:
+    """Return the arbitration field as a number: the lower one wins the bus.
+
+    The bits of the field in their order on the wire, 32 of them: base identifier
+    (11), RTR or SRR, IDE, identifier extension (18), RTR (ISO 11898-1).
+    """
+    if can_id & CAN_EFF_FLAG:
+        base = (can_id >> 18) & 0x7FF
+        remote = 1 if can_id & CAN_RTR_FLAG else 0
+        return (base << 21) | (0b11 << 19) | ((can_id & 0x3FFFF) << 1) | remote
+    remote = 1 if can_id & CAN_RTR_FLAG else 0
+    return ((can_id & 0x7FF) << 21) | (remote << 20)
+
+
+@kernel
+def push(out: Queue, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
+    """Append a frame that is ready at `t_ns`; when the queue is full
+    the frame is dropped and counted.
+    """
+    count = out.count
+    if count >= QUEUE_CAPACITY:
+        out.dropped += 1
+        return
+    frame = out.frames[count]
+    frame.t_ns = t_ns
+    frame.can_id = can_id
+    frame.length = length
+    frame.word = data
+    frame.source = source
+    out.count = count + 1

@@ -1,0 +1,69 @@
+"""Identifiers as a user writes them: ``181``, ``180-1FF``,
+``00000123x``; numbers are hexadecimal, 8 digits (or x) mean extended.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_RTR_FLAG
+
+__all__ = ["IdentifierError", "Ranges", "among", "parse_identifiers"]
+
+Ranges = tuple[tuple[int, int], ...]
+"""Inclusive ranges of identifiers with CAN_EFF_FLAG."""
+
+_PART = re.compile(r"(0x)?([0-9A-F]+)(X?)", re.I)
+
+
+class IdentifierError(ValueError):
+    """No identifiers; the text says what would be."""
+
+    exit_status = 2
+
+
+def parse_identifiers(text: str) -> Ranges:
+    """Return the ranges that `text` names, a list with commas.
+
+    Raises
+    ------
+    IdentifierError
+        A part is no identifier, too large, or a range that ends before it begins.
+    """
+    return tuple(_range(part.strip()) for part in text.split(","))
+
+
+def _range(part: str) -> tuple[int, int]:
+    low, dash, high = part.partition("-")
+    first = _number(low, part)
+    last = _number(high, part) if dash else first
+    if last < first or (first ^ last) & CAN_EFF_FLAG:
+        raise IdentifierError(f"identifiers {part!r}: a range goes from a lower to a higher identifier of one length")
+    return first, last
+
+
+def _number(text: str, part: str) -> int:
+    found = _PART.fullmatch(text.strip())
+    if found is None:
+        raise IdentifierError(f"identifiers {part!r}: expected hexadecimal numbers, as in 181,200-27F,00000123x")
+    value, extended = int(found[2], 16), bool(found[3]) or len(found[2]) > 3
+    if value > (0x1FFFFFFF if extended else 0x7FF):
+        raise IdentifierError(
+            f"identifiers {part!r}: the highest one is 7FF, extended (more than 3 digits, or x) 1FFFFFFF"
+        )
+    return value | (CAN_EFF_FLAG if extended else 0)
+
+
+def among(can_ids: npt.NDArray[np.int64] | Iterable[int], ranges: Ranges) -> npt.NDArray[np.bool_]:
+    """Return which identifiers (with flags) are in one of the ranges;
+    whether a frame is a remote one does not matter.
+    """
+    bare = np.asarray(can_ids, np.int64) & ~CAN_RTR_FLAG
+    found = np.zeros(bare.shape, bool)
+    for low, high in ranges:
+        found |= (bare >= low) & (bare <= high)
+    return found

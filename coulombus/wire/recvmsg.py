@@ -1,0 +1,103 @@
+"""One message from a socket, with the kernel's time stamp: recvmsg(2) for compiled loops.
+
+A mailbox is one record that holds the struct msghdr, the struct iovec and the room for control
+messages, and an array of int64 words for the data: two words are one ``struct can_frame``.
+`receive` works on both kinds of bus, AF_UNIX and AF_CAN, when SO_TIMESTAMPNS is set on the socket
+(and SO_RXQ_OVFL, on AF_CAN).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import socket
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.libc import MSG_TRUNC, recvmsg
+from coulombus.wire.ancillary import (
+    CONTROL_WORDS,
+    OVERFLOW,
+    SECOND_NS,
+    SO_RXQ_OVFL,
+    SO_TIMESTAMPNS,
+    STAMP,
+    STAMP_NEW,
+)
+from coulombus.wire.frame import Records, new_records
+
+__all__ = ["MAILBOX", "ask_for_stamps", "new_mailbox", "receive", "set_up"]
+
+MAILBOX = np.dtype(
+    [
+        # struct msghdr
+        ("name", np.int64),
+        ("name_length", np.int64),
+        ("iov", np.int64),
+        ("iov_length", np.int64),
+        ("control", np.int64),
+        ("control_length", np.int64),
+        ("message_flags", np.int64),  # an int and its padding
+        # struct iovec
+        ("buffer", np.int64),
+        ("buffer_bytes", np.int64),
+        # what `receive` found
+        ("stamp_ns", np.int64),  # CLOCK_REALTIME at which the kernel had the message; 0: no stamp
+        ("overflow", np.int64),  # frames that this socket's queue has dropped so far (SO_RXQ_OVFL)
+        ("truncated", np.int64),  # the message was longer than the room for it
+        ("room", np.int64, (CONTROL_WORDS,)),  # struct cmsghdr ...
+    ],
+    align=True,
+)
+
+
+def new_mailbox(frames: int) -> tuple[Records, npt.NDArray[np.int64]]:
+    """Return a mailbox and its data words: room for a message of
+    `frames` frames. Both must be kept alive and in place.
+    """
+    box, data = new_records(MAILBOX), np.zeros(2 * frames, np.int64)
+    set_up(box, data)
+    return box, data
+
+
+def set_up(box: Records, data: npt.NDArray[np.int64]) -> None:
+    """Let the mailbox `box` (an array of one record) put its messages into `data`."""
+    if ctypes.sizeof(ctypes.c_void_p) != 8:
+        raise ImportError("compiled sockets need a 64-bit system")
+    start, at = box.ctypes.data, MAILBOX.fields
+    assert at is not None
+    box["iov"], box["iov_length"] = start + at["buffer"][1], 1
+    box["control"] = start + at["room"][1]
+    box["buffer"], box["buffer_bytes"] = data.ctypes.data, data.nbytes
+
+
+def ask_for_stamps(target: socket.socket) -> None:
+    """Set SO_TIMESTAMPNS; on a CAN socket also SO_RXQ_OVFL."""
+    target.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    if target.family == getattr(socket, "AF_CAN", None):
+        target.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+
+
+@kernel
+def receive(fd: int, box: Records, flags: int) -> int:
+    """Receive one message; return its bytes, 0 when the other side has closed, -1: see `errno`."""
+    message = box[0]
+    message.control_length = 8 * CONTROL_WORDS
+    message.stamp_ns = 0
+    count: int = recvmsg(fd, box.ctypes.data, flags)
+    if count < 0:
+        return count
+    message.truncated = 1 if message.message_flags & MSG_TRUNC else 0
+    words = min(message.control_length // 8, CONTROL_WORDS)
+    at = 0
+    while at + 2 < words:  # a struct cmsghdr is a length, level and type; then the data, padded to whole words
+        length, kind = message.room[at], message.room[at + 1]
+        if kind in (STAMP, STAMP_NEW):
+            message.stamp_ns = message.room[at + 2] * SECOND_NS + message.room[at + 3]
+        elif kind == OVERFLOW:
+            message.overflow = message.room[at + 2] & 0xFFFFFFFF
+        if length < 16:
+            break
+        at += (length + 7) // 8
+    return count

@@ -1,0 +1,158 @@
+"""What the host watches in every cycle: each function returns the trip that its doubt demands, or
+`Trip.NONE`.
+
+Compiled and allocation-free. `c` is the CONTROL record of an axis, `h` its HOST record.
+"""
+
+from __future__ import annotations
+
+from coulombus.eds.cia301 import NmtState
+from coulombus.eds.cia402 import STATE_OF_STATUSWORD, VOLTAGE_ENABLED, PowerState
+from coulombus.host.cycle.felt import expect
+from coulombus.host.cycle.records import ControlRecord, HostRecord, Image, Phase, Trip
+from coulombus.kernels.decorator import kernel
+
+__all__ = ["measure", "watch", "watch_devices", "watch_motion", "watch_switch"]
+
+VOLTAGE_LOW_CYCLES = 2
+
+
+@kernel
+def measure(c: ControlRecord, h: HostRecord) -> int:
+    """Turn the process image into position, velocity (backward difference) and handle torque.
+
+    May trip on an encoder jump.
+
+    The position is followed across its wrap, after 2**32 counts of 6064h. A stale position keeps
+    the last velocity's value and ages.
+    """
+    h.drive = STATE_OF_STATUSWORD[h.image[Image.STATUSWORD] & 0x7F]
+    h.brake_drive = STATE_OF_STATUSWORD[h.image[Image.BRAKE_STATUSWORD] & 0x7F] if c.brake_is_drive else h.drive
+    h.handle_Nm = h.image[Image.HANDLE_TORQUE] * c.handle_Nm_raw + c.handle_offset_Nm
+    h.fresh = 0
+    h.position_age += 1
+    if h.arrived & c.position_mask == 0:
+        return Trip.NONE
+    raw = h.image[Image.POSITION]
+    if h.has_position == 0:
+        h.has_position = 1
+        h.raw_position = raw
+        h.position_age = 0
+        return Trip.NONE
+    half = c.position_half
+    moved = ((raw - h.raw_position + half) & (2 * half - 1)) - half
+    if abs(moved) > c.jump_counts * h.position_age:
+        return Trip.ENCODER_JUMP
+    h.raw_position = raw
+    h.counts += moved
+    h.moved_counts = moved
+    h.v_counts = moved / h.position_age
+    h.position_age = 0
+    h.fresh = 1
+    return Trip.NONE
+
+
+@kernel
+def _pushes_unasked(c: ControlRecord, h: HostRecord) -> bool:
+    """Tell whether the motor has given more torque than its commands of late explain, or in their
+    opposite sense, for `motor_mismatch_cycles`.
+
+    The commands' envelope decays to 0 with a drive's lag.
+    """
+    h.commanded_high_Nm = max(h.torque_Nm, h.commanded_high_Nm * c.motor_lag_decay)
+    h.commanded_low_Nm = min(h.torque_Nm, h.commanded_low_Nm * c.motor_lag_decay)
+    measured_Nm = h.image[Image.TORQUE] * c.torque_Nm_raw
+    beyond_Nm = max(measured_Nm - h.commanded_high_Nm, h.commanded_low_Nm - measured_Nm)
+    h.motor_mismatch = h.motor_mismatch + 1 if beyond_Nm > c.motor_mismatch_Nm else 0
+    return bool(h.motor_mismatch > c.motor_mismatch_cycles)
+
+
+@kernel
+def watch_motion(c: ControlRecord, h: HostRecord) -> int:
+    """Watch speed, travel, the motor's net work and torque, the handle torque and the coil's heat."""
+    v = h.v_counts * c.rad_count * 1e9 / c.period_ns
+    if abs(v) > c.speed_limit:
+        return Trip.SPEED
+    if abs(h.counts * c.rad_count) > c.travel_rad:
+        return Trip.TRAVEL
+
+    # net work of the motor on the handle, over a sliding window
+    torque = h.image[Image.TORQUE] * c.torque_Nm_raw + c.torque_commanded * h.torque_Nm
+    work = torque * h.moved_counts * c.rad_count if h.fresh else 0.0
+    row = h.work_row
+    h.work_sum += work - h.work[row]
+    h.work[row] = work
+    row += 1
+    h.work_row = row if row < c.net_work_cycles else 0
+    if h.work_sum > c.net_work_J:
+        return Trip.NET_WORK
+
+    if _pushes_unasked(c, h):
+        return Trip.MOTOR_TORQUE
+
+    # I2t of the coil: a first-order lag of the squared current
+    current = h.image[Image.COIL_CURRENT] * c.coil_A_raw + c.coil_A_Nm * h.brake_Nm
+    h.coil_A2 = current * current + (h.coil_A2 - current * current) * c.coil_decay
+    if h.coil_A2 > c.coil_limit_A2:
+        return Trip.COIL_I2T
+
+    # The hand's torque must be what brake, friction and motor make of it: exactly so in slip, at
+    # most so when stuck.
+    expect(c, h)
+    level = h.brake_lagged_Nm + c.friction_Nm
+    if abs(h.v_counts) > c.velocity_band_counts:
+        sign = 1.0 if v > 0.0 else -1.0
+        mismatch = abs(h.handle_Nm - sign * level - c.viscous * v + torque)
+    else:
+        mismatch = abs(h.handle_Nm + torque) - level
+    h.mismatch = h.mismatch + 1 if mismatch > c.mismatch_Nm else 0
+    return Trip.HANDLE_TORQUE if h.mismatch > c.mismatch_cycles else Trip.NONE
+
+
+@kernel
+def watch_devices(c: ControlRecord, h: HostRecord, t_ns: int) -> int:
+    """Watch TPDOs, EMCY, heartbeats, NMT states and the drive's supply."""
+    if h.emcy != Trip.NONE:
+        return h.emcy
+    if h.missed_in_a_row >= c.missed_cycles or h.oldest_tpdo > c.missed_cycles:
+        return Trip.TPDO_LOST
+    for k in range(c.nodes):
+        if c.heartbeat_timeout_ns[k] > 0 and t_ns - h.heard_ns[k] > c.heartbeat_timeout_ns[k]:
+            h.doubtful = k
+            return Trip.HEARTBEAT_MOTOR if k == 0 else Trip.HEARTBEAT_BRAKE if k == 1 else Trip.HEARTBEAT_SENSOR
+    for k in range(c.nodes):
+        if h.nmt[k] != NmtState.OPERATIONAL:
+            return Trip.NMT_STATE
+    if h.fresh:  # the statusword comes with the position
+        h.voltage_low = 0 if h.image[Image.STATUSWORD] & VOLTAGE_ENABLED else h.voltage_low + 1
+    return Trip.VOLTAGE if h.voltage_low >= VOLTAGE_LOW_CYCLES else Trip.NONE
+
+
+@kernel
+def watch_switch(c: ControlRecord, h: HostRecord) -> None:
+    """Look whether the dead man's switch is held, where it is an input of one of the devices."""
+    if c.deadman_slot >= 0:
+        switch = h.image[c.deadman_slot]
+        held = switch != 0 if c.deadman_mask == 0 else switch & c.deadman_mask == c.deadman_mask
+        h.deadman_ok = 1 if held else 0
+
+
+@kernel
+def watch(c: ControlRecord, h: HostRecord, jump: int, t_ns: int) -> int:
+    """Return the first doubt of this cycle: the encoder's (`jump`), the motion's, the devices', the
+    drive's, the switch's, others'.
+    """
+    trip = jump
+    if trip == Trip.NONE:
+        trip = watch_motion(c, h)
+    if trip == Trip.NONE:
+        trip = watch_devices(c, h, t_ns)
+    enabled = h.drive == PowerState.OPERATION_ENABLED and h.brake_drive == PowerState.OPERATION_ENABLED
+    if trip == Trip.NONE and Phase.ENABLE < h.phase < Phase.SAFE and not enabled:
+        trip = Trip.DRIVE_STATE
+    watch_switch(c, h)
+    if trip == Trip.NONE and not h.deadman_ok and h.phase > Phase.STILL:
+        trip = Trip.DEADMAN
+    if trip == Trip.NONE and h.stop > 1:
+        trip = h.stop
+    return trip

@@ -1,0 +1,404 @@
+"""Live parameters of a run: what may be changed while it displays, within which bounds, and what was
+changed.
+
+`parameters_of` is the one table of them. A change goes through `LiveParameters.change`: it is
+refused as a whole, with the reason, or written as an order for the compiled step (`host.cycle.live_parameters`)
+and told as a marker,
+
+    set F_s_Nm 3.5 -> 2 Nm in 0.5 s [1: F_s_Nm=0x1.c000000000000p+1>0x1.0000000000000p+1 in 500]
+
+whose brackets hold the order's number, every value to its last bit, and the number of cycles: with
+the cycle in which the order was taken (`recording.trace`) a replay does the same bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.demand import brake_limit, motor_limit, torque_step_Nm
+from coulombus.host.cycle.live_parameters import Slot, offer
+from coulombus.host.errors import HostError
+from coulombus.rigs.errors import nearest
+from coulombus.rigs.field_help import UNITS, unit_of
+from coulombus.rigs.model import Section
+
+__all__ = [
+    "MARKER",
+    "OVER_S",
+    "Change",
+    "LiveParameters",
+    "Order",
+    "Parameter",
+    "Refused",
+    "orders_of",
+    "parameters_of",
+]
+
+OVER_S, LEAST_S, MOST_S = 0.5, 0.1, 60.0
+"""How long a change takes where nothing else is said, at least, and at most."""
+MARKER = "set "
+ORDER_TEXT = re.compile(r"set .* \[(\d+): (.+) in (\d+)\]")
+OF_MODE = {"K_p_Nm_rad": Slot.K_P, "F_s_Nm": Slot.F_S, "F_d_Nm": Slot.F_D}
+"""Keys of [mode.NAME] that are parameters of a law."""
+TORQUES = ("F_s_Nm", "F_d_Nm")
+"""Those of them that say how much it displays."""
+ANYTHING = math.inf, ""
+UNDONE = 1000
+"""Changes that can be undone."""
+
+Floats = npt.NDArray[np.float64]
+
+
+class Refused(HostError):
+    """A change is not made; the text says why."""
+
+    exit_status = 2
+
+
+class NotTaken(Refused):
+    """The step has not taken the last order: no cycle has begun since."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A value that may be changed: its name in the rig file, and between what."""
+
+    name: str
+    unit: str
+    slot: int
+    scale: float
+    """The step's value is this times the parameter."""
+    low: float
+    high: float
+    above_low: bool
+    """Whether it must be more than `low`."""
+    whose: str
+    """Which limit `high` is."""
+    value: float
+    """That of the rig file."""
+
+    @property
+    def step(self) -> float:
+        """By how much a slider moves it: 1, 2 or 5 times a power of ten, at most a hundredth of what
+        is likely: to its bound, or to ten times the rig file's value where the bound is far away.
+        """
+        likely = 10 * self.value if 0 < 20 * self.value < self.high else self.high - max(self.low, 0.0)
+        exponent = math.floor(math.log10(likely / 100)) if likely > 0 else -2
+        share = likely / 100 / 10.0**exponent
+        return (
+            float(f"{next(one for one in (5, 2, 1) if one <= share * (1 + 1e-9))}e{exponent}") if likely > 0 else 0.01
+        )
+
+    def why_not(self, value: float) -> str | None:
+        """Return why it cannot be `value`; None where it can."""
+        right = self.low < value if self.above_low else self.low <= value
+        if math.isfinite(value) and right and value <= self.high:
+            return None
+        begin = f"more than {self.low:g}" if self.above_low else f"from {self.low:g}"
+        ends = f" ({self.whose} ends there)" if value > self.high else ""
+        return f"{self.name}={value:g}: expected {begin} to {self.high:g} {self.unit}".rstrip() + ends
+
+
+def parameters_of(controller: Controller) -> tuple[Parameter, ...]:
+    """Return the live parameters of an axis: the numbers of its law that have a range, those of the
+    mode or those that the law names, and the compensation.
+
+    Bounds are those of the rig file's key. What says how much the law displays is bounded by what
+    shows it, too: the motor in mode active, else the brake.
+    """
+    axis, mode, law = controller.axis, controller.mode, controller.declaration
+    motor_Nm, motor_whose = motor_limit(axis, mode)
+    shown = (motor_Nm, motor_whose) if mode == "active" else brake_limit(axis)
+    chosen, friction_Nm = axis.mode[mode], axis.mechanics.friction_Nm
+    share = (motor_Nm / friction_Nm if friction_Nm > 0 else math.inf, motor_whose)
+    found = []
+    if law is None or law.of_mode:
+        names = OF_MODE if law is None else {name: slot for name, slot in OF_MODE.items() if name in law.names}
+        found = [_parameter(chosen, name, slot, shown if name in TORQUES else ANYTHING) for name, slot in names.items()]
+    elif controller.parameters is not None:
+        for k, name in enumerate(law.names):
+            end = shown if name in law.extremes else ANYTHING
+            if law.parameters.model_fields[name].annotation is float:
+                found.append(_parameter(controller.parameters, name, Slot.USER + k, end))
+    found.append(_parameter(chosen, "compensation", Slot.COMPENSATION, share, friction_Nm))
+    return tuple(one for one in found if math.isfinite(one.low) and math.isfinite(one.high))
+
+
+def _parameter(section: Section, name: str, slot: int, end: tuple[float, str], scale: float = 1.0) -> Parameter:
+    low, high, above = -math.inf, math.inf, False
+    for one in type(section).model_fields[name].metadata:
+        above = above or hasattr(one, "gt")
+        low = float(getattr(one, "gt", getattr(one, "ge", low)))
+        high = float(getattr(one, "le", high))
+    high, whose = min((high, "the rig file's range"), end)
+    present = float(getattr(section, name))  # `check_demand` lets less than a count pass
+    return Parameter(name, unit_of(name), slot, scale, low, max(high, present), above, whose, present)
+
+
+class Changed(NamedTuple):
+    """One value of a change."""
+
+    name: str
+    unit: str
+    old: float
+    new: float
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change that was made: which order it is, of which axis, and what became what."""
+
+    number: int
+    axis: str
+    index: int
+    values: tuple[Changed, ...]
+    over_s: float
+    cycles: int
+    undo: bool = False
+
+    @property
+    def marker(self) -> str:
+        """The marker, which has all that a replay needs."""
+        names = [f"{self.axis}.{one.name}" if self.axis else one.name for one in self.values]
+        told = ", ".join(
+            f"{name} {one.old:g} -> {one.new:g} {one.unit}".rstrip()
+            for name, one in zip(names, self.values, strict=True)
+        )
+        exact = " ".join(
+            f"{name}={one.old.hex()}>{one.new.hex()}" for name, one in zip(names, self.values, strict=True)
+        )
+        undo = " (undo)" if self.undo else ""
+        return f"{MARKER}{told} in {self.over_s:g} s{undo} [{self.number}: {exact} in {self.cycles}]"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        values = [one._asdict() for one in self.values]
+        return {"axis": self.axis, "changes": values, "over_s": self.over_s, "undo": self.undo, "marker": self.marker}
+
+
+class _Axis:
+    """The live parameters of one axis, and where each is or goes."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller, self.name = controller, controller.axis.name
+        self.table = {one.name: one for one in parameters_of(controller)}
+        self.value = {name: one.value for name, one in self.table.items()}
+        self.number = 0
+
+    def order(self, values: Mapping[str, float]) -> Floats:
+        """Return the whole record of an order by which `values` are wanted, and all else as it is
+        wanted now.
+        """
+        found = self._present()
+        for name, parameter in self.table.items():
+            found[parameter.slot] = values.get(name, self.value[name]) * parameter.scale
+        return found
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the parameters that the law has, as plain values; `now`: on the way there."""
+        present = self._present()
+        return [
+            {
+                "axis": self.name,
+                "name": one.name,
+                "unit": one.unit,
+                "value": self.value[one.name],
+                "now": float(present[one.slot]) / one.scale if one.scale else self.value[one.name],
+                "low": one.low,
+                "high": one.high,
+                "above_low": one.above_low,
+                "step": one.step,
+            }
+            for one in self.table.values()
+        ]
+
+    def _present(self) -> Floats:
+        """Return the values by which the step goes now, in the order of `Slot`."""
+        law, c = self.controller.law[0], self.controller.control[0]
+        return np.array([law["K_p"], law["F_s"], law["F_d"], c["compensation_Nm"], *law["user"]], np.float64)
+
+
+class LiveParameters:
+    """What may be changed of a run's axes, and what was."""
+
+    def __init__(self, controllers: Controllers) -> None:
+        self._axes = tuple(_Axis(controller) for controller in controllers)
+        self._period_s = float(controllers.control["period_ns"][0]) * 1e-9
+        self._number = 0
+        self._made: list[tuple[int, dict[str, float]]] = []
+
+    def rows(self) -> list[list[dict[str, Any]]]:
+        """Return the parameters of each axis as plain values."""
+        return [axis.rows() for axis in self._axes]
+
+    def change(self, values: Mapping[str, float], axis: str = "", over_s: float = OVER_S) -> Change:
+        """Write the order by which an axis goes to other values in so many seconds; whoever runs
+        the cycle lets the step want it.
+
+        Parameters
+        ----------
+        values : name -> value; a name may lack its unit ("F_s")
+        axis : of a rig that has several
+
+        Raises
+        ------
+        Refused
+            nothing is changed; the text says why
+        """
+        index = self._index(axis)
+        chosen = self._axes[index]
+        if not values:
+            raise Refused("no value is given: expected NAME=VALUE, as in F_s=2.0")
+        wanted: dict[str, float] = {}
+        for given, value in values.items():
+            name = _name(given, chosen)
+            if name in wanted:
+                raise Refused(f"{name} is given twice")
+            wanted[name] = float(value)
+        change = self._order(index, wanted, over_s, {name: chosen.value[name] for name in wanted})
+        self._made = [*self._made, (index, {one.name: one.old for one in change.values})][-UNDONE:]
+        return change
+
+    def undo(self, over_s: float = OVER_S) -> Change:
+        """Write the order that takes the last change back; again for the one before it.
+
+        Raises
+        ------
+        Refused
+            nothing is left to take back, or as `change`
+        """
+        if not self._made:
+            raise Refused("there is no change to undo")
+        index, old = self._made[-1]
+        change = self._order(index, old, over_s, {name: self._axes[index].value[name] for name in old}, undo=True)
+        self._made.pop()
+        return change
+
+    def _order(
+        self, index: int, wanted: Mapping[str, float], over_s: float, old: Mapping[str, float], *, undo: bool = False
+    ) -> Change:
+        axis = self._axes[index]
+        if not LEAST_S <= over_s <= MOST_S:
+            raise Refused(f"within {over_s:g} s: expected {LEAST_S:g} to {MOST_S:g} s")
+        if not undo:  # back to what was right before
+            reasons = (axis.table[name].why_not(value) for name, value in wanted.items())
+            reason = next(filter(None, reasons), None) or _pairs(axis, {**axis.value, **wanted}, wanted)
+            if reason is not None:
+                raise Refused(reason)
+        if any(int(one.controller.live["taken"][0]) != one.number for one in self._axes):
+            raise NotTaken("the change before has not been taken yet: the host does not cycle")
+        over_s = max(over_s, self._gentle_s(axis, wanted, old))
+        number, cycles = self._number + 1, max(1, round(over_s / self._period_s))
+        offer(axis.controller.live[0], number, axis.order(wanted), cycles)
+        self._number = axis.number = number
+        axis.value.update(wanted)
+        values = tuple(Changed(name, axis.table[name].unit, old[name], value) for name, value in wanted.items())
+        return Change(number, axis.name, index, values, over_s, cycles, undo)
+
+    def _gentle_s(self, axis: _Axis, wanted: Mapping[str, float], old: Mapping[str, float]) -> float:
+        """Return how long a torque that becomes less takes to fall at the safe state's rate [s]: a hand
+        may lean on it.
+        """
+        falls = [old[name] - value for name, value in wanted.items() if axis.table[name].unit == "Nm"]
+        rate_Nm_s = float(axis.controller.control["release_Nm"][0]) / self._period_s
+        if rate_Nm_s <= 0.0:
+            return 0.0
+        return min(math.ceil(max(falls, default=0.0) / rate_Nm_s * 1000 - 1e-6) / 1000, MOST_S)
+
+    def _index(self, name: str) -> int:
+        names = [axis.name for axis in self._axes]
+        if not name and len(names) == 1:
+            return 0
+        if name in names:
+            return names.index(name)
+        if names == [""]:
+            raise Refused(f"axis {name!r}: the rig has no named axes")
+        raise Refused(f"axis {name!r}: expected one of {', '.join(names)}{nearest(name, names)}")
+
+
+def _short(name: str) -> str:
+    """Return a parameter's name without its unit."""
+    return name.removesuffix(next((end for end in UNITS if end.startswith("_") and name.endswith(end)), ""))
+
+
+def _name(given: str, axis: _Axis) -> str:
+    """Return the parameter that is meant: its name, with or without the unit."""
+    names, short = list(axis.table), {_short(name): name for name in axis.table}
+    if given in names:
+        return given
+    if given in short:
+        return short[given]
+    law, there = axis.controller.axis.law.function, ", ".join(names)
+    if given in OF_MODE or given in map(_short, OF_MODE):
+        raise Refused(f"{given}: the law {law} has none; there is {there}")
+    raise Refused(f"{given}: no parameter of this name; there is {there}{nearest(given, (*names, *short))}")
+
+
+def _pairs(axis: _Axis, values: Mapping[str, float], wanted: Mapping[str, float]) -> str | None:
+    """Return why values do not go together; None where they do, or where none of them is asked for."""
+    law = axis.controller.declaration
+    relations = [("F_s_Nm", "F_d_Nm", False)] if law is None or law.of_mode else []
+    if law is not None:
+        relations += [(first, second, False) for first, second in law.parameters.at_least.items()]
+        relations += [(first, second, True) for first, second in law.parameters.above.items()]
+    for first, second, above in relations:
+        if not {first, second} <= values.keys() or wanted.keys().isdisjoint((first, second)):
+            continue
+        one, other = values[first], values[second]
+        if other > one or (above and other == one):
+            words = "less than" if above else "at most"
+            return f"{second}={other:g} with {first}={one:g}: expected {second} {words} {first}; change both at once"
+    believed, mode = axis.controller.axis, axis.controller.mode
+    if mode != "active" or "F_d_Nm" not in values or wanted.keys().isdisjoint(("F_d_Nm", "compensation")):
+        return None
+    limit_Nm, whose = motor_limit(believed, mode)
+    compensation_Nm = values["compensation"] * axis.table["compensation"].scale
+    if values["F_d_Nm"] - compensation_Nm <= limit_Nm + torque_step_Nm(believed):
+        return None
+    told = f"F_d_Nm={values['F_d_Nm']:g} with compensation={values['compensation']:g}"
+    return f"{told}: {whose} ends at {limit_Nm:g} Nm"
+
+
+class Order(NamedTuple):
+    """An order, as a recording's marker has it; `axis` counts from 0."""
+
+    axis: int
+    values: Floats
+    cycles: int
+
+
+def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, Order]:
+    """Return the orders that a recording's markers tell, by their numbers, for new `controllers`.
+
+    Raises
+    ------
+    Refused
+        a marker names a parameter or an axis that these do not have
+    """
+    axes = {axis.name: (index, axis) for index, axis in enumerate(map(_Axis, controllers))}
+    found = {}
+    for text in markers:
+        match = ORDER_TEXT.fullmatch(text)
+        if match is None:
+            continue
+        wanted: dict[str, dict[str, float]] = {}
+        for part in match[2].split(" "):
+            name, _, exact = part.partition("=")
+            owner, _, plain = name.rpartition(".")
+            if owner not in axes or plain not in axes[owner][1].table:
+                raise Refused(f"the marker '{text}' names {name}, which the rig does not have")
+            wanted.setdefault(owner, {})[plain] = float.fromhex(exact.rpartition(">")[2])
+        for owner, values in wanted.items():
+            index, axis = axes[owner]
+            found[int(match[1])] = Order(index, axis.order(values), int(match[3]))
+            axis.value.update(values)
+    return found

@@ -1,0 +1,94 @@
+"""What the host tells of itself after each cycle: frames for the second interface of a recording.
+
+They never go to a bus (`recording.host_telemetry` has their layout). Nothing here changes what the cycle
+does: it is read, and what was told last is kept beside it.
+
+    h : the HOST record of an axis
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coulombus.host.cycle.records import AxisRecord, HostRecord
+from coulombus.kernels.decorator import kernel
+from coulombus.recording.host_telemetry import FIRST, GAIN, PER_AXIS, SOURCE_INSIDE, Limit
+from coulombus.wire.frame import Records
+
+__all__ = ["tell", "tell_all"]
+
+MOST_GAIN = round(1.0 / GAIN)
+MOST_AGE = 127
+
+
+@kernel
+def _grown(told: Records, k: int, count: int) -> int:
+    """Return 1 when a counter is more than at the last cycle's end."""
+    grown = 1 if count > told[k] else 0
+    told[k] = count
+    return grown
+
+
+@kernel
+def _limits(h: HostRecord) -> int:
+    """Return which limits acted in this cycle: bits of `recording.host_telemetry.Limit`."""
+    limits = 0
+    counts = h.clipped_torque, h.slowed_torque, h.limited_by_drive, h.clipped_setpoints, h.negative_setpoints
+    for k, count in enumerate((*counts, h.withheld_compensation)):
+        limits |= _grown(h.told, k, count) << k  # the first bits of `Limit`, in their order
+    if h.missed_in_a_row > 0:
+        limits |= Limit.TPDO_MISSED
+    if not h.deadman_ok:
+        limits |= Limit.DEADMAN_OPEN
+    return limits
+
+
+@kernel
+def _put(rows: Records, row: int, t_ns: int, can_id: int, word: int, length: int = 8) -> None:
+    f = rows[row]
+    f.t_ns = t_ns
+    f.can_id = can_id
+    f.length = length
+    f.word = word
+    f.source = SOURCE_INSIDE
+
+
+@kernel
+def _two(first: float, second: float) -> int:
+    """Return two numbers, as REAL32 one behind the other, as a frame's word."""
+    low, high = np.float32(first).view(np.uint32), np.float32(second).view(np.uint32)
+    word: int = np.int64(low) | np.int64(high) << 32  # type: ignore[assignment]
+    return word
+
+
+@kernel
+def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> int:
+    """Write what axis `number` tells of the cycle that it has finished into `rows`, from `row` on;
+    return the row behind. Of one that was told it tells nothing more.
+    """
+    c, h, state = axis.control, axis.host, axis.state
+    if h.waiting or h.cycle == h.told_cycle:
+        return row
+    h.told_cycle = h.cycle
+    first = FIRST + PER_AXIS * number
+    gain = min(max(round(h.gain / GAIN), 0), MOST_GAIN)
+    word = h.phase | h.trip << 8 | _limits(h) << 16 | gain << 32
+    word |= (1 if state.stuck else 0) << 48 | min(max(h.position_age, 0), MOST_AGE) << 56
+    _put(rows, row, t_ns, first, word)
+    _put(rows, row + 1, t_ns, first + 1, _two(state.psi_Nm, state.brake_Nm))
+    _put(rows, row + 2, t_ns, first + 2, _two(axis.motion.v_rad_s, state.x_stuck))
+    row += 3
+    for k in range(0, c.law_keeps, 2):
+        another = k + 1 < c.law_keeps
+        word = _two(state.user[k], state.user[k + 1] if another else 0.0)
+        _put(rows, row, t_ns, first + 3 + k // 2, word, 8 if another else 4)
+        row += 1
+    return row
+
+
+@kernel
+def tell_all(axes: Records, t_ns: int, rows: Records, row: int) -> int:
+    """Write what all axes tell; return the row behind."""
+    for k in range(axes.shape[0]):
+        row = tell(axes[k], k, t_ns, rows, row)
+    return row

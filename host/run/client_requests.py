@@ -1,0 +1,106 @@
+"""What a live run tells other programs, and does for who asks at its door: its state, a mark, a
+change of parameters.
+
+What goes wrong in here concerns nobody but who asked.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from coulombus.host.realtime.data_plane import DataPlane
+from coulombus.host.run.changes import Changes
+from coulombus.host.run.markers import marker_of
+from coulombus.host.run.outputs import Outputs
+from coulombus.host.run.run_sequence import Course
+from coulombus.host.run.state import axis_state, plane_state
+from coulombus.host.run.status_socket import StatusSocket, encoded
+from coulombus.recording.wall_clock import utc
+from coulombus.system.exit import say
+from coulombus.wire.address import BusAddress
+
+__all__ = ["Answers"]
+
+
+class Answers:
+    """Answers for a run on the bus `address`.
+
+    Raises
+    ------
+    coulombus.host.run.status_socket.StatusError
+        the socket that ``outputs.status`` names cannot be made
+    """
+
+    def __init__(self, run: Course, plane: DataPlane, changes: Changes, address: BusAddress, outputs: Outputs) -> None:
+        self._run, self._plane, self._changes = run, plane, changes
+        self._address, self._meta = address, dict(outputs.meta)
+        self._teller = None if outputs.status is None else StatusSocket(outputs.status, self.status)
+
+    def status(self) -> dict[str, Any]:
+        """Return the run's state for other programs, as plain values; SI at the handle.
+
+        It is read while the data plane writes: values of one line may be of two cycles.
+        """
+        run, rig = self._run, self._run.k.rig
+        enabled = run.enabled_ns
+        return {
+            "rig": rig.name,
+            "bus": str(self._address),
+            "mode": run.k.mode,
+            "utc": utc(time.time_ns()),
+            "display_s": None if enabled is None else (run.now_ns - enabled) * 1e-9,
+            "trip": run.trip,
+            **plane_state(self._plane, rig.bus.period_ns),
+            "recording": None if run.path is None else str(run.path),
+            "meta": self._meta,
+            "arm_key": bool(self._changes.arm_key),
+            "axes": [
+                {**axis_state(controller), "parameters": rows}
+                for controller, rows in zip(run.k, self._changes.rows(), strict=True)
+            ],
+        }
+
+    def state(self) -> bytes:
+        """Return the state for who asks at the door."""
+        try:
+            return encoded(self.status())
+        except Exception as error:
+            return encoded({"error": f"{type(error).__name__}: {error}"})
+
+    def tell(self, now_ns: int) -> None:
+        """Tell the readers of the status socket, where it is time; what goes wrong there ends the
+        telling alone.
+        """
+        if self._teller is None:
+            return
+        try:
+            self._teller.serve(now_ns)
+        except Exception as error:
+            self.close()
+            say(f"coulombus: the status socket is closed: {type(error).__name__}: {error}")
+
+    def mark(self, text: str) -> bytes:
+        """Mark the recording now with what somebody says."""
+        run = self._run
+        if run.recorder is None or run.failure is not None:
+            return encoded({"error": "it does not record; start it with --record"})
+        try:
+            marker = marker_of(text)
+        except ValueError as error:
+            return encoded({"error": str(error)})
+        run.mark(run.now_ns, marker)
+        return encoded({"marker": marker, "recording": str(run.path)})
+
+    def change(self, text: str) -> bytes:
+        """Change parameters as somebody asks."""
+        try:
+            return encoded(self._changes.answer(text, self._run.now_ns))
+        except Exception as error:
+            return encoded({"error": f"{type(error).__name__}: {error}"})
+
+    def close(self) -> None:
+        """End the telling."""
+        if self._teller is not None:
+            self._teller.close()
+            self._teller = None

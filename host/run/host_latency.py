@@ -1,0 +1,221 @@
+"""How long the host takes from the last TPDO of a cycle to its RPDOs, measured on this PC without
+any bus.
+
+The very process of a run does it (`host.realtime.data_plane`), with its real-time rights, its law
+and the PDOs of the rig; this process plays the devices at the other end of a socket. They stand
+still, enabled, so that the law is asked in each cycle. What is measured runs from the stamp that
+the kernel gave the last TPDO to the instant at which the last RPDO was handed over: waking up,
+decoding, watching, the law, encoding and sending.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.cia402 import STATUSWORD, VOLTAGE_ENABLED, PowerState
+from coulombus.eds.codec import pack
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.records import Image, Phase
+from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
+from coulombus.rigs.rig import Rig
+from coulombus.system.realtime import default_cpu
+from coulombus.wire.address import BusAddress
+from coulombus.wire.ancillary import SO_TIMESTAMPNS
+from coulombus.wire.client import pack_frame
+from coulombus.wire.frame import Records, data_bytes, new_records
+
+__all__ = ["compute_times_ns", "measure_compute"]
+
+LEAD_NS, BATCH_S = 20_000_000, 0.05
+REST_S = 100e-6
+"""How long the played devices take, so that the cycle sleeps when their TPDOs come, as on a bus."""
+BEAT_CYCLES = 16
+HELD_NS = 3600 * 1_000_000_000
+PATIENCE_S = 20.0
+
+
+def measure_compute(
+    rig: Rig,
+    mode: str,
+    cycles: int,
+    *,
+    priority: int | None = PRIORITY,
+    cpu: int | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> tuple[tuple[int, ...], list[dict[str, Any]]]:
+    """Return the times of so many cycles [ns], those of each axis, and which real-time rights were
+    granted.
+
+    Parameters
+    ----------
+    rig : on one bus
+    progress : called with how many cycles are done; what it raises ends the measurement
+
+    Raises
+    ------
+    coulombus.host.realtime.data_plane.PlaneError
+        the process of the cycle did not start
+    coulombus.rigs.rig.RigError
+        the law
+    """
+    controllers = Controllers(rig, mode)
+    own, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    own.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    own.setblocking(False)
+    devices = _Devices(controllers, theirs)
+    try:
+        plane = DataPlane(
+            controllers,
+            BusAddress("coulombus", "compute"),
+            priority=priority,
+            cpu=default_cpu() if cpu is None else cpu,
+            line=own,
+        )
+    except BaseException:
+        own.close()
+        theirs.close()
+        raise
+    try:
+        plane.wait_ready()
+        devices.start()
+        return _cycle(plane, controllers, cycles, progress), plane.real_time
+    finally:
+        plane.close()
+        devices.close()
+
+
+def _cycle(plane: DataPlane, controllers: Controllers, cycles: int, progress: Callable[[int], None]) -> tuple[int, ...]:
+    """Let the data plane cycle, and take the times out of its log."""
+    period = int(controllers.control["period_ns"][0])
+    plane.hold_deadman(time.monotonic_ns() + HELD_NS)
+    plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
+    _stand_still(controllers)
+    batches: list[Records] = []
+    ends = time.monotonic() + PATIENCE_S + cycles * period * 1e-9
+    while plane.cycles < cycles and plane.alive and time.monotonic() < ends:
+        time.sleep(BATCH_S)
+        plane.attend()
+        batches.append(plane.take())
+        progress(min(plane.cycles, cycles))
+    plane.end_cycle()
+    time.sleep(BATCH_S)
+    batches.append(plane.take())
+    log = np.concatenate(batches).view(np.recarray)
+    return compute_times_ns(log, [(_identifiers(one.tpdos), _identifiers(one.rpdos)) for one in controllers])
+
+
+def _identifiers(pdos: Records) -> set[int]:
+    return {int(pdo["cob_id"]) for pdo in pdos if pdo["cob_id"] >= 0}
+
+
+def _stand_still(controllers: Controllers) -> None:
+    """Let each axis be armed already, with its handle at rest: the law is asked from the first
+    cycle on.
+    """
+    now = time.monotonic_ns()
+    for controller in controllers:
+        host = controller.host
+        host["has_position"], host["gain"], host["sign_direction"] = 1, 1.0, 1
+        host["enabled_ns"] = host["armed_ns"] = now
+        host["phase"] = Phase.RUN
+        controller.state["stuck"] = 1
+
+
+def compute_times_ns(log: Records, axes: Sequence[tuple[set[int], set[int]]]) -> tuple[int, ...]:
+    """Return the times from the last TPDO of an axis to its last RPDO [ns], for each axis and
+    cycle.
+
+    A cycle in which a TPDO came too late, or not at all, tells nothing: the host waited for it.
+
+    Parameters
+    ----------
+    axes : identifiers of each axis' TPDOs and of its RPDOs
+    """
+    found: list[int] = []
+    columns = (log[name].tolist() for name in ("t_ns", "can_id", "source"))
+    came: list[dict[int, int]] = [{} for _ in axes]
+    sent: list[dict[int, int]] = [{} for _ in axes]
+
+    def close() -> None:
+        for (tpdos, rpdos), arrived, asked in zip(axes, came, sent, strict=True):
+            if tpdos and arrived.keys() == tpdos and asked.keys() == rpdos:
+                found.append(max(max(asked.values()) - max(arrived.values()), 0))
+            arrived.clear()
+            asked.clear()
+
+    for t_ns, can_id, source in zip(*columns, strict=True):
+        if source == SOURCE_HOST and can_id == CobId.SYNC:
+            close()
+        for (tpdos, rpdos), arrived, asked in zip(axes, came, sent, strict=True):
+            if source == SOURCE_HOST and can_id in rpdos:
+                asked[can_id] = t_ns
+            elif source != SOURCE_HOST and can_id in tpdos and not asked:
+                arrived[can_id] = t_ns
+    close()
+    return tuple(found)
+
+
+class _Devices:
+    """All devices of the rig at the other end of a socket, in a thread: each SYNC is answered by
+    all TPDOs, and by heartbeats now and then.
+    """
+
+    def __init__(self, controllers: Controllers, line: socket.socket) -> None:
+        self.line = line
+        self.frames = [frame for controller in controllers for frame in _tpdos(controller)]
+        nodes = sorted({node.node_id for node in controllers.rig.nodes})
+        self.beats = [pack_frame(CobId.HEARTBEAT + node, bytes((NmtState.OPERATIONAL,))) for node in nodes]
+        self.quit = threading.Event()
+        self.thread = threading.Thread(target=self._serve, daemon=True)
+
+    def start(self) -> None:
+        """Begin to answer."""
+        self.thread.start()
+
+    def close(self) -> None:
+        """End it, and close the socket."""
+        self.quit.set()
+        if self.thread.is_alive():
+            self.thread.join()
+        self.line.close()
+
+    def _serve(self) -> None:
+        sync, cycle = pack_frame(CobId.SYNC), 0
+        with suppress(OSError):  # the other end has gone
+            while not self.quit.is_set():
+                if not select.select([self.line], [], [], BATCH_S)[0]:
+                    continue
+                message = self.line.recv(1 << 16)
+                if not message:
+                    return
+                if any(message[at : at + 4] == sync[:4] for at in range(0, len(message), len(sync))):
+                    time.sleep(REST_S)
+                    for frame in (*(self.beats if cycle % BEAT_CYCLES == 0 else ()), *self.frames):
+                        self.line.send(frame)
+                    cycle += 1
+
+
+def _tpdos(controller: Controller) -> list[bytes]:
+    """Return the frames of the TPDOs of devices that are enabled and stand still: every input 0,
+    the dead man's switch held.
+    """
+    values = new_records(controller.host.dtype, 1)["image"][0].copy()
+    enabled = int(STATUSWORD[PowerState.OPERATION_ENABLED]) | VOLTAGE_ENABLED
+    values[Image.STATUSWORD] = values[Image.BRAKE_STATUSWORD] = enabled
+    values[Image.DEADMAN] = -1
+    return [
+        pack_frame(int(pdo["cob_id"]), data_bytes(int(pack(pdo, values)), int(pdo["length"])))
+        for pdo in controller.tpdos
+        if pdo["cob_id"] >= 0
+    ]

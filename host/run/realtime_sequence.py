@@ -1,0 +1,445 @@
+"""The course of a run of the rig against the wall clock, on a bus: the host alone.
+
+The nodes are where the bus says, simulated or not.
+
+The parent of the data plane (`host.realtime.data_plane`) lives here: it brings the nodes up over
+SDO, starts the cycle, writes what the data plane logs to the recording, watches everything, and
+ends the run safely - when the time is over, on a signal, on ``coulombus stop``, or on a trip.
+"""
+
+from __future__ import annotations
+
+import signal
+import termios
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from typing import Any
+
+import can
+
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.parameter_changes import Change, LiveParameters
+from coulombus.host.cycle.records import Phase, Trip
+from coulombus.host.errors import SafetyTrip
+from coulombus.host.realtime.data_plane import PARENT_NS, DataPlane
+from coulombus.host.realtime.shared_memory import Status
+from coulombus.host.run.arm_key import new_arm_key
+from coulombus.host.run.changes import Changes
+from coulombus.host.run.client_requests import Answers
+from coulombus.host.run.control_socket import HostSocket
+from coulombus.host.run.deadman import Switch, deadman_of
+from coulombus.host.run.deadman_external import switch_of
+from coulombus.host.run.histogram import Counts
+from coulombus.host.run.markers import BitMarks, StruckKeys
+from coulombus.host.run.outputs import Outputs
+from coulombus.host.run.preflight import place_of
+from coulombus.host.run.result import RunResult
+from coulombus.host.run.run_recording import StampOrder, begin_recording
+from coulombus.host.run.run_sequence import SAFE_TIMEOUT_NS, Course, Figures
+from coulombus.host.setup.bringup import bring_up, release, shut_down
+from coulombus.host.setup.control_plane import RealControlPlane
+from coulombus.recording.measures import Measures
+from coulombus.recording.pcapng_blocks import RecordingError
+from coulombus.recording.segments import SegmentedRecorder
+from coulombus.rigs.rig import Rig
+from coulombus.system.exit import say
+from coulombus.system.keyboard import Keys, in_foreground
+from coulombus.system.sd_notify import Notifier
+from coulombus.system.stop_signals import Signals, status_of
+from coulombus.wire.address import BusAddress, BusUnavailable
+
+__all__ = ["LISTEN_S", "RealCourse"]
+
+POLL_S = 0.01
+LISTEN_S = 1.0
+"""How long a host is listened for, before it counts as alone on its bus."""
+LEAD_NS = 20_000_000
+FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
+HAND_TIMEOUT_S = 30.0
+STUCK_S = 2.0  # a data plane that does not cycle for so long stands still
+
+
+class RealCourse(Course):
+    """The course against the wall clock: times are CLOCK_MONOTONIC's, and in them the data plane is
+    looked after.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        mode: str,
+        address: BusAddress,
+        outputs: Outputs,
+        *,
+        signals: Signals,
+        progress: Callable[[float], None] | None,
+        cpu: int | None,
+    ) -> None:
+        self.rig, self.address, self.signals = rig, address, signals
+        self.deadman = deadman_of(rig, mode, address)
+        self.zero_ns = time.monotonic_ns()
+        super().__init__(Controllers(rig, mode), outputs.record, progress)
+        self.error: str | None = None  # of this process, while the rig was armed
+        self._fate = ""  # of a data plane that cycles no more
+        self.stopped_by: str | None = None
+        self._order = StampOrder(self.zero_ns)
+        self._keys = StruckKeys(time.monotonic_ns)
+        self._touched = False  # whether this host has sent anything
+        self._seen = (0, time.monotonic())
+        self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
+        self._stack = ExitStack()
+        self.notifier = Notifier()  # before anything is started that would inherit its variables
+        try:
+            self.door = HostSocket(address)
+            self._stack.callback(lambda: self.door.close(self._outcome))
+            self.plane = DataPlane(self.k, address, cpu=cpu)
+            self._stack.callback(self.plane.close)
+            parameters = LiveParameters(self.k)  # in the memory that is shared by now
+            self.changes = Changes(parameters, new_arm_key(address), self._apply, self._why_no_change)
+            self.answers = Answers(self, self.plane, self.changes, address, outputs)
+            self._stack.callback(self.answers.close)
+            self.door.status, self.door.mark = self.answers.state, self.answers.mark
+            self.door.change = self.answers.change
+            self.control = RealControlPlane(rig, address)
+            self._stack.callback(self.control.close)
+            self._bits = BitMarks(outputs.mark_on, rig)
+            self.recorder = begin_recording(outputs, self.k, self.zero_ns)
+            if isinstance(self.recorder, SegmentedRecorder):
+                self.path = self.recorder.run
+            self._stack.callback(self._give_up_recording)
+        except BaseException:
+            self._stack.close()
+            raise
+
+    # markers, changes, recording
+
+    def mark(self, t_ns: int, text: str) -> None:
+        """Mark the recording, whose time begins with the run's."""
+        super().mark(t_ns - self.zero_ns, text)
+
+    def _why_no_change(self) -> str | None:
+        if self.plane.status is not Status.CYCLING:
+            return "the host does not cycle yet"
+        return "the host ends: it is in its safe state" if self.k.ending else None
+
+    def _apply(self, change: Change) -> None:
+        """Let the step follow a change from the next cycle on; mark it."""
+        self.plane.order(change.index, change.number)
+        self.mark(self.now_ns, change.marker)
+
+    def _watch_keys(self) -> None:
+        """Let the keys 1 to 9 set markers, and q and Escape stop, where a terminal is there."""
+        if in_foreground():
+            with suppress(OSError, termios.error):
+                self._stack.enter_context(Keys(self._keys.strike, earlier=self._keys.strike_early))
+
+    def drain(self, seen_ns: int | None = None) -> None:
+        """Write what the data plane has logged, in the order of the stamps.
+
+        With `seen_ns` the rest waits for the next batch.
+
+        All that was to be marked up to `seen_ns` is marked: a frame that may still get a marker is
+        not written.
+        """
+        rows, found = self.plane.take_trace(), self.plane.take()
+        if self.recorder is None or self.failure is not None:
+            return
+        batch = self._order.batch(found, rows, seen_ns)
+        self.record(lambda recorder: batch.write(recorder, self._bits))
+
+    def _give_up_recording(self) -> None:
+        """Close the recording, if it is not closed yet: what stands in it stays readable."""
+        if self.recorder is not None:
+            self._attempt(self.recorder.close, RecordingError)
+
+    # the course
+
+    @property
+    def now_ns(self) -> int:
+        """CLOCK_MONOTONIC."""
+        return time.monotonic_ns()
+
+    def stop(self, trip: Trip = Trip.NONE) -> None:
+        """Let the data plane make the rig safe."""
+        self.plane.stop(trip)
+
+    def prepare(self) -> None:
+        """Be alone on the bus, load the data plane, bring the nodes up."""
+        alone_at = time.monotonic() + LISTEN_S
+        self.plane.wait_ready()
+        self.drain(time.monotonic_ns())  # compiles what the run needs of it: now, not while it is armed
+        self.control.check_alone(alone_at)
+        for right in self.plane.real_time:
+            if not right["granted"]:
+                say(f"coulombus: {right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
+        if self.deadman == "none":
+            if self.address.kind == "socketcan":
+                say("coulombus: no dead man's switch: host.deadman is none")
+        else:
+            say(f"coulombus: dead man's switch: {self.deadman}")
+        self._touched = True
+        self.losses = bring_up(self.k, self.control)
+        for text in self.losses:
+            say(f"coulombus: {text}")
+        now = time.monotonic_ns()
+        self.mark(now, f"run {self.k.mode}")
+        self.mark(now, f"deadman {self.deadman}")
+
+    def _hold(self, until_ns: int) -> None:
+        """Let the dead man's switch count as held until then."""
+        self.plane.hold_deadman(until_ns)
+
+    def _await_hand(self, switch: Switch) -> None:
+        """Wait until a dead man's switch is held that is no object of a device."""
+        self.k.control["deadman_key"] = 1
+        self._stack.enter_context(switch)
+        say(f"coulombus: {switch.invitation}")
+        deadline = time.monotonic() + HAND_TIMEOUT_S
+        while not switch.held:
+            if time.monotonic() > deadline:
+                raise SafetyTrip(f"arming refused: {switch.name} was not held within {HAND_TIMEOUT_S:g} s")
+            time.sleep(POLL_S)
+
+    def course(self, seconds: float | None) -> None:
+        """Run from arming to the safe end; `seconds` as `display`."""
+        switch = switch_of(self.deadman, self._hold, self._keys.strike)
+        if self.deadman != "key":
+            self._watch_keys()
+        if switch is not None:
+            self._await_hand(switch)
+        if self.changes.arm_key:
+            say(
+                f"coulombus: arm key, which coulombus set and the page need to change a parameter: {self.changes.arm_key}"
+            )
+        self.signals.defer()
+        self.signals.stop()
+        if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):
+            raise BusUnavailable(f"bus {self.address}: lost before anything was armed: {self.plane.lost_text}")
+        period = int(self.k.control["period_ns"][0])
+        self.plane.attend()
+        self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
+        self._seen = (0, time.monotonic())
+        try:
+            self.notifier.tell(READY=1, STATUS=f"cycling on {self.address} in mode {self.k.mode}")
+            self.display(seconds)
+        except Exception as error:
+            self._fail(error)
+        finally:  # whatever came: the rig is made safe before anything else
+            self.make_safe()
+
+    def _fail(self, error: Exception) -> None:
+        """Make a trip of an error of this process; the first one counts.
+
+        Raises nothing, be there no memory even for the text.
+        """
+        first, self.error = self.error is None, self.error or "an error"
+        with suppress(Exception):
+            self.plane.stop(Trip.HOST)
+            if first:
+                self.error = f"{type(error).__name__}: {error} ({place_of(error.__traceback__)})"
+
+    def _attempt(self, what: Callable[[], object], *expected: type[Exception]) -> None:
+        """Do something, after which the safe end goes on, whatever comes of it."""
+        try:
+            what()
+        except expected:
+            pass
+        except Exception as error:
+            self._fail(error)
+
+    def make_safe(self) -> None:
+        """Ask for the safe state and wait for its end.
+
+        The data plane goes there by itself: an error in here ends the looking on, not the waiting.
+        """
+        deadline, failures = 0, 0
+        self._attempt(lambda: self.notifier.tell(STOPPING=1, STATUS="ending safely"))
+        while failures < FAILURES:
+            try:
+                self.plane.stop()
+                now = self.now_ns
+                deadline = deadline or now + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
+                if self.plane.status is Status.LOST or self.k.done or now >= deadline or not self._supervise():
+                    break
+            except Exception as error:
+                failures += 1
+                self._fail(error)
+        self._attempt(self._supervise)
+        self._attempt(self._never_cycled)
+        self._attempt(self.mark_end)
+
+    def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
+        """Look after the run once, a little later.
+
+        Return False when it is to end: on a signal, on request, or because it has tripped.
+        """
+        if not self._supervise() or self.k.ending or self.plane.status is Status.LOST:
+            return False
+        if self.signals.number:
+            self.stopped_by = signal.Signals(self.signals.number).name
+            return False
+        if self.door.stop_wanted():
+            self.stopped_by = "coulombus stop"
+            return False
+        if self._keys.stop:
+            self.stopped_by = "a key"
+            return False
+        return True
+
+    def _supervise(self) -> bool:
+        """Mark what has begun, drain the log, see whether the data plane is alive.
+
+        Return False when it is not.
+        """
+        time.sleep(POLL_S)
+        self.plane.attend()
+        seen_ns = time.monotonic_ns()
+        cycles, now = self.plane.cycles, time.monotonic()
+        if cycles != self._seen[0]:
+            self._seen = cycles, now
+            self.notifier.alive(cycles)
+        self.mark_course(self.now_ns + 1)
+        for t_ns, text in self._keys.take():
+            self.mark(t_ns, text)
+            say(f"coulombus: {text}" if self.recorder is not None else f"coulombus: {text}: nothing is recorded")
+        enabled = self.enabled_ns
+        if enabled is not None and self.progress is not None:
+            with suppress(OSError):  # of a terminal that was closed
+                self.progress((time.monotonic_ns() - enabled) * 1e-9)
+        self.drain(seen_ns)
+        self.answers.tell(seen_ns)
+        stuck = now - self._seen[1] > STUCK_S
+        if (stuck or not self.plane.alive) and self.plane.status not in (Status.LOST, Status.ENDED):
+            self._plane_gone()
+            return False
+        return True
+
+    def _plane_gone(self) -> None:
+        """The nodes' own watchdogs have made the rig safe, or are about to."""
+        h = self.k.host
+        running = h["phase"] < Phase.SAFE
+        h["trip"][running], h["trip_ns"][running] = Trip.DATA_PLANE, time.monotonic_ns()
+        h["phase"] = Phase.DONE
+        self._fate = self._fate or self.plane.fate
+
+    def _never_cycled(self) -> None:
+        """The bus was lost between the last look at the data plane and its first cycle: that is a
+        trip, too.
+        """
+        h = self.k.host
+        running = h["phase"] < Phase.SAFE
+        if self.plane.status is Status.LOST and running.any():
+            h["trip"][running], h["trip_ns"][running] = Trip.BUS_LOST, time.monotonic_ns()
+            h["phase"] = Phase.DONE
+
+    def end(self) -> None:
+        """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording.
+
+        An error of one of them keeps none of the others from it.
+        """
+        cycling = self.plane.status is Status.CYCLING and self.plane.alive
+        if cycling and not self.k.done:  # a brake that only the host ramps off is, before NMT ends the PDOs
+            self.plane.end_cycle()
+            self._attempt(self.plane.await_end)
+        if cycling:  # first: a node that misses SYNC, or the heartbeat, would call it a fault
+            self._attempt(lambda: release(self.k, self.control), BusUnavailable, can.CanError)  # the bus may be gone
+            self.plane.end_cycle()
+        if self._touched:
+            self._attempt(lambda: shut_down(self.control), BusUnavailable, can.CanError)
+        self._attempt(self.drain)
+        self._give_up_recording()
+        self._attempt(self.plane.close)
+
+    def close(self) -> None:
+        """Give everything back."""
+        try:
+            self._stack.close()
+        except Exception as error:  # the run has its result already
+            say(f"coulombus: something is left behind: {error}")
+
+    # the result
+
+    @property
+    def trip(self) -> str | None:
+        """Why the run ended in its safe state, with what this process and the bus have to say of
+        it.
+        """
+        trip, first = super().trip, self.k.tripped
+        if self.failure is not None:
+            return trip
+        number = Trip.NONE if first is None else first.host["trip"][0]
+        if self.error is not None and number in (Trip.NONE, Trip.HOST):
+            return f"HOST: {self.error}"
+        details = {
+            Trip.HOST: f"it stood still for {PARENT_NS // 1_000_000_000} s",  # it has neither failed nor ended
+            Trip.DATA_PLANE: f"it {self._fate or 'is not there'}",
+            Trip.BUS_LOST: self.plane.lost_text,
+        }
+        return f"{trip} ({details[number]})" if number in details else trip
+
+    def _lost_share(self) -> float:
+        cycles = self.plane.cycles
+        lost = int(self.plane.shared.plane["missed_deadlines"][0]) + int(self.k.host["lost_pdos"].max())
+        return lost / cycles if cycles else 0.0
+
+    def _exit_status(self) -> int:
+        if self.trip is not None:
+            return 7
+        if self.signals.number:
+            return status_of(self.signals.number)
+        return 8 if self._lost_share() > self.rig.host.loss_limit else 0
+
+    def figures(self) -> Figures:
+        """Return the display's figures; an error of them is this process', and a trip."""
+        try:
+            return super().figures()
+        except Exception as error:
+            self._fail(error)
+        return Figures([Measures() for _ in self.k], None)
+
+    def result(self) -> RunResult:
+        """Return what the run came to."""
+        k, plane = self.k, self.plane
+        figures = self.figures()
+        wakeup, latency = plane.wakeup(), plane.latency()
+        counters = {"late_cycles" if name == "missed_deadlines" else name: n for name, n in k.counters().items()}
+        counters |= plane.counters()
+        cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()
+        self._outcome = {"mode": k.mode, "cycles": cycles, "trip": self.trip, "exit_status": exit_status}
+        return self.result_of(
+            figures,
+            missed_deadlines=counters["missed_deadlines"],
+            wakeup_us=wakeup.as_dict() if wakeup else None,
+            cpu_us_per_cycle=plane.cpu_us_per_cycle(),
+            simulated_s=cycles * int(k.control["period_ns"][0]) * 1e-9,
+            counters=counters,
+            exit_status=exit_status,
+            bus=str(self.address),
+            sync_to_rpdo_us=latency.as_dict() if latency else None,
+            real_time=plane.real_time,
+            deadman=self.deadman,
+            stopped_by=self.stopped_by,
+            trip_ns=k.trip_ns - self.zero_ns if k.trip_ns else None,
+        )
+
+    def concluded(self) -> RunResult:
+        """Return what the run came to, also when telling it fails once.
+
+        Raises
+        ------
+        SafetyTrip
+            it fails again: not even the figures can be told
+        """
+        try:
+            return self.result()
+        except Exception as error:
+            self._fail(error)
+        try:
+            return self.result()
+        except Exception as error:
+            raise SafetyTrip(f"HOST: {self.error}") from error
+
+    def histograms(self) -> tuple[Counts, Counts]:
+        """Return copies of the histograms of wake-up and of SYNC to RPDO, in microseconds."""
+        return self.plane.shared.wakeup_bins.copy(), self.plane.shared.latency_bins.copy()

@@ -1,0 +1,110 @@
+"""The recording of a live run: its beginning by the clock of the wall, and what the data plane logs
+in the order of its stamps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.host.laws.law_source import law_attachments
+from coulombus.host.run.markers import BitMarks
+from coulombus.host.run.outputs import Outputs
+from coulombus.recording.host_telemetry import SOURCE_INSIDE
+from coulombus.recording.recorder import About, Recorder
+from coulombus.recording.segments import SegmentedRecorder
+from coulombus.recording.wall_clock import meta_attachment, wall_clock
+from coulombus.wire.frame import Records
+
+__all__ = ["Batch", "StampOrder", "begin_recording"]
+
+HOLD_BACK_NS = 50_000_000  # frames come into the log a little out of order; younger ones wait for the next batch
+
+
+def begin_recording(outputs: Outputs, k: Controllers, zero_ns: int) -> Recorder | None:
+    """Begin the recording that `outputs` asks for; None: it asks for none.
+
+    `zero_ns`, of CLOCK_MONOTONIC, is the time 0 of the recording. The recording says when that was
+    by the clock of the wall.
+
+    Raises
+    ------
+    coulombus.recording.pcapng_blocks.RecordingError
+        it exists, or cannot be created
+    """
+    path, rig, mode = outputs.record, k.rig, k.mode
+    if path is None:
+        return None
+    started_ns, more, comment = wall_clock(zero_ns)
+    more |= meta_attachment(outputs.meta)
+    about = About(
+        law=law_attachments(rig),
+        law_state=k.each[0].law_state,
+        more=more,
+        comment=comment,
+        started_ns=started_ns,
+    )
+    if outputs.rotation is None:
+        return Recorder(path, rig, mode, about=about, force=outputs.force)
+    return SegmentedRecorder(path, rig, mode, outputs.rotation, about)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Frames in the order of their stamps, and what the host traced of its cycles."""
+
+    frames: Records
+    rows: Records
+    last: bool
+    """Nothing comes after it: the recording is closed with it."""
+
+    def write(self, recorder: Recorder, bits: BitMarks) -> None:
+        """Write it, with the markers that `bits` finds in it.
+
+        Raises
+        ------
+        coulombus.recording.pcapng_blocks.RecordingError
+            the recording cannot be written
+        """
+        of_bus = self.frames["source"] != SOURCE_INSIDE
+        if len(self.frames):
+            for t_ns, marker in bits.edges(self.frames[of_bus]):
+                recorder.mark(t_ns, marker)
+            recorder.write(self.frames)
+        if len(self.frames) or len(self.rows):
+            recorder.trace(self.frames["source"][of_bus] == SOURCE_HOST, self.rows)
+        if self.last:
+            recorder.close()
+
+
+class StampOrder:
+    """Puts what the data plane logs in the order of the stamps.
+
+    Parameters
+    ----------
+    zero_ns : the time 0 of the recording, of CLOCK_MONOTONIC
+    """
+
+    def __init__(self, zero_ns: int) -> None:
+        self._zero_ns = zero_ns
+        self._waiting: Records | None = None
+
+    def batch(self, found: Records, rows: Records, seen_ns: int | None) -> Batch:
+        """Return the frames that no frame to come can stand before, as far as was seen.
+
+        Frames of the last `HOLD_BACK_NS` before `seen_ns` wait for the next batch; with None,
+        nothing waits. The times of `found` and `rows` become the recording's.
+        """
+        found["t_ns"] -= self._zero_ns
+        rows["t_ns"] -= self._zero_ns
+        if self._waiting is not None:
+            found = np.concatenate((self._waiting, found)).view(np.recarray)
+        found = found[np.argsort(found["t_ns"], kind="stable")]
+        ready = len(found)
+        if seen_ns is not None:
+            ready = int(np.searchsorted(found["t_ns"], seen_ns - self._zero_ns - HOLD_BACK_NS))
+        self._waiting = found[ready:]
+        return Batch(found[:ready], rows, seen_ns is None)

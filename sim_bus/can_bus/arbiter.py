@@ -1,0 +1,143 @@
+"""The wire: one frame at a time, the lowest identifier first, each for exactly as long as its bits
+take.
+
+`BUS` is the wire's state. A frame that waits (`sim_bus.can_bus.tx_queue`) starts when the bus is free
+and it is ready; of all that are ready at that instant the one with the lowest arbitration field
+goes (ISO 11898-1, 10.4.2.5: base before extended, data before remote, first come first served among
+equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three bits of
+inter-frame space later, at `free_ns`. Where something is amiss `start_frame` says so, and
+`sim_bus.can_bus.error_path` has a closer look.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coulombus.kernels.decorator import inlined
+from coulombus.sim_bus.can_bus.bit_level import PLAY_FIELDS
+from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, Delivered, Stage
+from coulombus.sim_bus.can_bus.controller_bits import FOLLOW_FIELDS
+from coulombus.sim_bus.can_bus.fault_confinement import CONTROLLER, STATIONS
+from coulombus.sim_bus.can_bus.faults import FAULT_FIELDS
+from coulombus.sim_bus.can_bus.frame_result import OUTCOME_FIELDS
+from coulombus.sim_bus.can_bus.noise import NOISE_FIELDS
+from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.stations import STATION_FIELDS
+from coulombus.sim_bus.can_bus.tx_queue import (
+    FAR_NS,
+    HALF_FIELDS,
+    STATION_MASK,
+    WAITING_FIELDS,
+    first_ns,
+    first_order,
+    hold,
+    win,
+)
+from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.frame import Queue, Records, new_records
+
+__all__ = [
+    "BUS",
+    "FAR_NS",
+    "INTER_FRAME_BITS",
+    "end_frame",
+    "new_bus",
+    "receives",
+    "start_frame",
+    "start_ns",
+]
+
+BUS = np.dtype(
+    [
+        ("bit_rate", np.int64),  # bit/s; 0: a frame takes no time here (another bus carries it)
+        ("stage", np.int64),  # `sim_bus.can_bus.bus_state.Stage`: what the wire is in the midst of
+        ("delivered", np.int64),  # `sim_bus.can_bus.bus_state.Delivered`: who has what has ended last
+        ("end_ns", np.int64),
+        ("free_ns", np.int64),
+        ("t_ns", np.int64),  # the frame on the wire, fields as in FRAME
+        ("can_id", np.int64),
+        ("length", np.int64),
+        ("word", np.int64),
+        ("source", np.int64),
+        ("frames", np.int64),  # counters
+        ("bits", np.int64),
+        *HALF_FIELDS,
+        *WAITING_FIELDS,
+        *STATION_FIELDS,
+        *OUTCOME_FIELDS,
+        *PLAY_FIELDS,
+        *FOLLOW_FIELDS,
+        *FAULT_FIELDS,
+        *NOISE_FIELDS,
+        ("stations", CONTROLLER, (STATIONS,)),
+    ],
+    align=True,
+)
+
+
+def new_bus(bitrate_bit_s: int) -> Records:
+    """Return an idle bus: its record, and that of the second half for when the cable is cut
+    (`sim_bus.can_bus.cable_cut`).
+    """
+    bus = new_records(BUS, 2)
+    bus["bit_rate"] = bitrate_bit_s
+    bus["alarm_ns"] = bus["stuck"]["from_ns"] = bus["stuck"]["until_ns"] = FAR_NS
+    bus["noise"]["next_ns"], bus["partial_row"] = FAR_NS, -1
+    bus["stations"]["restart_at_ns"] = FAR_NS
+    return bus
+
+
+@inlined
+def start_ns(bus: BusRecord, out: Queue) -> int:
+    """Return when the next waiting frame can start, or when a scripted fault wants the bus,
+    `FAR_NS` when nothing does.
+    """
+    return max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns)
+
+
+@inlined
+def start_frame(bus: BusRecord, out: Queue, now_ns: int) -> bool:
+    """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire.
+
+    False: the bus wants a close look (`sim_bus.can_bus.error_path.attempt`), and nothing is on the
+    wire: faults, counted errors, a station that is alone (`alert`), or two stations that send one
+    arbitration field.
+    """
+    if bus.alert:
+        return False
+    if win(bus, out, now_ns) and bus.on_count > 0 and bus.bit_rate > 0:
+        hold(bus, first_order(bus.can_id) | 1, bus.can_id, bus.length, bus.word, bus.source, now_ns)
+        return False
+    bits = data_frame_bits(bus.can_id, bus.length, bus.word)
+    bus.t_ns = now_ns
+    bus.end_ns = bus.free_ns = now_ns
+    if bus.bit_rate > 0:
+        bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * NS // bus.bit_rate
+        bus.free_ns = now_ns + bits * NS // bus.bit_rate
+    bus.stage = Stage.FRAME
+    bus.frames += 1
+    bus.bits += bits
+    return True
+
+
+@inlined
+def end_frame(bus: BusRecord, log: Records, row: int) -> None:
+    """Take a frame that needed no close look off the wire and write it to `log[row]`, stamped with
+    its end of frame.
+    """
+    bus.stage = Stage.FREE
+    bus.delivered = Delivered.OTHERS
+    frame = log[row]
+    frame.t_ns = bus.end_ns
+    frame.can_id = bus.can_id
+    frame.length = bus.length
+    frame.word = bus.word
+    frame.source = bus.source
+
+
+@inlined
+def receives(bus: BusRecord, station: int) -> bool:
+    """Tell whether a station has the frame that has just ended."""
+    if bus.delivered == Delivered.OTHERS:
+        return bus.source != station
+    return bus.stations[station & STATION_MASK].hears != 0

@@ -1,0 +1,194 @@
+"""A stretch of bus time in slow motion: every station's controller, bit by bit (ISO 11898-1:2015,
+clauses 10 and 11; compiled).
+
+The arbiter knows a frame's length and its winner without a look at the bits. Where something goes
+wrong that is not enough, and `run_bits` plays the bits instead: each controller drives a level,
+dominant (0) wins, a disturbance turns the level around for all or for one, and each controller
+makes of it what the standard says (`sim_bus.can_bus.controller_bits`). It ends when nobody sends and somebody
+may begin to; failed frames then wait anew. Who is not idle by then, as an error-passive receiver
+that alone has seen an error, is in the midst of what it does when the next stretch begins
+(`unsettled`).
+
+It pauses at the end of each bit in which there is something to tell: a frame that was received or
+given up, an error, a change of state. And it pauses now and then, so that a station that is
+switched off in the middle falls silent in the middle.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coulombus.kernels.decorator import kernel
+from coulombus.sim_bus.can_bus.bus_state import NS, Stage
+from coulombus.sim_bus.can_bus.controller_bits import Mode, Sent, drive, follow, look_anew, may_start, open_frame
+from coulombus.sim_bus.can_bus.fault_confinement import CanState
+from coulombus.sim_bus.can_bus.noise import noisy_bit
+from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.stuffing import stuffed_bits
+from coulombus.sim_bus.can_bus.targets import ALL, NOBODY, is_meant
+
+__all__ = ["PLAY_FIELDS", "add_sender", "begin_bits", "run_bits"]
+
+LONGEST_STRETCH = 64  # bits without a pause
+
+PLAY = np.dtype(
+    [
+        ("begin_ns", np.int64),  # when the first bit began
+        ("bit", np.int64),  # bits played
+        ("passed", np.int64),  # 1: what ends at the end of this bit is a frame that was received
+        ("unsettled", np.int64),  # 1: not all stations were idle at the end of the last stretch
+    ],
+    align=True,
+)
+
+PLAY_FIELDS: list[Any] = [
+    ("play", PLAY),
+    ("recessive_ns", np.int64),  # the wire has been recessive since, as far as somebody looked
+]
+"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
+
+
+@kernel
+def add_sender(bus: BusRecord, order: int, can_id: int, length: int, word: int, source: int, wrong_crc: int) -> None:
+    """Let a station send a frame in the slow motion that is to begin."""
+    k = bus.senders
+    sender = bus.tx[k]
+    sender.state = Sent.PENDING
+    sender.order = order
+    sender.can_id = can_id
+    sender.length = length
+    sender.word = word
+    sender.source = source
+    sender.bits = stuffed_bits(can_id, length, word, wrong_crc, sender.bit)
+    bus.senders = k + 1
+
+
+@kernel
+def begin_bits(bus: BusRecord, now_ns: int) -> None:
+    """Begin slow motion at `now_ns` with the senders that were added.
+
+    The other stations are idle, or in the midst of what they do.
+    """
+    bus.play.begin_ns = now_ns
+    bus.play.bit = 0
+    look_anew(bus)
+    for k in range(bus.on_count):
+        c = bus.stations[bus.on[k]]
+        c.hears = 0
+        c.frame = -1
+    for k in range(bus.senders):
+        c = bus.stations[bus.tx[k].source & 0xFF]
+        joins = c.joins
+        open_frame(c, k)
+        if joins:  # its start of frame is the bit that has just been
+            c.sent_bits = c.position = c.run = 1
+            c.last = 0
+            if k == 0:
+                bus.play.begin_ns -= NS // bus.bit_rate
+                bus.play.bit = 1
+
+
+@kernel
+def _disturbed(bus: BusRecord, row: int, level: int) -> int:
+    """Return `level` as the scripted disturbances of the station in a row leave it, or those of the
+    wire for `ALL`.
+    """
+    for k in range(bus.struck.flips):
+        one = bus.struck.flip_station[k]
+        if bus.struck.flip_bit[k] == bus.play.bit and (one == ALL) == (row == ALL) and is_meant(one, row):
+            level = 1 - level
+    return level
+
+
+@kernel
+def _wire_level(bus: BusRecord, stuck: bool) -> int:
+    """Return the level of the wire in this bit: dominant where one controller drives it, or a
+    fault; a disturbance of all turns it around.
+    """
+    level = 1
+    for k in range(bus.on_count):
+        c = bus.stations[bus.on[k]]
+        c.level = 1 if c.state == CanState.BUS_OFF else drive(bus, c)
+        level &= c.level
+    if stuck:
+        level = 0
+    return _disturbed(bus, ALL, level)
+
+
+@kernel
+def _see(bus: BusRecord, level: int, hit: int, end_ns: int) -> bool:
+    """Let each controller see the bit, turned around for the stations of `hit`.
+
+    Tell whether one has changed its state.
+    """
+    changed = False
+    for k in range(bus.on_count):
+        station = bus.on[k]
+        c = bus.stations[station]
+        if c.state == CanState.BUS_OFF:
+            continue
+        bit = _disturbed(bus, station, level)
+        if is_meant(hit, station):
+            bit = 1 - bit
+        follow(bus, c, station, bit, end_ns)
+        if c.changed:
+            changed = True
+            if c.state == CanState.BUS_OFF and c.frame >= 0:
+                bus.tx[c.frame].state = Sent.FAILED
+                c.frame = -1
+    return changed
+
+
+@kernel
+def _somebody_may_start(bus: BusRecord) -> bool:
+    """Tell whether slow motion is over: nobody sends, and somebody may begin to, or nobody is left.
+    Some may be in the midst of what they do.
+    """
+    alive = idle = ready = sending = 0
+    for k in range(bus.on_count):
+        c = bus.stations[bus.on[k]]
+        if c.state != CanState.BUS_OFF:
+            alive += 1
+            idle += c.mode == Mode.IDLE
+            ready += may_start(c)
+            sending += c.frame >= 0
+    over = sending == 0 and (ready > 0 or alive == 0)
+    if over:
+        bus.play.unsettled = 1 if idle < alive else 0
+    return over
+
+
+@kernel
+def run_bits(bus: BusRecord) -> int:
+    """Play bits until there is something to tell, or until somebody may send (`Stage.OVER`).
+
+    Return the end of the last bit.
+    """
+    bus.stage = Stage.PLAYED
+    bus.play.passed = bus.seen.tell = 0
+    last_bit = bus.play.bit + LONGEST_STRETCH
+    end_ns: int = bus.play.begin_ns + bus.play.bit * NS // bus.bit_rate
+    while True:
+        begin_ns = end_ns
+        end_ns = bus.play.begin_ns + (bus.play.bit + 1) * NS // bus.bit_rate
+        stuck = bus.stuck.from_ns <= begin_ns < bus.stuck.until_ns
+        level = _wire_level(bus, stuck)
+        hit = noisy_bit(bus, end_ns)
+        if hit == ALL:
+            level = 1 - level
+            hit = NOBODY
+        if level == 0:
+            bus.recessive_ns = end_ns
+        changed = _see(bus, level, hit, end_ns)
+        if bus.seen.accepted_bit >= 0 and bus.play.bit == bus.seen.accepted_bit + 1:
+            bus.play.passed = 1
+        bus.play.bit += 1
+        if not stuck and _somebody_may_start(bus):
+            bus.stage = Stage.OVER
+            return end_ns
+        if bus.seen.tell or changed or bus.play.passed or bus.seen.gave_up:
+            return end_ns
+        if bus.play.bit >= last_bit or end_ns >= bus.stuck.until_ns:
+            return end_ns

@@ -1,0 +1,172 @@
+"""The cable cut into two halves: each is a wire of its own, with its own time, its own waiting
+frames and its own acknowledgement.
+
+A bus is an array of two records `sim_bus.can_bus.arbiter.BUS`. The first is the whole cable, and the
+first half while it is cut; the second is in use only then. A station's half stands in `half` of its
+controller, which is in the record of its half.
+
+A cut and its mend act between two frames: what is on a wire at that instant ends first. When the
+cable is to be mended, the half that has come to an end begins nothing new until the other one has
+too, so no frame is torn.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coulombus.kernels.decorator import kernel
+from coulombus.sim_bus.can_bus.bus_state import Stage
+from coulombus.sim_bus.can_bus.fault_confinement import STATIONS
+from coulombus.sim_bus.can_bus.faults import MOST_TOLD, FaultKind, plan_alarm
+from coulombus.sim_bus.can_bus.noise import next_noise, seeded
+from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.stations import number, refresh
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, STATION_MASK, accept, first_ns, hold, withdraw
+from coulombus.wire.frame import Queue, Records
+
+__all__ = ["APART", "MENDING", "WHOLE", "choose", "divide", "join", "merged_faults", "split", "wire_of"]
+
+WHOLE, APART, MENDING = 0, 1, 2
+"""`BUS.cut` of the first record."""
+
+
+@kernel
+def divide(bus: BusRecord, out: Queue) -> None:
+    """Let what was asked for since the last time wait with its sender's half.
+
+    The queue is empty then.
+    """
+    for i in range(out.count):
+        frame = out.frames[i]
+        if not accept(bus[bus[0].stations[frame.source & STATION_MASK].half], frame):
+            out.dropped += 1
+    out.count = 0
+    out.waiting = bus[0].held + bus[1].held
+
+
+@kernel
+def _next_ns(bus: BusRecord, out: Queue) -> int:
+    """Return when a half's frame ends, or the next one starts."""
+    if bus.stage != Stage.FREE:
+        return int(bus.end_ns)
+    return int(max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns))
+
+
+@kernel
+def choose(bus: BusRecord, out: Queue) -> int:
+    """Return the half in which something happens next.
+
+    Of equals an end goes before a start, then the first half.
+    """
+    near, far = bus[0], bus[1]
+    if out.count > 0:
+        divide(bus, out)
+    near.fault_calls |= far.fault_calls
+    far.fault_calls = 0
+    if near.cut == MENDING:
+        if far.stage != Stage.FREE:
+            return 1
+        near.fault_calls |= 1 << near.cut_row
+        return 0
+    t_near, t_far = _next_ns(near, out), _next_ns(far, out)
+    ends_sooner = near.stage == Stage.FREE and far.stage != Stage.FREE
+    return 1 if t_far < t_near or (t_far == t_near and ends_sooner) else 0
+
+
+def wire_of(bus: Records, station: int) -> Any:
+    """Return the record of the wire that a station is on."""
+    return bus[int(bus[0].stations[station & STATION_MASK].half)]
+
+
+def split(bus: Records, out: Queue, row: int, t_ns: int) -> Records:
+    """Cut the idle cable as row `row` of the faults says, at `t_ns`.
+
+    Return the faults as they were, for `join`.
+    """
+    divide(bus, out)
+    bus[1:2] = bus[0:1]
+    near, far = bus[0], bus[1]
+    before: Records = near.faults.copy()
+    halves = near.faults[row].far.astype(np.int64)
+    switched_on = [int(station) for station in near.on[: near.on_count]]
+    waits = [station for station in range(STATIONS) if near.waiting_of[station]]
+    for half, one in enumerate((near, far)):
+        one.half = half
+        one.stations["half"] = halves
+        stay = [station for station in switched_on if halves[station] == half]
+        one.on_count = len(stay)
+        one.on[: len(stay)] = stay
+        for station in range(STATIONS):
+            if halves[station] != half:
+                one.stations[station].attached = one.stations[station].hears = 0
+                if station in waits:
+                    withdraw(one, out, number(station))
+    for name in ("frames", "bits", "errors", "retransmissions", "told", "fault_due", "fault_calls"):
+        far[name] = 0
+    far.noise.hits = 0
+    far.partial_row = -1
+    far.noise.state = seeded(int(near.noise.state))
+    next_noise(far, t_ns)
+    for fault in far.faults:
+        if fault.kind == FaultKind.CUT:
+            fault.next_ns = FAR_NS
+    fault = near.faults[row]
+    near.cut, near.cut_row = APART, row
+    near.mend_ns = fault.next_ns = min(t_ns + int(fault.lasts_ns), FAR_NS)
+    for one in (near, far):
+        plan_alarm(one, t_ns)
+        refresh(one)
+    return before
+
+
+def merged_faults(bus: Records, before: Records) -> Records:
+    """Return the faults as both halves together have met them since they were `before`."""
+    near, far = bus[0], bus[1]
+    out: Records = near.faults.copy()
+    for n in range(int(near.fault_count)):
+        row, other, base = out[n], far.faults[n], before[n]
+        if row.kind == FaultKind.BABBLE and near.stations[int(row.station) & STATION_MASK].half:
+            out[n] = other
+            continue
+        firsts = [int(one.first_ns) for one in (row, other) if one.fired]
+        row.first_ns = min(firsts, default=0)
+        row.last_ns = max(int(row.last_ns), int(other.last_ns))
+        row.fired += other.fired - base.fired
+        row.seen += other.seen - base.seen
+    return out
+
+
+def join(bus: Records, out: Queue, before: Records, t_ns: int) -> None:
+    """Mend the cable, both halves of which are idle, at `t_ns`."""
+    near, far = bus[0], bus[1]
+    near.faults[:] = merged_faults(bus, before)
+    for station in range(STATIONS):
+        if near.stations[station].half:
+            near.stations[station] = far.stations[station]
+    for station in far.on[: far.on_count]:
+        near.on[int(near.on_count)] = station
+        near.on_count += 1
+    near.stations["half"] = 0
+    near.sequence = max(int(near.sequence), int(far.sequence))
+    ready = [(0, int(place)) for place in far.ready_place[: far.ready]]
+    later = [(int(t), int(place)) for t, place in zip(far.later_key, far.later_place[: far.later], strict=False)]
+    for ready_ns, place in ready + later:
+        order, can_id = far.held_order[place], far.held_can_id[place]
+        length, word, source = far.held_length[place], far.held_word[place], far.held_source[place]
+        if not hold(near, order, can_id, length, word, source, ready_ns):
+            out["dropped"] += 1
+    for name in ("frames", "bits", "errors", "retransmissions"):
+        near[name] += far[name]
+    for k in range(min(int(far.told), MOST_TOLD - int(near.told))):
+        for name in ("told_ns", "told_row", "told_id"):
+            near[name][near.told] = far[name][k]
+        near.told += 1
+    far.told = far.on_count = far.held = 0
+    for name in ("free_ns", "recessive_ns"):
+        near[name] = max(int(near[name]), int(far[name]))
+    near.play.unsettled |= far.play.unsettled
+    near.cut = WHOLE
+    plan_alarm(near, t_ns)
+    refresh(near)

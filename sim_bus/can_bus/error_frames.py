@@ -1,0 +1,78 @@
+"""Error frames as Linux's CAN drivers make them (include/uapi/linux/can/error.h): classes in the
+identifier, details in eight bytes.
+
+====== =======================================================================
+byte   what stands there
+====== =======================================================================
+0      bit in which the arbitration was lost: 0 is the start of frame, stuff bits do not count
+1      controller's change of state: warning, passive, active again
+2      type of a protocol error: bit, form, stuff, overload; 80h: on transmission
+3      where in the frame
+4      (transceiver: not used here)
+5      number of the station that it is about, its low eight bits
+6, 7   transmit and receive error counter of that station
+====== =======================================================================
+
+All classes that Linux sends along with counters carry CAN_ERR_CNT.
+
+    c : the record of a controller
+"""
+
+from __future__ import annotations
+
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.sim_bus.can_bus.fault_confinement import CanState
+from coulombus.sim_bus.can_bus.records import ControllerRecord
+from coulombus.wire.frame import CAN_ERR_FLAG
+
+__all__ = ["ERR_CNT", "ERR_LOSTARB", "error_frame", "lost_frame", "state_frame", "with_counters"]
+
+ERR_LOSTARB, ERR_CRTL, ERR_BUSOFF, ERR_RESTARTED, ERR_CNT = 0x002, 0x004, 0x040, 0x100, 0x200
+RX_WARNING, TX_WARNING, RX_PASSIVE, TX_PASSIVE, ACTIVE_AGAIN = 0x04, 0x08, 0x10, 0x20, 0x40
+
+
+@inlined
+def with_counters(word: int, c: ControllerRecord) -> int:
+    """Return the eight bytes with a controller's counters in the last two."""
+    counters = min(c.tec, 255) | min(c.rec, 255) << 8
+    signed: int = (word & 0xFFFF_FFFF_FFFF) | ((counters ^ 0x8000) - 0x8000) << 48
+    return signed
+
+
+@kernel
+def error_frame(c: ControllerRecord, station: int, classes: int, kind: int, place: int) -> tuple[int, int]:
+    """Return identifier and bytes of the frame that tells an error on the bus."""
+    word = kind << 16 | place << 24 | (station & 0xFF) << 40
+    return CAN_ERR_FLAG | ERR_CNT | classes, with_counters(word, c)
+
+
+@kernel
+def lost_frame(c: ControllerRecord, station: int, bit: int) -> tuple[int, int]:
+    """Return identifier and bytes of the frame that tells a station that its frame was given up:
+    the arbitration was lost in `bit`.
+    """
+    return CAN_ERR_FLAG | ERR_CNT | ERR_LOSTARB, with_counters(bit | (station & 0xFF) << 40, c)
+
+
+@kernel
+def state_frame(c: ControllerRecord, station: int) -> tuple[int, int]:
+    """Return identifier and bytes of the frame that tells the state that a controller has changed
+    to.
+    """
+    classes = ERR_CNT
+    how = 0
+    if c.recovered:
+        classes |= ERR_RESTARTED
+    if c.state == CanState.BUS_OFF:
+        classes |= ERR_BUSOFF
+    elif c.state == CanState.ERROR_ACTIVE:
+        classes |= ERR_CRTL
+        how = ACTIVE_AGAIN
+    else:
+        classes |= ERR_CRTL
+        passive = c.state == CanState.ERROR_PASSIVE
+        if c.tec >= c.rec:
+            how |= TX_PASSIVE if passive else TX_WARNING
+        if c.rec >= c.tec:
+            how |= RX_PASSIVE if passive else RX_WARNING
+    return CAN_ERR_FLAG | classes, with_counters(how << 8 | (station & 0xFF) << 40, c)

@@ -1,0 +1,242 @@
+"""What happens to a frame on a bus that wants a closer look than its length: faults, errors that
+were counted, a station that is alone (compiled).
+
+`sim_bus.can_bus.arbiter.start_frame` asks for it when `BUS.alert` is set, or when two stations send
+one arbitration field. `attempt` starts the next frame: it lets the scripted faults strike, and
+either the frame will pass (`Stage.WATCHED`), or `sim_bus.can_bus.bit_level` plays its bits, with
+all whose frames are ready as senders. `sim_bus.can_bus.frame_result` is the end of it.
+"""
+
+from __future__ import annotations
+
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.sim_bus.can_bus.bit_level import add_sender, begin_bits, run_bits
+from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, RUN_BITS, Stage
+from coulombus.sim_bus.can_bus.controller_bits import MAX_SENDERS, may_start
+from coulombus.sim_bus.can_bus.fault_confinement import CanState, recover
+from coulombus.sim_bus.can_bus.faults import alarm, strike, strike_nothing
+from coulombus.sim_bus.can_bus.frame_result import lose
+from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.stations import attach, refresh
+from coulombus.sim_bus.can_bus.tx_queue import (
+    HELD_BACK,
+    SEQUENCE_BITS,
+    SEQUENCE_MASK,
+    STATION_MASK,
+    first_order,
+    hold,
+    take_in,
+    winner,
+)
+from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.frame import Queue
+
+__all__ = ["attempt"]
+
+
+@inlined
+def _recover(bus: BusRecord, now_ns: int) -> None:
+    """Credit the stations in bus-off with the runs of 11 recessive bits since the last dominant
+    one.
+    """
+    for k in range(bus.on_count):
+        c = bus.stations[bus.on[k]]
+        if c.state != CanState.BUS_OFF or c.restart_at_ns > now_ns:
+            continue
+        begin_ns = max(bus.recessive_ns, c.restart_at_ns)
+        runs = max(now_ns - begin_ns, 0) * bus.bit_rate // NS // RUN_BITS
+        c.runs_left -= runs
+        c.restart_at_ns = begin_ns + runs * RUN_BITS * NS // bus.bit_rate
+        if c.runs_left <= 0:
+            recover(c)
+
+
+@inlined
+def _next(bus: BusRecord, now_ns: int) -> int:
+    """Return the place of the next frame whose sender may send now, -1 when there is none."""
+    place = winner(bus, now_ns)
+    while place >= 0:
+        row = bus.held_source[place] & STATION_MASK
+        c = bus.stations[row]
+        if c.attached == 0:
+            attach(bus, row)
+        if c.state == CanState.BUS_OFF or c.listen_only:
+            c.dropped += 1
+        elif c.suspend_ns > now_ns:
+            _wait_again(bus, place, bus.held_order[place], c.suspend_ns)
+        elif not may_start(c):
+            _wait_again(bus, place, bus.held_order[place], now_ns + NS // bus.bit_rate)
+        else:
+            return place
+        place = winner(bus, now_ns)
+    return -1
+
+
+@kernel
+def _wait_again(bus: BusRecord, place: int, order: int, ready_ns: int) -> None:
+    can_id, length, word, source = (
+        bus.held_can_id[place],
+        bus.held_length[place],
+        bus.held_word[place],
+        bus.held_source[place],
+    )
+    hold(bus, order, can_id, length, word, source, ready_ns)
+
+
+@kernel
+def attempt(bus: BusRecord, out: Queue, now_ns: int) -> None:
+    """Start what is to start at `now_ns`, if anything."""
+    if out.count > 0:
+        take_in(bus, out)
+    _recover(bus, now_ns)
+    if bus.alarm_ns <= now_ns:
+        alarm(bus, now_ns)
+        refresh(bus)
+        if bus.fault_calls != 0:  # the cable is cut, or mended, before anything is sent
+            out.waiting = bus.held
+            return
+    stuck = bus.stuck.from_ns <= now_ns < bus.stuck.until_ns
+    bus.senders = 0
+    strike_nothing(bus)
+    while True:
+        place = _next(bus, now_ns)
+        if place < 0:
+            break
+        can_id, source = bus.held_can_id[place], bus.held_source[place]
+        length, word = bus.held_length[place], bus.held_word[place]
+        sequence = bus.held_order[place] & SEQUENCE_MASK
+        if sequence == 0:  # it was on the wire before, and what has struck it then is still to come
+            c = bus.stations[source & STATION_MASK]
+            bus.retransmissions += 1
+            c.retransmissions += 1
+            if c.owed:
+                bus.struck.again, bus.struck.lost_for = c.again, c.lost_for
+                c.owed = 0
+        if sequence == 0 or sequence == HELD_BACK:
+            break
+        delay_ns = strike(bus, now_ns, can_id, length, word, source)
+        if delay_ns == 0:
+            break
+        _wait_again(bus, place, first_order(can_id) | HELD_BACK, now_ns + delay_ns)
+    out.waiting = bus.held
+    if place >= 0:
+        _send(bus, place, now_ns)
+    elif stuck or bus.play.unsettled or bus.noise.next_ns <= now_ns:
+        _begin_slow(bus, now_ns)
+    else:
+        _only_tell(bus, now_ns)
+
+
+@kernel
+def _only_tell(bus: BusRecord, now_ns: int) -> None:
+    """Nobody sends; a controller that has recovered is to be told all the same."""
+    for k in range(bus.on_count):
+        if bus.stations[bus.on[k]].changed:
+            bus.stage = Stage.TELLING
+            bus.end_ns = now_ns
+            return
+
+
+@kernel
+def _begin_slow(bus: BusRecord, now_ns: int) -> None:
+    begin_bits(bus, now_ns)
+    bus.t_ns = now_ns
+    bus.end_ns = run_bits(bus)
+
+
+@inlined
+def _send(bus: BusRecord, place: int, now_ns: int) -> None:
+    """Put the frame at `place`, which has won the arbitration, on the wire."""
+    bus.can_id = bus.held_can_id[place]
+    bus.length = bus.held_length[place]
+    bus.word = bus.held_word[place]
+    bus.source = bus.held_source[place]
+    order = bus.held_order[place]
+    bits = data_frame_bits(bus.can_id, bus.length, bus.word)
+    end_ns = now_ns + bits * NS // bus.bit_rate
+    acknowledged = False
+    row = bus.source & STATION_MASK
+    for k in range(bus.on_count):
+        c = bus.stations[bus.on[k]]
+        own = bus.on[k] == row
+        c.hears = 1 if c.state != CanState.BUS_OFF and (not own or c.loopback) else 0
+        if c.state != CanState.BUS_OFF and ((not own and not c.listen_only) or (own and c.loopback)):
+            acknowledged = True
+    disturbed = (
+        bus.struck.flips > 0 or bus.struck.wrong_crc != 0 or bus.stuck.from_ns < end_ns or bus.noise.next_ns < end_ns
+    )
+    if disturbed or bus.play.unsettled or not acknowledged or _contested(bus, order):
+        add_sender(bus, order, bus.can_id, bus.length, bus.word, bus.source, bus.struck.wrong_crc)
+        _contend(bus, now_ns)
+        _begin_slow(bus, now_ns)
+        return
+    _count_lost(bus, now_ns)
+    lose(bus)
+    bus.t_ns = now_ns
+    bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * NS // bus.bit_rate
+    bus.free_ns = end_ns
+    bus.recessive_ns = end_ns - RUN_BITS * NS // bus.bit_rate
+    bus.stage = Stage.WATCHED
+    bus.frames += 1
+    bus.bits += bits
+
+
+@inlined
+def _contested(bus: BusRecord, order: int) -> bool:
+    """Tell whether the winner's bits matter to another station: its frame has the same arbitration
+    field, or it sends once only.
+    """
+    for n in range(bus.ready):
+        source = bus.held_source[bus.ready_place[n]]
+        if source == bus.source:
+            continue
+        if bus.ready_key[n] >> SEQUENCE_BITS == order >> SEQUENCE_BITS or bus.stations[source & STATION_MASK].one_shot:
+            return True
+    return False
+
+
+@kernel
+def _contends(bus: BusRecord, source: int, now_ns: int) -> bool:
+    """Tell, once for each station with a frame ready, whether it takes part in the arbitration that
+    begins now.
+    """
+    c = bus.stations[source & STATION_MASK]
+    if (
+        c.contends_ns == now_ns
+        or c.state == CanState.BUS_OFF
+        or c.listen_only
+        or c.suspend_ns > now_ns
+        or not may_start(c)
+    ):
+        return False
+    c.contends_ns = now_ns
+    return True
+
+
+@inlined
+def _count_lost(bus: BusRecord, now_ns: int) -> None:
+    """Count who loses the arbitration to the bus's frame, without a look at the bits."""
+    bus.stations[bus.source & STATION_MASK].contends_ns = now_ns
+    for n in range(bus.ready):
+        source = bus.held_source[bus.ready_place[n]]
+        if _contends(bus, source, now_ns):
+            bus.stations[source & STATION_MASK].arbitration_lost += 1
+
+
+@kernel
+def _contend(bus: BusRecord, now_ns: int) -> None:
+    """Let the other stations with a frame ready send it too, each its first one: the bits
+    decide.
+    """
+    bus.stations[bus.source & STATION_MASK].contends_ns = now_ns
+    while bus.senders < MAX_SENDERS:
+        place = winner(bus, now_ns)
+        if place < 0:
+            return
+        order, source = bus.held_order[place], bus.held_source[place]
+        if bus.stations[source & STATION_MASK].attached == 0:  # nobody has switched it on: it is there all the same
+            attach(bus, source)
+        if _contends(bus, source, now_ns):
+            add_sender(bus, order, bus.held_can_id[place], bus.held_length[place], bus.held_word[place], source, 0)
+        else:
+            _wait_again(bus, place, order, now_ns + 1)

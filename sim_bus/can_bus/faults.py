@@ -1,0 +1,284 @@
+"""Scripted faults as the bus sees them: a table of rows, each with its trigger and what it does
+(compiled).
+
+`sim_bus.faults.file` makes the rows from a file. The table is part of the bus's record, so a kernel
+needs no Python to inject: `strike` judges the rows at the start of each frame, `alarm` those that
+wait for a time.
+
+    f : a row of the table
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, RUN_BITS
+from coulombus.sim_bus.can_bus.fault_confinement import STATIONS, CanState
+from coulombus.sim_bus.can_bus.noise import renew
+from coulombus.sim_bus.can_bus.records import BusRecord, FaultRecord
+from coulombus.sim_bus.can_bus.stuffing import TAIL_BITS
+from coulombus.sim_bus.can_bus.targets import NOBODY, is_meant
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, STATION_MASK, first_order, hold
+from coulombus.wire.bits import data_frame_bits
+
+__all__ = [
+    "FAULT",
+    "FAULT_FIELDS",
+    "MAX_FAULTS",
+    "MOST_TOLD",
+    "NO_FRAME",
+    "FaultKind",
+    "alarm",
+    "fire",
+    "plan_alarm",
+    "strike",
+    "strike_nothing",
+]
+
+MAX_FAULTS = 62
+MOST_TOLD = 512
+"""Injections that are kept between two looks at them; more are only counted."""
+NO_FRAME = -1
+"""In place of an identifier: a fault struck a wire on which nobody was sending, or a station."""
+BABBLE_LIMIT = 4  # frames of a babbler that may wait: more would only fill the room
+MAX_FLIPS = 16
+TAIL_BIT = 1000
+"""`bit` from here on counts behind the CRC sequence: 1000 is the CRC delimiter."""
+
+
+class FaultKind(IntEnum):
+    """What a fault does."""
+
+    FLIP = 0
+    CORRUPT_CRC = 1
+    DROP = 2
+    DELAY = 3
+    DUPLICATE = 4
+    RESET = 5
+    CUT = 6
+    DRIFT = 7
+    BABBLE = 8
+    STUCK_DOMINANT = 9
+    NOISE = 10
+
+
+FLIP, CORRUPT_CRC, DROP, DELAY, DUPLICATE, RESET, CUT, DRIFT, BABBLE, STUCK_DOMINANT, NOISE = map(int, FaultKind)
+
+FAULT = np.dtype(
+    [
+        *(
+            (name, np.int64)
+            for name in (
+                "kind",
+                "from_ns",  # active from ... to
+                "until_ns",
+                "framed",  # 1: it waits for a frame
+                "match_id",  # of the frame, with Linux's flags: equal under the mask
+                "match_mask",
+                "match_source",  # and sent by this station, or by `ALL`
+                "nth",  # the first frame that is meant, counted from 1
+                "every",  # and then every so many; 0: that one only
+                "most",  # how often it may strike; 0: no limit
+                "station",  # whom it hits, or `ALL`
+                "bit",
+                "delay_ns",
+                "can_id",  # what a babbler says
+                "length",
+                "word",
+                "period_ns",
+                "next_ns",
+                "seen",
+                "fired",
+                "first_ns",
+                "last_ns",
+                "active",  # a noise: 1: at work
+                "hits",  # bits that it has disturbed, not counted in `fired` yet
+            )
+        ),
+        ("lasts_ns", np.int64),  # a cut
+        ("far", np.int8, (STATIONS,)),  # by row of a station: 1: in the second half of the cut cable
+        ("rate", np.float64),
+    ],
+    align=True,
+)
+
+STRUCK = np.dtype(
+    [
+        ("flips", np.int64),  # for the frame that starts: so many of its bits are turned around,
+        ("flip_bit", np.int64, (MAX_FLIPS,)),
+        ("flip_station", np.int64, (MAX_FLIPS,)),
+        ("wrong_crc", np.int64),  # its CRC sequence is sent with these bits turned,
+        ("again", np.int64),  # it is sent once more,
+        ("lost_for", np.int64),  # it is not received by this station, or by `ALL`; `NOBODY`
+    ],
+    align=True,
+)
+
+STUCK = np.dtype([("from_ns", np.int64), ("until_ns", np.int64)], align=True)
+"""When the wire is dominant next."""
+
+FAULT_FIELDS: list[Any] = [
+    ("faults", FAULT, (MAX_FAULTS,)),
+    ("fault_count", np.int64),
+    ("fault_due", np.int64),  # bit i: row i waits for the end of the frame that has triggered it
+    ("fault_calls", np.int64),  # bit i: row i waits for Python (a reset, a cut)
+    ("alarm_ns", np.int64),  # when the bus itself has something to do, though nobody sends
+    ("told", np.int64),  # injections since the last look: time, row, identifier
+    ("told_ns", np.int64, (MOST_TOLD,)),
+    ("told_row", np.int64, (MOST_TOLD,)),
+    ("told_id", np.int64, (MOST_TOLD,)),
+    ("struck", STRUCK),
+    ("stuck", STUCK),
+]
+"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
+
+
+@inlined
+def strike_nothing(bus: BusRecord) -> None:
+    """Forget what struck the last frame."""
+    struck = bus.struck
+    struck.flips = struck.wrong_crc = struck.again = 0
+    struck.lost_for = NOBODY
+
+
+@kernel
+def fire(bus: BusRecord, row: int, t_ns: int, can_id: int) -> None:
+    """Count a strike and note it for the recording, with the identifier of the frame that it is
+    about, or `NO_FRAME`.
+    """
+    f = bus.faults[row]
+    if f.fired == 0:
+        f.first_ns = t_ns
+    f.fired += 1
+    f.last_ns = t_ns
+    if bus.told < MOST_TOLD:
+        bus.told_ns[bus.told] = t_ns
+        bus.told_row[bus.told] = row
+        bus.told_id[bus.told] = can_id
+        bus.told += 1
+
+
+@kernel
+def _meant(f: FaultRecord, now_ns: int, can_id: int, source: int) -> bool:
+    """Tell whether a row strikes this frame, and count the frames that it is about."""
+    if not f.from_ns <= now_ns < f.until_ns:
+        return False
+    if f.kind > CUT or (f.kind >= RESET and not f.framed):
+        return False
+    if f.framed and (
+        (can_id & f.match_mask) != (f.match_id & f.match_mask) or not is_meant(f.match_source, source & STATION_MASK)
+    ):
+        return False
+    f.seen += 1
+    if f.seen < f.nth or (0 < f.most <= f.fired):
+        return False
+    return bool(f.seen == f.nth if f.every == 0 else (f.seen - f.nth) % f.every == 0)
+
+
+@kernel
+def strike(bus: BusRecord, now_ns: int, can_id: int, length: int, word: int, source: int) -> int:
+    """Let the rows strike the frame that is to start.
+
+    Return the delay [ns] that they put it off by.
+
+    What else they do is left in `BUS.struck`.
+    """
+    delay_ns = meant = 0
+    for row in range(bus.fault_count):
+        f = bus.faults[row]
+        if _meant(f, now_ns, can_id, source) and not (f.kind == CUT and bus.cut | bus.half):  # one cut at a time
+            meant |= 1 << row
+            if f.kind == DELAY:
+                delay_ns = max(delay_ns, f.delay_ns)
+    for row in range(bus.fault_count):
+        f = bus.faults[row]
+        if meant >> row & 1 == 0 or (f.kind != DELAY and delay_ns > 0):  # who is put off is struck by nothing else
+            continue
+        if f.kind == FLIP:
+            stuffed = data_frame_bits(can_id, length, word) - INTER_FRAME_BITS - TAIL_BITS  # up to the CRC sequence
+            bit = f.bit if f.bit < TAIL_BIT else stuffed + f.bit - TAIL_BIT
+            if (
+                bit >= stuffed + TAIL_BITS + INTER_FRAME_BITS or bus.struck.flips >= MAX_FLIPS
+            ):  # this frame has no such bit
+                continue
+            bus.struck.flip_bit[bus.struck.flips] = bit
+            bus.struck.flip_station[bus.struck.flips] = f.station
+            bus.struck.flips += 1
+        elif f.kind == CORRUPT_CRC:
+            bus.struck.wrong_crc = 1
+        elif f.kind == DROP:
+            bus.struck.lost_for = f.station
+        elif f.kind == DUPLICATE:
+            bus.struck.again = 1
+        elif f.kind == RESET or f.kind == CUT:
+            bus.fault_due |= 1 << row
+        fire(bus, row, now_ns, can_id)
+    return delay_ns
+
+
+@inlined
+def _elsewhere(bus: BusRecord, f: FaultRecord) -> bool:
+    """Tell whether a babbler is in the other half of a cut cable."""
+    return bool(f.kind == BABBLE and bus.stations[f.station & STATION_MASK].half != bus.half)
+
+
+@kernel
+def _babble(bus: BusRecord, f: FaultRecord, row: int, now_ns: int) -> None:
+    """Let a babbler ask for its frames that are due."""
+    while f.next_ns <= now_ns and f.next_ns < f.until_ns:
+        c = bus.stations[f.station & STATION_MASK]
+        if c.state != CanState.BUS_OFF and bus.waiting_of[f.station & STATION_MASK] < BABBLE_LIMIT:
+            fire(bus, row, f.next_ns, f.can_id)
+            hold(bus, first_order(f.can_id) | 1, f.can_id, f.length, f.word, f.station, f.next_ns)
+        f.next_ns += f.period_ns
+
+
+@kernel
+def alarm(bus: BusRecord, now_ns: int) -> None:
+    """Do what is due at `now_ns`: begin or end the conditions that last for a time."""
+    noise = False
+    for row in range(bus.fault_count):
+        f = bus.faults[row]
+        if f.kind == BABBLE:
+            if not _elsewhere(bus, f):
+                _babble(bus, f, row, now_ns)
+        elif f.kind == CUT and f.next_ns <= now_ns:
+            f.next_ns = FAR_NS
+            bus.fault_calls |= 1 << row
+        elif (f.kind == NOISE or f.kind == STUCK_DOMINANT) and f.next_ns <= now_ns:
+            begins = f.next_ns < f.until_ns
+            f.next_ns = f.until_ns if begins else FAR_NS
+            if f.kind == NOISE:
+                f.active = 1 if begins else 0
+                noise = True
+            elif begins:
+                fire(bus, row, now_ns, NO_FRAME)
+    if noise:
+        renew(bus, now_ns)
+    plan_alarm(bus, now_ns)
+
+
+@kernel
+def plan_alarm(bus: BusRecord, now_ns: int) -> None:
+    """Set `alarm_ns`, and the time of the wire's next dominant fault."""
+    next_ns = bus.free_ns if bus.play.unsettled else bus.noise.next_ns
+    bus.stuck.from_ns = bus.stuck.until_ns = FAR_NS
+    for row in range(bus.fault_count):
+        f = bus.faults[row]
+        if f.kind == STUCK_DOMINANT and f.until_ns > now_ns and f.from_ns < bus.stuck.from_ns:
+            bus.stuck.from_ns = f.from_ns
+            bus.stuck.until_ns = f.until_ns
+        if (f.kind == CUT or f.kind > DRIFT) and (
+            f.kind != BABBLE or (f.next_ns < f.until_ns and not _elsewhere(bus, f))
+        ):
+            next_ns = min(next_ns, f.next_ns)
+    for k in range(bus.on_count):
+        c = bus.stations[bus.on[k]]
+        if c.state == CanState.BUS_OFF and c.restart_at_ns < FAR_NS:
+            begin_ns = max(bus.recessive_ns, c.restart_at_ns)
+            next_ns = min(next_ns, begin_ns + -(-c.runs_left * RUN_BITS * NS // bus.bit_rate))
+    bus.alarm_ns = next_ns

@@ -1,0 +1,281 @@
+"""How a frame that was looked at closely ends, or a stretch of slow motion: what is told of it, and
+what becomes of those who sent (compiled).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.sim_bus.can_bus.bit_level import run_bits
+from coulombus.sim_bus.can_bus.bus_state import NS, SUSPEND_BITS, Delivered, Stage
+from coulombus.sim_bus.can_bus.controller_bits import Sent
+from coulombus.sim_bus.can_bus.error_frames import error_frame, lost_frame, state_frame
+from coulombus.sim_bus.can_bus.fault_confinement import (
+    PASSIVE_LEVEL,
+    CanState,
+    begin_bus_off,
+    count_received,
+    count_sent,
+)
+from coulombus.sim_bus.can_bus.faults import NO_FRAME, STUCK_DOMINANT, fire, plan_alarm
+from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.stations import number, refresh
+from coulombus.sim_bus.can_bus.targets import NOBODY, is_meant
+from coulombus.sim_bus.can_bus.tx_queue import (
+    FAR_NS,
+    HELD_BACK,
+    STATION_MASK,
+    WITHDRAWN,
+    first_order,
+    hold,
+    withdraw,
+)
+from coulombus.wire.controller_state import Confinement
+from coulombus.wire.frame import Queue, Records
+
+__all__ = ["MOST_ROWS", "OUTCOME_FIELDS", "end_attempt", "lose"]
+
+MOST_ROWS = 16
+"""Rows of the log that the end of a frame may need."""
+
+_TOLD = tuple(
+    map(int, (Confinement.ACTIVE, Confinement.ACTIVE, Confinement.PASSIVE, Confinement.BUS_OFF))
+)  # by CanState
+
+OUTCOME_FIELDS: list[Any] = [
+    ("partial_row", np.int64),  # the log's row of the last frame that was delivered to `Delivered.HEARERS`
+    ("errors", np.int64),  # errors that were told, all stations together
+    ("retransmissions", np.int64),
+    ("confinements", np.int64),  # 1: a controller's `confinement` is to be told to its node
+]
+"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
+
+
+@inlined
+def lose(bus: BusRecord) -> None:
+    """Let those not hear the frame for whom a scripted fault has dropped it."""
+    if bus.struck.lost_for == NOBODY:
+        return
+    for k in range(bus.on_count):
+        if is_meant(bus.struck.lost_for, bus.on[k]):
+            bus.stations[bus.on[k]].hears = 0
+
+
+@inlined
+def _once_more(bus: BusRecord) -> None:
+    """Let the frame that has passed wait again, where a scripted fault duplicates it."""
+    if bus.struck.again:
+        order = first_order(bus.can_id) | HELD_BACK
+        hold(bus, order, bus.can_id, bus.length, bus.word, bus.source, bus.free_ns)
+        bus.struck.again = 0
+
+
+@kernel
+def _write(log: Records, row: int, t_ns: int, can_id: int, word: int, source: int) -> None:
+    frame = log[row]
+    frame.t_ns = t_ns
+    frame.can_id = can_id
+    frame.length = 8
+    frame.word = word
+    frame.source = source
+
+
+@kernel
+def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
+    """Write, for those that send once only, in which bit they lost the arbitration.
+
+    Return the next row.
+    """
+    bus.seen.gave_up = 0
+    for k in range(bus.senders):
+        source = bus.tx[k].source
+        c = bus.stations[source & STATION_MASK]
+        if bus.tx[k].state != Sent.LOST or not c.one_shot:
+            continue
+        if row == last:
+            bus.seen.gave_up = 1
+        else:
+            can_id, word = lost_frame(c, source, bus.tx[k].lost_bit)
+            _write(log, row, bus.end_ns, can_id, word, source)
+            row += 1
+            bus.tx[k].state = Sent.GIVEN_UP
+            c.dropped += 1
+    return row
+
+
+@inlined
+def _tell_states(bus: BusRecord, out: Queue, log: Records, row: int, last: int) -> int:
+    """Write the controllers' changes of state; return the next row."""
+    for k in range(bus.on_count):
+        station = bus.on[k]
+        c = bus.stations[station]
+        if c.changed == 0 or row >= last:
+            continue
+        can_id, word = state_frame(c, station)
+        _write(log, row, bus.end_ns, can_id, word, number(station))
+        row += 1
+        if c.recovered:
+            c.confinement = Confinement.RECOVERED
+        else:
+            c.confinement = _TOLD[c.state]
+        bus.confinements = 1
+        c.changed = c.recovered = 0
+        if c.state == CanState.BUS_OFF:
+            begin_bus_off(c, bus.end_ns, FAR_NS)
+            withdraw(bus, out, number(station))
+    return row
+
+
+@inlined
+def _settle(bus: BusRecord) -> None:
+    """A frame has passed: rules g and h, and the pause of an error-passive sender."""
+    row = bus.source & STATION_MASK
+    for k in range(bus.on_count):
+        c = bus.stations[bus.on[k]]
+        if bus.on[k] == row:
+            count_sent(c)
+            if c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL:
+                c.suspend_ns = bus.free_ns + SUSPEND_BITS * NS // bus.bit_rate
+        elif c.state != CanState.BUS_OFF:
+            count_received(c)
+    _once_more(bus)
+
+
+@kernel
+def _end_slow(bus: BusRecord) -> None:
+    """The wire is free again: what failed waits anew, unless its sender sends once only, or
+    is off.
+    """
+    bus.free_ns = bus.end_ns
+    bus.bits += bus.play.bit
+    if bus.noise.hits > 0:
+        bus.noise.hits = 0
+        for row in range(bus.fault_count):
+            for _ in range(bus.faults[row].hits):
+                fire(bus, row, bus.play.begin_ns, bus.can_id if bus.senders > 0 else NO_FRAME)
+            bus.faults[row].hits = 0
+    for k in range(bus.senders):
+        c = bus.stations[bus.tx[k].source & STATION_MASK]
+        state = bus.tx[k].state
+        if state != Sent.FAILED and state != Sent.LOST:
+            continue
+        if c.attached == 0 or c.state == CanState.BUS_OFF or c.one_shot:
+            c.dropped += 1
+            continue
+        can_id, order = bus.tx[k].can_id, bus.tx[k].order
+        if order == WITHDRAWN:
+            continue
+        if k == 0:  # the winner, which was struck: it is sent again; the others only have not come to it
+            order = first_order(can_id)
+            if bus.struck.again or bus.struck.lost_for != NOBODY:
+                c.owed, c.again, c.lost_for = 1, bus.struck.again, bus.struck.lost_for
+        ready_ns = max(bus.free_ns, c.suspend_ns)
+        hold(bus, order, can_id, bus.tx[k].length, bus.tx[k].word, bus.tx[k].source, ready_ns)
+
+
+@kernel
+def _show_sent(bus: BusRecord) -> bool:
+    """Let the frame that was received in slow motion be the bus's frame; False: there is none."""
+    if bus.senders == 0:  # nobody sent: a disturbance that looks like a frame is none
+        return False
+    k = 0
+    for j in range(bus.senders):
+        if bus.tx[j].state == Sent.DONE:
+            k = j
+            break
+        if bus.tx[j].state == Sent.FAILED:  # in the last bit: its receivers have it
+            k = j
+    bus.can_id = bus.tx[k].can_id
+    bus.length = bus.tx[k].length
+    bus.word = bus.tx[k].word
+    bus.source = bus.tx[k].source
+    bus.frames += 1
+    if k == 0:
+        lose(bus)
+        _once_more(bus)
+    return True
+
+
+@kernel
+def _tell_stuck(bus: BusRecord) -> None:
+    """Count the wire's being dominant from its begin on, also where that is in a frame and the bus
+    does not become free for `alarm`.
+    """
+    for row in range(bus.fault_count):
+        f = bus.faults[row]
+        if f.kind == STUCK_DOMINANT and f.next_ns < min(bus.end_ns, f.until_ns):
+            fire(bus, row, f.next_ns, NO_FRAME)
+            f.next_ns = f.until_ns
+
+
+@inlined
+def _tell_error(bus: BusRecord, log: Records, row: int) -> None:
+    """Write the error that was seen first in this stretch."""
+    seen = bus.seen
+    can_id, word = error_frame(bus.stations[seen.source], seen.source, seen.classes, seen.kind, seen.place)
+    _write(log, row, bus.end_ns, can_id, word, number(seen.source))
+    bus.errors += 1
+
+
+@inlined
+def _deliver(bus: BusRecord, log: Records, row: int) -> None:
+    """Write the bus's frame, for those who hear it; the faults that it has triggered are due."""
+    _write(log, row, bus.end_ns, bus.can_id, bus.word, bus.source)
+    log[row].length = bus.length
+    bus.partial_row = row
+    bus.delivered = Delivered.HEARERS
+    bus.fault_calls |= bus.fault_due
+    bus.fault_due = 0
+
+
+@kernel
+def _play_on(bus: BusRecord) -> None:
+    """Go on with slow motion."""
+    if bus.stuck.until_ns <= bus.end_ns:
+        plan_alarm(bus, bus.end_ns)
+    bus.end_ns = run_bits(bus)
+
+
+@kernel
+def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
+    """End a frame, or a stretch of slow motion, at `end_ns`.
+
+    Return how many rows of the log were written, the frame's last.
+    """
+    bus.delivered = Delivered.NOBODY
+    if bus.stage == Stage.TOLD:
+        _play_on(bus)
+        return 0
+    if bus.stuck.from_ns < bus.end_ns:
+        _tell_stuck(bus)
+    first = row
+    last = min(row + MOST_ROWS, log.shape[0]) - 2
+    slowly = bus.stage >= Stage.PLAYED
+    if bus.stage == Stage.WATCHED:
+        _settle(bus)
+    if slowly and bus.seen.gave_up:
+        row = _tell_given_up(bus, log, row, last)
+    row = _tell_states(bus, out, log, row, last)
+    if slowly and bus.seen.tell:
+        _tell_error(bus, log, row)
+        row += 1
+    if bus.stage == Stage.WATCHED or (slowly and bus.play.passed and _show_sent(bus)):
+        _deliver(bus, log, row)
+        row += 1
+    if slowly and bus.seen.gave_up:  # there is more to tell of the last bit: the next end, which is now, does
+        bus.play.passed = bus.seen.tell = 0
+        return row - first
+    if bus.stage == Stage.PLAYED:
+        bus.stage = Stage.TOLD
+        return row - first
+    bus.stage = Stage.FREE
+    if slowly:
+        _end_slow(bus)
+    if slowly or row - first > 1:
+        plan_alarm(bus, bus.end_ns)
+    if bus.fault_count == 0 or bus.limited:
+        refresh(bus)
+    return row - first

@@ -1,0 +1,112 @@
+"""Random bit errors at a rate, from a seed: when the next disturbed bit is on the wire, in a frame
+or on an idle wire.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from coulombus.kernels.decorator import kernel
+from coulombus.sim_bus.can_bus.bus_state import NS
+from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.targets import NOBODY
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
+
+__all__ = ["NOISE_FIELDS", "disturber", "next_noise", "noisy_bit", "renew", "seeded"]
+
+MODULUS, MULTIPLIER = 2_147_483_647, 48_271
+MOST_BITS = 1e12
+
+NOISE = np.dtype(
+    [
+        ("rate", np.float64),  # of disturbed bits, by whichever fault; 0: none
+        ("hits", np.int64),  # not counted in the faults' table yet
+        ("next_ns", np.int64),  # when the next one begins
+        ("until_ns", np.int64),  # the first of the noises ends
+        ("state", np.int64),
+    ],
+    align=True,
+)
+
+NOISE_FIELDS: list[Any] = [("noise", NOISE)]
+"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
+
+
+def seeded(seed: int) -> int:
+    """Return the generator's state for a seed."""
+    return (seed * 2_654_435_761 + 0x5DEECE66) % (MODULUS - 1) + 1
+
+
+@kernel
+def renew(bus: BusRecord, t_ns: int) -> None:
+    """Let the noises that are at work at `t_ns` be the bus's: together they disturb a bit with the
+    probability 1 - (1 - r1)(1 - r2)...
+    """
+    rate = 0.0
+    bus.noise.until_ns = FAR_NS
+    for row in range(bus.fault_count):
+        f = bus.faults[row]
+        if f.active:
+            rate += f.rate * (1.0 - rate)
+            bus.noise.until_ns = min(bus.noise.until_ns, f.until_ns)
+    bus.noise.rate = rate
+    next_noise(bus, t_ns)
+
+
+@kernel
+def disturber(bus: BusRecord) -> int:
+    """Return the row of the noise that disturbs this bit: of several, drawn by their rates."""
+    last = count = 0
+    rates = 0.0
+    for row in range(bus.fault_count):
+        if bus.faults[row].active:
+            last = row
+            count += 1
+            rates += bus.faults[row].rate
+    if count > 1:
+        bus.noise.state = bus.noise.state * MULTIPLIER % MODULUS
+        left = bus.noise.state / MODULUS * rates
+        for row in range(last):
+            if bus.faults[row].active:
+                left -= bus.faults[row].rate
+                if left < 0.0:
+                    return row
+    return last
+
+
+@kernel
+def next_noise(bus: BusRecord, t_ns: int) -> None:
+    """Draw `next_ns`, the begin of the next disturbed bit: the undisturbed bits from `t_ns` on are
+    geometric, with the rate as its probability.
+
+    The generator is Park's and Miller's minimal standard (doi:10.1145/63039.63042) with the
+    multiplier 48271: all of it in int64.
+    """
+    if bus.noise.rate <= 0.0:
+        bus.noise.next_ns = FAR_NS
+        return
+    bus.noise.state = bus.noise.state * MULTIPLIER % MODULUS
+    bits = 0.0
+    if bus.noise.rate < 1.0:
+        bits = min(math.log(bus.noise.state / MODULUS) / math.log1p(-bus.noise.rate), MOST_BITS)
+    bus.noise.next_ns = t_ns + int(bits) * NS // bus.bit_rate
+    if bus.noise.next_ns >= bus.noise.until_ns:
+        bus.noise.next_ns = FAR_NS
+
+
+@kernel
+def noisy_bit(bus: BusRecord, end_ns: int) -> int:
+    """Return whom noise hits in the bit that ends at `end_ns`, `NOBODY` mostly.
+
+    Draw the next such bit.
+    """
+    if bus.noise.next_ns >= end_ns:
+        return NOBODY
+    bus.noise.hits += 1
+    fault = bus.faults[disturber(bus)]
+    fault.hits += 1
+    next_noise(bus, end_ns)
+    return int(fault.station)

@@ -1,0 +1,307 @@
+"""Frames that wait for the bus: who wins it next is known without a look at all of them.
+
+Stations ask by `wire.frame.push`, which only appends to the queue. Where few wait they stay there,
+and each arbitration looks at all of them. Where more wait, as when 126 nodes answer one SYNC, the
+bus takes them in and keeps them in two binary heaps of places: `later` by the time at which a frame
+is ready, and `ready` by its arbitration field and then by the order in which it was asked for. So a
+frame costs O(log n).
+
+The fields of the room are part of the bus's record (`sim_bus.can_bus.arbiter.BUS`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coulombus.kernels.decorator import inlined, kernel
+from coulombus.kernels.records import Integers
+from coulombus.sim_bus.can_bus.fault_confinement import CanState
+from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.wire.frame import Queue, Record, arbitration_key
+
+__all__ = [
+    "FAR_NS",
+    "HALF_FIELDS",
+    "HELD_BACK",
+    "ROOM",
+    "STATION_MASK",
+    "WAITING_FIELDS",
+    "WITHDRAWN",
+    "accept",
+    "first_ns",
+    "first_order",
+    "hold",
+    "rival",
+    "take_in",
+    "win",
+    "winner",
+    "withdraw",
+]
+
+FAR_NS = 1 << 62
+ROOM = 1024
+"""Frames that may wait at a time; more are dropped and counted in the queue's record."""
+FEW = 4
+"""So many are found sooner by a look at each."""
+STATION_MASK = 0xFF
+"""Stations are counted by the low eight bits of their number: the host's -1 is 255."""
+SEQUENCE_BITS = 31
+SEQUENCE_MASK = (1 << SEQUENCE_BITS) - 1
+HELD_BACK = 2
+"""Sequence of a frame that a scripted fault has struck already: it is put off, or sent once more.
+"""
+WITHDRAWN = -1
+"""As `order` of a frame on the wire: it is not sent again."""
+FIRST_SEQUENCE = 3  # 0 is a frame that was on the wire before, 1 one that was about to be
+
+WAITING_FIELDS: list[Any] = [
+    ("limited", np.int64),  # 1: some station takes no more than so many
+    ("held", np.int64),  # frames that wait here
+    ("sequence", np.int64),  # of the next one; begins anew whenever nobody waits
+    ("later", np.int64),  # how many are not known to be ready yet
+    ("ready", np.int64),  # how many take part in the next arbitration
+    ("fresh", np.int64),  # places from here on were never used
+    ("freed", np.int64),  # places that may be used again
+    ("waiting_of", np.int64, (STATION_MASK + 1,)),  # frames that wait here, by station
+    ("later_key", np.int64, (ROOM,)),  # heap: ready time
+    ("later_place", np.int64, (ROOM,)),
+    ("ready_key", np.int64, (ROOM,)),  # heap: arbitration field, sequence
+    ("ready_place", np.int64, (ROOM,)),
+    ("free_place", np.int64, (ROOM,)),  # stack
+    ("held_order", np.int64, (ROOM,)),  # by place: its key in the heap `ready`
+    ("held_can_id", np.int64, (ROOM,)),  # by place: the frame
+    ("held_length", np.int64, (ROOM,)),
+    ("held_word", np.int64, (ROOM,)),
+    ("held_source", np.int64, (ROOM,)),
+]
+
+
+HALF_FIELDS: list[Any] = [
+    ("half", np.int64),  # of the cut cable, 0 or 1, that this record is (sim_bus.copper.cut)
+    ("cut", np.int64),  # in the first record: is the cable cut?
+    ("cut_row", np.int64),  # by which row of the faults
+    ("mend_ns", np.int64),
+]
+
+
+@inlined
+def _insert(keys: Integers, places: Integers, n: int, key: int, place: int) -> None:
+    """Put `place` into the heap of `n`."""
+    at = n
+    while at > 0:
+        up = (at - 1) >> 1
+        if keys[up] <= key:
+            break
+        keys[at], places[at] = keys[up], places[up]
+        at = up
+    keys[at], places[at] = key, place
+
+
+@inlined
+def _remove_first(keys: Integers, places: Integers, n: int) -> None:
+    """Take the first out of the heap, in which `n` remain."""
+    key, place = keys[n], places[n]
+    at = 0
+    while 2 * at + 1 < n:
+        down = 2 * at + 1
+        if down + 1 < n and keys[down + 1] < keys[down]:
+            down += 1
+        if keys[down] >= key:
+            break
+        keys[at], places[at] = keys[down], places[down]
+        at = down
+    keys[at], places[at] = key, place
+
+
+@inlined
+def first_order(can_id: int) -> int:
+    """Return the lowest `order` of a frame: before all others of its arbitration field."""
+    return arbitration_key(can_id) << SEQUENCE_BITS
+
+
+@kernel
+def hold(bus: BusRecord, order: int, can_id: int, length: int, word: int, source: int, ready_ns: int) -> bool:
+    """Let a frame wait in the room from `ready_ns` on; `order` is its key among those that are
+    ready. False: there is no room.
+    """
+    if bus.held >= ROOM:
+        return False
+    if bus.freed > 0:
+        bus.freed -= 1
+        place = bus.free_place[bus.freed]
+    else:
+        place = bus.fresh
+        bus.fresh += 1
+    bus.held_order[place] = order
+    bus.held_can_id[place] = can_id
+    bus.held_length[place] = length
+    bus.held_word[place] = word
+    bus.held_source[place] = source
+    bus.held += 1
+    bus.waiting_of[source & STATION_MASK] += 1
+    _insert(bus.later_key, bus.later_place, bus.later, ready_ns, place)
+    bus.later += 1
+    return True
+
+
+@inlined
+def accept(bus: BusRecord, frame: Record) -> bool:
+    """Let a frame that was asked for wait in the room, unless its station takes no more; False:
+    there is no room.
+    """
+    if bus.held == 0:
+        bus.sequence = FIRST_SEQUENCE
+    if bus.limited:  # a transmit queue of finite length, or a station in bus-off, takes no more
+        c = bus.stations[frame.source & STATION_MASK]
+        if 0 < c.queue_limit <= bus.waiting_of[frame.source & STATION_MASK] or c.state == CanState.BUS_OFF:
+            c.dropped += 1
+            return True
+    order = first_order(frame.can_id) | bus.sequence
+    if not hold(bus, order, frame.can_id, frame.length, frame.word, frame.source, frame.t_ns):
+        return False
+    bus.sequence += 1
+    return True
+
+
+@kernel
+def take_in(bus: BusRecord, out: Queue) -> None:
+    """Let what was asked for since the last time wait in the room; the queue is empty then."""
+    for i in range(out.count):
+        if not accept(bus, out.frames[i]):
+            out.dropped += 1
+    out.count = 0
+    out.waiting = bus.held
+
+
+@inlined
+def first_ns(bus: BusRecord, out: Queue) -> int:
+    """Return from when on a frame that waits is ready: any time up to `free_ns` when one is by
+    then, `FAR_NS` when none waits.
+    """
+    t = FAR_NS
+    count = out.count
+    if bus.held == 0 and count <= FEW and bus.alert == 0:
+        for i in range(count):
+            t = min(t, out.frames[i].t_ns)
+            if (
+                t <= bus.free_ns
+            ):  # also keeps the compiler from gathering what was written just now into vectors, which is slow
+                break
+    else:
+        if count > 0:
+            take_in(bus, out)
+        if bus.ready > 0:
+            t = 0
+        elif bus.later > 0:
+            t = bus.later_key[0]
+    return t
+
+
+@inlined
+def win(bus: BusRecord, out: Queue, now_ns: int) -> bool:
+    """Let the winner of the arbitration among the frames that are ready at `now_ns` (there must be
+    one) be the bus's frame.
+
+    Returns whether another station's frame with the same arbitration field is ready too.
+    """
+    count = out.count
+    tie = False
+    if bus.held == 0 and count <= FEW:
+        best, best_key = 0, FAR_NS
+        for i in range(count):
+            if out.frames[i].t_ns <= now_ns:
+                key = arbitration_key(out.frames[i].can_id)
+                if key < best_key:
+                    best, best_key = i, key
+                    tie = False
+                elif key == best_key and out.frames[i].source != out.frames[best].source:
+                    tie = True
+        frame = out.frames[best]
+        bus.can_id = frame.can_id
+        bus.length = frame.length
+        bus.word = frame.word
+        bus.source = frame.source
+        for i in range(best, count - 1):  # keep the order: first come first served among equals
+            into, later = out.frames[i], out.frames[i + 1]
+            into.t_ns = later.t_ns
+            into.can_id = later.can_id
+            into.length = later.length
+            into.word = later.word
+            into.source = later.source
+        out.count = count - 1
+    else:
+        if count > 0:
+            take_in(bus, out)
+        place = winner(bus, now_ns)
+        out.waiting = bus.held
+        tie = rival(bus, bus.held_order[place])
+        bus.can_id = bus.held_can_id[place]
+        bus.length = bus.held_length[place]
+        bus.word = bus.held_word[place]
+        bus.source = bus.held_source[place]
+    return tie
+
+
+@kernel
+def winner(bus: BusRecord, now_ns: int) -> int:
+    """Take the winner among the frames in the room that are ready at `now_ns` out of it and return
+    its place, -1: none is.
+
+    The frame stands at its place, in the fields `held_...`, until another is taken in.
+    """
+    while bus.later > 0 and bus.later_key[0] <= now_ns:
+        waits = bus.later_place[0]
+        bus.later -= 1
+        _remove_first(bus.later_key, bus.later_place, bus.later)
+        _insert(bus.ready_key, bus.ready_place, bus.ready, bus.held_order[waits], waits)
+        bus.ready += 1
+    place = -1
+    if bus.ready > 0:
+        place = bus.ready_place[0]
+        bus.ready -= 1
+        _remove_first(bus.ready_key, bus.ready_place, bus.ready)
+        _leave(bus, place)
+    return place
+
+
+@inlined
+def rival(bus: BusRecord, order: int) -> bool:
+    """Tell whether a frame with the same arbitration field as the winner's is ready in the room."""
+    return bool(bus.ready > 0 and bus.ready_key[0] >> SEQUENCE_BITS == order >> SEQUENCE_BITS)
+
+
+@inlined
+def _leave(bus: BusRecord, place: int) -> None:
+    bus.free_place[bus.freed] = place
+    bus.freed += 1
+    bus.held -= 1
+    bus.waiting_of[bus.held_source[place] & STATION_MASK] -= 1
+
+
+@kernel
+def withdraw(bus: BusRecord, out: Queue, source: int) -> None:
+    """Forget the frames of a station that wait, and what is on the wire if it fails there: it was
+    switched off.
+    """
+    take_in(bus, out)
+    for k in range(bus.senders):
+        if bus.tx[k].source == source:
+            bus.tx[k].order = WITHDRAWN
+    n, bus.later = bus.later, 0
+    for i in range(n):
+        key, place = bus.later_key[i], bus.later_place[i]
+        if bus.held_source[place] == source:
+            _leave(bus, place)
+        else:  # what is written stays behind what is read
+            _insert(bus.later_key, bus.later_place, bus.later, key, place)
+            bus.later += 1
+    n, bus.ready = bus.ready, 0
+    for i in range(n):
+        key, place = bus.ready_key[i], bus.ready_place[i]
+        if bus.held_source[place] == source:
+            _leave(bus, place)
+        else:
+            _insert(bus.ready_key, bus.ready_place, bus.ready, key, place)
+            bus.ready += 1

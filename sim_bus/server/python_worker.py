@@ -1,0 +1,405 @@
+"""Python's share of a bus in real time, done beside the compiled loop: the bus and the cyclic nodes
+go on while Python serves.
+
+A device answers an SDO in milliseconds, and sends its PDOs meanwhile. So Python works on records of
+its own, in a thread of its own, one job at a time:
+
+1. The loop meets what is Python's (a frame for a node's services, the next block of a hand's force,
+   frames to be recorded) and lets it wait as a `JOB`.
+2. When Python is free, the loop copies what the job looks at into Python's records and wakes it.
+3. Python does the job, notes which words of the nodes' records it has changed, and wakes the loop.
+4. Between two events the loop takes these words over, and the frames that Python asked for.
+
+What Python changes is whole in the loop, and what the loop changed meanwhile stays: only a word
+that both changed is Python's. A node's ring of segments (`node.outbox`) stands still meanwhile, as
+both ends of it move.
+
+Where Python needs the whole world (a script's entry), `settle` lets the jobs end first. A server
+without this (`BESIDE.on` is 0) returns to Python for everything.
+
+In the kernels: `j` the record of `BESIDE`, `w` that of `sim_bus.network.kernel.WORLD`.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.libc import POLLIN, ppoll_ns, read, write
+from coulombus.kernels.records import Integers, Record, Records
+from coulombus.node.constants import FAR_FUTURE_NS
+from coulombus.node.record import LOOP_WORDS, NODE
+from coulombus.sim_bus.network.kernel import MOST_DEVICES, Exit, World, actuate, refresh
+from coulombus.sim_bus.network.network import VirtualNetwork
+from coulombus.sim_bus.rig.plant_step import CourseFunction
+from coulombus.wire.frame import new_records, push
+
+__all__ = ["FRAME", "RECORD", "Beside", "Worker", "collect", "drained", "leave", "settle"]
+
+JOBS = 64
+"""Jobs that wait at most. A further frame is lost, as in a device whose buffer is full; for the
+rest, which is the simulation's own, the loop waits.
+"""
+NODE_WORDS = NODE.itemsize // 8
+PATIENCE_NS = 100_000_000
+FRAME, RECORD = -1, -2
+"""Jobs that are of no axis."""
+
+
+class Turn(IntEnum):
+    """Whose turn it is."""
+
+    FREE = 0  # Python has nothing to do
+    PYTHON = 1  # it is at work on `BESIDE.now`
+    DONE = 2  # the loop has to take over what became of it
+
+
+JOB = np.dtype(
+    [
+        ("why", np.int64),  # an `Exit`, or one of `sim_bus.server.realtime_loop.Serve`
+        ("axis", np.int64),  # whose hand it is; -1: nobody's
+        ("t_ns", np.int64),  # a frame for services
+        ("can_id", np.int64),
+        ("length", np.int64),
+        ("word", np.int64),
+        ("rows", np.int64),  # whose services
+        ("row", np.int64, (MOST_DEVICES,)),
+        ("frames", np.int64),  # rows of the log to be recorded
+        ("start_ns", np.int64),  # of the hand's schedule, as Python finds it
+    ],
+    align=True,
+)
+
+BESIDE = np.dtype(
+    [
+        ("on", np.int64),  # 0: nothing is done beside the loop
+        ("turn", np.int64),
+        ("python", np.int64),  # descriptors: an eventfd that wakes Python
+        ("loop", np.int64),  # and the one that wakes the loop
+        ("first", np.int64),  # of the jobs that wait, a ring
+        ("waiting", np.int64),
+        ("jobs", JOB, (JOBS,)),
+        ("now", JOB),  # the one that is under way
+        ("changed", np.int64),  # how many words of the nodes' records Python has changed
+        ("served", np.int64),  # jobs that are done
+        ("dropped", np.int64),  # frames for services that came while `JOBS` waited
+        ("most_waiting", np.int64),
+    ],
+    align=True,
+)
+
+
+class Beside(NamedTuple):
+    """What the loop and Python share, besides Python's own world."""
+
+    state: Record
+    """A record of `BESIDE`."""
+    python: World
+    """The world that Python's objects look at."""
+    nodes: Records
+    """The loop's nodes as words, a row each."""
+    python_nodes: Records
+    """Python's."""
+    axes: Records
+    """Likewise the axes and their plants."""
+    python_axes: Records
+    plant: Records
+    python_plant: Records
+    loop_words: Integers
+    """First and last + 1 of each run of a node's words that the loop writes."""
+    changed: Integers
+    """Places in `nodes`, all rows one behind the other."""
+    asked: Integers
+    """By axis, and last for the log: jobs that wait or are under way."""
+    words: Integers
+    """What is written to an eventfd, what is read from one, and a struct pollfd."""
+
+
+@kernel
+def _copy(to: Integers, source: Integers, first: int, end: int) -> None:
+    """Copy words of a row; numba's own assignment of a slice takes 2 s to compile."""
+    for k in range(first, end):
+        to[k] = source[k]
+
+
+@kernel
+def leave(beside: Beside, world: World, course: CourseFunction, pace: Record, why: int, axis: int) -> bool:
+    """Let Python do beside the loop what the kernel has just returned for; tell whether it will.
+
+    `axis`: whose hand it is; `FRAME`: the last frame of the log is for services; `RECORD`: what
+    has been handed out of the log is to be recorded.
+    """
+    j, w = beside.state, world.state
+    if j.on == 0 or (axis == FRAME and w.control_plane + w.heard != 0):
+        return False
+    if axis == FRAME and j.waiting == JOBS:
+        j.dropped += 1
+        return True
+    if axis != FRAME:
+        place = axis if axis >= 0 else beside.asked.shape[0] - 1
+        if beside.asked[place] != 0 and why != Exit.ENABLED:
+            return True  # it is asked for already, or will be when what is under way is done
+        beside.asked[place] += 1
+    if j.waiting == JOBS:
+        _await(beside, world, course, pace)
+    job = j.jobs[(j.first + j.waiting) % JOBS]
+    j.waiting += 1
+    j.most_waiting = max(j.most_waiting, j.waiting)
+    job.why = why
+    job.axis = axis
+    job.frames = pace.handed_out if axis == RECORD else 0
+    job.rows = 0
+    if axis == FRAME:
+        frame = world.log[w.log_count - 1]
+        job.t_ns = frame.t_ns
+        job.can_id = frame.can_id
+        job.length = frame.length
+        job.word = frame.word
+        job.rows = w.services
+        for k in range(w.services):
+            job.row[k] = w.service[k]
+    _begin(beside, world)
+    return True
+
+
+@kernel
+def _begin(beside: Beside, world: World) -> None:
+    """Let Python begin with the job that waits first, unless it is at work."""
+    j, w, python = beside.state, world.state, beside.python
+    if j.turn != Turn.FREE or j.waiting == 0:
+        return
+    job, now = j.jobs[j.first], j.now
+    j.first = (j.first + 1) % JOBS
+    j.waiting -= 1
+    now.why = job.why
+    now.axis = job.axis
+    now.frames = job.frames
+    now.t_ns = job.t_ns
+    now.can_id = job.can_id
+    now.length = job.length
+    now.word = job.word
+    now.rows = job.rows
+    python.state.t_ns = w.t_ns
+    if job.axis >= 0:
+        python.state.axis = job.axis
+        now.start_ns = world.axes[job.axis].operator_start_ns
+        _copy(beside.python_axes[job.axis], beside.axes[job.axis], 0, beside.axes.shape[1])
+        _copy(beside.python_plant[job.axis], beside.plant[job.axis], 0, beside.plant.shape[1])
+    for k in range(job.rows):
+        i = job.row[k]
+        now.row[k] = i
+        for r in range(beside.loop_words.shape[0]):
+            _copy(beside.python_nodes[i], beside.nodes[i], beside.loop_words[r, 0], beside.loop_words[r, 1])
+        world.nodes[i].outbox_next_ns = FAR_FUTURE_NS
+    j.turn = Turn.PYTHON
+    beside.words[0] = 1
+    write(j.python, beside.words.ctypes.data, 8)
+
+
+@kernel
+def collect(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
+    """Take over what Python has made of its job, and let it begin with the next one."""
+    j, w, python = beside.state, world.state, beside.python
+    if j.turn != Turn.DONE:
+        return
+    now, a = j.now, j.now.axis
+    for k in range(j.changed):
+        i, n = beside.changed[k] // NODE_WORDS, beside.changed[k] % NODE_WORDS
+        beside.nodes[i, n] = beside.python_nodes[i, n]
+    for k in range(now.rows):
+        i = now.row[k]
+        world.nodes[i].outbox_next_ns = python.nodes[i].outbox_next_ns
+    if a >= 0:
+        axis, made = world.axes[a], python.axes[a]
+        for k in range(python.f_h.shape[1]):
+            world.f_h[a, k] = python.f_h[a, k]
+        axis.force_step = made.force_step
+        axis.force_end_ns = made.force_end_ns
+        if made.operator_start_ns != now.start_ns:
+            axis.operator_start_ns = made.operator_start_ns
+        beside.asked[a] -= 1
+        w.script_ns = min(w.script_ns, python.state.script_ns)
+    if now.frames > 0:  # those that came meanwhile move up
+        for k in range(now.frames, w.log_count):
+            world.log[k - now.frames] = world.log[k]
+        w.log_count -= now.frames
+        pace.handed_out -= now.frames
+        beside.asked[beside.asked.shape[0] - 1] -= 1
+    for k in range(python.out.count):
+        frame = python.out.frames[k]
+        push(world.out, frame.source, frame.t_ns, frame.can_id, frame.length, frame.word)
+    python.out.count = 0
+    for k in range(world.axes.shape[0]):
+        actuate(world, course, k, w.t_ns)
+    j.served += 1
+    j.turn = Turn.FREE
+    refresh(w, world.nodes, world.axes, world.deadlines, world.wants)
+    _begin(beside, world)
+
+
+@kernel
+def drained(beside: Beside) -> None:
+    """Take back what has woken the loop."""
+    read(beside.state.loop, beside.words.ctypes.data + 8, 8)
+
+
+@kernel
+def _await(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
+    """Sleep until Python's job is done, and take over what became of it."""
+    j = beside.state
+    while j.turn == Turn.PYTHON:
+        beside.words[2] = (j.loop & 0xFFFFFFFF) | POLLIN << 32
+        if ppoll_ns(beside.words.ctypes.data + 16, 1, PATIENCE_NS) > 0:
+            drained(beside)
+    collect(beside, world, course, pace)
+
+
+@kernel
+def settle(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
+    """Let all jobs end: Python needs the whole world."""
+    j = beside.state
+    while j.turn != Turn.FREE or j.waiting > 0:
+        _await(beside, world, course, pace)
+
+
+class Worker:
+    """Python's side: a thread that does the jobs, and the records that the loop has instead.
+
+    Parameters
+    ----------
+    world : whose records stay Python's
+    wake : eventfd that wakes the loop
+    stop : ends the loop; called when a job fails
+    on : False: `loop` is Python's own world, and there is no thread
+
+    Attributes
+    ----------
+    loop : the world that the loop runs
+    shared : what both share
+    failure : what a job raised, after which the loop is to be stopped
+    """
+
+    def __init__(self, world: VirtualNetwork, wake: int, stop: Callable[[], None], *, on: bool) -> None:
+        self._world, self._stop = world, stop
+        python: World = world.arguments[0]
+        self.failure: BaseException | None = None
+        self._wake = wake
+        self._python = os.eventfd(0, os.EFD_CLOEXEC)
+        names = ("state", "out", "nodes", "axes", "plant", "f_h") if on else ()
+        own = {name: _twin(getattr(python, name)) for name in names}
+        self.loop: World = python._replace(**own)
+        self._twins = [(getattr(python, name), own[name]) for name in names]
+        state = new_records(BESIDE)[0]
+        state["on"], state["python"], state["loop"] = on, self._python, wake
+        nodes, axes = len(self.loop.nodes), len(self.loop.axes)
+        self.shared = Beside(
+            state=state,
+            python=python,
+            nodes=_words(self.loop.nodes),
+            python_nodes=_words(python.nodes),
+            axes=_words(self.loop.axes),
+            python_axes=_words(python.axes),
+            plant=_words(self.loop.plant),
+            python_plant=_words(python.plant),
+            loop_words=LOOP_WORDS,
+            changed=np.zeros(nodes * NODE_WORDS, np.int64),
+            asked=np.zeros(axes + 1, np.int64),
+            words=np.zeros(3, np.int64),
+        )
+        self._thread: threading.Thread | None = None
+        if on:
+            self.to_loop()
+            self._thread = threading.Thread(target=self._work, name="beside", daemon=True)
+
+    def start(self) -> None:
+        """Begin to wait for jobs, with the rights that the calling thread has now."""
+        if self._thread is not None:
+            self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        state = self.shared.state
+        if self._python < 0:
+            return
+        if self._thread is not None and self._thread.ident is not None:
+            state["on"] = 0
+            os.eventfd_write(self._python, 1)
+            self._thread.join()
+        os.close(self._python)
+        self._python = -1
+
+    @contextmanager
+    def whole(self) -> Iterator[None]:
+        """Let Python have the whole world while the loop does not run and nothing is under way."""
+        for python, loop in self._twins:
+            _copy_record(python, loop)
+        try:
+            yield
+        finally:
+            self.to_loop()
+
+    def to_loop(self) -> None:
+        """Let the loop go on from what Python has made of the whole world."""
+        for python, loop in self._twins:
+            _copy_record(loop, python)
+        self.loop.state["stale"] = 1
+
+    # in the thread
+
+    def _work(self) -> None:
+        state = self.shared.state
+        while True:
+            os.eventfd_read(self._python)
+            if not state["on"]:
+                return
+            try:
+                self._do(state["now"])
+            except BaseException as error:
+                self.failure = error
+                self._stop()
+            state["turn"] = Turn.DONE
+            os.eventfd_write(self._wake, 1)
+
+    def _do(self, job: Any) -> None:
+        rows = job["row"][: int(job["rows"])].tolist()
+        nodes = self.shared.python_nodes
+        before = nodes[rows]
+        if job["frames"]:
+            self._world.hand_over(int(job["frames"]))
+        elif job["axis"] >= 0:
+            self._world.answer(int(job["why"]))
+        else:
+            self._world.serve(rows, *(int(job[name]) for name in ("t_ns", "can_id", "length", "word")))
+        k, word = np.nonzero(nodes[rows] != before)
+        place = np.array(rows, np.int64)[k] * NODE_WORDS + word
+        self.shared.changed[: len(place)] = place
+        self.shared.state["changed"] = len(place)
+
+
+def _twin(one: Any) -> Any:
+    """Return an array, or a record, of the same type."""
+    if isinstance(one, np.record):
+        return new_records(one.dtype)[0]
+    return np.zeros_like(one)
+
+
+def _copy_record(to: Any, source: Any) -> None:
+    if isinstance(to, np.record):
+        for name in to.dtype.names or ():
+            to[name] = source[name]
+    else:
+        to[:] = source
+
+
+def _words(records: Records) -> npt.NDArray[np.int64]:
+    """Return records as rows of words, on the same memory."""
+    plain: npt.NDArray[np.int64] = records.view(np.ndarray).view(np.int64)
+    return plain.reshape(len(records), records.dtype.itemsize // 8)

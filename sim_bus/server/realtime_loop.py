@@ -1,0 +1,256 @@
+"""The virtual bus against the wall clock: one compiled loop between the clients' sockets and the
+world of `sim_bus.network.kernel`.
+
+The world's time is CLOCK_MONOTONIC minus its start. The loop sleeps in ppoll(2) until the world's
+next event or a client's message, lets the world run up to the present and hands out what the bus
+has carried, each frame at its end of frame. Python is entered for what is rare: a client that
+comes, greets or goes (`sim_bus.network.kernel.Exit`, `sim_bus.server.clients.Need`, `Serve`). The
+services of a simulated rig's nodes are done beside this loop (`sim_bus.server.python_worker`).
+
+A frame is ready when the kernel took it from its sender (SO_TIMESTAMPNS), not when this loop came
+to see it. So what waited in a socket while this process could not run is on the wire, and handled
+by the nodes, before a deadline is judged. Where the whole machine stood still, so that nobody sent
+anything either, the world stood still with it (`stalled_ns`): no deadline passes in a time in which
+nobody could have kept it.
+
+    p : the PACE record
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from coulombus.eds.cia402 import PowerState
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.libc import (
+    CLOCK_REALTIME,
+    EAGAIN,
+    EBADF,
+    EINTR,
+    POLLIN,
+    POLLNVAL,
+    clock_ns,
+    errno,
+    load_acquire,
+    now_ns,
+    ppoll_ns,
+)
+from coulombus.kernels.records import Integers, Record, Records
+from coulombus.sim_bus.can_bus.cable_cut import choose
+from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
+from coulombus.sim_bus.rig.plant_step import CourseFunction
+from coulombus.sim_bus.server.clients import Clients, State, flush, hand_out, take
+from coulombus.sim_bus.server.python_worker import FRAME, RECORD, Beside, collect, drained, leave
+
+__all__ = ["PACE", "Serve", "serve"]
+
+STALL_NS = 5_000_000
+LONGEST_SLEEP_NS = 100_000_000
+KEPT_NS = 100_000_000
+"""Frames wait no longer to be recorded, and the loop sleeps no longer than LONGEST_SLEEP_NS: a
+killed process loses less than 0.25 s.
+"""
+
+
+AHEAD_NS = 1_000_000_000
+"""The next block of a hand's force is asked for so long before it is needed."""
+
+
+class Serve(IntEnum):
+    """Why the loop returned, besides `sim_bus.network.kernel.Exit` and
+    `sim_bus.server.clients.Need`.
+    """
+
+    STOP = 30  # asked to
+    TIME = 31  # the time is over
+    ACCEPT = 32  # a client waits at the listener
+    RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule is over
+    RECORD = 34  # `PACE.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
+    FAILED = 35  # a system call that the loop cannot do without; `PACE.error`
+
+
+PACE = np.dtype(
+    [
+        ("stop", np.int64),  # first: Python and a signal handler write it, the loop reads it with `load_acquire`
+        ("start_ns", np.int64),  # CLOCK_MONOTONIC at world time 0
+        ("end_ns", np.int64),  # world time at which to end
+        ("listener", np.int64),  # descriptors
+        ("wake", np.int64),
+        ("slot", np.int64),
+        ("message_bytes", np.int64),
+        ("error", np.int64),  # of the call that failed; 0: none
+        ("handed_out", np.int64),  # rows of the log that the clients have
+        ("keep", np.int64),  # frames that stay in the log until Python takes them; 0: none
+        (
+            "planned_ns",
+            np.int64,
+        ),  # world time at which the loop meant to be awake, or was when it last called for Python
+        ("wakeups", np.int64),
+        ("stalls", np.int64),
+        ("stalled_ns", np.int64),
+        ("latest_ns", np.int64),  # longest from an end of frame to its delivery
+    ],
+    align=True,
+)
+
+
+@kernel
+def _wait(p: Record, slots: Records, pollfds: Integers, timeout_ns: int, beside: Beside) -> int:
+    """Sleep until a client has something or the time is over.
+
+    Return Serve.ACCEPT when one waits at the listener, FAILED, or 0.
+
+    Only what is watched stands in `pollfds`: they are never more than this process may open
+    (RLIMIT_NOFILE), which ppoll refuses.
+    """
+    pollfds[0] = (p.listener & 0xFFFFFFFF) | POLLIN << 32
+    pollfds[1] = (p.wake & 0xFFFFFFFF) | POLLIN << 32
+    n, count = slots.shape[0], 2
+    for i in range(n):
+        s = slots[i]  # a client whose message is not done is not asked, not even whether it is still there
+        s.watched = 0
+        if s.state != State.FREE and s.next >= s.staged and s.gone == 0:
+            pollfds[count] = s.fd | POLLIN << 32
+            s.watched = count
+            count += 1
+    ready = ppoll_ns(pollfds.ctypes.data, count, timeout_ns)
+    p.wakeups += 1
+    if ready < 0:
+        number = errno()
+        if number in (EINTR, EAGAIN):
+            return 0
+        p.error = number
+        return Serve.FAILED
+    if ready > 0:
+        if pollfds[1] >> 48 & POLLNVAL:
+            p.error = EBADF
+            return Serve.FAILED
+        if pollfds[1] >> 48 & POLLIN:
+            drained(beside)
+        for i in range(n):
+            if slots[i].watched != 0 and pollfds[slots[i].watched] >> 48 != 0:
+                slots[i].dry = 0
+        if pollfds[0] >> 48 != 0:
+            return Serve.ACCEPT
+    return 0
+
+
+@kernel
+def _forgive(p: Record, slots: Records, planned_ns: int, t_ns: int) -> int:
+    """Take out of the world's time what the whole machine stood still since `planned_ns`.
+
+    Return by how much.
+    """
+    first = t_ns
+    for i in range(slots.shape[0]):
+        if slots[i].state != State.FREE and slots[i].next < slots[i].staged:
+            first = min(first, slots[i].ready_ns)
+    lost = first - planned_ns
+    if lost < STALL_NS:
+        return 0
+    for i in range(slots.shape[0]):
+        slots[i].ready_ns -= lost
+    p.start_ns += lost
+    p.stalls += 1
+    p.stalled_ns += lost
+    return lost
+
+
+@kernel
+def serve(
+    pace: Record,
+    clients: Clients,
+    beside: Beside,
+    world: World,
+    host: Host,
+    course: CourseFunction,
+) -> int:
+    """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
+
+    `sim_bus.server.python_worker.settle` comes next: it ends what Python does beside this loop.
+
+    The world's loop is from the first the one that looks closely: nothing is compiled while clients
+    wait. A host is another process, so that loop has none.
+    """
+    p, w, bus, out = pace[0], world.state, world.bus, world.out
+    slots, batches, cable = clients.slots, clients.batches, bus[0]
+    flag = pace.ctypes.data
+    if w.stale:
+        refresh(w, world.nodes, world.axes, world.deadlines, world.wants)
+    while True:
+        collect(beside, world, course, p)
+        t_ns = now_ns() - p.start_ns
+        offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
+        taken = take(w, p, bus, clients, out, offset_ns, t_ns)
+        if t_ns > p.planned_ns + STALL_NS:
+            t_ns -= _forgive(p, slots, p.planned_ns, t_ns)
+        p.planned_ns = t_ns
+        if taken != 0:
+            return taken
+        # the world up to the present, event by event: each start of a frame makes room for its
+        # sender's next
+        while True:
+            b = cable
+            if cable.cut != 0:
+                b = bus[choose(bus, out)]
+            t_event, _ = next_event(w, b, out, world.deadlines, host.axes)
+            if t_event > t_ns:
+                break
+            w.until_ns = max(t_event, w.t_ns)
+            reason = run(world, host, None, course, 1)
+            if w.log_count > p.handed_out:
+                p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
+                lost = hand_out(w, p, bus, world.log, clients)
+                if lost != 0:
+                    return lost
+            why = 0
+            if reason == Exit.SERVICE:
+                if not leave(beside, world, course, p, reason, FRAME):
+                    why += reason
+            elif reason == Exit.ENABLED:
+                if not leave(beside, world, course, p, reason, w.axis):
+                    why += reason
+            elif reason not in (Exit.UNTIL, Exit.LOG):
+                why += reason
+            if why == 0:
+                if p.keep == 0:
+                    p.handed_out = w.log_count = 0
+                elif reason == Exit.LOG or (
+                    w.log_count >= p.keep and not leave(beside, world, course, p, Serve.RECORD, RECORD)
+                ):
+                    why = Serve.RECORD
+                for a in range(world.axes.shape[0]):
+                    axis = world.axes[a]
+                    state = world.nodes[axis.motor].power_state
+                    if axis.operator_start_ns >= 0 and state != PowerState.OPERATION_ENABLED:
+                        w.axis = a
+                        if not leave(beside, world, course, p, Serve.RESTED, a):
+                            why = Serve.RESTED
+                    elif axis.force_end_ns - t_ns < AHEAD_NS:
+                        leave(beside, world, course, p, Exit.FORCE, a)
+            if why != 0:
+                for i in range(slots.shape[0]):
+                    flush(slots[i], batches[i])
+                return why
+            taken = take(w, p, bus, clients, out, offset_ns, t_ns)
+            if taken != 0:
+                break
+        for i in range(slots.shape[0]):
+            flush(slots[i], batches[i])
+        if taken != 0:
+            return taken
+        waits = p.keep != 0 and 0 < w.log_count <= p.handed_out
+        if waits and t_ns - world.log[0].t_ns >= KEPT_NS and not leave(beside, world, course, p, Serve.RECORD, RECORD):
+            return Serve.RECORD
+        if load_acquire(flag) != 0:
+            return Serve.STOP
+        t_ns = now_ns() - p.start_ns
+        if t_ns >= p.end_ns:
+            return Serve.TIME
+        p.planned_ns = min(min(t_event, p.end_ns), t_ns + LONGEST_SLEEP_NS)
+        why = _wait(p, slots, clients.pollfds, max(p.planned_ns - t_ns, 0), beside)
+        p.planned_ns = max(p.planned_ns, t_ns)
+        if why != 0:
+            return why

@@ -1,0 +1,110 @@
+"""The course of ``coulombus sim``: signals in the main thread, the bus in one of its own, what is
+told and when.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from types import FrameType
+
+from coulombus.sim_bus.faults.lines import injected_lines
+from coulombus.sim_bus.server.server import BusServer, SimResult
+from coulombus.system.exit import printed, say, show, verdict
+from coulombus.system.sd_notify import Notifier
+from coulombus.system.stop_signals import end_at_once, taken
+
+__all__ = ["PRIORITY", "run_sim"]
+
+PRIORITY = 79
+"""SCHED_FIFO priority of the bus: just below the host's."""
+
+
+def run_sim(
+    make: Callable[[], BusServer],
+    seconds: float | None,
+    *,
+    priority: int | None,
+    cpu: int | None,
+    as_json: bool,
+    tell_ready: Callable[[BusServer, bool], None] | None = None,
+) -> None:
+    """Serve until the time is over, or a signal of `system.stop_signals`.
+
+    Tell when ready and what came of it; end with the exit status.
+
+    A compiled loop does not see a signal, so it runs in a thread of its own and the main thread's
+    handlers stop it. Until `make` has made the server (the first time it compiles for half a
+    minute) a signal ends the process at once, by its own status: an exception might be swallowed by whatever it
+    interrupts, and there is nothing to clean up yet. `tell_ready` is called before the nodes are
+    switched on; by default it tells of a bus.
+    """
+    made: list[BusServer] = []
+    notifier = Notifier()
+    over = threading.Event()
+    failure: list[BaseException] = []
+
+    def ready() -> None:
+        with printed():  # the bus is there, whoever reads of it
+            (tell_ready or _tell_ready)(server, as_json)
+        notifier.tell(READY=1, STATUS=f"bus {server.address}")
+
+    def course() -> None:
+        try:
+            server.run(seconds, priority=priority, cpu=cpu, ready=ready)
+        except BaseException as error:
+            failure.append(error)
+        finally:
+            over.set()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if not made:
+            end_at_once(number, "before the bus was ready")
+        made[0].stop()
+
+    try:
+        with taken(on_signal):
+            server = make()
+            made.append(server)
+            thread = threading.Thread(target=course, name="bus")
+            thread.start()
+            while not over.wait(1.0):
+                notifier.alive(server.wakeups)
+            thread.join()
+    finally:
+        notifier.tell(STOPPING=1)
+        for one in made:
+            one.close()
+    if failure:
+        raise failure[0]
+    with verdict(server.result.exit_status):
+        _tell_end(server.result, as_json)
+
+
+def _tell_ready(server: BusServer, as_json: bool) -> None:
+    for right in server.real_time.refused:
+        say(f"coulombus: {right}")
+    for text in server.world.opened:
+        say(f"coulombus: {text}")
+    if as_json:
+        line = {"event": "ready", "bus": str(server.address), "bitrate_bit_s": server.bit_rate}
+        line |= {"opened": server.world.opened}
+        show(json.dumps({**line, "real_time": server.real_time.as_dict()}))
+    else:
+        rate = f" at {server.bit_rate / 1e6:g} Mbit/s" if server.bit_rate else ""
+        show(f"bus {server.address} is ready{rate}; Ctrl-C ends it")
+
+
+def _tell_end(result: SimResult, as_json: bool) -> None:
+    for loser in result.losers:
+        text = "a client (process {pid}) did not read fast enough: {lost} frames lost to it, {delivered} delivered"
+        say("coulombus: " + text.format(**loser))
+    if result.gone:
+        say(f"coulombus: {result.gone}")
+    if as_json:
+        show(json.dumps({"event": "end", **asdict(result)}))
+    else:
+        lines = [f"{result.frames} frames in {result.seconds:.1f} s, {result.clients} clients"]
+        show("\n".join((*lines, *injected_lines(result.faults, result.controllers))))

@@ -1,0 +1,149 @@
+"""A law's parameters from samples: what was put in comes out, and the intervals hold the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from coulombus.analysis.rig.law_fit import Stretch, fit_law, periods, stretches_of
+from coulombus.cli.main import main
+from coulombus.host.laws.along import given_law
+from coulombus.host.laws.laws import LawError
+from coulombus.lab.simulate import simulate
+from coulombus.recording.friction.sliding import IdentifyError
+from coulombus.recording.reading import read
+from coulombus.rigs.rig import RigError
+
+
+def motion(samples=1500, period_s=1e-3):
+    t = np.arange(samples) * period_s
+    return t, 0.06 * np.sin(2 * np.pi * 1.7 * t) + 0.01 * np.sin(2 * np.pi * 7.1 * t)
+
+
+def stretch(name, noise_Nm=0.0, seed=0, samples=1500, **values):
+    t, x = motion(samples)
+    torque = given_law(name, [f"{key}={value}" for key, value in values.items()]).along(t, x).samples["torque_Nm"]
+    return Stretch(t, x, torque + noise_Nm * np.random.default_rng(seed).normal(size=samples))
+
+
+TRUE = {
+    "dahl": {"F_c_Nm": 0.8, "sigma_Nm_rad": 150.0, "alpha": 1.3},
+    "lugre": {
+        "F_c_Nm": 0.7,
+        "F_s_Nm": 1.3,
+        "v_s_rad_s": 0.1,
+        "sigma_0_Nm_rad": 200.0,
+        "sigma_1_Nms_rad": 0.3,
+        "sigma_2_Nms_rad": 0.2,
+    },
+    "kikuuwe": {"F_c_Nm": 1.4, "K_Nm_rad": 60.0, "B_Nms_rad": 0.02},
+    "detent": {"A_Nm": 0.5, "F_c_Nm": 0.1, "v_t_rad_s": 0.5, "period_rad": 0.43},
+    "texture": {"F_c_Nm": 0.6, "A_Nm": 0.3, "v_t_rad_s": 0.2, "period_rad": 0.07},
+}
+
+
+@pytest.mark.parametrize("name", TRUE)
+def test_what_was_put_in_comes_out(name):
+    found = fit_law(name, [stretch(name, **TRUE[name])], rig=False)
+    assert found.values == pytest.approx(TRUE[name], rel=1e-4)
+    assert found.not_determined == ()
+    assert found.residual_rms_Nm < 1e-6
+
+
+def test_the_intervals_hold_the_truth():
+    held = dict.fromkeys(TRUE["dahl"], 0)
+    for seed in range(40):
+        found = fit_law("dahl", [stretch("dahl", 0.03, seed, 600, **TRUE["dahl"])], rig=False)
+        for name, one in found.estimates.items():
+            held[name] += one is not None and one.low <= TRUE["dahl"][name] <= one.high
+    assert all(count >= 34 for count in held.values()), held  # 95 % of 40, and three deviations less
+    assert any(count < 40 for count in held.values()), held  # and no interval that holds anything
+
+
+@pytest.mark.parametrize("parts", [0.7, 3.3, 21.0])
+def test_the_likeliest_period_is_the_laws(parts):
+    _, x = motion(3000)
+    period = float(np.ptp(x)) / parts
+    found = periods([stretch("detent", 0.05, 0, 3000, A_Nm=0.4, F_c_Nm=0.2, v_t_rad_s=0.1, period_rad=period)])
+    assert found[0] == pytest.approx(period, rel=0.03)
+
+
+def test_a_recorded_detent_is_found_though_nothing_rests_behind_the_sign_check(tmp_path):
+    """It pulls the handle as soon as it is shown: the host says itself when that is."""
+    result = simulate("bench", "active", record=tmp_path / "detent.pcapng", overrides=("law.function=detent",))
+    assert result.trip is None
+    found = fit_law("detent", stretches_of(read(tmp_path / "detent.pcapng")))
+    assert found.values["A_Nm"] == pytest.approx(0.5, rel=0.02)
+    assert found.values["period_rad"] == pytest.approx(0.5, rel=0.01)
+
+
+def test_inertia_and_bias_are_told_apart_from_the_law():
+    one = stretch("dahl", **TRUE["dahl"])
+    w1, w2 = 2 * np.pi * 1.7, 2 * np.pi * 7.1
+    a = -0.06 * w1**2 * np.sin(w1 * one.t_s) - 0.01 * w2**2 * np.sin(w2 * one.t_s)
+    loaded = Stretch(one.t_s, one.x_rad, one.torque_Nm + 2.5e-3 * a + 0.05)
+    found = fit_law("dahl", [loaded])
+    assert found.values == pytest.approx(TRUE["dahl"], rel=0.02)
+    assert found.inertia_kg_m2 == pytest.approx(2.5e-3, rel=0.03)
+    assert found.offset_Nm == pytest.approx(0.05, abs=2e-3)
+
+
+def test_a_parameter_that_the_data_do_not_tell_is_said_so():
+    t = np.linspace(0, 1, 800)
+    fast = Stretch(t, 50 * t, given_law("lugre").along(t, 50 * t).samples["torque_Nm"])  # no stiction in it
+    found = fit_law("lugre", [fast], rig=False)
+    assert found.values["F_c_Nm"] + 50 * found.values["sigma_2_Nms_rad"] == pytest.approx(1.0, rel=0.05)
+    assert found.not_determined
+    assert all(found.estimates[name] is None for name in found.not_determined)
+
+
+def test_a_parameter_that_is_held_stays():
+    found = fit_law("dahl", [stretch("dahl", **TRUE["dahl"])], ["alpha=1.3"], rig=False)
+    assert found.held == {"alpha": 1.3}
+    assert set(found.values) == {"F_c_Nm", "sigma_Nm_rad"}
+    assert found.values["F_c_Nm"] == pytest.approx(0.8, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("law", "overrides", "error", "told"),
+    [
+        ("karnopp", [], LawError, r"parameters in \[mode"),
+        ("dahi", [], LawError, "did you mean 'dahl'"),
+        ("dahl", ["alpha=-1"], RigError, "expected a number from 0 to 10"),
+        ("dahl", ["alpha=1", "F_c_Nm=1", "sigma_Nm_rad=1"], IdentifyError, "every parameter is held"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(law, overrides, error, told):
+    with pytest.raises(error, match=told):
+        fit_law(law, [stretch("dahl", samples=100)], overrides, rig=False)
+
+
+def test_too_little_is_refused():
+    with pytest.raises(IdentifyError, match="10 samples; expected at least 50"):
+        fit_law("dahl", [stretch("dahl", samples=10)])
+    t = np.arange(100) * 1e-3
+    with pytest.raises(IdentifyError, match="does not move"):
+        fit_law("dahl", [Stretch(t, np.zeros(100), np.zeros(100))])
+
+
+def test_the_verb_reads_what_law_wrote(tmp_path):
+    t, x = motion(400)
+    (tmp_path / "m.csv").write_text(
+        "t_s,x_rad\n" + "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), x.tolist(), strict=True))
+    )
+    run = CliRunner()
+    out = tmp_path / "out.csv"
+    done = run.invoke(
+        main, ["law", "dahl", "--motion", str(tmp_path / "m.csv"), "--set", "F_c_Nm=0.5", "--csv", str(out)]
+    )
+    assert done.exit_code == 0, done.output
+    done = run.invoke(main, ["identify", str(out), "--law", "dahl", "--set", "alpha=1"])
+    assert done.exit_code == 0, done.output
+    assert "F_c_Nm       0.5000 [0.5000, 0.5000]" in done.output
+    assert "alpha        1.0 held" in done.output
+    done = run.invoke(main, ["identify", str(tmp_path / "m.csv"), "--law", "dahl"])
+    assert done.exit_code == 3
+    assert "m.csv:1: got 't_s,x_rad', expected a header with the columns t_s,x_rad,torque_Nm" in done.output
+    done = run.invoke(main, ["identify", str(out), "--set", "alpha=1"])
+    assert done.exit_code == 2

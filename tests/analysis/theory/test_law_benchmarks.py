@@ -1,0 +1,105 @@
+"""The laws against the literature, and the tables of docs/laws.md against what is computed."""
+
+from __future__ import annotations
+
+import cmath
+import json
+import math
+import re
+from dataclasses import replace
+
+import pytest
+from click.testing import CliRunner
+
+from coulombus.analysis.theory import law_benchmarks
+from coulombus.analysis.theory.describing import LawParameters, regularised_psi
+from coulombus.analysis.theory.law_benchmarks import (
+    CANUDAS,
+    benchmarks,
+    break_away,
+    describing_function,
+    energy,
+    lines,
+    sweep,
+)
+from coulombus.cli.main import main
+from coulombus.host.laws.along import given_law
+from coulombus.host.laws.laws import OWN_LAWS
+from places import ROOT
+
+pytestmark = pytest.mark.slow
+
+DOCS = ROOT / "docs" / "laws.md"
+
+
+@pytest.fixture(scope="module")
+def computed():
+    return benchmarks(), sweep()
+
+
+def test_every_benchmark_is_met(computed):
+    found, _ = computed
+    assert [one.what for one in found if not one.ok] == []
+    assert {one.law for one in found} == {"lugre", "dahl", "gms", "elastoplastic", "kikuuwe", "bliman_sorine", "leuven"}
+
+
+def test_a_wrong_law_misses_its_benchmark(computed):
+    law = given_law("lugre", [f"{key}={value!r}" for key, value in {**CANUDAS, "F_s_Nm": 1.4}.items()])
+    expected = {one.what: one for one in computed[0]}["break-away at 1 N/s (1995, Fig. 5)"].expected
+    assert abs(break_away(law, 1.0) - expected) > 0.05
+
+
+def test_the_document_has_the_tables(computed):
+    text = DOCS.read_text()
+    missing = [line for line in lines(*computed) if line and line not in text]
+    assert missing == []
+
+
+def test_the_document_has_every_law_with_its_source():
+    text = DOCS.read_text()
+    for name, law in OWN_LAWS.items():
+        assert re.search(rf"^\| `{name}` \|", text, re.M) or f"## `{name}`" in text, name
+        assert not [doi for doi in law.dois if doi not in text], name
+
+
+def test_describing_functions_that_are_known(computed):
+    psi = {one.law: one.psi for one in computed[1]}
+    w = 2 * math.pi
+    assert psi["coulomb"] == pytest.approx(4 / math.pi, abs=1e-3)
+    assert psi["viscous"] == pytest.approx(0.05, abs=1e-4)
+    assert psi["inertia"] == pytest.approx(1j * w * 1e-3 / (1 + 1j * w * 0.02), abs=1e-5)
+    saturated = regularised_psi(1.0, 1.0, LawParameters(F_d=1.0, band_v=0.2))
+    assert psi["regularised"] == pytest.approx(saturated, abs=1e-3)
+    assert cmath.isfinite(sum(psi.values()))
+    A = 1 / w  # of the angle; the loss of a turn is the real part
+    loss = 4 * (A - 0.01 * math.tanh(100 * A))
+    assert psi["dahl"].real == pytest.approx(2 * loss, abs=1e-3)
+
+
+def test_a_spring_lags_by_a_quarter_and_an_amplitude_counts():
+    wall = given_law("wall", ["K_Nm_rad=2", "B_Nms_rad=0", "most_Nm=100"])
+    # the motion is wholly within: x = A (1 - cos)
+    assert describing_function(wall, 1.0, 2.0) == pytest.approx(2 / (4j * math.pi), abs=1e-4)
+    stribeck = given_law("stribeck", ["F_s_Nm=1", "sigma_2_Nms_rad=0.3"])
+    assert describing_function(stribeck, 4.0, 1.0) == pytest.approx(1 / math.pi + 0.3, abs=1e-3)
+
+
+def test_no_law_gives_more_than_it_took(computed, tmp_path):
+    assert [one.law for one in computed[1] if not one.passive] == []
+    (tmp_path / "own.py").write_text("def drives(motion, law, state):\n    return -0.01 * motion.v_rad_s\n")
+    least, turned = energy(given_law("own.py:drives", (), tmp_path))
+    assert least == pytest.approx(-turned)
+
+
+def test_the_verb_prints_the_tables_and_json(computed, monkeypatch):
+    monkeypatch.setattr(law_benchmarks, "benchmarks", lambda: computed[0])
+    monkeypatch.setattr(law_benchmarks, "sweep", lambda: computed[1])
+    done = CliRunner().invoke(main, ["analyse", "laws"])
+    assert done.exit_code == 0
+    assert done.stdout.splitlines() == list(lines(*computed))
+    told = json.loads(CliRunner().invoke(main, ["analyse", "laws", "--json"]).stdout)
+    assert [one["law"] for one in told["laws"]] == list(OWN_LAWS)
+    assert all(one["ok"] for one in told["benchmarks"])
+    wrong = (replace(computed[0][0], found=0.0), *computed[0][1:])
+    monkeypatch.setattr(law_benchmarks, "benchmarks", lambda: wrong)
+    assert CliRunner().invoke(main, ["analyse", "laws"]).exit_code == 1

@@ -1,0 +1,117 @@
+"""`coulombus init`: a rig file on stdout or in a new file, from EDS files or from a live bus; a
+rehearsal's file and the real bus.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from coulombus.cli.main import main
+from coulombus.rigs.rig import load_rig, load_rig_text
+from eds_edit import edit, gone
+from places import ROOT
+
+MOTOR = (ROOT / "eds" / "motor.eds").read_text(encoding="utf-8")
+FOREIGN = edit(MOTOR, "1018sub1", DefaultValue="0x00000077")
+
+
+def call(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "eds").mkdir()
+    (tmp_path / "eds" / "drive.eds").write_text(FOREIGN, encoding="utf-8")
+    (tmp_path / "eds" / "position.eds").write_text(gone(FOREIGN, "6071"), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_file_loads_from_anywhere(folder, monkeypatch):
+    result = call("init", "--drive", "eds/drive.eds", "--brake", "bench", "--drive-id", 5, "-o", "my.toml")
+    assert result.exit_code == 0, result.output
+    assert "then: coulombus check --rig my.toml" in result.stderr
+    monkeypatch.chdir("/")
+    rig = load_rig(str(folder / "my.toml"))
+    assert rig.one_axis().motor.eds == "eds/drive.eds"
+    assert [node.node_id for node in rig.nodes] == [5, 2]
+
+
+def test_without_a_file_it_is_printed(folder):
+    result = call("init", "--drive", "eds/drive.eds", "--brake", "bench")
+    assert result.exit_code == 0
+    assert load_rig_text(result.stdout, "/nowhere/rig.toml").one_axis().motor.vendor_id == 0x77
+
+
+def test_a_file_that_exists_is_never_replaced(folder):
+    (folder / "my.toml").write_text("mine", encoding="utf-8")
+    result = call("init", "--drive", "bench", "--brake", "bench", "-o", "my.toml")
+    assert result.exit_code == 2
+    assert "my.toml exists; choose another name" in result.output
+    assert (folder / "my.toml").read_text(encoding="utf-8") == "mine"
+
+
+def test_a_drive_without_a_set_point_is_refused_in_one_line(folder):
+    result = call("init", "--drive", "eds/position.eds", "--brake", "bench", "-o", "my.toml")
+    assert result.exit_code == 3
+    assert len(result.stderr.splitlines()) == 1
+    assert "no torque or current set-point that a PDO can carry" in result.stderr
+    assert not (folder / "my.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        ((), 2, "give --drive and --brake, or --bus"),
+        (("--drive", "bench"), 2, "give --drive and --brake, or --bus"),
+        (("--drive", "bench", "--brake", "bench", "--drive-id", 2, "--brake-id", 2), 2, "a node id of its own"),
+        (("--drive", "bench", "--brake", "bench", "--sensor-id", 2), 2, "more often than --sensor"),
+        (("--drive", "none.eds", "--brake", "bench"), 3, "none.eds:1: cannot be read"),
+        (("--drive", "bench", "--brake", "bench", "--like", "bnch"), 3, "did you mean 'bench'"),
+        (("--bus", "coulombus:nobody", "--eds-folder", "eds"), 4, "no bus coulombus:nobody"),
+    ],
+)
+@pytest.mark.usefixtures("private_sockets")
+def test_mistakes(folder, arguments, status, text):
+    result = call("init", *arguments)
+    assert result.exit_code == status, result.output
+    assert text in result.output
+    assert "Traceback" not in result.output
+
+
+def test_a_rehearsal_is_refused_on_a_real_bus_with_each_mark(folder):
+    result = call("init", "--drive", "eds/drive.eds", "--brake", "bench", "--rehearse", "-o", "try.toml")
+    assert result.exit_code == 0, result.output
+    lines = [
+        number for number, line in enumerate(Path("try.toml").read_text().splitlines(), 1) if "# REHEARSAL" in line
+    ]
+    assert len(lines) >= 2
+    refused = call("run", "--rig", "try.toml", "--bus", "socketcan:none9", "--seconds", 1, "--json")
+    assert refused.exit_code == 3
+    error = json.loads(refused.stdout)["error"].splitlines()
+    assert [line.partition(": ")[0] for line in error] == [f"try.toml:{number}" for number in lines]
+    assert "expected what holds for the devices on socketcan:none9" in error[0]
+
+
+@pytest.mark.real_time
+@pytest.mark.usefixtures("private_sockets")
+def test_live_devices_are_asked_and_found_by_their_identity(folder):
+    words = ["node", "eds/drive.eds", "--node-id", "9", "--bus", "coulombus:desk", "--json"]
+    node = subprocess.Popen([sys.executable, "-m", "coulombus", *words], stdout=subprocess.PIPE, text=True)
+    try:
+        node.stdout.readline()
+        result = call("init", "--bus", "coulombus:desk", "--brake", "bench", "--eds-folder", "eds", "-o", "my.toml")
+    finally:
+        node.terminate()
+        node.communicate(timeout=60)
+    assert result.exit_code == 0, result.output
+    assert "node 9: Coulombus motor drive" in result.stderr
+    motor = load_rig(str(folder / "my.toml")).one_axis().motor
+    assert (motor.node_id, motor.eds, motor.vendor_id) == (9, "eds/drive.eds", 0x77)

@@ -1,0 +1,90 @@
+"""Options that belong together reach a verb as one value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.main import main
+from coulombus.cli.rig_options import BusesOptions, OneBusOptions, RigOptions
+from coulombus.rigs.overrides import SHARED_MACHINE
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two options."""
+
+    first: int
+    second: tuple[str, ...]
+
+
+@pytest.fixture
+def verb():
+    got = []
+
+    @click.command()
+    @bundle("pair", Pair, click.option("--first", default=3, help="The one."), click.option("--second", multiple=True))
+    @click.option("--third", is_flag=True)
+    def command(pair, third):
+        got.append((pair, third))
+
+    return command, got
+
+
+def test_a_verb_gets_the_values_as_one_and_its_own_beside_it(verb):
+    command, got = verb
+    assert CliRunner().invoke(command, ["--second", "a", "--third", "--second", "b"]).exit_code == 0
+    assert CliRunner().invoke(command, ["--first", "-2"]).exit_code == 0
+    assert got == [(Pair(3, ("a", "b")), True), (Pair(-2, ()), False)]
+
+
+def test_the_help_has_the_options_in_their_order(verb):
+    said = CliRunner().invoke(verb[0], ["--help"]).output
+    assert "The one." in said
+    assert said.index("--first") < said.index("--second") < said.index("--third")
+
+
+def test_what_is_set_by_hand_counts_more_than_what_comes_before_it():
+    key, value = next(text.split("=") for text in SHARED_MACHINE if text.startswith("limits."))
+    name = key.removeprefix("limits.")
+    shared, own = RigOptions("bench", ()).load(*SHARED_MACHINE), RigOptions("bench", (f"{key}={2 * float(value):g}",))
+    assert getattr(shared.one_axis().limits, name) == float(value)
+    assert getattr(own.load(*SHARED_MACHINE).one_axis().limits, name) == 2 * float(value)
+
+
+def test_a_rig_and_its_buses_are_found_together():
+    rig, address = OneBusOptions("two_axes", ("bus.bitrate_bit_s=1000000",), "coulombus:here", None).found()
+    assert (rig.name, str(address), rig.bus.bitrate_bit_s) == ("two_axes", "coulombus:here", 1_000_000)
+    one = BusesOptions("bench", (), ("coulombus:there",), None)
+    assert [str(found) for found in one.addresses(one.load()).values()] == ["coulombus:there"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("watch --interval 1 --foxglove", "--interval is of the table in a terminal: leave it or --foxglove out"),
+        ("watch --web --plotjuggler", "--web and --plotjuggler: choose one of them"),
+        ("watch --pcapng - --json", "--pcapng shows nothing: leave --json out"),
+        ("watch --scope motor.position_rad", "--scope draws in a terminal: leave it out"),
+        ("lss --bus coulombus:none --all", "--all goes with --set-id, and not with --device"),
+        ("lss --bus coulombus:none --bitrate 500k", "add --store, or the device forgets it"),
+        ("lss --bus coulombus:none --bitrate 333333 --store", "--bitrate"),
+        ("init --drive bench", "give --drive and --brake, or --bus to ask who is there"),
+        ("init --drive bench --brake bench --drive-id 2 --brake-id 2", "each device has a node id of its own"),
+        ("set --undo F_s=2 --bus coulombus:none", "--undo takes the last change back: leave the values out"),
+        ("experiment study.toml -o out --subject S01 --port 80", "--port is the page's; add --page"),
+        ("experiment s.toml -o out --subject S01 --virtual --bus coulombus:x", "take --bus and --shared-machine out"),
+        ("replay run.pcapng --bus coulombus:x --host", "give one of --bus B"),
+        ("replay run.pcapng --virtual --law dahl", "--law and --set go with --host"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(words, told, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.pcapng").touch()
+    result = CliRunner().invoke(main, words.split())
+    assert result.exit_code == 2
+    assert told in result.stderr

@@ -1,0 +1,145 @@
+"""What motor and brake can show, at the bounds: whose limit counts, and from which count on a law is
+cut off.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from coulombus.host.cycle.demand import (
+    brake_end_Nm,
+    brake_limit,
+    brake_limit_raw,
+    check_demand,
+    cut_off,
+    motor_limit,
+    motor_limit_Nm,
+    torque_step_Nm,
+)
+from coulombus.rigs.rig import RigError, load_rig, load_rig_text
+from eds_edit import edit
+from places import RIGS, ROOT
+
+BENCH = (RIGS / "bench.toml").read_text(encoding="utf-8")
+MOTOR, BRAKE = ((ROOT / "eds" / name).read_text(encoding="utf-8") for name in ("motor.eds", "mr_brake.eds"))
+WALL = ("law.function=wall", "law.wall.most_Nm=0.8")
+MINE = "law.function=mine.py:law"
+BRAKE_SCALE_Nm = 0.001
+
+
+def axis_of(*overrides):
+    return load_rig("bench", list(overrides)).one_axis()
+
+
+def braked(table="", overrides=(), **keys):
+    """Return the rig of the bench whose brake's set-point has these keys in the EDS file."""
+    text = f"\n[role.brake_setpoint]\ntable = {table}\n" if table else ""
+    texts = {"motor.eds": MOTOR, "mr_brake.eds": edit(BRAKE, "7300sub1", **keys)}
+    return load_rig_text(BENCH + text, "r.toml", texts, overrides)
+
+
+# the motor
+
+
+def test_in_hybrid_the_motor_has_a_fifth_more_than_its_friction():
+    axis = axis_of("mode.hybrid.motor_limit_Nm=1.0", "mechanics.friction_Nm=0.2")
+    assert motor_limit_Nm(axis, "hybrid") == pytest.approx(0.24)
+    limit, whose = motor_limit(axis, "hybrid")
+    assert limit == pytest.approx(0.24)
+    assert whose == "the motor in mode hybrid (1.2 x mechanics.friction_Nm)"
+
+
+@pytest.mark.parametrize("mode", ["active", "hybrid"])
+def test_the_rig_files_limit_is_the_limit_where_it_is_lower(mode):
+    axis = axis_of(f"mode.{mode}.motor_limit_Nm=0.15")
+    assert motor_limit(axis, mode) == (0.15, f"mode.{mode}.motor_limit_Nm (the drive's 6072h)")
+
+
+@pytest.mark.parametrize(("law", "limit_Nm"), [(WALL, 1.0), ((MINE,), 0.168), (("law.function=lugre",), 0.168)])
+def test_only_a_law_of_ours_that_pushes_has_the_rig_files_limit_in_hybrid(law, limit_Nm):
+    assert motor_limit_Nm(axis_of("mode.hybrid.motor_limit_Nm=1.0", *law), "hybrid") == pytest.approx(limit_Nm)
+
+
+@pytest.mark.parametrize(("limit_Nm", "cut"), [(0.93, True), (0.94, False)])
+def test_a_law_that_pushes_does_so_while_the_motor_compensates(limit_Nm, cut):
+    """0.8 Nm and 0.97 of 0.14 Nm are 0.9358 Nm."""
+    rig = load_rig("bench", [*WALL, f"mode.hybrid.motor_limit_Nm={limit_Nm}"])
+    found = cut_off(rig, "hybrid")
+    assert len(found) == cut
+    if cut:
+        assert "law.wall.most_Nm" in found[0]
+        assert "not 0.9358 Nm: mode.hybrid.motor_limit_Nm" in found[0]
+    assert cut_off(rig, "passive") == []  # its motor does not push
+
+
+@pytest.mark.parametrize("mode", ["active", "passive", "hybrid"])
+def test_a_law_of_the_users_own_is_cut_off_nowhere_beforehand(mode):
+    assert cut_off(load_rig("bench", [MINE]), mode) == []
+
+
+def test_a_rig_that_cuts_nothing_off_is_not_refused():
+    rig = load_rig("bench")
+    for mode in rig.modes:
+        check_demand(rig, mode)
+
+
+def test_a_count_beyond_the_limit_is_rounding_and_more_is_not():
+    step_Nm = torque_step_Nm(axis_of())
+    for key, limit_Nm, least_Nm in (("active", 1.5, step_Nm), ("hybrid", 4.5, BRAKE_SCALE_Nm)):
+        most_Nm = limit_Nm + least_Nm
+        assert cut_off(load_rig("bench", [f"mode.{key}.F_s_Nm={most_Nm!r}"]), key) == []
+        assert len(cut_off(load_rig("bench", [f"mode.{key}.F_s_Nm={most_Nm + 1e-9!r}"]), key)) == 1
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize(("F_s_Nm", "cut"), [(4.0009, 0), (4.0011, 1)])
+def test_a_count_has_no_sign_where_a_brakes_table_falls(sense, F_s_Nm, cut):
+    rig = braked(f"[[0, 0.0], [{sense * 4000}, 4.0]]", [f"mode.hybrid.F_s_Nm={F_s_Nm}"], LowLimit=-5000)
+    assert len(cut_off(rig, "hybrid")) == cut
+
+
+# the brake
+
+
+def test_a_table_ends_the_brake_at_its_last_torque():
+    axis = braked("[[0, 0.0], [1000, 2.0], [3000, 4.0]]").one_axis()
+    assert brake_end_Nm(axis) == 4.0
+    assert brake_limit(axis) == (4.0, "role.brake_setpoint.table")
+    assert brake_limit_raw(axis) == 5000
+
+
+@pytest.mark.parametrize(
+    ("end_Nm", "whose"),
+    [(4.499, "the brake's 7300h:01 (mr_brake.eds:"), (4.5, "limits.brake_torque_Nm"), (5.0, "limits.brake_torque_Nm")],
+)
+def test_the_brakes_limit_is_the_lower_and_has_its_name(end_Nm, whose):
+    found, name = brake_limit(braked(HighLimit=round(end_Nm * 1000)).one_axis())
+    assert found == pytest.approx(min(end_Nm, 4.5))
+    assert name.startswith(whose)
+
+
+@pytest.mark.parametrize(
+    ("data_type", "low", "high", "good", "wrong"),
+    [
+        ("0x3", "0", "5000", 0, -1),
+        ("0x3", "-5", "5000", -5, -6),
+        ("0x3", "", "5000", -32768, -32769),
+        ("0x3", "-40000", "5000", -32768, -32769),
+        ("0x5", "", "", 0, -1),
+    ],
+)
+def test_no_point_of_a_table_is_below_what_the_object_takes(data_type, low, high, good, wrong):
+    keys = {"DataType": data_type, "LowLimit": low, "HighLimit": high}
+    brake_limit_raw(braked(f"[[{good}, 0.0], [200, 4.0]]", **keys).one_axis())
+    with pytest.raises(RigError, match=r"role\.brake_setpoint\.table.*which 7300h:01 takes"):
+        brake_limit_raw(braked(f"[[{wrong}, 0.0], [200, 4.0]]", **keys).one_axis())
+
+
+@pytest.mark.parametrize(("last", "taken"), [(5000, True), (5001, False)])
+def test_no_point_of_a_table_is_above_what_the_object_takes(last, taken):
+    axis = braked(f"[[0, 0.0], [{last}, 4.0]]").one_axis()
+    if taken:
+        assert brake_limit_raw(axis) == 5000
+    else:
+        with pytest.raises(RigError, match="raw counts from 0 to 5000, which 7300h:01 takes"):
+            brake_limit_raw(axis)

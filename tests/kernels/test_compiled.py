@@ -1,0 +1,413 @@
+"""The kernels' cache: nothing compiles twice, and an edited kernel is never served stale."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+from coulombus.kernels import numba_inside
+from coulombus.kernels.compile_notice import compiling, on_compiling
+from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED
+from coulombus.kernels.kernel_cache import KEPT, MARKER, alone, kept
+from coulombus.kernels.sources import source_key
+from places import ROOT
+
+import pytest  # isort: skip
+
+
+CALLEE = "from coulombus.kernels.decorator import kernel\n@kernel\ndef callee(x):\n    return x + {}\n"
+CALLER = (
+    "from coulombus.kernels.decorator import kernel\n"
+    "from coulombus.host.callee import callee\n@kernel\ndef caller(x):\n    return 10 * callee(x)\n"
+)
+
+
+def run(code, directory, **environment):
+    return python(code, directory, **environment).stdout.strip()
+
+
+def python(code, directory, umask=-1, **environment):
+    clean = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=directory,
+        env={**clean, "PYTHONPATH": str(directory), **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=900,
+        umask=umask,
+    )
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
+    for package in ("coulombus", "coulombus/kernels", "coulombus/host"):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").touch()
+    rooms = tmp_path / "coulombus"
+    for module in (ROOT / "coulombus" / "kernels").glob("*.py"):
+        name = module.name
+        (rooms / "kernels" / name).write_text(module.read_text())
+    shutil.copytree(ROOT / "coulombus" / "system", rooms / "system")
+    (rooms / "host" / "caller.py").write_text(CALLER)
+    call = "from coulombus.host.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
+    cache = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    (rooms / "host" / "callee.py").write_text(CALLEE.format(1))
+    assert run(call, tmp_path, **cache) == "20 0"
+    assert run(call, tmp_path, **cache) == "20 1"
+    (rooms / "host" / "callee.py").write_text(CALLEE.format(2))
+    assert run(call, tmp_path, **cache) == "30 0"
+    (rooms / "host" / "callee.py").write_text(CALLEE.format(1))  # edited back: the older folder has it
+    assert run(call, tmp_path, **cache) == "20 1"
+
+
+LISTENED = (
+    "from coulombus.kernels.compile_notice import on_compiling; heard = []; on_compiling(lambda: heard.append(1))"
+)
+TOLD = "print(len(heard))"
+COMPILED = "import numba; numba.njit(lambda x: x + 1)(1)"
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_nothing_compiles_on_the_second_start():
+    """Others may compile into the same cache meanwhile: what this process compiles is counted."""
+    code = "from coulombus.lab.simulate import simulate; simulate('bench', 'hybrid', 0.01)"
+    base = {"NUMBA_CACHE_DIR": str(CACHE_DIR)}
+    run(code, ROOT, **base)
+    assert next(CACHE_DIR.rglob("*.nbc"), None) is not None
+    assert run(f"{LISTENED}; {code}; {TOLD}; {COMPILED}; {TOLD}", ROOT, **base).split() == ["0", "1"]
+
+
+def test_the_key_follows_every_source(tmp_path):
+    (tmp_path / "node").mkdir()
+    empty = source_key(tmp_path)
+    (tmp_path / "node" / "core.py").write_text("a = 1\n")
+    one = source_key(tmp_path)
+    (tmp_path / "node" / "core.py").write_text("a = 2\n")
+    two = source_key(tmp_path)
+    (tmp_path / "node" / "deeper").mkdir()
+    (tmp_path / "node" / "deeper" / "core.py").write_text("a = 1\n")
+    three = source_key(tmp_path)
+    (tmp_path / "node" / "deeper" / "core.py").write_text("a = 2\n")
+    assert len({empty, one, two, three, source_key(tmp_path)}) == 5
+
+
+@pytest.mark.parametrize("flag", ["-O", "-OO"])
+def test_optimised_python_keeps_its_kernels_elsewhere(flag):
+    ask = "from coulombus.kernels.sources import source_key; print(source_key())"
+    keys = [
+        subprocess.run([sys.executable, *flags, "-c", ask], cwd=ROOT, capture_output=True, check=True).stdout
+        for flags in ([], [flag])
+    ]
+    assert keys[0] != keys[1]
+
+
+WHERE = "import coulombus.kernels.decorator; print(coulombus.kernels.decorator.CACHE_DIR)"
+
+
+def made_before(base, number, mtime_s):
+    """Make a cache as another state of the sources left it."""
+    directory = base / "coulombus" / f"kernels-{number:016x}"
+    (directory / "host_1a2b").mkdir(parents=True)
+    for name in ("step.f-1.py311.nbi", "step.f-1.py311.1.nbc", "step.f-1.py311.nbi.tmp.0123456789abcdef"):
+        (directory / "host_1a2b" / name).write_bytes(b"code")
+    (directory / MARKER).write_text(f"{directory.name}\n")
+    os.utime(directory / MARKER, (mtime_s, mtime_s))
+    return directory
+
+
+def test_directories_of_the_user_stay_whatever_they_are_called(tmp_path):
+    user = [tmp_path / f"{n:016x}" for n in range(8)] + [tmp_path / "my-measurements1"]
+    user += [tmp_path / "coulombus" / f"{n:016x}" for n in range(8)]
+    user += [tmp_path / "coulombus" / f"kernels-{n:016x}" for n in range(8)]  # without a marker: not made here
+    for directory in user:
+        directory.mkdir(parents=True)
+        (directory / "data.nbi").write_text("mine")
+    moved = made_before(tmp_path, 99, 1).rename(tmp_path / "coulombus" / f"kernels-{98:016x}")
+    for n in range(1000, 1000 + 2 * KEPT):
+        made_before(tmp_path, n, n)
+    run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
+    assert [path for path in user if not (path / "data.nbi").exists()] == []
+    assert (moved / MARKER).exists()  # it says another name than its own
+
+
+def test_the_oldest_of_our_own_caches_are_removed(tmp_path):
+    old = [made_before(tmp_path, n, n) for n in range(1, 2 * KEPT)]
+    chosen = Path(run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path)))
+    assert chosen.parent == tmp_path / "coulombus"
+    assert [path for path in old if path.exists()] == old[-(KEPT - 1) :]
+
+
+def test_a_cache_that_a_process_uses_stays(tmp_path):
+    old = [made_before(tmp_path, n, n) for n in range(1, 2 * KEPT)]
+    with (old[0] / MARKER).open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_SH)
+        run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
+    assert (old[0] / "host_1a2b" / "step.f-1.py311.nbi").exists()
+    assert not old[1].exists()
+
+
+def test_a_process_holds_its_cache_as_long_as_it_lives(tmp_path):
+    # LOCK_EX | LOCK_NB
+    code = "import fcntl, coulombus.kernels.decorator as c; m = open(c.CACHE_DIR / 'coulombus-kernels', 'r+'); fcntl.flock(m, 6)"
+    with pytest.raises(subprocess.CalledProcessError) as refused:
+        run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
+    assert "BlockingIOError" in refused.value.stderr
+
+
+def test_no_link_is_followed_out_of_a_cache(tmp_path):
+    base, user = tmp_path / "base", tmp_path / "user"
+    user.mkdir()
+    (user / "data.nbi").write_text("mine")
+    old = [made_before(base, n, n) for n in range(1, 2 * KEPT)]
+    (old[0] / "linked").symlink_to(user)
+    (old[1] / "host_1a2b" / "notes.txt").write_text("mine")
+    stranger = base / "coulombus" / f"kernels-{77:016x}"
+    stranger.symlink_to(old[2].rename(tmp_path / "elsewhere"))
+    run(WHERE, ROOT, NUMBA_CACHE_DIR=str(base))
+    assert (user / "data.nbi").read_text() == "mine"
+    assert (old[1] / "host_1a2b" / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "elsewhere" / MARKER).exists()
+
+
+def test_a_child_takes_the_place_of_its_parent(tmp_path):
+    child = (
+        "import subprocess, sys; print(subprocess.check_output([sys.executable, '-c', sys.argv[1]], text=True).strip())"
+    )
+    code = f"{WHERE}; import sys; sys.argv = ['', {WHERE!r}]; {child}"
+    first, second = run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)).splitlines()
+    assert first == second
+    other = str(tmp_path / "coulombus" / f"kernels-{5:016x}")  # of a parent with other sources
+    assert run(WHERE, ROOT, NUMBA_CACHE_DIR=other) == first
+
+
+def test_a_place_that_cannot_be_written_is_told_or_has_a_substitute(tmp_path):
+    (tmp_path / "file").write_text("")
+    no_base = {"XDG_CACHE_HOME": str(tmp_path / "file"), "TMPDIR": str(tmp_path)}
+    assert run(WHERE, ROOT, **no_base).startswith(str(tmp_path / f"coulombus-{os.getuid()}"))
+    private = tmp_path / f"coulombus-{os.getuid()}"
+    private.rename(tmp_path / "other")
+    private.write_text("a file")
+    done = python(WHERE, ROOT, **no_base)
+    assert "every start compiles; name a directory by NUMBA_CACHE_DIR" in done.stderr
+    assert not Path(done.stdout.strip()).exists()  # of no use to anybody else: removed at the end
+    private.unlink()
+    private.symlink_to(tmp_path / "other")
+    assert "every start compiles" in python(WHERE, ROOT, **no_base).stderr
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o022, 0o077, 0o277])
+def test_the_cache_is_the_users_alone_whatever_the_umask(tmp_path, umask):
+    chosen = Path(python(WHERE, ROOT, umask, XDG_CACHE_HOME=str(tmp_path / "a" / "b")).stdout.strip())
+    assert chosen.parent == tmp_path / "a" / "b" / "coulombus"
+    for folder in (chosen, chosen.parent, tmp_path / "a" / "b", tmp_path / "a"):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize(
+    ("level", "mode", "mend"),
+    [
+        (0, 0o777, "chmod 700"),
+        (0, 0o770, "chmod 700"),
+        (0, 0o701, "chmod 700"),
+        (1, 0o777, "chmod go-w"),
+        (1, 0o720, "chmod go-w"),
+        (2, 0o702, "chmod go-w"),
+    ],
+)
+def test_a_cache_that_another_user_may_enter_or_exchange_is_refused_with_what_mends_it(tmp_path, level, mode, mend):
+    """What is kept there is run."""
+    given = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
+    chosen = Path(run(WHERE, ROOT, **given))
+    folder = (chosen, *chosen.parents)[level]
+    folder.chmod(mode)
+    done = python(WHERE, ROOT, **given)
+    assert done.stdout.startswith(str(tmp_path / f"coulombus-{os.getuid()}"))
+    assert f"refused for compiled code: {folder} has mode {mode:04o}" in done.stderr
+    assert f"{mend} {folder}\n" in done.stderr
+    subprocess.run([*mend.split(), str(folder)], check=True)
+    done = python(WHERE, ROOT, **given)
+    assert (done.stdout.strip(), done.stderr) == (str(chosen), "")
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root gives a folder away")
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_a_cache_of_another_user_is_refused(tmp_path, level):
+    given = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
+    chosen = Path(run(WHERE, ROOT, **given))
+    folder = (chosen, *chosen.parents)[level]
+    os.chown(folder, 65534, 65534)
+    done = python(WHERE, ROOT, **given)
+    assert done.stdout.startswith(str(tmp_path / f"coulombus-{os.getuid()}"))
+    assert f"refused for compiled code: {folder} belongs to user 65534" in done.stderr
+
+
+def test_without_any_place_to_write_everything_is_compiled_in_memory(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "from coulombus.kernels.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\n"
+    )
+    code = f"import sys, tempfile; tempfile.tempdir = '/proc'; sys.path.append({str(tmp_path)!r}); import own; print(own.f(1))"
+    done = python(code, ROOT, NUMBA_CACHE_DIR="/proc")
+    assert done.stdout.strip() == "2"
+    assert done.stderr.count("no directory can be written; name one by NUMBA_CACHE_DIR") == 1
+
+
+OWN = "from coulombus.kernels.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\n@kernel\ndef g(x):\n    return x - f(x)\n"
+
+
+@pytest.fixture
+def own_kernels(tmp_path):
+    """Return a call of two kernels in a process of its own: what it printed, and on stderr."""
+    (tmp_path / "own.py").write_text(OWN)
+
+    def call(more="pass"):
+        code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; {more}; print(own.f(1), own.g(5), sum(own.f.stats.cache_hits.values()))"
+        done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+        return done.stdout.strip(), done.stderr
+
+    return call
+
+
+SPOILT = """
+from pathlib import Path
+from coulombus.kernels.decorator import CACHE_DIR
+from coulombus.cli.errors import _failure
+try:
+    own.f(1)
+except Exception as error:
+    print(_failure(error))
+"""
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+@pytest.mark.parametrize("spoil", [lambda whole: b"", lambda whole: whole[: len(whole) // 2]], ids=["empty", "half"])
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_damaged_cache_is_told_and_removed(own_kernels, tmp_path, spoil, ending):
+    """As a power cut leaves it: the next start compiles again."""
+    assert own_kernels() == ("2 -1 0", "")
+    for path in (tmp_path / "cache").rglob(f"own.f-*.{ending}"):
+        path.write_bytes(spoil(path.read_bytes()))
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own{SPOILT}"
+    told = run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert told.startswith("the compiled code in")
+    assert told.endswith("was damaged and is removed; start again")
+    assert list((tmp_path / "cache").rglob("*.nb?")) == []
+    assert own_kernels() == ("2 -1 0", "")
+    assert own_kernels() == ("2 -1 1", "")
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_of_several_processes_one_compiles(tmp_path):
+    """The others wait for it, say so, and load what it kept."""
+    (tmp_path / "own.py").write_text(OWN)
+    code = (
+        f"import sys; sys.path.append({str(tmp_path)!r}); import own\n"
+        "from coulombus.kernels.decorator import Entry\n"
+        "input(); print(Entry(own.g)(5), len(own.g.stats.cache_hits))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    several = [
+        subprocess.Popen(
+            [sys.executable, "-c", code], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        for _ in range(3)
+    ]
+    for one in several:  # all have been started when the first begins
+        one.stdin.write("\n")
+        one.stdin.flush()
+    said = sorted(one.communicate(timeout=120)[0].strip() for one in several)
+    assert said == ["-1 0", "-1 1", "-1 1"]
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_who_waits_for_another_process_says_that_something_is_compiled(tmp_path):
+    told = []
+    on_compiling(lambda: told.append("one"))
+    with alone(tmp_path, "other.entry"):
+        code = (
+            "from pathlib import Path; from coulombus.kernels.kernel_cache import alone\n"
+            "from coulombus.kernels.compile_notice import on_compiling\n"
+            "on_compiling(lambda: print('waits', flush=True))\n"
+            f"with alone(Path({str(tmp_path)!r}), 'own.entry'): print('goes on')"
+        )
+        waits = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        assert waits.stdout.readline() == "waits\n"
+    assert waits.communicate(timeout=120)[0] == "goes on\n"
+    assert told == []
+    assert kept(tmp_path, "other.entry")
+    assert kept(tmp_path, "own.entry")
+    assert not kept(tmp_path, "entry")
+    compiling()
+
+
+def test_what_cannot_be_compiled_counts_as_nothing_and_keeps_nobody_waiting(tmp_path):
+    for _ in range(2):
+        with pytest.raises(RuntimeError), alone(tmp_path, "own.entry"):
+            raise RuntimeError
+    assert not kept(tmp_path, "own.entry")
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_constant_is_compiled_once_with_what_is_variable(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "from coulombus.kernels.decorator import constant, kernel\n"
+        "ONE, TWO = constant(1), constant(2)\n"
+        "@kernel\ndef f(x):\n    return x + 1\n"
+        "@kernel\ndef g(x):\n    return f(ONE) + f(TWO) + f(x)\n"
+    )
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; print(own.g(5), len(own.f.signatures))"
+    assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == "11 1"
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_law_that_is_a_kernel_elsewhere_keeps_its_address(tmp_path):
+    kernels = "from coulombus.kernels.decorator import kernel; from coulombus.host.laws import laws; import numpy as np"
+    records = "[np.zeros(1, kind).view(np.recarray)[0] for kind in (laws.MOTION, laws.LAW, laws.LAW_STATE)]"
+    code = f"{kernels}; print(kernel(laws.coulomb)(*{records})); law = laws.load_law('coulomb', None); print(law.__wrapper_address__() != 0)"
+    for _ in range(2):
+        assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)).split() == ["0.0", "True"]
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_kernel_that_stands_in_no_file_is_compiled_and_not_kept(tmp_path):
+    code = "from coulombus.kernels.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\nprint(f(1))"
+    assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)) == "2"
+    assert list(tmp_path.rglob("*.nbc")) == []
+
+
+def test_ctrl_c_within_the_compiler_is_raised_behind_it(monkeypatch):
+    """LLVM calls Python back; what is raised in there nobody can catch, and Python hands it over."""
+    others = []
+    monkeypatch.setattr(sys, "unraisablehook", others.append)
+    heard = numba_inside.Compilations()
+    heard.on_start(None)
+    heard.on_start(None)
+    sys.unraisablehook(SimpleNamespace(exc_value=KeyboardInterrupt()))
+    sys.unraisablehook(SimpleNamespace(exc_value=ValueError("another")))
+    with pytest.raises(KeyboardInterrupt):
+        heard.on_end(None)
+    heard.on_end(None)
+    assert sys.unraisablehook == others.append
+    assert [str(one.exc_value) for one in others] == ["another"]
+
+
+def test_who_asked_hears_once_that_something_is_compiled():
+    told = []
+    on_compiling(lambda: told.append("one"))
+    compiling()
+    compiling()
+    assert told == ["one"]
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_compilation_is_told_and_what_is_loaded_is_not(own_kernels):
+    ask = "from coulombus.kernels import compile_notice; compile_notice.on_compiling(lambda: print('compiling'))"
+    told = [own_kernels(ask)[0].count("compiling") for _ in range(2)]
+    assert told == [1, 0]

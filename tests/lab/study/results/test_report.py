@@ -1,0 +1,148 @@
+"""The report of a folder: a simulated observer goes through the whole chain."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.special import ndtri
+
+from coulombus.cli.main import main
+from coulombus.lab.study.folder import FolderError, SubjectFolder
+from coulombus.lab.study.observer import Observer
+from coulombus.lab.study.results.page import page
+from coulombus.lab.study.results.pictures import write_figures
+from coulombus.lab.study.results.report import _asked, _mixed, lines, report
+from coulombus.lab.study.session import People, SubjectSession, run_session
+from coulombus.lab.study.study import read_study
+from study_text import TEXT
+
+STAIRS = 'kind = "staircase"\nstart = 2.1\nlow = 2.0\nhigh = 3.2\nsteps = [0.05]\ntrials = 80\n'
+TWO = TEXT[: TEXT.index("kind =")] + STAIRS + '[[condition]]\nname = "a"\n[[condition]]\nname = "b"\nmode = "passive"\n'
+
+PAIRS = ((0.10, 0.16), (0.12, 0.17), (0.15, 0.22), (0.18, 0.28), (0.20, 0.29))
+
+
+class Nothing:
+    exit_status, trip, stopped_by, recording = 0, None, None, None
+
+
+class Nowhere:
+    def __call__(self, display):
+        return Nothing()
+
+    def stop(self):
+        pass
+
+
+@pytest.fixture
+def keep(tmp_path) -> Callable[..., None]:
+    def run(text: str, *jnds: float) -> None:
+        (tmp_path / "study.toml").write_text(text)
+        study = read_study(tmp_path / "study.toml")
+        for number, jnd in enumerate(jnds, 1):
+            with SubjectFolder(study, tmp_path / "out", f"S{number:02d}", {}) as own:
+                observer = Observer(jnd, 3, own.number)
+                people = People(tell=lambda text: None, ask=observer.answer, go_on=lambda text: True)
+                assert run_session(SubjectSession(own, Nowhere()), people).complete
+
+    return run
+
+
+def test_staircases_come_to_the_observers_thresholds(keep, tmp_path):
+    jnds = (0.13, 0.17)
+    keep(TWO, *jnds)
+    found = report(tmp_path / "out")
+    for jnd, conditions in zip(jnds, found["subjects"].values(), strict=True):
+        for one in conditions.values():
+            assert one["fit"]["trials"] == one["trials"] == 80
+            assert one["fit"]["jnd"] == pytest.approx(jnd, rel=0.5)
+            assert one["fit"]["right"] == pytest.approx(0.7071, abs=0.08)
+            assert one["staircase"]["right"] == pytest.approx(0.7071, abs=0.1)
+            at_707 = 2.0 + jnd / ndtri(0.75) * ndtri(0.7071)
+            assert one["staircase"]["threshold"] == pytest.approx(at_707, abs=0.06)
+    low, high = found["conditions"]["a"]["jnd_95"]
+    assert low < 0.15 < high
+    assert "2 subjects" in "\n".join(lines(found))
+    assert f"JND {found['conditions']['a']['jnd']:.4g} Nm (" in "\n".join(lines(found))
+    told = page(found)
+    assert "The level is F_s [Nm]." in told
+    assert "| JND [Nm] | PSE [Nm] |" in told
+    assert "exponent" not in told  # a column that is empty
+    names = {path.name for path in write_figures(found, tmp_path / "figures")}
+    assert {"sub-S01_track.png", "sub-S02_psychometric.svg", "conditions.png", "report.md"} <= names
+
+
+@pytest.mark.parametrize(
+    ("level", "told"),
+    [
+        ('"law.texture.depth_Nm" = 0.5\n"law.texture.period_rad" = 1.0', ("period", "rad")),
+        ('"mode.hybrid.compensation" = 1.0', ("compensation", "")),
+        ('"law.lugre.sigma_1_Nms_rad" = 2.0', ("sigma_1", "Nm s/rad")),
+    ],
+)
+def test_the_level_is_the_key_that_it_is_set_to(tmp_path, level, told):
+    (tmp_path / "study.toml").write_text(f'name = "n"\n[level]\n{level}\n[method]\nkind = "free"\n')
+    assert _asked(tmp_path)["level"] == dict(zip(("quantity", "unit"), told, strict=True))
+    (tmp_path / "study.toml").write_text("[level]\nx = 'a'\n")
+    assert _asked(tmp_path)["level"] == {"quantity": "", "unit": ""}
+
+
+def test_pictures_are_the_same_for_the_same_answers(keep, tmp_path):
+    keep(TEXT, 0.15)
+    first, second = (write_figures(report(tmp_path / "out"), tmp_path / name) for name in ("one", "two"))
+    assert [path.name for path in first] == ["sub-S01_psychometric.png", "sub-S01_psychometric.svg", "report.md"]
+    assert "JND" in first[-1].read_text()
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+
+
+def test_magnitudes_come_to_their_exponent(keep, tmp_path):
+    text = (
+        TEXT.replace("reference = 2.0\n", "")
+        .replace('"constant"', '"magnitude"')
+        .replace("repeats = 2", "repeats = 30")
+    )
+    keep(text, 0.05)
+    told = report(tmp_path / "out")["subjects"]["S01"]["a"]["magnitudes"]
+    assert told["exponent_95"][0] < 1.0 < told["exponent_95"][1]
+
+
+def test_conditions_are_compared_by_a_mixed_model():
+    pytest.importorskip("statsmodels")
+    fits = {f"S{k}": {"a": {"fit": {"jnd": a}}, "b": {"fit": {"jnd": b}}} for k, (a, b) in enumerate(PAIRS)}
+    model, why_not = _mixed(fits)
+    assert why_not is None
+    low, high = model["jnd_ratio"]["b"]["ratio_95"]
+    assert model["against"] == "a"
+    assert 1.2 < low < 1.5 < high < 1.9  # b is 1.5 times a, but for a few per cent
+
+
+def test_the_mixed_models_interval_holds_a_known_effect_in_90_to_99_of_100_studies(recwarn):
+    pytest.importorskip("statsmodels")
+    draw, held = np.random.default_rng(0), 0
+    for _ in range(100):
+        own, left = draw.normal(0.0, 0.3, 6), draw.normal(0.0, 0.12, (6, 2))
+        fits = {
+            f"S{k}": {
+                name: {"fit": {"jnd": float(np.exp(own[k] + effect + left[k, c]))}}
+                for c, (name, effect) in enumerate((("a", 0.0), ("b", 0.4)))
+            }
+            for k in range(6)
+        }
+        model, why_not = _mixed(fits)
+        assert why_not is None
+        low, high = model["jnd_ratio"]["b"]["ratio_95"]
+        held += low <= np.exp(0.4) <= high
+    assert 90 <= held <= 99
+    assert not recwarn.list  # what statsmodels thinks of its search concerns no reader
+
+
+def test_a_folder_of_no_study_and_a_broken_row_are_told(keep, tmp_path):
+    result = CliRunner().invoke(main, ["analyse", "study", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "holds no study" in result.output
+    keep(TEXT, 0.15)
+    path = tmp_path / "out" / "sub-S01" / "sub-S01_task-jnd_events.tsv"
+    path.write_text(path.read_text().replace("\t2.4\t", "\tx\t"))
+    with pytest.raises(FolderError, match="is no number"):
+        report(tmp_path / "out")

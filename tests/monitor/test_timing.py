@@ -1,0 +1,117 @@
+"""Rate, jitter and delay behind SYNC of what is on a bus, against numbers that were put there; and
+the PDO table.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from coulombus.cli.main import main
+from coulombus.monitor.pdo_table import as_lines as pdo_lines
+from coulombus.monitor.timing import Stamps, as_lines, listen, timing
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.rigs.rig import load_rig
+from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.address import parse_address
+from coulombus.wire.frame import CAN_ERR_FLAG, FRAME, new_records
+from tiny_bus import tiny_bus
+
+MS = 1_000_000
+
+
+def stamped():
+    """SYNC each 1 ms; TPDO1 120 us behind it, of a hundred once 170 us; an error frame."""
+    stamps = Stamps()
+    frames = []
+    for k in range(1000):
+        frames += [(k * MS, 0x080, 0, b""), (k * MS + (170_000 if k % 100 == 50 else 120_000), 0x181, 8, bytes(8))]
+    stamps.take([*frames, (5, CAN_ERR_FLAG | 1, 8, bytes(8))])
+    return stamps
+
+
+def test_rate_jitter_and_delay():
+    sync, motor = timing(load_rig("bench"), stamped())
+    assert (sync.can_id, sync.name, sync.frames, sync.from_sync) == (0x080, "SYNC", 1000, None)
+    assert sync.rate_per_s == pytest.approx(1000)
+    assert sync.jitter.max_us == 0
+    assert (motor.name, motor.period_ms) == ("motor TPDO1", 1.0)
+    assert (motor.jitter.p50_us, motor.jitter.max_us) == (0, 50)
+    assert (motor.from_sync.p50_us, motor.from_sync.max_us) == (120, 170)
+    assert motor.jitter.p99_us == pytest.approx(50, abs=1)  # 20 of 999 gaps
+
+
+def test_what_needs_two_frames_is_none_of_one():
+    stamps = Stamps()
+    stamps.take([(7, 0x701, 1, b"\x05"), (9, 0x181, 8, bytes(8))])
+    motor, beat = timing(load_rig("bench"), stamps)
+    assert (beat.name, beat.rate_per_s, beat.period_ms, beat.jitter) == ("motor heartbeat", None, None, None)
+    assert motor.from_sync is None  # it came before any SYNC
+    assert "-" in list(as_lines([beat]))[-1]
+
+
+def test_names_of_services():
+    stamps = Stamps()
+    ids = (0x000, 0x080, 0x082, 0x100, 0x185, 0x582, 0x601, 0x77F, 0x7E5)
+    stamps.take([(1, can_id, 0, b"") for can_id in ids])
+    names = [row.name for row in timing(load_rig("bench"), stamps)]
+    assert names == [
+        "NMT", "SYNC", "brake EMCY", "TIME", "-", "brake SDO tx", "motor SDO rx", "host heartbeat", "LSS_RX",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("rig", ["bench", "two_axes"])
+def test_no_line_is_wider_than_80_columns(rig):
+    rig = load_rig(rig)
+    stamps = Stamps()
+    ids = [0x080, *(pdo.layout.cob_id for pdo in rig.pdos()), *(0x700 + node.node_id for node in rig.nodes)]
+    random = np.random.default_rng(3)
+    stamps.take([(int(t), can_id, 8, bytes(8)) for can_id in ids for t in np.cumsum(random.integers(1, 10**11, 500))])
+    lines = [*as_lines(timing(rig, stamps)), *(line for pdo in rig.pdos() for line in pdo_lines(pdo))]
+    assert max(map(len, lines)) <= 80
+
+
+def test_command_reads_a_recording(tmp_path):
+    frames = new_records(FRAME, 300)
+    frames["t_ns"] = 10**9 + np.arange(300) * MS
+    frames["can_id"] = 0x080
+    with PcapngWriter(tmp_path / "a.pcapng", attachments={}) as writer:
+        writer.write(frames)
+    call = ["hz", str(tmp_path / "a.pcapng"), "--rig", "bench"]
+    found = json.loads(CliRunner().invoke(main, [*call, "--json"]).stdout)
+    assert (found["lost"], found["stamps"]) == (None, "the recording's")
+    assert found["identifiers"][0]["rate_per_s"] == pytest.approx(1000)
+    lines = CliRunner().invoke(main, call).stdout.splitlines()
+    assert lines[-1].split()[:5] == ["080", "SYNC", "300", "1000.0", "1.000"]
+    assert CliRunner().invoke(main, [*call, "--bus", "coulombus:x"]).exit_code == 2
+
+
+def test_pdo_table_has_objects_scales_and_bits():
+    done = CliRunner().invoke(main, ["pdo"])
+    assert done.exit_code == 0
+    lines = [line.split() for line in done.output.splitlines()]
+    assert ["0-15", "6041h:0", "motor.statusword"] in lines
+    assert ["9", ".remote"] in lines
+    assert ["16-47", "6064h:0", "motor.position_rad", "rad", "8.00032e-05"] in lines
+    found = json.loads(CliRunner().invoke(main, ["pdo", "--json"]).stdout)
+    status = next(e for one in found for e in one["entries"] if e["signal"] == "motor.statusword")
+    assert (status["object"], status["start"], status["fields"]["state"]) == ("6041:00", 0, [0, 7])
+
+
+def test_listening_to_a_bus(private_sockets, monkeypatch):
+    with tiny_bus("t") as bus:
+
+        class Heard(StopSignals):
+            def __enter__(self):  # the client is there
+                for _ in range(20):
+                    bus.deliver((0x080, b""), (0x181, bytes(8)))
+                bus.lost = 3
+                return super().__enter__()
+
+        monkeypatch.setattr("coulombus.monitor.timing.StopSignals", Heard)
+        stamps, lost = listen(parse_address("coulombus:t"), 0.05)
+    assert {can_id: len(line) for can_id, line in stamps.of.items()} == {0x080: 20, 0x181: 20}
+    assert lost == 3

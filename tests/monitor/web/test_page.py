@@ -1,0 +1,188 @@
+"""The page's model: samples, words, batches, guards. No bus, no browser."""
+
+import os
+
+import numpy as np
+import pytest
+
+from coulombus.monitor.web.batch import IN_FLIGHT, Flow, batch, layout, unpacked
+from coulombus.monitor.web.capture import Capture
+from coulombus.monitor.web.guard import Seat, kept_token, new_token, right_token, same_origin, served_as
+from coulombus.monitor.web.state import HostView, arm_state, document
+from coulombus.rigs.rig import load_rig
+from web_bench import BEGIN_NS, FACTS, MS, STATUS, cycles
+
+
+@pytest.fixture
+def capture():
+    found = Capture(load_rig("bench"))
+    found.snapshot(BEGIN_NS)
+    for first in range(0, 2000, 33):
+        found.take(cycles(first, min(33, 2000 - first)))
+    return found
+
+
+def view():
+    return HostView(lambda trip: "docs/runbook.md#speed" if "SPEED" in trip else None)
+
+
+def test_signals_are_kept_in_si_units(capture):
+    t, angle = capture.track("motor.position_rad").last(2)
+    scale = capture.rig.pdos()[1].signals[1].scale
+    np.testing.assert_allclose(angle, (-100 - 3 * np.array([1998, 1999])) * scale)
+    assert t[-1] == BEGIN_NS + 1999 * MS + 200_000
+    _, speed = capture.track("handle.velocity_rad_s").last(100)
+    np.testing.assert_allclose(speed, -3 * scale / 1e-3)
+    _, low, high = capture.track("brake.handle_torque_Nm").bins_since(
+        capture.track("brake.handle_torque_Nm").bins.newest - 5
+    )
+    np.testing.assert_allclose(low[:-1], -1.2)
+    np.testing.assert_allclose(high[:-1], -1.194)
+
+
+def test_the_friction_is_paired_by_time_and_lasts_two_seconds(capture):
+    axis = capture.rig.one_axis()
+    v, f = capture.friction(axis)
+    assert 150 < len(v) == len(f) <= 201
+    assert v.max() < 0
+    assert -1.2 <= f.min() <= f.max() <= -1.194
+    curve = capture.law_curve(axis, "hybrid")
+    assert (min(curve.friction_Nm), max(curve.friction_Nm)) == (-3.5, 3.5)
+    assert capture.law_curve(axis, "") is None
+
+
+def test_the_state_says_what_the_bus_carries(capture):
+    now = BEGIN_NS + 2000 * MS
+    host = view()
+    host.tell(STATUS)
+    found = document(capture, capture.snapshot(now), FACTS, host)
+    assert found["arm"] == "armed"
+    assert found["host"]["phase"] == "running"
+    assert 30 < found["load_percent"] < 60  # 5 frames and 22 bytes of data a millisecond
+    row = next(row for row in found["pdos"] if row["name"] == "motor.TPDO1")
+    assert row["raw"] == "37 02 2F E8 FF FF EC FF"
+    assert row["jitter_ms"] == pytest.approx(0, abs=1e-6)
+    assert [s["value"] for s in row["signals"]][:1] == ["0237h"]
+
+
+def test_nothing_that_the_bus_carries_raises(capture):
+    rng = np.random.default_rng(5)
+    frames = [
+        (int(rng.integers(0, 2**62)), int(rng.integers(0, 2**32)), int(rng.integers(0, 9)), rng.bytes(8))
+        for _ in range(2000)
+    ]
+    frames += [(BEGIN_NS, pdo.layout.cob_id, n, rng.bytes(8)) for pdo in capture.rig.pdos() for n in range(9)]
+    capture.take(frames)
+    document(capture, capture.snapshot(BEGIN_NS), FACTS, view())
+    batch(capture, capture.rig.one_axis(), Flow(), {})
+
+
+def test_a_trip_stays_with_the_runbooks_line_until_the_next_run():
+    host = view()
+    host.tell({**STATUS, "trip": "SPEED: too fast"})
+    host.tell(None)
+    found = host.as_dict()
+    assert (found["runs"], found["trip"], found["advice"]) == (False, "SPEED: too fast", "docs/runbook.md#speed")
+    host.tell(STATUS)
+    assert host.as_dict()["trip"] == ""
+
+
+@pytest.mark.parametrize(
+    "rubbish", [{}, {"mode": 3, "axes": "no", "trip": [], "display_s": float("nan")}, {"axes": [None, {"phase": 1}]}]
+)
+def test_a_hosts_rubbish_is_as_if_not_told(rubbish):
+    host = view()
+    host.tell(rubbish)
+    assert (host.as_dict()["mode"], host.as_dict()["trip"], host.as_dict()["display_s"]) == ("", "", None)
+
+
+def test_a_drive_that_is_not_heard_is_neither_armed_nor_disarmed():
+    found = Capture(load_rig("bench"))
+    assert arm_state(found.snapshot(BEGIN_NS)) == "unknown"
+
+
+def test_batches_bring_each_bin_and_wait_for_the_page(capture):
+    axis, flow = capture.rig.one_axis(), Flow()
+    head, numbers = unpacked(batch(capture, axis, flow, {}))
+    whole = {
+        part["s"]: (part["first"], rows)
+        for part, rows in zip(head["parts"], numbers, strict=True)
+        if part["k"] == "envelope"
+    }
+    assert set(whole) == {name for row in layout(capture, axis) for name in row["signals"]}
+    first, (low, _) = whole["motor.position_rad"]
+    assert np.isfinite(low[-100:]).all()
+    capture.take(cycles(2000, 40))
+    head, numbers = unpacked(batch(capture, axis, flow, {}))
+    part = next(part for part in head["parts"] if part["k"] == "envelope" and part["s"] == "motor.position_rad")
+    assert part["first"] == first + len(low) - 1  # the bin that may have grown, and the new ones
+    assert part["n"] <= 4
+    assert not flow.free
+    assert flow.sent == IN_FLIGHT
+    assert [flow.take(n) for n in (3, 0, 2, 2)] == [False, False, True, False]
+    assert flow.free
+
+
+def test_tokens_are_kept_private_and_compared_whole(tmp_path):
+    path = tmp_path / "token"
+    token = kept_token(path)
+    assert kept_token(path) == token
+    assert os.stat(path).st_mode & 0o777 == 0o600
+    assert right_token(token, token)
+    assert not any(right_token(wrong, token) for wrong in ("", token[:-1], token + "x", new_token(), "\udcff"))
+    path.chmod(0o644)  # others may have read it
+    assert kept_token(path) != token
+    path.write_text("short\n")
+    assert len(kept_token(path)) == 32
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    with pytest.raises(OSError, match="link"):
+        kept_token(link)
+
+
+@pytest.mark.parametrize(
+    ("origin", "right"),
+    [
+        ("http://h:1", True),
+        ("https://h:1", True),
+        (None, False),
+        ("null", False),
+        ("http://h:2", False),
+        ("http://h:1.evil", False),
+    ],
+)
+def test_the_origin_is_the_page_itself(origin, right):
+    assert same_origin(origin, "h:1") is right
+    assert not same_origin("http://", None)
+
+
+@pytest.mark.parametrize(
+    ("host", "address", "port", "name", "right"),
+    [
+        ("192.168.1.7:8642", "192.168.1.7", 8642, "", True),
+        ("lab-pc:8642", "192.168.1.7", 8642, "Lab-PC", True),  # --web-host, or this machine's name
+        ("lab-pc:8642", "192.168.1.7", 8642, "", False),
+        ("localhost:8642", "192.168.1.7", 8642, "lab-pc", False),  # the network's address is no loopback
+        ("192.168.1.8:8642", "192.168.1.7", 8642, "", False),
+        ("[fe80::7]:8642", "fe80::7%eth0", 8642, "", True),
+        ("192.168.1.7:8642", "::ffff:192.168.1.7", 8642, "", True),
+        ("[::1]:8642", "127.0.0.1", 8642, "", True),
+        ("127.0.0.1:8642", "::1", 8642, "", True),
+        ("127.0.0.1", "127.0.0.1", 80, "", True),  # a browser leaves this port out
+        ("127.0.0.1", "127.0.0.1", 8642, "", False),
+        (":8642", "127.0.0.1", 8642, "", False),
+        ("", "127.0.0.1", 80, "", False),
+        (None, "127.0.0.1", 8642, "", False),
+    ],
+)
+def test_the_host_is_the_address_that_is_served(host, address, port, name, right):
+    assert served_as(host, address, port, name) is right
+
+
+def test_one_controls_and_the_others_look_on():
+    seat = Seat()
+    assert [seat.take(1), seat.take(2), seat.take(1)] == [True, False, True]
+    seat.leave(2)
+    assert seat.holder == 1
+    seat.leave(1)
+    assert seat.take(2)

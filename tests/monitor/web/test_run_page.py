@@ -1,0 +1,99 @@
+"""``coulombus run --web`` against ``coulombus sim``, in real time: a page changes the law, marks and
+stops. What they do, never how fast.
+"""
+
+import asyncio
+import json
+import re
+
+import pytest
+
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install 'coulombus[web]'")
+
+from tornado.httpclient import AsyncHTTPClient, HTTPRequest
+from tornado.websocket import websocket_connect
+
+from coulombus.kernels.decorator import JIT_DISABLED
+from coulombus.monitor.web.batch import unpacked
+from coulombus.recording.reading import read
+from real_bench import HOLD, PATIENCE_S, host, result, simulation
+
+pytestmark = [
+    pytest.mark.real_time,
+    pytest.mark.patient,
+    pytest.mark.usefixtures("private_sockets"),
+    pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop"),
+]
+BUS, OVERRIDES = "coulombus:page", (f"phase={HOLD}",)
+
+
+class Page:
+    """What a browser does with the server's address."""
+
+    def __init__(self, url):
+        self.url, self.origin = url, url.rpartition("/")[0].rpartition("/")[0]
+
+    async def __aenter__(self):
+        request = HTTPRequest(self.url.replace("http", "ws") + "data", headers={"Origin": self.origin})
+        self.socket = await websocket_connect(request)
+        return self
+
+    async def __aexit__(self, *_):
+        self.socket.close()
+
+    async def until(self, condition):
+        """Take batches until one has a state for which the condition holds; return its head."""
+        while True:
+            message = await self.socket.read_message()
+            assert message is not None, "the server has closed"
+            head, _ = unpacked(message)
+            await self.socket.write_message(f"took {head['n']}")
+            if "state" in head and condition(head):
+                return head
+
+    async def ask(self, what, answer):
+        """Say something; return the head of the batch whose answer has this in it."""
+        await self.socket.write_message(what)
+        return await self.until(lambda head: answer in head["answer"])
+
+    async def stop(self):
+        """Press STOP; return what the server says."""
+        told = await AsyncHTTPClient().fetch(
+            self.url + "stop", method="POST", body="", headers={"Origin": self.origin}, request_timeout=PATIENCE_S
+        )
+        return json.loads(told.body)
+
+
+def parameter(head, name):
+    return next(row for row in head["state"]["host"]["parameters"] if row["name"] == name)
+
+
+def test_a_page_changes_the_law_of_a_run_marks_it_and_stops_it(tmp_path):
+    async def course(url):
+        async with Page(url) as page:
+            head = await page.until(lambda head: head["state"]["host"]["phase"] == "running" and head["controls"])
+            assert head["state"]["arm"] == "armed"
+            assert parameter(head, "F_s_Nm")["now"] == 3.5
+            await page.ask('set {"values": {"F_s_Nm": 99.0}}', "F_s_Nm=99: expected from 0 to 4.5 Nm")
+            await page.ask('set {"values": {"F_s_Nm": 3.125}}', "F_s_Nm 3.5 -> 3.125 Nm")
+            await page.until(lambda head: parameter(head, "F_s_Nm")["now"] == 3.125)
+            await page.ask("mark 4", "mark 4")
+            assert await page.stop() == {"ok": True, "text": "the host stopped safely"}
+
+    record = tmp_path / "r.pcapng"
+    arguments = ("--web", "--web-port", 0, "--record", record)
+    with simulation(BUS, overrides=OVERRIDES), host(BUS, *arguments, seconds=PATIENCE_S, overrides=OVERRIDES) as run:
+        told = []
+        for line in run.stderr:
+            told.append(line)
+            if found := re.match(r"page: (http://127\.0\.0\.1:\d+/[\w-]{32,}/)$", line):
+                break
+        assert found, told
+        asyncio.run(asyncio.wait_for(course(found[1]), PATIENCE_S))
+        status, data, err = result(run)
+    assert status == 0, err
+    assert data["trip"] is None
+    markers = [text for _, text in read(record).markers]
+    assert any(text.startswith("set F_s_Nm 3.5 -> 3.125 Nm") for text in markers), markers
+    assert "mark 4" in markers
+    assert markers[-1] == "safe"
