@@ -20,7 +20,8 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from documented import HERE, ROOT, RULES, commands_of, documented, pages, rule_of, strangers
+from documented import HERE, RULES, commands_of, documented, pages, rule_of, strangers
+from places import ROOT
 from reader import Reader, missing
 
 SECONDS = "0.6"

@@ -15,7 +15,7 @@ from coulombus.sim_bus.network.script import FAULTS, Entry, ScriptError, read_sc
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from eds_edit import SENSOR
 from node_bench import EDS
-from places import ROOT
+from places import RIGS, ROOT
 
 MS = 1_000_000
 DOCS = ROOT / "docs" / "devices.md"
@@ -214,7 +214,7 @@ def test_a_script_may_name_a_sensor_and_an_axis(tmp_path):
     with pytest.raises(ScriptError, match=r"entry 1 .*node = 'cell'; expected \"motor\" or \"brake\"$"):
         read_script(path)
     entries = read_script(path, ["motor", "brake", "cell"])
-    bench = (EDS.parent / "rigs" / "bench.toml").read_text() + SENSOR
+    bench = (RIGS / "bench.toml").read_text() + SENSOR
     eds = {name: (EDS / name).read_text() for name in ("motor.eds", "mr_brake.eds")}
     rig = load_rig_text(bench, "r.toml", {**eds, "cell.eds": eds["mr_brake.eds"]})
     result = simulate(rig, "hybrid", 1.0, script=lambda world: world.plan(entries))

@@ -17,9 +17,9 @@ from coulombus.rigs.plan.rig_plan import plan, shortest_period_ns
 from coulombus.rigs.plan.role_costs import longer_period
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from foreign_eds import BRAKE, MOTOR, U8, edited, with_array
-from node_bench import EDS
+from places import RIGS
 
-BENCH = (EDS.parent / "rigs" / "bench.toml").read_text()
+BENCH = (RIGS / "bench.toml").read_text()
 SWITCH = edited(with_array(BRAKE, "6000", U8, 1, "ro"), "6000sub1", DefaultValue=1)
 """A node with the temperature and the dead man's switch, which is held."""
 ROLES = {"handle_torque": ("cell", 1), "coil_current": ("shunt", 2), "coil_temperature": ("thermo", 3)}

@@ -14,7 +14,8 @@ import pytest
 
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from real_bench import PATIENCE_S, ROOT, Observer, end
+from places import ROOT
+from real_bench import PATIENCE_S, Observer, end
 from warm_start import Warm
 
 __all__ = ["Afternoon", "blocks"]

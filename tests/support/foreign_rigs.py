@@ -10,9 +10,9 @@ from pathlib import Path
 from coulombus.rigs.rig import Rig, load_rig_text
 from eds_edit import SENSOR, fixed, mapped
 from foreign_eds import BRAKE, I16, I32, MOTOR, U8, another, edited, with_array, with_variable, without
-from node_bench import EDS
+from places import RIGS
 
-BENCH, _, _ = (EDS.parent / "rigs" / "bench.toml").read_text().partition("# The operator's schedule")
+BENCH, _, _ = (RIGS / "bench.toml").read_text().partition("# The operator's schedule")
 SCHEDULE = """
 [[phase]]
 kind = "rest"

@@ -13,7 +13,7 @@ import pytest
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import Client
 from coulombus.wire.handshake import Hello
-from vm_interfaces import ROOT
+from places import ROOT
 from warm_start import Warm
 
 PATIENCE_S = 300

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from vm_interfaces import INTERFACES, MISSING, ROOT
+from places import ROOT
+from vm_interfaces import INTERFACES, MISSING
 from warm_start import Warm
 
 READY_S = 300  # under emulation everything takes its time

@@ -12,8 +12,8 @@ import pytest
 
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import Client, pack_frame
+from places import ROOT
 from tiny_bus import tiny_bus
-from vm_interfaces import ROOT
 from warm_start import Warm
 
 pytestmark = pytest.mark.real_time

@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from vm_interfaces import INTERFACES, ROOT
+from places import ROOT
+from vm_interfaces import INTERFACES
 
 pytestmark = pytest.mark.real_time
 

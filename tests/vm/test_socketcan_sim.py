@@ -16,7 +16,8 @@ import pytest
 
 import canopen_clients
 from coulombus.wire.socketcan import is_virtual
-from vm_interfaces import INTERFACES, ROOT
+from places import ROOT
+from vm_interfaces import INTERFACES
 from warm_start import Warm
 
 pytestmark = pytest.mark.real_time

@@ -13,7 +13,7 @@ import pytest
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.wire.can_flags import CAN_EFF_FLAG
 from coulombus.wire.frame import FRAME, new_records
-from vm_interfaces import ROOT
+from places import ROOT
 from warm_start import Warm
 
 pytestmark = pytest.mark.real_time

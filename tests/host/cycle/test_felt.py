@@ -10,7 +10,7 @@ import pytest
 from coulombus.host.cycle.felt import brake_level, expect, lead, slide_velocity
 from coulombus.host.cycle.phases import enter
 from coulombus.host.cycle.records import Image, Phase
-from tests.support.host_bench import HostBench
+from host_bench import HostBench
 
 FELT = ('law.level="felt"', "law.velocity_window_cycles=32", "brake.coil_lag_s=0.003", "brake.fluid_lag_s=0.015")
 

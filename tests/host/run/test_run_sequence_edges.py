@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from coulombus.host.cycle.records import Trip
-from coulombus.host.run import course
+from coulombus.host.run import run_sequence
 from coulombus.host.run.run_sequence import Course, Figures
 from coulombus.recording.measures import Measures
 from coulombus.recording.pcapng_blocks import RecordingError
@@ -84,7 +84,7 @@ class Virtual(Course):
 
 @pytest.fixture(autouse=True)
 def _marks_of_no_rig(monkeypatch):
-    monkeypatch.setattr(course, "PhaseMarks", Marks)
+    monkeypatch.setattr(run_sequence, "PhaseMarks", Marks)
 
 
 # arming and display
@@ -262,9 +262,9 @@ def test_a_recording_that_fails_is_a_trip_and_nothing_more_is_written():
 
 @pytest.fixture
 def figured(monkeypatch):
-    monkeypatch.setattr(course, "file_sha256", lambda path: "abc")
-    monkeypatch.setattr(course, "blocks", lambda path: SimpleNamespace(axes=[1, 2]))
-    monkeypatch.setattr(course, "measure", lambda axis: f"figures {axis}")
+    monkeypatch.setattr(run_sequence, "file_sha256", lambda path: "abc")
+    monkeypatch.setattr(run_sequence, "blocks", lambda path: SimpleNamespace(axes=[1, 2]))
+    monkeypatch.setattr(run_sequence, "measure", lambda axis: f"figures {axis}")
 
 
 def test_figures_are_of_the_recording_of_a_run_that_displayed(figured, tmp_path):
@@ -285,7 +285,7 @@ def test_a_run_without_a_file_has_no_figures(figured, tmp_path):
 
 
 def test_a_result_has_the_runs_own_fields_too(monkeypatch, tmp_path):
-    monkeypatch.setattr(course, "RunResult", SimpleNamespace(of=lambda *given, **named: (given, named)))
+    monkeypatch.setattr(run_sequence, "RunResult", SimpleNamespace(of=lambda *given, **named: (given, named)))
     run = Virtual(5, 6, path=tmp_path / "run.pcapng")
     run.k.trip, run.losses = "SPEED", ("one",)
     given, named = run.result_of(Figures(["figures"], "abc"), seconds=3)

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.sim_bus.test_detail import balance, keys, run
 
 from coulombus.host.laws.along import given_law
+from tests.sim_bus.rig.test_detail import balance, keys, run
 
 STIFFNESS, SHARES = [40.0, 20.0, 10.0, 5.0], [1.0, 2.0, 1.5, 0.5]
 FRICTION = ("plant.coulomb_Nm=0.3", "plant.stribeck_Nm=0.1", "plant.stribeck_rad_s=0.8", "plant.brake_off_state_Nm=0.0")

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from tests.sim_bus.test_detail import keys, run
 
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.rig.mr_brake import brake_capacity, heat, iron, thin
 from coulombus.sim_bus.rig.own_friction import set_levels
 from coulombus.sim_bus.rig.plant import new_plant
 from coulombus.sim_bus.rig.plant_step import advance_detailed
+from tests.sim_bus.rig.test_detail import keys, run
 
 IRON = keys(iron={"play_Nm": [0.2, 0.5], "weights": [0.3, 0.2]})
 

@@ -21,9 +21,10 @@ from coulombus.sim_bus.rig.coupling import BrakeOutput, Quantity, brake_torque, 
 from coulombus.sim_bus.rig.plant import PLANT
 from coulombus.wire.frame import new_records
 from foreign_eds import BRAKE, I16, I32, MOTOR, U16, another, edited, with_array, with_variable, without
-from node_bench import EDS, MS
+from node_bench import MS
+from places import RIGS
 
-BENCH = (EDS.parent / "rigs" / "bench.toml").read_text()
+BENCH = (RIGS / "bench.toml").read_text()
 FOREIGN_MOTOR, FOREIGN_BRAKE = "motor.vendor_id=0x99", "brake.vendor_id=0x99"
 RATIO = 9.587
 COUNTS_RAD = 8192 * RATIO / (2 * math.pi)
@@ -246,7 +247,7 @@ def test_a_fault_file_may_name_a_sensor():
 
 
 def test_axes_may_share_a_sensor_node_only_by_id():
-    two = (EDS.parent / "rigs" / "two_axes.toml").read_text()
+    two = (RIGS / "two_axes.toml").read_text()
     rig = load_rig_text(two, "r.toml", {"motor.eds": MOTOR, "mr_brake.eds": BRAKE})
     world = VirtualRig(rig, "hybrid")
     assert [name.rpartition(".")[2] for name in world.rows] == ["motor", "brake", "motor", "brake"]

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from tests.sim_bus.test_plant import run
 
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.sim_bus.rig.operator import Operator, drawn
 from coulombus.sim_bus.rig.plant import encoder_rad, new_plant, transducer_Nm
+from tests.sim_bus.rig.test_plant import run
 
 STRIBECK = ("plant.stribeck_Nm=0.1", "plant.stribeck_rad_s=0.5")
 
