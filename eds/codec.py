@@ -18,33 +18,33 @@ zero-extended (UNSIGNED64 keeps its bit pattern), REAL32 and REAL64 keep their I
 from __future__ import annotations
 
 import struct
-
-import numpy as np
-import numpy.typing as npt
+from typing import Annotated
 
 from coulombus.eds.cia301 import MAX_FIELDS
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Record
+from coulombus.kernels.records import Integers, Record, dtype_of
 
-__all__ = ["MAX_FIELDS", "PDO", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
+__all__ = ["MAX_FIELDS", "PDO", "PdoRecord", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
 
-PDO = np.dtype(
-    [
-        ("cob_id", np.int64),  # 11-bit identifier; -1: the PDO does not exist or is not valid (bit 31 set)
-        ("transmission", np.int64),  # transmission type, CiA 301 table 72: 0, 1-240, 252-255
-        ("inhibit_ns", np.int64),
-        ("event_ns", np.int64),  # event timer of a TPDO, deadline of an RPDO; 0: none
-        ("sync_start", np.int64),
-        ("rtr_allowed", np.int64),
-        ("length", np.int64),  # data bytes
-        ("count", np.int64),  # fields
-        ("slot", np.int64, (MAX_FIELDS,)),  # where the field's value stands in the value array; -1: dummy
-        ("start", np.int64, (MAX_FIELDS,)),  # first bit
-        ("bits", np.int64, (MAX_FIELDS,)),  # width, 1-64
-        ("signed", np.int64, (MAX_FIELDS,)),
-    ],
-    align=True,
-)
+
+class PdoRecord(Record):
+    """A PDO as kernels pack and unpack it."""
+
+    cob_id: int  # 11-bit identifier; -1: the PDO does not exist or is not valid (bit 31 set)
+    transmission: int  # transmission type, CiA 301 table 72: 0, 1-240, 252-255
+    inhibit_ns: int
+    event_ns: int  # event timer of a TPDO, deadline of an RPDO; 0: none
+    sync_start: int
+    rtr_allowed: int
+    length: int  # data bytes
+    count: int  # fields
+    slot: Annotated[Integers, MAX_FIELDS]  # where the field's value stands in the value array; -1: dummy
+    start: Annotated[Integers, MAX_FIELDS]  # first bit
+    bits: Annotated[Integers, MAX_FIELDS]  # width, 1-64
+    signed: Annotated[Integers, MAX_FIELDS]
+
+
+PDO = dtype_of(PdoRecord)
 
 
 @kernel
@@ -78,7 +78,7 @@ def put_field(word: int, start: int, bits: int, value: int) -> int:
 
 
 @kernel
-def unpack(pdo: Record, word: int, values: npt.NDArray[np.int64]) -> None:
+def unpack(pdo: PdoRecord, word: int, values: Integers) -> None:
     """Write every field of the PDO `word` to its slot of `values` (int64)."""
     for i in range(pdo.count):
         slot = pdo.slot[i]
@@ -87,7 +87,7 @@ def unpack(pdo: Record, word: int, values: npt.NDArray[np.int64]) -> None:
 
 
 @kernel
-def pack(pdo: Record, values: npt.NDArray[np.int64]) -> int:
+def pack(pdo: PdoRecord, values: Integers) -> int:
     """Return the PDO's word made of the slots of `values` (int64); dummy fields are 0."""
     word = 0
     for i in range(pdo.count):

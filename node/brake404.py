@@ -24,8 +24,8 @@ from coulombus.eds.cia301 import Abort
 from coulombus.eds.own_devices import PRODUCTS
 from coulombus.kernels.decorator import kernel
 from coulombus.node import coil404, emcy, slots, slots404
-from coulombus.node.constants import NodeRecord
 from coulombus.node.profile import BY_ITSELF, BY_RESET, Behaviour, Objects, Profile
+from coulombus.node.record import BrakeFields, NodeRecord
 from coulombus.node.scaling404 import AUTO_ZERO, SCALED, auto_zero, scale
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.wire.frame import Queue
@@ -245,7 +245,7 @@ def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
 BRAKE404 = Profile(
     "brake",
     objects=slots404.OBJECTS,
-    fields=slots404.FIELDS,
+    fields=BrakeFields,
     terminals=slots404.TERMINALS,
     behaviour=Behaviour(
         sample=sample,

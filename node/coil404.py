@@ -26,7 +26,7 @@ import math
 
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, slots404
-from coulombus.node.constants import NodeRecord
+from coulombus.node.record import NodeRecord
 
 __all__ = ["demagnetise", "look", "next_deadline", "start"]
 

@@ -19,8 +19,8 @@ from coulombus.node.constants import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.pdo_parameters import Pdos
 from coulombus.node.profile import Profile
+from coulombus.node.record import NodeRecord
 from coulombus.node.sdo_abort import SdoAbort
-from coulombus.wire.frame import Record
 
 __all__ = ["Communication"]
 
@@ -28,7 +28,7 @@ __all__ = ["Communication"]
 class Communication:
     """The communication objects of a node, by its record."""
 
-    def __init__(self, dictionary: Dictionary, node: Record, profile: Profile) -> None:
+    def __init__(self, dictionary: Dictionary, node: NodeRecord, profile: Profile) -> None:
         self._dictionary = dictionary
         self._node = node
         self.pdos = Pdos(dictionary, node, profile)

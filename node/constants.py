@@ -1,33 +1,28 @@
-"""What all compiled parts of a node share: the type of its record, the room in it, and two
-times.
-"""
+"""What all compiled parts of a node share: the room in its record, and two times."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 from coulombus.wire.clock import NEVER_NS
-from coulombus.wire.frame import Record
 
 __all__ = [
     "BLOCK_SEGMENTS",
     "EMCY_WAITING",
     "FAR_FUTURE_NS",
+    "INPUTS",
     "MAX_CONSUMERS",
     "MAX_HISTORY",
     "MAX_PDOS",
     "MAX_SDO_SERVERS",
     "OUTBOX",
+    "OUTPUTS",
+    "PORTS",
     "SDO_TIMEOUT_NS",
     "SLOTS",
     "SPARE_SLOTS",
-    "NodeRecord",
 ]
 
-NodeRecord: TypeAlias = Record
-"""A record of `node.record.NODE`: one device."""
-
 SLOTS = 1024
+PORTS, INPUTS, OUTPUTS = 8, 16, 8  # at most: digital ports of each direction, analogue inputs and outputs
 SPARE_SLOTS = 256  # for objects that a PDO maps later, however many the EDS describes
 MAX_PDOS = 64  # of each direction
 MAX_CONSUMERS = 127  # entries of 1016h that are watched

@@ -27,12 +27,13 @@ from coulombus.node.kinds import number
 from coulombus.node.lss import Lss
 from coulombus.node.parameters import Parameters
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Profile
+from coulombus.node.record import NodeRecord
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_service import SdoService
 from coulombus.node.store import Store
 from coulombus.node.time_stamp import LENGTH as TIME_LENGTH
 from coulombus.node.time_stamp import time_of_day, time_word
-from coulombus.wire.frame import Queue, Record, push
+from coulombus.wire.frame import Queue, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device", "DeviceState"]
 
@@ -83,7 +84,7 @@ class Device:
         description: Description,
         node_id: int,
         profile: Profile,
-        record: Record,
+        record: NodeRecord,
         store: Store | None = None,
     ) -> None:
         if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:

@@ -17,7 +17,6 @@ from coulombus.eds.cia301 import Abort
 from coulombus.eds.own_devices import PRODUCTS
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, slots402, states402
-from coulombus.node.constants import NodeRecord
 from coulombus.node.profile import (
     BY_RESET,
     SUPPLY_LOST,
@@ -29,6 +28,7 @@ from coulombus.node.profile import (
     Objects,
     Profile,
 )
+from coulombus.node.record import DriveFields, NodeRecord
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.wire.frame import Queue
 
@@ -156,7 +156,7 @@ def with_own_mode(mode: int, setpoint: Key, per_mille: float) -> Profile:
 DRIVE402 = Profile(
     "drive",
     objects=slots402.OBJECTS,
-    fields=slots402.FIELDS,
+    fields=DriveFields,
     terminals=slots402.TERMINALS,
     behaviour=Behaviour(
         sample=states402.sample,

@@ -12,8 +12,9 @@ In the kernels: `n` the node's record (`node.record`), `out` the queue of frames
 from __future__ import annotations
 
 from coulombus.kernels.decorator import kernel
-from coulombus.node.constants import FAR_FUTURE_NS, NodeRecord
+from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.reactions import actuate, sample
+from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["answer"]

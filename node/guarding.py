@@ -15,7 +15,7 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy
-from coulombus.node.constants import NodeRecord
+from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["LOST", "answer", "late", "next_deadline", "restart"]

@@ -24,21 +24,17 @@ of a port or channel from 0, `out` the queue of frames to send.
 
 from __future__ import annotations
 
-import numpy as np
-
 from coulombus.eds.cia301 import Abort, NmtState
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy
-from coulombus.node.constants import NodeRecord
+from coulombus.node.constants import INPUTS, OUTPUTS, PORTS
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Behaviour, CoreObject, Objects, Profile, Terminal
+from coulombus.node.record import InputOutputFields, NodeRecord
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.slots import FIRST_OF_KIND, REGISTER
 from coulombus.wire.frame import Queue
 
-__all__ = ["ANALOGUE_IN", "ANALOGUE_OUT", "INPUTS", "IO401", "IO404", "OUTPUTS"]
-
-PORTS, INPUTS, OUTPUTS = 8, 16, 8
-"""Most digital ports of each direction, analogue inputs and analogue outputs."""
+__all__ = ["ANALOGUE_IN", "ANALOGUE_OUT", "IO401", "IO404"]
 
 DIGITAL_IN = FIRST_OF_KIND
 DIGITAL_IN_POLARITY = DIGITAL_IN + PORTS
@@ -175,16 +171,7 @@ IO401 = Profile(
         *_rows(0x6443, ANALOGUE_ERROR_MODE, OUTPUTS, 1),
         *_rows(0x6444, ANALOGUE_ERROR_VALUE, OUTPUTS),
     ),
-    fields=[
-        ("in_digital", np.int64, (PORTS,)),
-        ("in_analogue", np.int64, (INPUTS,)),  # raw, as 6401h
-        ("out_digital", np.int64, (PORTS,)),
-        ("out_analogue", np.int64, (OUTPUTS,)),  # raw, as 6411h
-        ("board_low", np.int64, (OUTPUTS,)),  # what the hardware may put out, raw; both alike: it sets no limit
-        ("board_high", np.int64, (OUTPUTS,)),
-        ("analogue_most", np.int64),  # largest count of an analogue channel
-        ("failed", np.int64),  # bits of the outputs, as in `carries`, that wait for a new value
-    ],
+    fields=InputOutputFields,
     terminals=(
         *_wires(0x6000, "in_digital", PORTS),
         *_wires(0x6200, "out_digital", PORTS),

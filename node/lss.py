@@ -20,8 +20,9 @@ from coulombus.eds.cia305 import BIT_RATES, FASTSCAN_START, UNCONFIGURED, LssSer
 from coulombus.node import core, outbox
 from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.dictionary import Dictionary
+from coulombus.node.record import NodeRecord
 from coulombus.node.store import Store
-from coulombus.wire.frame import Queue, Record, data_bytes, data_word, push
+from coulombus.wire.frame import Queue, data_bytes, data_word, push
 
 __all__ = ["Lss"]
 
@@ -54,7 +55,7 @@ class Lss:
     def __init__(
         self,
         dictionary: Dictionary,
-        record: Record,
+        record: NodeRecord,
         node_id: int,
         store: Store,
         restart: Callable[[int, Queue], None],

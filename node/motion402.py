@@ -29,7 +29,7 @@ import math
 from coulombus.eds import cia402
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import slots402
-from coulombus.node.constants import NodeRecord
+from coulombus.node.record import NodeRecord
 
 __all__ = [
     "MODES",

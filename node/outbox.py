@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.kernels.decorator import kernel
-from coulombus.node.constants import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.node.constants import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS
+from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["AHEAD", "POLL_NS", "drain", "forget", "put"]

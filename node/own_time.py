@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from coulombus.kernels.decorator import kernel
 from coulombus.node import core
-from coulombus.node.constants import NodeRecord
+from coulombus.node.record import NodeRecord
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import Queue
 

@@ -12,12 +12,12 @@ PDOs, `k` a number from 0, `out` the queue of frames to send.
 
 from __future__ import annotations
 
-from coulombus.eds.codec import pack, unpack
+from coulombus.eds.codec import PdoRecord, pack, unpack
 from coulombus.kernels.decorator import kernel
 from coulombus.node import deadlines, emcy
-from coulombus.node.constants import NodeRecord
 from coulombus.node.reactions import actuate, alarm, apply, sample
-from coulombus.wire.frame import Queue, Record, push
+from coulombus.node.record import NodeRecord
+from coulombus.wire.frame import Queue, push
 
 __all__ = ["act_pending", "answer_rtr", "forget_pending", "receive", "start", "transmit_events", "transmit_sync"]
 
@@ -102,7 +102,7 @@ def act_pending(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 
 @kernel
-def _send(n: NodeRecord, p: Record, k: int, t_ns: int, word: int, out: Queue) -> None:
+def _send(n: NodeRecord, p: PdoRecord, k: int, t_ns: int, word: int, out: Queue) -> None:
     n.tpdo_word[k] = word
     n.tpdo_ns[k] = t_ns
     n.tpdo_due[k] = 0

@@ -15,10 +15,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias, get_type_hints
 
 from coulombus.kernels.decorator import constant, kernel
-from coulombus.node.constants import NodeRecord
+from coulombus.kernels.records import Record
+from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue
 
 __all__ = [
@@ -30,7 +31,6 @@ __all__ = [
     "SUPPLY_THERE",
     "Behaviour",
     "CoreObject",
-    "Fields",
     "Key",
     "Objects",
     "Profile",
@@ -40,8 +40,6 @@ __all__ = [
 Key: TypeAlias = tuple[int, int]
 """Index and sub-index of an object."""
 
-Fields: TypeAlias = list[Any]
-"""Fields of a structured dtype."""
 
 BY_COMMAND, BY_RESET, BY_ITSELF = constant(0), constant(1), constant(2)
 """Why NMT left OPERATIONAL: a command, a reset (safe output whatever the option codes say), 1029h.
@@ -230,8 +228,8 @@ class Profile:
     name : what the command line and messages call it
     objects : those that its core uses
     behaviour : its kernels
-    fields : what its kernels keep in the record, beside what every node has. Inputs
-        begin with ``in_``, outputs, which are 0 while the device is off, with ``out_``
+    fields : what its kernels keep in the record, beside what every node has: a base class of
+        `NodeRecord`. Inputs begin with ``in_``, outputs, which are 0 while the device is off, with ``out_``
     terminals : where physical values enter and leave
     product : 1018h:02 of this project's own device of that kind
     held : causes of `node.emcy` (bits) that stay told until the kind's own fault reset
@@ -246,7 +244,7 @@ class Profile:
     name: str
     objects: tuple[CoreObject, ...] = ()
     behaviour: Behaviour = _NO_BEHAVIOUR
-    fields: Fields | tuple[()] = ()
+    fields: type[Record] = Record
     terminals: tuple[Terminal, ...] = ()
     product: int | None = None
     held: int = 0
@@ -265,7 +263,7 @@ class Profile:
     @cached_property
     def outputs(self) -> tuple[str, ...]:
         """The fields that are 0 while the device is off."""
-        return tuple(field[0] for field in self.fields if field[0].startswith("out_"))
+        return tuple(name for name in get_type_hints(self.fields) if name.startswith("out_"))
 
     def fitted(self, *rows: CoreObject, without: Collection[Key] = ()) -> Profile:
         """Return the kind as one device has it: with further objects, and with none of

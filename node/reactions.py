@@ -13,9 +13,9 @@ from numba import literal_unroll
 
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy
-from coulombus.node.constants import NodeRecord
 from coulombus.node.kinds import BEHAVIOURS
 from coulombus.node.profile import SUPPLY_LOST, SUPPLY_THERE
+from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue
 
 __all__ = [

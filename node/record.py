@@ -8,155 +8,249 @@ that never comes is `node.constants.FAR_FUTURE_NS`. What a kind of device keeps 
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.codec import PDO
+from coulombus.eds.codec import PdoRecord
+from coulombus.kernels.records import Floats, Integers, Record, RecordArray, dtype_of, new_records
 from coulombus.node.constants import (
     BLOCK_SEGMENTS,
     EMCY_WAITING,
     FAR_FUTURE_NS,
+    INPUTS,
     MAX_CONSUMERS,
     MAX_HISTORY,
     MAX_PDOS,
     MAX_SDO_SERVERS,
     OUTBOX,
+    OUTPUTS,
+    PORTS,
     SLOTS,
 )
-from coulombus.node.kinds import PROFILES
-from coulombus.wire.clock import CLOCK_FIELDS
-from coulombus.wire.frame import Records
+from coulombus.wire.clock import Clock
 
-__all__ = ["LOOP_WORDS", "NODE", "new_nodes"]
+__all__ = ["LOOP_WORDS", "NODE", "BrakeFields", "DriveFields", "InputOutputFields", "NodeRecord", "new_nodes"]
 
-_I = np.int64
 
-NODE = np.dtype(
-    [
-        # who and when
-        ("station", _I),  # number of its station on the bus: its row
-        ("node_id", _I),
-        ("kind", _I),  # number of its profile in node.kinds; 0: generic
-        ("nmt", _I),  # NmtState
-        ("powered", _I),
-        ("next_ns", _I),  # when on_time wants to be called; FAR_FUTURE_NS: never
-        *CLOCK_FIELDS,
-        ("processing_ns", _I),  # from a frame or an event to the answer that is ready to be sent
-        # simulated inputs that every kind has (written by sim_bus). After a change of one of them
-        # set next_ns to the
-        # present: both are looked at on SYNC, on an RPDO and on time
-        ("in_supply_ok", _I),
-        ("in_faults", _I),  # device faults that are present, bits of node.emcy's causes
-        # counters
-        ("dropped_length", _I),  # RPDOs or SYNCs of a wrong length, NMT or heartbeat frames too short
-        ("dropped_unknown", _I),  # frames of this node that do not fit its state (a PDO while not OPERATIONAL ...)
-        ("dropped_window", _I),  # synchronous RPDOs that came after the window of 1007h
-        ("excess_length", _I),  # RPDOs longer than mapped, of which the first bytes were used
-        ("negative_setpoints", _I),
-        ("clipped_setpoints", _I),  # above the EDS' high limit (brake), above 6072h (drive)
-        ("emcy_count", _I),
-        # SYNC
-        ("sync_ns", _I),  # the last one
-        ("sync_armed", _I),  # one was seen since OPERATIONAL
-        ("sync_overflow", _I),  # 1019h
-        ("sync_id", _I),  # COB-ID of 1005h
-        ("sync_producer_ns", _I),  # period of 1006h when 1005h's bit 30 is set, else 0
-        ("sync_next_ns", _I),
-        ("sync_counter", _I),
-        ("sync_window_ns", _I),  # 1007h; 0: none
-        # NMT, heartbeats, error behaviour
-        ("heartbeat_ns", _I),  # 1017h; 0: none
-        ("heartbeat_next_ns", _I),
-        ("error_behaviour", _I),  # 1029h:01, communication: 0 to PRE-OPERATIONAL, 1 no change, 2 to STOPPED
-        ("device_error_behaviour", _I),  # 1029h:02, a fault of the device itself
-        ("consumers_used", _I),  # 1 + the last entry of 1016h that watches
-        ("consumer_id", _I, (MAX_CONSUMERS,)),  # node that is watched
-        ("consumer_ns", _I, (MAX_CONSUMERS,)),  # its time of 1016h; 0: none
-        ("consumer_last_ns", _I, (MAX_CONSUMERS,)),
-        ("consumer_state", _I, (MAX_CONSUMERS,)),  # 0 waits for the first heartbeat, 1 alive, 2 lost
-        # node guarding
-        ("guard_on", _I),  # 1: remote frames on 700h + id are answered (1017h is 0)
-        ("guard_toggle", _I),
-        ("guard_life_ns", _I),  # 100Ch x 100Dh; 0: not watched
-        ("guard_last_ns", _I),
-        ("guard_state", _I),  # 0 waits for the first remote frame, 1 alive, 2 lost
-        # TIME
-        ("time_id", _I),  # COB-ID of 1012h
-        ("time_set_ns", _I),  # when the time of day was told; -1: never
-        ("time_word", _I),  # what was told: bits 0-27 ms after midnight, bits 32-47 days since 1984-01-01
-        # PDOs
-        ("rpdo", PDO, (MAX_PDOS,)),
-        ("tpdo", PDO, (MAX_PDOS,)),
-        ("rpdo_ns", _I, (MAX_PDOS,)),  # last reception
-        ("rpdo_armed", _I, (MAX_PDOS,)),  # its deadline is watched
-        ("rpdo_lost", _I, (MAX_PDOS,)),
-        ("rpdo_pending", _I),  # how many RPDOs wait for the next SYNC
-        ("rpdo_waits", _I, (MAX_PDOS,)),  # this one does
-        ("rpdo_word", _I, (MAX_PDOS,)),
-        ("rpdo_carries", _I, (MAX_PDOS,)),  # bits `acts` of the objects that it maps (node.profile)
-        ("rpdo_next", _I, (MAX_PDOS,)),  # next RPDO with the same COB-ID, or -1
-        ("rpdo_used", _I),  # 1 + the last valid RPDO
-        ("tpdo_used", _I),  # 1 + the last valid TPDO
-        ("tpdo_events", _I),  # how many valid TPDOs are sent on events (transmission type 254, 255)
-        ("tpdo_count", _I, (MAX_PDOS,)),  # SYNCs since the last transmission; -1: waits for the SYNC start value
-        ("tpdo_ns", _I, (MAX_PDOS,)),  # last transmission
-        ("tpdo_word", _I, (MAX_PDOS,)),  # what was sent last; sampled at SYNC for transmission type 252
-        ("tpdo_due", _I, (MAX_PDOS,)),  # an event waits for the end of the inhibit time
-        ("tpdo_mask", _I, (MAX_PDOS,)),  # bits whose change is an event
-        # EMCY
-        ("causes", _I),  # present now
-        ("detected", _I),  # device faults that the device found itself, as in_faults
-        ("held", _I),  # causes that stay latched until the reset of the kind
-        ("latched", _I),  # told by an EMCY and not yet reset
-        ("emcy_id", _I),  # -1: none
-        ("emcy_inhibit_ns", _I),
-        ("emcy_ready_ns", _I),  # the next one goes out then at the earliest
-        ("emcy_waiting", _I),
-        ("emcy_word", _I, (EMCY_WAITING,)),
-        ("history_count", _I),
-        ("history", _I, (MAX_HISTORY,)),  # 1003h, newest first
-        ("silent_ns", _I),  # until then it hears and sends nothing (LSS: activate bit timing)
-        # SDO server: a transfer that stands still is aborted by the core
-        ("sdo_used", _I),  # 1 + the last valid channel
-        ("sdo_deadline_ns", _I, (MAX_SDO_SERVERS,)),
-        ("sdo_abort_id", _I, (MAX_SDO_SERVERS,)),
-        ("sdo_abort_word", _I, (MAX_SDO_SERVERS,)),
-        # segments of block downloads that the core collects; Python opens and closes a channel's
-        # row
-        ("segments_open", _I),  # how many rows are open
-        ("segments_id", _I, (MAX_SDO_SERVERS,)),  # identifier of the requests; 0: closed
-        ("segments_next", _I, (MAX_SDO_SERVERS,)),  # number of the segment that comes next
-        ("segments_last", _I, (MAX_SDO_SERVERS,)),  # number of the block's last segment
-        ("segments_count", _I, (MAX_SDO_SERVERS,)),  # collected and not yet taken by Python
-        ("segments_word", _I, (MAX_SDO_SERVERS, BLOCK_SEGMENTS)),
-        # what the core uploads by itself, sorted by key
-        ("sdo_rx_id", _I),  # of the first server; -1: none
-        ("sdo_tx_id", _I),
-        ("fast_count", _I),
-        ("fast_key", _I, (SLOTS,)),  # index x 256 + sub-index
-        ("fast_slot", _I, (SLOTS,)),
-        ("fast_size", _I, (SLOTS,)),  # bytes, 1 to 4
-        # segments of block uploads, a ring
-        ("outbox_first", _I),
-        ("outbox_count", _I),
-        ("outbox_next_ns", _I),
-        ("outbox_channel", _I, (OUTBOX,)),
-        ("outbox_id", _I, (OUTBOX,)),
-        ("outbox_word", _I, (OUTBOX,)),
-        # set-point of a kind that has one
-        ("setpoint_ns", _I),  # reception of the one that acts
-        ("setpoint_armed", _I),  # its age is watched (since the first RPDO that carries one)
-        ("setpoint_stale", _I),
-        ("ramping", _I),  # brake: 0 the set-point acts, 1 on the way to the fault value, 2 there; drive: 1 on a slope
-        *(field for profile in PROFILES for field in profile.fields),
-        # tables
-        ("values", _I, (SLOTS,)),  # raw values of the objects, REAL as bit patterns
-        ("rerouted", _I),  # 1: `route` was written; the reader that indexes it (sim_bus.network.agenda) clears it
-        ("route", np.int16, (2048,)),  # node.core's route of each identifier
-        ("rtr_route", np.int16, (2048,)),
-    ],
-    align=True,
-)
+class DriveFields(Record):
+    """What a drive of CiA 402 keeps in its record."""
+
+    # simulated inputs, in the drive's own units
+    in_position_counts: int
+    in_velocity_counts_s: float
+    in_torque_pm: float  # per mille of rated
+    # simulated output
+    out_torque_pm: float  # 0 unless Operation Enabled
+    # its state
+    power_state: int
+    torque_demand_pm: float
+    demand_ns: int  # when torque_demand_pm was computed
+    controlword: int  # the last one that was acted upon: for the edge of bit 7
+    limited: int  # the set-point is above 6072h now
+    mode: int  # the mode that acts: 6061h; 0 for one that is not there
+    slowing: int  # node.motion402's ramp on the way to torque 0, or 0
+    slowing_to: int  # the power state that follows it
+    slowing_ns: int  # when it began
+    guarded: int  # 607Dh or 6080h may limit
+    speed_max_counts_s: float  # 6080h
+    speed_demand: float  # counts/s
+    speed_kp: float  # per mille per count/s
+    speed_ki: float  # per mille per count
+    integral_pm: float
+    off_target_ns: int  # when the speed was last outside its window 606Dh ...
+    moving_ns: int  # ... and last above its threshold 606Fh
+    abort_by_option: int  # 1: 6007h decides what a lost host does, as CiA 402 says; 0: it is a fault always
+    vendor_mode: int  # a mode of the maker's own, whose set-point acts at once; 0: none
+    vendor_pm: float  # per mille of rated torque for one count of its set-point
+    vendor_slot: int  # where that stands
+    supply_mV: int  # what 6079h shows while the supply is there
+
+
+class BrakeFields(Record):
+    """What the brake, a controller of CiA 404, keeps in its record."""
+
+    # simulated inputs
+    in_handle_Nm: float
+    in_coil_A: float
+    in_coil_degC: float
+    # simulated outputs
+    out_brake_Nm: float  # >= 0 always
+    out_reverse_A: float  # current of the demagnetisation pulse, only while out_brake_Nm is 0
+    # output block and input blocks
+    setpoint_high: int  # high limit of 7300h:01 in the EDS, raw
+    ao_gain_Nm: float  # torque = 7300h:01 * gain + bias (6302h, 7320h to 7323h)
+    ao_bias_Nm: float
+    ao_full_Nm: float  # full scale, no output is above it
+    ao_FV_Nm: float  # 7330h:01 for one Nm
+    ai_gain: Annotated[Floats, 3]  # 6126h * 10 ** 6132h
+    ai_bias: Annotated[Floats, 3]  # (6127h + 6124h) * 10 ** 6132h
+    ai_low: Annotated[Floats, 3]  # 7148h and 7149h; the other way round for a channel that is off
+    ai_high: Annotated[Floats, 3]
+    # coil
+    coil_A_Nm: float  # what the coil draws for one Nm, told by the rig; 0: no coil is known
+    max_A: float  # 2010h
+    short_A: float
+    least_A: float
+    open_ns: int
+    open_since_ns: int  # command without current since then; -1: no
+    warm_degC: float  # 2011h
+    hot_degC: float
+    cooled_degC: float  # below it the over-temperature is over
+    share_left: float  # of max_A, at hot_degC
+    derated: int
+    limit_Nm: float  # what max_A and the board allow now
+    board_Nm: float  # most that the hardware may put out (an I/O file); 0: it sets no limit
+    demag_A: float  # 2012h
+    demag_ns: int
+    demag_delay_ns: int
+    pulse_due: int  # 1: the output was above 0 since the last pulse
+    pulse_ns: int  # when the pulse begins
+    # ramp to the fault value
+    ramp_to_Nm: float
+    ramp_from_Nm: float
+    ramp_start_ns: int
+
+
+class InputOutputFields(Record):
+    """What an input and output module of CiA 401 keeps in its record."""
+
+    in_digital: Annotated[Integers, PORTS]
+    in_analogue: Annotated[Integers, INPUTS]  # raw, as 6401h
+    out_digital: Annotated[Integers, PORTS]
+    out_analogue: Annotated[Integers, OUTPUTS]  # raw, as 6411h
+    board_low: Annotated[Integers, OUTPUTS]  # what the hardware may put out, raw; both alike: it sets no limit
+    board_high: Annotated[Integers, OUTPUTS]
+    analogue_most: int  # largest count of an analogue channel
+    failed: int  # bits of the outputs, as in `carries`, that wait for a new value
+
+
+class NodeRecord(Clock, DriveFields, BrakeFields, InputOutputFields):
+    """One device."""
+
+    # who and when
+    station: int  # number of its station on the bus: its row
+    node_id: int
+    kind: int  # number of its profile in node.kinds; 0: generic
+    nmt: int  # NmtState
+    powered: int
+    next_ns: int  # when on_time wants to be called; FAR_FUTURE_NS: never
+    processing_ns: int  # from a frame or an event to the answer that is ready to be sent
+    # simulated inputs that every kind has (written by sim_bus). After a change of one of them
+    # set next_ns to the
+    # present: both are looked at on SYNC, on an RPDO and on time
+    in_supply_ok: int
+    in_faults: int  # device faults that are present, bits of node.emcy's causes
+    # counters
+    dropped_length: int  # RPDOs or SYNCs of a wrong length, NMT or heartbeat frames too short
+    dropped_unknown: int  # frames of this node that do not fit its state (a PDO while not OPERATIONAL ...)
+    dropped_window: int  # synchronous RPDOs that came after the window of 1007h
+    excess_length: int  # RPDOs longer than mapped, of which the first bytes were used
+    negative_setpoints: int
+    clipped_setpoints: int  # above the EDS' high limit (brake), above 6072h (drive)
+    emcy_count: int
+    # SYNC
+    sync_ns: int  # the last one
+    sync_armed: int  # one was seen since OPERATIONAL
+    sync_overflow: int  # 1019h
+    sync_id: int  # COB-ID of 1005h
+    sync_producer_ns: int  # period of 1006h when 1005h's bit 30 is set, else 0
+    sync_next_ns: int
+    sync_counter: int
+    sync_window_ns: int  # 1007h; 0: none
+    # NMT, heartbeats, error behaviour
+    heartbeat_ns: int  # 1017h; 0: none
+    heartbeat_next_ns: int
+    error_behaviour: int  # 1029h:01, communication: 0 to PRE-OPERATIONAL, 1 no change, 2 to STOPPED
+    device_error_behaviour: int  # 1029h:02, a fault of the device itself
+    consumers_used: int  # 1 + the last entry of 1016h that watches
+    consumer_id: Annotated[Integers, MAX_CONSUMERS]  # node that is watched
+    consumer_ns: Annotated[Integers, MAX_CONSUMERS]  # its time of 1016h; 0: none
+    consumer_last_ns: Annotated[Integers, MAX_CONSUMERS]
+    consumer_state: Annotated[Integers, MAX_CONSUMERS]  # 0 waits for the first heartbeat, 1 alive, 2 lost
+    # node guarding
+    guard_on: int  # 1: remote frames on 700h + id are answered (1017h is 0)
+    guard_toggle: int
+    guard_life_ns: int  # 100Ch x 100Dh; 0: not watched
+    guard_last_ns: int
+    guard_state: int  # 0 waits for the first remote frame, 1 alive, 2 lost
+    # TIME
+    time_id: int  # COB-ID of 1012h
+    time_set_ns: int  # when the time of day was told; -1: never
+    time_word: int  # what was told: bits 0-27 ms after midnight, bits 32-47 days since 1984-01-01
+    # PDOs
+    rpdo: Annotated[RecordArray[PdoRecord], MAX_PDOS]
+    tpdo: Annotated[RecordArray[PdoRecord], MAX_PDOS]
+    rpdo_ns: Annotated[Integers, MAX_PDOS]  # last reception
+    rpdo_armed: Annotated[Integers, MAX_PDOS]  # its deadline is watched
+    rpdo_lost: Annotated[Integers, MAX_PDOS]
+    rpdo_pending: int  # how many RPDOs wait for the next SYNC
+    rpdo_waits: Annotated[Integers, MAX_PDOS]  # this one does
+    rpdo_word: Annotated[Integers, MAX_PDOS]
+    rpdo_carries: Annotated[Integers, MAX_PDOS]  # bits `acts` of the objects that it maps (node.profile)
+    rpdo_next: Annotated[Integers, MAX_PDOS]  # next RPDO with the same COB-ID, or -1
+    rpdo_used: int  # 1 + the last valid RPDO
+    tpdo_used: int  # 1 + the last valid TPDO
+    tpdo_events: int  # how many valid TPDOs are sent on events (transmission type 254, 255)
+    tpdo_count: Annotated[Integers, MAX_PDOS]  # SYNCs since the last transmission; -1: waits for the SYNC start value
+    tpdo_ns: Annotated[Integers, MAX_PDOS]  # last transmission
+    tpdo_word: Annotated[Integers, MAX_PDOS]  # what was sent last; sampled at SYNC for transmission type 252
+    tpdo_due: Annotated[Integers, MAX_PDOS]  # an event waits for the end of the inhibit time
+    tpdo_mask: Annotated[Integers, MAX_PDOS]  # bits whose change is an event
+    # EMCY
+    causes: int  # present now
+    detected: int  # device faults that the device found itself, as in_faults
+    held: int  # causes that stay latched until the reset of the kind
+    latched: int  # told by an EMCY and not yet reset
+    emcy_id: int  # -1: none
+    emcy_inhibit_ns: int
+    emcy_ready_ns: int  # the next one goes out then at the earliest
+    emcy_waiting: int
+    emcy_word: Annotated[Integers, EMCY_WAITING]
+    history_count: int
+    history: Annotated[Integers, MAX_HISTORY]  # 1003h, newest first
+    silent_ns: int  # until then it hears and sends nothing (LSS: activate bit timing)
+    # SDO server: a transfer that stands still is aborted by the core
+    sdo_used: int  # 1 + the last valid channel
+    sdo_deadline_ns: Annotated[Integers, MAX_SDO_SERVERS]
+    sdo_abort_id: Annotated[Integers, MAX_SDO_SERVERS]
+    sdo_abort_word: Annotated[Integers, MAX_SDO_SERVERS]
+    # segments of block downloads that the core collects; Python opens and closes a channel's
+    # row
+    segments_open: int  # how many rows are open
+    segments_id: Annotated[Integers, MAX_SDO_SERVERS]  # identifier of the requests; 0: closed
+    segments_next: Annotated[Integers, MAX_SDO_SERVERS]  # number of the segment that comes next
+    segments_last: Annotated[Integers, MAX_SDO_SERVERS]  # number of the block's last segment
+    segments_count: Annotated[Integers, MAX_SDO_SERVERS]  # collected and not yet taken by Python
+    segments_word: Annotated[Integers, (MAX_SDO_SERVERS, BLOCK_SEGMENTS)]
+    # what the core uploads by itself, sorted by key
+    sdo_rx_id: int  # of the first server; -1: none
+    sdo_tx_id: int
+    fast_count: int
+    fast_key: Annotated[Integers, SLOTS]  # index x 256 + sub-index
+    fast_slot: Annotated[Integers, SLOTS]
+    fast_size: Annotated[Integers, SLOTS]  # bytes, 1 to 4
+    # segments of block uploads, a ring
+    outbox_first: int
+    outbox_count: int
+    outbox_next_ns: int
+    outbox_channel: Annotated[Integers, OUTBOX]
+    outbox_id: Annotated[Integers, OUTBOX]
+    outbox_word: Annotated[Integers, OUTBOX]
+    # set-point of a kind that has one
+    setpoint_ns: int  # reception of the one that acts
+    setpoint_armed: int  # its age is watched (since the first RPDO that carries one)
+    setpoint_stale: int
+    ramping: int  # brake: 0 the set-point acts, 1 on the way to the fault value, 2 there; drive: 1 on a slope
+    # tables
+    values: Annotated[Integers, SLOTS]  # raw values of the objects, REAL as bit patterns
+    rerouted: int  # 1: `route` was written; the reader that indexes it (sim_bus.network.agenda) clears it
+    route: Annotated[Integers, 2048, np.int16]  # node.core's route of each identifier
+    rtr_route: Annotated[Integers, 2048, np.int16]
+
+
+NODE = dtype_of(NodeRecord)
 
 
 SERVICES_ONLY = (
@@ -185,9 +279,9 @@ date: runs, first and last + 1.
 """
 
 
-def new_nodes(n: int) -> Records:
+def new_nodes(n: int) -> RecordArray[NodeRecord]:
     """Return the records of `n` nodes that are powered off; none of their PDOs is valid."""
-    nodes = np.zeros(n, NODE).view(np.recarray)
+    nodes: RecordArray[NodeRecord] = new_records(NodeRecord, n)
     nodes["next_ns"] = FAR_FUTURE_NS
     nodes["processing_ns"] = 20_000
     nodes["in_supply_ok"] = 1

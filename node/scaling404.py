@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import math
 
-from coulombus.node.constants import NodeRecord
 from coulombus.node.profile import Objects
+from coulombus.node.record import NodeRecord
 
 __all__ = ["AUTO_ZERO", "SCALED", "auto_zero", "scale"]
 

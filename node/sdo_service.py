@@ -18,9 +18,10 @@ from coulombus.kernels.decorator import Entry
 from coulombus.node import core, outbox
 from coulombus.node.communication_objects import Communication
 from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
+from coulombus.node.record import NodeRecord
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_server import SdoServer, abort_frame
-from coulombus.wire.frame import Queue, Record, data_bytes, data_word, push
+from coulombus.wire.frame import Queue, data_bytes, data_word, push
 
 __all__ = ["SdoService"]
 
@@ -41,7 +42,7 @@ class _Channel:
 class SdoService:
     """The SDO servers of a device, by its record; `access` is what they serve."""
 
-    def __init__(self, access: Access, communication: Communication, node: Record) -> None:
+    def __init__(self, access: Access, communication: Communication, node: NodeRecord) -> None:
         self._access, self._communication = access, communication
         self._node = node
         self._deadlines = self._node["sdo_deadline_ns"]

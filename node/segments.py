@@ -12,7 +12,8 @@ In the kernels: `n` the node's record (`node.record`), `k` a number from 0.
 from __future__ import annotations
 
 from coulombus.kernels.decorator import kernel
-from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
+from coulombus.node.record import NodeRecord
 
 __all__ = ["collect"]
 

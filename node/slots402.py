@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from coulombus.node.profile import CoreObject, Fields, Terminal
+from coulombus.node.profile import CoreObject, Terminal
 from coulombus.node.slots import COMMON, ERROR_CODE
 
 ACTS_CONTROLWORD, ACTS_TORQUE, ACTS_SPEED = 1, 2, 4
@@ -96,38 +94,6 @@ OBJECTS: tuple[CoreObject, ...] = (
 )
 """The objects that the drive uses."""
 
-FIELDS: Fields = [
-    # simulated inputs, in the drive's own units
-    ("in_position_counts", np.int64),
-    ("in_velocity_counts_s", np.float64),
-    ("in_torque_pm", np.float64),  # per mille of rated
-    # simulated output
-    ("out_torque_pm", np.float64),  # 0 unless Operation Enabled
-    # its state
-    ("power_state", np.int64),
-    ("torque_demand_pm", np.float64),
-    ("demand_ns", np.int64),  # when torque_demand_pm was computed
-    ("controlword", np.int64),  # the last one that was acted upon: for the edge of bit 7
-    ("limited", np.int64),  # the set-point is above 6072h now
-    ("mode", np.int64),  # the mode that acts: 6061h; 0 for one that is not there
-    ("slowing", np.int64),  # node.motion402's ramp on the way to torque 0, or 0
-    ("slowing_to", np.int64),  # the power state that follows it
-    ("slowing_ns", np.int64),  # when it began
-    ("guarded", np.int64),  # 607Dh or 6080h may limit
-    ("speed_max_counts_s", np.float64),  # 6080h
-    ("speed_demand", np.float64),  # counts/s
-    ("speed_kp", np.float64),  # per mille per count/s
-    ("speed_ki", np.float64),  # per mille per count
-    ("integral_pm", np.float64),
-    ("off_target_ns", np.int64),  # when the speed was last outside its window 606Dh ...
-    ("moving_ns", np.int64),  # ... and last above its threshold 606Fh
-    ("abort_by_option", np.int64),  # 1: 6007h decides what a lost host does, as CiA 402 says; 0: it is a fault always
-    ("vendor_mode", np.int64),  # a mode of the maker's own, whose set-point acts at once; 0: none
-    ("vendor_pm", np.float64),  # per mille of rated torque for one count of its set-point
-    ("vendor_slot", np.int64),  # where that stands
-    ("supply_mV", np.int64),  # what 6079h shows while the supply is there
-]
-"""What the drive keeps in its record."""
 
 TERMINALS: tuple[Terminal, ...] = (
     Terminal(0x6064, 0, "in_position_counts"),

@@ -31,8 +31,8 @@ from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, Command, Po
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, motion402, slots, slots402
-from coulombus.node.constants import NodeRecord
 from coulombus.node.motion402 import MODES
+from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue
 
 __all__ = [

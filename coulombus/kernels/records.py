@@ -1,27 +1,129 @@
-"""Records, as kernels take them: what they are to mypy, and how they are made."""
+"""Records, as kernels take them: declared once, as a class with typed fields.
+
+The class is what mypy knows of a record; `dtype_of` makes of it what NumPy and Numba know::
+
+    class Frame(Record):
+        t_ns: int  # end of frame
+        data: Annotated[Integers, 8]
+
+    FRAME = dtype_of(Frame)
+    frame = new_records(Frame)[0]
+
+A field is ``int`` (int64), ``float`` (float64), another record, or an array of such, with its
+length: ``Annotated[Integers, 8]``, ``Annotated[Floats, (2, 3)]``, ``Annotated[RecordArray[Frame], 4]``.
+Another number type stands there, too: ``Annotated[Integers, 8, np.int16]``. A base class has the
+first fields. What follows a field as a comment is its description.
+"""
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Generic,
+    Self,
+    TypeAlias,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Floats", "Integers", "Record", "Records", "copied", "new_records", "overwrite"]
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import overload
+
+__all__ = [
+    "Floats",
+    "Integers",
+    "Record",
+    "RecordArray",
+    "Records",
+    "copied",
+    "dtype_of",
+    "new_records",
+    "overwrite",
+]
 
 Records: TypeAlias = npt.NDArray[Any]
-"""An array of records (a structured dtype)."""
-Record: TypeAlias = np.record
-"""One record: an element of such an array, a view of it."""
+"""An array of records (a structured dtype) of whatever type."""
 Integers: TypeAlias = npt.NDArray[np.integer[Any]]
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 
-def new_records(dtype: np.dtype[Any], count: int = 1) -> Records:
-    """Return `count` records of `dtype`, all zero, whose fields are
-    attributes in compiled and in plain Python.
+class Record:
+    """One record: an element of an array of records, a view of it. NumPy makes it, and nobody else."""
+
+    if TYPE_CHECKING:
+
+        def __getitem__(self, name: str) -> Any: ...
+        def __setitem__(self, name: str, value: Any) -> None: ...
+        def copy(self) -> Self: ...  # noqa: D102
+        @property
+        def dtype(self) -> np.dtype[Any]: ...  # noqa: D102
+
+
+R = TypeVar("R", bound=Record)
+A = TypeVar("A", bound=Records)
+
+if TYPE_CHECKING:
+
+    class RecordArray(npt.NDArray[Any], Generic[R]):
+        """An array of records of one class: one axis, whose elements are records."""
+
+        @overload  # type: ignore[override]
+        def __getitem__(self, key: int) -> R: ...
+        @overload
+        def __getitem__(self, key: slice | Integers) -> RecordArray[R]: ...
+        @overload
+        def __getitem__(self, key: str | list[str]) -> npt.NDArray[Any]: ...
+        def __getitem__(self, key: Any) -> Any: ...
+        def __iter__(self) -> Iterator[R]: ...  # type: ignore[override]
+else:
+
+    class RecordArray(Generic[R]):
+        """An array of records of one class: one axis, whose elements are records."""
+
+
+_DTYPES: dict[type[Record], np.dtype[Any]] = {}
+
+
+def dtype_of(record: type[Record]) -> np.dtype[Any]:
+    """Return the structured dtype of the records that `record` declares, aligned as C does it."""
+    if record not in _DTYPES:
+        hints = get_type_hints(record, include_extras=True)
+        _DTYPES[record] = np.dtype([(name, *_format(hint)) for name, hint in hints.items()], align=True)
+    return _DTYPES[record]
+
+
+def _format(hint: Any) -> tuple[Any, ...]:
+    """Return type, and shape of an array, of a field that is declared as `hint`."""
+    if get_origin(hint) is not Annotated:
+        return (_scalar(hint),)
+    kind, shape, *others = get_args(hint)
+    if kind is int or kind is float:  # Annotated[int, np.int16]
+        return (shape,)
+    element = get_args(kind)[0] if get_origin(kind) is RecordArray else (int if kind == Integers else float)
+    return (others[0] if others else _scalar(element), shape if isinstance(shape, tuple) else (int(shape),))
+
+
+def _scalar(hint: Any) -> Any:
+    if isinstance(hint, type) and issubclass(hint, Record):
+        return dtype_of(hint)
+    return {int: np.int64, float: np.float64}[hint]
+
+
+def new_records(record: type[R], count: int = 1) -> RecordArray[R]:
+    """Return `count` records, all zero, whose fields are attributes in
+    compiled and in plain Python.
     """
-    return np.zeros(count, dtype).view(np.recarray)
+    records: Any = np.zeros(count, dtype_of(record)).view(np.recarray)
+    return cast("RecordArray[R]", records)
 
 
 def _opaque(records: Records) -> Records:
@@ -31,9 +133,9 @@ def _opaque(records: Records) -> Records:
     return records.view(np.ndarray).view(np.dtype((np.void, records.dtype.itemsize)))
 
 
-def copied(records: Records) -> Records:
+def copied(records: A) -> A:
     """Return a copy of an array of records, which is of the same class."""
-    return _opaque(records).copy().view(records.dtype).view(type(records))
+    return cast("A", _opaque(records).copy().view(records.dtype).view(type(records)))
 
 
 def overwrite(records: Records, others: Records) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
 from coulombus.recording import blf_log, mf4_log
-from coulombus.wire.frame import FRAME, Records, new_records
+from coulombus.wire.frame import Frame, Records, new_records
 
 __all__ = ["WALL_CLOCK_NS", "LogError", "is_log", "is_pcapng", "read_log"]
 
@@ -74,7 +74,7 @@ def read_log(path: str | Path) -> tuple[Records, list[str]]:
         ) from error
     if not rows and not skipped:
         raise LogError(f"{path}: there is no frame in it: is it of the kind that its name tells?")
-    frames = new_records(FRAME, len(rows))
+    frames = new_records(Frame, len(rows))
     frames[:] = rows
     remarks = [f"{path}: {skipped} CAN FD frames were left out"] if skipped else []
     if Path(path).suffix in LINES and not Path(path).read_bytes().endswith(b"\n"):

@@ -19,7 +19,7 @@ from coulombus.recording.recorder import Markers
 from coulombus.recording.signals import Recording, Series, markers_of
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
-from coulombus.wire.frame import FRAME, Records, new_records
+from coulombus.wire.frame import Frame, Records, new_records
 
 __all__ = ["MeasuredFrames"]
 
@@ -75,7 +75,7 @@ class MeasuredFrames:
         return Recording(
             path=NAME,
             rig=rig,
-            capture=Capture(NAME, new_records(FRAME, 0), comments=[], attachments={}),
+            capture=Capture(NAME, new_records(Frame, 0), comments=[], attachments={}),
             epoch_ns=0,
             tables=(),
             signals=signals,

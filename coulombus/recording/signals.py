@@ -208,7 +208,7 @@ class Recording(Source):
 
     @property
     def frames(self) -> Records:
-        """All frames, records of `wire.frame.FRAME`."""
+        """All frames, records of `wire.frame.Frame`."""
         return self.capture.frames
 
     @property

@@ -19,7 +19,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import BusDown, BusFull, Client, Received
-from coulombus.wire.frame import FRAME, Records, data_word, new_records
+from coulombus.wire.frame import Frame, Records, data_word, new_records
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["stream"]
@@ -100,6 +100,6 @@ def _copy(client: Client, writer: PcapngWriter, stop: StopSignals, end: float | 
 
 
 def _records(received: list[Received]) -> Records:
-    frames = new_records(FRAME, len(received))
+    frames = new_records(Frame, len(received))
     frames[:] = [(t_ns, can_id, length, data_word(data[:length]), 0) for t_ns, can_id, length, data in received]
     return frames

@@ -21,11 +21,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Record, dtype_of
 from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["EVENT", "NAME", "SENT", "TRACE", "Event", "Moment", "pack", "pack_sent", "unpack", "unpack_sent"]
@@ -50,18 +51,18 @@ class Moment(IntEnum):
     SET = 5  # the parameters of order `value` are wanted from the cycle on that begins next (marker "set")
 
 
-TRACE = np.dtype(
-    [
-        ("t_ns", "<i8"),
-        ("received", "<i8"),  # frames that the loop had received until then
-        ("kind", "<i4"),  # `Moment`
-        ("value", "<i4"),
-        ("refused", "<i8"),  # frames that the bus had not taken until then
-        ("dropped", "<i8"),  # frames that found no place in the log until then
-    ],
-    align=True,
-)
-"""All counts begin with the loop's process."""
+class TraceRow(Record):
+    """A row of the trace. All counts begin with the loop's process."""
+
+    t_ns: int
+    received: int  # frames that the loop had received until then
+    kind: Annotated[int, np.int32]  # `Moment`
+    value: Annotated[int, np.int32]
+    refused: int  # frames that the bus had not taken until then
+    dropped: int  # frames that found no place in the log until then
+
+
+TRACE = dtype_of(TraceRow)
 
 
 class Event(IntEnum):

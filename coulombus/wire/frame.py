@@ -8,12 +8,10 @@ little-endian machine. `can_id` carries Linux's flags ``CAN_EFF_FLAG``, ``CAN_RT
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
-import numpy as np
+from typing import Annotated
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.kernels.records import Record, Records, new_records
+from coulombus.kernels.records import Record, RecordArray, Records, dtype_of, new_records
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes, data_word
 
@@ -22,8 +20,8 @@ __all__ = [
     "CAN_ERR_FLAG",
     "CAN_RTR_FLAG",
     "FRAME",
-    "QUEUE",
     "QUEUE_CAPACITY",
+    "Frame",
     "Queue",
     "Record",
     "Records",
@@ -36,40 +34,39 @@ __all__ = [
     "push",
 ]
 
-Queue: TypeAlias = Record
-"""A record of `QUEUE`: the frames that stations ask the bus to send."""
 
-FRAME = np.dtype(
-    [
-        ("t_ns", np.int64),  # ready to be sent (in a queue), or end of frame (in a log)
-        ("can_id", np.int64),
-        ("length", np.int64),  # data bytes, 0-8
-        ("word", np.int64),  # little-endian word of the eight data bytes, 0 beyond `length`
-        ("source", np.int64),  # number of the sending station
-    ],
-    align=True,
-)
+class Frame(Record):
+    """A frame, on its way or received."""
+
+    t_ns: int  # ready to be sent (in a queue), or end of frame (in a log)
+    can_id: int
+    length: int  # data bytes, 0-8
+    word: int  # little-endian word of the eight data bytes, 0 beyond `length`
+    source: int  # number of the sending station
+
+
+FRAME = dtype_of(Frame)
 
 QUEUE_CAPACITY = 1024
-QUEUE = np.dtype(
-    [
-        ("count", np.int64),
-        ("dropped", np.int64),
-        ("waiting", np.int64),  # frames that the bus has taken over and not sent yet, as far as it has told
-        ("frames", FRAME, (QUEUE_CAPACITY,)),  # the first `count` of them
-    ],
-    align=True,
-)
 
 
-def frames(capacity: int) -> Records:
+class Queue(Record):
+    """The frames that stations ask the bus to send."""
+
+    count: int
+    dropped: int
+    waiting: int  # frames that the bus has taken over and not sent yet, as far as it has told
+    frames: Annotated[RecordArray[Frame], QUEUE_CAPACITY]  # the first `count` of them
+
+
+def frames(capacity: int) -> RecordArray[Frame]:
     """Return `capacity` empty frames."""
-    return new_records(FRAME, capacity)
+    return new_records(Frame, capacity)
 
 
 def new_queue() -> Queue:
-    """Return an empty queue: one record of `QUEUE`, which kernels take by reference."""
-    queue: Queue = new_records(QUEUE)[0]
+    """Return an empty queue: one record of `Queue`, which kernels take by reference."""
+    queue: Queue = new_records(Queue)[0]
     return queue
 
 

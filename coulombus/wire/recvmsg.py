@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import ctypes
 import socket
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import MSG_TRUNC, recvmsg
+from coulombus.kernels.records import Integers, Record, RecordArray, dtype_of
 from coulombus.wire.ancillary import (
     CONTROL_WORDS,
     OVERFLOW,
@@ -25,43 +27,45 @@ from coulombus.wire.ancillary import (
     STAMP,
     STAMP_NEW,
 )
-from coulombus.wire.frame import Records, new_records
+from coulombus.wire.frame import new_records
 
 __all__ = ["MAILBOX", "ask_for_stamps", "new_mailbox", "receive", "set_up"]
 
-MAILBOX = np.dtype(
-    [
-        # struct msghdr
-        ("name", np.int64),
-        ("name_length", np.int64),
-        ("iov", np.int64),
-        ("iov_length", np.int64),
-        ("control", np.int64),
-        ("control_length", np.int64),
-        ("message_flags", np.int64),  # an int and its padding
-        # struct iovec
-        ("buffer", np.int64),
-        ("buffer_bytes", np.int64),
-        # what `receive` found
-        ("stamp_ns", np.int64),  # CLOCK_REALTIME at which the kernel had the message; 0: no stamp
-        ("overflow", np.int64),  # frames that this socket's queue has dropped so far (SO_RXQ_OVFL)
-        ("truncated", np.int64),  # the message was longer than the room for it
-        ("room", np.int64, (CONTROL_WORDS,)),  # struct cmsghdr ...
-    ],
-    align=True,
-)
+
+class Mailbox(Record):
+    """Room for one message, as recvmsg(2) takes it."""
+
+    # struct msghdr
+    name: int
+    name_length: int
+    iov: int
+    iov_length: int
+    control: int
+    control_length: int
+    message_flags: int  # an int and its padding
+    # struct iovec
+    buffer: int
+    buffer_bytes: int
+    # what `receive` found
+    stamp_ns: int  # CLOCK_REALTIME at which the kernel had the message; 0: no stamp
+    overflow: int  # frames that this socket's queue has dropped so far (SO_RXQ_OVFL)
+    truncated: int  # the message was longer than the room for it
+    room: Annotated[Integers, CONTROL_WORDS]  # struct cmsghdr ...
 
 
-def new_mailbox(frames: int) -> tuple[Records, npt.NDArray[np.int64]]:
+MAILBOX = dtype_of(Mailbox)
+
+
+def new_mailbox(frames: int) -> tuple[RecordArray[Mailbox], npt.NDArray[np.int64]]:
     """Return a mailbox and its data words: room for a message of
     `frames` frames. Both must be kept alive and in place.
     """
-    box, data = new_records(MAILBOX), np.zeros(2 * frames, np.int64)
+    box, data = new_records(Mailbox), np.zeros(2 * frames, np.int64)
     set_up(box, data)
     return box, data
 
 
-def set_up(box: Records, data: npt.NDArray[np.int64]) -> None:
+def set_up(box: RecordArray[Mailbox], data: npt.NDArray[np.int64]) -> None:
     """Let the mailbox `box` (an array of one record) put its messages into `data`."""
     if ctypes.sizeof(ctypes.c_void_p) != 8:
         raise ImportError("compiled sockets need a 64-bit system")
@@ -80,7 +84,7 @@ def ask_for_stamps(target: socket.socket) -> None:
 
 
 @kernel
-def receive(fd: int, box: Records, flags: int) -> int:
+def receive(fd: int, box: RecordArray[Mailbox], flags: int) -> int:
     """Receive one message; return its bytes, 0 when the other side has closed, -1: see `errno`."""
     message = box[0]
     message.control_length = 8 * CONTROL_WORDS

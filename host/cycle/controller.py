@@ -9,15 +9,14 @@ from itertools import count
 import numpy as np
 
 from coulombus.eds.cia301 import CobId, NmtState
-from coulombus.eds.codec import PDO
+from coulombus.eds.codec import PdoRecord
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw, motor_limit_Nm
-from coulombus.host.cycle.live_parameters import LIVE
 from coulombus.host.cycle.records import (
-    CONTROL,
+    AXIS,
     DRIVE_PDOS,
-    HOST,
+    AxisRecord,
     ControlRecord,
     Image,
     LawFunction,
@@ -25,7 +24,8 @@ from coulombus.host.cycle.records import (
     SignResult,
     Trip,
 )
-from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_declared
+from coulombus.host.laws.law import LawRecord
+from coulombus.host.laws.laws import OWN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.deadman_object import deadman_mask
@@ -35,23 +35,7 @@ from coulombus.rigs.model import MOST_DEVICES
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records, new_records
 
-__all__ = ["AXIS", "COUNTERS", "TRIP_TEXT", "Controller"]
-
-AXIS = np.dtype(
-    [
-        ("control", CONTROL),  # limits and scales
-        ("host", HOST),  # what the cycle keeps
-        ("rpdos", PDO, (DRIVE_PDOS,)),  # what the host sends
-        ("tpdos", PDO, (DRIVE_PDOS,)),  # what it waits for
-        ("motion", MOTION),  # what the law is told
-        ("law", LAW),  # its parameters
-        ("state", LAW_STATE),  # what it keeps
-        ("live", LIVE),  # the changes of its parameters
-    ],
-    align=True,
-)
-"""One axis as the kernels take it."""
-
+__all__ = ["COUNTERS", "TRIP_TEXT", "Controller"]
 CLIPPING = ("clipped_torque", "slowed_torque", "clipped_setpoints", "slowed_setpoints")
 """Counters of the limits that act on what a law asks for."""
 
@@ -193,7 +177,7 @@ class Controller:
         self.declaration = loaded.declaration
         self.parameters = parameters = axis_parameters(axis, loaded.declaration)
         self.law_state = () if loaded.declaration is None else loaded.declaration.state
-        self.records = new_records(AXIS)
+        self.records = new_records(AxisRecord)
         self.motion["dt_s"] = axis.bus.period_s
         self.law[:] = self._new_law()
         if loaded.declaration is not None and parameters is not None:
@@ -264,7 +248,7 @@ class Controller:
 
     def _new_law(self) -> Records:
         mode, law = self.axis.mode[self.mode], self.axis.law
-        record = new_records(LAW)
+        record = new_records(LawRecord)
         r = record[0]
         r["K_p"], r["F_s"], r["F_d"] = mode.K_p_Nm_rad, mode.F_s_Nm, mode.F_d_Nm
         r["velocity_band_counts"] = law.velocity_band_counts / law.velocity_window_cycles
@@ -274,7 +258,7 @@ class Controller:
         return record
 
     def _new_pdos(self, pdos: list[RigPdo]) -> Records:
-        records = new_records(PDO, DRIVE_PDOS)
+        records = new_records(PdoRecord, DRIVE_PDOS)
         records["cob_id"] = -1
         constant = count(int(Image.CONSTANT))
         for record, pdo in zip(records, pdos, strict=False):
@@ -286,7 +270,7 @@ class Controller:
     def _new_control(self, pdos: tuple[RigPdo, ...]) -> Records:
         axis, mode, limits = self.axis, self.axis.mode[self.mode], self.axis.limits
         T = axis.bus.period_s
-        control = new_records(CONTROL)
+        control = new_records(ControlRecord)
         c = control[0]
         c["period_ns"], c["window_ns"] = round(T * 1e9), round(axis.bus.tpdo_window_s * 1e9)
         c["sync_cob_id"], c["host_id"] = CobId.SYNC, axis.host.node_id

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from coulombus.eds.cia301 import CobId
-from coulombus.host.cycle.controller import AXIS, Controller
-from coulombus.host.cycle.records import Phase, SignResult, Trip
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.records import AxisRecord, AxisRecords, Phase, SignResult, Trip
 from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
 from coulombus.rigs.rig import Rig
@@ -56,9 +56,9 @@ class Controllers:
         self.owner = np.zeros(2048, np.int64)
         for k, controller in enumerate(self.each):
             self.owner[list(controller.can_ids())] = k
-        self.adopt(new_records(AXIS, len(self.each)))
+        self.adopt(new_records(AxisRecord, len(self.each)))
 
-    def adopt(self, axes: Records) -> None:
+    def adopt(self, axes: AxisRecords) -> None:
         """Go on in another array of the same shape, such as shared memory: the present state is
         copied there.
         """

@@ -12,53 +12,19 @@ and the last cycle has :math:`p_1` itself. A run that never gets an order comput
 
 from __future__ import annotations
 
-from enum import IntEnum
-from typing import Any, TypeAlias
+from typing import Any
 
-import numpy as np
-
-from coulombus.host.cycle.records import AxisRecord, Phase
+from coulombus.host.cycle.records import SLOTS, AxisRecord, LiveRecord, Phase, Slot
 from coulombus.kernels.decorator import kernel
 
-__all__ = ["LIVE", "ORDER", "SLOTS", "LiveRecord", "Slot", "follow", "offer"]
-
-LiveRecord: TypeAlias = Any
-"""The live parameters of an axis: a record of `LIVE`; mypy knows none of its fields."""
-
-
-class Slot(IntEnum):
-    """Places of an order's values."""
-
-    K_P = 0  # Nm/rad
-    F_S = 1  # Nm
-    F_D = 2  # Nm
-    COMPENSATION = 3  # Nm
-    USER = 4  # here and behind: `law.user`, where a law's named parameters lie
-
-
-SLOTS = Slot.USER + 16
-
-ORDER = np.dtype([("value", np.float64, (SLOTS,)), ("cycles", np.int64)], align=True)
-
-LIVE = np.dtype(
-    [
-        ("offered", ORDER, (2,)),  # order n is in n & 1
-        ("wanted", np.int64),  # number of the newest order; 0: there was none
-        ("taken", np.int64),  # number of the order that the step follows
-        ("cycle", np.int64),  # of the way there
-        ("cycles", np.int64),
-        ("first", np.float64, (SLOTS,)),  # where it began
-        ("last", np.float64, (SLOTS,)),  # where it ends
-    ],
-    align=True,
-)
+__all__ = ["follow", "offer"]
 
 
 def offer(live: LiveRecord, number: int, values: Any, cycles: int) -> None:
     """Write order `number` into its buffer; it counts when `number` is in ``wanted``."""
-    order = live["offered"][number & 1]
-    order["value"][:] = values
-    order["cycles"] = cycles
+    order = live.offered[number & 1]
+    order.value[:] = values
+    order.cycles = cycles
 
 
 @kernel

@@ -8,11 +8,11 @@ motor's rated torque).
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, TypeAlias
+from typing import Annotated, TypeAlias
 
-import numpy as np
-
-from coulombus.host.laws.law import LawFunction
+from coulombus.eds.codec import PdoRecord
+from coulombus.host.laws.law import LawFunction, LawRecord, LawStateRecord, MotionRecord
+from coulombus.kernels.records import Floats, Integers, Record, RecordArray, dtype_of
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.hysteresis import MOST_PLAYS
 from coulombus.rigs.model import MOST_DELAY_CYCLES, MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
@@ -20,10 +20,13 @@ from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
 
 __all__ = [
     "ASKED",
-    "CONTROL",
+    "AXIS",
     "DRIVE_PDOS",
     "HOST",
     "KINETIC_CYCLES",
+    "LIVE",
+    "ORDER",
+    "SLOTS",
     "TRACK",
     "AxisRecord",
     "AxisRecords",
@@ -31,19 +34,13 @@ __all__ = [
     "HostRecord",
     "Image",
     "LawFunction",
+    "LiveRecord",
+    "OrderRecord",
     "Phase",
     "SignResult",
+    "Slot",
     "Trip",
 ]
-
-ControlRecord: TypeAlias = Any
-"""Limits and scales of an axis: a record of `CONTROL`; mypy knows none of its fields."""
-HostRecord: TypeAlias = Any
-"""What the cycle of an axis keeps: a record of `HOST`."""
-AxisRecord: TypeAlias = Any
-"""All of an axis: a record of `host.cycle.controller.AXIS`."""
-AxisRecords: TypeAlias = Any
-"""The axes of a bus, the one that sends SYNC first."""
 
 
 class Phase(IntEnum):
@@ -138,222 +135,278 @@ KINETIC_CYCLES = 4
 DRIVE_PDOS = MOST_PDOS
 """PDOs that the host's tables have room for, each way."""
 
-CONTROL = np.dtype(
-    [
-        ("period_ns", np.int64),
-        ("window_ns", np.int64),  # SYNC to the last TPDO
-        ("sync_cob_id", np.int64),
-        ("host_id", np.int64),
-        ("nodes", np.int64),  # motor, brake, sensors
-        ("node_id", np.int64, (MOST_DEVICES,)),
-        ("emcy_id", np.int64, (MOST_DEVICES,)),  # identifier of each node's EMCYs
-        ("heartbeat_timeout_ns", np.int64, (MOST_DEVICES,)),  # of each node; 0: not watched
-        ("heartbeat_ns", np.int64),
-        ("guard_ns", np.int64),  # period of the remote frames by which the host guards; 0: it guards no node
-        ("guarded", np.int64),  # a bit for each node that is guarded
-        ("rpdos", np.int64),  # number of PDOs the host sends
-        ("tpdos", np.int64),  # number of PDOs it waits for
-        ("every_cycle", np.int64),  # bits of the TPDOs that come in each cycle
-        ("awaited", np.int64),  # bits of those whose arrival ends the wait: these, or all where there are none
-        ("by_timer", np.int64),  # bits of the others
-        ("position_mask", np.int64),  # the bit of the TPDO that carries the position
-        ("position_half", np.int64),  # half the counts after which it wraps
-        ("motor_active", np.int64),  # 1: the motor displays the law (mode active)
-        ("brake_active", np.int64),  # 1: the brake displays the law (modes passive, hybrid)
-        ("motor_helps", np.int64),  # 1: the motor displays the law's part for it (mode hybrid)
-        ("brake_is_drive", np.int64),  # 1: the brake has power states of its own
-        ("brake_ramps", np.int64),  # 1: its driver ramps it off by itself when set-points end
-        # scales
-        ("rad_count", np.float64),  # signed by the encoder's polarity
-        ("motor_Nm_raw", np.float64),  # torque at the handle of one count of the set-point (6071h: per mille), signed
-        ("torque_Nm_raw", np.float64),  # of the measured torque; 0: not measured
-        ("torque_commanded", np.float64),  # 1: the command stands for it
-        ("handle_Nm_raw", np.float64),
-        ("handle_offset_Nm", np.float64),
-        ("brake_Nm_raw", np.float64),  # with a table, of its last step
-        ("brake_points", np.int64),  # of the table; 0: a factor
-        ("brake_raw_at", np.float64, (TABLE_POINTS,)),
-        ("brake_Nm_at", np.float64, (TABLE_POINTS,)),
-        ("coil_A_raw", np.float64),  # 0: not measured
-        ("coil_A_Nm", np.float64),  # the command stands for it; 0: it is measured
-        # compensation of the inherent friction
-        ("friction_Nm", np.float64),
-        ("compensation_Nm", np.float64),
-        ("viscous", np.float64),
-        ("velocity_band_counts", np.float64),
-        ("slide_band_counts", np.float64),  # the band of the estimate over `window_cycles`
-        ("gain_step", np.float64),  # a cycle
-        ("late_cycles", np.int64),  # for which what the law asks for is held back (`host.cycle.study_delay`)
-        # what the hand feels (`host.cycle.felt`)
-        ("window_cycles", np.int64),  # of the estimate of a slow velocity; 1: a backward difference
-        ("felt", np.int64),  # 1: the law says what the hand feels, and not what the brake bears
-        ("inertia", np.float64),
-        ("coil_step", np.float64),  # share of the way that the coil goes in a cycle, as believed; 0: no lead
-        ("fluid_step", np.float64),
-        ("iron_plays", np.int64),  # play operators of the brake's iron, as believed; 0: it has no hysteresis
-        ("iron_r", np.float64, (MOST_PLAYS,)),
-        ("iron_w", np.float64, (MOST_PLAYS,)),
-        ("iron_direct", np.float64),
-        ("passivity_J", np.float64),  # inf: the motor's compensation is not observed
-        # limits
-        ("motor_limit_raw", np.int64),  # in counts of the set-point; of 6071h the same number as the drive's 6072h
-        ("motor_rate_Nm", np.float64),  # a cycle
-        ("brake_limit_Nm", np.float64),  # the rig file's limit or the device's, whichever is less
-        ("brake_limit_raw", np.int64),  # what its object takes at most
-        ("brake_fall_Nm", np.float64),  # by which the law's set-point may fall in a cycle
-        ("clipped_cycles", np.int64),  # so many more clipped than unclipped cycles of the law trip
-        ("speed_limit", np.float64),
-        ("jump_counts", np.int64),
-        ("net_work_J", np.float64),
-        ("net_work_cycles", np.int64),
-        ("travel_rad", np.float64),  # inf: unlimited
-        ("motor_mismatch_Nm", np.float64),  # measured torque beyond the command; inf: not measured
-        ("motor_mismatch_cycles", np.int64),
-        ("motor_lag_decay", np.float64),  # a cycle, of the command's envelope
-        ("mismatch_Nm", np.float64),
-        ("mismatch_cycles", np.int64),
-        ("missed_cycles", np.int64),
-        ("coil_limit_A2", np.float64),
-        ("coil_decay", np.float64),  # a cycle
-        ("brake_lag_decay", np.float64),  # a cycle, of the brake torque expected at the handle
-        # arming
-        ("still_cycles", np.int64),
-        ("still_handle_Nm", np.float64),
-        ("still_timeout_cycles", np.int64),
-        ("enable_timeout_cycles", np.int64),
-        ("sign_check", np.int64),  # 0: no motor in this mode, nothing to check
-        ("sign_step_Nm", np.float64),  # a cycle
-        ("sign_counts", np.int64),
-        ("sign_torque_Nm", np.float64),
-        ("sign_travel_counts", np.int64),
-        ("sign_hand_Nm", np.float64),  # change of the handle torque that is decisive
-        ("sign_hand_cycles", np.int64),  # ... averaged over this many cycles
-        ("settle_cycles", np.int64),
-        # dead man
-        ("deadman_key", np.int64),  # 1: somebody outside keeps HOST.deadman_ok
-        ("deadman_slot", np.int64),  # slot of the process image that holds the switch; -1: none
-        ("deadman_mask", np.int64),  # bits that are all 1 while the switch is held; 0: any bit
-        # safe state
-        ("safe_longest_cycles", np.int64),  # the brake is off at the latest after so many
-        ("release_Nm", np.float64),  # by which the brake's set-point falls in a cycle of the safe state
-        ("unloaded_Nm", np.float64),  # ... where no load is on the handle
-        ("release_counts", np.float64),  # a cycle; the release pauses while the handle is faster
-        # what the host tells of itself (`host.cycle.telemetry`)
-        ("law_keeps", np.int64),  # numbers, by its declaration
-    ],
-    align=True,
-)
 
-HOST = np.dtype(
-    [
-        ("phase", np.int64),
-        ("phase_cycle", np.int64),  # cycles since the phase began
-        ("stop", np.int64),  # 1: somebody wants the safe state without a trip
-        ("trip", np.int64),
-        ("trip_ns", np.int64),
-        ("emcy_code", np.int64),  # error code of the EMCY that tripped
-        ("sign_result", np.int64),
-        ("sign_direction", np.int64),  # sense that the sign check tries: 1, then -1
-        ("sign_moved", np.int64),  # counts that its full torque moved the handle, at most
-        ("deadman_ok", np.int64),  # 1: a hand is on the switch, or none is asked for
-        # the cycle
-        ("cycle", np.int64),
-        ("next_ns", np.int64),  # when `on_time` wants to be called
-        ("sync_ns", np.int64),  # when this cycle's SYNC was due
-        ("waiting", np.int64),  # 1: SYNC is out, TPDOs are awaited
-        ("arrived", np.int64),  # bit mask of this cycle's TPDOs
-        ("enabled_ns", np.int64),  # when the drive entered Operation Enabled; -1 before
-        ("armed_ns", np.int64),  # when the law began; -1 before
-        ("full_gain_ns", np.int64),  # when its gain came to 1; -1 before
-        ("heartbeat_due_ns", np.int64),
-        ("guard_due_ns", np.int64),
-        ("heard_ns", np.int64, (MOST_DEVICES,)),  # of each node, its last heartbeat; -1 none
-        ("nmt", np.int64, (MOST_DEVICES,)),
-        ("doubtful", np.int64),  # the node whose EMCY or heartbeat tripped
-        ("law_Nm", np.float64),  # what the law returned that is not finite ...
-        ("law_part", np.int64),  # ... 0: as its result, 1: for the brake, 2: for the motor
-        # measured
-        ("image", np.int64, (IMAGE_SLOTS,)),
-        ("raw_position", np.int64),  # 6064h as it came last
-        ("counts", np.int64),  # encoder counts since the start, without the wrap of 6064h
-        ("position_age", np.int64),  # cycles since it was fresh
-        ("has_position", np.int64),
-        ("fresh", np.int64),  # 1: this cycle's position is fresh
-        ("reference_counts", np.int64),  # of the phase: where the handle was still, where the sign check began
-        ("moved_counts", np.int64),  # between the last two fresh positions, however many cycles apart
-        ("v_counts", np.float64),
-        ("slide_counts", np.float64),  # the estimate by which the law slides or is stuck
-        ("track", np.int64, (TRACK,)),  # the positions behind it
-        ("track_row", np.int64),
-        ("track_length", np.int64),
-        ("handle_Nm", np.float64),
-        ("drive", np.int64),  # PowerState that the statusword tells; -1: none
-        ("brake_drive", np.int64),  # the brake's; of one without power states the drive's
-        # commanded
-        ("gain", np.float64),
-        ("torque_Nm", np.float64),  # the motor's
-        ("brake_Nm", np.float64),
-        ("brake_lagged_Nm", np.float64),
-        ("coil_Nm", np.float64),  # the lead's belief of what the coil's current stands for ...
-        ("iron_Nm", np.float64),  # ... of what the fluid sees of it ...
-        ("iron_y", np.float64, (MOST_PLAYS,)),
-        ("fluid_Nm", np.float64),  # ... and of what the fluid bears
-        ("asked_sense", np.float64, (ASKED,)),  # by the law, and held back: of the compensation ...
-        ("asked_psi_Nm", np.float64, (ASKED,)),  # ... of the motor ...
-        ("asked_brake_Nm", np.float64, (ASKED,)),  # ... and of the brake
-        ("asked_row", np.int64),
-        ("share", np.float64),  # of its compensation that the motor may give
-        ("port_J", np.float64),  # paid at the hand's port and still there
-        ("port_kinetic_J", np.float64, (KINETIC_CYCLES,)),  # of the last fresh cycles
-        ("port_row", np.int64),
-        ("port_brake_Nm", np.float64),  # the brake's expected torque on the way that the position ends
-        ("port_handle_Nm", np.float64),  # a cycle ago: the hand ...
-        ("port_pushed_Nm", np.float64),  # ... and the law's part for the motor
-        ("port_way", np.float64),  # the last way that was not 0 [rad] ...
-        ("port_slid_ns", np.int64),  # ... and for how long it has had its sign
-        ("pushed_Nm", np.float64),  # the law's part that the motor was given last, as psi
-        ("handle_before_Nm", np.float64),  # sums of the handle torque before and in the sign check
-        ("handle_during_Nm", np.float64),
-        ("handle_samples", np.int64),
-        ("emcy", np.int64),  # a trip that an EMCY asks for
-        ("foreign_id", np.int64),  # identifier of a host's frame that somebody else sent; -1: none
-        # watches
-        ("still", np.int64),
-        ("missed_in_a_row", np.int64),
-        (
-            "tpdo_age",
-            np.int64,
-            (DRIVE_PDOS,),
-        ),  # closed since each of the TPDOs by timer came: 1 in the cycle in which it came
-        ("oldest_tpdo", np.int64),  # the largest of them
-        ("voltage_low", np.int64),
-        ("commanded_high_Nm", np.float64),  # envelope of the motor's commands, which decays to 0 ...
-        ("commanded_low_Nm", np.float64),
-        ("motor_mismatch", np.int64),  # cycles in a row in which the measured torque is outside
-        ("mismatch", np.int64),
-        ("coil_A2", np.float64),
-        ("work_sum", np.float64),
-        ("work_row", np.int64),
-        ("work", np.float64, (WORK_WINDOW_CYCLES,)),
-        # counters
-        ("clipped", np.int64),  # 1: a limit acts on what the law asks for in this cycle
-        ("clipped_balance", np.int64),  # clipped cycles less unclipped ones, not below 0
-        ("display_cycles", np.int64),  # cycles since Operation Enabled, until SAFE
-        ("lost_pdos", np.int64),
-        ("missed_deadlines", np.int64),
-        ("stray_frames", np.int64),
-        ("malformed_pdos", np.int64),
-        ("malformed_services", np.int64),  # EMCYs, heartbeats, SDO responses of another length than CiA 301's
-        ("clipped_torque", np.int64),  # the motor's torque was more than its limit
-        ("slowed_torque", np.int64),  # ... was held back by its rate, or near the speed limit, in phase RUN
-        ("limited_by_drive", np.int64),  # the drive told of a limit of its own (statusword bit 11) in phase RUN
-        ("clipped_setpoints", np.int64),  # the brake's set-point was more than its limit
-        ("slowed_setpoints", np.int64),  # ... fell faster than its rate
-        ("negative_setpoints", np.int64),
-        ("withheld_compensation", np.int64),  # the observer let the motor give less than its compensation
-        # what the host has told of itself (`host.cycle.telemetry`)
-        ("told_cycle", np.int64),  # the last cycle of which it told
-        ("told", np.int64, (6,)),  # counters as they were then
-    ],
-    align=True,
-)
+class ControlRecord(Record):
+    """Limits and scales of an axis."""
+
+    period_ns: int
+    window_ns: int  # SYNC to the last TPDO
+    sync_cob_id: int
+    host_id: int
+    nodes: int  # motor, brake, sensors
+    node_id: Annotated[Integers, MOST_DEVICES]
+    emcy_id: Annotated[Integers, MOST_DEVICES]  # identifier of each node's EMCYs
+    heartbeat_timeout_ns: Annotated[Integers, MOST_DEVICES]  # of each node; 0: not watched
+    heartbeat_ns: int
+    guard_ns: int  # period of the remote frames by which the host guards; 0: it guards no node
+    guarded: int  # a bit for each node that is guarded
+    rpdos: int  # number of PDOs the host sends
+    tpdos: int  # number of PDOs it waits for
+    every_cycle: int  # bits of the TPDOs that come in each cycle
+    awaited: int  # bits of those whose arrival ends the wait: these, or all where there are none
+    by_timer: int  # bits of the others
+    position_mask: int  # the bit of the TPDO that carries the position
+    position_half: int  # half the counts after which it wraps
+    motor_active: int  # 1: the motor displays the law (mode active)
+    brake_active: int  # 1: the brake displays the law (modes passive, hybrid)
+    motor_helps: int  # 1: the motor displays the law's part for it (mode hybrid)
+    brake_is_drive: int  # 1: the brake has power states of its own
+    brake_ramps: int  # 1: its driver ramps it off by itself when set-points end
+    # scales
+    rad_count: float  # signed by the encoder's polarity
+    motor_Nm_raw: float  # torque at the handle of one count of the set-point (6071h: per mille), signed
+    torque_Nm_raw: float  # of the measured torque; 0: not measured
+    torque_commanded: float  # 1: the command stands for it
+    handle_Nm_raw: float
+    handle_offset_Nm: float
+    brake_Nm_raw: float  # with a table, of its last step
+    brake_points: int  # of the table; 0: a factor
+    brake_raw_at: Annotated[Floats, TABLE_POINTS]
+    brake_Nm_at: Annotated[Floats, TABLE_POINTS]
+    coil_A_raw: float  # 0: not measured
+    coil_A_Nm: float  # the command stands for it; 0: it is measured
+    # compensation of the inherent friction
+    friction_Nm: float
+    compensation_Nm: float
+    viscous: float
+    velocity_band_counts: float
+    slide_band_counts: float  # the band of the estimate over `window_cycles`
+    gain_step: float  # a cycle
+    late_cycles: int  # for which what the law asks for is held back (`host.cycle.study_delay`)
+    # what the hand feels (`host.cycle.felt`)
+    window_cycles: int  # of the estimate of a slow velocity; 1: a backward difference
+    felt: int  # 1: the law says what the hand feels, and not what the brake bears
+    inertia: float
+    coil_step: float  # share of the way that the coil goes in a cycle, as believed; 0: no lead
+    fluid_step: float
+    iron_plays: int  # play operators of the brake's iron, as believed; 0: it has no hysteresis
+    iron_r: Annotated[Floats, MOST_PLAYS]
+    iron_w: Annotated[Floats, MOST_PLAYS]
+    iron_direct: float
+    passivity_J: float  # inf: the motor's compensation is not observed
+    # limits
+    motor_limit_raw: int  # in counts of the set-point; of 6071h the same number as the drive's 6072h
+    motor_rate_Nm: float  # a cycle
+    brake_limit_Nm: float  # the rig file's limit or the device's, whichever is less
+    brake_limit_raw: int  # what its object takes at most
+    brake_fall_Nm: float  # by which the law's set-point may fall in a cycle
+    clipped_cycles: int  # so many more clipped than unclipped cycles of the law trip
+    speed_limit: float
+    jump_counts: int
+    net_work_J: float
+    net_work_cycles: int
+    travel_rad: float  # inf: unlimited
+    motor_mismatch_Nm: float  # measured torque beyond the command; inf: not measured
+    motor_mismatch_cycles: int
+    motor_lag_decay: float  # a cycle, of the command's envelope
+    mismatch_Nm: float
+    mismatch_cycles: int
+    missed_cycles: int
+    coil_limit_A2: float
+    coil_decay: float  # a cycle
+    brake_lag_decay: float  # a cycle, of the brake torque expected at the handle
+    # arming
+    still_cycles: int
+    still_handle_Nm: float
+    still_timeout_cycles: int
+    enable_timeout_cycles: int
+    sign_check: int  # 0: no motor in this mode, nothing to check
+    sign_step_Nm: float  # a cycle
+    sign_counts: int
+    sign_torque_Nm: float
+    sign_travel_counts: int
+    sign_hand_Nm: float  # change of the handle torque that is decisive
+    sign_hand_cycles: int  # ... averaged over this many cycles
+    settle_cycles: int
+    # dead man
+    deadman_key: int  # 1: somebody outside keeps HOST.deadman_ok
+    deadman_slot: int  # slot of the process image that holds the switch; -1: none
+    deadman_mask: int  # bits that are all 1 while the switch is held; 0: any bit
+    # safe state
+    safe_longest_cycles: int  # the brake is off at the latest after so many
+    release_Nm: float  # by which the brake's set-point falls in a cycle of the safe state
+    unloaded_Nm: float  # ... where no load is on the handle
+    release_counts: float  # a cycle; the release pauses while the handle is faster
+    # what the host tells of itself (`host.cycle.telemetry`)
+    law_keeps: int  # numbers, by its declaration
+
+
+class HostRecord(Record):
+    """What the cycle of an axis keeps."""
+
+    phase: int
+    phase_cycle: int  # cycles since the phase began
+    stop: int  # 1: somebody wants the safe state without a trip
+    trip: int
+    trip_ns: int
+    emcy_code: int  # error code of the EMCY that tripped
+    sign_result: int
+    sign_direction: int  # sense that the sign check tries: 1, then -1
+    sign_moved: int  # counts that its full torque moved the handle, at most
+    deadman_ok: int  # 1: a hand is on the switch, or none is asked for
+    # the cycle
+    cycle: int
+    next_ns: int  # when `on_time` wants to be called
+    sync_ns: int  # when this cycle's SYNC was due
+    waiting: int  # 1: SYNC is out, TPDOs are awaited
+    arrived: int  # bit mask of this cycle's TPDOs
+    enabled_ns: int  # when the drive entered Operation Enabled; -1 before
+    armed_ns: int  # when the law began; -1 before
+    full_gain_ns: int  # when its gain came to 1; -1 before
+    heartbeat_due_ns: int
+    guard_due_ns: int
+    heard_ns: Annotated[Integers, MOST_DEVICES]  # of each node, its last heartbeat; -1 none
+    nmt: Annotated[Integers, MOST_DEVICES]
+    doubtful: int  # the node whose EMCY or heartbeat tripped
+    law_Nm: float  # what the law returned that is not finite ...
+    law_part: int  # ... 0: as its result, 1: for the brake, 2: for the motor
+    # measured
+    image: Annotated[Integers, IMAGE_SLOTS]
+    raw_position: int  # 6064h as it came last
+    counts: int  # encoder counts since the start, without the wrap of 6064h
+    position_age: int  # cycles since it was fresh
+    has_position: int
+    fresh: int  # 1: this cycle's position is fresh
+    reference_counts: int  # of the phase: where the handle was still, where the sign check began
+    moved_counts: int  # between the last two fresh positions, however many cycles apart
+    v_counts: float
+    slide_counts: float  # the estimate by which the law slides or is stuck
+    track: Annotated[Integers, TRACK]  # the positions behind it
+    track_row: int
+    track_length: int
+    handle_Nm: float
+    drive: int  # PowerState that the statusword tells; -1: none
+    brake_drive: int  # the brake's; of one without power states the drive's
+    # commanded
+    gain: float
+    torque_Nm: float  # the motor's
+    brake_Nm: float
+    brake_lagged_Nm: float
+    coil_Nm: float  # the lead's belief of what the coil's current stands for ...
+    iron_Nm: float  # ... of what the fluid sees of it ...
+    iron_y: Annotated[Floats, MOST_PLAYS]
+    fluid_Nm: float  # ... and of what the fluid bears
+    asked_sense: Annotated[Floats, ASKED]  # by the law, and held back: of the compensation ...
+    asked_psi_Nm: Annotated[Floats, ASKED]  # ... of the motor ...
+    asked_brake_Nm: Annotated[Floats, ASKED]  # ... and of the brake
+    asked_row: int
+    share: float  # of its compensation that the motor may give
+    port_J: float  # paid at the hand's port and still there
+    port_kinetic_J: Annotated[Floats, KINETIC_CYCLES]  # of the last fresh cycles
+    port_row: int
+    port_brake_Nm: float  # the brake's expected torque on the way that the position ends
+    port_handle_Nm: float  # a cycle ago: the hand ...
+    port_pushed_Nm: float  # ... and the law's part for the motor
+    port_way: float  # the last way that was not 0 [rad] ...
+    port_slid_ns: int  # ... and for how long it has had its sign
+    pushed_Nm: float  # the law's part that the motor was given last, as psi
+    handle_before_Nm: float  # sums of the handle torque before and in the sign check
+    handle_during_Nm: float
+    handle_samples: int
+    emcy: int  # a trip that an EMCY asks for
+    foreign_id: int  # identifier of a host's frame that somebody else sent; -1: none
+    # watches
+    still: int
+    missed_in_a_row: int
+    tpdo_age: Annotated[
+        Integers, DRIVE_PDOS
+    ]  # closed since each of the TPDOs by timer came: 1 in the cycle in which it came
+    oldest_tpdo: int  # the largest of them
+    voltage_low: int
+    commanded_high_Nm: float  # envelope of the motor's commands, which decays to 0 ...
+    commanded_low_Nm: float
+    motor_mismatch: int  # cycles in a row in which the measured torque is outside
+    mismatch: int
+    coil_A2: float
+    work_sum: float
+    work_row: int
+    work: Annotated[Floats, WORK_WINDOW_CYCLES]
+    # counters
+    clipped: int  # 1: a limit acts on what the law asks for in this cycle
+    clipped_balance: int  # clipped cycles less unclipped ones, not below 0
+    display_cycles: int  # cycles since Operation Enabled, until SAFE
+    lost_pdos: int
+    missed_deadlines: int
+    stray_frames: int
+    malformed_pdos: int
+    malformed_services: int  # EMCYs, heartbeats, SDO responses of another length than CiA 301's
+    clipped_torque: int  # the motor's torque was more than its limit
+    slowed_torque: int  # ... was held back by its rate, or near the speed limit, in phase RUN
+    limited_by_drive: int  # the drive told of a limit of its own (statusword bit 11) in phase RUN
+    clipped_setpoints: int  # the brake's set-point was more than its limit
+    slowed_setpoints: int  # ... fell faster than its rate
+    negative_setpoints: int
+    withheld_compensation: int  # the observer let the motor give less than its compensation
+    # what the host has told of itself (`host.cycle.telemetry`)
+    told_cycle: int  # the last cycle of which it told
+    told: Annotated[Integers, 6]  # counters as they were then
+
+
+HOST = dtype_of(HostRecord)
+
+
+class Slot(IntEnum):
+    """Places of an order's values."""
+
+    K_P = 0  # Nm/rad
+    F_S = 1  # Nm
+    F_D = 2  # Nm
+    COMPENSATION = 3  # Nm
+    USER = 4  # here and behind: `law.user`, where a law's named parameters lie
+
+
+SLOTS = Slot.USER + 16
+
+
+class OrderRecord(Record):
+    """The parameters that somebody wants."""
+
+    value: Annotated[Floats, SLOTS]
+    cycles: int
+
+
+ORDER = dtype_of(OrderRecord)
+
+
+class LiveRecord(Record):
+    """The live parameters of an axis."""
+
+    offered: Annotated[RecordArray[OrderRecord], 2]  # order n is in n & 1
+    wanted: int  # number of the newest order; 0: there was none
+    taken: int  # number of the order that the step follows
+    cycle: int  # of the way there
+    cycles: int
+    first: Annotated[Floats, SLOTS]  # where it began
+    last: Annotated[Floats, SLOTS]  # where it ends
+
+
+LIVE = dtype_of(LiveRecord)
+
+
+class AxisRecord(Record):
+    """One axis as the kernels take it."""
+
+    control: ControlRecord  # limits and scales
+    host: HostRecord  # what the cycle keeps
+    rpdos: Annotated[RecordArray[PdoRecord], DRIVE_PDOS]  # what the host sends
+    tpdos: Annotated[RecordArray[PdoRecord], DRIVE_PDOS]  # what it waits for
+    motion: MotionRecord  # what the law is told
+    law: LawRecord  # its parameters
+    state: LawStateRecord  # what it keeps
+    live: LiveRecord  # the changes of its parameters
+
+
+AXIS = dtype_of(AxisRecord)
+
+AxisRecords: TypeAlias = RecordArray[AxisRecord]
+"""The axes of a bus, the one that sends SYNC first."""

@@ -31,7 +31,7 @@ from coulombus.host.cycle.live_parameters import offer
 from coulombus.host.cycle.parameter_changes import Order
 from coulombus.host.cycle.records import Trip
 from coulombus.recording.trace import EVENT, Event, Moment
-from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, set_clock
+from coulombus.wire.clock import Clock, bus_ns, own_ns, set_clock
 from coulombus.wire.frame import CAN_ERR_FLAG, Records, new_queue, new_records
 
 __all__ = ["Inputs", "Sent", "replay"]
@@ -87,7 +87,7 @@ def replay(controllers: Controllers, inputs: Inputs) -> Iterator[Sent]:
 class _Replay:
     def __init__(self, controllers: Controllers, inputs: Inputs) -> None:
         self.k = controllers
-        self.clock = new_records(np.dtype(CLOCK_FIELDS))[0]
+        self.clock = new_records(Clock)[0]
         self.out = new_queue()
         self.axes, self.host, self.law_function = controllers.axes, controllers.host, controllers.law_function
         self.orders = inputs.orders

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from coulombus.host.cycle.records import AxisRecord, HostRecord
+from coulombus.host.cycle.records import AxisRecord, AxisRecords, HostRecord
 from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import RecordArray
 from coulombus.recording.host_telemetry import FIRST, GAIN, PER_AXIS, SOURCE_INSIDE, Limit
-from coulombus.wire.frame import Records
+from coulombus.wire.frame import Frame, Records
 
 __all__ = ["tell", "tell_all"]
 
@@ -87,7 +88,7 @@ def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> i
 
 
 @kernel
-def tell_all(axes: Records, t_ns: int, rows: Records, row: int) -> int:
+def tell_all(axes: AxisRecords, t_ns: int, rows: RecordArray[Frame], row: int) -> int:
     """Write what all axes tell; return the row behind."""
     for k in range(axes.shape[0]):
         row = tell(axes[k], k, t_ns, rows, row)

@@ -20,35 +20,41 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.host.laws.law import LAW, LAW_STATE, MOTION, Declaration, LawFunction, Parameters
+from coulombus.host.laws.law import Declaration, LawFunction, LawRecord, LawStateRecord, MotionRecord, Parameters
 from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.host.laws.parameters import set_parameters
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Record, Records, new_records
+from coulombus.kernels.records import Record, RecordArray, Records, new_records
 
-__all__ = ["COUNT_RAD", "SAMPLE", "Driven", "GivenLaw", "drive", "given_law"]
+__all__ = ["COUNT_RAD", "Driven", "GivenLaw", "drive", "given_law"]
 
 Floats = npt.NDArray[np.float64]
 
 COUNT_RAD = 2 * math.pi / 8192 / 9.587
 """An encoder count at the handle of the rig ``bench`` [rad]."""
 
-SAMPLE = np.dtype(
-    [
-        ("t_s", np.float64),
-        ("x_rad", np.float64),
-        ("v_rad_s", np.float64),
-        ("torque_Nm", np.float64),
-        ("brake_Nm", np.float64),  # the law's set-point for the brake
-    ],
-    align=True,
-)
 
-ASKED = np.dtype([("motion", MOTION), ("law", LAW), ("state", LAW_STATE), ("count_rad", np.float64)], align=True)
+class Sample(Record):
+    """What is asked of a law, and what it answers."""
+
+    t_s: float
+    x_rad: float
+    v_rad_s: float
+    torque_Nm: float
+    brake_Nm: float  # the law's set-point for the brake
+
+
+class Asked(Record):
+    """A law and what it is asked with."""
+
+    motion: MotionRecord
+    law: LawRecord
+    state: LawStateRecord
+    count_rad: float
 
 
 @kernel
-def _drive(asked: Record, law_function: LawFunction, samples: Records) -> int:
+def _drive(asked: Asked, law_function: LawFunction, samples: RecordArray[Sample]) -> int:
     """Ask the law at each of `samples`; return the first whose torque is no finite number, -1 where
     there is none.
     """
@@ -79,7 +85,7 @@ class Driven:
     samples : array of `SAMPLE`
     """
 
-    samples: Records
+    samples: RecordArray[Sample]
 
     @property
     def peak_Nm(self) -> float:
@@ -119,7 +125,7 @@ class GivenLaw:
         coulombus.host.laws.laws.LawError
             it returned no finite number
         """
-        asked, samples = new_records(ASKED), new_records(SAMPLE, len(t_s))
+        asked, samples = new_records(Asked), new_records(Sample, len(t_s))
         samples["t_s"], samples["x_rad"] = t_s, x_rad
         asked[0]["count_rad"] = count_rad
         if self.declaration is not None and self.parameters is not None:
@@ -130,14 +136,14 @@ class GivenLaw:
 def drive(
     name: str, pointer: LawFunction, law: Records, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float
 ) -> Driven:
-    """Drive a law whose parameters are a record of `LAW` along a motion, as `GivenLaw.along` does."""
-    asked, samples = new_records(ASKED), new_records(SAMPLE, len(t_s))
+    """Drive a law whose parameters are a record of `LawRecord` along a motion, as `GivenLaw.along` does."""
+    asked, samples = new_records(Asked), new_records(Sample, len(t_s))
     samples["t_s"], samples["x_rad"] = t_s, x_rad
     asked[0]["count_rad"], asked[0]["law"] = count_rad, law[0]
     return _driven(name, pointer, asked, samples)
 
 
-def _driven(name: str, pointer: LawFunction, asked: Records, samples: Records) -> Driven:
+def _driven(name: str, pointer: LawFunction, asked: Records, samples: RecordArray[Sample]) -> Driven:
     wrong = _drive(asked[0], pointer, samples)
     if wrong >= 0:
         one = samples[wrong]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["bliman_sorine"]
 
@@ -21,8 +21,15 @@ class BlimanSorineParameters(Parameters):
     eta: float = Field(0.25, gt=0, le=0.99, description="path of the fast part, as a share of that")
 
 
-@friction_law(BlimanSorineParameters, state=("x_1_Nm", "x_2_Nm"))
-def bliman_sorine(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+class BlimanSorineState(LawStateRecord):
+    """What it keeps."""
+
+    x_1_Nm: float
+    x_2_Nm: float
+
+
+@friction_law(BlimanSorineParameters, state=BlimanSorineState)
+def bliman_sorine(motion: MotionRecord, law: BlimanSorineParameters, state: BlimanSorineState) -> float:
     r"""Bliman and Sorine's friction of the second order: Dahl's, with a peak at break-away.
 
     With the path :math:`s = \int |v|\,dt`:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["dahl"]
 
@@ -17,8 +17,14 @@ class DahlParameters(Parameters):
     alpha: float = Field(1.0, ge=0, le=10, description="shape of the loop: 0 elastic-plastic, 1 Dahl's solid")
 
 
-@friction_law(DahlParameters, state=("F_Nm",), extremes=("F_c_Nm",))
-def dahl(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+class DahlState(LawStateRecord):
+    """What it keeps."""
+
+    F_Nm: float
+
+
+@friction_law(DahlParameters, state=DahlState, extremes=("F_c_Nm",))
+def dahl(motion: MotionRecord, law: DahlParameters, state: DahlState) -> float:
     r"""Dahl's friction: a spring that yields towards the Coulomb level.
 
     .. math::

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["detent"]
 
@@ -19,7 +19,7 @@ class DetentParameters(Parameters):
 
 
 @friction_law(DetentParameters)
-def detent(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+def detent(motion: MotionRecord, law: DetentParameters, state: LawStateRecord) -> float:
     r"""Detents: places at which the handle likes to rest.
 
     .. math:: \psi = A \sin\frac{2\pi x}{P} + F_c\,\mathrm{sat}(v/v_t)

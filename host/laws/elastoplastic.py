@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["elastoplastic"]
 
@@ -29,8 +29,14 @@ class ElastoPlasticParameters(Parameters):
     sigma_2_Nms_rad: float = Field(0.0, ge=0, le=1e6, description="viscous friction")
 
 
-@friction_law(ElastoPlasticParameters, state=("z_rad",), extremes=("F_s_Nm",))
-def elastoplastic(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+class ElastoPlasticState(LawStateRecord):
+    """What it keeps."""
+
+    z_rad: float
+
+
+@friction_law(ElastoPlasticParameters, state=ElastoPlasticState, extremes=("F_s_Nm",))
+def elastoplastic(motion: MotionRecord, law: ElastoPlasticParameters, state: ElastoPlasticState) -> float:
     r"""Elasto-plastic friction: LuGre's bristles, which do not yield below break-away.
 
     .. math::

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from types import MappingProxyType
+from typing import Annotated
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.kernels.records import Floats
 
 __all__ = ["gms"]
 
@@ -30,8 +32,15 @@ class GmsParameters(Parameters):
     k_4_Nm_rad: float = Field(12.5, gt=0, le=1e9, description="stiffness of element 4")
 
 
-@friction_law(GmsParameters, state=(("F_Nm", 4), ("slips", 4)), extremes=("F_s_Nm",))
-def gms(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+class GmsState(LawStateRecord):
+    """What it keeps."""
+
+    F_Nm: Annotated[Floats, 4]
+    slips: Annotated[Floats, 4]
+
+
+@friction_law(GmsParameters, state=GmsState, extremes=("F_s_Nm",))
+def gms(motion: MotionRecord, law: GmsParameters, state: GmsState) -> float:
     r"""The generalised Maxwell-slip law: four springs that slip one after the other.
 
     An element sticks, :math:`\dot F_i = k_i v`, until :math:`|F_i| = \alpha_i g(v)` with LuGre's

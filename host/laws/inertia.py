@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["inertia"]
 
@@ -17,8 +17,14 @@ class InertiaParameters(Parameters):
     most_Nm: float = Field(1.0, ge=0, le=1e4, description="the torque at which it ends")
 
 
-@friction_law(InertiaParameters, state=("v_rad_s",), extremes=("most_Nm",))
-def inertia(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+class InertiaState(LawStateRecord):
+    """What it keeps."""
+
+    v_rad_s: float
+
+
+@friction_law(InertiaParameters, state=InertiaState, extremes=("most_Nm",))
+def inertia(motion: MotionRecord, law: InertiaParameters, state: InertiaState) -> float:
     r"""A virtual inertia beside the handle's own.
 
     .. math:: \dot v_f = (v - v_f)/\tau_f, \quad \psi = \mathrm{sat}(J \dot v_f/\tau_{max})\,\tau_{max}

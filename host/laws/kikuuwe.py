@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["kikuuwe"]
 
@@ -15,8 +15,14 @@ class KikuuweParameters(Parameters):
     B_Nms_rad: float = Field(0.05, ge=0, le=1e6, description="damping beside that spring")
 
 
-@friction_law(KikuuweParameters, state=("e_rad",), extremes=("F_c_Nm",))
-def kikuuwe(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+class KikuuweState(LawStateRecord):
+    """What it keeps."""
+
+    e_rad: float
+
+
+@friction_law(KikuuweParameters, state=KikuuweState, extremes=("F_c_Nm",))
+def kikuuwe(motion: MotionRecord, law: KikuuweParameters, state: KikuuweState) -> float:
     r"""Kikuuwe's friction: Coulomb's, by implicit Euler, behind a spring and a damper.
 
     .. math::

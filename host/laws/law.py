@@ -19,15 +19,15 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, TypeAlias, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar, get_args
 
 import numpy as np
 from pydantic import Field
 
-from coulombus.kernels.records import Record
+from coulombus.kernels.records import Floats, Record, dtype_of
 from coulombus.rigs.field_help import accepted_range, unit_of
 from coulombus.rigs.model import Section
 
@@ -47,53 +47,53 @@ __all__ = [
     "friction_law",
 ]
 
-MotionRecord: TypeAlias = Any
-"""What a law sees: a record of `MOTION`; mypy knows none of its fields."""
-LawRecord: TypeAlias = Any
-"""A law's parameters: a record of `LAW`."""
-LawStateRecord: TypeAlias = Any
-"""What a law keeps from cycle to cycle: a record of `LAW_STATE`."""
-LawFunction: TypeAlias = Callable[[MotionRecord, LawRecord, LawStateRecord], float]
-"""A compiled law (`host.laws.laws`): the torque that it asks for [Nm]."""
 
-MOTION = np.dtype(
-    [
-        ("x_rad", np.float64),
-        ("v_rad_s", np.float64),  # backward difference of the position
-        ("v_counts", np.float64),  # the same in encoder counts a cycle
-        ("dt_s", np.float64),
-        ("handle_Nm", np.float64),  # torque transducer, the hand's torque on the handle
-    ],
-    align=True,
-)
+class MotionRecord(Record):
+    """What a law sees."""
+
+    x_rad: float
+    v_rad_s: float  # backward difference of the position
+    v_counts: float  # the same in encoder counts a cycle
+    dt_s: float
+    handle_Nm: float  # torque transducer, the hand's torque on the handle
+
+
+MOTION = dtype_of(MotionRecord)
 
 USER = 16
 """Numbers that a law has for parameters of its own, and as many for its state."""
 
-LAW = np.dtype(
-    [
-        ("K_p", np.float64),  # Nm/rad
-        ("F_s", np.float64),  # Nm
-        ("F_d", np.float64),  # Nm
-        ("velocity_band_counts", np.float64),  # Delta v, in encoder counts a cycle
-        ("paper_entry", np.int64),  # 1: x_stuck = x at stick entry, as printed in the paper
-        ("brake_spring", np.int64),  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
-        ("user", np.float64, (USER,)),
-    ],
-    align=True,
-)
 
-LAW_STATE = np.dtype(
-    [
-        ("stuck", np.int64),
-        ("x_stuck", np.float64),  # rad
-        ("psi_Nm", np.float64),  # what the law returned last; kept by the host
-        ("brake_Nm", np.float64),  # the law's set-point for the brake, >= 0
-        ("motor_Nm", np.float64),  # the law's part for the motor in mode hybrid, as psi; 0 but for laws that push back
-        ("user", np.float64, (USER,)),
-    ],
-    align=True,
-)
+class LawRecord(Record):
+    """A law's parameters."""
+
+    K_p: float  # Nm/rad
+    F_s: float  # Nm
+    F_d: float  # Nm
+    velocity_band_counts: float  # Delta v, in encoder counts a cycle
+    paper_entry: int  # 1: x_stuck = x at stick entry, as printed in the paper
+    brake_spring: int  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
+    user: Annotated[Floats, USER]
+
+
+LAW = dtype_of(LawRecord)
+
+
+class LawStateRecord(Record):
+    """What a law keeps from cycle to cycle."""
+
+    stuck: int
+    x_stuck: float  # rad
+    psi_Nm: float  # what the law returned last; kept by the host
+    brake_Nm: float  # the law's set-point for the brake, >= 0
+    motor_Nm: float  # the law's part for the motor in mode hybrid, as psi; 0 but for laws that push back
+    user: Annotated[Floats, USER]
+
+
+LAW_STATE = dtype_of(LawStateRecord)
+
+LawFunction: TypeAlias = Callable[[MotionRecord, LawRecord, LawStateRecord], float]
+"""A compiled law (`host.laws.laws`): the torque that it asks for [Nm]."""
 
 FIELD_OF_MODE: Mapping[str, str] = MappingProxyType(
     {
@@ -246,7 +246,7 @@ class Declaration:
         return found
 
     def fill(self, record: LawRecord, values: Parameters) -> None:
-        """Write the parameters into a record of `LAW`."""
+        """Write the parameters into a record of `LawRecord`."""
         for k, (name, number) in enumerate(self.numbers(values).items()):
             if self.of_mode:
                 record[FIELD_OF_MODE[name]] = number
@@ -267,7 +267,7 @@ class Declaration:
 
 def friction_law(
     parameters: type[Parameters],
-    state: Iterable[str | tuple[str, int]] = (),
+    state: type[LawStateRecord] | Iterable[str | tuple[str, int]] = (),
     extremes: Iterable[str] = (),
     *,
     pushes: bool = False,
@@ -277,7 +277,8 @@ def friction_law(
     Parameters
     ----------
     parameters : the model of its parameters
-    state : names of what the law keeps from cycle to cycle; ("F_Nm", 4) is an array
+    state : what the law keeps from cycle to cycle: a class of a `LawStateRecord` with further fields,
+        or their names, of which ("F_Nm", 4) is an array
     extremes : the parameters that say how much the law displays at most [Nm]
     pushes : in mode hybrid the motor displays ``state.motor_Nm``. Of the project's own laws alone
         this lifts hybrid's limit of the motor (`host.cycle.demand.motor_limit_Nm`).
@@ -287,13 +288,25 @@ def friction_law(
     ValueError
         more than 16 numbers, or a name that the records have already
     """
-    kept = tuple((one, 1) if isinstance(one, str) else one for one in state)
+    if isinstance(state, type):
+        kept = tuple(_state_fields(state))
+    else:
+        kept = tuple((field, 1) if isinstance(field, str) else field for field in state)
 
     def declare(function: F) -> F:
         function.declaration = Declaration(function, parameters, kept, tuple(extremes), pushes=pushes)  # type: ignore[attr-defined]
         return function
 
     return declare
+
+
+def _state_fields(state: type[LawStateRecord]) -> Iterator[tuple[str, int]]:
+    """Yield name and length of each field that a law's state has beside those of all laws."""
+    dtype = dtype_of(state)
+    assert dtype.names is not None
+    for name in dtype.names:
+        if name not in (LAW_STATE.names or ()):
+            yield name, int(np.prod(dtype[name].shape))
 
 
 def declaration_of(function: Any) -> Declaration | None:

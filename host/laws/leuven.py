@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from types import MappingProxyType
+from typing import Annotated
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.kernels.records import Floats
 
 __all__ = ["leuven"]
 
@@ -33,8 +35,14 @@ class LeuvenParameters(Parameters):
     k_4_Nm_rad: float = Field(12.5, gt=0, le=1e9, description="stiffness of element 4")
 
 
-@friction_law(LeuvenParameters, state=(("F_Nm", 4),), extremes=("F_s_Nm",))
-def leuven(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+class LeuvenState(LawStateRecord):
+    """What it keeps."""
+
+    F_Nm: Annotated[Floats, 4]
+
+
+@friction_law(LeuvenParameters, state=LeuvenState, extremes=("F_s_Nm",))
+def leuven(motion: MotionRecord, law: LeuvenParameters, state: LeuvenState) -> float:
     r"""The Leuven law: LuGre's bristles on a hysteresis with non-local memory.
 
     .. math::

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["lugre"]
 
@@ -23,8 +23,14 @@ class LuGreParameters(Parameters):
     sigma_2_Nms_rad: float = Field(0.0, ge=0, le=1e6, description="viscous friction")
 
 
-@friction_law(LuGreParameters, state=("z_rad",), extremes=("F_s_Nm",))
-def lugre(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+class LuGreState(LawStateRecord):
+    """What it keeps."""
+
+    z_rad: float
+
+
+@friction_law(LuGreParameters, state=LuGreState, extremes=("F_s_Nm",))
+def lugre(motion: MotionRecord, law: LuGreParameters, state: LuGreState) -> float:
     r"""The LuGre law: bristles that bend, with the Stribeck effect.
 
     .. math::

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["regularised"]
 
@@ -19,7 +19,7 @@ class RegularisedParameters(Parameters):
 
 
 @friction_law(RegularisedParameters, extremes=("F_c_Nm",))
-def regularised(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+def regularised(motion: MotionRecord, law: RegularisedParameters, state: LawStateRecord) -> float:
     r"""Regularised Coulomb friction: a slope in the place of the jump, a saturated damper.
 
     .. math::
@@ -35,9 +35,9 @@ def regularised(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> 
     Stability of haptic rendering, IEEE Trans. Robotics 22(2), 2006, doi:10.1109/TRO.2005.862487.
     """
     ratio = motion.v_rad_s / law.v_t_rad_s
-    if law.form == 0.0:
+    if law.form == 0.0:  # type: ignore[comparison-overlap]  # a choice is its place
         share = min(max(ratio, -1.0), 1.0)
-    elif law.form == 1.0:
+    elif law.form == 1.0:  # type: ignore[comparison-overlap]  # a choice is its place
         share = math.tanh(ratio)
     else:
         share = math.atan(0.5 * math.pi * ratio) * 2.0 / math.pi

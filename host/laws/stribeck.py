@@ -6,7 +6,7 @@ import math
 from types import MappingProxyType
 from typing import Literal
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["stribeck"]
 
@@ -24,7 +24,7 @@ class StribeckParameters(Parameters):
 
 
 @friction_law(StribeckParameters, extremes=("F_s_Nm",))
-def stribeck(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+def stribeck(motion: MotionRecord, law: StribeckParameters, state: LawStateRecord) -> float:
     r"""Stribeck friction: a level that falls with speed (three forms), and a viscous part.
 
     .. math::
@@ -42,9 +42,9 @@ def stribeck(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> flo
     """
     v = motion.v_rad_s
     ratio = abs(v) / law.v_s_rad_s
-    if law.form == 0.0:
+    if law.form == 0.0:  # type: ignore[comparison-overlap]  # a choice is its place
         share = math.exp(-ratio * ratio)
-    elif law.form == 1.0:
+    elif law.form == 1.0:  # type: ignore[comparison-overlap]  # a choice is its place
         share = math.exp(-ratio)
     else:
         share = 1.0 / (1.0 + ratio * ratio)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["texture"]
 
@@ -22,7 +22,7 @@ class TextureParameters(Parameters):
 
 
 @friction_law(TextureParameters)
-def texture(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+def texture(motion: MotionRecord, law: TextureParameters, state: LawStateRecord) -> float:
     r"""Texture: friction whose level changes with the angle.
 
     .. math:: \psi = \left(F_c + A \cos\frac{2\pi x}{P}\right)\mathrm{sat}(v/v_t), \quad A \le F_c

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["viscous"]
 
@@ -15,7 +15,7 @@ class ViscousParameters(Parameters):
 
 
 @friction_law(ViscousParameters, extremes=("most_Nm",))
-def viscous(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+def viscous(motion: MotionRecord, law: ViscousParameters, state: LawStateRecord) -> float:
     r"""A viscous damper that ends at a torque.
 
     .. math:: \psi = \mathrm{sat}(B v / \tau_{max})\,\tau_{max}

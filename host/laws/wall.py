@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
 
 __all__ = ["wall"]
 
@@ -17,7 +17,7 @@ class WallParameters(Parameters):
 
 
 @friction_law(WallParameters, extremes=("most_Nm",), pushes=True)
-def wall(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+def wall(motion: MotionRecord, law: WallParameters, state: LawStateRecord) -> float:
     r"""A virtual wall: stiffness by the motor, damping by the brake, the paper's Fig. 8.
 
     Within, for :math:`p = x - x_{wall} > 0`:

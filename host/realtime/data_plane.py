@@ -24,7 +24,7 @@ from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.loop import take_log, take_trace
 from coulombus.host.realtime.shared_memory import BINS, TRACE_ROWS, Command, SharedPlane, Status
-from coulombus.recording.trace import TRACE
+from coulombus.recording.trace import TraceRow
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import Client
 from coulombus.wire.frame import Records, frames, new_records
@@ -132,7 +132,7 @@ class DataPlane:
         self.shared.plane["packed"] = address.kind == "coulombus"
         self._controllers = controllers
         self._batch = frames(BATCH_FRAMES)
-        self._rows = new_records(TRACE, TRACE_ROWS)
+        self._rows = new_records(TraceRow, TRACE_ROWS)
         self.real_time: list[dict[str, Any]] = []
         self._process = self._start(priority, cpu)
 

@@ -29,7 +29,7 @@ from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramp
 from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.cycle.telemetry import tell
-from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
+from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, PlaneRecord, Status
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import (
     CLOCK_REALTIME,
@@ -50,10 +50,10 @@ from coulombus.kernels.libc import (
     sleep_until,
     store_release,
 )
-from coulombus.kernels.records import Integers, Record, Records
-from coulombus.recording.trace import Moment
-from coulombus.wire.frame import CAN_ERR_FLAG
-from coulombus.wire.recvmsg import receive
+from coulombus.kernels.records import Integers, RecordArray, Records
+from coulombus.recording.trace import Moment, TraceRow
+from coulombus.wire.frame import CAN_ERR_FLAG, Frame, Queue
+from coulombus.wire.recvmsg import Mailbox, receive
 
 __all__ = ["MESSAGE_FRAMES", "Buffers", "run_plane", "take_log", "take_trace"]
 
@@ -70,19 +70,19 @@ class Buffers(NamedTuple):
     """
 
     fd: int
-    plane: Records
-    ring: Records
-    trace: Records
+    plane: RecordArray[PlaneRecord]
+    ring: RecordArray[Frame]
+    trace: RecordArray[TraceRow]
     wakeup_bins: Integers
     latency_bins: Integers
     axes: AxisRecords
     owner: Integers
-    box: Records
+    box: RecordArray[Mailbox]
     words: Integers
     tx: Integers
     poll: Integers
-    out: Record
-    told: Records  # room for what one axis tells of itself (`host.cycle.telemetry`)
+    out: Queue
+    told: RecordArray[Frame]  # room for what one axis tells of itself (`host.cycle.telemetry`)
 
 
 def _offset(name: str) -> int:
@@ -108,7 +108,15 @@ EMPTY, TOOK, COMPLETE, GONE = 0, 1, 2, 3
 
 
 @kernel
-def _log(plane: Records, ring: Records, t_ns: int, can_id: int, length: int, word: int, source: int) -> None:
+def _log(
+    plane: RecordArray[PlaneRecord],
+    ring: RecordArray[Frame],
+    t_ns: int,
+    can_id: int,
+    length: int,
+    word: int,
+    source: int,
+) -> None:
     """Append a frame to the ring; the parent sees it whole or not at all."""
     p = plane[0]
     head = p.log_head
@@ -125,7 +133,7 @@ def _log(plane: Records, ring: Records, t_ns: int, can_id: int, length: int, wor
 
 
 @kernel
-def _trace(plane: Records, trace: Records, kind: int, t_ns: int, value: int) -> None:
+def _trace(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], kind: int, t_ns: int, value: int) -> None:
     """Append a row to the trace; without room it is left out, as are the frames of that time."""
     p = plane[0]
     head = p.trace_head
@@ -152,7 +160,7 @@ def _tell(b: Buffers, t_ns: int) -> None:
 
 
 @kernel
-def take_trace(plane: Records, trace: Records, out: Records) -> int:
+def take_trace(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], out: Records) -> int:
     """Move rows from the trace to `out`; return how many. For the parent."""
     p = plane[0]
     tail = p.trace_tail
@@ -170,7 +178,7 @@ def take_trace(plane: Records, trace: Records, out: Records) -> int:
 
 
 @kernel
-def take_log(plane: Records, ring: Records, out: Records) -> int:
+def take_log(plane: RecordArray[PlaneRecord], ring: RecordArray[Frame], out: Records) -> int:
     """Move frames from the ring to `out`; return how many. For the parent."""
     p = plane[0]
     tail = p.log_tail
@@ -187,7 +195,7 @@ def take_log(plane: Records, ring: Records, out: Records) -> int:
 
 
 @kernel
-def _stop(p: Record, axes: AxisRecords, trip: int) -> None:
+def _stop(p: PlaneRecord, axes: AxisRecords, trip: int) -> None:
     """Ask all axes for the safe state for the reason `trip`, or without one (1).
 
     The first reason counts.
@@ -198,7 +206,7 @@ def _stop(p: Record, axes: AxisRecords, trip: int) -> None:
 
 
 @kernel
-def _skip(p: Record, axes: AxisRecords, periods: int) -> int:
+def _skip(p: PlaneRecord, axes: AxisRecords, periods: int) -> int:
     """Skip so many periods that have passed, and count them: what every axis knows is as much
     older. Returns how many.
     """
@@ -304,7 +312,7 @@ def _transmit(b: Buffers, patience: int) -> int:
 
 
 @kernel
-def _look_after_parent(p: Record, base: int, axes: AxisRecords) -> None:
+def _look_after_parent(p: PlaneRecord, base: int, axes: AxisRecords) -> None:
     """Ask for the safe state when the parent has ended or stands still.
 
     When it has ended and all axes are done, there is nothing left to do.
@@ -327,7 +335,7 @@ def _all_done(axes: AxisRecords) -> bool:
 
 
 @kernel
-def _failed(p: Record) -> bool:
+def _failed(p: PlaneRecord) -> bool:
     """Tell whether a call that returned -1 has failed for good: waiting that fails comes back at
     once, for ever.
     """
@@ -410,7 +418,7 @@ def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
 
 
 @kernel
-def _goes_on(p: Record, axes: AxisRecords, command: int) -> bool:
+def _goes_on(p: PlaneRecord, axes: AxisRecords, command: int) -> bool:
     """Tell whether another cycle begins: as commanded, or as a brake is to be ramped off before the
     end, which the safe state does within its time.
     """

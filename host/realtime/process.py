@@ -28,7 +28,7 @@ from coulombus.host.realtime.shared_memory import Command, SharedPlane
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.system.realtime import ask_for_real_time, die_with_parent, outlive_parent
 from coulombus.system.stop_signals import SIGNALS
-from coulombus.wire.frame import FRAME, QUEUE_CAPACITY, new_queue, new_records
+from coulombus.wire.frame import QUEUE_CAPACITY, Frame, new_queue, new_records
 from coulombus.wire.recvmsg import new_mailbox
 
 __all__ = ["main", "new_buffers", "warm_up"]
@@ -40,7 +40,7 @@ def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
     box, words = new_mailbox(MESSAGE_FRAMES)
     tx, poll = np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)
     parts = (s.plane, s.ring, s.trace, s.wakeup_bins, s.latency_bins, s.axes, s.owner)
-    return Buffers(fd, *parts, box, words, tx, poll, new_queue(), new_records(FRAME, MOST_FRAMES))
+    return Buffers(fd, *parts, box, words, tx, poll, new_queue(), new_records(Frame, MOST_FRAMES))
 
 
 def warm_up(shared: SharedPlane, buffers: Buffers, law_function: LawFunction) -> None:

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.host.cycle.controller import AXIS
-from coulombus.recording.trace import TRACE
-from coulombus.wire.frame import FRAME, Records
+from coulombus.host.cycle.records import AXIS, AxisRecords
+from coulombus.kernels.records import Record, RecordArray, dtype_of
+from coulombus.recording.trace import TRACE, TraceRow
+from coulombus.wire.frame import FRAME, Frame
 
 __all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "Command", "SharedPlane", "Status"]
 
@@ -55,45 +56,46 @@ class Status(IntEnum):
     LOST = 4  # the bus is gone; `error` is the system's number, 0 when the other side has closed
 
 
-PLANE = np.dtype(
-    [
-        # written by the parent
-        ("command", np.int64),
-        ("stop", np.int64),  # for HOST.stop: 1 a safe stop, above it a Trip
-        ("deadman_ns", np.int64),  # CLOCK_MONOTONIC until which the dead man's key counts as held
-        ("start_ns", np.int64),  # when the first cycle is due
-        ("parent", np.int64),  # its process id; 0: its end is not looked for
-        ("parent_ns", np.int64),  # CLOCK_MONOTONIC until which it counts as running; 0: not looked at
-        ("log_tail", np.int64),  # frames that the parent has taken from the ring
-        ("trace_tail", np.int64),  # and rows from the trace
-        ("packed", np.int64),  # 1: one message may carry several frames
-        ("order", np.int64),  # number of the newest order of parameters (`host.cycle.live_parameters`)
-        ("order_axis", np.int64),  # ... and whose it is
-        # written by the data plane
-        ("status", np.int64),
-        ("error", np.int64),
-        ("log_head", np.int64),
-        ("trace_head", np.int64),
-        ("rx_ns", np.int64),  # stamp of the frame that was received last
-        ("ordered", np.int64),  # number of the order that was wanted last
-        ("asked", np.int64),  # the reason for which all axes were asked to stop
-        ("cycles", np.int64),
-        ("missed_deadlines", np.int64),  # periods at whose end their RPDOs were not out
-        ("full_in_a_row", np.int64),  # cycles one after another in which the bus did not take a frame
-        ("cpu_ns", np.int64),  # of this thread while it cycled
-        ("wakeup_max_ns", np.int64),
-        ("latency_max_ns", np.int64),  # SYNC to the last RPDO
-        ("interrupted", np.int64),
-        ("tx_full", np.int64),  # frames that the bus did not take: EAGAIN, ENOBUFS
-        ("rx_frames", np.int64),
-        ("rx_malformed", np.int64),
-        ("rx_overflow", np.int64),  # frames that this socket's queue has dropped
-        ("error_frames", np.int64),
-        ("foreign_sync", np.int64),  # SYNC or the host's heartbeat from another station
-        ("log_dropped", np.int64),
-    ],
-    align=True,
-)
+class PlaneRecord(Record):
+    """What the data plane and its parent tell each other."""
+
+    # written by the parent
+    command: int
+    stop: int  # for HOST.stop: 1 a safe stop, above it a Trip
+    deadman_ns: int  # CLOCK_MONOTONIC until which the dead man's key counts as held
+    start_ns: int  # when the first cycle is due
+    parent: int  # its process id; 0: its end is not looked for
+    parent_ns: int  # CLOCK_MONOTONIC until which it counts as running; 0: not looked at
+    log_tail: int  # frames that the parent has taken from the ring
+    trace_tail: int  # and rows from the trace
+    packed: int  # 1: one message may carry several frames
+    order: int  # number of the newest order of parameters (`host.cycle.live_parameters`)
+    order_axis: int  # ... and whose it is
+    # written by the data plane
+    status: int
+    error: int
+    log_head: int
+    trace_head: int
+    rx_ns: int  # stamp of the frame that was received last
+    ordered: int  # number of the order that was wanted last
+    asked: int  # the reason for which all axes were asked to stop
+    cycles: int
+    missed_deadlines: int  # periods at whose end their RPDOs were not out
+    full_in_a_row: int  # cycles one after another in which the bus did not take a frame
+    cpu_ns: int  # of this thread while it cycled
+    wakeup_max_ns: int
+    latency_max_ns: int  # SYNC to the last RPDO
+    interrupted: int
+    tx_full: int  # frames that the bus did not take: EAGAIN, ENOBUFS
+    rx_frames: int
+    rx_malformed: int
+    rx_overflow: int  # frames that this socket's queue has dropped
+    error_frames: int
+    foreign_sync: int  # SYNC or the host's heartbeat from another station
+    log_dropped: int
+
+
+PLANE = dtype_of(PlaneRecord)
 
 
 def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]:
@@ -126,10 +128,10 @@ class SharedPlane:
     The arrays point into the mapping, which lasts as long as any of them.
     """
 
-    plane: Records
-    axes: Records
-    ring: Records
-    trace: Records
+    plane: RecordArray[PlaneRecord]
+    axes: AxisRecords
+    ring: RecordArray[Frame]
+    trace: RecordArray[TraceRow]
     owner: np.ndarray[Any, np.dtype[np.int64]]
     wakeup_bins: np.ndarray[Any, np.dtype[np.int64]]
     latency_bins: np.ndarray[Any, np.dtype[np.int64]]

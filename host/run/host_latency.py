@@ -25,7 +25,7 @@ from coulombus.eds.cia402 import STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.records import Image, Phase
+from coulombus.host.cycle.records import HostRecord, Image, Phase
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
 from coulombus.rigs.rig import Rig
@@ -210,7 +210,7 @@ def _tpdos(controller: Controller) -> list[bytes]:
     """Return the frames of the TPDOs of devices that are enabled and stand still: every input 0,
     the dead man's switch held.
     """
-    values = new_records(controller.host.dtype, 1)["image"][0].copy()
+    values = new_records(HostRecord)[0].image.copy()
     enabled = int(STATUSWORD[PowerState.OPERATION_ENABLED]) | VOLTAGE_ENABLED
     values[Image.STATUSWORD] = values[Image.BRAKE_STATUSWORD] = enabled
     values[Image.DEADMAN] = -1

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.cycle.controller import Controller
-from coulombus.host.cycle.live_parameters import Slot
 from coulombus.host.cycle.parameter_changes import parameters_of
+from coulombus.host.cycle.records import Slot
 from coulombus.host.laws.along import drive
 from coulombus.rigs.axis import Axis
 

@@ -11,75 +11,22 @@ inter-frame space later, at `free_ns`. Where something is amiss `start_frame` sa
 
 from __future__ import annotations
 
-import numpy as np
-
 from coulombus.kernels.decorator import inlined
-from coulombus.sim_bus.can_bus.bit_level import PLAY_FIELDS
+from coulombus.kernels.records import RecordArray
 from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, Delivered, Stage
-from coulombus.sim_bus.can_bus.controller_bits import FOLLOW_FIELDS
-from coulombus.sim_bus.can_bus.fault_confinement import CONTROLLER, STATIONS
-from coulombus.sim_bus.can_bus.faults import FAULT_FIELDS
-from coulombus.sim_bus.can_bus.frame_result import OUTCOME_FIELDS
-from coulombus.sim_bus.can_bus.noise import NOISE_FIELDS
-from coulombus.sim_bus.can_bus.records import BusRecord
-from coulombus.sim_bus.can_bus.stations import STATION_FIELDS
-from coulombus.sim_bus.can_bus.tx_queue import (
-    FAR_NS,
-    HALF_FIELDS,
-    STATION_MASK,
-    WAITING_FIELDS,
-    first_ns,
-    first_order,
-    hold,
-    win,
-)
+from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, first_ns, first_order, hold, win
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.frame import Queue, Records, new_records
 
-__all__ = [
-    "BUS",
-    "FAR_NS",
-    "INTER_FRAME_BITS",
-    "end_frame",
-    "new_bus",
-    "receives",
-    "start_frame",
-    "start_ns",
-]
-
-BUS = np.dtype(
-    [
-        ("bit_rate", np.int64),  # bit/s; 0: a frame takes no time here (another bus carries it)
-        ("stage", np.int64),  # `sim_bus.can_bus.bus_state.Stage`: what the wire is in the midst of
-        ("delivered", np.int64),  # `sim_bus.can_bus.bus_state.Delivered`: who has what has ended last
-        ("end_ns", np.int64),
-        ("free_ns", np.int64),
-        ("t_ns", np.int64),  # the frame on the wire, fields as in FRAME
-        ("can_id", np.int64),
-        ("length", np.int64),
-        ("word", np.int64),
-        ("source", np.int64),
-        ("frames", np.int64),  # counters
-        ("bits", np.int64),
-        *HALF_FIELDS,
-        *WAITING_FIELDS,
-        *STATION_FIELDS,
-        *OUTCOME_FIELDS,
-        *PLAY_FIELDS,
-        *FOLLOW_FIELDS,
-        *FAULT_FIELDS,
-        *NOISE_FIELDS,
-        ("stations", CONTROLLER, (STATIONS,)),
-    ],
-    align=True,
-)
+__all__ = ["FAR_NS", "INTER_FRAME_BITS", "end_frame", "new_bus", "receives", "start_frame", "start_ns"]
 
 
-def new_bus(bitrate_bit_s: int) -> Records:
+def new_bus(bitrate_bit_s: int) -> RecordArray[BusRecord]:
     """Return an idle bus: its record, and that of the second half for when the cable is cut
     (`sim_bus.can_bus.cable_cut`).
     """
-    bus = new_records(BUS, 2)
+    bus = new_records(BusRecord, 2)
     bus["bit_rate"] = bitrate_bit_s
     bus["alarm_ns"] = bus["stuck"]["from_ns"] = bus["stuck"]["until_ns"] = FAR_NS
     bus["noise"]["next_ns"], bus["partial_row"] = FAR_NS, -1

@@ -16,10 +16,6 @@ switched off in the middle falls silent in the middle.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
 from coulombus.kernels.decorator import kernel
 from coulombus.sim_bus.can_bus.bus_state import NS, Stage
 from coulombus.sim_bus.can_bus.controller_bits import Mode, Sent, drive, follow, look_anew, may_start, open_frame
@@ -29,25 +25,9 @@ from coulombus.sim_bus.can_bus.records import BusRecord
 from coulombus.sim_bus.can_bus.stuffing import stuffed_bits
 from coulombus.sim_bus.can_bus.targets import ALL, NOBODY, is_meant
 
-__all__ = ["PLAY_FIELDS", "add_sender", "begin_bits", "run_bits"]
+__all__ = ["add_sender", "begin_bits", "run_bits"]
 
 LONGEST_STRETCH = 64  # bits without a pause
-
-PLAY = np.dtype(
-    [
-        ("begin_ns", np.int64),  # when the first bit began
-        ("bit", np.int64),  # bits played
-        ("passed", np.int64),  # 1: what ends at the end of this bit is a frame that was received
-        ("unsettled", np.int64),  # 1: not all stations were idle at the end of the last stretch
-    ],
-    align=True,
-)
-
-PLAY_FIELDS: list[Any] = [
-    ("play", PLAY),
-    ("recessive_ns", np.int64),  # the wire has been recessive since, as far as somebody looked
-]
-"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
 
 
 @kernel

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-__all__ = ["INTER_FRAME_BITS", "NS", "RUN_BITS", "SUSPEND_BITS", "Delivered", "Stage"]
+__all__ = ["INTER_FRAME_BITS", "NS", "RUN_BITS", "SUSPEND_BITS", "Delivered", "ErrorKind", "Stage"]
 
 INTER_FRAME_BITS = 3
 """The intermission."""
@@ -49,3 +49,13 @@ class Delivered(IntEnum):
     NOBODY = 0  # it is no frame
     OTHERS = 1  # all but its sender
     HEARERS = 2  # those whose controller has `hears`
+
+
+class ErrorKind(IntEnum):
+    """The five errors of the standard (10.11)."""
+
+    BIT = 0
+    STUFF = 1
+    CRC = 2
+    FORM = 3
+    ACK = 4

@@ -1,7 +1,7 @@
 """The cable cut into two halves: each is a wire of its own, with its own time, its own waiting
 frames and its own acknowledgement.
 
-A bus is an array of two records `sim_bus.can_bus.arbiter.BUS`. The first is the whole cable, and the
+A bus is an array of two records `sim_bus.can_bus.records.BusRecord`. The first is the whole cable, and the
 first half while it is cut; the second is in use only then. A station's half stands in `half` of its
 controller, which is in the record of its half.
 
@@ -12,18 +12,16 @@ too, so no frame is torn.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import RecordArray
 from coulombus.sim_bus.can_bus.bus_state import Stage
-from coulombus.sim_bus.can_bus.fault_confinement import STATIONS
-from coulombus.sim_bus.can_bus.faults import MOST_TOLD, FaultKind, plan_alarm
+from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.can_bus.noise import next_noise, seeded
-from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.records import MOST_TOLD, STATION_MASK, STATIONS, BusRecord, FaultRecord
 from coulombus.sim_bus.can_bus.stations import number, refresh
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, STATION_MASK, accept, first_ns, hold, withdraw
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, accept, first_ns, hold, withdraw
 from coulombus.wire.frame import Queue, Records
 
 __all__ = ["APART", "MENDING", "WHOLE", "choose", "divide", "join", "merged_faults", "split", "wire_of"]
@@ -33,7 +31,7 @@ WHOLE, APART, MENDING = 0, 1, 2
 
 
 @kernel
-def divide(bus: BusRecord, out: Queue) -> None:
+def divide(bus: RecordArray[BusRecord], out: Queue) -> None:
     """Let what was asked for since the last time wait with its sender's half.
 
     The queue is empty then.
@@ -55,7 +53,7 @@ def _next_ns(bus: BusRecord, out: Queue) -> int:
 
 
 @kernel
-def choose(bus: BusRecord, out: Queue) -> int:
+def choose(bus: RecordArray[BusRecord], out: Queue) -> int:
     """Return the half in which something happens next.
 
     Of equals an end goes before a start, then the first half.
@@ -75,12 +73,12 @@ def choose(bus: BusRecord, out: Queue) -> int:
     return 1 if t_far < t_near or (t_far == t_near and ends_sooner) else 0
 
 
-def wire_of(bus: Records, station: int) -> Any:
+def wire_of(bus: RecordArray[BusRecord], station: int) -> BusRecord:
     """Return the record of the wire that a station is on."""
     return bus[int(bus[0].stations[station & STATION_MASK].half)]
 
 
-def split(bus: Records, out: Queue, row: int, t_ns: int) -> Records:
+def split(bus: RecordArray[BusRecord], out: Queue, row: int, t_ns: int) -> RecordArray[FaultRecord]:
     """Cut the idle cable as row `row` of the faults says, at `t_ns`.
 
     Return the faults as they were, for `join`.
@@ -88,7 +86,7 @@ def split(bus: Records, out: Queue, row: int, t_ns: int) -> Records:
     divide(bus, out)
     bus[1:2] = bus[0:1]
     near, far = bus[0], bus[1]
-    before: Records = near.faults.copy()
+    before: RecordArray[FaultRecord] = near.faults.copy()
     halves = near.faults[row].far.astype(np.int64)
     switched_on = [int(station) for station in near.on[: near.on_count]]
     waits = [station for station in range(STATIONS) if near.waiting_of[station]]
@@ -121,7 +119,7 @@ def split(bus: Records, out: Queue, row: int, t_ns: int) -> Records:
     return before
 
 
-def merged_faults(bus: Records, before: Records) -> Records:
+def merged_faults(bus: RecordArray[BusRecord], before: RecordArray[FaultRecord]) -> Records:
     """Return the faults as both halves together have met them since they were `before`."""
     near, far = bus[0], bus[1]
     out: Records = near.faults.copy()
@@ -138,7 +136,7 @@ def merged_faults(bus: Records, before: Records) -> Records:
     return out
 
 
-def join(bus: Records, out: Queue, before: Records, t_ns: int) -> None:
+def join(bus: RecordArray[BusRecord], out: Queue, before: RecordArray[FaultRecord], t_ns: int) -> None:
     """Mend the cable, both halves of which are idle, at `t_ns`."""
     near, far = bus[0], bus[1]
     near.faults[:] = merged_faults(bus, before)

@@ -11,28 +11,17 @@ stands in `BUS.seen`, which only this module fills; what became of their frames 
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, SUSPEND_BITS
-from coulombus.sim_bus.can_bus.fault_confinement import (
-    PASSIVE_LEVEL,
-    ErrorKind,
-    count_received,
-    count_sent,
-    raise_rec,
-    raise_tec,
-)
+from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, SUSPEND_BITS, ErrorKind
+from coulombus.sim_bus.can_bus.fault_confinement import PASSIVE_LEVEL, count_received, count_sent, raise_rec, raise_tec
 from coulombus.sim_bus.can_bus.records import BusRecord, ControllerRecord
-from coulombus.sim_bus.can_bus.stuffing import CRC_BITS, FRAME_BITS, crc_step
+from coulombus.sim_bus.can_bus.stuffing import CRC_BITS, crc_step
 from coulombus.wire.frame import CAN_EFF_FLAG
 
-__all__ = ["FOLLOW_FIELDS", "MAX_SENDERS", "Mode", "Sent", "drive", "follow", "look_anew", "may_start", "open_frame"]
-
-MAX_SENDERS = 128
-"""Stations that may take part in one arbitration; more wait."""
+__all__ = ["Mode", "Sent", "drive", "follow", "look_anew", "may_start", "open_frame"]
 
 
 class Mode(IntEnum):
@@ -63,39 +52,6 @@ CRC_DELIMITER, ACK_SLOT, ACK_DELIMITER, LAST_BUT_ONE, LAST = 0, 1, 2, 8, 9  # `t
 FLAG_BITS, DELIMITER_BITS, INTEGRATION_BITS = 6, 8, 11
 NOT_TOLD, TOLD_BEFORE = -1, -2
 
-SENDER = np.dtype(
-    [
-        ("state", np.int64),  # `Sent`
-        ("order", np.int64),
-        ("can_id", np.int64),
-        ("length", np.int64),
-        ("word", np.int64),
-        ("source", np.int64),
-        ("lost_bit", np.int64),  # in which it lost the arbitration; without stuff bits
-        ("bits", np.int64),
-        ("bit", np.int8, (FRAME_BITS,)),
-    ],
-    align=True,
-)
-
-SEEN = np.dtype(
-    [
-        ("accepted_bit", np.int64),  # the last but one bit of the end of frame, in which receivers accept; -1: not yet
-        ("gave_up", np.int64),  # 1: who sends once only has lost the arbitration, and that is not told yet
-        ("told_bit", np.int64),  # in which the first error was detected; `NOT_TOLD`; `TOLD_BEFORE` this stretch
-        ("tell", np.int64),  # 1: an error is to be told: class, type, place and who
-        ("classes", np.int64),
-        ("kind", np.int64),
-        ("place", np.int64),
-        ("source", np.int64),
-    ],
-    align=True,
-)
-
-FOLLOW_FIELDS: list[Any] = [("seen", SEEN), ("senders", np.int64), ("tx", SENDER, (MAX_SENDERS,))]
-"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes;
-`slow_motion.add_sender` opens the rows of `tx`.
-"""
 
 # Linux's include/uapi/linux/can/error.h: error classes, types (data[2]) and places (data[3])
 ERR_PROT, ERR_ACK, ERR_BUSERROR = 0x08, 0x20, 0x80

@@ -31,19 +31,14 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-import numpy as np
-
 from coulombus.kernels.decorator import kernel
 from coulombus.sim_bus.can_bus.records import ControllerRecord
 from coulombus.wire.controller_state import ControllerState
 
 __all__ = [
-    "CONTROLLER",
     "MANUAL",
     "RECOVERY_RUNS",
-    "STATIONS",
     "CanState",
-    "ErrorKind",
     "begin_bus_off",
     "count_received",
     "count_sent",
@@ -53,8 +48,6 @@ __all__ = [
     "state_of",
 ]
 
-STATIONS = 256
-"""Rows: a station's is the low eight bits of its number, so the host's -1 is 255."""
 RECOVERY_RUNS = 128
 """How many times 11 recessive bits end bus-off."""
 MANUAL = -1
@@ -74,45 +67,6 @@ class CanState(IntEnum):
     ERROR_PASSIVE = 2
     BUS_OFF = 3
     STOPPED = 4
-
-
-class ErrorKind(IntEnum):
-    """The five errors of the standard (10.11)."""
-
-    BIT = 0
-    STUFF = 1
-    CRC = 2
-    FORM = 3
-    ACK = 4
-
-
-_SET_UP = ("attached", "listen_only", "one_shot", "loopback", "queue_limit", "restart_ns")
-_CONFINEMENT = ("tec", "rec", "state", "changed", "recovered", "restart_at_ns", "runs_left", "suspend_ns")
-_COUNTERS = (
-    *("overloads", "retransmissions", "arbitration_lost", "dropped"),
-    *("warnings", "passives", "bus_offs", "restarts"),
-)
-_THIS_FRAME = (
-    "half",  # where it is while the cable is cut
-    "hears",  # it receives what is on the wire
-    "confinement",  # what its node is to know
-    "contends_ns",  # when it took part in an arbitration
-)
-_OWED = ("owed", "again", "lost_for")  # 1: a scripted fault has struck the frame that is to be sent again; what it does
-_SLOW_MOTION = (  # see sim_bus.copper.follow
-    *("mode", "count", "level", "frame", "sent_bits", "transmitted", "exempt", "overload", "joins"),
-    *("passive_flag", "flag_last", "flag_run"),
-    *("position", "last", "run", "crc", "bit_12", "extended", "header", "dlc", "crc_end", "tail"),
-)
-
-CONTROLLER = np.dtype(
-    [
-        *((name, np.int64) for name in (*_SET_UP, *_CONFINEMENT, *_COUNTERS)),
-        ("errors", np.int64, (len(ErrorKind),)),  # by kind
-        *((name, np.int64) for name in (*_THIS_FRAME, *_OWED, *_SLOW_MOTION)),
-    ],
-    align=True,
-)
 
 
 @kernel

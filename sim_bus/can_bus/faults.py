@@ -11,41 +11,22 @@ wait for a time.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
-
-import numpy as np
 
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, RUN_BITS
-from coulombus.sim_bus.can_bus.fault_confinement import STATIONS, CanState
+from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.noise import renew
-from coulombus.sim_bus.can_bus.records import BusRecord, FaultRecord
+from coulombus.sim_bus.can_bus.records import MAX_FLIPS, MOST_TOLD, STATION_MASK, BusRecord, FaultRecord
 from coulombus.sim_bus.can_bus.stuffing import TAIL_BITS
 from coulombus.sim_bus.can_bus.targets import NOBODY, is_meant
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, STATION_MASK, first_order, hold
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, first_order, hold
 from coulombus.wire.bits import data_frame_bits
 
-__all__ = [
-    "FAULT",
-    "FAULT_FIELDS",
-    "MAX_FAULTS",
-    "MOST_TOLD",
-    "NO_FRAME",
-    "FaultKind",
-    "alarm",
-    "fire",
-    "plan_alarm",
-    "strike",
-    "strike_nothing",
-]
+__all__ = ["NO_FRAME", "FaultKind", "alarm", "fire", "plan_alarm", "strike", "strike_nothing"]
 
-MAX_FAULTS = 62
-MOST_TOLD = 512
-"""Injections that are kept between two looks at them; more are only counted."""
 NO_FRAME = -1
 """In place of an identifier: a fault struck a wire on which nobody was sending, or a station."""
 BABBLE_LIMIT = 4  # frames of a babbler that may wait: more would only fill the room
-MAX_FLIPS = 16
 TAIL_BIT = 1000
 """`bit` from here on counts behind the CRC sequence: 1000 is the CRC delimiter."""
 
@@ -67,74 +48,6 @@ class FaultKind(IntEnum):
 
 
 FLIP, CORRUPT_CRC, DROP, DELAY, DUPLICATE, RESET, CUT, DRIFT, BABBLE, STUCK_DOMINANT, NOISE = map(int, FaultKind)
-
-FAULT = np.dtype(
-    [
-        *(
-            (name, np.int64)
-            for name in (
-                "kind",
-                "from_ns",  # active from ... to
-                "until_ns",
-                "framed",  # 1: it waits for a frame
-                "match_id",  # of the frame, with Linux's flags: equal under the mask
-                "match_mask",
-                "match_source",  # and sent by this station, or by `ALL`
-                "nth",  # the first frame that is meant, counted from 1
-                "every",  # and then every so many; 0: that one only
-                "most",  # how often it may strike; 0: no limit
-                "station",  # whom it hits, or `ALL`
-                "bit",
-                "delay_ns",
-                "can_id",  # what a babbler says
-                "length",
-                "word",
-                "period_ns",
-                "next_ns",
-                "seen",
-                "fired",
-                "first_ns",
-                "last_ns",
-                "active",  # a noise: 1: at work
-                "hits",  # bits that it has disturbed, not counted in `fired` yet
-            )
-        ),
-        ("lasts_ns", np.int64),  # a cut
-        ("far", np.int8, (STATIONS,)),  # by row of a station: 1: in the second half of the cut cable
-        ("rate", np.float64),
-    ],
-    align=True,
-)
-
-STRUCK = np.dtype(
-    [
-        ("flips", np.int64),  # for the frame that starts: so many of its bits are turned around,
-        ("flip_bit", np.int64, (MAX_FLIPS,)),
-        ("flip_station", np.int64, (MAX_FLIPS,)),
-        ("wrong_crc", np.int64),  # its CRC sequence is sent with these bits turned,
-        ("again", np.int64),  # it is sent once more,
-        ("lost_for", np.int64),  # it is not received by this station, or by `ALL`; `NOBODY`
-    ],
-    align=True,
-)
-
-STUCK = np.dtype([("from_ns", np.int64), ("until_ns", np.int64)], align=True)
-"""When the wire is dominant next."""
-
-FAULT_FIELDS: list[Any] = [
-    ("faults", FAULT, (MAX_FAULTS,)),
-    ("fault_count", np.int64),
-    ("fault_due", np.int64),  # bit i: row i waits for the end of the frame that has triggered it
-    ("fault_calls", np.int64),  # bit i: row i waits for Python (a reset, a cut)
-    ("alarm_ns", np.int64),  # when the bus itself has something to do, though nobody sends
-    ("told", np.int64),  # injections since the last look: time, row, identifier
-    ("told_ns", np.int64, (MOST_TOLD,)),
-    ("told_row", np.int64, (MOST_TOLD,)),
-    ("told_id", np.int64, (MOST_TOLD,)),
-    ("struck", STRUCK),
-    ("stuck", STUCK),
-]
-"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
 
 
 @inlined

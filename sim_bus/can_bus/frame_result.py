@@ -4,10 +4,6 @@ what becomes of those who sent (compiled).
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.bit_level import run_bits
 from coulombus.sim_bus.can_bus.bus_state import NS, SUSPEND_BITS, Delivered, Stage
@@ -21,22 +17,14 @@ from coulombus.sim_bus.can_bus.fault_confinement import (
     count_sent,
 )
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, STUCK_DOMINANT, fire, plan_alarm
-from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
 from coulombus.sim_bus.can_bus.stations import number, refresh
 from coulombus.sim_bus.can_bus.targets import NOBODY, is_meant
-from coulombus.sim_bus.can_bus.tx_queue import (
-    FAR_NS,
-    HELD_BACK,
-    STATION_MASK,
-    WITHDRAWN,
-    first_order,
-    hold,
-    withdraw,
-)
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, HELD_BACK, WITHDRAWN, first_order, hold, withdraw
 from coulombus.wire.controller_state import Confinement
 from coulombus.wire.frame import Queue, Records
 
-__all__ = ["MOST_ROWS", "OUTCOME_FIELDS", "end_attempt", "lose"]
+__all__ = ["MOST_ROWS", "end_attempt", "lose"]
 
 MOST_ROWS = 16
 """Rows of the log that the end of a frame may need."""
@@ -44,14 +32,6 @@ MOST_ROWS = 16
 _TOLD = tuple(
     map(int, (Confinement.ACTIVE, Confinement.ACTIVE, Confinement.PASSIVE, Confinement.BUS_OFF))
 )  # by CanState
-
-OUTCOME_FIELDS: list[Any] = [
-    ("partial_row", np.int64),  # the log's row of the last frame that was delivered to `Delivered.HEARERS`
-    ("errors", np.int64),  # errors that were told, all stations together
-    ("retransmissions", np.int64),
-    ("confinements", np.int64),  # 1: a controller's `confinement` is to be told to its node
-]
-"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
 
 
 @inlined

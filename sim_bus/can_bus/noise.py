@@ -5,9 +5,6 @@ or on an idle wire.
 from __future__ import annotations
 
 import math
-from typing import Any
-
-import numpy as np
 
 from coulombus.kernels.decorator import kernel
 from coulombus.sim_bus.can_bus.bus_state import NS
@@ -15,24 +12,10 @@ from coulombus.sim_bus.can_bus.records import BusRecord
 from coulombus.sim_bus.can_bus.targets import NOBODY
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 
-__all__ = ["NOISE_FIELDS", "disturber", "next_noise", "noisy_bit", "renew", "seeded"]
+__all__ = ["disturber", "next_noise", "noisy_bit", "renew", "seeded"]
 
 MODULUS, MULTIPLIER = 2_147_483_647, 48_271
 MOST_BITS = 1e12
-
-NOISE = np.dtype(
-    [
-        ("rate", np.float64),  # of disturbed bits, by whichever fault; 0: none
-        ("hits", np.int64),  # not counted in the faults' table yet
-        ("next_ns", np.int64),  # when the next one begins
-        ("until_ns", np.int64),  # the first of the noises ends
-        ("state", np.int64),
-    ],
-    align=True,
-)
-
-NOISE_FIELDS: list[Any] = [("noise", NOISE)]
-"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
 
 
 def seeded(seed: int) -> int:

@@ -1,18 +1,273 @@
-"""The records of the copper by name, for signatures.
+"""The records of the virtual CAN bus: the wire, the stations' controllers, faults.
 
-Their fields are those of `arbiter.BUS`, `controller.CONTROLLER` and `faults.FAULT`; mypy knows none
-of them.
+Each part of `BusRecord` is written by the module that stands above it. What is not said is int64, and
+a time is in ns.
 """
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Annotated
 
-__all__ = ["BusRecord", "ControllerRecord", "FaultRecord"]
+import numpy as np
 
-BusRecord: TypeAlias = Any
-"""The wire with all that hangs on it: a record of `arbiter.BUS`."""
-ControllerRecord: TypeAlias = Any
-"""The CAN controller of a station: a record of `controller.CONTROLLER`."""
-FaultRecord: TypeAlias = Any
-"""A fault that is planned: a record of `faults.FAULT`."""
+from coulombus.kernels.records import Integers, Record, RecordArray
+from coulombus.sim_bus.can_bus.bus_state import ErrorKind
+
+__all__ = [
+    "FRAME_BITS",
+    "MAX_FAULTS",
+    "MAX_FLIPS",
+    "MAX_SENDERS",
+    "MOST_TOLD",
+    "ROOM",
+    "STATIONS",
+    "STATION_MASK",
+    "BusRecord",
+    "ControllerRecord",
+    "FaultRecord",
+    "StuckRecord",
+]
+
+STATIONS = 256
+"""Rows: a station's is the low eight bits of its number, so the host's -1 is 255."""
+ROOM = 1024
+"""Frames that may wait at a time; more are dropped and counted in the queue's record."""
+STATION_MASK = 0xFF
+"""Stations are counted by the low eight bits of their number: the host's -1 is 255."""
+MAX_SENDERS = 128
+"""Stations that may take part in one arbitration; more wait."""
+FRAME_BITS = 160
+"""No classical frame has more, from the start of frame to the end of the inter-frame space."""
+MAX_FAULTS = 62
+MOST_TOLD = 512
+"""Injections that are kept between two looks at them; more are only counted."""
+MAX_FLIPS = 16
+
+
+class ControllerRecord(Record):
+    """The CAN controller of a station."""
+
+    # set up
+    attached: int
+    listen_only: int
+    one_shot: int
+    loopback: int
+    queue_limit: int
+    restart_ns: int
+    # fault confinement
+    tec: int
+    rec: int
+    state: int
+    changed: int
+    recovered: int
+    restart_at_ns: int
+    runs_left: int
+    suspend_ns: int
+    # counters
+    overloads: int
+    retransmissions: int
+    arbitration_lost: int
+    dropped: int
+    warnings: int
+    passives: int
+    bus_offs: int
+    restarts: int
+    errors: Annotated[Integers, len(ErrorKind)]  # by kind
+    # the frame on the wire
+    half: int  # where it is while the cable is cut
+    hears: int  # it receives what is on the wire
+    confinement: int  # what its node is to know
+    contends_ns: int  # when it took part in an arbitration
+    owed: int  # 1: a scripted fault has struck the frame that is to be sent again ...
+    again: int  # ... and it is sent once more ...
+    lost_for: int  # ... and this station does not receive it
+    # bit by bit (`sim_bus.can_bus.controller_bits`)
+    mode: int
+    count: int
+    level: int
+    frame: int
+    sent_bits: int
+    transmitted: int
+    exempt: int
+    overload: int
+    joins: int
+    passive_flag: int
+    flag_last: int
+    flag_run: int
+    position: int
+    last: int
+    run: int
+    crc: int
+    bit_12: int
+    extended: int
+    header: int
+    dlc: int
+    crc_end: int
+    tail: int
+
+
+class SenderRecord(Record):
+    """A station that sends, bit by bit."""
+
+    state: int  # `Sent`
+    order: int
+    can_id: int
+    length: int
+    word: int
+    source: int
+    lost_bit: int  # in which it lost the arbitration; without stuff bits
+    bits: int
+    bit: Annotated[Integers, FRAME_BITS, np.int8]
+
+
+class SeenRecord(Record):
+    """What was seen of a frame that is sent bit by bit."""
+
+    accepted_bit: int  # the last but one bit of the end of frame, in which receivers accept; -1: not yet
+    gave_up: int  # 1: who sends once only has lost the arbitration, and that is not told yet
+    told_bit: int  # in which the first error was detected; `NOT_TOLD`; `TOLD_BEFORE` this stretch
+    tell: int  # 1: an error is to be told: class, type, place and who
+    classes: int
+    kind: int
+    place: int
+    source: int
+
+
+class PlayRecord(Record):
+    """Where the bits that are played have come to."""
+
+    begin_ns: int  # when the first bit began
+    bit: int  # bits played
+    passed: int  # 1: what ends at the end of this bit is a frame that was received
+    unsettled: int  # 1: not all stations were idle at the end of the last stretch
+
+
+class FaultRecord(Record):
+    """A fault that is planned."""
+
+    kind: int
+    from_ns: int  # active from ... to
+    until_ns: int
+    framed: int  # 1: it waits for a frame
+    match_id: int  # of the frame, with Linux's flags: equal under the mask
+    match_mask: int
+    match_source: int  # and sent by this station, or by `ALL`
+    nth: int  # the first frame that is meant, counted from 1
+    every: int  # and then every so many; 0: that one only
+    most: int  # how often it may strike; 0: no limit
+    station: int  # whom it hits, or `ALL`
+    bit: int
+    delay_ns: int
+    can_id: int  # what a babbler says
+    length: int
+    word: int
+    period_ns: int
+    next_ns: int
+    seen: int
+    fired: int
+    first_ns: int
+    last_ns: int
+    active: int  # a noise: 1: at work
+    hits: int  # bits that it has disturbed, not counted in `fired` yet
+    lasts_ns: int  # a cut
+    far: Annotated[Integers, STATIONS, np.int8]  # by row of a station: 1: in the second half of the cut cable
+    rate: float
+
+
+class StruckRecord(Record):
+    """What a scripted fault does to the frame that starts."""
+
+    flips: int  # for the frame that starts: so many of its bits are turned around,
+    flip_bit: Annotated[Integers, MAX_FLIPS]
+    flip_station: Annotated[Integers, MAX_FLIPS]
+    wrong_crc: int  # its CRC sequence is sent with these bits turned,
+    again: int  # it is sent once more,
+    lost_for: int  # it is not received by this station, or by `ALL`; `NOBODY`
+
+
+class StuckRecord(Record):
+    """When the wire is dominant next."""
+
+    from_ns: int
+    until_ns: int
+
+
+class NoiseRecord(Record):
+    """Random bit errors."""
+
+    rate: float  # of disturbed bits, by whichever fault; 0: none
+    hits: int  # not counted in the faults' table yet
+    next_ns: int  # when the next one begins
+    until_ns: int  # the first of the noises ends
+    state: int
+
+
+class BusRecord(Record):
+    """The wire with all that hangs on it."""
+
+    bit_rate: int  # bit/s; 0: a frame takes no time here (another bus carries it)
+    stage: int  # `sim_bus.can_bus.bus_state.Stage`: what the wire is in the midst of
+    delivered: int  # `sim_bus.can_bus.bus_state.Delivered`: who has what has ended last
+    end_ns: int
+    free_ns: int
+    t_ns: int  # the frame on the wire, fields as in FRAME
+    can_id: int
+    length: int
+    word: int
+    source: int
+    frames: int  # counters
+    bits: int
+    # the cable in two halves (`cable_cut`)
+    half: int  # of the cut cable, 0 or 1, that this record is (sim_bus.copper.cut)
+    cut: int  # in the first record: is the cable cut?
+    cut_row: int  # by which row of the faults
+    mend_ns: int
+    # frames that wait (`tx_queue`)
+    limited: int  # 1: some station takes no more than so many
+    held: int  # frames that wait here
+    sequence: int  # of the next one; begins anew whenever nobody waits
+    later: int  # how many are not known to be ready yet
+    ready: int  # how many take part in the next arbitration
+    fresh: int  # places from here on were never used
+    freed: int  # places that may be used again
+    waiting_of: Annotated[Integers, STATION_MASK + 1]  # frames that wait here, by station
+    later_key: Annotated[Integers, ROOM]  # heap: ready time
+    later_place: Annotated[Integers, ROOM]
+    ready_key: Annotated[Integers, ROOM]  # heap: arbitration field, sequence
+    ready_place: Annotated[Integers, ROOM]
+    free_place: Annotated[Integers, ROOM]  # stack
+    held_order: Annotated[Integers, ROOM]  # by place: its key in the heap `ready`
+    held_can_id: Annotated[Integers, ROOM]  # by place: the frame
+    held_length: Annotated[Integers, ROOM]
+    held_word: Annotated[Integers, ROOM]
+    held_source: Annotated[Integers, ROOM]
+    # who is there (`stations`)
+    alert: int  # 1: look closely
+    on_count: int
+    on: Annotated[Integers, STATIONS]  # rows of the stations that are switched on
+    # ends of frames (`frame_result`)
+    partial_row: int  # the log's row of the last frame that was delivered to `Delivered.HEARERS`
+    errors: int  # errors that were told, all stations together
+    retransmissions: int
+    confinements: int  # 1: a controller's `confinement` is to be told to its node
+    # bits (`bit_level`, `controller_bits`)
+    play: PlayRecord
+    recessive_ns: int  # the wire has been recessive since, as far as somebody looked
+    seen: SeenRecord
+    senders: int
+    tx: Annotated[RecordArray[SenderRecord], MAX_SENDERS]
+    # faults (`faults`, `noise`)
+    faults: Annotated[RecordArray[FaultRecord], MAX_FAULTS]
+    fault_count: int
+    fault_due: int  # bit i: row i waits for the end of the frame that has triggered it
+    fault_calls: int  # bit i: row i waits for Python (a reset, a cut)
+    alarm_ns: int  # when the bus itself has something to do, though nobody sends
+    told: int  # injections since the last look: time, row, identifier
+    told_ns: Annotated[Integers, MOST_TOLD]
+    told_row: Annotated[Integers, MOST_TOLD]
+    told_id: Annotated[Integers, MOST_TOLD]
+    struck: StruckRecord
+    stuck: StuckRecord
+    noise: NoiseRecord
+    # all controllers
+    stations: Annotated[RecordArray[ControllerRecord], STATIONS]

@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.bus_state import Stage
 from coulombus.sim_bus.can_bus.controller_bits import Mode
-from coulombus.sim_bus.can_bus.fault_confinement import STATIONS, CanState
+from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import plan_alarm
-from coulombus.sim_bus.can_bus.records import BusRecord
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, STATION_MASK
+from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 
-__all__ = ["STATION_FIELDS", "attach", "detach", "number", "refresh", "restart"]
-
-STATION_FIELDS: list[Any] = [
-    ("alert", np.int64),  # 1: look closely
-    ("on_count", np.int64),
-    ("on", np.int64, (STATIONS,)),  # rows of the stations that are switched on
-]
-"""The part of the bus's record (`sim_bus.can_bus.arbiter.BUS`) that this module writes."""
+__all__ = ["attach", "detach", "number", "refresh", "restart"]
 
 
 @inlined

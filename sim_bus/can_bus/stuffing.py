@@ -12,12 +12,10 @@ from coulombus.kernels.records import Integers
 from coulombus.wire.bits import CRC_POLYNOMIAL
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 
-__all__ = ["CRC_BITS", "FRAME_BITS", "TAIL_BITS", "crc_step", "stuffed_bits"]
+__all__ = ["CRC_BITS", "TAIL_BITS", "crc_step", "stuffed_bits"]
 
 CRC_BITS = 15
 TAIL_BITS = 10  # CRC delimiter, ACK slot, ACK delimiter, end of frame (7)
-FRAME_BITS = 160
-"""No classical frame has more, from the start of frame to the end of the inter-frame space."""
 
 
 @kernel
@@ -33,7 +31,7 @@ def stuffed_bits(can_id: int, length: int, word: int, wrong_crc: int, bits: Inte
     """Write the bits of a frame to `bits`, as its sender drives them (the ACK slot recessive), and
     return their number.
 
-    `can_id` and `word` are those of `wire.frame.FRAME`. `wrong_crc` is added (xor) to the CRC
+    `can_id` and `word` are those of `wire.frame.Frame`. `wrong_crc` is added (xor) to the CRC
     sequence, which is stuffed afterwards.
     """
     n = min(max(length, 0), 8)

@@ -6,28 +6,20 @@ bus takes them in and keeps them in two binary heaps of places: `later` by the t
 is ready, and `ready` by its arbitration field and then by the order in which it was asked for. So a
 frame costs O(log n).
 
-The fields of the room are part of the bus's record (`sim_bus.can_bus.arbiter.BUS`).
+The fields of the room are part of the bus's record (`sim_bus.can_bus.records.BusRecord`).
 """
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import Integers
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
-from coulombus.sim_bus.can_bus.records import BusRecord
-from coulombus.wire.frame import Queue, Record, arbitration_key
+from coulombus.sim_bus.can_bus.records import ROOM, STATION_MASK, BusRecord
+from coulombus.wire.frame import Frame, Queue, arbitration_key
 
 __all__ = [
     "FAR_NS",
-    "HALF_FIELDS",
     "HELD_BACK",
-    "ROOM",
-    "STATION_MASK",
-    "WAITING_FIELDS",
     "WITHDRAWN",
     "accept",
     "first_ns",
@@ -41,12 +33,8 @@ __all__ = [
 ]
 
 FAR_NS = 1 << 62
-ROOM = 1024
-"""Frames that may wait at a time; more are dropped and counted in the queue's record."""
 FEW = 4
 """So many are found sooner by a look at each."""
-STATION_MASK = 0xFF
-"""Stations are counted by the low eight bits of their number: the host's -1 is 255."""
 SEQUENCE_BITS = 31
 SEQUENCE_MASK = (1 << SEQUENCE_BITS) - 1
 HELD_BACK = 2
@@ -55,35 +43,6 @@ HELD_BACK = 2
 WITHDRAWN = -1
 """As `order` of a frame on the wire: it is not sent again."""
 FIRST_SEQUENCE = 3  # 0 is a frame that was on the wire before, 1 one that was about to be
-
-WAITING_FIELDS: list[Any] = [
-    ("limited", np.int64),  # 1: some station takes no more than so many
-    ("held", np.int64),  # frames that wait here
-    ("sequence", np.int64),  # of the next one; begins anew whenever nobody waits
-    ("later", np.int64),  # how many are not known to be ready yet
-    ("ready", np.int64),  # how many take part in the next arbitration
-    ("fresh", np.int64),  # places from here on were never used
-    ("freed", np.int64),  # places that may be used again
-    ("waiting_of", np.int64, (STATION_MASK + 1,)),  # frames that wait here, by station
-    ("later_key", np.int64, (ROOM,)),  # heap: ready time
-    ("later_place", np.int64, (ROOM,)),
-    ("ready_key", np.int64, (ROOM,)),  # heap: arbitration field, sequence
-    ("ready_place", np.int64, (ROOM,)),
-    ("free_place", np.int64, (ROOM,)),  # stack
-    ("held_order", np.int64, (ROOM,)),  # by place: its key in the heap `ready`
-    ("held_can_id", np.int64, (ROOM,)),  # by place: the frame
-    ("held_length", np.int64, (ROOM,)),
-    ("held_word", np.int64, (ROOM,)),
-    ("held_source", np.int64, (ROOM,)),
-]
-
-
-HALF_FIELDS: list[Any] = [
-    ("half", np.int64),  # of the cut cable, 0 or 1, that this record is (sim_bus.copper.cut)
-    ("cut", np.int64),  # in the first record: is the cable cut?
-    ("cut_row", np.int64),  # by which row of the faults
-    ("mend_ns", np.int64),
-]
 
 
 @inlined
@@ -147,7 +106,7 @@ def hold(bus: BusRecord, order: int, can_id: int, length: int, word: int, source
 
 
 @inlined
-def accept(bus: BusRecord, frame: Record) -> bool:
+def accept(bus: BusRecord, frame: Frame) -> bool:
     """Let a frame that was asked for wait in the room, unless its station takes no more; False:
     there is no room.
     """

@@ -34,7 +34,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
-from coulombus.sim_bus.can_bus.faults import MAX_FAULTS, TAIL_BIT
+from coulombus.sim_bus.can_bus.faults import TAIL_BIT
+from coulombus.sim_bus.can_bus.records import MAX_FAULTS
 from coulombus.sim_bus.faults.error_text import mistakes
 
 __all__ = [

@@ -12,10 +12,11 @@ import numpy as np
 
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.sim_bus.can_bus.bus_state import Stage
+from coulombus.sim_bus.can_bus.bus_state import ErrorKind, Stage
 from coulombus.sim_bus.can_bus.cable_cut import MENDING, WHOLE, join, merged_faults, split, wire_of
-from coulombus.sim_bus.can_bus.fault_confinement import STATIONS, CanState, ErrorKind
+from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, fire, plan_alarm
+from coulombus.sim_bus.can_bus.records import STATIONS
 from coulombus.sim_bus.can_bus.stations import detach
 from coulombus.sim_bus.can_bus.targets import CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.faults.file import FaultError, FaultPlan

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from coulombus.rigs.toml_lines import Key
-from coulombus.sim_bus.can_bus.fault_confinement import MANUAL, STATIONS
+from coulombus.sim_bus.can_bus.fault_confinement import MANUAL
 from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.can_bus.noise import seeded
-from coulombus.sim_bus.can_bus.records import BusRecord, FaultRecord
+from coulombus.sim_bus.can_bus.records import STATIONS, BusRecord, FaultRecord
 from coulombus.sim_bus.can_bus.stations import refresh
 from coulombus.sim_bus.can_bus.targets import ALL, CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
@@ -140,7 +140,7 @@ def install(
 
     Parameters
     ----------
-    bus : the record of `sim_bus.can_bus.arbiter.BUS`
+    bus : the record of `sim_bus.can_bus.records.BusRecord`
     seed : of the noise, where the file has none of its own
     stations, node_ids : stations by name and by node id
 

@@ -23,7 +23,7 @@ that belongs to no axis has no rig, and none of this costs it anything.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -31,27 +31,29 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
-from coulombus.host.cycle.records import LawFunction
+from coulombus.host.cycle.records import AxisRecords, LawFunction
 from coulombus.host.cycle.telemetry import tell_all
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.numba_inside import borrowed
-from coulombus.kernels.records import Floats, Integers, Record, Records
+from coulombus.kernels.records import Floats, Integers, RecordArray, dtype_of
 from coulombus.node import core, emcy, own_time
+from coulombus.node.record import NodeRecord
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
 from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
 from coulombus.sim_bus.can_bus.cable_cut import choose
 from coulombus.sim_bus.can_bus.error_path import attempt
 from coulombus.sim_bus.can_bus.frame_result import MOST_ROWS, end_attempt
+from coulombus.sim_bus.can_bus.records import BusRecord
 from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, next_device
-from coulombus.sim_bus.rig.coupling import COUPLING, BrakeOutput, brake_torque, show
+from coulombus.sim_bus.rig.coupling import BrakeOutput, brake_torque, show
 from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm
 from coulombus.sim_bus.rig.plant_step import CourseFunction
-from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
-from coulombus.wire.frame import FRAME, QUEUE_CAPACITY, Queue
+from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
+from coulombus.wire.clock import Clock, bus_ns, own_ns, to_bus
+from coulombus.wire.frame import QUEUE_CAPACITY, Frame, Queue
 
 __all__ = [
-    "AXIS",
     "BRAKE",
     "LOG_FRAMES",
     "MOST_DEVICES",
@@ -97,66 +99,53 @@ SENT_FRAMES = 1 << 12
 TOLD_FRAMES = 1 << 13
 """Frames that the log, what is kept of the host's, and what it tells of itself have room for."""
 
-WORLD = np.dtype(
-    [
-        ("t_ns", np.int64),
-        ("until_ns", np.int64),
-        ("script_ns", np.int64),
-        ("stale", np.int64),  # 1: Python has worked on the records since the kernel last looked at all of them
-        ("host_on", np.int64),  # 1: the host's cycle runs
-        ("host_elsewhere", np.int64),  # 1: the host is another process, or there is none
-        ("drifting", np.int64),  # devices that have a clock of their own
-        *CLOCK_FIELDS,  # the host's
-        ("phase", np.int64),  # the phases of the host's axes that Python knows, four bits each
-        ("log_count", np.int64),
-        # what only a replay of the host needs to know (`recording.trace`)
-        ("had", np.int8, (LOG_FRAMES,)),  # by row of the log: 1: the host has received this frame
-        ("keep_sent", np.int64),  # 1: keep what the host asks the bus to send, whatever becomes of it
-        ("sent_count", np.int64),
-        ("sent", FRAME, (SENT_FRAMES,)),
-        ("tells", np.int64),  # 1: the host tells of itself after each cycle (`host.cycle.telemetry`)
-        ("told_count", np.int64),
-        # who wants the last frame
-        ("services", np.int64),  # how many devices
-        ("service", np.int64, (MOST_DEVICES,)),  # which
-        ("control_plane", np.int64),  # 1: the host's
-        ("heard", np.int64),  # 1: one of Python's stations
-        ("listen_all", np.int64),  # 1: one of them wants what is not in `listening`: remote, extended and error frames
-        # axes
-        ("axis", np.int64),  # whose exit it is
-        ("to_begin", np.int64),  # axes whose schedule has not begun
-        ("force_end_ns", np.int64),  # the first time at which an axis' block of force ends
-    ],
-    align=True,
-)
 
-AXIS = np.dtype(
-    [
-        ("motor", np.int64),  # rows of the node records
-        ("brake", np.int64),
-        ("operator_start_ns", np.int64),  # -1: the schedule has not begun
-        ("force_step", np.int64),  # the plant's step at which the force block begins
-        ("force_end_ns", np.int64),  # the time at which it ends
-        ("steps_per_knot", np.int64),
-        ("truth_on", np.int64),
-        *COUPLING,
-    ],
-    align=True,
-)
+class WorldRecord(Clock):
+    """What the loop knows beside the records of bus, nodes and rig."""
+
+    t_ns: int
+    until_ns: int
+    script_ns: int
+    stale: int  # 1: Python has worked on the records since the kernel last looked at all of them
+    host_on: int  # 1: the host's cycle runs
+    host_elsewhere: int  # 1: the host is another process, or there is none
+    drifting: int  # devices that have a clock of their own
+    phase: int  # the phases of the host's axes that Python knows, four bits each
+    log_count: int
+    # what only a replay of the host needs to know (`recording.trace`)
+    had: Annotated[Integers, LOG_FRAMES, np.int8]  # by row of the log: 1: the host has received this frame
+    keep_sent: int  # 1: keep what the host asks the bus to send, whatever becomes of it
+    sent_count: int
+    sent: Annotated[RecordArray[Frame], SENT_FRAMES]
+    tells: int  # 1: the host tells of itself after each cycle (`host.cycle.telemetry`)
+    told_count: int
+    # who wants the last frame
+    services: int  # how many devices
+    service: Annotated[Integers, MOST_DEVICES]  # which
+    control_plane: int  # 1: the host's
+    heard: int  # 1: one of Python's stations
+    listen_all: int  # 1: one of them wants what is not in `listening`: remote, extended and error frames
+    # axes
+    axis: int  # whose exit it is
+    to_begin: int  # axes whose schedule has not begun
+    force_end_ns: int  # the first time at which an axis' block of force ends
+
+
+WORLD = dtype_of(WorldRecord)
 
 
 class World(NamedTuple):
     """All that the loop runs on, but for the host's cycle."""
 
-    state: Record
-    """A record of `WORLD`."""
-    bus: Records
+    state: WorldRecord
+    """A record of `WorldRecord`."""
+    bus: RecordArray[BusRecord]
     """`sim_bus.can_bus.arbiter.new_bus`: the wire, and its second half while the cable is cut."""
     out: Queue
-    """A record of `wire.frame.QUEUE`: what the bus is asked to send."""
-    log: Records
-    """Records of `wire.frame.FRAME`: what the bus has carried."""
-    nodes: Records
+    """A record of `wire.frame.Queue`: what the bus is asked to send."""
+    log: RecordArray[Frame]
+    """Records of `wire.frame.Frame`: what the bus has carried."""
+    nodes: RecordArray[NodeRecord]
     """`node.record.new_nodes`: the devices."""
     deadlines: Integers
     """`sim_bus.network.deadline_tree.new_deadlines`: when each device wants to be called."""
@@ -164,12 +153,12 @@ class World(NamedTuple):
     """`sim_bus.network.deadline_tree.new_wants`: which devices want a frame."""
     listening: Integers
     """By identifier: 1 where one of Python's stations wants the frame."""
-    axes: Records
-    """Records of `AXIS`."""
+    axes: RecordArray[RigAxis]
+    """Records of `AxisRecord`."""
     axis_of: Integers
     """By row of a device: its axis, or -1."""
-    plant: Records
-    """Records of `sim_bus.rig.plant.PLANT`, one for each axis."""
+    plant: RecordArray[PlantRecord]
+    """Records of `sim_bus.rig.records.PlantRecord`, one for each axis."""
     f_h: Floats
     """By axis: the block of the operator's force."""
     truth: Floats
@@ -179,13 +168,13 @@ class World(NamedTuple):
 class Host(NamedTuple):
     """The host's cycle, as `host.cycle.axes` takes it."""
 
-    axes: Records  # `host.cycle.controller.AXIS` records
+    axes: AxisRecords  # `host.cycle.records.AxisRecord` records
     owner: Integers  # by identifier: the axis that its frames belong to
-    told: Records  # `TOLD_FRAMES` records of `wire.frame.FRAME`: what it tells of itself
+    told: RecordArray[Frame]  # `TOLD_FRAMES` records of `wire.frame.Frame`: what it tells of itself
 
 
 @inlined
-def _sample(p: Record, axis: Record, nodes: Records) -> None:
+def _sample(p: PlantRecord, axis: RigAxis, nodes: RecordArray[NodeRecord]) -> None:
     """Let the devices look at the rig: encoder, motor current, transducer, coil."""
     motor, brake = nodes[axis.motor], nodes[axis.brake]
     if motor.in_faults & ENCODER_LOST:
@@ -235,7 +224,7 @@ def actuate(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
 
 
 @kernel
-def _keep(w: Record, out: Queue, first: int) -> None:
+def _keep(w: WorldRecord, out: Queue, first: int) -> None:
     """Keep what the host has pushed from place `first` on."""
     if w.clock_on != 0:
         to_bus(w, out, first)
@@ -250,7 +239,7 @@ def _keep(w: Record, out: Queue, first: int) -> None:
 
 
 @kernel
-def end_closely(world: World, course: CourseFunction, b: Record) -> None:
+def end_closely(world: World, course: CourseFunction, b: BusRecord) -> None:
     """End a frame, or a stretch of slow motion, that was looked at closely.
 
     Tell the devices what became of their controllers.
@@ -274,7 +263,9 @@ def end_closely(world: World, course: CourseFunction, b: Record) -> None:
 
 
 @kernel
-def refresh(w: Record, nodes: Records, axes: Records, deadlines: Integers, wants: Integers) -> None:
+def refresh(
+    w: WorldRecord, nodes: RecordArray[NodeRecord], axes: RecordArray[RigAxis], deadlines: Integers, wants: Integers
+) -> None:
     """Bring all that is looked up instead of asked for up to the records that Python may have
     written.
     """
@@ -291,7 +282,7 @@ def refresh(w: Record, nodes: Records, axes: Records, deadlines: Integers, wants
 
 
 @inlined
-def next_event(w: Record, b: Record, out: Queue, deadlines: Integers, host: Records) -> tuple[int, int]:
+def next_event(w: WorldRecord, b: BusRecord, out: Queue, deadlines: Integers, host: AxisRecords) -> tuple[int, int]:
     """Return when something happens next, and what."""
     t = b.end_ns if b.stage != Stage.FREE else FAR_NS  # strict comparisons keep the order of equals
     what = FRAME_END

@@ -44,12 +44,11 @@ import numpy as np
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.reader import Description, read_eds
-from coulombus.host.cycle.controller import AXIS as HOST_AXIS
 from coulombus.host.cycle.controllers import unused_law
-from coulombus.host.cycle.records import LawFunction
+from coulombus.host.cycle.records import AxisRecord, LawFunction
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.kernels.decorator import Entry
-from coulombus.kernels.records import Floats, Integers
+from coulombus.kernels.records import Floats, Integers, RecordArray
 from coulombus.node.device import Device
 from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
@@ -61,14 +60,15 @@ from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.can_bus.tx_queue import withdraw
 from coulombus.sim_bus.network.deadline_tree import IDENTIFIERS, new_deadlines, new_wants
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
-from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, TOLD_FRAMES, WORLD, Exit, Host, World, run
+from coulombus.sim_bus.network.kernel import LOG_FRAMES, MOST_DEVICES, TOLD_FRAMES, WORLD, Exit, Host, World, run
 from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
-from coulombus.sim_bus.rig.plant import PLANT, TRUTH_COLUMNS
+from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
+from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import (
     CAN_RTR_FLAG,
-    FRAME,
+    Frame,
     Queue,
     Records,
     data_bytes,
@@ -101,9 +101,9 @@ class Mechanics:
     every network.
     """
 
-    axes: Records
+    axes: RecordArray[RigAxis]
     axis_of: Integers
-    plant: Records
+    plant: RecordArray[PlantRecord]
     f_h: Floats
     truth: Floats
     host: Host
@@ -113,13 +113,13 @@ class Mechanics:
 def without_mechanics(devices: int) -> Mechanics:
     """Return no axis and no host."""
     return Mechanics(
-        axes=new_records(AXIS, 0),
+        axes=new_records(RigAxis, 0),
         axis_of=np.full(devices, -1, np.int64),
-        plant=new_records(PLANT, 0),
+        plant=new_records(PlantRecord, 0),
         f_h=np.zeros((0, 1)),
         truth=np.zeros((0, 1, len(TRUTH_COLUMNS))),
         host=Host(
-            axes=new_records(HOST_AXIS, 1), owner=np.zeros(IDENTIFIERS, np.int64), told=new_records(FRAME, TOLD_FRAMES)
+            axes=new_records(AxisRecord, 1), owner=np.zeros(IDENTIFIERS, np.int64), told=new_records(Frame, TOLD_FRAMES)
         ),
         law_function=unused_law(),
     )

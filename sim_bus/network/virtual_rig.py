@@ -17,19 +17,21 @@ from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import OVER_S, Change, LiveParameters
 from coulombus.host.cycle.records import Trip
+from coulombus.kernels.records import RecordArray
 from coulombus.node.device import Device
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, TOLD_FRAMES, Exit, Host
+from coulombus.sim_bus.network.kernel import BRAKE, MOTOR, TOLD_FRAMES, Exit, Host
 from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
-from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, new_plant, truth_columns
+from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, new_plant, truth_columns
 from coulombus.sim_bus.rig.plant_step import course_of
+from coulombus.sim_bus.rig.records import AXIS, PlantRecord, RigAxis
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
 from coulombus.wire.clock import own_ns, set_clock
-from coulombus.wire.frame import FRAME, Records, new_records
+from coulombus.wire.frame import Frame, Records, new_records
 
 __all__ = ["VirtualRig"]
 
@@ -101,7 +103,7 @@ class VirtualRig(VirtualNetwork):
 
         n = len(rig.axes)
         knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
-        axes, plant = new_records(AXIS, n), new_records(PLANT, n)
+        axes, plant = new_records(RigAxis, n), new_records(PlantRecord, n)
         self._axes = axes.view(np.ndarray)  # Python looks at it often: a plain array answers faster than a recarray
         self._f_h = np.zeros((n, knots + 1))
         self._take(rig, plant, seed)
@@ -111,7 +113,7 @@ class VirtualRig(VirtualNetwork):
         self._truth_block = np.zeros((n, steps if truth else 1, max(map(len, self._columns))))
         self._truth: list[list[Any]] = [[] for _ in range(n)]
         k = self.controllers
-        self._told = new_records(FRAME, TOLD_FRAMES)
+        self._told = new_records(Frame, TOLD_FRAMES)
         devices = [stand_ins(one) for one in rig.axes]
         sensors = {one.node_id: (a, one) for a, found in enumerate(devices) for one in found[2:]}  # axes may share one
         axis_of = np.array([*(np.arange(2 * n) // 2), *(a for a, _ in sensors.values())], np.int64)
@@ -143,7 +145,7 @@ class VirtualRig(VirtualNetwork):
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         self._couple()
 
-    def _take(self, rig: Rig, plant: Records, seed: int) -> None:
+    def _take(self, rig: Rig, plant: RecordArray[PlantRecord], seed: int) -> None:
         """Let `plant` and the hands be those of `rig`, which have not begun."""
         n = len(rig.axes)
         self.rig = rig
@@ -234,8 +236,8 @@ class VirtualRig(VirtualNetwork):
         plant["reverse_A"] = outputs["out_reverse_A"][brakes]
         plant["motor_pm"] = outputs["out_torque_pm"][motors]
         plant["brake_Nm"] = outputs["out_brake_Nm"][brakes]
-        for a in np.flatnonzero(self._axes["foreign"]):
-            self.plant[a]["brake_Nm"] = brake_torque(self.axes[a], self.nodes[int(brakes[a])])
+        for a in np.flatnonzero(self._axes["foreign"]).tolist():
+            self.plant[a].brake_Nm = brake_torque(self.axes[a], self.nodes[int(brakes[a])])
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         self._heard.add(can_id)

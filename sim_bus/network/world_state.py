@@ -140,7 +140,7 @@ def _advanced(parts: Any, course: Any, a: int, t_ns: int) -> Records | None:
     axis, f_h, truth = parts.axes[a], parts.f_h[a], parts.truth[a]
     per_knot = int(axis["steps_per_knot"])
     for pieces in PIECES:
-        plant: Records = copied(parts.plant[a : a + 1])
+        plant = copied(parts.plant[a : a + 1])
         p = plant[0]
         now_ns, step_ns = int(p["t_ns"]), int(p["step_ns"])
         for piece in range(1, pieces + 1):

@@ -22,16 +22,16 @@ Sources: V. Acary and B. Brogliato, Numerical Methods for Nonsmooth Dynamical Sy
 doi:10.1007/978-3-540-75392-6; backlash as a dead zone: M. Nordin and P.-O. Gutman, Automatica
 38(10), 2002, doi:10.1016/S0005-1098(02)00047-X.
 
-In the kernels: `p` a record of `sim_bus.rig.plant.PLANT`, `d` its `detail`.
+In the kernels: `p` a record of `sim_bus.rig.records.PlantRecord`, `d` its `detail`.
 """
 
 from __future__ import annotations
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.kernels.records import Record
-from coulombus.sim_bus.rig.detail import BODIES, DRY, ELEMENTS
+from coulombus.sim_bus.rig.detail import DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import foretold, wind
 from coulombus.sim_bus.rig.own_friction import set_bristles, set_levels
+from coulombus.sim_bus.rig.records import BODIES, DetailRecord, PlantRecord
 
 __all__ = ["MOST_EVENTS", "move"]
 
@@ -50,7 +50,7 @@ def _side(value: float) -> int:
 
 
 @kernel
-def _solve(d: Record) -> None:
+def _solve(d: DetailRecord) -> None:
     """Solve the tridiagonal system for the mean speeds by Cramer's rule, one division for all
     bodies, and find what the stuck ones bear.
 
@@ -92,7 +92,7 @@ def _solve(d: Record) -> None:
 
 
 @kernel
-def _try_once(p: Record, h: float, hand: float, torque: float) -> None:
+def _try_once(p: PlantRecord, h: float, hand: float, torque: float) -> None:
     """Find them with what the elements of friction are foretold to do."""
     d = p.detail
     n = d.count
@@ -154,7 +154,7 @@ def _try_once(p: Record, h: float, hand: float, torque: float) -> None:
 
 
 @kernel
-def _try(p: Record, h: float, hand: float, torque: float) -> None:
+def _try(p: PlantRecord, h: float, hand: float, torque: float) -> None:
     """Find the mean speeds of a step of `h` [s] and which bodies stick in it."""
     _try_once(p, h, hand, torque)
     d = p.detail
@@ -164,7 +164,7 @@ def _try(p: Record, h: float, hand: float, torque: float) -> None:
 
 
 @inlined
-def _room(d: Record, j: int, moved: float) -> float:
+def _room(d: DetailRecord, j: int, moved: float) -> float:
     """Return the way of coupling `j` to its side of the backlash, once its bodies have `moved` against
     each other: negative beyond it.
     """
@@ -173,7 +173,7 @@ def _room(d: Record, j: int, moved: float) -> float:
 
 
 @inlined
-def _crosses(d: Record, event: int, h: float) -> float:
+def _crosses(d: DetailRecord, event: int, h: float) -> float:
     """Return a value that is negative where the `event` lies within the step of `h` that was tried:
     of bodies 0 to 2 the speed at its end, of couplings 3 and 4 the way to the backlash's side.
     """
@@ -184,7 +184,7 @@ def _crosses(d: Record, event: int, h: float) -> float:
 
 
 @inlined
-def _parts(d: Record, j: int) -> float:
+def _parts(d: DetailRecord, j: int) -> float:
     """Return how fast coupling `j`, which is at its side of the backlash, goes away from it in the
     step that was tried.
     """
@@ -194,7 +194,7 @@ def _parts(d: Record, j: int) -> float:
 
 
 @kernel
-def _next_event(d: Record, h: float, found: int) -> int:
+def _next_event(d: DetailRecord, h: float, found: int) -> int:
     """Return an event within the step of `h` that was tried and is not the one that was `found` at its
     end, or `NO_EVENT`.
     """
@@ -213,7 +213,7 @@ def _next_event(d: Record, h: float, found: int) -> int:
 
 
 @kernel
-def _first_event(p: Record, h: float, event: int, hand: float, torque: float) -> tuple[float, int]:
+def _first_event(p: PlantRecord, h: float, event: int, hand: float, torque: float) -> tuple[float, int]:
     """Return how long it is to the first event of a step of `h` that was tried, and that event;
     `event` is one within the step.
 
@@ -258,7 +258,7 @@ def _first_event(p: Record, h: float, event: int, hand: float, torque: float) ->
 
 
 @kernel
-def _go(p: Record, h: float, hand: float, torque: float) -> None:
+def _go(p: PlantRecord, h: float, hand: float, torque: float) -> None:
     """Take the step of `h` that was tried last."""
     d = p.detail
     rate = 2.0 / h
@@ -312,7 +312,7 @@ def _go(p: Record, h: float, hand: float, torque: float) -> None:
 
 
 @kernel
-def move(p: Record, hand: float, torque: float, capacity: float) -> None:
+def move(p: PlantRecord, hand: float, torque: float, capacity: float) -> None:
     """Move all bodies on by one step of the plant under the hand's and the motor's torque, with the
     brake's `capacity` [Nm].
     """

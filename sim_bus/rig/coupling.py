@@ -7,7 +7,7 @@ Another maker's device has counts:
     shown  = clip(floor((quantity - offset) * gain + 1/2), low, high), or the low bits of it where the object counts on (a position)
     brake  = table(raw) or scale * raw, never below 0,   raw: an analogue output, a drive's set-point, or the value of an object
 
-In the kernels: `axis` a record of `sim_bus.network.kernel.AXIS`, `p` its plant.
+In the kernels: `axis` a record of `sim_bus.rig.records.RigAxis`, `p` its plant.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
-import numpy as np
-
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Record, Records
-from coulombus.rigs.devices import TABLE_POINTS
+from coulombus.kernels.records import RecordArray
+from coulombus.node.record import NodeRecord
 from coulombus.sim_bus.rig.plant import encoder_rad
+from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 
-__all__ = ["COUPLING", "MOST_SHOWN", "SHOWN", "BrakeOutput", "Quantity", "brake_torque", "show"]
+__all__ = ["BrakeOutput", "Quantity", "brake_torque", "show"]
 
 
 class Quantity(IntEnum):
@@ -46,38 +45,8 @@ class BrakeOutput(IntEnum):
     OBJECT = 4  # an object's value
 
 
-MOST_SHOWN = 6
-
-SHOWN = np.dtype(
-    [
-        ("row", np.int64),  # the device, and where the object stands in its values
-        ("slot", np.int64),
-        ("quantity", np.int64),
-        ("gain", np.float64),  # counts for one unit
-        ("offset", np.float64),  # the quantity at the count 0
-        ("low", np.int64),
-        ("high", np.int64),
-    ],
-    align=True,
-)
-
-COUPLING = [
-    ("foreign", np.int64),  # 0: our own two devices, and nothing below is used
-    ("shown_count", np.int64),
-    ("shown", SHOWN, (MOST_SHOWN,)),
-    ("brake_output", np.int64),
-    ("brake_channel", np.int64),  # of the module, or the object's slot
-    ("brake_counts", np.float64),  # counts of the set-point for one per mille of a drive, or one Nm of our driver
-    ("brake_scale_Nm", np.float64),  # for one count, where there is no table
-    ("brake_points", np.int64),  # of the table; 0: none
-    ("brake_table_raw", np.float64, (TABLE_POINTS,)),  # ascending
-    ("brake_table_Nm", np.float64, (TABLE_POINTS,)),
-]
-"""Fields of `sim_bus.network.kernel.AXIS`."""
-
-
 @kernel
-def _interpolated(axis: Record, raw: float) -> float:
+def _interpolated(axis: RigAxis, raw: float) -> float:
     """Return the table's torque, its ends beyond them."""
     points, raws, torques = axis.brake_points, axis.brake_table_raw, axis.brake_table_Nm
     if raw <= raws[0]:
@@ -90,7 +59,7 @@ def _interpolated(axis: Record, raw: float) -> float:
 
 
 @kernel
-def brake_torque(axis: Record, brake: Record) -> float:
+def brake_torque(axis: RigAxis, brake: NodeRecord) -> float:
     """Return the torque [Nm] that the brake's device commands; `brake` is its record."""
     if axis.brake_output == BrakeOutput.TORQUE:
         return float(brake.out_brake_Nm)
@@ -115,7 +84,7 @@ def _wrapped(value: float, low: int, high: int) -> int:
 
 
 @kernel
-def show(axis: Record, p: Record, nodes: Records, handle_Nm: float, coil_A: float) -> None:
+def show(axis: RigAxis, p: PlantRecord, nodes: RecordArray[NodeRecord], handle_Nm: float, coil_A: float) -> None:
     """Let the objects show the plant, and a drive that feeds the coil the current that flows."""
     for k in range(axis.shown_count):
         one = axis.shown[k]

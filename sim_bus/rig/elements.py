@@ -27,7 +27,7 @@ Sources: F. Al-Bender, V. Lampaert, J. Swevers, IEEE Transactions on Automatic C
 doi:10.1109/TAC.2005.858676; V. Lampaert, J. Swevers, F. Al-Bender, IEEE Transactions on Automatic
 Control 47(4), 2002, doi:10.1109/9.995050.
 
-In the kernels: `d` a record of `sim_bus.rig.detail.DETAIL`, `i` a body, `j` an element.
+In the kernels: `d` a record of `sim_bus.rig.records.DetailRecord`, `i` a body, `j` an element.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.kernels.records import Record
+from coulombus.sim_bus.rig.records import DetailRecord
 
 __all__ = ["elements_torque", "foretold", "set_elements", "stored_in_elements", "wind"]
 
@@ -43,7 +43,7 @@ WINDS = math.inf
 
 
 @kernel
-def set_elements(d: Record, i: int, g: float, at_rest: float) -> None:
+def set_elements(d: DetailRecord, i: int, g: float, at_rest: float) -> None:
     """Set what the elements of a body do in the step that begins: its level `g` [Nm] now, and
     `at_rest`.
     """
@@ -62,7 +62,7 @@ def set_elements(d: Record, i: int, g: float, at_rest: float) -> None:
 
 
 @inlined
-def _way(d: Record, i: int, h: float) -> float:
+def _way(d: DetailRecord, i: int, h: float) -> float:
     """Return how far z goes in a step of `h` with the speed of its begin, as if all elements
     wound; 0 where that cannot be foretold.
     """
@@ -78,7 +78,7 @@ def _way(d: Record, i: int, h: float) -> float:
 
 
 @inlined
-def _element(d: Record, i: int, j: int, h: float, way: float) -> tuple[float, float, float]:
+def _element(d: DetailRecord, i: int, j: int, h: float, way: float) -> tuple[float, float, float]:
     """Return what an element bears in a step, on the mean, as (constant, for each rad of z), and what
     it bears behind it, or `WINDS`; `way` is foretold.
     """
@@ -98,7 +98,7 @@ def _element(d: Record, i: int, j: int, h: float, way: float) -> tuple[float, fl
 
 
 @kernel
-def elements_torque(d: Record, i: int, h: float) -> None:
+def elements_torque(d: DetailRecord, i: int, h: float) -> None:
     """Set the torque of the elements over a step of `h`: held + given u [Nm]; and what `foretold` and
     `wind` need to know of the step.
     """
@@ -115,7 +115,7 @@ def elements_torque(d: Record, i: int, h: float) -> None:
 
 
 @kernel
-def foretold(d: Record) -> bool:
+def foretold(d: DetailRecord) -> bool:
     """Tell whether z goes as was foretold in the step that was tried; where it does not, all
     elements of that body wind from now on, which is right in either sense.
     """
@@ -128,7 +128,7 @@ def foretold(d: Record) -> bool:
 
 
 @kernel
-def wind(d: Record, i: int, h: float, u: float) -> float:
+def wind(d: DetailRecord, i: int, h: float, u: float) -> float:
     """Take the step of `h` that was tried last, with the mean speed `u`; return by how much the energy
     of the elements has grown [J].
     """
@@ -156,7 +156,7 @@ def wind(d: Record, i: int, h: float, u: float) -> float:
 
 
 @kernel
-def stored_in_elements(d: Record, i: int) -> float:
+def stored_in_elements(d: DetailRecord, i: int) -> float:
     """Return the energy in the elements of a body [J]."""
     stored = 0.0
     if d.share[i] > 0.0:

@@ -24,7 +24,7 @@ Sources: play operators: M. Brokate and J. Sprekels, Hysteresis and Phase Transi
 doi:10.1007/978-1-4612-4048-8; K. Kuhnen, European Journal of Control 9(4), 2003,
 doi:10.3166/ejc.9.407-418.
 
-In the kernels: `p` a record of `sim_bus.rig.plant.PLANT`, `d` its `detail`.
+In the kernels: `p` a record of `sim_bus.rig.records.PlantRecord`, `d` its `detail`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Record
+from coulombus.sim_bus.rig.records import DetailRecord, PlantRecord
 
 __all__ = ["brake_capacity", "heat", "iron", "thin"]
 
@@ -40,7 +40,7 @@ PADE = 0.01
 
 
 @kernel
-def iron(d: Record, coil: float) -> float:
+def iron(d: DetailRecord, coil: float) -> float:
     """Let the coil's present torque [Nm] act on the iron; return what the fluid sees of it [Nm]."""
     total = d.direct * coil
     for j in range(d.plays):
@@ -51,7 +51,7 @@ def iron(d: Record, coil: float) -> float:
 
 
 @kernel
-def brake_capacity(p: Record, magnetised: float) -> float:
+def brake_capacity(p: PlantRecord, magnetised: float) -> float:
     """Let the fluid follow what it sees [Nm] for one step; return what the brake can bear [Nm]."""
     d = p.detail
     rate = d.rise if magnetised >= p.fluid else d.fall
@@ -69,7 +69,7 @@ def brake_capacity(p: Record, magnetised: float) -> float:
 
 
 @kernel
-def thin(d: Record) -> None:
+def thin(d: DetailRecord) -> None:
     """Let the device's temperature act on the fluid: it changes little within a call of the bus."""
     warmer = d.degC - d.reference
     d.weak = max(1.0 - d.torque_K * warmer, 0.0)
@@ -77,7 +77,7 @@ def thin(d: Record) -> None:
 
 
 @kernel
-def heat(p: Record, lost_W: float, current_A: float) -> None:
+def heat(p: PlantRecord, lost_W: float, current_A: float) -> None:
     """Let the device warm up for one step by what friction loses in it [W], and by the coil."""
     d = p.detail
     gained = lost_W + d.coil_ohm * current_A * current_A

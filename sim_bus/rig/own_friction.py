@@ -25,7 +25,7 @@ Sources: H. Olsson and others, Friction Models and Friction Compensation, Europe
 Control 4(3), 1998, doi:10.1016/S0947-3580(98)70113-X; C. Canudas de Wit and others, IEEE
 Transactions on Automatic Control 40(3), 1995, doi:10.1109/9.376053.
 
-In the kernels: `p` a record of `sim_bus.rig.plant.PLANT`, `d` its `detail`, `i` a body.
+In the kernels: `p` a record of `sim_bus.rig.records.PlantRecord`, `d` its `detail`, `i` a body.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from __future__ import annotations
 import math
 
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Record
-from coulombus.sim_bus.rig.detail import BODIES, DRY, ELEMENTS
+from coulombus.sim_bus.rig.detail import DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import elements_torque, set_elements
+from coulombus.sim_bus.rig.records import BODIES, DetailRecord, PlantRecord
 from coulombus.sim_bus.rig.wave import wave
 
 __all__ = ["set_bristles", "set_levels"]
@@ -47,7 +47,7 @@ LEAST_Nm = 1e-9
 
 
 @kernel
-def set_levels(p: Record, capacity: float) -> None:
+def set_levels(p: PlantRecord, capacity: float) -> None:
     """Set what each body's dry friction can bear now, the brake's `capacity` [Nm] on the drum, and
     the bristles' parameters.
     """
@@ -89,7 +89,7 @@ def set_levels(p: Record, capacity: float) -> None:
 
 
 @kernel
-def set_bristles(d: Record, i: int, h: float) -> None:
+def set_bristles(d: DetailRecord, i: int, h: float) -> None:
     """Set what a body's bristles or elements do over a step of `h`: their torque is held + given u
     [Nm].
     """

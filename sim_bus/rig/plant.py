@@ -52,23 +52,20 @@ winding.
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
-
-import numpy as np
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.kernels.records import Floats
+from coulombus.kernels.records import Floats, RecordArray
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.plant import Plant
-from coulombus.sim_bus.rig.detail import DETAIL, DETAIL_COLUMNS, detail_of
+from coulombus.sim_bus.rig.detail import DETAIL_COLUMNS, detail_of
 from coulombus.sim_bus.rig.operator import drawn
-from coulombus.wire.frame import Records, new_records
+from coulombus.sim_bus.rig.records import PlantRecord
+from coulombus.wire.frame import new_records
 
 __all__ = [
     "COIL_INTACT",
     "COIL_OPEN",
     "COIL_SHORT",
-    "PLANT",
     "TRUTH_COLUMNS",
     "advance",
     "coil_current",
@@ -92,79 +89,6 @@ NEGLIGIBLE_Nm = 1e-200
 NOISE_FACTOR, NOISE_SUMMAND, NOISE_MASK = 0x5DEECE66D, 0xB, 0xFFFFFFFFFFFF
 """The generator of the transducer's noise: x -> factor x + summand, of 48 bits."""
 
-PlantRecord: TypeAlias = Any
-"""The rig of an axis: a record of `PLANT`; mypy knows none of its fields."""
-
-PLANT = np.dtype(
-    [
-        # parameters
-        ("step_ns", np.int64),
-        ("h", np.float64),
-        ("inertia", np.float64),
-        ("viscous", np.float64),
-        ("coulomb", np.float64),
-        ("stribeck", np.float64),  # what the static friction is more than that
-        ("stribeck_v", np.float64),
-        ("off_state", np.float64),
-        ("operator_inertia", np.float64),
-        ("operator_damping", np.float64),
-        ("operator_stiffness", np.float64),
-        ("motor_decay", np.float64),  # exp(-h / lag)
-        ("motor_Nm_pm", np.float64),  # torque at the handle for one per mille, with the true polarity
-        ("motor_peak_pm", np.float64),
-        ("cogging", np.float64),  # amplitude at the handle
-        ("cogging_rad", np.float64),  # periods for one radian at the handle, times 2 pi
-        ("coil_decay", np.float64),
-        ("fluid_decay", np.float64),
-        ("brake_max", np.float64),
-        ("coil_A_Nm", np.float64),
-        ("counts_rad", np.float64),  # encoder counts for one radian at the handle, with the true polarity
-        ("eccentric", np.float64),  # amplitude of the encoder's error at the handle
-        ("eccentric_rad", np.float64),  # its radians for one radian at the handle
-        ("noise", np.float64),
-        ("bias", np.float64),
-        ("drift", np.float64),
-        ("transducer_decay", np.float64),
-        ("coil_step", np.float64),  # resolution of the coil's torque; 0: continuous
-        ("transducer_polarity", np.float64),
-        ("ambient", np.float64),
-        ("K_A2", np.float64),  # steady rise of the coil's temperature for the square of its current
-        ("thermal_s", np.float64),
-        ("remanence", np.float64),
-        ("brake_gain", np.float64),  # true torque for each Nm that the command stands for
-        # state
-        ("temperature", np.float64),
-        ("coil_fault", np.int64),  # COIL_INTACT, COIL_OPEN, COIL_SHORT
-        ("motor_pm", np.float64),  # what the drive commands, per mille of the motor's rated torque
-        ("brake_Nm", np.float64),  # what the brake's driver commands
-        ("reverse_A", np.float64),  # the driver's current of the opposite sign
-        ("remanent", np.float64),  # brake torque that the iron remembers
-        ("remanent_before", np.float64),  # ... before the current became negative
-        ("t_ns", np.int64),
-        ("x", np.float64),
-        ("v", np.float64),
-        ("motor", np.float64),  # motor torque at the handle
-        ("coil", np.float64),  # brake torque that the coil's present current stands for
-        ("fluid", np.float64),  # brake torque that the fluid can bear now, without the off-state part
-        ("inherent", np.float64),  # the device's own friction at the present speed
-        ("transduced", np.float64),  # what the transducer's filter has of the hand's torque
-        ("filtered", np.int64),  # 1: the transducer shows that, and not the torque itself
-        ("random", np.int64),
-        # torques on the handle in the step that ended at t_ns
-        ("f_operator", np.float64),
-        ("f_motor", np.float64),
-        ("f_brake", np.float64),
-        ("f_friction", np.float64),
-        # cumulative work of each on the handle, and the viscous loss
-        ("w_operator", np.float64),
-        ("w_motor", np.float64),
-        ("w_brake", np.float64),
-        ("w_friction", np.float64),
-        ("w_viscous", np.float64),
-        ("detail", DETAIL),  # what it has beyond one rigid body
-    ],
-    align=True,
-)
 
 TRUTH_COLUMNS = (
     "t_s",
@@ -195,12 +119,12 @@ def _decay(step_s: float, lag_s: float) -> float:
     return math.exp(-step_s / lag_s) if lag_s > 0 else 0.0
 
 
-def new_plant(axis: Axis, seed: int = 0) -> Records:
+def new_plant(axis: Axis, seed: int = 0) -> RecordArray[PlantRecord]:
     """Return the plant of `axis` at rest at angle 0, as an array of one record; `seed` starts the
     transducer's noise.
     """
     p, hand = axis.simulation.plant, drawn(axis.simulation.operator, seed)
-    plant = new_records(PLANT)
+    plant = new_records(PlantRecord)
     r = plant[0]
     r["step_ns"] = round(p.step_s * 1e9)
     r["h"] = p.step_s

@@ -15,13 +15,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from coulombus.kernels.decorator import JIT_DISABLED, cacheable, kernel
-from coulombus.kernels.records import Floats, Record, Records
+from coulombus.kernels.records import Floats, Records
 from coulombus.sim_bus.rig.chain import move
-from coulombus.sim_bus.rig.detail import BODIES
 from coulombus.sim_bus.rig.elements import stored_in_elements
 from coulombus.sim_bus.rig.mr_brake import brake_capacity, heat, iron, thin
 from coulombus.sim_bus.rig.plant import (
-    PLANT,
     TRUTH_COLUMNS,
     advance,
     coil_target,
@@ -31,20 +29,21 @@ from coulombus.sim_bus.rig.plant import (
     motor_target,
     settled,
 )
+from coulombus.sim_bus.rig.records import BODIES, PLANT, PlantRecord
 from coulombus.sim_bus.rig.wave import wave
 
 import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
 
 __all__ = ["CourseFunction", "advance_detailed", "course_of"]
 
-CourseFunction: TypeAlias = Callable[[Record, Floats, int, int, int, Floats, int], int]
+CourseFunction: TypeAlias = Callable[[PlantRecord, Floats, int, int, int, Floats, int], int]
 PLAIN = len(TRUTH_COLUMNS)
 RIPPLE, COGGING = BODIES, BODIES + 1
 """Rows of `waves`."""
 
 
 @kernel
-def _keep(p: Record, out: Floats) -> None:
+def _keep(p: PlantRecord, out: Floats) -> None:
     """Write a row of the true course: angle and speed are the handle's."""
     d = p.detail
     last = d.count - 1
@@ -68,7 +67,9 @@ def _keep(p: Record, out: Floats) -> None:
 
 
 @kernel
-def advance_detailed(p: Record, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> None:
+def advance_detailed(
+    p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int
+) -> None:
     """Advance a plant in detail, as `sim_bus.rig.plant.advance` does a plain one."""
     d = p.detail
     target, coil_wants = motor_target(p), coil_target(p)
@@ -118,12 +119,12 @@ def advance_detailed(p: Record, f_h: Floats, per_knot: int, first: int, steps: i
         heat_coil(p, steps * p.h, square / steps)
 
 
-def _plain(p: Record, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> int:
+def _plain(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> int:
     advance(p, f_h, per_knot, first, steps, truth, row)
     return 0
 
 
-def _either(p: Record, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> int:
+def _either(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> int:
     if p.detail.on != 0:
         advance_detailed(p, f_h, per_knot, first, steps, truth, row)
     else:

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 from coulombus.kernels.records import Record
 from coulombus.node.brake404 import BRAKE404
+from coulombus.node.constants import OUTPUTS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402, with_own_mode
-from coulombus.node.io401 import ANALOGUE_OUT, OUTPUTS
+from coulombus.node.io401 import ANALOGUE_OUT
 from coulombus.node.kinds import of_description
 from coulombus.node.motion402 import MODES
 from coulombus.node.profile import CoreObject, Key, Profile
@@ -29,7 +30,7 @@ from coulombus.rigs.plant import Plant
 from coulombus.rigs.roles import PER_MILLE, Binding
 from coulombus.rigs.signals import Node
 from coulombus.sim_bus.rig.coupling import BrakeOutput, Quantity
-from coulombus.sim_bus.rig.plant import PlantRecord
+from coulombus.sim_bus.rig.records import PlantRecord
 
 __all__ = ["StandIn", "couple", "stand_ins"]
 

@@ -9,22 +9,17 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Record
+from coulombus.sim_bus.rig.records import WaveRecord
 
-__all__ = ["WAVE", "wave"]
+__all__ = ["wave"]
 
 FAR_rad = 0.1
 
-WAVE = np.dtype([("at", np.float64), ("sine", np.float64), ("cosine", np.float64)], align=True)
-"""A record of zeros is taken anew at once where the angle is not near 0."""
-
 
 @kernel
-def wave(kept: Record, angle: float) -> float:
-    """Return the sine of `angle` [rad]; `kept` is a record of `WAVE`."""
+def wave(kept: WaveRecord, angle: float) -> float:
+    """Return the sine of `angle` [rad]; `kept` is a record of `WaveRecord`."""
     small = angle - kept.at
     if abs(small) > FAR_rad or kept.cosine == kept.sine:
         kept.at, kept.sine, kept.cosine = angle, math.sin(angle), math.cos(angle)

@@ -14,8 +14,6 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
-import numpy as np
-
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.libc import (
     EAGAIN,
@@ -31,16 +29,19 @@ from coulombus.kernels.libc import (
     errno,
     send,
 )
-from coulombus.kernels.records import Integers, Record, Records
+from coulombus.kernels.records import Integers, RecordArray
 from coulombus.sim_bus.can_bus.arbiter import receives
 from coulombus.sim_bus.can_bus.bus_state import Stage
 from coulombus.sim_bus.can_bus.cable_cut import divide
 from coulombus.sim_bus.can_bus.error_frames import with_counters
-from coulombus.sim_bus.can_bus.tx_queue import ROOM, STATION_MASK, take_in
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Queue, push
-from coulombus.wire.recvmsg import receive
+from coulombus.sim_bus.can_bus.records import ROOM, STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.tx_queue import take_in
+from coulombus.sim_bus.network.kernel import WorldRecord
+from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Frame, Queue, push
+from coulombus.wire.recvmsg import Mailbox, receive
 
-__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOT", "SLOTS", "STATION", "Need", "State", "flush", "hand_out", "take"]
+__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOTS", "STATION", "Need", "State", "flush", "hand_out", "take"]
 
 SLOTS = 32
 """Clients at a time."""
@@ -83,32 +84,6 @@ MSG_CONFIRM tells on SocketCAN.
 BUS_ERROR = 0x080  # CAN_ERR_BUSERROR
 SENDING = 0x80 << 16  # CAN_ERR_PROT_TX in data[2]
 
-SLOT = np.dtype(
-    [
-        ("fd", np.int64),
-        ("state", np.int64),
-        ("greeted", np.int64),  # wire.hello.Flags
-        ("filters", np.int64),  # how many; 0: everything
-        ("staged", np.int64),  # frames of its message that is being sent
-        ("next", np.int64),  # the first of them that is not on the bus yet
-        ("ready_ns", np.int64),  # world time at which the message was sent
-        ("dry", np.int64),  # nothing was left to read since the last ppoll
-        ("gone", np.int64),  # it has gone, and its last frames are still to be carried
-        ("out", np.int64),  # frames that wait in its batch
-        ("watched", np.int64),  # its place among those that the loop waits for; 0: none
-        # counters
-        ("sent", np.int64),  # frames on the bus from it
-        ("delivered", np.int64),  # frames that it was given
-        ("lost", np.int64),  # frames that it did not get because it did not read
-        ("malformed", np.int64),  # messages or frames that were dropped
-        ("overflow", np.int64),  # SocketCAN: frames that this process did not read in time (SO_RXQ_OVFL)
-        ("no_buffer", np.int64),  # SocketCAN: frames of the nodes that the interface did not take (ENOBUFS)
-        ("net_down", np.int64),  # SocketCAN: times that the interface was found down (ENETDOWN)
-        ("error_frames", np.int64),  # SocketCAN: error frames that came
-    ],
-    align=True,
-)
-
 
 class Clients(NamedTuple):
     """The sockets of the bus and what goes through them.
@@ -116,10 +91,10 @@ class Clients(NamedTuple):
     Row `i` of each but `pollfds` is the client in slot `i`.
     """
 
-    slots: Records
-    """Records of `SLOT`."""
-    boxes: Records
-    """Records of `wire.recvmsg.MAILBOX`."""
+    slots: RecordArray[SlotRecord]
+    """Records of `SlotRecord`."""
+    boxes: RecordArray[Mailbox]
+    """Records of `wire.recvmsg.Mailbox`."""
     words: Integers
     """The message that was read last."""
     filters: Integers
@@ -131,7 +106,7 @@ class Clients(NamedTuple):
 
 
 @inlined
-def _passes(slot: Record, filters: Integers, can_id: int) -> bool:
+def _passes(slot: SlotRecord, filters: Integers, can_id: int) -> bool:
     """Tell whether SocketCAN's filters let a frame through."""
     if can_id & CAN_ERR_FLAG:
         return slot.greeted & ERRORS != 0
@@ -146,7 +121,7 @@ def _passes(slot: Record, filters: Integers, can_id: int) -> bool:
 
 
 @kernel
-def flush(slot: Record, batch: Integers) -> None:
+def flush(slot: SlotRecord, batch: Integers) -> None:
     """Give a client its batch; what it has no room for is lost to it."""
     if slot.out == 0:
         return
@@ -162,7 +137,7 @@ def flush(slot: Record, batch: Integers) -> None:
 
 
 @kernel
-def _to_interface(slot: Record, batch: Integers) -> int:
+def _to_interface(slot: SlotRecord, batch: Integers) -> int:
     """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a
     time; return 0, or Need.GONE.
 
@@ -185,7 +160,9 @@ def _to_interface(slot: Record, batch: Integers) -> int:
 
 
 @kernel
-def hand_out(w: Record, p: Record, bus: Records, log: Records, clients: Clients) -> int:
+def hand_out(
+    w: WorldRecord, p: PaceRecord, bus: RecordArray[BusRecord], log: RecordArray[Frame], clients: Clients
+) -> int:
     """Put what the bus has carried into the batches of all who want it."""
     slots, filters, batches = clients.slots, clients.filters, clients.batches
     for row in range(p.handed_out, w.log_count):
@@ -231,7 +208,9 @@ def hand_out(w: Record, p: Record, bus: Records, log: Records, clients: Clients)
 
 
 @kernel
-def _read(p: Record, slots: Records, boxes: Records, i: int, offset_ns: int, t_ns: int) -> int:
+def _read(
+    p: PaceRecord, slots: RecordArray[SlotRecord], boxes: RecordArray[Mailbox], i: int, offset_ns: int, t_ns: int
+) -> int:
     """Read one message of the client in slot `i`; return 0, or why Python is needed.
 
     `offset_ns` is world time minus CLOCK_REALTIME, `t_ns` the present.
@@ -279,7 +258,9 @@ def _read(p: Record, slots: Records, boxes: Records, i: int, offset_ns: int, t_n
 
 
 @kernel
-def _offer(w: Record, bus: Records, s: Record, words: Integers, station: int, out: Queue) -> None:
+def _offer(
+    w: WorldRecord, bus: RecordArray[BusRecord], s: SlotRecord, words: Integers, station: int, out: Queue
+) -> None:
     """Let a client's first waiting frame take part in the arbitration, unless one of its does
     already.
     """
@@ -316,7 +297,7 @@ def _offer(w: Record, bus: Records, s: Record, words: Integers, station: int, ou
 
 
 @kernel
-def _under_way(bus: Records, station: int, out: Queue) -> bool:
+def _under_way(bus: RecordArray[BusRecord], station: int, out: Queue) -> bool:
     """Tell whether a frame of a client waits for the bus, or is on it: it is carried, though its
     sender may have gone.
     """
@@ -336,7 +317,9 @@ def _under_way(bus: Records, station: int, out: Queue) -> bool:
 
 
 @kernel
-def take(w: Record, p: Record, bus: Records, clients: Clients, out: Queue, offset_ns: int, t_ns: int) -> int:
+def take(
+    w: WorldRecord, p: PaceRecord, bus: RecordArray[BusRecord], clients: Clients, out: Queue, offset_ns: int, t_ns: int
+) -> int:
     """Offer the bus each client's next frame, reading its next message when the last one has gone.
 
     Return 0, or why Python is needed.

@@ -10,11 +10,13 @@ import numpy as np
 from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED, LssService, LssState
 from coulombus.kernels.decorator import Entry
-from coulombus.kernels.records import Record, Records
+from coulombus.kernels.records import RecordArray
 from coulombus.node import outbox
+from coulombus.node.record import NodeRecord
 from coulombus.sim_bus.can_bus.cable_cut import divide
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, fire
 from coulombus.sim_bus.can_bus.noise import next_noise
+from coulombus.sim_bus.can_bus.records import BusRecord
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import Queue, data_word
@@ -52,7 +54,7 @@ def warm_up(world: VirtualNetwork) -> None:
             Entry(function).load(*arguments)
 
 
-def _rare(bus: Records, node: Record, out: Queue) -> list[Work]:
+def _rare(bus: RecordArray[BusRecord], node: NodeRecord, out: Queue) -> list[Work]:
     """Return what a cut cable, a clock that drifts, SDO blocks and faults need."""
     return [
         (divide, (bus, out)),

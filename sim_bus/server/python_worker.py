@@ -17,7 +17,7 @@ both ends of it move.
 Where Python needs the whole world (a script's entry), `settle` lets the jobs end first. A server
 without this (`BESIDE.on` is 0) returns to Python for everything.
 
-In the kernels: `j` the record of `BESIDE`, `w` that of `sim_bus.network.kernel.WORLD`.
+In the kernels: `j` the record of `BesideRecord`, `w` that of `sim_bus.network.kernel.WORLD`.
 """
 
 from __future__ import annotations
@@ -34,20 +34,17 @@ import numpy.typing as npt
 
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import POLLIN, ppoll_ns, read, write
-from coulombus.kernels.records import Integers, Record, Records
+from coulombus.kernels.records import Integers, Records
 from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.record import LOOP_WORDS, NODE
-from coulombus.sim_bus.network.kernel import MOST_DEVICES, Exit, World, actuate, refresh
+from coulombus.sim_bus.network.kernel import Exit, World, actuate, refresh
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.rig.plant_step import CourseFunction
+from coulombus.sim_bus.server.records import JOBS, BesideRecord, PaceRecord
 from coulombus.wire.frame import new_records, push
 
 __all__ = ["FRAME", "RECORD", "Beside", "Worker", "collect", "drained", "leave", "settle"]
 
-JOBS = 64
-"""Jobs that wait at most. A further frame is lost, as in a device whose buffer is full; for the
-rest, which is the simulation's own, the loop waits.
-"""
 NODE_WORDS = NODE.itemsize // 8
 PATIENCE_NS = 100_000_000
 FRAME, RECORD = -1, -2
@@ -62,57 +59,22 @@ class Turn(IntEnum):
     DONE = 2  # the loop has to take over what became of it
 
 
-JOB = np.dtype(
-    [
-        ("why", np.int64),  # an `Exit`, or one of `sim_bus.server.realtime_loop.Serve`
-        ("axis", np.int64),  # whose hand it is; -1: nobody's
-        ("t_ns", np.int64),  # a frame for services
-        ("can_id", np.int64),
-        ("length", np.int64),
-        ("word", np.int64),
-        ("rows", np.int64),  # whose services
-        ("row", np.int64, (MOST_DEVICES,)),
-        ("frames", np.int64),  # rows of the log to be recorded
-        ("start_ns", np.int64),  # of the hand's schedule, as Python finds it
-    ],
-    align=True,
-)
-
-BESIDE = np.dtype(
-    [
-        ("on", np.int64),  # 0: nothing is done beside the loop
-        ("turn", np.int64),
-        ("python", np.int64),  # descriptors: an eventfd that wakes Python
-        ("loop", np.int64),  # and the one that wakes the loop
-        ("first", np.int64),  # of the jobs that wait, a ring
-        ("waiting", np.int64),
-        ("jobs", JOB, (JOBS,)),
-        ("now", JOB),  # the one that is under way
-        ("changed", np.int64),  # how many words of the nodes' records Python has changed
-        ("served", np.int64),  # jobs that are done
-        ("dropped", np.int64),  # frames for services that came while `JOBS` waited
-        ("most_waiting", np.int64),
-    ],
-    align=True,
-)
-
-
 class Beside(NamedTuple):
     """What the loop and Python share, besides Python's own world."""
 
-    state: Record
-    """A record of `BESIDE`."""
+    state: BesideRecord
+    """A record of `BesideRecord`."""
     python: World
     """The world that Python's objects look at."""
     nodes: Records
     """The loop's nodes as words, a row each."""
     python_nodes: Records
     """Python's."""
-    axes: Records
+    axes: Integers
     """Likewise the axes and their plants."""
-    python_axes: Records
-    plant: Records
-    python_plant: Records
+    python_axes: Integers
+    plant: Integers
+    python_plant: Integers
     loop_words: Integers
     """First and last + 1 of each run of a node's words that the loop writes."""
     changed: Integers
@@ -131,7 +93,7 @@ def _copy(to: Integers, source: Integers, first: int, end: int) -> None:
 
 
 @kernel
-def leave(beside: Beside, world: World, course: CourseFunction, pace: Record, why: int, axis: int) -> bool:
+def leave(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord, why: int, axis: int) -> bool:
     """Let Python do beside the loop what the kernel has just returned for; tell whether it will.
 
     `axis`: whose hand it is; `FRAME`: the last frame of the log is for services; `RECORD`: what
@@ -205,7 +167,7 @@ def _begin(beside: Beside, world: World) -> None:
 
 
 @kernel
-def collect(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
+def collect(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
     """Take over what Python has made of its job, and let it begin with the next one."""
     j, w, python = beside.state, world.state, beside.python
     if j.turn != Turn.DONE:
@@ -252,7 +214,7 @@ def drained(beside: Beside) -> None:
 
 
 @kernel
-def _await(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
+def _await(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
     """Sleep until Python's job is done, and take over what became of it."""
     j = beside.state
     while j.turn == Turn.PYTHON:
@@ -263,7 +225,7 @@ def _await(beside: Beside, world: World, course: CourseFunction, pace: Record) -
 
 
 @kernel
-def settle(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
+def settle(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
     """Let all jobs end: Python needs the whole world."""
     j = beside.state
     while j.turn != Turn.FREE or j.waiting > 0:
@@ -297,7 +259,7 @@ class Worker:
         own = {name: _twin(getattr(python, name)) for name in names}
         self.loop: World = python._replace(**own)
         self._twins = [(getattr(python, name), own[name]) for name in names]
-        state = new_records(BESIDE)[0]
+        state = new_records(BesideRecord)[0]
         state["on"], state["python"], state["loop"] = on, self._python, wake
         nodes, axes = len(self.loop.nodes), len(self.loop.axes)
         self.shared = Beside(
@@ -387,7 +349,7 @@ class Worker:
 def _twin(one: Any) -> Any:
     """Return an array, or a record, of the same type."""
     if isinstance(one, np.record):
-        return new_records(one.dtype)[0]
+        return np.zeros(1, one.dtype).view(np.recarray)[0]
     return np.zeros_like(one)
 
 

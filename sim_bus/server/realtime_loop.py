@@ -20,8 +20,6 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-import numpy as np
-
 from coulombus.eds.cia402 import PowerState
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import (
@@ -37,14 +35,15 @@ from coulombus.kernels.libc import (
     now_ns,
     ppoll_ns,
 )
-from coulombus.kernels.records import Integers, Record, Records
+from coulombus.kernels.records import Integers, RecordArray
 from coulombus.sim_bus.can_bus.cable_cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.server.clients import Clients, State, flush, hand_out, take
 from coulombus.sim_bus.server.python_worker import FRAME, RECORD, Beside, collect, drained, leave
+from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 
-__all__ = ["PACE", "Serve", "serve"]
+__all__ = ["Serve", "serve"]
 
 STALL_NS = 5_000_000
 LONGEST_SLEEP_NS = 100_000_000
@@ -71,33 +70,8 @@ class Serve(IntEnum):
     FAILED = 35  # a system call that the loop cannot do without; `PACE.error`
 
 
-PACE = np.dtype(
-    [
-        ("stop", np.int64),  # first: Python and a signal handler write it, the loop reads it with `load_acquire`
-        ("start_ns", np.int64),  # CLOCK_MONOTONIC at world time 0
-        ("end_ns", np.int64),  # world time at which to end
-        ("listener", np.int64),  # descriptors
-        ("wake", np.int64),
-        ("slot", np.int64),
-        ("message_bytes", np.int64),
-        ("error", np.int64),  # of the call that failed; 0: none
-        ("handed_out", np.int64),  # rows of the log that the clients have
-        ("keep", np.int64),  # frames that stay in the log until Python takes them; 0: none
-        (
-            "planned_ns",
-            np.int64,
-        ),  # world time at which the loop meant to be awake, or was when it last called for Python
-        ("wakeups", np.int64),
-        ("stalls", np.int64),
-        ("stalled_ns", np.int64),
-        ("latest_ns", np.int64),  # longest from an end of frame to its delivery
-    ],
-    align=True,
-)
-
-
 @kernel
-def _wait(p: Record, slots: Records, pollfds: Integers, timeout_ns: int, beside: Beside) -> int:
+def _wait(p: PaceRecord, slots: RecordArray[SlotRecord], pollfds: Integers, timeout_ns: int, beside: Beside) -> int:
     """Sleep until a client has something or the time is over.
 
     Return Serve.ACCEPT when one waits at the listener, FAILED, or 0.
@@ -138,7 +112,7 @@ def _wait(p: Record, slots: Records, pollfds: Integers, timeout_ns: int, beside:
 
 
 @kernel
-def _forgive(p: Record, slots: Records, planned_ns: int, t_ns: int) -> int:
+def _forgive(p: PaceRecord, slots: RecordArray[SlotRecord], planned_ns: int, t_ns: int) -> int:
     """Take out of the world's time what the whole machine stood still since `planned_ns`.
 
     Return by how much.
@@ -160,7 +134,7 @@ def _forgive(p: Record, slots: Records, planned_ns: int, t_ns: int) -> int:
 
 @kernel
 def serve(
-    pace: Record,
+    pace: RecordArray[PaceRecord],
     clients: Clients,
     beside: Beside,
     world: World,

@@ -25,16 +25,17 @@ from coulombus.sim_bus.can_bus.cable_cut import wire_of
 from coulombus.sim_bus.can_bus.fault_confinement import state_of
 from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
-from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
+from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.precompile import warm_up
 from coulombus.sim_bus.server.python_worker import Worker, settle
-from coulombus.sim_bus.server.realtime_loop import PACE, Serve, serve
+from coulombus.sim_bus.server.realtime_loop import Serve, serve
+from coulombus.sim_bus.server.records import SLOT, PaceRecord, SlotRecord
 from coulombus.system.file_lock import lock_file
 from coulombus.system.realtime import RealTime, ask_for_real_time, bus_cpu
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.frame import new_records
 from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
-from coulombus.wire.recvmsg import MAILBOX, ask_for_stamps, set_up
+from coulombus.wire.recvmsg import Mailbox, ask_for_stamps, set_up
 from coulombus.wire.socketcan import can_socket, is_virtual
 
 if TYPE_CHECKING:
@@ -134,10 +135,10 @@ class BusServer:
         self._on_virtual = raw is not None and is_virtual(address.name)
         self.world = make_world(self.bit_rate, False)
         rows = SLOTS + 1  # the last is for a client that has to be told that there is no room
-        self._pace, self._slots = new_records(PACE), new_records(SLOT, rows)
+        self._pace, self._slots = new_records(PaceRecord), new_records(SlotRecord, rows)
         self._slots["fd"] = -1
         self._words = np.zeros((rows, 2 * MESSAGE_FRAMES), np.int64)
-        self._boxes = new_records(MAILBOX, rows)
+        self._boxes = new_records(Mailbox, rows)
         for i in range(rows):
             set_up(self._boxes[i : i + 1], self._words[i])
         self._filters = np.zeros((rows, MAX_FILTERS, 2), np.int64)

@@ -23,7 +23,7 @@ from coulombus.lab.simulate import simulate
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.sim_bus.server.bridge import Result
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 from places import ROOT
 
 USAGE, CONFIGURATION, BUS = 2, 3, 4
@@ -185,7 +185,7 @@ def call(tmp_path, private_sockets, monkeypatch):
     """Return a call of a verb, with `more` words, some of its words replaced."""
     monkeypatch.chdir(tmp_path)
     with PcapngWriter(tmp_path / "recording.pcapng", attachments={}) as writer:
-        writer.write(new_records(FRAME, 3))
+        writer.write(new_records(Frame, 3))
     words = {"DIR": tmp_path, "RECORDING": tmp_path / "recording.pcapng", "EDS": ROOT / "eds" / "motor.eds"}
     words["STUDY"] = ROOT / "examples" / "study_friction_jnd.toml"
     words["SWEEP"] = ROOT / "examples" / "sweep_hybrid.toml"
@@ -429,7 +429,7 @@ def test_a_bridge_goes_on_whoever_reads_that_it_is_ready(monkeypatch):
 
 def test_a_recording_does_not_command_the_terminal(call, tmp_path):
     with PcapngWriter(tmp_path / "theirs.pcapng", attachments={}) as writer:
-        writer.write(new_records(FRAME, 1), {0: "phase \x1b]52;c;aGVsbG8=\x07 \x9b2J"})
+        writer.write(new_records(Frame, 1), {0: "phase \x1b]52;c;aGVsbG8=\x07 \x9b2J"})
     shown = call("decode", "--rig bench", RECORDING=tmp_path / "theirs.pcapng").output
     assert "phase \\x1b]52;c;aGVsbG8=\\x07 \\x9b2J" in shown
     assert not set(shown) & set("\x1b\x07\x9b")

@@ -17,7 +17,7 @@ import pytest
 
 from coulombus.cli.main import main
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 from places import ROOT
 from warm_start import Warm, WithoutStdout
 
@@ -78,7 +78,7 @@ def call(tmp_path, private_sockets):
     status and its stderr.
     """
     with PcapngWriter(tmp_path / "recording.pcapng", attachments={}) as writer:
-        writer.write(new_records(FRAME, 3))
+        writer.write(new_records(Frame, 3))
     (tmp_path / "other").write_text("no EDS file\n")
 
     def run(words, stdout, cold=False):

@@ -12,7 +12,7 @@ from coulombus.cli.main import main
 from coulombus.eds.regular_file import mode_of
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.errors import nearest, number_hint
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 from places import RIGS, ROOT
 
 MISSING = "cannot be read (No such file or directory"
@@ -191,7 +191,7 @@ def folder(tmp_path, monkeypatch, private_sockets):
     (folder / "motor.eds").write_text((ROOT / "eds" / "motor.eds").read_text())
     (folder / "folder").mkdir()
     with PcapngWriter(folder / "run.pcapng", attachments={}) as writer:
-        writer.write(new_records(FRAME, 3))
+        writer.write(new_records(Frame, 3))
     return folder
 
 

@@ -17,7 +17,7 @@ from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import load_rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import parse_address
-from coulombus.wire.frame import CAN_ERR_FLAG, FRAME, new_records
+from coulombus.wire.frame import CAN_ERR_FLAG, Frame, new_records
 from tiny_bus import tiny_bus
 
 MS = 1_000_000
@@ -75,7 +75,7 @@ def test_no_line_is_wider_than_80_columns(rig):
 
 
 def test_command_reads_a_recording(tmp_path):
-    frames = new_records(FRAME, 300)
+    frames = new_records(Frame, 300)
     frames["t_ns"] = 10**9 + np.arange(300) * MS
     frames["can_id"] = 0x080
     with PcapngWriter(tmp_path / "a.pcapng", attachments={}) as writer:

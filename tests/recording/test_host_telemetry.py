@@ -32,7 +32,7 @@ from coulombus.recording.reading import blocks, read
 from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.signals import series
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 
 NAMES = [
     *("host.phase", "host.trip", "host.limits", "host.gain", "host.stuck", "host.position_age"),
@@ -149,7 +149,7 @@ def test_a_recording_without_them_is_compared_by_the_others(simulated, tmp_path)
 
 def test_markers_stand_at_frames_of_the_bus(tmp_path):
     rig = load_rig("bench")
-    frames = new_records(FRAME, 4)
+    frames = new_records(Frame, 4)
     frames["t_ns"], frames["can_id"] = [1, 2, 3, 4], [0x80, FIRST, FIRST + 1, 0x181]
     frames["source"] = [0, SOURCE_INSIDE, SOURCE_INSIDE, 0]
     with Recorder(tmp_path / "a.pcapng", rig, "hybrid", about=About(law_state=())) as recorder:
@@ -163,7 +163,7 @@ def test_markers_stand_at_frames_of_the_bus(tmp_path):
 
 
 def test_a_comment_on_a_frame_that_was_on_no_bus_goes_to_the_one_behind(tmp_path):
-    frames = new_records(FRAME, 3)
+    frames = new_records(Frame, 3)
     frames["t_ns"], frames["can_id"], frames["source"] = [1, 2, 3], [0x80, FIRST, 0x181], [0, SOURCE_INSIDE, 0]
     with PcapngWriter(tmp_path / "a.pcapng", attachments={}, second=HOST_INTERFACE) as writer:
         writer.write(frames, {1: "by hand"})

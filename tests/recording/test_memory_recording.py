@@ -10,7 +10,7 @@ from coulombus.lab.simulate import simulate
 from coulombus.recording.measures import Measures, phases
 from coulombus.recording.memory_recording import MeasuredFrames
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +46,7 @@ def test_a_run_that_is_never_armed_has_no_figures():
 def test_a_marker_has_the_time_of_its_frame_and_a_torn_pdo_is_left_out():
     rig = load_rig("bench")
     pdo = next(pdo for pdo in rig.pdos() if any(signal.key == "motor.position_rad" for signal in pdo.signals))
-    frames = new_records(FRAME, 6)
+    frames = new_records(Frame, 6)
     frames["t_ns"] = [10, 20, 30, 40, 50, 60]
     frames["can_id"] = [0x80, pdo.layout.cob_id, 0x80, pdo.layout.cob_id, pdo.layout.cob_id, 0x80]
     frames["length"] = pdo.layout.length

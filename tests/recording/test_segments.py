@@ -25,7 +25,7 @@ from coulombus.recording.recorder import About
 from coulombus.recording.segments import Rotation, SegmentedRecorder, parse_rotation, parse_size, reserve
 from coulombus.recording.wall_clock import attached_object, clock_state, utc, wall_clock
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 
 STARTED_NS = 1_795_000_000 * 10**9
 RIG = load_rig("bench")
@@ -34,7 +34,7 @@ BATCH = 500
 
 def batch(number, count=BATCH):
     """TPDO1 of the motor, 1 ms apart: a position that rises."""
-    frames = new_records(FRAME, count)
+    frames = new_records(Frame, count)
     at = number * BATCH + np.arange(count)
     frames["t_ns"], frames["can_id"], frames["length"] = at * 1_000_000, 0x181, 8
     frames["word"] = at << 16

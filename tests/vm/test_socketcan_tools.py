@@ -12,7 +12,7 @@ import pytest
 
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.wire.can_flags import CAN_EFF_FLAG
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 from places import ROOT
 from warm_start import Warm
 
@@ -26,7 +26,7 @@ COUNT = 200
 @pytest.mark.skipif(shutil.which("canplayer") is None, reason="no canplayer (Debian: can-utils)")
 def test_canplayer_plays_an_exported_log(tmp_path, interface):
     random = np.random.default_rng(5)
-    frames = new_records(FRAME, COUNT)
+    frames = new_records(Frame, COUNT)
     frames["t_ns"] = np.arange(COUNT) * 1_000_000
     frames["can_id"] = np.where(
         random.random(COUNT) < 0.1, 0x12345 | CAN_EFF_FLAG, random.integers(0x100, 0x700, COUNT)

@@ -31,9 +31,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.analysis.theory.bounds import Bounds, bounds
-from coulombus.analysis.theory.sampled_loop import LOOP, STATS, run_loops
+from coulombus.analysis.theory.sampled_loop import LOOP, STATS, StatsRecord, run_loops
 from coulombus.host.cycle.demand import motor_limit_Nm
-from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION
+from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.wire.frame import new_records
@@ -254,12 +254,12 @@ def run_chunk(loops: Array) -> Array:
     """Run LOOP records and return their STATS: the one task that threads and a cluster's workers
     carry out.
     """
-    out = new_records(STATS, len(loops))
+    out = new_records(StatsRecord, len(loops))
     run_loops(
         np.array(loops).view(np.recarray),
-        new_records(MOTION),
-        new_records(LAW),
-        new_records(LAW_STATE),
+        new_records(MotionRecord),
+        new_records(LawRecord),
+        new_records(LawStateRecord),
         out,
         np.zeros((0, 3)),
     )
@@ -282,9 +282,16 @@ def simulate_point(point: LoopParameters) -> PointResult:
         a parameter is negative, not finite, or the delay does not fit; its name is in the text
     """
     loops = _loops({f.name: getattr(point, f.name) for f in fields(point)}, (1,))
-    out = new_records(STATS)
+    out = new_records(StatsRecord)
     trace = np.zeros((round((point.settle_s + point.window_s) * point.rate_Hz), 3))
-    run_loops(loops.view(np.recarray), new_records(MOTION), new_records(LAW), new_records(LAW_STATE), out, trace)
+    run_loops(
+        loops.view(np.recarray),
+        new_records(MotionRecord),
+        new_records(LawRecord),
+        new_records(LawStateRecord),
+        out,
+        trace,
+    )
     stats = out[0]
     return PointResult(
         quiet=bool(_quiet(out)[0]),

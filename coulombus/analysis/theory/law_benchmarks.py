@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.host.laws.along import ASKED, GivenLaw, given_law
+from coulombus.host.laws.along import Asked, GivenLaw, given_law
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Record, Records, new_records
+from coulombus.kernels.records import Record, RecordArray, Records, new_records
 
 __all__ = [
     "CANUDAS",
@@ -50,21 +50,28 @@ CANUDAS = {
 SPRING, PULL = 2.0, 0.1
 """Of its stick-slip experiment: stiffness [N/m], speed of the spring's end [m/s]."""
 
-PUSHED = np.dtype(
-    [
-        ("mass", np.float64),
-        ("spring", np.float64),
-        ("speed", np.float64),  # of the spring's end
-        ("force_rate", np.float64),  # of a force that acts without a spring
-        ("step_s", np.float64),
-    ],
-    align=True,
-)
-COURSE = np.dtype([("t_s", np.float64), ("x", np.float64), ("v", np.float64), ("friction", np.float64)], align=True)
+
+class Pushed(Record):
+    """A law, and a mass that is pushed against it."""
+
+    mass: float
+    spring: float
+    speed: float  # of the spring's end
+    force_rate: float  # of a force that acts without a spring
+    step_s: float
+
+
+class CourseRow(Record):
+    """A step of its course."""
+
+    t_s: float
+    x: float
+    v: float
+    friction: float
 
 
 @kernel
-def _push(asked: Record, law_function: Any, pushed: Record, course: Records, every: int) -> None:
+def _push(asked: Asked, law_function: Any, pushed: Pushed, course: RecordArray[CourseRow], every: int) -> None:
     """Let a mass move under a law: pulled by a spring whose end goes on, pushed by a force that
     grows; keep each `every`-th step.
     """
@@ -89,14 +96,14 @@ def _push(asked: Record, law_function: Any, pushed: Record, course: Records, eve
 
 
 def _course(law: GivenLaw, seconds: float, every: int, **pushed: float) -> Records:
-    record, asked = new_records(PUSHED), new_records(ASKED)
+    record, asked = new_records(Pushed), new_records(Asked)
     record["mass"], record["step_s"] = 1.0, 1e-5
     for name, value in pushed.items():
         record[name] = value
     asked["count_rad"] = 1e-9
     if law.declaration is not None and law.parameters is not None:
         law.declaration.fill(asked[0]["law"], law.parameters)
-    course = new_records(COURSE, math.ceil(seconds / (float(record["step_s"][0]) * every)))
+    course = new_records(CourseRow, math.ceil(seconds / (float(record["step_s"][0]) * every)))
     _push(asked[0], law.pointer, record[0], course, every)
     return course
 

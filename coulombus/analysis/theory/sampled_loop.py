@@ -29,49 +29,54 @@ import numpy as np
 from coulombus.host.laws import laws
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.numba_inside import borrowed
+from coulombus.kernels.records import Record, dtype_of
 
 __all__ = ["LOOP", "RELAY", "STATS", "run_loops"]
 
-LOOP = np.dtype(
-    [
-        ("inertia", np.float64),  # device and operator [kg m2]
-        ("damping", np.float64),
-        ("stiffness", np.float64),
-        ("friction", np.float64),  # inherent Coulomb friction [Nm]
-        ("compensation", np.float64),  # torque of the compensation in slip [Nm]
-        ("lag", np.float64),  # of the motor [s]
-        ("limit", np.float64),  # of the motor [Nm]
-        ("torque_step", np.float64),  # resolution of the set-point [Nm], 0: none
-        ("count", np.float64),  # encoder's resolution at the handle [rad]
-        ("period", np.float64),
-        ("delay", np.float64),  # from sampling to actuation [s]
-        ("relay", np.int64),  # RELAY: coulomb, else karnopp
-        ("K_p", np.float64),
-        ("F_s", np.float64),
-        ("F_d", np.float64),
-        ("band_counts", np.float64),
-        ("x0", np.float64),
-        ("v0", np.float64),
-        ("settle", np.float64),  # left out [s] ...
-        ("window", np.float64),  # ... before this is measured [s]
-    ],
-    align=True,
-)
+
+class LoopRecord(Record):
+    """The sampled loop."""
+
+    inertia: float  # device and operator [kg m2]
+    damping: float
+    stiffness: float
+    friction: float  # inherent Coulomb friction [Nm]
+    compensation: float  # torque of the compensation in slip [Nm]
+    lag: float  # of the motor [s]
+    limit: float  # of the motor [Nm]
+    torque_step: float  # resolution of the set-point [Nm], 0: none
+    count: float  # encoder's resolution at the handle [rad]
+    period: float
+    delay: float  # from sampling to actuation [s]
+    relay: int  # RELAY: coulomb, else karnopp
+    K_p: float
+    F_s: float
+    F_d: float
+    band_counts: float
+    x0: float
+    v0: float
+    settle: float  # left out [s] ...
+    window: float  # ... before this is measured [s]
+
+
+LOOP = dtype_of(LoopRecord)
 
 RELAY = 1
 
-STATS = np.dtype(
-    [
-        ("velocity_rms", np.float64),  # of v^ in the window [rad/s]
-        ("late_rms", np.float64),  # of v^ in the window's second half
-        ("counts_p2p", np.int64),
-        ("reversals", np.int64),  # sign changes of the non-zero v^
-        ("frequency", np.float64),  # half of these a second, from the first to the last [Hz]
-        ("torque_flips", np.int64),  # sign changes of the non-zero set-point
-        ("samples", np.int64),  # simulated, settling included
-    ],
-    align=True,
-)
+
+class StatsRecord(Record):
+    """What came of it."""
+
+    velocity_rms: float  # of v^ in the window [rad/s]
+    late_rms: float  # of v^ in the window's second half
+    counts_p2p: int
+    reversals: int  # sign changes of the non-zero v^
+    frequency: float  # half of these a second, from the first to the last [Hz]
+    torque_flips: int  # sign changes of the non-zero set-point
+    samples: int  # simulated, settling included
+
+
+STATS = dtype_of(StatsRecord)
 
 TERMS = 14
 RECIPROCAL = 1.0 / np.arange(1, TERMS)

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import pytest
 
-from coulombus.host.cycle.live_parameters import LIVE, ORDER, SLOTS, Slot, follow, offer
+from coulombus.host.cycle.live_parameters import follow, offer
 from coulombus.host.cycle.parameter_changes import LiveParameters, NotTaken, Refused
-from coulombus.host.cycle.records import Phase
+from coulombus.host.cycle.records import LIVE, ORDER, SLOTS, Phase, Slot
 from coulombus.kernels.decorator import Entry
 from host_bench import HostBench
 

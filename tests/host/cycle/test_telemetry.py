@@ -18,7 +18,7 @@ from coulombus.recording.host_telemetry import (
 )
 from coulombus.recording.pdo_table import decode_field
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 
 
 def told(rig="bench", mode="hybrid", **fields):
@@ -33,7 +33,7 @@ def told(rig="bench", mode="hybrid", **fields):
 
 
 def said(controllers, axis, t_ns=5):
-    rows = new_records(FRAME, MOST_FRAMES)
+    rows = new_records(Frame, MOST_FRAMES)
     count = tell(axis, 0, t_ns, rows, 0)
     found = {}
     attached = inside_attachment(controllers.each[0].law_state)[NAME]
@@ -101,7 +101,7 @@ def test_a_missed_tpdo_and_an_open_switch_show():
 
 def test_a_cycle_is_told_once_and_not_before_its_end():
     controllers = Controllers(load_rig("two_axes"), "hybrid")
-    rows = new_records(FRAME, 4 * MOST_FRAMES)
+    rows = new_records(Frame, 4 * MOST_FRAMES)
     controllers.axes[0].host.cycle = controllers.axes[1].host.cycle = 1
     controllers.axes[1].host.waiting = 1
     assert tell_all(controllers.axes, 7, rows, 2) == 5
@@ -166,7 +166,7 @@ def test_what_a_law_keeps_fills_frames_of_two_numbers(keeps, lengths):
     axis.host.cycle = 1
     axis.control["law_keeps"] = keeps
     axis.state["user"] = np.arange(16) - 7.5
-    rows = new_records(FRAME, MOST_FRAMES)
+    rows = new_records(Frame, MOST_FRAMES)
     count = 3 + len(lengths)
     assert tell(axis, 0, 5, rows, 2) == 2 + count
     assert rows["length"][2 : 2 + count].tolist() == [8, 8, 8, *lengths]

@@ -9,7 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, coulomb, karnopp, load_law
+from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
+from coulombus.host.laws.laws import LAW, coulomb, karnopp, load_law
 from coulombus.host.laws.wall import wall
 from coulombus.wire.frame import new_records
 
@@ -18,7 +19,7 @@ BOTH = pytest.mark.parametrize("sign", [1, -1])
 
 def asked(law_function, counts, x=0.0, band=2.0, **state):
     """Return psi and the state after one cycle; K_p 4 Nm/rad, F_s 1.5 Nm, F_d 1.25 Nm."""
-    motion, law, kept = new_records(MOTION)[0], new_records(LAW)[0], new_records(LAW_STATE)[0]
+    motion, law, kept = new_records(MotionRecord)[0], new_records(LawRecord)[0], new_records(LawStateRecord)[0]
     law.K_p, law.F_s, law.F_d, law.velocity_band_counts = 4.0, 1.5, 1.25, band
     for name, value in state.items():
         setattr(law if name in LAW.names else kept, name, value)

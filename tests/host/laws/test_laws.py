@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, coulomb, karnopp, load_law
+from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
+from coulombus.host.laws.laws import OWN_LAWS, LawError, coulomb, karnopp, load_law
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED
 from coulombus.wire.frame import new_records
 
@@ -18,7 +19,7 @@ OLD = "host.laws" + ":"  # how rig files named the laws at first
 
 
 def records(**parameters):
-    motion, law, state = new_records(MOTION)[0], new_records(LAW)[0], new_records(LAW_STATE)[0]
+    motion, law, state = new_records(MotionRecord)[0], new_records(LawRecord)[0], new_records(LawStateRecord)[0]
     law.K_p, law.F_s, law.F_d, law.velocity_band_counts = K_P, F_S, F_D, 2.0
     for name, value in parameters.items():
         setattr(law, name, value)
@@ -183,7 +184,7 @@ def index_law(tmp_path, where, index):
     )
     (tmp_path / "own.py").write_text(f"{helper}\ndef law(motion, law, state):\n    {body}\n")
     motion, law, _ = records()
-    state = new_records(LAW_STATE, 5)
+    state = new_records(LawStateRecord, 5)
     motion.x_rad = index
     found = load_law("own.py:law", tmp_path)(motion, law, state[2])
     assert not (state[:2].tobytes() + state[3:].tobytes()).strip(b"\0")

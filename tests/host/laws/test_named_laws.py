@@ -12,8 +12,17 @@ import pytest
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import cut_off
 from coulombus.host.laws.along import given_law
-from coulombus.host.laws.law import Declaration, Field, Parameters, described, friction_law
-from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, load_declared
+from coulombus.host.laws.law import (
+    Declaration,
+    Field,
+    LawRecord,
+    LawStateRecord,
+    MotionRecord,
+    Parameters,
+    described,
+    friction_law,
+)
+from coulombus.host.laws.laws import OWN_LAWS, load_declared
 from coulombus.rigs.field_help import unit_of
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.wire.frame import new_records
@@ -106,9 +115,9 @@ def test_compiled_and_plain_law_are_the_same(name):
     declared, t, x = OWN_LAWS[name], *walk(7)
     compiled = given_law(name).along(t, x).samples
     law, state, motion, plain = (
-        new_records(LAW)[0],
-        new_records(LAW_STATE)[0],
-        new_records(MOTION)[0],
+        new_records(LawRecord)[0],
+        new_records(LawStateRecord)[0],
+        new_records(MotionRecord)[0],
         declared.plain(),
     )
     declared.fill(law, declared.parameters())
@@ -276,6 +285,6 @@ def test_the_parameters_go_with_the_rig():
 def test_a_choice_of_words_is_its_place():
     declared = load_declared("karnopp").declaration
     assert isinstance(declared, Declaration)
-    law = new_records(LAW)[0]
+    law = new_records(LawRecord)[0]
     declared.fill(law, declared.parameters(stick_entry="paper"))
     assert (law.paper_entry, law.brake_spring, law.K_p) == (1, 0, 100.0)

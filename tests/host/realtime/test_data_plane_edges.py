@@ -25,8 +25,8 @@ from coulombus.host.realtime.data_plane import (
     Spread,
     rig_filters,
 )
-from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
-from coulombus.recording.trace import TRACE
+from coulombus.host.realtime.shared_memory import BINS, Command, PlaneRecord, Status
+from coulombus.recording.trace import TraceRow
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import frames, new_records
 
@@ -99,14 +99,14 @@ def handle(monkeypatch):
     found.started = []
     found._controllers = SimpleNamespace(ending_s=ENDING_S, start=found.started.append)
     found.shared = SimpleNamespace(
-        plane=new_records(PLANE, 1),
+        plane=new_records(PlaneRecord, 1),
         wakeup_bins=np.zeros(BINS, np.int64),
         latency_bins=np.zeros(BINS, np.int64),
         ring=frames(8),
-        trace=new_records(TRACE, 8),
+        trace=new_records(TraceRow, 8),
         close=lambda: found.closed.append("shared"),
     )
-    found._batch, found._rows, found.real_time = frames(4), new_records(TRACE, 4), []
+    found._batch, found._rows, found.real_time = frames(4), new_records(TraceRow, 4), []
     return found
 
 

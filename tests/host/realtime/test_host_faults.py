@@ -25,7 +25,7 @@ from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.real_run import real_run
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.reading import read
-from coulombus.recording.trace import TRACE
+from coulombus.recording.trace import TraceRow
 from coulombus.rigs.rig import load_rig
 from coulombus.system import stop_signals
 from coulombus.wire.address import BusUnavailable, parse_address
@@ -92,7 +92,7 @@ class PlayedPlane(DataPlane):
         self.shared = SharedPlane.create(len(controllers.each))
         controllers.adopt(self.shared.axes)
         self._controllers, self._client = controllers, SimpleNamespace(close=lambda: None)
-        self._batch, self._rows, self.real_time = frames(1 << 10), new_records(TRACE, TRACE_ROWS), []
+        self._batch, self._rows, self.real_time = frames(1 << 10), new_records(TraceRow, TRACE_ROWS), []
         self._process, self.armed, self.unsafe_end = Process(), False, False
         self.clock.plane = self
 

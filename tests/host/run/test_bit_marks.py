@@ -6,14 +6,14 @@ import pytest
 
 from coulombus.host.run.markers import BitMark, BitMarks, bit_mark
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import FRAME, new_records
+from coulombus.wire.frame import Frame, new_records
 
 RIG = load_rig("bench")
 
 
 def frames(*words, can_id=0x181, length=8, first_ns=0):
     """Return a frame a millisecond."""
-    some = new_records(FRAME, len(words))
+    some = new_records(Frame, len(words))
     some["t_ns"] = [first_ns + 1_000_000 * k for k in range(len(words))]
     some["can_id"], some["length"], some["word"] = can_id, length, words
     return some

@@ -26,7 +26,7 @@ from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import FRAME, data_word, new_records
+from coulombus.wire.frame import Frame, data_word, new_records
 from foreign_rigs import brake, drive, rig_of
 
 RIGS = {
@@ -69,7 +69,7 @@ def recording(rig, tmp_path):
                 word |= raw << start
             rows.append((pdo.layout.cob_id, word.to_bytes(8, "little")[: pdo.layout.length]))
     rows += [(0x080, b""), (0x701, b"\x05"), (0x081, bytes.fromhex("5082110102030405")), (0x000, b"\x01\x00")]
-    frames = new_records(FRAME, len(rows))
+    frames = new_records(Frame, len(rows))
     for i, (frame, (can_id, data)) in enumerate(zip(frames, rows, strict=True)):
         frame["t_ns"], frame["can_id"], frame["length"] = 1_000_000 * (i + 1), can_id, len(data)
         frame["word"] = data_word(data)
@@ -205,7 +205,7 @@ def test_tshark_filters_and_tells_in_words(tmp_path):
         (0x000, b"\x80\x02"),
         (0x701, b"\x7f"),
     ]
-    frames = new_records(FRAME, len(rows))
+    frames = new_records(Frame, len(rows))
     for i, (frame, (can_id, data)) in enumerate(zip(frames, rows, strict=True)):
         frame["t_ns"], frame["can_id"], frame["length"] = 1_000_000_000 + 250_000 * i, can_id, len(data)
         frame["word"] = data_word(data)

@@ -4,12 +4,14 @@ import asyncio
 
 import pytest
 
+from coulombus.wire.frame import Frame
+
 pytest.importorskip("tornado", reason="the page needs Tornado: pip install 'coulombus[web]'")
 
 from chromium import CHROMIUM, Browser
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
-from coulombus.wire.frame import FRAME, data_word, new_records
+from coulombus.wire.frame import data_word, new_records
 from web_bench import BEGIN_NS, MS, Door, cycles, page, served
 
 pytestmark = [
@@ -19,7 +21,7 @@ pytestmark = [
 
 
 def recorded(path, frames, rig):
-    table = new_records(FRAME, len(frames))
+    table = new_records(Frame, len(frames))
     table[:] = [(t_ns, can_id, length, data_word(data[:length]), 0) for t_ns, can_id, length, data in frames]
     with PcapngWriter(
         path, attachments={"rig.toml": rig.effective().encode()} | {n: t.encode() for n, t in rig.eds_texts.items()}

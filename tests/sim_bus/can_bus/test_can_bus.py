@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from copper import Copper, carried, told
 from coulombus.sim_bus.can_bus.bit_level import add_sender, begin_bits, run_bits
-from coulombus.sim_bus.can_bus.bus_state import Stage
-from coulombus.sim_bus.can_bus.fault_confinement import CanState, ErrorKind, state_of
+from coulombus.sim_bus.can_bus.bus_state import ErrorKind, Stage
+from coulombus.sim_bus.can_bus.fault_confinement import CanState, state_of
 from coulombus.sim_bus.can_bus.faults import FaultKind
 from coulombus.sim_bus.can_bus.noise import seeded
 from coulombus.sim_bus.can_bus.stations import attach, restart

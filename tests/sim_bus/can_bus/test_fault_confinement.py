@@ -11,8 +11,8 @@ from __future__ import annotations
 import pytest
 
 from copper import US, Copper, carried, told
-from coulombus.sim_bus.can_bus.bus_state import Delivered
-from coulombus.sim_bus.can_bus.fault_confinement import CanState, ErrorKind
+from coulombus.sim_bus.can_bus.bus_state import Delivered, ErrorKind
+from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import TAIL_BIT, FaultKind
 from coulombus.sim_bus.can_bus.stuffing import TAIL_BITS
 from coulombus.sim_bus.can_bus.tx_queue import withdraw

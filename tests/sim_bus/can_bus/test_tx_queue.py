@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from coulombus.sim_bus.can_bus.arbiter import new_bus
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, FEW, ROOM, first_ns, take_in, win, withdraw
+from coulombus.sim_bus.can_bus.records import ROOM
+from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, FEW, first_ns, take_in, win, withdraw
 from coulombus.wire.frame import arbitration_key, new_queue, push
 
 

@@ -14,12 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from coulombus.kernels.records import new_records
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.sim_bus.rig.chain import NO_EVENT, _first_event, _next_event, _try
 from coulombus.sim_bus.rig.own_friction import set_levels
 from coulombus.sim_bus.rig.plant import advance, new_plant, transducer_Nm, truth_columns
 from coulombus.sim_bus.rig.plant_step import advance_detailed
-from coulombus.sim_bus.rig.wave import WAVE, wave
+from coulombus.sim_bus.rig.records import WaveRecord
+from coulombus.sim_bus.rig.wave import wave
 
 CABLE = {"stiffness_Nm_rad": 800.0, "damping_Nms_rad": 0.02, "motor_inertia_kg_m2": 1e-3}
 HANDLE = {"stiffness_Nm_rad": 500.0, "damping_Nms_rad": 0.01, "inertia_kg_m2": 5e-4}
@@ -272,7 +274,7 @@ def test_a_coupling_that_comes_off_and_back_within_a_step_keeps_the_energy_balan
 
 
 def test_the_sine_of_a_step_is_right():
-    kept = np.zeros(1, WAVE).view(np.recarray)[0]
+    kept = new_records(WaveRecord)[0]
     angles = np.cumsum(np.random.default_rng(3).uniform(-0.06, 0.08, 3000))
     found = np.array([wave(kept, angle) for angle in angles])
     assert np.abs(found - np.sin(angles)).max() < 1e-12

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.rig.plant import PLANT, TRUTH_COLUMNS, advance, new_plant, sample_noise
+from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS, advance, new_plant, sample_noise
+from coulombus.sim_bus.rig.records import PLANT
 
 KNOT_S = 1e-3
 

@@ -15,10 +15,9 @@ from coulombus.node.io401 import IO401, IO404
 from coulombus.node.kinds import GENERIC, PROFILES
 from coulombus.rigs.rig import load_rig_text
 from coulombus.sim_bus.faults.injection import stations_of
-from coulombus.sim_bus.network.kernel import AXIS
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.coupling import BrakeOutput, Quantity, brake_torque, show
-from coulombus.sim_bus.rig.plant import PLANT
+from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 from coulombus.wire.frame import new_records
 from foreign_eds import BRAKE, I16, I32, MOTOR, U16, another, edited, with_array, with_variable, without
 from node_bench import MS
@@ -258,7 +257,7 @@ def test_axes_may_share_a_sensor_node_only_by_id():
 
 
 def coupled(**fields):
-    axis = new_records(AXIS)
+    axis = new_records(RigAxis)
     for name, value in fields.items():
         axis[0][name] = value
     return axis
@@ -279,7 +278,7 @@ def coupled(**fields):
     ],
 )
 def test_what_an_object_shows(quantity, offset, bounds, count):
-    plant, axis = new_records(PLANT), coupled(shown_count=1)
+    plant, axis = new_records(PlantRecord), coupled(shown_count=1)
     nodes = np.zeros(2, [("values", np.int64, (8,))]).view(np.recarray)
     plant[0]["x"], plant[0]["v"], plant[0]["motor"], plant[0]["temperature"] = -2.5, 40.0, -1.5, 22.0
     axis[0]["shown"][0] = (1, 3, quantity, 1000.0, offset, *bounds)

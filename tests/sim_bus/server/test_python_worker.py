@@ -11,7 +11,7 @@ import pytest
 
 from coulombus.node.record import LOOP_WORDS, NODE, SERVICES_ONLY
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.server.python_worker import JOBS
+from coulombus.sim_bus.server.records import JOBS
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import BusAddress
 from coulombus.wire.handshake import connect

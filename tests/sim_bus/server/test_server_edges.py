@@ -13,13 +13,13 @@ import pytest
 
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server import server as module
-from coulombus.sim_bus.server.clients import MESSAGE_FRAMES, SLOT, SLOTS, STATION, State
-from coulombus.sim_bus.server.realtime_loop import PACE
+from coulombus.sim_bus.server.clients import MESSAGE_FRAMES, SLOTS, STATION, State
+from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 from coulombus.sim_bus.server.server import LOSERS_TOLD, MUTE_S, SO_SNDBUFFORCE, BusServer, SimResult
 from coulombus.wire.address import BusUnavailable, parse_address
 from coulombus.wire.frame import new_records
 from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status
-from coulombus.wire.recvmsg import MAILBOX
+from coulombus.wire.recvmsg import Mailbox
 
 ADDRESS = parse_address("coulombus:desk")
 
@@ -46,10 +46,10 @@ def server(monkeypatch):
     found = object.__new__(BusServer)
     found.address, found.bit_rate, found.result = ADDRESS, 500_000, SimResult("coulombus:desk")
     found.world = VirtualNetwork(500_000, capacity=1)
-    found._pace, found._slots = new_records(PACE), new_records(SLOT, SLOTS + 1)
+    found._pace, found._slots = new_records(PaceRecord), new_records(SlotRecord, SLOTS + 1)
     found._slots["fd"] = -1
     found._words = np.zeros((SLOTS + 1, 2 * MESSAGE_FRAMES), np.int64)
-    found._boxes = new_records(MAILBOX, SLOTS + 1)
+    found._boxes = new_records(Mailbox, SLOTS + 1)
     found._filters = np.zeros((SLOTS + 1, MAX_FILTERS, 2), np.int64)
     found._sockets, found._pids, found._since = {}, {}, {}
     found._listener = Listener()

@@ -1,0 +1,242 @@
+"""The records of the simulated rig: the plant of an axis, and how it meets devices of others."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from coulombus.kernels.records import Floats, Integers, Record, RecordArray, dtype_of
+from coulombus.rigs.devices import TABLE_POINTS
+from coulombus.rigs.plant_detail import MOST_ELEMENTS
+
+__all__ = [
+    "AXIS",
+    "BODIES",
+    "DETAIL",
+    "MOST_SHOWN",
+    "PLANT",
+    "Coupling",
+    "DetailRecord",
+    "PlantRecord",
+    "RigAxis",
+    "ShownRecord",
+    "WaveRecord",
+]
+
+MOST_SHOWN = 6
+BODIES = 3
+PLAYS = 8
+
+
+class WaveRecord(Record):
+    """A sine of an angle that moves a little in each step. One of zeros is taken anew at once
+    where the angle is not near 0."""
+
+    at: float
+    sine: float
+    cosine: float
+
+
+class DetailRecord(Record):
+    """What the plant has beyond one rigid body (`sim_bus.rig.detail`)."""
+
+    on: int  # 1: the plant needs `sim_bus.rig.plant_step.advance_detailed`
+    count: int  # of bodies
+    drum: int  # the body with the brake
+    # bodies: parameters and state
+    mass: Annotated[Floats, BODIES]  # inertia of the device's bodies, without the hand
+    total: Annotated[Floats, BODIES]  # with the hand
+    viscous: Annotated[Floats, BODIES]
+    share: Annotated[Floats, BODIES]  # of the device's own friction
+    q: Annotated[Floats, BODIES]
+    v: Annotated[Floats, BODIES]
+    # couplings
+    k: Annotated[Floats, BODIES - 1]
+    d: Annotated[Floats, BODIES - 1]
+    gap: Annotated[Floats, BODIES - 1]  # half of the backlash
+    contact: Annotated[Integers, BODIES - 1]  # 1, -1: on one side, the other; 0: within the backlash
+    # the device's own friction
+    bristles: int  # `DRY`, `LUGRE`, `ELEMENTS`
+    sigma_0: float
+    sigma_1: float
+    z: Annotated[Floats, BODIES]
+    elements: int
+    element_k: Annotated[Floats, MOST_ELEMENTS]
+    element_w: Annotated[Floats, MOST_ELEMENTS]  # together 1
+    slip_rate: float  # C of the generalised Maxwell-slip friction; 0: Leuven's
+    element_Nm: Annotated[Floats, (BODIES, MOST_ELEMENTS)]
+    element_slips: Annotated[Floats, (BODIES, MOST_ELEMENTS)]  # 1, -1: it slips in this sense; 0: it winds
+    waves: Annotated[RecordArray[WaveRecord], BODIES + 2]  # sines: of each body's friction, of ripple and cogging
+    angle_share: float
+    angle_rad: float  # periods in one revolution of the handle
+    angle_phase: float
+    friction_K: float  # share for one kelvin
+    friction_s: float  # share for one second
+    exponent: float
+    # motor
+    ripple: float
+    ripple_rad: float
+    ripple_phase: float
+    # fluid and iron of the brake
+    fluid_viscous: float
+    viscous_K: float
+    torque_K: float
+    rise: float  # step / lag; negative: no lag
+    fall: float
+    rise_decay: float
+    fall_decay: float
+    shear: float  # s/rad: the lag is divided by 1 + shear |v|
+    plays: int
+    play_r: Annotated[Floats, PLAYS]
+    play_w: Annotated[Floats, PLAYS]
+    play_y: Annotated[Floats, PLAYS]
+    direct: float
+    # heat
+    heat_1_JK: float  # step / capacity; 0: the temperature is constant
+    cooling: float  # step / (resistance capacity)
+    reference: float
+    degC: float
+    coil_ohm: float
+    # transducer
+    crosstalk: float
+    # a step's own
+    weak: float  # what is left of the fluid's torque at its temperature
+    wet: float  # the fluid's viscous friction at its temperature
+    level: Annotated[Floats, BODIES]
+    dry: Annotated[Floats, BODIES]  # the brake's part of the level
+    side: Annotated[Integers, BODIES]  # direction of slip; 0: stuck
+    u: Annotated[Floats, BODIES]  # mean speed
+    main: Annotated[Floats, BODIES]  # the system's diagonal
+    load: Annotated[Floats, BODIES]
+    react: Annotated[Floats, BODIES]  # dry friction
+    tied: Annotated[Floats, BODIES - 1]  # a coupling's torque at the step's begin ...
+    stiff: Annotated[Floats, BODIES - 1]  # ... and for each rad/s of mean speed between its bodies
+    alpha: Annotated[Floats, BODIES]
+    bears: Annotated[Floats, BODIES]  # the level of the bristles, or of all elements
+    rate_Nm_s: Annotated[Floats, BODIES]  # how fast the speed winds stiff bristles
+    kept: Annotated[Floats, BODIES]  # of the bristles' deflection behind the step ...
+    taken: Annotated[Floats, BODIES]  # ... and for each rad/s of mean speed
+    winds: Annotated[Integers, BODIES]  # 1: how z goes cannot be foretold
+    follows: Annotated[Floats, BODIES]  # how fast a slipping one follows it [1/s]
+    bristle_damping: Annotated[Floats, BODIES]
+    way: Annotated[Floats, BODIES]  # of z, as foretold
+    borne: Annotated[Floats, BODIES]  # what the elements bear on the mean if z stands still ...
+    rises: Annotated[Floats, BODIES]  # ... and for each rad of z
+    held: Annotated[Floats, BODIES]  # the torque of bristles or elements at rest ...
+    given: Annotated[Floats, BODIES]  # ... and for each rad/s of mean speed
+    events: int  # since power-on
+    missed_events: int  # steps with more of them than `chain.MOST_EVENTS`
+    stored: float  # energy in springs and bristles
+
+
+class PlantRecord(Record):
+    """The rig of an axis (`sim_bus.rig.plant`)."""
+
+    # parameters
+    step_ns: int
+    h: float
+    inertia: float
+    viscous: float
+    coulomb: float
+    stribeck: float  # what the static friction is more than that
+    stribeck_v: float
+    off_state: float
+    operator_inertia: float
+    operator_damping: float
+    operator_stiffness: float
+    motor_decay: float  # exp(-h / lag)
+    motor_Nm_pm: float  # torque at the handle for one per mille, with the true polarity
+    motor_peak_pm: float
+    cogging: float  # amplitude at the handle
+    cogging_rad: float  # periods for one radian at the handle, times 2 pi
+    coil_decay: float
+    fluid_decay: float
+    brake_max: float
+    coil_A_Nm: float
+    counts_rad: float  # encoder counts for one radian at the handle, with the true polarity
+    eccentric: float  # amplitude of the encoder's error at the handle
+    eccentric_rad: float  # its radians for one radian at the handle
+    noise: float
+    bias: float
+    drift: float
+    transducer_decay: float
+    coil_step: float  # resolution of the coil's torque; 0: continuous
+    transducer_polarity: float
+    ambient: float
+    K_A2: float  # steady rise of the coil's temperature for the square of its current
+    thermal_s: float
+    remanence: float
+    brake_gain: float  # true torque for each Nm that the command stands for
+    # state
+    temperature: float
+    coil_fault: int  # COIL_INTACT, COIL_OPEN, COIL_SHORT
+    motor_pm: float  # what the drive commands, per mille of the motor's rated torque
+    brake_Nm: float  # what the brake's driver commands
+    reverse_A: float  # the driver's current of the opposite sign
+    remanent: float  # brake torque that the iron remembers
+    remanent_before: float  # ... before the current became negative
+    t_ns: int
+    x: float
+    v: float
+    motor: float  # motor torque at the handle
+    coil: float  # brake torque that the coil's present current stands for
+    fluid: float  # brake torque that the fluid can bear now, without the off-state part
+    inherent: float  # the device's own friction at the present speed
+    transduced: float  # what the transducer's filter has of the hand's torque
+    filtered: int  # 1: the transducer shows that, and not the torque itself
+    random: int
+    # torques on the handle in the step that ended at t_ns
+    f_operator: float
+    f_motor: float
+    f_brake: float
+    f_friction: float
+    # cumulative work of each on the handle, and the viscous loss
+    w_operator: float
+    w_motor: float
+    w_brake: float
+    w_friction: float
+    w_viscous: float
+    detail: DetailRecord  # what it has beyond one rigid body
+
+
+class ShownRecord(Record):
+    """A quantity of the rig that an object of a device shows."""
+
+    row: int  # the device, and where the object stands in its values
+    slot: int
+    quantity: int
+    gain: float  # counts for one unit
+    offset: float  # the quantity at the count 0
+    low: int
+    high: int
+
+
+class Coupling(Record):
+    """How the rig of an axis meets devices that are not this project's (`sim_bus.rig.coupling`)."""
+
+    foreign: int  # 0: our own two devices, and nothing below is used
+    shown_count: int
+    shown: Annotated[RecordArray[ShownRecord], MOST_SHOWN]
+    brake_output: int
+    brake_channel: int  # of the module, or the object's slot
+    brake_counts: float  # counts of the set-point for one per mille of a drive, or one Nm of our driver
+    brake_scale_Nm: float  # for one count, where there is no table
+    brake_points: int  # of the table; 0: none
+    brake_table_raw: Annotated[Floats, TABLE_POINTS]  # ascending
+    brake_table_Nm: Annotated[Floats, TABLE_POINTS]
+
+
+class RigAxis(Coupling):
+    """An axis of the rig: its devices, and the operator's schedule."""
+
+    motor: int  # rows of the node records
+    brake: int
+    operator_start_ns: int  # -1: the schedule has not begun
+    force_step: int  # the plant's step at which the force block begins
+    force_end_ns: int  # the time at which it ends
+    steps_per_knot: int
+    truth_on: int
+
+
+DETAIL = dtype_of(DetailRecord)
+PLANT = dtype_of(PlantRecord)
+AXIS = dtype_of(RigAxis)
