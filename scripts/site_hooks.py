@@ -34,6 +34,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests" / "support")]
 from documented import as_page as commands_page  # noqa: E402, I001
 from site_diagrams import svg  # noqa: E402
+from site_records import records_page  # noqa: E402
 
 PROJECT = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 LINK = re.compile(r"(!?\[[^]]*\])\(([^)\s]+)\)")
@@ -222,6 +223,7 @@ def on_files(files: Files, config: Any) -> Files:
         "reference/verbs.md": verbs_page(),
         "reference/rig-keys.md": rig_keys_page(),
         "reference/python.md": python_page(),
+        "reference/records.md": records_page(),
         "reference/commands.md": commands_page(),
         **{f"project/{name}": (ROOT / name).read_text() for name in PROJECT},
     }

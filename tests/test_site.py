@@ -16,6 +16,7 @@ from mkdocs.exceptions import PluginError
 
 import coulombus
 from coulombus.cli.main import main
+from coulombus.kernels.records import Record, dtype_of
 from coulombus.rigs.axis import Sections
 from coulombus.rigs.field_help import fields_of
 from places import ROOT
@@ -24,6 +25,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 hooks = importlib.import_module("site_hooks")
 diagrams = importlib.import_module("site_diagrams")
 docstrings = importlib.import_module("site_docstrings")
+records = importlib.import_module("site_records")
 
 
 def test_every_verb_and_every_option_is_on_the_page():
@@ -49,6 +51,18 @@ def test_every_public_name_of_the_package_is_on_the_page():
     for name in [name for names in hooks.PYTHON.values() for name in names]:
         module, _, what = name.rpartition(".")
         assert hasattr(importlib.import_module(f"coulombus.{module}"), what)
+
+
+def test_every_field_of_the_records_is_on_the_page():
+    text = records.records_page()
+    for record in records.SHOWN:
+        own = dtype_of(record).names or ()
+        inherited = {name for base in record.__bases__ if base is not Record for name in dtype_of(base).names or ()}
+        found = [name for name, _, _ in records.fields_of_record(record)]
+        assert found == [name for name in own if name not in inherited], record
+        assert f"\n## {record.__name__}\n" in text
+    assert "| `phase_cycle` | `int` | cycles since the phase began |" in text
+    assert "| `frames` | `Frame[QUEUE_CAPACITY]` | the first `count` of them |" in text
 
 
 @pytest.mark.parametrize("name", ["architecture.md", "devices.md", "index.md", "safety.md"])
@@ -134,6 +148,7 @@ def test_every_page_is_in_the_list_of_pages():
         "reference/verbs.md",
         "reference/commands.md",
         "reference/python.md",
+        "reference/records.md",
         "reference/rig-keys.md",
         *(f"project/{name}" for name in hooks.PROJECT),
     }

@@ -44,11 +44,11 @@ RULES = (
     (r": can_viewer", "fills a terminal; tests/wire tries python-can's interface"),
     (r": timeout 300 sh", LIVE + "tests/sim_bus"),
     (r": kill", LIVE + "tests/lab replays such a session"),
-    (r"wireshark", "opens a window; tests/scope pipe the same bytes into tshark"),
+    (r"wireshark", "opens a window; tests/monitor pipe the same bytes into tshark"),
     (r": coulombus demo", "half a minute in real time: tests/host/run/test_run.py"),
     (r": (coulombus )?(\S*)conformance|--junit", "a minute of real time: tests/conformance, tests/sim_bus"),
     (r": (coulombus sim\b|.*coulombus run\b)", LIVE + "tests/host and tests/sim_bus"),
-    (r": coulombus (watch|.*&& )|mkfifo|monitor -i", LIVE + "tests/scope"),
+    (r": coulombus (watch|.*&& )|mkfifo|monitor -i", LIVE + "tests/monitor"),
     (r": coulombus (set|mark|replay .*--bus)", LIVE + "tests/host, tests/recording, tests/lab"),
     (
         r": coulombus (node|bridge)|own_device\.(py|eds) .*coulombus:|--bus coulombus:bench --eds",

@@ -1,0 +1,129 @@
+"""Records: one class says what NumPy, Numba, mypy and the documents know of each."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from typing import Annotated
+
+import numpy as np
+import pytest
+
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Floats, Integers, Record, RecordArray, copied, dtype_of, new_records, overwrite
+from places import ROOT
+
+SOURCES = [
+    path for top in ("coulombus", "host", "node", "eds", "sim_bus") for path in sorted((ROOT / top).rglob("*.py"))
+]
+
+
+class Inner(Record):
+    """Within another one."""
+
+    n: int
+    x: float
+
+
+class Outer(Inner):
+    """Its base has the first fields."""
+
+    inner: Inner
+    rows: Annotated[RecordArray[Inner], 3]
+    words: Annotated[Integers, 4]
+    matrix: Annotated[Floats, (2, 3)]
+    small: Annotated[int, np.int16]
+    bytes_: Annotated[Integers, 5, np.int8]
+
+
+def test_the_dtype_is_what_the_class_declares():
+    inner = [("n", "<i8"), ("x", "<f8")]
+    assert dtype_of(Outer) == np.dtype(
+        [
+            *inner,
+            *[("inner", inner), ("rows", inner, (3,)), ("words", "<i8", (4,))],
+            *[("matrix", "<f8", (2, 3)), ("small", "<i2"), ("bytes_", "i1", (5,))],
+        ],
+        align=True,
+    )
+
+
+@kernel
+def _fill(one: Outer) -> int:
+    one.n = 7
+    one.rows[1].x = 0.5
+    one.words[2] = one.small = 3
+    one.matrix[1, 2] = one.rows[1].x * 2
+    return one.n + one.inner.n
+
+
+def test_kernels_write_the_fields():
+    records = new_records(Outer, 2)
+    records[1].inner.n = 5
+    assert _fill(records[1]) == 12
+    found = records[1]
+    assert (found.n, found.rows[1].x, found.words[2], found.small, found.matrix[1, 2]) == (7, 0.5, 3, 3, 1.0)
+    assert records[0].n == 0
+
+
+def test_copies_are_of_their_own():
+    records = new_records(Inner, 2)
+    other = copied(records)
+    other["n"] = 3
+    assert list(records["n"]) == [0, 0]
+    overwrite(records, other)
+    assert list(records["n"]) == [3, 3]
+
+
+PLANTED = """
+from coulombus.kernels.records import Record, RecordArray
+
+
+class State(Record):
+    phase: int
+    gain: float
+
+
+def step(h: State, states: RecordArray[State]) -> int:
+    h.phase = 1
+    h.gain = 1
+    h.phse = 1
+    h.phase = 0.5
+    states[0].phse = 1
+    return states[0].phase
+"""
+
+
+@pytest.mark.slow
+def test_a_misspelt_field_and_a_wrong_type_are_found_by_mypy(tmp_path):
+    path = tmp_path / "planted.py"
+    path.write_text(PLANTED)
+    command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path), str(path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=800)
+    found = dict(re.findall(r":(\d+): error: (.*)  \[", done.stdout))
+    assert found == {
+        "13": '"State" has no attribute "phse"; maybe "phase"?',
+        "14": 'Incompatible types in assignment (expression has type "float", variable has type "int")',
+        "15": '"State" has no attribute "phse"; maybe "phase"?',
+    }
+
+
+def test_no_record_of_a_kernel_is_of_any_type():
+    seen = 0
+    for path in SOURCES:
+        text = path.read_text()
+        if "kernel" not in text:
+            continue
+        assert "Record: TypeAlias = Any" not in text, path
+        for function in ast.walk(ast.parse(text)):
+            if not isinstance(function, ast.FunctionDef) or not {"kernel", "inlined"} & {
+                name.id for name in function.decorator_list if isinstance(name, ast.Name)
+            }:
+                continue
+            for argument in function.args.args:
+                kind = "" if argument.annotation is None else ast.unparse(argument.annotation)
+                seen += 1
+                assert kind not in ("", "Record", "np.record"), f"{path}:{function.lineno}: {argument.arg}"
+    assert seen > 1000
