@@ -151,30 +151,24 @@ def frame_lengths() -> None:
 
 
 def million_frames(count: int = 1_000_000) -> None:
-    """Frame lengths against the oracle that sends bit by bit: standard, extended, remote and FD
-    frames, a quarter each.
+    """Frame lengths against the oracle that sends bit by bit: standard, extended and remote frames, a
+    third each.
     """
     import random
 
-    from benchmarks.bit_oracle import classical, fd_lengths
-    from coulombus.wire.bits import FD_LENGTHS, fd_frame_bits, frame_bits
+    from benchmarks.bit_oracle import classical
+    from coulombus.wire.bits import frame_bits
 
     rng = random.Random(1)
     different = 0
     for i in range(count):
-        kind = i % 4
-        extended = kind == 1 or (kind >= 2 and rng.random() < 0.5)
+        kind = i % 3
+        extended = kind == 1 or (kind == 2 and rng.random() < 0.5)
         can_id = rng.getrandbits(29 if extended else 11)
-        length = rng.choice(FD_LENGTHS) if kind == 3 else rng.randrange(9)
+        length = rng.randrange(9)
         data = rng.randbytes(length) if rng.random() < 0.5 else bytes(rng.choices((0, 0xFF, 0xF8, 0x1F), k=length))
-        if kind == 3:
-            switch = rng.random() < 0.5
-            found: object = fd_frame_bits(can_id, data, extended=extended, bitrate_switch=switch)
-            expected: object = fd_lengths(can_id, data, extended, switch)
-        else:
-            found = frame_bits(can_id, data, extended=extended, remote=kind == 2)
-            expected = len(classical(can_id, data, extended, kind == 2).wire)
-        different += found != expected
+        found = frame_bits(can_id, data, extended=extended, remote=kind == 2)
+        different += found != len(classical(can_id, data, extended, kind == 2))
     show(f"frame lengths that differ from the oracle's, of {count:,}", f"{different}", "0")
 
 

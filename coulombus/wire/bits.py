@@ -15,8 +15,6 @@ identifier.
 The kernel goes byte by byte. Two tables are enough: the CRC is linear, so each byte adds (xor) what
 it alone leaves in the register at the end; stuffing is an automaton of nine states (nothing sent
 yet, a run of 1-4 zeros, of 1-4 ones).
-
-CAN FD frames are in `wire.fd_bits`, and importable from here.
 """
 
 from __future__ import annotations
@@ -25,15 +23,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.kernels.decorator import kernel
-from coulombus.wire.fd_bits import FD_LENGTHS, fd_duration_ns, fd_frame_bits
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
 
 __all__ = [
     "CRC_POLYNOMIAL",
-    "FD_LENGTHS",
     "data_frame_bits",
-    "fd_duration_ns",
-    "fd_frame_bits",
     "frame_bits",
     "worst_case_bits",
 ]

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.bit_oracle import classical, crc, numbered
 from coulombus.wire.bits import data_frame_bits, frame_bits, worst_case_bits
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 
@@ -137,3 +138,16 @@ def test_mistakes_of_extended_and_remote_frames():
         frame_bits(0x181, 9, remote=True)
     with pytest.raises(ValueError, match="9 data bytes"):
         worst_case_bits(9)
+
+
+def test_the_second_oracle_agrees():
+    # check value of CRC-15/CAN in the catalogue of parametrised CRC algorithms
+    assert crc([bit for byte in b"123456789" for bit in numbered(byte, 8)]) == numbered(0x059E, 15)
+    rng = random.Random(5)
+    for _ in range(1000):
+        extended, remote = rng.random() < 0.5, rng.random() < 0.3
+        can_id, n = rng.getrandbits(29 if extended else 11), rng.randrange(9)
+        data = rng.randbytes(n) if rng.random() < 0.6 else bytes(rng.choices([0, 0xFF, 0xF8, 0x1F, 0x83], k=n))
+        sent = classical(can_id, data, extended, remote)
+        assert frame_bits(can_id, data, extended=extended, remote=remote) == len(sent)
+        assert "".join(map(str, sent)) == on_wire(can_id, data, extended, remote)
