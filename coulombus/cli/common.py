@@ -57,7 +57,7 @@ def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
 
 def check_shared_machine(addresses: Iterable[BusAddress]) -> None:
     """Refuse --shared-machine on a bus that is not built in."""
-    real = [str(address) for address in addresses if address.kind != "coulombus"]
+    real = [str(address) for address in addresses if address.moves_hardware]
     if real:
         text = (
             f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"

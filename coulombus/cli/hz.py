@@ -20,11 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["hz", "pdo"]
 
-STAMPS = {
-    "coulombus": "SO_TIMESTAMPNS: when the virtual bus sent the message",
-    "socketcan": "SO_TIMESTAMPNS: when the kernel took the frame",
-}
-
 
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
@@ -66,7 +61,7 @@ def hz(
             if sys.stderr.isatty():
                 say(f"coulombus: listening to {address} for {seconds:g} s")
             stamps, lost = listen(address, seconds)
-            where, source = str(address), STAMPS[address.kind]
+            where, source = str(address), address.stamps
         rows = timing(rig, stamps)
         if as_json:
             print_json({"of": where, "stamps": source, "lost": lost, "identifiers": [as_dict(row) for row in rows]})

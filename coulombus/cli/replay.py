@@ -250,7 +250,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, cho
     remark(tape.remarks)
     if not len(tape.frames):
         raise click.UsageError(f"{file}: no frame is left to be played")
-    if address.kind == "socketcan" and not playing.to_rig and _moves(tape) and not is_virtual(address.name):
+    if address.moves_hardware and not playing.to_rig and _moves(tape) and not is_virtual(address.name):
         raise NotToTheRig(
             f"{file} has frames of a host (NMT, SYNC, RPDOs): on {address} they would move a motor, and no host would watch it. "
             "Leave them out (--node N, --ids), or give --to-rig if that is what you want"

@@ -170,7 +170,7 @@ def _choose_bit_rate(bus_name: str) -> None:
     from coulombus.wire.address import parse_address
 
     address = parse_address(bus_name)
-    if address.kind != "socketcan":
+    if not address.is_interface:
         raise click.UsageError(
             "--bitrates is for socketcan: a virtual bus has one bit rate, and its clients have it, too"
         )

@@ -143,7 +143,7 @@ def sim(
         rig = load_rig(chosen.rig_name, chosen.overrides)
         addresses = chosen.addresses(rig)
         told = simulated.of(rig)
-        virtual = next(iter(addresses.values())).kind == "coulombus"
+        virtual = next(iter(addresses.values())).is_virtual
         if record is not None and (simulated.unpaced or len(addresses) > 1 or not virtual):
             raise click.UsageError(
                 "--record is of one virtual bus on which frames take their time; choose one with --channel"

@@ -69,6 +69,38 @@ class BusAddress:
     def __str__(self) -> str:
         return f"{self.kind}:{self.name}"
 
+    @property
+    def is_virtual(self) -> bool:
+        """Whether the bus is one of this project: a process of this machine serves it at a socket, with
+        bit times, faults and recordings of its own.
+        """
+        return self.kind == "coulombus"
+
+    @property
+    def is_interface(self) -> bool:
+        """Whether `name` is a network interface of Linux: `ip` sets its bit rate, and it may have a
+        card behind it.
+        """
+        return self.kind == "socketcan"
+
+    @property
+    def moves_hardware(self) -> bool:
+        """Whether a frame may move a real motor: then a key, a dead man's switch and the marks of a
+        rehearsal are asked for.
+        """
+        return self.kind != "coulombus"
+
+    @property
+    def packs_frames(self) -> bool:
+        """Whether one message carries many frames; else each frame is a message of its own."""
+        return self.kind == "coulombus"
+
+    @property
+    def stamps(self) -> str:
+        """What the time stamp of a received frame tells."""
+        what = "the virtual bus sent the message" if self.is_virtual else "the kernel took the frame"
+        return f"SO_TIMESTAMPNS: when {what}"
+
 
 def default_address(rig_name: str) -> BusAddress:
     """Return the virtual bus of a rig: ``coulombus:RIG``, what cannot

@@ -41,7 +41,7 @@ def examination(
 
 
 def _of_bus(machine: Machine, wanted: Wanted, channel: str, address: BusAddress, *, several: bool) -> list[Check]:
-    if address.kind != "socketcan":
+    if not address.is_interface:
         text = f"{address} is a virtual bus: no card is looked at (--bus socketcan:can0 names one)"
         found: list[Check] = [("can.interface", lambda: Outcome(True, text))]
     else:

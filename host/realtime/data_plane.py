@@ -129,7 +129,7 @@ class DataPlane:
         self.shared = SharedPlane.create(len(controllers.each))
         controllers.adopt(self.shared.axes)
         self.shared.owner[:] = controllers.owner
-        self.shared.plane["packed"] = address.kind == "coulombus"
+        self.shared.plane["packed"] = address.packs_frames
         self._controllers = controllers
         self._batch = frames(BATCH_FRAMES)
         self._rows = new_records(TraceRow, TRACE_ROWS)

@@ -23,7 +23,7 @@ LONGEST_NS = 3600_000_000_000
 
 def new_arm_key(address: BusAddress) -> str:
     """Return the arm key of a run: six digits; none on a virtual bus, which moves nobody."""
-    return f"{secrets.randbelow(10**6):06d}" if address.kind == "socketcan" else ""
+    return f"{secrets.randbelow(10**6):06d}" if address.moves_hardware else ""
 
 
 class ArmKey:

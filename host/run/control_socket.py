@@ -77,7 +77,7 @@ class NotChanged(HostError):
 
 def control_path(address: BusAddress) -> Path:
     """Return the path of the control socket of the host on a bus."""
-    name = address.name if address.kind == "coulombus" else "socketcan-" + re.sub(r"[^A-Za-z0-9_.-]", "_", address.name)
+    name = address.name if address.is_virtual else f"{address.kind}-" + re.sub(r"[^A-Za-z0-9_.-]", "_", address.name)
     return socket_path(f"{name}.host")
 
 

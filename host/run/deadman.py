@@ -48,7 +48,7 @@ def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
     if rig.host.deadman:
         return rig.host.deadman
     pushing = [f"{axis.prefix}motor" for axis in rig.axes if motor_limit_Nm(axis, mode) > 0]
-    if address.kind == "socketcan" and pushing:
+    if address.moves_hardware and pushing:
         which = "the motor" if pushing == ["motor"] else ", ".join(pushing)
         raise SafetyTrip(
             f"mode {mode} gives {which} torque on {address}, and {rig.path} names no dead man's switch: set host.deadman to "

@@ -25,7 +25,7 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
     RigError
         the file has marks of `coulombus init --rehearse`; each is named
     """
-    marks = () if address.kind == "coulombus" else rehearsal_marks(rig.origin.text)
+    marks = rehearsal_marks(rig.origin.text) if address.moves_hardware else ()
     if marks:
         wanted = f"expected what holds for the devices on {address}, and no mark"
         raise RigError([f"{rig.path}:{line}: got '# {REHEARSAL}'; {wanted}" for line in marks])

@@ -174,7 +174,7 @@ class RealCourse(Course):
             if not right["granted"]:
                 say(f"coulombus: {right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
         if self.deadman == "none":
-            if self.address.kind == "socketcan":
+            if self.address.moves_hardware:
                 say("coulombus: no dead man's switch: host.deadman is none")
         else:
             say(f"coulombus: dead man's switch: {self.deadman}")

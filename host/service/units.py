@@ -92,7 +92,7 @@ class Service:
         AddressError: the bus has no name that can stand in these files.
         """
         address = parse_address(self.bus)
-        return interface_name(address.name) if address.kind == "socketcan" else "can0"
+        return interface_name(address.name) if address.is_interface else "can0"
 
     def command(self, *words: str) -> str:
         """Return a value of ExecStart."""

@@ -37,7 +37,7 @@ class _Errors(can.Listener):
 def _open(address: BusAddress, can_ids: Iterable[int]) -> can.BusABC:
     filters: Any = [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in sorted(can_ids)]
     try:
-        if address.kind == "coulombus":
+        if address.is_virtual:
             from coulombus.wire.can_interface import CoulombusBus
 
             return CoulombusBus(address.name, can_filters=filters)

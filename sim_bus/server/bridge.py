@@ -114,7 +114,7 @@ class _Way:
     def __init__(self, source: Client, sink: Client, between: Between, ranges: Ranges, room: int) -> None:
         self.source, self.sink, self.between, self.ranges, self.room = source, sink, between, ranges, room
         self.counts = Counts()
-        self.packed = MESSAGE_FRAMES if sink.address.kind == "coulombus" else 1
+        self.packed = MESSAGE_FRAMES if sink.address.packs_frames else 1
         self._queue: list[tuple[int, int, Frame]] = []
         self._number = 0
         self._again_ns = 0

@@ -249,7 +249,7 @@ class LiveNodes:
 
 def serves(server: BusServer) -> bool:
     """Tell whether the virtual bus is this process' own."""
-    return server.address.kind == "coulombus" and not server.joined
+    return server.address.is_virtual and not server.joined
 
 
 def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> None:

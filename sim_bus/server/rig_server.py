@@ -112,7 +112,7 @@ class SimServer(BusServer):
         force: bool = False,
         numbered: bool = True,
     ) -> None:
-        if faults is not None and (unpaced or address.kind == "socketcan"):
+        if faults is not None and (unpaced or not address.is_virtual):
             raise FaultError(f"{faults.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
         self._recorder: Recorder | None = None
         self._script, self._faults, self._seed = tuple(script), faults, seed

@@ -125,9 +125,7 @@ class BusServer:
         self.joined = False
         """Whether another process serves the bus."""
         raw = None
-        if (
-            address.kind == "socketcan"
-        ):  # first what can be refused at once: compiling takes half a minute the first time
+        if address.is_interface:  # first what can be refused at once: compiling takes half a minute the first time
             raw = can_socket(address.name)
         elif not join:
             _refuse_live(socket_path(address.name), address)

@@ -1,4 +1,5 @@
 import os
+import re
 import socket
 import stat
 import subprocess
@@ -15,6 +16,7 @@ from coulombus.wire.address import (
     parse_address,
     socket_path,
 )
+from places import ROOT
 
 
 @pytest.fixture
@@ -36,6 +38,28 @@ def test_addresses(text, kind, name):
     address = parse_address(text)
     assert (address.kind, address.name) == (kind, name)
     assert str(address) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "virtual", "interface", "moves", "packs", "stamped"),
+    [
+        ("coulombus:bench", True, False, False, True, "when the virtual bus sent the message"),
+        ("socketcan:vcan0", False, True, True, False, "when the kernel took the frame"),
+    ],
+)
+def test_what_an_address_says_of_its_bus(text, virtual, interface, moves, packs, stamped):
+    address = parse_address(text)
+    assert (address.is_virtual, address.is_interface) == (virtual, interface)
+    assert (address.moves_hardware, address.packs_frames) == (moves, packs)
+    assert address.stamps == f"SO_TIMESTAMPNS: {stamped}"
+
+
+def test_outside_of_wire_nobody_compares_the_kind_of_a_bus():
+    compared = re.compile(r"""[!=]= ?"(coulombus|socketcan)"|\bin \(?"(coulombus|socketcan)\"""")
+    for top in ("coulombus", "eds", "host", "node", "sim_bus"):
+        for path in sorted((ROOT / top).rglob("*.py")):
+            if path.parent != ROOT / "coulombus" / "wire":
+                assert not compared.search(path.read_text()), path
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ class BusReader(_Worker):
     def _run(self) -> None:
         asked = taken = time.monotonic()
         blocks: list[Block] = []
-        pause_s = COLLECT_S if self._client.address.kind == "socketcan" else BATCH_S
+        pause_s = BATCH_S if self._client.address.packs_frames else COLLECT_S
         while not self.stop.wait(pause_s):
             now, now_ns = time.monotonic(), time.time_ns()
             try:

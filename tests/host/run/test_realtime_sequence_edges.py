@@ -82,7 +82,7 @@ def course_of(monkeypatch, rig="bench"):
     monkeypatch.setattr(realtime_sequence, "say", found.said.append)
     rig = load_rig(rig)
     Course.__init__(found, Controllers(rig, "hybrid"), None, None)
-    found.rig, found.address = rig, SimpleNamespace(kind="coulombus", __str__=lambda self: "x")
+    found.rig, found.address = rig, SimpleNamespace(moves_hardware=False, __str__=lambda self: "x")
     found.plane, found.zero_ns, found.deadman = Plane(log), ZERO_NS, "key"
     found.error, found._fate, found.stopped_by, found._touched = None, "", None, False
     found._seen, found._outcome, found._stack, found._bits = (7, clock.monotonic()), None, ExitStack(), "bits"
@@ -243,16 +243,16 @@ def test_rights_that_were_refused_are_said(run, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("deadman", "kind", "said"),
+    ("deadman", "moves", "said"),
     [
-        ("none", "socketcan", ["coulombus: no dead man's switch: host.deadman is none"]),
-        ("none", "coulombus", []),
-        ("key", "socketcan", ["coulombus: dead man's switch: key"]),
+        ("none", True, ["coulombus: no dead man's switch: host.deadman is none"]),
+        ("none", False, []),
+        ("key", True, ["coulombus: dead man's switch: key"]),
     ],
 )
-def test_the_dead_man_s_switch_is_said(run, monkeypatch, deadman, kind, said):
+def test_the_dead_man_s_switch_is_said(run, monkeypatch, deadman, moves, said):
     prepared(run, monkeypatch)
-    run.deadman, run.address.kind = deadman, kind
+    run.deadman, run.address.moves_hardware = deadman, moves
     run.prepare()
     assert run.said == said
 

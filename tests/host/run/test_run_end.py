@@ -26,6 +26,7 @@ from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.system.sd_notify import Notifier
 from coulombus.system.stop_signals import Signals
+from coulombus.wire.address import parse_address
 from coulombus.wire.frame import FRAME
 
 MS, S = 1_000_000, 1_000_000_000
@@ -244,7 +245,7 @@ def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monke
     run.plane.slow_batch = 0
     Course.__init__(run, run.plane.k, None, None)
     run.zero_ns, run._order, run.deadman = 0, StampOrder(0), "key"
-    run.address = SimpleNamespace(kind="coulombus")
+    run.address = parse_address("coulombus:x")
     run.control = SimpleNamespace(check_alone=lambda at: None)
     seen = []
     monkeypatch.setattr(realtime_sequence, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())

@@ -5,13 +5,12 @@ counted.
 from __future__ import annotations
 
 import random
-from types import SimpleNamespace
 
 import pytest
 
 from coulombus.sim_bus.server import bridge as module
 from coulombus.sim_bus.server.bridge import QUEUE_FRAMES, Result, SameBus, bridge, faults
-from coulombus.wire.address import parse_address
+from coulombus.wire.address import BusAddress, parse_address
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import CAN_FRAME, BusDown, BusFull
 
@@ -23,7 +22,7 @@ class Client:
     """One end: frames to receive, and what is sent."""
 
     def __init__(self, kind="coulombus"):
-        self.address, self.waiting, self.sent, self.lost, self.error = SimpleNamespace(kind=kind), [], [], 0, None
+        self.address, self.waiting, self.sent, self.lost, self.error = BusAddress(kind, "x"), [], [], 0, None
 
     def receive(self):
         if self.error:

@@ -15,6 +15,7 @@ from coulombus.node.kinds import GENERIC
 from coulombus.node.store import FileStore
 from coulombus.sim_bus.server import live_nodes
 from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError, serves
+from coulombus.wire.address import BusAddress
 from eds_edit import edit, gone
 from foreign_eds import BRAKE, MOTOR, another
 
@@ -245,7 +246,7 @@ def test_a_node_takes_its_time_for_a_request(tmp_path):
 
 
 def server_of(found, kind="coulombus", joined=False):
-    address = SimpleNamespace(kind=kind, __str__=lambda self: "bus")
+    address = BusAddress(kind, "bus")
     return SimpleNamespace(address=address, joined=joined, bit_rate=500_000, world=found)
 
 
@@ -261,7 +262,7 @@ def test_a_world_tells_of_each_boot_up_and_each_twin_once(tmp_path, said, shown)
     found = nodes(tmp_path, (MOTOR, 5), (BRAKE, 6), as_json=True)
     world = found.make_world(500_000, False)
     found.begin(SimpleNamespace(address="bus", joined=False, bit_rate=500_000, world=world))
-    found.server.address = SimpleNamespace(kind="coulombus")
+    found.server.address = BusAddress("coulombus", "bus")
     world.power_on()
     world.wait_ns(2_000_000_000)
     lines = [json.loads(line) for line in shown]
