@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from coulombus.rigs.rig import load_rig
     from coulombus.sim_bus.network.network import VirtualNetwork
     from coulombus.sim_bus.server.own_device import Device
+    from coulombus.system.errors import CoulombusError
 
-__all__ = ["Device", "VirtualNetwork", "live", "load_rig", "read", "simulate"]
+__all__ = ["CoulombusError", "Device", "VirtualNetwork", "live", "load_rig", "read", "simulate"]
 
 _PLACES = {
+    "CoulombusError": "coulombus.system.errors",
     "Device": "coulombus.sim_bus.server.own_device",
     "VirtualNetwork": "coulombus.sim_bus.network.network",
     "live": "coulombus.monitor.callbacks",

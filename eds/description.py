@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from coulombus.eds.cia301 import DATA_TYPES
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["Description", "Diagnosis", "EdsError", "Object", "Severity", "Value", "Variable"]
 
@@ -16,7 +17,7 @@ Value = int | float | str | bytes | None
 Severity = Literal["error", "warning"]
 
 
-class EdsError(Exception):
+class EdsError(CoulombusError):
     """An EDS file is refused; the text is ``file:line: what; what is expected or what to do``."""
 
     exit_status = 3

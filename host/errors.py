@@ -1,20 +1,17 @@
-"""Why the host refuses or stops, and the exit status that each reason has.
+"""Why the host refuses or stops.
 
-HostError
-+-- NodeMissing        5   a node does not answer
-+-- SdoAborted         6   a node refuses a value
-+-- AnswerUntrusted    6   a node's answer is none, or a second device's (then 3)
-+-- DeviceMismatch     3   a node is not what the rig file says
-+-- SafetyTrip         7   arming was refused, or the safe state was entered
+`coulombus.system.errors` has the tree of all errors, and their exit statuses.
 """
 
 from __future__ import annotations
 
+from coulombus.system.errors import CoulombusError
+
 __all__ = ["AnswerUntrusted", "DeviceMismatch", "HostError", "NodeMissing", "SafetyTrip", "SdoAborted"]
 
 
-class HostError(Exception):
-    """Base of all reasons; `exit_status` is the command line's."""
+class HostError(CoulombusError):
+    """Base of all reasons."""
 
     exit_status = 1
 

@@ -22,6 +22,7 @@ import click
 from coulombus.cli.exit_status import FAULT, STATUSES
 from coulombus.cli.tables import echo
 from coulombus.system.c_library import NeedsLinux
+from coulombus.system.errors import CoulombusError
 from coulombus.system.exit import abandon_stdout, say, verdict
 from coulombus.system.foreign_text import printable
 from coulombus.system.stop_signals import Stopped, as_exceptions, raised, status_of, told
@@ -186,8 +187,8 @@ def errors() -> Iterator[None]:
 
 @contextmanager
 def _failures() -> Iterator[None]:
-    """Turn an error into a `Failure`: one that a user can cause by its attribute `exit_status` or
-    what it is, all else by FAULT.
+    """Turn an error into a `Failure`: one of this project by its `exit_status`, one of the system that
+    a user can cause by what it is, all else by FAULT.
     """
     try:
         yield
@@ -196,17 +197,16 @@ def _failures() -> Iterator[None]:
     except BrokenPipeError:  # the reader of a pipe went away, as `head` does
         abandon_stdout()
         sys.exit(0)
+    except CoulombusError as error:
+        raise Failure(str(error), error.exit_status) from error
     except Exception as error:
         raise _failure(error) from error
 
 
 def _failure(error: Exception) -> Failure:
-    status = getattr(error, "exit_status", None)
-    if status is not None:
-        return Failure(str(error), status)
     absent = _needs_linux(error)
     if absent:
-        return _failure(NeedsLinux(absent))
+        return Failure(str(NeedsLinux(absent)), NeedsLinux.exit_status)
     if isinstance(error, MemoryError):
         return Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2)
     if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("coulombus."):

@@ -16,6 +16,7 @@ from coulombus.cli.common import json_option, printed, say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import InputPath
 from coulombus.cli.tables import echo, progress
+from coulombus.system.errors import CoulombusError
 
 if TYPE_CHECKING:
     from coulombus.lab.replay.host_replay import HostReplay
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["bridge", "replay"]
 
 
-class NotToTheRig(Exception):
+class NotToTheRig(CoulombusError):
     """What would move a rig is not sent there without being asked for."""
 
     exit_status = 7

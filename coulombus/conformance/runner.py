@@ -33,12 +33,13 @@ from coulombus.conformance.tester.unit import Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, where
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import PowerState
+from coulombus.system.errors import CoulombusError
 from coulombus.wire.address import BusUnavailable
 
 __all__ = [
     "MODULES",
     "ConformanceRefused",
-    "NodeMissing",
+    "DeviceSilent",
     "Outcome",
     "Report",
     "WrongDevice",
@@ -56,25 +57,25 @@ FRAMES = 40
 _GIVE_UP = 3
 
 
-class NodeMissing(Exception):
+class DeviceSilent(CoulombusError):
     """No node answers."""
 
     exit_status = 5
 
 
-class ConformanceRefused(Exception):
+class ConformanceRefused(CoulombusError):
     """The device is at work: the run would interfere."""
 
     exit_status = 7
 
 
-class WrongDevice(Exception):
+class WrongDevice(CoulombusError):
     """The device is not the one that the EDS describes."""
 
     exit_status = 3
 
 
-class UnknownCase(ValueError):
+class UnknownCase(CoulombusError, ValueError):
     """There is no such case."""
 
     exit_status = 2
@@ -132,7 +133,7 @@ def check_before(unit: Unit, *, force: bool = False) -> None:
 
     Raises
     ------
-    NodeMissing
+    DeviceSilent
         Nothing answers an upload of 1000h, twice.
     ConformanceRefused
         It is in NMT OPERATIONAL, or a drive in Operation Enabled; not with `force`.
@@ -148,7 +149,7 @@ def check_before(unit: Unit, *, force: bool = False) -> None:
                 continue
             if unit.state() is None:
                 text = f"no node answers as node {unit.node_id} (SDO request {unit.sdo_rx:03X}h): is it on, and is the id right?"
-                raise NodeMissing(text) from None
+                raise DeviceSilent(text) from None
         except CaseFailed:
             break
     if force:

@@ -34,6 +34,7 @@ from coulombus.sim_bus.faults.file import FaultPlan, read_faults
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.plant import truth_columns
+from coulombus.system.errors import CoulombusError
 from coulombus.wire.clock import bus_ns
 from coulombus.wire.frame import Records
 
@@ -45,7 +46,7 @@ LOOK_NS = 1_000_000_000
 TRUTH_BYTES = 8e9
 
 
-class TruthError(Exception):
+class TruthError(CoulombusError):
     """The plant's true course cannot be saved."""
 
     exit_status = 2

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 from coulombus.monitor.callbacks import LiveBus
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
+from coulombus.system.errors import CoulombusError
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import Client
@@ -31,7 +32,7 @@ LOOK_S = 0.1
 Values = Mapping[str, int | float | None]
 
 
-class PortError(Exception):
+class PortError(CoulombusError):
     """The port of a tool cannot be used."""
 
     exit_status = 2

@@ -5,12 +5,14 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from coulombus.system.errors import CoulombusError
+
 __all__ = ["EXTRA", "MissingExtra", "library"]
 
 EXTRA = "pip install 'coulombus[export]'"
 
 
-class MissingExtra(ImportError):
+class MissingExtra(CoulombusError, ImportError):
     """A library is not installed; the text names the extra that installs it."""
 
     exit_status = 2

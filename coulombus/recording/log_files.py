@@ -8,6 +8,7 @@ from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
 from coulombus.recording import blf_log, mf4_log
+from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Frame, Records, new_records
 
 __all__ = ["WALL_CLOCK_NS", "LogError", "is_log", "is_pcapng", "read_log"]
@@ -20,7 +21,7 @@ LATEST_S = 2**63 / 1e9 - 1
 """Stamps beyond this are more nanoseconds than an int64 holds."""
 
 
-class LogError(Exception):
+class LogError(CoulombusError):
     """The file cannot be read; the text says where and why."""
 
     exit_status = 2

@@ -21,7 +21,8 @@ import hashlib
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import ClassVar
+
+from coulombus.system.errors import CoulombusError
 
 __all__ = [
     "ATTACHMENT",
@@ -74,22 +75,22 @@ ATTACHMENT_HEAD = struct.Struct("<8s32sIII")  # see attachment_block
 ATTACHMENT_MAGIC = b"CoulAtt1"
 
 
-class PcapngError(Exception):
+class PcapngError(CoulombusError):
     """The file is not a pcapng recording that can be read.
 
     The text names file, offset, what is wrong, what to do.
     """
 
-    exit_status: ClassVar[int] = 2
+    exit_status = 2
 
 
-class RecordingError(OSError):
+class RecordingError(CoulombusError, OSError):
     """The recording cannot be written any further (disk full, limit reached).
 
     What was written stays readable.
     """
 
-    exit_status: ClassVar[int] = 2
+    exit_status = 2
 
 
 def block(kind: int, body: bytes) -> bytes:

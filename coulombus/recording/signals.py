@@ -34,6 +34,7 @@ from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ MOST_NAMED = 6
 UNSURE = "unsure "  # begins the names of positions with gaps in which they may have wrapped unseen
 
 
-class UnknownSignal(KeyError):
+class UnknownSignal(CoulombusError, KeyError):
     """A recording has no signal of this name; the text names the nearest ones."""
 
     exit_status = 2

@@ -7,11 +7,12 @@ from numbers import Real
 from typing import Any
 
 from coulombus.rigs.arguments import WrongCall
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["SpanError", "checked_span", "parse_span"]
 
 
-class SpanError(Exception):
+class SpanError(CoulombusError):
     """There is nothing to show of a recording; the text says why, and what to do."""
 
     exit_status = 2

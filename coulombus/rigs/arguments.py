@@ -7,10 +7,12 @@ from collections.abc import Iterable
 from numbers import Integral, Real
 from typing import Any
 
+from coulombus.system.errors import CoulombusError
+
 __all__ = ["WrongCall", "a_number", "path_text", "texts"]
 
 
-class WrongCall(TypeError):
+class WrongCall(CoulombusError, TypeError):
     """An argument is of a type that the call does not take; the text says how to call."""
 
     exit_status = 2

@@ -11,6 +11,7 @@ from typing import Any
 
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.toml_lines import Document, Key
+from coulombus.system.errors import CoulombusError
 from coulombus.system.foreign_text import printable
 
 __all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
@@ -24,7 +25,7 @@ PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 
 """SI prefix -> factor."""
 
 
-class RigError(Exception):
+class RigError(CoulombusError):
     """A rig file is refused; `errors` holds one line for each mistake, all that were found.
 
     `problems` are those of them that are about a role; `lacking` has the keys that are missing in a

@@ -5,10 +5,12 @@ from __future__ import annotations
 import ctypes
 from typing import Any
 
+from coulombus.system.errors import CoulombusError
+
 __all__ = ["NeedsLinux", "c_library"]
 
 
-class NeedsLinux(ImportError):
+class NeedsLinux(CoulombusError, ImportError):
     """What only Linux has is asked for somewhere else."""
 
     exit_status = 4

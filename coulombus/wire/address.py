@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
+from coulombus.system.errors import CoulombusError
 from coulombus.system.private_folder import make_private, reason_against
 from coulombus.system.quoting import INTERFACE
 
@@ -38,13 +39,13 @@ _SUN_PATH = 107  # bytes of a socket's path, without the closing zero byte: unix
 _RESERVED = ".host"  # the control socket of the host on bus NAME is NAME.host
 
 
-class AddressError(ValueError):
+class AddressError(CoulombusError, ValueError):
     """A bus address that cannot be meant; the text says what can."""
 
     exit_status = 2
 
 
-class BusUnavailable(OSError):
+class BusUnavailable(CoulombusError, OSError):
     """No bus answers at this address; the text says how to get one."""
 
     exit_status = 4

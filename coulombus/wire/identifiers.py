@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.system.errors import CoulombusError
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_RTR_FLAG
 
 __all__ = ["IdentifierError", "Ranges", "among", "parse_identifiers"]
@@ -20,7 +21,7 @@ Ranges = tuple[tuple[int, int], ...]
 _PART = re.compile(r"(0x)?([0-9A-F]+)(X?)", re.I)
 
 
-class IdentifierError(ValueError):
+class IdentifierError(CoulombusError, ValueError):
     """No identifiers; the text says what would be."""
 
     exit_status = 2

@@ -19,8 +19,9 @@ from coulombus.recording.reading import read
 from coulombus.rigs.errors import dotted, toml_value
 from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
+from coulombus.system.errors import CoulombusError
 
-__all__ = ["MARK", "Done", "Ended", "Runner", "Session", "results"]
+__all__ = ["MARK", "Done", "RunEnded", "Runner", "Session", "results"]
 
 MARK = "commission"
 """How the comments begin that commissioning puts above a key."""
@@ -29,7 +30,7 @@ Runner: TypeAlias = Callable[[Exercise, Path], RunResult]
 """Runs an exercise, recorded at a path: on a bus (`host.run.real_run`), or in virtual time."""
 
 
-class Ended(Exception):
+class RunEnded(CoulombusError):
     """A run was ended from outside, by Ctrl-C or ``coulombus stop``."""
 
     def __init__(self, by: str, exit_status: int) -> None:
@@ -116,7 +117,7 @@ class Session:
 
         Raises
         ------
-        Ended
+        RunEnded
             it was stopped from outside
         coulombus.host.errors.SafetyTrip
             a run tripped
@@ -153,7 +154,7 @@ class Session:
         path = self.state.folder / f"{one.name}.pcapng"
         result = self.run(one, path)
         if result.stopped_by is not None:
-            raise Ended(result.stopped_by, result.exit_status)
+            raise RunEnded(result.stopped_by, result.exit_status)
         trip = None
         if result.trip is not None:
             trip = Trip(result.trip.partition(":")[0], result.trip)

@@ -13,6 +13,7 @@ from coulombus.host.laws.laws import EXERCISES
 from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
+from coulombus.system.errors import CoulombusError
 
 __all__ = [
     "TRAVEL_SHARE",
@@ -33,7 +34,7 @@ __all__ = [
 ]
 
 
-class CommissionError(Exception):
+class CommissionError(CoulombusError):
     """A step found nothing that could be written: the text says why, and what to do."""
 
     exit_status = 1

@@ -36,10 +36,10 @@ __all__ = [
     "MARKER",
     "OVER_S",
     "Change",
+    "ChangeRefused",
     "LiveParameters",
     "Order",
     "Parameter",
-    "Refused",
     "orders_of",
     "parameters_of",
 ]
@@ -59,13 +59,13 @@ UNDONE = 1000
 Floats = npt.NDArray[np.float64]
 
 
-class Refused(HostError):
+class ChangeRefused(HostError):
     """A change is not made; the text says why."""
 
     exit_status = 2
 
 
-class NotTaken(Refused):
+class NotTaken(ChangeRefused):
     """The step has not taken the last order: no cycle has begun since."""
 
 
@@ -252,18 +252,18 @@ class LiveParameters:
 
         Raises
         ------
-        Refused
+        ChangeRefused
             nothing is changed; the text says why
         """
         index = self._index(axis)
         chosen = self._axes[index]
         if not values:
-            raise Refused("no value is given: expected NAME=VALUE, as in F_s=2.0")
+            raise ChangeRefused("no value is given: expected NAME=VALUE, as in F_s=2.0")
         wanted: dict[str, float] = {}
         for given, value in values.items():
             name = _name(given, chosen)
             if name in wanted:
-                raise Refused(f"{name} is given twice")
+                raise ChangeRefused(f"{name} is given twice")
             wanted[name] = float(value)
         change = self._order(index, wanted, over_s, {name: chosen.value[name] for name in wanted})
         self._made = [*self._made, (index, {one.name: one.old for one in change.values})][-UNDONE:]
@@ -274,11 +274,11 @@ class LiveParameters:
 
         Raises
         ------
-        Refused
+        ChangeRefused
             nothing is left to take back, or as `change`
         """
         if not self._made:
-            raise Refused("there is no change to undo")
+            raise ChangeRefused("there is no change to undo")
         index, old = self._made[-1]
         change = self._order(index, old, over_s, {name: self._axes[index].value[name] for name in old}, undo=True)
         self._made.pop()
@@ -289,12 +289,12 @@ class LiveParameters:
     ) -> Change:
         axis = self._axes[index]
         if not LEAST_S <= over_s <= MOST_S:
-            raise Refused(f"within {over_s:g} s: expected {LEAST_S:g} to {MOST_S:g} s")
+            raise ChangeRefused(f"within {over_s:g} s: expected {LEAST_S:g} to {MOST_S:g} s")
         if not undo:  # back to what was right before
             reasons = (axis.table[name].why_not(value) for name, value in wanted.items())
             reason = next(filter(None, reasons), None) or _pairs(axis, {**axis.value, **wanted}, wanted)
             if reason is not None:
-                raise Refused(reason)
+                raise ChangeRefused(reason)
         if any(int(one.controller.live["taken"][0]) != one.number for one in self._axes):
             raise NotTaken("the change before has not been taken yet: the host does not cycle")
         over_s = max(over_s, self._gentle_s(axis, wanted, old))
@@ -322,8 +322,8 @@ class LiveParameters:
         if name in names:
             return names.index(name)
         if names == [""]:
-            raise Refused(f"axis {name!r}: the rig has no named axes")
-        raise Refused(f"axis {name!r}: expected one of {', '.join(names)}{nearest(name, names)}")
+            raise ChangeRefused(f"axis {name!r}: the rig has no named axes")
+        raise ChangeRefused(f"axis {name!r}: expected one of {', '.join(names)}{nearest(name, names)}")
 
 
 def _short(name: str) -> str:
@@ -340,8 +340,8 @@ def _name(given: str, axis: _Axis) -> str:
         return short[given]
     law, there = axis.controller.axis.law.function, ", ".join(names)
     if given in OF_MODE or given in map(_short, OF_MODE):
-        raise Refused(f"{given}: the law {law} has none; there is {there}")
-    raise Refused(f"{given}: no parameter of this name; there is {there}{nearest(given, (*names, *short))}")
+        raise ChangeRefused(f"{given}: the law {law} has none; there is {there}")
+    raise ChangeRefused(f"{given}: no parameter of this name; there is {there}{nearest(given, (*names, *short))}")
 
 
 def _pairs(axis: _Axis, values: Mapping[str, float], wanted: Mapping[str, float]) -> str | None:
@@ -382,7 +382,7 @@ def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, Ord
 
     Raises
     ------
-    Refused
+    ChangeRefused
         a marker names a parameter or an axis that these do not have
     """
     axes = {axis.name: (index, axis) for index, axis in enumerate(map(_Axis, controllers))}
@@ -396,7 +396,7 @@ def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, Ord
             name, _, exact = part.partition("=")
             owner, _, plain = name.rpartition(".")
             if owner not in axes or plain not in axes[owner][1].table:
-                raise Refused(f"the marker '{text}' names {name}, which the rig does not have")
+                raise ChangeRefused(f"the marker '{text}' names {name}, which the rig does not have")
             wanted.setdefault(owner, {})[plain] = float.fromhex(exact.rpartition(">")[2])
         for owner, values in wanted.items():
             index, axis = axes[owner]

@@ -14,12 +14,12 @@ from coulombus.eds.sdo_frames import where
 from coulombus.host.devices.transfers import (
     APART,
     MOST_BYTES,
-    Nonsense,
+    DuplicateNodeId,
     Progress,
+    SdoProtocolError,
     SdoSilent,
     Transfer,
     Turn,
-    Twins,
     abort,
     download,
     upload,
@@ -73,7 +73,7 @@ class Talk(Generic[T]):
         text, stray = f"node {self._node_id} does not answer (SDO of {where(*self._place)})", self._answers.stray
         self._send(abort(*self._place, Abort.TIMEOUT))
         if stray:
-            self._end(Nonsense(f"{text}, but about {where(*named(stray))}: {APART}", Abort.TIMEOUT))
+            self._end(SdoProtocolError(f"{text}, but about {where(*named(stray))}: {APART}", Abort.TIMEOUT))
         else:
             self._end(SdoSilent(text))
 
@@ -102,7 +102,7 @@ class Talk(Generic[T]):
             self.deadline_ns = self._link.now_ns() + self._timeout_ns
         except StopIteration as stop:
             self.value, self.done = stop.value, True
-        except Nonsense as error:
+        except SdoProtocolError as error:
             self._send(abort(*self._place, error.code))
             self._end(error)
         except HostError as error:
@@ -200,11 +200,11 @@ class SdoClient:
         ------
         SdoSilent
             (exit status 5) the node does not answer
-        Refused
+        SdoRefused
             (6) it aborted the transfer
-        Nonsense
+        SdoProtocolError
             (6) its answer is none
-        Twins
+        DuplicateNodeId
             (3) two devices have its node id
         """
         return self._do(upload(index, subindex, most=most, progress=progress))
@@ -238,7 +238,7 @@ class SdoClient:
     def _refuse_twins(self) -> None:
         if self._answers.duplicate_node_id:
             place = where(*named(self._answers.second))
-            raise Twins(f"two devices answer as node {self.node_id} (SDO of {place}): {APART}", Abort.GENERAL)
+            raise DuplicateNodeId(f"two devices answer as node {self.node_id} (SDO of {place}): {APART}", Abort.GENERAL)
 
 
 def store_parameters(link: FrameLink, node_id: int, part: int = 1) -> None:

@@ -16,19 +16,19 @@ from typing import NamedTuple, TypeAlias, TypeVar
 from coulombus.eds.cia301 import Abort, abort_text
 from coulombus.eds.sdo_answers import named
 from coulombus.eds.sdo_frames import crc16, head, where
-from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, NodeMissing, SdoAborted
+from coulombus.host.errors import AnswerUntrusted, NodeMissing, SdoAborted
 
 __all__ = [
     "ABORT",
     "APART",
     "BLOCK",
-    "Nonsense",
+    "DuplicateNodeId",
     "Progress",
-    "Refused",
+    "SdoProtocolError",
+    "SdoRefused",
     "SdoSilent",
     "Transfer",
     "Turn",
-    "Twins",
     "abort",
     "download",
     "upload",
@@ -75,7 +75,7 @@ class SdoSilent(NodeMissing):
     """The server did not answer in time."""
 
 
-class Refused(SdoAborted):
+class SdoRefused(SdoAborted):
     """The server aborted the transfer; `code` is its abort code."""
 
     def __init__(self, what: str, index: int, subindex: int, code: int) -> None:
@@ -83,7 +83,7 @@ class Refused(SdoAborted):
         self.index, self.subindex, self.code = index, subindex, code
 
 
-class Nonsense(AnswerUntrusted):
+class SdoProtocolError(AnswerUntrusted):
     """The server's answer is none; `code` is with what the client aborts."""
 
     def __init__(self, text: str, code: int) -> None:
@@ -91,10 +91,10 @@ class Nonsense(AnswerUntrusted):
         self.code = code
 
 
-class Twins(Nonsense):
+class DuplicateNodeId(SdoProtocolError):
     """Two devices have one node id."""
 
-    exit_status = DeviceMismatch.exit_status
+    exit_status = 3
 
 
 def abort(index: int, subindex: int, code: int = Abort.GENERAL) -> bytes:
@@ -114,7 +114,7 @@ class _Answers:
         self.refusal = b""
 
     def next(self, *messages: bytes, initiates: bool = False) -> Transfer[bytes]:
-        """Send messages; return the server's next one. An abort raises `Refused`."""
+        """Send messages; return the server's next one. An abort raises `SdoRefused`."""
         answer = yield Turn(messages, initiates=initiates)
         while answer[0] == ABORT and named(answer) not in ((self.index, self.subindex), (0, 0)):
             answer = yield Turn()  # of a transfer before this one
@@ -122,7 +122,7 @@ class _Answers:
             answer = yield Turn()
         if answer[0] == ABORT:
             self.refusal = answer
-            raise Refused(self.what, self.index, self.subindex, int.from_bytes(answer[4:8], "little"))
+            raise SdoRefused(self.what, self.index, self.subindex, int.from_bytes(answer[4:8], "little"))
         return answer
 
     def first(self, message: bytes) -> Transfer[bytes]:
@@ -134,18 +134,18 @@ class _Answers:
             answer = yield from self.next()
         raise self.wrong(f"{answer.hex(' ')} is no answer", Abort.COMMAND)
 
-    def no_segment(self, answer: bytes, text: str) -> Nonsense:
+    def no_segment(self, answer: bytes, text: str) -> SdoProtocolError:
         """Return what an answer is that came in the place of a segment's."""
         if answer[0] >> 5 in (2, 3) and named(answer) != (self.index, self.subindex):
-            return Twins(
+            return DuplicateNodeId(
                 f"an answer to an SDO of {where(*named(answer))} came within the {self.what} "
                 f"{where(self.index, self.subindex)}: two devices have this node id: {APART}",
                 Abort.GENERAL,
             )
         return self.wrong(f"command {answer[0]:02X}h {text}", Abort.COMMAND)
 
-    def wrong(self, text: str, code: int) -> Nonsense:
-        return Nonsense(f"{self.what} {where(self.index, self.subindex)}: {text}", code)
+    def wrong(self, text: str, code: int) -> SdoProtocolError:
+        return SdoProtocolError(f"{self.what} {where(self.index, self.subindex)}: {text}", code)
 
 
 def upload(
@@ -160,9 +160,9 @@ def upload(
 
     Raises
     ------
-    Refused
+    SdoRefused
         the server aborted it
-    Nonsense
+    SdoProtocolError
         the server's answer is none, or the object has more bytes than `most`, or than it told
     """
     say = _Answers("upload of", index, subindex)
@@ -175,7 +175,7 @@ def upload(
                 content = yield from _block_upload(say, most, progress)
                 if content is not None:
                     return content
-            except Refused as refused:
+            except SdoRefused as refused:
                 if refused.code != Abort.COMMAND:
                     raise
             answer = yield from say.first(head(0x40, index, subindex))
@@ -263,9 +263,9 @@ def download(index: int, subindex: int, data: bytes, *, progress: Progress = _no
 
     Raises
     ------
-    Refused
+    SdoRefused
         the server aborted it
-    Nonsense
+    SdoProtocolError
         the server's answer is none
     """
     say = _Answers("download to", index, subindex)
@@ -276,7 +276,7 @@ def download(index: int, subindex: int, data: bytes, *, progress: Progress = _no
         try:
             yield from _block_download(say, data, progress)
             return
-        except Refused as refused:
+        except SdoRefused as refused:
             if refused.code != Abort.COMMAND:
                 raise
     _taken(say, (yield from say.first(head(0x21, index, subindex, len(data).to_bytes(4, "little")))))

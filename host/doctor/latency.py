@@ -22,6 +22,7 @@ from typing import Any
 
 from coulombus.host.doctor.finding import Finding, Outcome
 from coulombus.host.doctor.wanted import Wanted
+from coulombus.system.errors import CoulombusError
 from coulombus.system.realtime import die_with_parent
 
 __all__ = ["Latency", "Wakeups", "bars", "judge", "measure_latency", "read_cyclictest"]
@@ -99,8 +100,10 @@ class Latency:
     loads: int
 
 
-class LatencyError(RuntimeError):
+class LatencyError(CoulombusError, RuntimeError):
     """The test did not run; the text says why."""
+
+    exit_status = 1
 
 
 def read_cyclictest(text: str) -> tuple[dict[int, int], float]:

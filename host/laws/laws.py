@@ -71,6 +71,7 @@ from coulombus.host.laws.texture import texture
 from coulombus.host.laws.viscous import viscous
 from coulombus.host.laws.wall import wall
 from coulombus.kernels.decorator import JIT_DISABLED, cacheable
+from coulombus.system.errors import CoulombusError
 
 import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
 import numba.experimental.function_type  # isort: skip  (what the type of a compiled law is)
@@ -99,7 +100,7 @@ EXERCISES = "coulombus.host.laws.exercises"
 """The module of the exercises of commissioning, which are the project's own, too."""
 
 
-class LawError(Exception):
+class LawError(CoulombusError):
     """A law cannot be loaded; the text names it, the reason and what a law looks like."""
 
     exit_status = 3
@@ -338,7 +339,7 @@ def _function(name: str, place: str, attribute: str, directory: Path | None, *, 
     except LawError as error:
         raise LawError(f"law {name!r}: {error}") from None
     except Exception as error:
-        if hasattr(error, "exit_status") or isinstance(error, MemoryError):  # interrupted, and no mistake of the law
+        if isinstance(error, (CoulombusError, MemoryError)):  # interrupted, and no mistake of the law
             raise
         if isinstance(error, ModuleNotFoundError) and place.startswith(error.name or place):
             text = "there is no module of that name; expected FILE.py:FUNCTION or MODULE:FUNCTION"
@@ -371,6 +372,6 @@ def _compiled(name: str, plain: Any, *, own_law: bool) -> LawFunction:
     try:
         return compile_law(plain, cache=own_law)
     except Exception as error:  # numba raises many kinds
-        if hasattr(error, "exit_status") or isinstance(error, MemoryError):
+        if isinstance(error, (CoulombusError, MemoryError)):
             raise
         raise LawError(f"law {name!r} does not compile: {_why_not(plain, error)}; see docs/laws.md") from error

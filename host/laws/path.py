@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.regular_file import read_regular
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["MotionFileError", "MotionPath", "ramp", "read_columns", "read_motion", "sine"]
 
@@ -20,7 +21,7 @@ MOST = 1e100
 """No number of a motion is larger: what is computed of it stays finite."""
 
 
-class MotionFileError(Exception):
+class MotionFileError(CoulombusError):
     """A motion file cannot be used; each line says where, what, and what is expected."""
 
     exit_status = 3

@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from coulombus.host.cycle.parameter_changes import OVER_S, Change, LiveParameters, NotTaken, Refused
+from coulombus.host.cycle.parameter_changes import OVER_S, Change, ChangeRefused, LiveParameters, NotTaken
 from coulombus.host.run.arm_key import ArmKey
 
 __all__ = ["Changes"]
@@ -65,7 +65,7 @@ class Changes:
             change = self._change(order, now_ns) if order["values"] or order["undo"] else None
         except NotTaken as error:
             return {"error": str(error), "again": True}
-        except Refused as error:
+        except ChangeRefused as error:
             return {"error": str(error)}
         told = {} if change is None else change.as_dict()
         return {**told, "parameters": self.rows(), "arm_key": bool(self.arm_key)}
@@ -73,7 +73,7 @@ class Changes:
     def _change(self, order: Mapping[str, Any], now_ns: int) -> Change:
         reason = self._why_not() or self._key.why_not(order["key"], now_ns)
         if reason is not None:
-            raise Refused(reason)
+            raise ChangeRefused(reason)
         if order["undo"]:
             change = self.parameters.undo(order["over_s"])
         else:
@@ -87,7 +87,7 @@ def _order(text: str) -> dict[str, Any]:
 
     Raises
     ------
-    Refused
+    ChangeRefused
         it is nothing of the kind
     """
     try:
@@ -95,15 +95,17 @@ def _order(text: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict) or not found.keys() <= set(KEYS):
-        raise Refused(f"expected a JSON object with keys of {', '.join(KEYS)}")
+        raise ChangeRefused(f"expected a JSON object with keys of {', '.join(KEYS)}")
     order = {"values": {}, "axis": "", "over_s": OVER_S, "undo": False, "key": "", **found}
     values, right = order["values"], isinstance(order["values"], dict)
     right = right and all(_is_number(value) for value in values.values()) and _is_number(order["over_s"])
     right = right and isinstance(order["undo"], bool)
     if not right or not all(isinstance(order[name], str) for name in ("axis", "key")):
-        raise Refused('expected as in {"values": {"F_s_Nm": 2.0}, "axis": "", "over_s": 0.5, "undo": false, "key": ""}')
+        raise ChangeRefused(
+            'expected as in {"values": {"F_s_Nm": 2.0}, "axis": "", "over_s": 0.5, "undo": false, "key": ""}'
+        )
     if values and order["undo"]:
-        raise Refused("expected values, or undo, and not both")
+        raise ChangeRefused("expected values, or undo, and not both")
     return order
 
 

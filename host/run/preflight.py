@@ -12,6 +12,7 @@ import can
 from coulombus.host.errors import SafetyTrip
 from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
+from coulombus.system.errors import CoulombusError
 from coulombus.wire.address import BusAddress
 
 __all__ = ["check_no_delay", "check_no_rehearsal", "place_of", "refusing"]
@@ -52,12 +53,12 @@ def refusing() -> Iterator[None]:
     Raises
     ------
     SafetyTrip
-        an error came that has no exit status of its own
+        an error came that is none of this project's
     """
     try:
         yield
     except Exception as error:
-        if isinstance(error, can.CanError) or hasattr(error, "exit_status"):
+        if isinstance(error, (can.CanError, CoulombusError)):
             raise
         text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         raise SafetyTrip(f"arming refused: {text} ({place_of(error.__traceback__)})") from error

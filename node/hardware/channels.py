@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from coulombus.system.errors import CoulombusError
 from coulombus.system.file_lock import lock_file
 
 __all__ = ["Claim", "HardwareError", "Input", "Order", "Output", "SysfsFile", "finite", "put", "told"]
@@ -22,7 +23,7 @@ MOST_BYTES = 64
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
 
-class HardwareError(Exception):
+class HardwareError(CoulombusError):
     """A converter is not there, refuses, or says what cannot be; the text names it."""
 
     exit_status = 3

@@ -37,6 +37,7 @@ from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 from coulombus.sim_bus.can_bus.faults import TAIL_BIT
 from coulombus.sim_bus.can_bus.records import MAX_FAULTS
 from coulombus.sim_bus.faults.error_text import mistakes
+from coulombus.system.errors import CoulombusError
 
 __all__ = [
     "BASES",
@@ -91,7 +92,7 @@ _TRIGGER = re.compile(
 )
 
 
-class FaultError(ValueError):
+class FaultError(CoulombusError, ValueError):
     """A fault file that cannot be used; one line for each mistake, with its place."""
 
     exit_status = 3

@@ -26,6 +26,7 @@ from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, read_toml
 from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
+from coulombus.system.errors import CoulombusError
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.virtual_rig import VirtualRig
@@ -44,7 +45,7 @@ ORIGINS = ("start", "enabled")
 REQUIRED, OPTIONAL = frozenset(("t_s", "node", "action")), frozenset(("after", "fault"))
 
 
-class ScriptError(ValueError):
+class ScriptError(CoulombusError, ValueError):
     """A script that cannot be read; the text says which entry, and what is expected."""
 
     exit_status = 3

@@ -354,7 +354,7 @@ class VirtualRig(VirtualNetwork):
 
         Raises
         ------
-        coulombus.host.cycle.parameter_changes.Refused
+        coulombus.host.cycle.parameter_changes.ChangeRefused
             nothing is changed; the text says why
         """
         return self._want(self.parameters.change(values, axis, over_s))

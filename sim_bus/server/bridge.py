@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
+from coulombus.system.errors import CoulombusError
 from coulombus.system.sd_notify import Notifier
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress, BusUnavailable
@@ -42,7 +43,7 @@ None: it is dropped.
 """
 
 
-class SameBus(ValueError):
+class SameBus(CoulombusError, ValueError):
     """Both ends are one bus."""
 
     exit_status = 2

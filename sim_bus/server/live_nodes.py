@@ -30,6 +30,7 @@ from coulombus.node.store import FileStore, Store
 from coulombus.sim_bus.network.network import Heard, VirtualNetwork
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.sim_command import PRIORITY, run_sim
+from coulombus.system.errors import CoulombusError
 from coulombus.system.exit import printed, say, show
 from coulombus.system.quoting import shell
 from coulombus.wire.address import BusAddress
@@ -39,7 +40,7 @@ __all__ = ["LiveNodes", "NodeError", "run_nodes"]
 BIT_RATE = 1_000_000
 
 
-class NodeError(ValueError):
+class NodeError(CoulombusError, ValueError):
     """Options that do not fit together; the text says what to do."""
 
     exit_status = 2

@@ -15,7 +15,7 @@ from conformance_bench import EDS, KIND_OF, VirtualLink, description, new_unit, 
 from coulombus.cli.main import main
 from coulombus.conformance.catalogue import catalogue
 from coulombus.conformance.report import as_dict, summary, write_junit, write_report
-from coulombus.conformance.runner import ConformanceRefused, NodeMissing, WrongDevice, check_before, run, select
+from coulombus.conformance.runner import ConformanceRefused, DeviceSilent, WrongDevice, check_before, run, select
 from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.wire import bus_link as link_module
@@ -129,7 +129,7 @@ def _numbers(unit):
 
 
 def test_nobody_there():
-    with pytest.raises(NodeMissing, match="node 1"):
+    with pytest.raises(DeviceSilent, match="node 1"):
         check_before(new_unit("motor", DeafLink))
 
 

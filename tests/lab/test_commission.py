@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from coulombus.eds.cia402 import PowerState
-from coulombus.host.commission.session import Ended, Session
+from coulombus.host.commission.session import RunEnded, Session
 from coulombus.host.commission.state import State
 from coulombus.host.commission.step import CommissionError, Given
 from coulombus.host.commission.steps import STEPS
@@ -119,7 +119,7 @@ def test_a_stop_from_outside_ends_the_session_with_its_status(afternoon, tmp_pat
     class Stopped:
         stopped_by, exit_status, trip = "SIGINT", 130, None
 
-    with pytest.raises(Ended, match="ended by SIGINT; nothing of this step was written") as ended:
+    with pytest.raises(RunEnded, match="ended by SIGINT; nothing of this step was written") as ended:
         afternoon("friction", run=lambda one, path: Stopped)
     assert ended.value.exit_status == 130
     assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
@@ -140,7 +140,7 @@ def test_ctrl_c_leaves_nothing_energised_and_the_file_whole(afternoon, tmp_path,
         ended = simulate(one.rig, one.mode, one.seconds, record=path, script=script, simulated=simulated)
         return replace(ended, stopped_by="SIGINT", exit_status=130)
 
-    with pytest.raises(Ended, match="ended by SIGINT; nothing of this step was written") as ended:
+    with pytest.raises(RunEnded, match="ended by SIGINT; nothing of this step was written") as ended:
         afternoon(step.name, given=Given(weight_Nm=1.0, marks_rad=1.5), run=run)
     assert ended.value.exit_status == 130
     (world,) = worlds

@@ -13,6 +13,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.system.errors import CoulombusError
+
 __all__ = ["Floats", "Operator", "OperatorParts", "ParameterError"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -22,7 +24,7 @@ ON_AXIS = 1e-9
 """Poles nearer to the imaginary axis than this, in units of the largest pole, are on it."""
 
 
-class ParameterError(ValueError):
+class ParameterError(CoulombusError, ValueError):
     """A parameter is refused; the text says which, what it is and why."""
 
     exit_status = 2

@@ -15,7 +15,7 @@ from coulombus.conformance.tester.objects import NOT_NOW, REFUSED
 from coulombus.conformance.tester.pdo_setup import HeartbeatOfTester
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia402 import (
     CONTROLWORD,
     NEXT_STATE,
@@ -90,7 +90,7 @@ def no_torque(unit: Unit) -> None:
         raise NotApplicable("the drive has no torque mode: it is not enabled")
     unit.put(0x6071, 0, b"\0\0")
     if unit.has(0x6072):
-        with suppress(SdoAborted):
+        with suppress(TransferAborted):
             unit.put(0x6072, 0, b"\0\0")
     if unit.has(0x6060):
         unit.put(0x6060, 0, bytes((mode,)))
@@ -136,7 +136,7 @@ def after_reset(unit: Unit) -> None:
         return
     try:
         torque = unit.number(0x6077)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         if abort.code not in NOT_NOW:
             raise
         return
@@ -292,7 +292,7 @@ def modes(unit: Unit) -> str:
             continue
         try:
             unit.put(0x6060, 0, bytes((mode,)))
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             unit.judge(abort, REFUSED)
             continue
         unit.pause(5 * MS)

@@ -9,7 +9,7 @@ from coulombus.conformance.tester.pdo_setup import HeartbeatOfTester
 from coulombus.conformance.tester.provoke import cause_error, emcy_id
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted
 from coulombus.eds.cia301 import Abort, CobId
 
 __all__: list[str] = []
@@ -57,7 +57,7 @@ def history(unit: Unit) -> str | None:
         return f"{count} errors are present"
     try:
         value = unit.number(0x1003, 1)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         codes = (Abort.NO_DATA, Abort.NO_SUBINDEX, Abort.NO_RESOURCE, Abort.GENERAL)
         return f"1003h:01: {unit.judge(abort, codes):08X}h"
     if value:

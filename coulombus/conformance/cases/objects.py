@@ -8,7 +8,7 @@ from coulombus.conformance.cases.sdo import RW, beyond
 from coulombus.conformance.tester.objects import LONGEST, NOT_NOW, READ_ONLY, is_command, is_output, is_parameter
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import Unit, encode, is_signed
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import ARRAY, VAR, Abort, NmtCommand
 from coulombus.eds.reader import Variable
 
@@ -43,7 +43,7 @@ def readable(unit: Unit, operational: bool) -> str:
         name = where(v.index, v.subindex)
         try:
             data = unit.sdo.upload_up_to(v.index, v.subindex, LONGEST)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             if abort.code in NOT_NOW or (v.index == 0x1003 and abort.code in ABSENT_NOW):
                 continue
             raise CaseFailed(f"AccessType={v.access}, but {abort}") from None
@@ -60,7 +60,7 @@ def different(unit: Unit, v: Variable) -> str | None:
         return None
     try:
         data = unit.sdo.upload_up_to(v.index, v.subindex, LONGEST)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return None if abort.code in (*ABSENT_NOW, *NOT_NOW) else str(abort)
     if data is None:
         return None
@@ -113,7 +113,7 @@ def write_read_only(unit: Unit) -> str:
             continue
         try:
             data = unit.sdo.upload_up_to(v.index, v.subindex, LONGEST)
-        except SdoAborted:
+        except TransferAborted:
             continue
         unit.refused(v.index, v.subindex, b"\0\0\0\0" if data is None else data)
         count += 1
@@ -131,7 +131,7 @@ def read_write_only(unit: Unit) -> str:
     for v in found:
         try:
             unit.read(v.index, v.subindex)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             unit.judge(abort)
         else:
             raise CaseFailed(f"{where(v.index, v.subindex)} is write-only and can be read")
@@ -150,7 +150,7 @@ def structure(unit: Unit) -> str:
             continue
         try:
             data = unit.read(index, 0xFF)
-        except SdoAborted:
+        except TransferAborted:
             if 0xFF in entry.variables:
                 raise
             continue
@@ -204,7 +204,7 @@ def write_back(unit: Unit) -> str:
             continue
         try:
             unit.put(v.index, v.subindex, data)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             if abort.code not in NOT_NOW:
                 raise CaseFailed(f"AccessType={v.access}, but {abort}") from None
             refused += 1

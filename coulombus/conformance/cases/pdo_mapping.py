@@ -24,7 +24,7 @@ from coulombus.conformance.tester.pdo_setup import (
 )
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES
 from coulombus.eds.reader import Variable
 
@@ -84,7 +84,7 @@ def _check_entry(unit: Unit, pdo: str, word: int, access: tuple[str, ...], *, du
     if "r" in variable.access or variable.access == "const":
         try:
             unit.read(index, subindex)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             if abort.code not in NOT_NOW:
                 raise
 
@@ -187,7 +187,7 @@ def while_valid(unit: Unit) -> str:
     words = other_map(unit, direction, k)
     try:
         remap(unit, direction, k, words)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"{abort.code:08X}h"
     if words_of(unit, direction, k) == words != present:
         raise CaseFailed(f"{where(index, 0)}: a valid PDO took another map")
@@ -209,7 +209,7 @@ def too_many(unit: Unit) -> str:
     count = entries + 1 if entries < 0xFE else 0xFE
     try:
         unit.put(index, 0, bytes((count,)))
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"count {count}: {unit.judge(abort):08X}h"
     raise CaseFailed(f"{where(index, 0)} took {count}; it has {entries} entries")
 
@@ -242,7 +242,7 @@ def too_long(unit: Unit) -> str:
             for sub in range(1, count + 1):
                 unit.write(index, sub, mapped(widest))
             unit.put(index, 0, bytes((count,)))
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             return f"{count} times {widest.bits} bits: {unit.judge(abort):08X}h"
         raise CaseFailed(f"{where(index, 0)} took a map of {count * widest.bits} bits")
     raise NotApplicable("no PDO whose map can be written has entries for more than 64 bits")
@@ -282,7 +282,7 @@ def _map_one(unit: Unit, direction: int, variables: list[Variable], *, taken: bo
             unit.put(index, 0, b"\0")
             unit.write(index, 1, mapped(variable))
             unit.put(index, 0, b"\1")
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             if taken:
                 raise CaseFailed(f"{where(variable.index, variable.subindex)} cannot be mapped: {abort}") from None
             continue

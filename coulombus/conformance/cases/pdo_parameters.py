@@ -10,7 +10,7 @@ from coulombus.conformance.tester.pdo_setup import RPDO, TPDO, Unsupported, ente
 from coulombus.conformance.tester.pdo_stimuli import STIMULI, Stimulus, candidates
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import PRE_OPERATIONAL, STOPPED, Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import NmtState
 
 RESERVED = {RPDO: range(241, 254), TPDO: range(241, 252)}
@@ -28,7 +28,7 @@ def scan(unit: Unit, direction: int) -> str:
         if not unit.has(index):
             try:
                 unit.read(index, 0)
-            except SdoAborted as abort:
+            except TransferAborted as abort:
                 unit.judge(abort)
             else:
                 raise CaseFailed(f"{where(index, 0)} answers but is not in the EDS")

@@ -31,7 +31,7 @@ from coulombus.conformance.tester.pdo_stimuli import candidates
 from coulombus.conformance.tester.provoke import emcy_id
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import DATA_TYPES, Abort
 from coulombus.eds.reader import Variable
 from coulombus.wire.bus_link import RTR
@@ -186,7 +186,7 @@ def window(unit: Unit) -> str:
     rpdo = Harmless(unit, 1)
     try:
         unit.write(0x1007, 0, WINDOW_MS * 1000)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         raise NotApplicable(str(abort)) from None
     unit.start()
     sync(unit)
@@ -361,7 +361,7 @@ def empty_map(unit: Unit) -> str:
     clear(unit, TPDO + 0x200 + k)
     try:
         unit.write(TPDO + k, 1, cob_id)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"cannot be made valid: {abort.code:08X}h"
     unit.start()
     unit.flush()
@@ -404,7 +404,7 @@ def wrong_entries(unit: Unit) -> str:
         try:
             unit.put(index, 1, word.to_bytes(4, "little"))
             unit.put(index, 0, b"\1")
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             done.append(f"{what}: {unit.judge(abort, codes):08X}h")
             continue
         raise CaseFailed(f"{where(index, 0)} took a map of {what}")

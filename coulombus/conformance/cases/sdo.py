@@ -17,7 +17,7 @@ from coulombus.conformance.tester.objects import (
 )
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import Unit, encode
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.eds.reader import Variable
 from coulombus.eds.sdo_frames import head
@@ -66,7 +66,7 @@ def write_back(unit: Unit) -> str:
         try:
             value = unit.read(v.index, v.subindex)
             unit.put(v.index, v.subindex, value)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             if abort.code not in NOT_NOW:
                 raise
             continue
@@ -103,7 +103,7 @@ def read_absent(unit: Unit, index: int, subindex: int) -> str:
 def _unreadable(unit: Unit, index: int, subindex: int) -> str:
     try:
         data = unit.read(index, subindex)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"{where(index, subindex)}: {unit.judge(abort):08X}h"
     raise CaseFailed(f"{where(index, subindex)} answers with {data.hex(' ').upper()}")
 
@@ -113,7 +113,7 @@ def unknown_command(unit: Unit) -> str:
     """Send a request with command specifier 7; then the server still serves."""
     try:
         answer = unit.sdo.request(head(0xE0, 0x1000, 0), 0x1000, 0, "unknown command")
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         code = unit.judge(abort)
     else:
         raise CaseFailed(f"command specifier 7 is answered with {answer.hex(' ')}")
@@ -196,7 +196,7 @@ def segments_of_a_short_object(unit: Unit) -> str:
         return "by segments"
     try:
         answer = unit.sdo.request(b"\x60" + bytes(7), 0x1000, 0, "unknown command")
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"expedited; the segment request: {abort.code:08X}h"
     except NoAnswer:
         unit.read(0x1000, 0)
@@ -245,13 +245,13 @@ def wrong_toggle(unit: Unit) -> str:
     unit.sdo.initiate_upload(index, subindex)
     try:
         unit.sdo.request(b"\x70" + bytes(7), index, subindex, "upload segment of")
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         code = unit.judge(abort)
     else:
         raise CaseFailed(f"upload of {where(index, subindex)}: a first segment request with toggle bit 1 is answered")
     try:
         answer = unit.sdo.request(b"\x60" + bytes(7), index, subindex, "unknown command")
-    except SdoAborted:
+    except TransferAborted:
         return f"{code:08X}h"
     except NoAnswer:
         unit.read(0x1000, 0)
@@ -288,7 +288,7 @@ def channels(unit: Unit, first: int, last: int) -> list[tuple[int, dict[int, byt
             continue
         try:
             unit.read(index, 1)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             unit.judge(abort)
         else:
             raise CaseFailed(f"{where(index, 1)} answers but is not in the EDS")
@@ -318,7 +318,7 @@ def further_servers_after_reset(unit: Unit) -> str:
             cob_id = unit.number(index, 1)
             try:
                 unit.put(index, 1, encode(unit.variable(index, 1), cob_id | 1 << 31))
-            except SdoAborted as abort:
+            except TransferAborted as abort:
                 unit.judge(abort, REFUSED)
     unit.reset(NmtCommand.RESET_COMMUNICATION)
     if channels(unit, 0x1201, 0x127F) != before:

@@ -6,7 +6,7 @@ from coulombus.conformance.cases.sdo import written_and_read
 from coulombus.conformance.tester.objects import long_object, long_objects
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import Abort
 
 __all__ = ["need_block"]
@@ -18,7 +18,7 @@ def need_block(unit: Unit) -> None:
     """
     try:
         unit.sdo.initiate_block_upload(0x1000, 0, crc=False)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         if abort.code in (Abort.COMMAND, Abort.GENERAL, Abort.ACCESS):
             raise NotApplicable(f"the server refuses block transfers ({abort.code:08X}h)") from None
         raise
@@ -75,7 +75,7 @@ def refused_size(unit: Unit, index: int, subindex: int, size: int) -> str:
     """Ask for an upload in blocks of an impossible size: abort."""
     try:
         unit.sdo.initiate_block_upload(index, subindex, crc=False, size=size)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"{unit.judge(abort):08X}h"
     unit.sdo.abort(index, subindex)
     raise CaseFailed(f"a block upload of {where(index, subindex)} with {size} segments a block is taken")
@@ -93,6 +93,6 @@ def wrong_sequence(unit: Unit) -> str:
     unit.sdo.acknowledge(128, 127)
     try:
         unit.sdo.response(index, subindex, "end of block upload of")
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"{unit.judge(abort):08X}h"
     raise CaseFailed(f"block upload of {where(index, subindex)}: an acknowledge of segment 128 is taken")

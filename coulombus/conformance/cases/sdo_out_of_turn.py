@@ -22,7 +22,7 @@ from coulombus.conformance.tester.objects import REFUSED, long_object, volatile
 from coulombus.conformance.tester.pdo_setup import INVALID
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.sdo_frames import head
 
@@ -40,7 +40,7 @@ def must_abort(unit: Unit, request: bytes, what: str, place: tuple[int, int] = (
     """
     try:
         answer = unit.sdo.request(request, 0, 0, "unknown command")
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return "ignored" if abort.code == Abort.TIMEOUT else f"{unit.judge(abort):08X}h"
     except NoAnswer:
         unit.sdo.abort(*place)
@@ -132,7 +132,7 @@ def another_length(unit: Unit) -> str:
             if last[0] & 0x10:
                 unit.sdo.request(b"\x00" + text[:7], index, subindex, "download segment to")
             unit.sdo.request(last, index, subindex, "download segment to")
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             done.append(f"{unit.judge(abort, LENGTHS):08X}h")
         else:
             raise CaseFailed(f"{where(index, subindex)} took {14 if last[0] & 0x10 else 7} bytes; 10 were said")
@@ -153,7 +153,7 @@ def without_size(unit: Unit) -> str:
         request = head(0x22, 0x1017, 0, (2500).to_bytes(4, "little"))
         try:
             unit.sdo.request(request, 0x1017, 0, "download to")
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             code = unit.judge(abort, LENGTHS)
             done.append(f"1017h:00 refuses four bytes ({code:08X}h), {_four_bytes(unit)} takes them")
         else:
@@ -182,7 +182,7 @@ def _four_bytes(unit: Unit) -> str:
     place = (variable.index, variable.subindex)
     try:
         unit.sdo.request(head(0x22, *place, unit.read(*place)), *place, "download to")
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         raise CaseFailed(
             f"without a length neither 1017h:00 nor {where(*place)}, of four bytes, is taken: {abort}"
         ) from None
@@ -233,7 +233,7 @@ def new_initiation(unit: Unit) -> str:
         try:
             with unit.sdo.named(old):
                 begin_other()
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             unit.judge(abort)
             begin_other()  # now that both are over
             done.append(f"a new {name} is aborted, naming {where(abort.index, abort.subindex)}")

@@ -10,7 +10,7 @@ from coulombus.conformance.cases.sdo_block import need_block, refused_size
 from coulombus.conformance.tester.objects import NOT_NOW, READ_ONLY, long_object, long_texts
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.reader import Variable
 from coulombus.eds.sdo_frames import crc16, head
@@ -137,7 +137,7 @@ def _room(unit: Unit, variable: Variable, before: bytes) -> int:
     for length in (len(TEXT), *own, 57, 29, SHORTEST):
         try:
             unit.sdo.download_segmented(index, subindex, TEXT[:length])
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             if abort.code not in LENGTHS:
                 raise
             continue
@@ -175,7 +175,7 @@ def refused(unit: Unit, transfer: Callable[[int, int, bytes], object], what: str
     index, subindex, before, text = text_object(unit)
     try:
         transfer(index, subindex, text)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         how = "ignored" if silence and abort.code == Abort.TIMEOUT else f"{unit.judge(abort):08X}h"
     except NoAnswer:
         if not silence:
@@ -278,7 +278,7 @@ def to_read_only(unit: Unit) -> str:
         raise NotApplicable("1000h is writable in the EDS")
     try:
         unit.sdo.block_download(0x1000, 0, bytes(4), crc=False)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"{unit.judge(abort):08X}h"
     raise CaseFailed("1000h:00 took a block download")
 
@@ -297,7 +297,7 @@ def number_zero(unit: Unit) -> str:
     how = "ignored"
     try:
         good, _ = unit.sdo.block_acknowledged(index, subindex)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         how = f"{unit.judge(abort):08X}h"
     except NoAnswer:
         pass
@@ -343,7 +343,7 @@ def client_abort(unit: Unit) -> str:
         raise CaseFailed("the server answers the client's abort")
     try:
         answer = unit.sdo.request(b"\x60" + bytes(7), variable.index, variable.subindex, "unknown command")
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         return f"{unit.judge(abort):08X}h"
     except NoAnswer:
         unit.read(0x1000, 0)

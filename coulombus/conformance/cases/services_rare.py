@@ -14,7 +14,7 @@ from coulombus.conformance.tester.pdo_stimuli import candidates
 from coulombus.conformance.tester.provoke import GUARD_MS, cause_error, emcy_id, short_rpdo
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.wire.bus_link import Frame
 
@@ -60,7 +60,7 @@ def moved(unit: Unit) -> str:
     unit.write(0x1014, 0, can_id | INVALID)
     try:
         unit.write(0x1014, 0, OTHER_ID)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         raise NotApplicable(str(abort)) from None
     unit.flush()
     heartbeat.lose()
@@ -180,7 +180,7 @@ def another_identifier(unit: Unit) -> str:
     can_id = synchronous(unit)
     try:
         unit.write(0x1005, 0, OTHER_ID)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         raise NotApplicable(str(abort)) from None
     unit.start()
     unit.pause(unit.timing.quiet_ns)
@@ -218,7 +218,7 @@ def identifiers_in_use(unit: Unit) -> str:
     if unit.has(0x1005) and unit.variable(0x1005).access not in READ_ONLY:
         try:
             produce(unit)
-        except (NotApplicable, SdoAborted):
+        except (NotApplicable, TransferAborted):
             pass
         else:
             unit.refused(0x1005, 0, PRODUCER | OTHER_ID, REFUSED)
@@ -393,7 +393,7 @@ def error_behaviour(unit: Unit) -> str:
         heartbeat = HeartbeatOfTester(unit)
         try:
             unit.write(0x1029, 1, value)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             raise NotApplicable(f"{where(0x1029, 1)}: {abort}") from None
         unit.start()
         heartbeat.lose()

@@ -7,7 +7,7 @@ from __future__ import annotations
 from coulombus.conformance.tester.objects import volatile
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import ON_COMMAND, Unit, encode
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 
 __all__: list[str] = []
 
@@ -167,7 +167,7 @@ def restricted(unit: Unit) -> str:
             unit.write(index, subindex, cob_id | 1 << 31)
         try:
             unit.write(index, subindex, 0x6DF if index in (0x1005, 0x1012) else 0x80000000 | 0x6DF)
-        except SdoAborted:
+        except TransferAborted:
             continue  # it cannot be configured after all
         for can_id in RESTRICTED:
             unit.refused(index, subindex, can_id)

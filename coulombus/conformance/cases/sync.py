@@ -9,7 +9,7 @@ from coulombus.conformance.tester.pdo_setup import sync as send_sync
 from coulombus.conformance.tester.pdo_stimuli import candidates
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted
 from coulombus.eds.cia301 import CobId
 from coulombus.wire.bus_link import Frame
 
@@ -37,7 +37,7 @@ def produce(unit: Unit, overflow: int | None = None) -> None:
     try:
         unit.write(0x1006, 0, PERIOD_MS * 1000)
         unit.write(0x1005, 0, cob_id | PRODUCER)
-    except SdoAborted as abort:
+    except TransferAborted as abort:
         raise NotApplicable(f"the device refuses to produce SYNC: {abort}") from None
 
 
@@ -91,7 +91,7 @@ def tpdos(unit: Unit) -> str:
         raise CaseFailed(f"{count} TPDOs after 10 SYNCs of the tester")
     try:
         produce(unit)
-    except (NotApplicable, SdoAborted):
+    except (NotApplicable, TransferAborted):
         return "SYNCs of the tester"
     unit.flush()
     unit.pause(15 * PERIOD_MS * MS)

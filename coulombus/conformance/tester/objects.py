@@ -5,7 +5,7 @@ may differ from its default.
 from __future__ import annotations
 
 from coulombus.conformance.tester.unit import Unit
-from coulombus.conformance.tester.verdict import NotApplicable, SdoAborted
+from coulombus.conformance.tester.verdict import NotApplicable, TransferAborted
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.data import READ_ONLY, is_output
 from coulombus.eds.reader import Variable
@@ -90,7 +90,7 @@ def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
             continue
         try:
             content = unit.sdo.upload_up_to(variable.index, variable.subindex, LONGEST)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             aborted.append(abort)
             continue
         if content is not None and len(content) > 4:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from coulombus.conformance.tester.unit import MS, OPERATIONAL, STOPPED, Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.reader import Variable
 
@@ -197,7 +197,7 @@ def arm(
             raise Unsupported(f"{where(index, subindex)} is fixed in the EDS")
         try:
             unit.write(index, subindex, value)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             raise Unsupported(str(abort)) from None
     if not length_of(unit, direction, k):
         raise Unsupported(f"{where(direction + 0x200 + k, 0)} maps nothing")
@@ -205,7 +205,7 @@ def arm(
         valid = can_id | (cob_id & NO_RTR if not rtr else 0)
         try:
             unit.write(index, 1, valid)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             if not rtr:
                 raise CaseFailed(f"a PDO cannot be made valid: {abort}") from None
             raise Unsupported(f"RTR is refused: {abort}") from None

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.sdo_frames import crc16, head
 
@@ -64,12 +64,12 @@ class SdoClient:
         return data
 
     def request(self, data: bytes, index: int, subindex: int, what: str) -> bytes:
-        """Send a request and return the response; an abort raises `SdoAborted`."""
+        """Send a request and return the response; an abort raises `TransferAborted`."""
         self.send(data)
         return self.response(index, subindex, what)
 
     def response(self, index: int, subindex: int, what: str) -> bytes:
-        """Return the server's next message; an abort raises `SdoAborted`."""
+        """Return the server's next message; an abort raises `TransferAborted`."""
         answer = self.answer(f"{what} {where(index, subindex)}")
         if answer[0] == 0x80:
             place = (int.from_bytes(answer[1:3], "little"), answer[3])
@@ -77,7 +77,7 @@ class SdoClient:
                 raise CaseFailed(f"abort of {what} {where(index, subindex)} names {where(*place)}")
             if place == self._other:
                 index, subindex = place
-            raise SdoAborted(index, subindex, int.from_bytes(answer[4:], "little"), what)
+            raise TransferAborted(index, subindex, int.from_bytes(answer[4:], "little"), what)
         return answer
 
     @contextmanager
@@ -285,7 +285,7 @@ class SdoClient:
         request = head(0xC2 | 0x04 * crc, index, subindex, size.to_bytes(4, "little"))
         try:
             answer = self.request(request, index, subindex, "block download to")
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             if abort.code != Abort.COMMAND:
                 raise
             raise NotApplicable("the server refuses block downloads (05040001h)") from None

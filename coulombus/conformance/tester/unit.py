@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from coulombus.conformance.tester.sdo_client import SdoClient
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import DATA_TYPES, CobId, NmtCommand, NmtState, abort_text
 from coulombus.eds.data import encode
 from coulombus.eds.reader import Description, Value, Variable
@@ -215,7 +215,7 @@ class Unit:
         data = value if isinstance(value, bytes) else encode(self.variable(index, subindex), value)
         try:
             self.write_raw(index, subindex, data)
-        except SdoAborted as abort:
+        except TransferAborted as abort:
             return self.judge(abort, codes)
         raise CaseFailed(f"{where(index, subindex)} took {data.hex(' ').upper()}, which it has to refuse")
 
@@ -225,14 +225,14 @@ class Unit:
         if self.has(index, subindex) and self.variable(index, subindex).access != "wo":
             try:
                 before = self.sdo.upload_up_to(index, subindex, 2000)
-            except SdoAborted:
+            except TransferAborted:
                 before = None
         self.sdo.download(index, subindex, data)
         self.dirty = True
         if before is not None:
             self._undo.append((index, subindex, before))
 
-    def judge(self, abort: SdoAborted, codes: Sequence[int] | None = None) -> int:
+    def judge(self, abort: TransferAborted, codes: Sequence[int] | None = None) -> int:
         """Return an expected abort's code, or fail when it is another than accepted."""
         accepted = self.codes if codes is None else tuple(codes)
         if accepted and abort.code not in accepted:
@@ -299,7 +299,7 @@ class Unit:
                     self.flush()
                     frame = self.wait(identifier, self.timing.answer_ns + 2 * period_ms * MS)
                     return frame.data[0] & 0x7F if frame and frame.data else None
-            except (CaseFailed, SdoAborted):
+            except (CaseFailed, TransferAborted):
                 pass  # STOPPED: no SDO
         if self.has(0x100C):
             self.flush()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from coulombus.eds.cia301 import abort_text
 from coulombus.eds.sdo_frames import where
 
-__all__ = ["CaseFailed", "NoAnswer", "NotApplicable", "SdoAborted", "where"]
+__all__ = ["CaseFailed", "NoAnswer", "NotApplicable", "TransferAborted", "where"]
 
 
 class NotApplicable(Exception):
@@ -20,7 +20,7 @@ class NoAnswer(CaseFailed):
     """The device did not answer in time."""
 
 
-class SdoAborted(CaseFailed):
+class TransferAborted(CaseFailed):
     """The server aborted an SDO transfer; a failure unless the case expected it."""
 
     def __init__(self, index: int, subindex: int, code: int, what: str) -> None:

@@ -31,12 +31,13 @@ from coulombus.recording.signals import Recording
 from coulombus.recording.trace import EVENT, TRACE, Event, Moment, unpack, unpack_sent
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
+from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
 __all__ = ["Difference", "HostReplay", "ReplayError", "host_replay"]
 
 
-class ReplayError(Exception):
+class ReplayError(CoulombusError):
     """The recording does not hold what a replay needs; the text says what."""
 
     exit_status = 2

@@ -22,14 +22,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from coulombus.lab.study.displays import BusDisplays, Displays, VirtualDisplays
-from coulombus.lab.study.folder import FolderError, SubjectFolder
+from coulombus.lab.study.folder import StudyFolderError, SubjectFolder
 from coulombus.lab.study.lsl import LslMarkers, LslSignals
 from coulombus.lab.study.session import Ended, SubjectSession, WrongStep
 from coulombus.lab.study.study import StudyError, read_study
 from coulombus.lab.study.trials import Trial
 from coulombus.wire.address import parse_address
 
-__all__ = ["Ended", "FolderError", "StudyError", "SubjectSession", "Trial", "WrongStep", "open_session"]
+__all__ = ["Ended", "StudyError", "StudyFolderError", "SubjectSession", "Trial", "WrongStep", "open_session"]
 
 
 @contextmanager
@@ -55,7 +55,7 @@ def open_session(
     ------
     StudyError
         the study file has a mistake
-    FolderError
+    StudyFolderError
         the folder holds another study, or is in use
     """
     checked = read_study(Path(study))

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from coulombus.recording.reading import read
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["FeltError", "felt_Nm"]
 
@@ -23,7 +24,7 @@ LEAST_RAD = 0.05
 """Who turned the handle less has felt nothing to judge by."""
 
 
-class FeltError(Exception):
+class FeltError(CoulombusError):
     """A recording does not tell what a hand felt; the text says why, and what to do."""
 
     exit_status = 2

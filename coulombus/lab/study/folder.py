@@ -28,9 +28,10 @@ from coulombus.lab.study.study import Study
 from coulombus.lab.study.trials import Trial, Trials
 from coulombus.recording.recorder import project_version
 from coulombus.rigs.rewrite import forget_torn, write_whole
+from coulombus.system.errors import CoulombusError
 from coulombus.system.file_lock import lock_file
 
-__all__ = ["COLUMNS", "FolderError", "SubjectFolder", "read_events", "subjects_of"]
+__all__ = ["COLUMNS", "StudyFolderError", "SubjectFolder", "read_events", "subjects_of"]
 
 SUBJECT = re.compile(r"[A-Za-z0-9]{1,32}")
 COLUMNS: Mapping[str, str] = {
@@ -57,7 +58,7 @@ PARTICIPANTS: Mapping[str, str] = {
 }
 
 
-class FolderError(ValueError):
+class StudyFolderError(CoulombusError, ValueError):
     """The folder holds something else, or is in use; the text says what to do."""
 
     exit_status = 2
@@ -70,8 +71,8 @@ def _write(path: Path, text: str) -> None:
         raise _full(path, error) from error
 
 
-def _full(path: Path, error: OSError) -> FolderError:
-    return FolderError(
+def _full(path: Path, error: OSError) -> StudyFolderError:
+    return StudyFolderError(
         f"{path}: cannot be written ({error.strerror or error}); answers so far are kept, the last one perhaps not: "
         "make room, and give the same command to go on"
     )
@@ -93,13 +94,13 @@ def subjects_of(folder: Path) -> list[str]:
 
     Raises
     ------
-    FolderError
+    StudyFolderError
         it is the folder of no study
     """
     try:
         lines = (folder / "participants.tsv").read_text(encoding="utf-8").splitlines()[1:]
     except (OSError, UnicodeDecodeError):
-        raise FolderError(
+        raise StudyFolderError(
             f"{folder}: holds no study (participants.tsv); expected a folder of coulombus experiment"
         ) from None
     return [line.split("\t")[0].removeprefix("sub-") for line in lines if line]
@@ -110,18 +111,22 @@ def read_events(path: Path) -> list[dict[str, str]]:
 
     Raises
     ------
-    FolderError
+    StudyFolderError
         it has other columns
     """
     text = path.read_bytes().decode("utf-8", "replace")
     lines = text.split("\n")[:-1]
     if lines and lines[0].split("\t") != list(COLUMNS):
-        raise FolderError(f"{path}:1: other columns than {' '.join(COLUMNS)}; expected a file of coulombus experiment")
+        raise StudyFolderError(
+            f"{path}:1: other columns than {' '.join(COLUMNS)}; expected a file of coulombus experiment"
+        )
     rows = []
     for number, line in enumerate(lines[1:], 2):
         cells = line.split("\t")
         if len(cells) != len(COLUMNS):
-            raise FolderError(f"{path}:{number}: {len(cells)} columns; expected {len(COLUMNS)}; mend or remove the row")
+            raise StudyFolderError(
+                f"{path}:{number}: {len(cells)} columns; expected {len(COLUMNS)}; mend or remove the row"
+            )
         rows.append(dict(zip(COLUMNS, cells, strict=True)))
     return rows
 
@@ -131,7 +136,7 @@ class SubjectFolder:
 
     def __init__(self, study: Study, folder: Path, subject: str, meta: Mapping[str, str]) -> None:
         if not SUBJECT.fullmatch(subject):
-            raise FolderError(f"--subject {subject!r}: expected letters and digits, such as S01")
+            raise StudyFolderError(f"--subject {subject!r}: expected letters and digits, such as S01")
         self.study, self.folder, self.subject, self._meta = study, folder, subject, dict(meta)
         self.own = folder / f"sub-{subject}"
         self.events = self.own / f"sub-{subject}_task-{study.file.name}_events.tsv"
@@ -145,12 +150,14 @@ class SubjectFolder:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(self.folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise FolderError(f"{self.folder}: cannot be written ({error.strerror}); name another folder") from error
+            raise StudyFolderError(
+                f"{self.folder}: cannot be written ({error.strerror}); name another folder"
+            ) from error
         try:
             try:
                 lock_file(self._lock)
             except BlockingIOError:
-                raise FolderError(f"{self.folder}: another session writes there; wait for its end") from None
+                raise StudyFolderError(f"{self.folder}: another session writes there; wait for its end") from None
             for folder in (self.folder, self.own):
                 forget_torn(folder)
             self._describe()
@@ -196,10 +203,12 @@ class SubjectFolder:
             except (ValueError, KeyError, TypeError):
                 there = None
             if there != fingerprint:
-                raise FolderError(f"{self.folder}: holds another study (another file or rig); choose another folder")
+                raise StudyFolderError(
+                    f"{self.folder}: holds another study (another file or rig); choose another folder"
+                )
             return
         if any(not _begun(one, self.study.text) for one in self.folder.iterdir()):
-            raise FolderError(f"{self.folder}: holds something else; choose an empty folder")
+            raise StudyFolderError(f"{self.folder}: holds something else; choose an empty folder")
         _write(self.folder / "study.toml", self.study.text)
         _write(self.folder / "participants.tsv", "participant_id\tnumber\n")
         told = {name: {"Description": text} for name, text in PARTICIPANTS.items()}
@@ -225,7 +234,7 @@ class SubjectFolder:
 
         Raises
         ------
-        FolderError
+        StudyFolderError
             a row is not what the study shows there
         """
         rows = read_events(self.events)
@@ -236,7 +245,7 @@ class SubjectFolder:
         for number, row in enumerate(rows, 2):
             trial = trials.next()
             if trial is None or self._row(trial, row["answer"], row["response_time"]) != row:
-                raise FolderError(
+                raise StudyFolderError(
                     f"{self.events}:{number}: is not the trial that the study shows there; restore the file"
                 )
             self._next(trial)
@@ -268,7 +277,7 @@ class SubjectFolder:
 
         Raises
         ------
-        FolderError
+        StudyFolderError
             the disk is full
         """
         row = self._row(trial, answer, "n/a" if seconds is None else f"{seconds:.3f}")

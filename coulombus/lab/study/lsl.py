@@ -23,11 +23,12 @@ import numpy.typing as npt
 from coulombus.lab.study.folder import SubjectFolder
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["LslMarkers", "LslMissing", "LslSignals"]
 
 
-class LslMissing(Exception):
+class LslMissing(CoulombusError):
     """The library of LSL is not installed, or cannot be used; the text says what to do."""
 
     exit_status = 2

@@ -21,12 +21,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from coulombus.system.errors import CoulombusError
+
 __all__ = ["Fixed", "Method", "Quest", "QuestMissing", "Staircase", "target"]
 
 SIGMAS, CANDIDATES = 60, 25
 
 
-class QuestMissing(Exception):
+class QuestMissing(CoulombusError):
     """The library of QUEST+ is not installed; the text says how to get it."""
 
     exit_status = 2

@@ -20,13 +20,14 @@ from coulombus.lab.study.displays import Display, Displays
 from coulombus.lab.study.folder import SubjectFolder
 from coulombus.lab.study.trials import Trial, is_answer
 from coulombus.rigs.rig import Rig
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["Ended", "People", "Session", "SubjectSession", "WrongStep", "run_session"]
 
 BY_SUBJECT = "stopped by the subject"
 
 
-class Ended(Exception):
+class Ended(CoulombusError):
     """The session has ended before its last trial; the same study and folder go on with it.
 
     Attributes
@@ -39,7 +40,7 @@ class Ended(Exception):
         self.exit_status = exit_status
 
 
-class WrongStep(Exception):
+class WrongStep(CoulombusError):
     """What was called is not what comes next; the text says what does."""
 
     exit_status = 2
@@ -189,7 +190,7 @@ class SubjectSession:
         ------
         WrongStep
             it is no answer, or not every display of the trial was shown
-        coulombus.lab.study.folder.FolderError
+        coulombus.lab.study.folder.StudyFolderError
             it cannot be kept
         """
         trial = self.trial

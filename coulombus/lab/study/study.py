@@ -44,6 +44,7 @@ from coulombus.lab.study.bounds import widened
 from coulombus.rigs.errors import nearest, toml_value
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.rigs.toml_lines import Key, read_toml, split_key
+from coulombus.system.errors import CoulombusError
 
 __all__ = [
     "METHODS",
@@ -62,7 +63,7 @@ NAME = r"^[A-Za-z0-9][A-Za-z0-9_.=-]{0,63}$"
 MOST_TRIALS, LONGEST_S = 10_000, 600.0
 
 
-class StudyError(ValueError):
+class StudyError(CoulombusError, ValueError):
     """A study file that cannot be used; one line for each mistake, with its place."""
 
     exit_status = 3

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coulombus.rigs.errors import nearest
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["Condition", "ConditionError"]
 
@@ -36,8 +37,10 @@ _SUMS: Mapping[type, Callable[[Any, Any], Any]] = {
 _WORDS: Mapping[str, Any] = {"none": None, "null": None, "true": True, "false": False}
 
 
-class ConditionError(ValueError):
+class ConditionError(CoulombusError, ValueError):
     """A text that is no condition; it says what is wrong, and what is expected."""
+
+    exit_status = 3
 
 
 @dataclass(frozen=True)

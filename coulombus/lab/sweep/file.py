@@ -40,6 +40,7 @@ from coulombus.recording.recorder import project_version
 from coulombus.rigs.errors import nearest, shown, toml_value
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.rigs.toml_lines import Key, read_toml, split_key
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["Sweep", "SweepError", "read_sweep"]
 
@@ -56,7 +57,7 @@ CONTRADICTIONS = (
 )
 
 
-class SweepError(ValueError):
+class SweepError(CoulombusError, ValueError):
     """A sweep file that cannot be used; one line for each mistake, with its place."""
 
     exit_status = 3

@@ -30,9 +30,10 @@ from coulombus.lab.sweep.file import Sweep
 from coulombus.recording.extras import library
 from coulombus.rigs.errors import toml_value
 from coulombus.rigs.rewrite import write_whole
+from coulombus.system.errors import CoulombusError
 from coulombus.system.file_lock import lock_file
 
-__all__ = ["Folder", "FolderError", "Taken"]
+__all__ = ["Folder", "SweepFolderError", "Taken"]
 
 FORMAT = 1
 OWN = re.compile(
@@ -46,7 +47,7 @@ PART_S = 800.0
 """A part holds so many rows at most, and so much display [s]: what a power cut may cost."""
 
 
-class FolderError(Exception):
+class SweepFolderError(CoulombusError):
     """A folder that cannot be used; the text says why, and what to do."""
 
     exit_status = 2
@@ -81,7 +82,7 @@ class Folder:
 
         Raises
         ------
-        FolderError
+        SweepFolderError
             it holds another sweep, and `force` was not given; or another process works in it
         OSError
         coulombus.recording.extras.MissingExtra
@@ -101,9 +102,9 @@ class Folder:
         fingerprint = self._fingerprint
         state = self._state()
         if state is None and (self.path / "runs.parquet").exists() and not force:
-            raise FolderError(f"{self.path}: runs.parquet is there, and not of a sweep that can go on; {_REMEDY}")
+            raise SweepFolderError(f"{self.path}: runs.parquet is there, and not of a sweep that can go on; {_REMEDY}")
         if state is not None and state.get("fingerprint") != fingerprint and not force:
-            raise FolderError(
+            raise SweepFolderError(
                 f"{self.path}: there are runs of another sweep: {self.sweep.path}, its rig or coulombus has changed; {_REMEDY}"
             )
         if force or state is None:
@@ -266,7 +267,7 @@ class Folder:
             yield
         except OSError as error:
             done = self.sweep.runs - len(self.left)
-            raise FolderError(
+            raise SweepFolderError(
                 f"{path}: cannot be written ({error.strerror or error}); runs that are done are kept ({done} of "
                 f"{self.sweep.runs}, some of them perhaps not on the disk): make room, and give the same command to go on"
             ) from error
@@ -314,10 +315,12 @@ def _held(path: Path) -> Iterator[None]:
         path.mkdir(parents=True, exist_ok=True)
         file = (path / LOCK).open("w")
     except OSError as error:
-        raise FolderError(f"{path}: cannot be written ({error.strerror}); name another folder") from error
+        raise SweepFolderError(f"{path}: cannot be written ({error.strerror}); name another folder") from error
     with file:
         try:
             lock_file(file)
         except OSError:
-            raise FolderError(f"{path}: another sweep is at work there; wait for it, or name another folder") from None
+            raise SweepFolderError(
+                f"{path}: another sweep is at work there; wait for it, or name another folder"
+            ) from None
         yield

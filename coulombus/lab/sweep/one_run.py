@@ -22,6 +22,7 @@ from coulombus.lab.sweep.file import Sweep
 from coulombus.lab.sweep.points import seed_of
 from coulombus.lab.sweep.ranges import Vary
 from coulombus.rigs.rig import Rig
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["KEEP", "Done", "Job", "Keep", "Order", "carry_out", "failed_row", "order_of", "warm_up"]
 
@@ -141,7 +142,7 @@ def _simulated(job: Job, order: Order) -> tuple[Rig | None, RunResult | None, st
         rig = job.rig.variant(*(one.override(value) for one, value in zip(job.vary, order.values, strict=True)))
         return rig, simulate(rig, order.mode, _seconds(job, rig), seed=order.seed, measured=True), None
     except Exception as error:  # none of them ends the other runs
-        known = getattr(error, "exit_status", None) is not None
+        known = isinstance(error, CoulombusError)
         return rig, None, f"refused: {error}" if known else f"{type(error).__name__}: {error}"
 
 

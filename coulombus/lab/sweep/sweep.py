@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.lab.sweep.file import Sweep
-from coulombus.lab.sweep.folder import Folder, FolderError
+from coulombus.lab.sweep.folder import Folder, SweepFolderError
 from coulombus.lab.sweep.one_run import Job, Keep, Order, order_of
 from coulombus.lab.sweep.picture import MapPoint, map_of
 from coulombus.lab.sweep.rates import Rate
@@ -84,7 +84,7 @@ def run_sweep(
 
     Raises
     ------
-    coulombus.lab.sweep.folder.FolderError
+    coulombus.lab.sweep.folder.SweepFolderError
         the folder holds another sweep, or cannot be written
     coulombus.lab.sweep.workers.ClusterError
         there is no cluster
@@ -116,7 +116,7 @@ def _carry_out(kept: Folder, job: Job, left: list[int], processes: int, dask: st
                 kept.add(row)
                 done, failed = done + 1, failed + (row["error"] is not None)
                 progress("runs", done, sweep.runs, failed)
-    except FolderError:
+    except SweepFolderError:
         raise
     except BaseException:  # interrupted: what is done stays
         kept.flush()

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.lab.sweep.one_run import Done, Job, Order, carry_out, failed_row
+from coulombus.system.errors import CoulombusError
 
 __all__ = ["ClusterError", "on_cluster", "on_processes"]
 
@@ -29,7 +30,7 @@ MOST_STARTS = 3
 """A worker that ends before its first run so often cannot be started at all."""
 
 
-class ClusterError(Exception):
+class ClusterError(CoulombusError):
     """A cluster cannot be used; the text says why, and what to do."""
 
     exit_status = 2

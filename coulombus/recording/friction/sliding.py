@@ -37,6 +37,7 @@ import numpy.typing as npt
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.recording.host_telemetry import PHASE_RUN
 from coulombus.recording.signals import Series, Source, series
+from coulombus.system.errors import CoulombusError
 
 __all__ = [
     "Equations",
@@ -75,7 +76,7 @@ Above it the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`).
 LEAST_SAMPLES = 100
 
 
-class IdentifyError(ValueError):
+class IdentifyError(CoulombusError, ValueError):
     """The recording does not show friction: the text says what is missing."""
 
     exit_status = 1

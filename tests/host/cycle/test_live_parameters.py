@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.host.cycle.live_parameters import follow, offer
-from coulombus.host.cycle.parameter_changes import LiveParameters, NotTaken, Refused
+from coulombus.host.cycle.parameter_changes import ChangeRefused, LiveParameters, NotTaken
 from coulombus.host.cycle.records import LIVE, ORDER, SLOTS, Phase, Slot
 from coulombus.kernels.decorator import Entry
 from host_bench import HostBench
@@ -35,7 +35,7 @@ class Live(HostBench):
 
     def refused(self, over_s=0.1, **values):
         before = dict(self.parameters._axes[0].value), int(self.k.live["wanted"][0])
-        with pytest.raises(Refused) as error:
+        with pytest.raises(ChangeRefused) as error:
             self.parameters.change(values, over_s=over_s)
         assert (self.parameters._axes[0].value, int(self.k.live["wanted"][0])) == before
         assert error.value.exit_status == 2
@@ -248,7 +248,7 @@ def test_how_long_a_change_takes_has_bounds(bench):
 
 
 def test_an_axis_is_named_where_the_rig_has_some(bench):
-    with pytest.raises(Refused, match="axis 'y': the rig has no named axes"):
+    with pytest.raises(ChangeRefused, match="axis 'y': the rig has no named axes"):
         bench.parameters.change({"F_s": 1.3}, "y")
 
 
@@ -269,7 +269,7 @@ def test_undo_takes_the_changes_back_one_after_another(bench):
         assert change.undo
         bench.cycles(101)
         assert float(bench.axis.law.F_s) == F_s
-    with pytest.raises(Refused, match="there is no change to undo"):
+    with pytest.raises(ChangeRefused, match="there is no change to undo"):
         bench.parameters.undo()
 
 

@@ -13,7 +13,7 @@ from coulombus.host.devices.nmt import command
 from coulombus.host.devices.numbering import give
 from coulombus.host.devices.scan import scan
 from coulombus.host.devices.sdo import SdoClient, store_parameters
-from coulombus.host.devices.transfers import Refused
+from coulombus.host.devices.transfers import SdoRefused
 from devices_bench import UNCONFIGURED, DevicesLink, eds
 
 LABEL = (0x2004, 0)
@@ -55,7 +55,7 @@ def refusals(link):
         lambda: client.download(0x1000, 0, bytes(20)),
         lambda: client.upload(0x1000, 7),
     ):
-        with pytest.raises(Refused) as caught:
+        with pytest.raises(SdoRefused) as caught:
             act()
         told.append(str(caught.value))
     return told

@@ -12,7 +12,7 @@ import pytest
 
 from coulombus.eds.cia301 import Abort
 from coulombus.host.devices.sdo import SdoClient, load_defaults, store_parameters
-from coulombus.host.devices.transfers import Nonsense, Refused, SdoSilent, Twins
+from coulombus.host.devices.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
 from coulombus.host.errors import HostError
 from devices_bench import EDS, DevicesLink, Server, eds
 
@@ -77,14 +77,14 @@ def test_a_node_of_canopen_is_read_and_written(length):
     client.download(*LABEL, data)
     assert client.upload(*LABEL) == data
     assert client.upload(0x1000, 0) == b"\x92\x01\x02\x00"
-    with pytest.raises(Refused, match="0x06020000: object does not exist"):
+    with pytest.raises(SdoRefused, match="0x06020000: object does not exist"):
         client.upload(0x5FFF, 0)
     assert local.node.sdo[LABEL[0]].raw == data.decode()
 
 
 def test_an_abort_is_told_in_words():
     _, client = motor()
-    with pytest.raises(Refused, match="download to 1000h:00 was aborted: 0x06010002: attempt to write") as caught:
+    with pytest.raises(SdoRefused, match="download to 1000h:00 was aborted: 0x06010002: attempt to write") as caught:
         client.download(0x1000, 0, bytes(4))
     assert caught.value.exit_status == 6
 
@@ -100,7 +100,7 @@ def test_a_node_that_is_not_there_is_told_and_nobody_waits_longer():
 
 def _read_identity(client):
     for subindex in (1, 2, 3, 4):
-        with suppress(Refused):
+        with suppress(SdoRefused):
             client.upload(0x1018, subindex)
 
 
@@ -110,7 +110,7 @@ def test_a_second_answer_to_one_request_is_a_second_device(answer, after_ns):
     link, client = motor()
     Server(link, 1, lambda request: [(answer % request[1:4], after_ns)] if request[0] == 0x40 else [])
     told = r"two devices answer as node 1 \(SDO of 1018h:0\d\): .*coulombus lss"
-    with pytest.raises(Twins, match=told) as caught:
+    with pytest.raises(DuplicateNodeId, match=told) as caught:
         _read_identity(client)
     assert caught.value.exit_status == 3
 
@@ -159,7 +159,7 @@ FULL, LAST = b"\x00ABCDEFG", b"\x01ABCDEFG"
 def test_a_server_that_does_it_wrong_is_told_and_aborted(answer, text, code):
     link = DevicesLink()
     server = Server(link, 5, answer)
-    with pytest.raises((Nonsense, Refused), match=text) as caught:
+    with pytest.raises((SdoProtocolError, SdoRefused), match=text) as caught:
         SdoClient(link, 5).upload(*PLACE)
     assert caught.value.exit_status == 6
     if code is not None:
@@ -170,7 +170,7 @@ def test_an_answer_to_somebody_elses_request_within_the_segments_is_a_twins():
     link = DevicesLink()
     server = Server(link, 5, upload_of(FULL, b"\x43\x18\x10\x01\xc0\x04\0\0"))
     with pytest.raises(
-        Twins, match=r"answer to an SDO of 1018h:01 came within the upload of .*another SDO client"
+        DuplicateNodeId, match=r"answer to an SDO of 1018h:01 came within the upload of .*another SDO client"
     ) as caught:
         SdoClient(link, 5).upload(*PLACE)
     assert caught.value.exit_status == 3
@@ -187,7 +187,7 @@ def test_an_upload_without_an_end_is_given_up():
         return [bytes((toggle[0],)) + bytes(7)] if request[0] >> 5 == 3 else []
 
     Server(link, 5, answer)
-    with pytest.raises(Nonsense, match="continues beyond 100 bytes"):
+    with pytest.raises(SdoProtocolError, match="continues beyond 100 bytes"):
         SdoClient(link, 5).upload(*PLACE, most=100)
 
 
@@ -232,7 +232,7 @@ def test_a_wrong_crc_is_told():
         if frame.can_id == 0x581 and frame.data[0] & 0xE3 == 0xC1 and frame.data[3:] == bytes(5)
         else frame
     ]
-    with pytest.raises(Nonsense, match="CRC is wrong"):
+    with pytest.raises(SdoProtocolError, match="CRC is wrong"):
         client.upload(*LABEL)
 
 

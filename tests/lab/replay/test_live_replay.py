@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coulombus.host.cycle.parameter_changes import Refused
+from coulombus.host.cycle.parameter_changes import ChangeRefused
 from coulombus.lab.replay.host_replay import ReplayError, host_replay
 from coulombus.lab.simulate import simulate
 from coulombus.recording.pcapng_reader import read_pcapng
@@ -175,7 +175,7 @@ def test_changes_of_both_axes_that_overlap_are_replayed(tmp_path):
 def test_a_refused_change_leaves_no_trace(tmp_path):
     def change(world):
         def ask(w):
-            with pytest.raises(Refused):
+            with pytest.raises(ChangeRefused):
                 w.set_parameters({"F_s": 400.0})
 
         world.at(900 * MS, ask)

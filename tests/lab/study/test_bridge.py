@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.lab.study.bridge import Ended, FolderError, StudyError, open_session
+from coulombus.lab.study.bridge import Ended, StudyError, StudyFolderError, open_session
 from coulombus.lab.study.folder import read_events
 from coulombus.recording.reading import read
 from study_text import TEXT
@@ -60,7 +60,7 @@ def test_a_session_that_is_left_lets_no_display_begin(study, tmp_path):
 def test_a_wrong_study_and_a_folder_in_use_are_refused(study, tmp_path):
     with (
         open_session(study, tmp_path / "out", "S01"),
-        pytest.raises(FolderError, match="another session"),
+        pytest.raises(StudyFolderError, match="another session"),
         open_session(study, tmp_path / "out", "S02"),
     ):
         pass

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from coulombus.lab.study.folder import FolderError, SubjectFolder, read_events
+from coulombus.lab.study.folder import StudyFolderError, SubjectFolder, read_events
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.session import Ended, People, SubjectSession, WrongStep, run_session
 from coulombus.lab.study.study import read_study
@@ -95,15 +95,15 @@ def test_subjects_meet_the_conditions_in_counter_balanced_order(study, tmp_path)
 def test_another_study_a_changed_row_and_a_second_session_are_refused(study, tmp_path):
     _, own = session(study, tmp_path / "out", Show())
     (tmp_path / "study.toml").write_text(TWO.replace("seed = 3", "seed = 4"))
-    with pytest.raises(FolderError, match="holds another study"):
+    with pytest.raises(StudyFolderError, match="holds another study"):
         session(read_study(tmp_path / "study.toml"), tmp_path / "out", Show())
-    with SubjectFolder(study, tmp_path / "out", "S02", {}), pytest.raises(FolderError, match="another session"):
+    with SubjectFolder(study, tmp_path / "out", "S02", {}), pytest.raises(StudyFolderError, match="another session"):
         session(study, tmp_path / "out", Show())
     text = own.events.read_text().splitlines()
     own.events.write_text("\n".join([text[0], text[2], text[1]]) + "\n")
-    with pytest.raises(FolderError, match=r"events\.tsv:2: is not the trial"):
+    with pytest.raises(StudyFolderError, match=r"events\.tsv:2: is not the trial"):
         session(study, tmp_path / "out", Show())
-    with pytest.raises(FolderError, match="letters and digits"):
+    with pytest.raises(StudyFolderError, match="letters and digits"):
         session(study, tmp_path / "out", Show(), subject="../S01")
 
 
@@ -154,7 +154,7 @@ def test_a_folder_that_was_cut_off_while_it_was_made_is_made_whole(study, tmp_pa
 def test_a_folder_with_another_study_file_is_left_alone(study, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "study.toml").write_text("mine = 1")
-    with pytest.raises(FolderError, match="holds something else"):
+    with pytest.raises(StudyFolderError, match="holds something else"):
         session(study, tmp_path / "out", Show())
     assert (tmp_path / "out" / "study.toml").read_text() == "mine = 1"
 
@@ -173,7 +173,7 @@ def test_a_full_disk_ends_the_session_and_keeps_the_answers_before(study, tmp_pa
             monkeypatch.setattr(os, "fsync", full)
         return False
 
-    with pytest.raises(FolderError, match=r"No space left on device.*make room"):
+    with pytest.raises(StudyFolderError, match=r"No space left on device.*make room"):
         session(study, tmp_path / "full", Show(), stop=stop)
     monkeypatch.undo()
     own = tmp_path / "full" / "sub-S01" / kept.events.name

@@ -16,7 +16,7 @@ from coulombus.lab.sweep import one_run, workers
 from coulombus.lab.sweep import sweep as module
 from coulombus.lab.sweep.figures import FIGURES
 from coulombus.lab.sweep.file import read_sweep
-from coulombus.lab.sweep.folder import Folder, FolderError
+from coulombus.lab.sweep.folder import Folder, SweepFolderError
 from coulombus.lab.sweep.one_run import Done, Job, carry_out, order_of
 from coulombus.lab.sweep.picture import map_of
 from coulombus.lab.sweep.sweep import run_sweep
@@ -219,7 +219,7 @@ def test_a_folder_of_another_sweep_is_not_mixed(sweep_file, tmp_path, at_once):
     (out / "mine.txt").write_text("mine")
     before = (out / "runs.parquet").read_bytes()
     other = read_sweep(sweep_file(**{"seed = 3": "seed = 4"}))
-    with pytest.raises(FolderError, match=r"runs of another sweep.*--force"):
+    with pytest.raises(SweepFolderError, match=r"runs of another sweep.*--force"):
         run_sweep(other, out)
     assert (out / "runs.parquet").read_bytes() == before
     run_sweep(other, out, force=True)
@@ -232,14 +232,14 @@ def test_a_folder_of_another_sweep_is_not_mixed(sweep_file, tmp_path, at_once):
 
 def test_a_table_that_is_nobodys_is_not_replaced(sweep_file, tmp_path):
     (tmp_path / "runs.parquet").write_text("mine")
-    with pytest.raises(FolderError, match=r"runs.parquet is there"):
+    with pytest.raises(SweepFolderError, match=r"runs.parquet is there"):
         run_sweep(read_sweep(sweep_file()), tmp_path)
     assert (tmp_path / "runs.parquet").read_text() == "mine"
 
 
 def test_two_sweeps_do_not_share_a_folder(sweep_file, tmp_path):
     sweep = read_sweep(sweep_file())
-    with Folder.open(tmp_path / "out", sweep), pytest.raises(FolderError, match="another sweep is at work"):
+    with Folder.open(tmp_path / "out", sweep), pytest.raises(SweepFolderError, match="another sweep is at work"):
         run_sweep(sweep, tmp_path / "out")
 
 
@@ -434,7 +434,7 @@ def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, 
         whole(path, content, *more)
 
     monkeypatch.setattr(folder, "write_whole", full)
-    with pytest.raises(FolderError, match=r"cannot be written \(No space left on device\).*make room"):
+    with pytest.raises(SweepFolderError, match=r"cannot be written \(No space left on device\).*make room"):
         run_sweep(sweep, tmp_path / "out")
     monkeypatch.setattr(folder, "write_whole", whole)
     carried = []

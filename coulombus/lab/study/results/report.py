@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from coulombus.lab.study.folder import FolderError, read_events, subjects_of
+from coulombus.lab.study.folder import StudyFolderError, read_events, subjects_of
 from coulombus.lab.study.results.exploration import Exploration, explored, mean_of
 from coulombus.lab.study.results.fit import fit_comparisons, fit_magnitudes
 from coulombus.lab.study.results.staircase import staircase
@@ -39,7 +39,7 @@ def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
 
     Raises
     ------
-    FolderError
+    StudyFolderError
         it is the folder of no study, or a file of it cannot be used
     """
     asked = _asked(folder)
@@ -66,7 +66,7 @@ def _subject(folder: Path, subject: str, kind: str | None, exploration: bool) ->
             for row in rows:
                 _check_numbers(row)
         except ValueError as error:
-            raise FolderError(f"{path}: a cell is no number ({error}); mend or remove the row") from None
+            raise StudyFolderError(f"{path}: a cell is no number ({error}); mend or remove the row") from None
     counted = [row for row in rows if row["training"] == "0"]
     names = dict.fromkeys(row["condition"] for row in counted)
     found = {}
@@ -101,7 +101,9 @@ def _explored(recordings: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, 
         try:
             one = explored(path)
         except (OSError, RecordingError) as error:
-            raise FolderError(f"{path}: cannot be read ({error}); restore it, or leave --exploration out") from None
+            raise StudyFolderError(
+                f"{path}: cannot be read ({error}); restore it, or leave --exploration out"
+            ) from None
         if one is not None:
             found.setdefault(f"{float(row['level']):g}", []).append(one)
     levels = sorted(found, key=float)

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from scipy.special import ndtri
 
 from coulombus.cli.main import main
-from coulombus.lab.study.folder import FolderError, SubjectFolder
+from coulombus.lab.study.folder import StudyFolderError, SubjectFolder
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.results.page import page
 from coulombus.lab.study.results.pictures import write_figures
@@ -144,5 +144,5 @@ def test_a_folder_of_no_study_and_a_broken_row_are_told(keep, tmp_path):
     keep(TEXT, 0.15)
     path = tmp_path / "out" / "sub-S01" / "sub-S01_task-jnd_events.tsv"
     path.write_text(path.read_text().replace("\t2.4\t", "\tx\t"))
-    with pytest.raises(FolderError, match="is no number"):
+    with pytest.raises(StudyFolderError, match="is no number"):
         report(tmp_path / "out")

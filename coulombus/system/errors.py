@@ -1,0 +1,97 @@
+"""The base of all errors of this project.
+
+Each class has a text for people, and its exit status of the command line. Where a class also is
+an exception of Python, an ``except`` of that one catches it, too. `n`: each error has the status of
+the run that has ended.
+
+CoulombusError
++-- AddressError                 2   wire.address                 ValueError
++-- BusUnavailable               4   wire.address                 OSError
+|   +-- BusDown                  4   wire.client
+|   +-- BusGone                  4   wire.client
++-- ClusterError                 2   lab.sweep.workers
++-- CommissionError              1   host.commission.step
++-- ConditionError               3   lab.sweep.expressions        ValueError
++-- ConformanceRefused           7   conformance.runner
++-- DeviceSilent                 5   conformance.runner
++-- EdsError                     3   eds.description
++-- Ended                        n   lab.study.session
++-- ExportError                  2   recording.export.errors
++-- FaultError                   3   sim_bus.faults.file          ValueError
++-- FeltError                    2   lab.study.felt
++-- HardwareError                3   node.hardware.channels
+|   +-- NoBuffer                 3   node.hardware.iio_buffer
++-- HostError                    1   host.errors
+|   +-- AnswerUntrusted          6   host.errors
+|   |   +-- SdoProtocolError     6   host.devices.transfers
+|   |       +-- DuplicateNodeId  3   host.devices.transfers
+|   +-- ChangeRefused            2   host.cycle.parameter_changes
+|   |   +-- NotTaken             2   host.cycle.parameter_changes
+|   +-- DeviceMismatch           3   host.errors
+|   +-- LssRefused               6   host.devices.lss
+|   +-- NoHost                   4   host.run.control_socket
+|   +-- NodeMissing              5   host.errors
+|   |   +-- SdoSilent            5   host.devices.transfers
+|   +-- NotChanged               2   host.run.control_socket
+|   +-- NotMarked                2   host.run.control_socket
+|   +-- ObjectUnknown            2   host.devices.device
+|   +-- PlaneError               4   host.realtime.data_plane
+|   +-- SafetyTrip               7   host.errors
+|   +-- SdoAborted               6   host.errors
+|   |   +-- SdoRefused           6   host.devices.transfers
+|   +-- SimDied                  4   lab.demo.real_demo
+|   +-- StatusError              2   host.run.status_socket
+|   +-- ValueRefused             2   host.devices.device
++-- IdentifierError              2   wire.identifiers             ValueError
++-- IdentifyError                1   recording.friction.sliding   ValueError
++-- LatencyError                 1   host.doctor.latency          RuntimeError
++-- LawError                     3   host.laws.laws
++-- LogError                     2   recording.log_files
++-- LslMissing                   2   lab.study.lsl
++-- MissingExtra                 2   recording.extras             ImportError
++-- MotionFileError              3   host.laws.path
++-- NeedsLinux                   4   system.c_library             ImportError
++-- NodeError                    2   sim_bus.server.live_nodes    ValueError
++-- NotToTheRig                  7   cli.replay
++-- ParameterError               2   analysis.theory.operators    ValueError
++-- PcapngError                  2   recording.pcapng_blocks
++-- PortError                    2   monitor.forward
++-- QuestMissing                 2   lab.study.methods
++-- RecordingError               2   recording.pcapng_blocks      OSError
++-- ReplayError                  2   lab.replay.host_replay
++-- RigError                     3   rigs.errors
++-- RunEnded                     n   host.commission.session
++-- SameBus                      2   sim_bus.server.bridge        ValueError
++-- ScriptError                  3   sim_bus.network.script       ValueError
++-- SpanError                    2   recording.span
++-- StudyError                   3   lab.study.study              ValueError
++-- StudyFolderError             2   lab.study.folder             ValueError
++-- SweepError                   3   lab.sweep.file               ValueError
++-- SweepFolderError             2   lab.sweep.folder
++-- TruthError                   2   lab.simulate
++-- UnknownCase                  2   conformance.runner           ValueError
++-- UnknownSignal                2   recording.signals            KeyError
++-- WebError                     2   monitor.web
++-- WrongCall                    2   rigs.arguments               TypeError
++-- WrongDevice                  3   conformance.runner
++-- WrongStep                    2   lab.study.session
+
+What is caught where it is raised, or next to it, is none of them: `tests/system/test_errors.py` has
+the list, and holds the drawing against the classes.
+"""
+
+from __future__ import annotations
+
+__all__ = ["CoulombusError"]
+
+
+class CoulombusError(Exception):
+    """What this project refuses, or cannot do; the text says why, and what to do.
+
+    Attributes
+    ----------
+    exit_status
+        That of a verb which the error ends (`coulombus.cli.exit_status`).
+    """
+
+    exit_status: int
