@@ -79,6 +79,7 @@ PYTHON = {
         *("monitor.callbacks.live", "monitor.callbacks.LiveBus"),
         *("sim_bus.server.own_device.Device", "sim_bus.network.network.VirtualNetwork"),
     ),
+    "Errors": ("system.errors.CoulombusError",),
     "Theory": (
         *("analysis.theory.describing.coulomb_psi", "analysis.theory.describing.karnopp_psi"),
         *("analysis.theory.describing.numeric", "analysis.theory.bounds.bounds", "analysis.theory.crossings.crossings"),
