@@ -15,82 +15,82 @@ from coulombus.cli.tables import echo
 
 __all__ = ["main"]
 
-SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+SECTIONS: Mapping[str, Mapping[str, str]] = {
     "Simulate": {
-        "demo": ("simulate:demo", "Show the paper's experiment: motor alone, then hybrid"),
-        "simulate": ("simulate:simulate_command", "Run a simulated rig in virtual time"),
-        "sim": ("sim:sim", "Serve a bus with simulated devices and rig in real time"),
-        "sweep": ("sweep:sweep_command", "Simulate many rigs and hands, and count rates"),
-        "experiment": ("experiment:experiment_command", "Show a study to a subject, trial by trial"),
-        "law": ("law:law", "List the friction laws, or drive one along a motion"),
+        "demo": "Show the paper's experiment: motor alone, then hybrid",
+        "simulate": "Run a simulated rig in virtual time",
+        "sim": "Serve a bus with simulated devices and rig in real time",
+        "sweep": "Simulate many rigs and hands, and count rates",
+        "experiment": "Show a study to a subject, trial by trial",
+        "law": "List the friction laws, or drive one along a motion",
     },
     "Run a rig": {
-        "run": ("run:run_command", "Run the host in real time on a bus with devices"),
-        "status": ("status:status", "Ask a running host for its state"),
-        "stop": ("run:stop", "Stop a running host safely"),
-        "mark": ("mark:mark", "Mark the recording of a running host"),
-        "set": ("set:set_command", "Change the law's parameters of a running host"),
+        "run": "Run the host in real time on a bus with devices",
+        "status": "Ask a running host for its state",
+        "stop": "Stop a running host safely",
+        "mark": "Mark the recording of a running host",
+        "set": "Change the law's parameters of a running host",
     },
     "Look at a bus and its devices": {
-        "watch": ("look:watch", "Show a bus live, in SI units"),
-        "hz": ("hz:hz", "Measure rate and jitter of each identifier"),
-        "scan": ("scan:scan", "Find the devices on a bus"),
-        "sdo": ("sdo:sdo", "Read and write objects of a device (SDO)"),
-        "nmt": ("nmt:nmt", "Start, stop or reset nodes (NMT)"),
-        "lss": ("lss:lss", "Give devices node ids and bit rates (CiA 305)"),
-        "node": ("sim:node_command", "Serve any EDS file as a live device"),
-        "bridge": ("replay:bridge", "Join two buses"),
-        "conformance": ("conformance:conformance", "Test a CANopen device against its EDS and CiA 301, 305, 402"),
+        "watch": "Show a bus live, in SI units",
+        "hz": "Measure rate and jitter of each identifier",
+        "scan": "Find the devices on a bus",
+        "sdo": "Read and write objects of a device (SDO)",
+        "nmt": "Start, stop or reset nodes (NMT)",
+        "lss": "Give devices node ids and bit rates (CiA 305)",
+        "node": "Serve any EDS file as a live device",
+        "bridge": "Join two buses",
+        "conformance": "Test a CANopen device against its EDS and CiA 301, 305, 402",
     },
     "Use recordings": {
-        "decode": ("look:decode", "Print a recording frame by frame, in SI units"),
-        "plot": ("plot:plot_command", "Draw a recording's signals"),
-        "diff": ("plot:diff", "Compare two recordings"),
-        "export": ("export:export_command", "Write a recording as CSV, Parquet, MAT, MF4, MCAP, BLF ..."),
-        "replay": ("replay:replay", "Play a recording onto a bus, or check it bit for bit"),
-        "identify": ("identify:identify", "Identify friction from a recording, with intervals"),
+        "decode": "Print a recording frame by frame, in SI units",
+        "plot": "Draw a recording's signals",
+        "diff": "Compare two recordings",
+        "export": "Write a recording as CSV, Parquet, MAT, MF4, MCAP, BLF ...",
+        "replay": "Play a recording onto a bus, or check it bit for bit",
+        "identify": "Identify friction from a recording, with intervals",
     },
     "Describe and set up a rig": {
-        "init": ("init:init", "Draft a rig file from EDS files or from live devices"),
-        "check": ("check:check", "Check a rig file and its EDS files"),
-        "plan": ("plan:plan_command", "Compute whether a rig's traffic fits on its bus"),
-        "measure": ("measure:measure", "Measure response times of devices and host"),
-        "commission": ("commission:commission", "Measure a rig, and write the figures into its rig file"),
-        "doctor": ("doctor:doctor", "Check whether this PC is fit for a rig"),
-        "systemd": ("systemd:systemd", "Write systemd units for host, simulation and bridge"),
-        "eds": ("eds:eds", "Check EDS and DCF files"),
+        "init": "Draft a rig file from EDS files or from live devices",
+        "check": "Check a rig file and its EDS files",
+        "plan": "Compute whether a rig's traffic fits on its bus",
+        "measure": "Measure response times of devices and host",
+        "commission": "Measure a rig, and write the figures into its rig file",
+        "doctor": "Check whether this PC is fit for a rig",
+        "systemd": "Write systemd units for host, simulation and bridge",
+        "eds": "Check EDS and DCF files",
     },
     "Names for other tools, and theory": {
-        "pdo": ("hz:pdo", "Draw the rig's PDOs bit by bit"),
-        "dbc": ("look:dbc", "Write a DBC file of the rig's PDOs"),
-        "tools": ("tools:tools", "Write files for Wireshark, cantools, PlotJuggler, Foxglove"),
-        "analyse": ("analyse:analyse", "Compute the theory of the paper, with figures"),
+        "pdo": "Draw the rig's PDOs bit by bit",
+        "dbc": "Write a DBC file of the rig's PDOs",
+        "tools": "Write files for Wireshark, cantools, PlotJuggler, Foxglove",
+        "analyse": "Compute the theory of the paper, with figures",
     },
 }
-"""Each verb's place, a module of this folder and its function, and what it does in a line."""
+"""The verbs, each a module of this folder, and what they do, in a line each."""
 
 
 class Commands(Mapping[str, click.Command]):
     """The verbs by name, in the order of `SECTIONS`; each is imported when it is looked up."""
 
     def __init__(self) -> None:
-        self._rows = {name: row for section in SECTIONS.values() for name, row in section.items()}
+        self._texts = {name: text for section in SECTIONS.values() for name, text in section.items()}
 
     def __getitem__(self, name: str) -> click.Command:
-        place, text = self._rows[name]
-        module, _, function = place.partition(":")
-        verb: click.Command = getattr(import_module(f"{__package__}.{module}"), function)
+        text = self._texts[name]
+        things = vars(import_module(f"{__package__}.{name}")).values()
+        verb = next(thing for thing in things if isinstance(thing, click.Command) and thing.name == name)
         verb.short_help = text
         return verb
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._rows)
+        return iter(self._texts)
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self._texts)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._rows
+        return name in self._texts
 
 
 class Coulombus(Verbs):
@@ -101,7 +101,7 @@ class Coulombus(Verbs):
         widest = max(map(len, self.commands))
         for title, verbs in SECTIONS.items():
             with formatter.section(title):
-                formatter.write_dl([(name.ljust(widest), text) for name, (_, text) in verbs.items()])
+                formatter.write_dl([(name.ljust(widest), text) for name, text in verbs.items()])
 
 
 LIBRARIES = ("numba", "llvmlite", "numpy", "scipy", "pydantic", "python-can", "canopen")

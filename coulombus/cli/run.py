@@ -1,21 +1,19 @@
-"""``coulombus run`` and ``coulombus stop``: the host on one bus or on several."""
+"""``coulombus run``: the host on one bus or on several."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from coulombus.cli.bundle import repeated
 from coulombus.cli.common import (
-    buses_option,
     check_mode,
     check_shared_machine,
     json_option,
     mode_option,
-    rig_option,
     say,
     shared_machine_option,
     verdict,
@@ -26,13 +24,13 @@ from coulombus.cli.outputs import OutputOptions, outputs_options
 from coulombus.cli.page_options import PageOptions, page_options
 from coulombus.cli.rig_options import BusesOptions, buses_options
 from coulombus.cli.run_table import print_runs
-from coulombus.cli.tables import echo, progress
+from coulombus.cli.tables import progress
 from coulombus.system.foreign_text import printable
 
 if TYPE_CHECKING:
     from coulombus.wire.address import BusAddress
 
-__all__ = ["run_command", "stop"]
+__all__ = ["run_command"]
 
 
 @click.command("run", epilog=EXIT_STATUS)
@@ -154,53 +152,3 @@ def _run_buses(
             print_json(whole)
         elif "mode" in whole:
             print_runs({mode: RunResult(**whole)})
-
-
-@click.command(epilog=EXIT_STATUS)
-@rig_option
-@buses_option
-def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
-    """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled.
-
-    Waits for its end.
-
-    Ends with 0 when each host that was asked has taken the request and ended, tripped or not. Ends
-    with 4 when none runs there, or it cannot be reached, refuses, or does not end in time: then the
-    rig may still be armed.
-
-    \b
-    Examples:
-      coulombus stop
-      coulombus stop --bus socketcan:can0
-    """
-    with errors():
-        from coulombus.host.run.control_socket import NoHost, StopRequest
-        from coulombus.rigs.buses import bus_addresses
-        from coulombus.rigs.rig import load_rig
-        from coulombus.wire.address import parse_address
-
-        rig = load_rig(rig_name)
-        addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
-        requests = [StopRequest(address) for address in addresses]  # all are asked before one is waited for
-        failures, told = [], []
-        for request in requests:
-            try:
-                told.append(_what_came(request.address, request.result()))
-            except NoHost as failure:
-                failures.append(str(failure))
-        for text in told if failures else ():
-            say(text)
-        if failures:
-            raise NoHost("; ".join(failures))
-        with verdict(0):
-            for text in told:
-                echo(text)
-
-
-def _what_came(address: BusAddress, result: Mapping[str, Any]) -> str:
-    """Return what a host said to a stop, as a sentence."""
-    if not result:
-        return f"the host on {address} took the request and ended without a word"
-    if result["trip"]:
-        return f"the host on {address} had tripped: {result['trip']}"
-    return f"the host on {address} stopped safely after {result['cycles']} cycles in mode {result['mode']}"

@@ -1,11 +1,11 @@
-"""``coulombus sim`` and ``coulombus node``: the far side of the bus, in real time."""
+"""``coulombus sim``: the far side of the bus, in real time."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,12 +19,10 @@ from coulombus.cli.tables import echo
 from coulombus.system.exit import abandon_stdout
 
 if TYPE_CHECKING:
-    from coulombus.node.profile import Profile
     from coulombus.rigs.rig import Rig
-    from coulombus.sim_bus.server.live_nodes import LiveNodes
     from coulombus.wire.address import BusAddress
 
-__all__ = ["node_command", "sim"]
+__all__ = ["sim"]
 
 
 @dataclass(frozen=True)
@@ -183,153 +181,3 @@ def _pass_on(line: str) -> None:
         echo(line)
     except OSError:
         abandon_stdout()
-
-
-class NodeId(click.IntRange):
-    """A node id, or 255: the device has none yet (CiA 305)."""
-
-    def __init__(self) -> None:
-        super().__init__(1, 255)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number; BadParameter says which there are."""
-        number = super().convert(value, param, ctx)
-        if 127 < number < 255:
-            self.fail(f"{number} is not 1 to 127, and not 255 (none yet)", param, ctx)
-        return number
-
-
-class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
-    """A kind of device by its name in `node.kinds`, or "auto".
-
-    They are imported when one is given: the help starts without numba.
-    """
-
-    name = "kind"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Profile | Literal["auto"]:
-        """Return the profile; "auto" stays what it is."""
-        from coulombus.node.kinds import named
-
-        if value == "auto":
-            return "auto"
-        try:
-            return named(value)
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
-
-
-@dataclass(frozen=True)
-class Served:
-    """What ``node`` makes of the EDS files, as the options say it."""
-
-    node_ids: tuple[int, ...]
-    kind: Profile | Literal["auto"] | None
-    store: Path | None
-    processing_us: float
-    bitrate: int | None
-    io: Path | None
-
-    def of(self, eds: tuple[Path, ...], as_json: bool) -> LiveNodes:
-        """Return the nodes of these EDS files.
-
-        Raises
-        ------
-        NodeError
-            There are not as many node ids as files.
-        """
-        from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
-
-        if self.node_ids and len(self.node_ids) != len(eds):
-            raise NodeError(
-                f"{len(eds)} EDS files and {len(self.node_ids)} --node-id; give one --node-id for each file"
-            )
-        files = tuple(zip(eds, self.node_ids or (None,) * len(eds), strict=True))
-        return LiveNodes(files, self.kind, self.store, self.processing_us, as_json, self.bitrate or 0, self.io)
-
-
-served_options = bundle(
-    "served",
-    Served,
-    click.option(
-        "--node-id",
-        "node_ids",
-        type=NodeId(),
-        multiple=True,
-        help="One for each EDS, in order; 255: none yet, `coulombus lss` gives it one.  [default: NodeID of a DCF]",
-    ),
-    click.option(
-        "--kind",
-        type=Kind(),
-        default=None,
-        help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (our driver of CiA 404), "
-        "io (CiA 401), io404 (CiA 404), auto: as the file's objects allow; what contradicts the real device is opened "
-        "and told.  [default: our own devices' files as what they describe, else generic]",
-    ),
-    click.option(
-        "--store",
-        type=click.Path(readable=False, dir_okay=False, path_type=Path),
-        metavar="FILE",
-        help="Keep what 1010h and LSS store there.  [default: in memory]",
-    ),
-    click.option(
-        "--processing-us",
-        type=click.FloatRange(0, 1e6),
-        default=20.0,
-        show_default=True,
-        help="Time from a request until its answer is ready to be sent.",
-    ),
-    click.option(
-        "--bitrate",
-        type=click.IntRange(1000, 100_000_000),
-        default=None,
-        help="Bit/s of the bus, where this command serves it.  [default: Baudrate of a DCF, else 1000000]",
-    ),
-    click.option(
-        "--io",
-        type=click.Path(readable=False, dir_okay=False, path_type=Path),
-        metavar="FILE",
-        help="Put real hardware behind the one node: which object is which channel of a DAC, ADC, PWM or counter, or of a Python class "
-        "(docs/own-device.md).",
-    ),
-)
-
-
-@click.command("node", epilog=EXIT_STATUS)
-@click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(readable=False, path_type=Path))
-@click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
-@served_options
-@click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
-@click.option(
-    "--json", "as_json", is_flag=True, help="One JSON object a line to stdout: ready, duplicate, hardware, end."
-)
-def node_command(
-    eds: tuple[Path, ...],
-    bus: str,
-    served: Served,
-    seconds: float | None,
-    as_json: bool,
-) -> None:
-    """Serve any EDS description as a live node: a stand-in for a device that is not on the desk
-    yet.
-
-    All objects with their defaults, PDOs, SDO, NMT, heartbeat, EMCY and LSS; a DCF's with the
-    values that it configures. On coulombus:NAME it joins the bus that another process serves; where
-    nobody does, it serves the bus itself, and others may join. Ends with 0 on Ctrl-C, SIGTERM,
-    SIGHUP and SIGQUIT, with 4 when the bus goes away. With --io the outputs take their safe values
-    at the end, after every fault, and when this process stands still or is killed.
-
-    \b
-    Examples:
-      coulombus node vendor.eds --node-id 5 --bus coulombus:desk --kind auto
-      coulombus node drive.eds brake.eds --node-id 1 --node-id 2 --bus socketcan:vcan0 --json
-      coulombus node configured.dcf --bus coulombus:desk
-      coulombus node eds/mr_brake.eds --node-id 2 --bus socketcan:can0 --io brake-io.toml
-    """
-    with errors():
-        from coulombus.sim_bus.server.live_nodes import run_nodes
-        from coulombus.wire.address import parse_address
-
-        run_nodes(served.of(eds, as_json), parse_address(bus), seconds)

@@ -1,4 +1,4 @@
-"""``coulombus simulate`` and ``coulombus demo``."""
+"""``coulombus simulate``: a rig in virtual time."""
 
 from __future__ import annotations
 
@@ -15,31 +15,24 @@ from coulombus.cli.common import (
     faults_option,
     force_option,
     json_option,
-    load,
     mode_option,
     record_option,
-    rig_option,
-    say,
     script_option,
     seconds_option,
     seed_option,
-    set_option,
     verdict,
 )
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import OutputDirectory, OutputFile
+from coulombus.cli.option_types import OutputFile
 from coulombus.cli.rig_options import RigOptions, rig_options
-from coulombus.cli.run_table import print_runs, print_verdict
+from coulombus.cli.run_table import print_runs
 from coulombus.cli.tables import echo, progress
-from coulombus.system.quoting import shell
 
 if TYPE_CHECKING:
-    from coulombus.lab.demo.demo import Demo
-    from coulombus.recording.signals import Source
     from coulombus.rigs.rig import Rig
     from coulombus.sim_bus.network.script import Entry
 
-__all__ = ["demo", "simulate_command"]
+__all__ = ["simulate_command"]
 
 
 @dataclass(frozen=True)
@@ -145,115 +138,3 @@ def simulate_command(
                 print_runs({mode: result})
                 for line in injected_lines(result.faults, result.controllers):
                     echo(line)
-
-
-@click.command(epilog=EXIT_STATUS)
-@rig_option
-@set_option
-@seed_option
-@click.option(
-    "--out",
-    type=OutputDirectory(),
-    default=Path("out/demo"),
-    show_default=True,
-    help="Directory for the results.",
-)
-@click.option(
-    "--virtual",
-    is_flag=True,
-    help="In virtual time: some seconds instead of half a minute, and the same bytes every time.",
-)
-@json_option
-def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtual: bool, as_json: bool) -> None:
-    """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds
-    still.
-
-    Runs both modes through the rig's schedule, each with the hold and the stroke, in real time: the
-    simulated rig in one process, the host in others, PDOs at 1 kHz between them. Writes
-    active.pcapng, hybrid.pcapng, demo.json and the figure demo.png. Exits with 1 unless active
-    oscillates and hybrid holds still. --virtual adds hybrid at the active display's friction, and
-    the brake alone.
-
-    \b
-    Examples:
-      coulombus demo
-      coulombus demo --virtual
-      coulombus demo --seed 3 --out out/third
-    """
-    with errors():
-        from coulombus.lab.demo.demo import DEMO_MODES, as_dict, displays, run_demo
-        from coulombus.lab.demo.traces import figure_14
-        from coulombus.recording.reading import blocks
-
-        rig = load(rig_name, overrides).alone()
-        missing = [mode for mode in DEMO_MODES if mode not in rig.modes]
-        if missing:
-            raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
-        total = display_s(rig, None)
-        if virtual:
-            with progress(not as_json) as report:
-                result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
-        else:
-            result = _real_demo(rig_name, overrides, seed, out, total, as_json)
-        shown = {name: one for name, one in displays(rig).items() if name in result.results}
-        columns = {one.title: (one.mode, blocks(out / f"{name}.pcapng")) for name, one in shown.items()}
-        figure_14(columns, out / "demo.png")
-        with verdict(0 if result.passed else 1):
-            if as_json:
-                print_json(as_dict(result))
-            else:
-                print_runs(result.results)
-                echo()
-                for criterion in result.criteria:
-                    print_verdict(criterion.holds, f"{criterion.text}: {criterion.found}")
-                echo(
-                    f"\nfigure and recordings: {out}/ (demo.png, demo.json, {', '.join(f'{name}.pcapng' for name in shown)})"
-                )
-                echo("\ntry next:")
-                for command, why in next_steps(rig_name, out, span_of_interest(blocks(out / "active.pcapng"))):
-                    echo(f"  {command}\n      {why}")
-
-
-def span_of_interest(recording: Source) -> str:
-    """Return a fifth of a second in the recording's hold, or of its first phase, as an option of
-    `plot`. A recording in real time begins some seconds before.
-    """
-    from coulombus.recording.measures import phases
-
-    spans = phases(recording)
-    shown = next((span for span in spans if span.kind == "hold"), spans[0] if spans else None)
-    return "" if shown is None else f" --span {shown.begin_s + 1.0:.1f}:{shown.begin_s + 1.2:.1f}"
-
-
-def next_steps(rig_name: str, out: Path, span: str = "") -> tuple[tuple[str, str], ...]:
-    """Return the three commands that the demo ends with, each with what it is for."""
-    rig = "" if rig_name == "bench" else f"--rig {shell(rig_name)} "
-    active = shell(str(out / "active.pcapng"))
-    return (
-        (f"coulombus plot {active}{span}", "the motor's oscillation, sample by sample"),
-        (f"coulombus simulate {rig}--law lugre --record lugre.pcapng", "another friction, in seconds: `coulombus law`"),
-        (
-            f"coulombus sim {rig}--web",
-            "the rig in a browser; then, in another terminal, `coulombus run --shared-machine`",
-        ),
-    )
-
-
-def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, total: float, as_json: bool) -> Demo:
-    from coulombus.lab.demo.real_demo import run_real_demo
-    from coulombus.rigs.overrides import SHARED_MACHINE
-    from coulombus.rigs.rig import load_rig
-    from coulombus.system.stop_signals import Signals
-
-    both = (*SHARED_MACHINE, *overrides)
-    say("for a machine shared with others:\n" + "\n".join(f"  --set {text}" for text in SHARED_MACHINE))
-    with Signals() as signals, progress(not as_json) as report:
-        return run_real_demo(
-            load_rig(rig_name, both).alone(),
-            rig_name,
-            out,
-            seed=seed,
-            overrides=both,
-            signals=signals,
-            progress=lambda mode, t: report(mode, t, total),
-        )

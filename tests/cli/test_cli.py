@@ -15,8 +15,8 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
+from coulombus.cli.demo import next_steps
 from coulombus.cli.main import main
-from coulombus.cli.simulate import next_steps
 from coulombus.recording.measures import phases
 from coulombus.recording.reading import read
 from places import ROOT

@@ -138,7 +138,7 @@ def test_long_texts_of_a_run_stand_beneath_its_table_whole(capsys, monkeypatch):
 
 
 def test_watch_tells_what_the_host_does(monkeypatch):
-    from coulombus.cli.look import host_text
+    from coulombus.cli.watch import host_text
     from coulombus.host.run import control_socket
 
     found = {"mode": "hybrid", "trip": "SYNC lost", "axes": [{"axis": None, "phase": "tripped"}]}

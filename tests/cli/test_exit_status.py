@@ -421,7 +421,7 @@ def test_a_bridge_goes_on_whoever_reads_that_it_is_ready(monkeypatch):
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
 
     monkeypatch.setattr("coulombus.sim_bus.server.bridge.bridge", join)
-    monkeypatch.setattr("coulombus.cli.replay.echo", refused)
+    monkeypatch.setattr("coulombus.cli.bridge.echo", refused)
     monkeypatch.setattr("coulombus.system.exit.abandon_stdout", lambda: reached.append("abandoned"))
     assert CliRunner().invoke(main, ["bridge", "coulombus:a", "coulombus:b", "--json"]).exit_code == 0
     assert reached[:2] == ["abandoned", "joined"]

@@ -18,7 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 import eds_text
-from coulombus.cli.sim import node_command
+from coulombus.cli.node import node_command
 from coulombus.eds.reader import EdsError, read_eds
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402

@@ -1,4 +1,4 @@
-"""``coulombus decode``, ``watch`` and ``dbc``."""
+"""``coulombus watch``: a bus live, in a terminal, in a browser, or handed on."""
 
 from __future__ import annotations
 
@@ -6,61 +6,24 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import force_option, listed, printed, rig_option, say, set_option
-from coulombus.cli.errors import EXIT_STATUS, errors, remark
-from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.cli.common import force_option, listed, say
+from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.option_types import SECONDS, OutputFile
 from coulombus.cli.page_options import PageOptions, page_options, serve_page
-from coulombus.cli.rig_options import OneBusOptions, one_bus_options, one_channel_option
+from coulombus.cli.rig_options import OneBusOptions, one_bus_options
 from coulombus.cli.tables import echo
-from coulombus.system.foreign_text import printable
-from coulombus.system.wrap_text import columns_of
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
-__all__ = ["dbc", "decode", "host_text", "watch"]
-
-
-@click.command(epilog=EXIT_STATUS)
-@click.argument("file", type=InputPath())
-@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
-def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
-    """Print a recording frame by frame, PDOs by name in SI units.
-
-    Takes pcapng and, with --rig, what python-can reads: candump's .log, .asc, .blf, .trc, .csv.
-
-    \b
-    Examples:
-      coulombus decode out/demo/hybrid.pcapng | less
-      coulombus decode candump.log --rig bench
-      coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
-    """
-    with errors():
-        from coulombus.monitor.decode import as_json as as_json_line
-        from coulombus.monitor.decode import as_text, fitted, rows
-        from coulombus.recording.reading import blocks
-        from coulombus.rigs.rig import load_rig
-
-        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
-        out = sys.stdout
-        width = columns_of(out)
-
-        def line(row: dict[str, Any]) -> str:
-            text = as_json_line(row) if as_json else printable(as_text(row))
-            return text if as_json or width is None else fitted(text, width)
-
-        for row in rows(recording):
-            out.write(line(row) + "\n")
-        out.flush()
-        remark(recording.remarks)
+__all__ = ["host_text", "watch"]
 
 
 def host_text(address: BusAddress) -> str | None:
@@ -236,39 +199,3 @@ def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None
         echo(json.dumps({"event": "end", **found}))
     else:
         say(f"{found['pdos']} PDOs handed on, {found['unheard']} unheard, {found['lost']} lost")
-
-
-@click.command(epilog=EXIT_STATUS)
-@rig_option
-@set_option
-@one_channel_option
-@click.option(
-    "-o",
-    "--out",
-    type=OutputFile(),
-    metavar="F.dbc",
-    help="Write the file there.  [default: stdout]",
-)
-@force_option
-def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Path | None, overwrite: bool) -> None:
-    """Write a DBC file of the rig's PDOs and services, for cantools, SavvyCAN, PlotJuggler.
-
-    \b
-    Examples:
-      coulombus dbc --rig bench -o bench.dbc
-      cantools monitor -i coulombus -c bench bench.dbc
-      candump -L can0 | cantools decode bench.dbc
-    """
-    with errors():
-        from coulombus.monitor.dbc import dbc_text
-        from coulombus.recording.output_file import new_file
-        from coulombus.rigs.buses import one_bus
-        from coulombus.rigs.rig import load_rig
-
-        text = dbc_text(one_bus(load_rig(rig_name, overrides), None, channel)[0])
-        if out is None:
-            with printed():
-                echo(text, nl=False)
-            return
-        with new_file(out, force=overwrite) as path:
-            path.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect

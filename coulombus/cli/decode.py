@@ -1,0 +1,51 @@
+"""``coulombus decode``: a recording, frame by frame."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coulombus.cli.errors import EXIT_STATUS, errors, remark
+from coulombus.cli.option_types import InputPath
+from coulombus.system.foreign_text import printable
+from coulombus.system.wrap_text import columns_of
+
+__all__ = ["decode"]
+
+
+@click.command(epilog=EXIT_STATUS)
+@click.argument("file", type=InputPath())
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
+def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
+    """Print a recording frame by frame, PDOs by name in SI units.
+
+    Takes pcapng and, with --rig, what python-can reads: candump's .log, .asc, .blf, .trc, .csv.
+
+    \b
+    Examples:
+      coulombus decode out/demo/hybrid.pcapng | less
+      coulombus decode candump.log --rig bench
+      coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
+    """
+    with errors():
+        from coulombus.monitor.decode import as_json as as_json_line
+        from coulombus.monitor.decode import as_text, fitted, rows
+        from coulombus.recording.reading import blocks
+        from coulombus.rigs.rig import load_rig
+
+        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        out = sys.stdout
+        width = columns_of(out)
+
+        def line(row: dict[str, Any]) -> str:
+            text = as_json_line(row) if as_json else printable(as_text(row))
+            return text if as_json or width is None else fitted(text, width)
+
+        for row in rows(recording):
+            out.write(line(row) + "\n")
+        out.flush()
+        remark(recording.remarks)

@@ -1,0 +1,128 @@
+"""``coulombus diff``: two recordings compared."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.common import force_option, json_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
+from coulombus.cli.option_types import PICTURE, InputPath
+from coulombus.cli.tables import echo, print_table, table_console
+
+if TYPE_CHECKING:
+    from coulombus.recording.difference import Comparison, Difference
+
+__all__ = ["diff"]
+
+
+def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, number = text.rpartition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not 0 <= value < math.inf or name in found:
+            reason = "twice" if name in found else "expected V, SIGNAL=V or UNIT=V, as in Nm=0.05"
+            raise click.BadParameter(f"{text!r}: {reason}")
+        found[name] = value
+    return found
+
+
+@click.command("diff", epilog=EXIT_STATUS)
+@click.argument("a", type=InputPath())
+@click.argument("b", type=InputPath())
+@click.option(
+    "--tolerance",
+    "tolerances",
+    multiple=True,
+    callback=_tolerances,
+    metavar="[SIGNAL=|UNIT=]V",
+    help="The largest difference that counts as equal; V alone: for every signal with a unit.  [default: 0 of all]",
+)
+@click.option("-o", "--out", type=PICTURE, metavar="F.png", help="Draw both and their difference there.")
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached ones.")
+@force_option
+@json_option
+def diff(
+    a: Path,
+    b: Path,
+    tolerances: dict[str, float],
+    out: Path | None,
+    rig_name: str | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Compare two recordings: two runs, or a simulated one and the rig's.
+
+    They are aligned by their phases. Ends with 0 when they are equal, with 1 when not. Without
+    --tolerance everything must be equal; with it the phases are compared, and those signals are
+    judged that have a tolerance.
+
+    \b
+    Examples:
+      coulombus diff monday.pcapng tuesday.pcapng
+      coulombus diff sim.pcapng rig.pcapng --tolerance Nm=0.1 --tolerance motor.position_rad=0.02 -o diff.png
+    """
+    with errors():
+        from coulombus.recording.comparison import compare
+        from coulombus.recording.output_file import new_file, reason_against
+
+        remedy = "choose another name by -o, or replace it with --force"
+        reason = None if out is None else reason_against(out, force=overwrite, remedy=remedy)
+        if reason is not None:  # before two long recordings are read
+            raise click.UsageError(reason)
+        found = compare(a, b, tolerances=tolerances, rig=rig_name)
+        if out is not None:
+            from coulombus.recording.pictures.differences import draw_differences
+            from coulombus.recording.pictures.plot import save_picture
+
+            with new_file(out, force=overwrite) as path:
+                save_picture(draw_differences(found), path)
+        with verdict(0 if found.equal else 1):
+            remark(found.remarks)
+            if as_json:
+                print_json(_plain(found.as_dict()))
+            else:
+                _tell(found)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value in which what is no number is null."""
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _tell(found: Comparison) -> None:
+    """Print the differences for people."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("signal", no_wrap=True)  # whose name ends with its unit
+    for name in ("max", "rms", "at [s]"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("in")
+    table.add_column("verdict", no_wrap=True)
+    for one in found.signals:
+        when = "" if one.at_s is None else f"{one.at_s:.3f}"
+        table.add_row(one.name, f"{one.max:.4g}", f"{one.rms:.4g}", when, one.phase, _verdict(one))
+    if found.signals:
+        console = table_console(80)
+        print_table(console, table)
+    echo("the same bytes" if found.same_bytes else "equal" if found.equal else "not equal")
+
+
+def _verdict(one: Difference) -> str:
+    if one.tolerance is None:
+        return "not judged"
+    if one.equal:
+        return "equal"
+    return "differs" if one.max > one.tolerance else "count differs"  # more samples in a phase of one of them
