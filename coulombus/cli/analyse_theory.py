@@ -1,0 +1,192 @@
+"""The verbs of `coulombus analyse` that need no rig: the sampled loop, Fig. 10, the friction laws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+from coulombus.cli.analyse_options import figures_option, loop_options, parameters_of
+from coulombus.cli.analyse_output import steps, tell, tell_paths
+from coulombus.cli.common import json_option, seed_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors
+
+__all__ = ["fig10", "laws_command", "limit_cycle", "nyquist", "stuck"]
+
+
+@click.command(epilog=EXIT_STATUS)
+@loop_options
+@figures_option
+@json_option
+def nyquist(**options: Any) -> None:
+    """Describing function, disks of the passive set, absolute stability (Figs. 2, 6, 7)."""
+    with errors():
+        from coulombus.analysis.figures.report import disk_of, nyquist_json, nyquist_lines, weights_at
+        from coulombus.analysis.theory.absolute import absolute_stability
+        from coulombus.analysis.theory.crossings import crossings
+
+        parameters = parameters_of(options)
+        found, absolute = crossings(parameters), absolute_stability(parameters)
+        disk = disk_of(parameters)
+        weights = [weights_at(crossing.frequency_Hz, parameters) for crossing in found.found]
+        tell(
+            options["as_json"],
+            lambda: {**nyquist_json(found, disk, absolute), "alias_weights": weights},
+            lambda: nyquist_lines(found, absolute),
+        )
+        if options["figures"]:
+            from coulombus.analysis.figures.frequency import write_frequency_figures
+
+            tell_paths(write_frequency_figures(options["figures"], parameters, found, absolute))
+
+
+@click.command("limit-cycle", epilog=EXIT_STATUS)
+@loop_options
+@seed_option
+@click.option("--starts", type=click.IntRange(0), default=200, show_default=True, help="Random starts, for the shares.")
+@click.option("--longest", type=click.IntRange(1, 20), default=16, show_default=True, help="Longest period in samples.")
+@click.option("--no-table", is_flag=True, help="Without the table over rates and delays.")
+@click.option(
+    "--zero",
+    type=click.Choice(("zero", "plus", "hold")),
+    default="zero",
+    show_default=True,
+    help="With --encoder: what sgn(0) is. 0, +1, or the sign before.",
+)
+@figures_option
+@json_option
+def limit_cycle(**options: Any) -> None:
+    """Exact periodic motions of the sampled loop, and the limit cycle over rate and delay."""
+    with errors():
+        from coulombus.analysis.figures.report import delay_lines, orbits_json, plain
+        from coulombus.analysis.theory.crossings import crossings
+        from coulombus.analysis.theory.delay import delay_table
+        from coulombus.analysis.theory.linear import sample
+        from coulombus.analysis.theory.orbits import orbits
+        from coulombus.analysis.theory.peak import l1_bound
+        from coulombus.analysis.theory.three_valued import three_valued_orbits
+
+        parameters = parameters_of(options)
+        found = crossings(parameters)
+        motions = orbits(parameters, longest=options["longest"], starts=options["starts"], seed=options["seed"])
+        rows = () if options["no_table"] else delay_table(parameters, seed=options["seed"])
+        seen = three_valued_orbits(parameters, options["zero"]) if parameters.resolution_m > 0 else ()
+        most = l1_bound(parameters) if sample(parameters).spectral_radius < 1 - 1e-12 else None
+
+        def text() -> Iterator[str]:
+            yield f"describing function   {found.text}"
+            for orbit in motions.found:
+                share = "" if orbit.share is None else f"  {orbit.share:4.0%} of the starts"
+                yield (
+                    f"{orbit.pattern:<17} {orbit.frequency_Hz:8.4g} Hz  peak {orbit.velocity_peak_m_s:.4g} m/s  "
+                    f"margin {orbit.margin_m_s:.3g} m/s  {'stable' if orbit.stable else 'unstable'}{share}"
+                )
+                yield f"{'':<17} between the samples the handle reaches {orbit.true_peak_m_s:.4g} m/s"
+            if not motions.found:
+                yield motions.text
+            if motions.elsewhere:
+                yield f"{motions.elsewhere:.0%} of the starts ended in none of these: a longer period, or none"
+            if most is not None:
+                yield f"no motion that the display sustains has more than {most:.4g} m/s (l1 norm)"
+            yield from (
+                f"{one.pattern:<17} {one.frequency_Hz:8.4g} Hz  peak {one.velocity_peak_m_s:.4g} m/s  "
+                f"at {one.share:.0%} of the encoder's places"
+                for one in seen
+            )
+            if rows:
+                yield ""
+                yield from delay_lines(rows)
+
+        tell(
+            options["as_json"],
+            lambda: {
+                "crossings": plain(found.found),
+                **orbits_json(motions),
+                "l1_bound_m_s": most,
+                "with_encoder": plain(seen),
+                "delay_table": plain(rows),
+            },
+            text,
+        )
+        if options["figures"]:
+            from coulombus.analysis.figures.time import write_delay_figure, write_orbit_figure
+
+            paths = write_orbit_figure(options["figures"], parameters, motions)
+            tell_paths(paths + (write_delay_figure(options["figures"], rows) if rows else []))
+
+
+@click.command(epilog=EXIT_STATUS, short_help="The spring of the stick phase: rho and K_max.")
+@loop_options
+@click.option(
+    "--stiffness", type=click.FloatRange(0, 1e12), default=1e4, show_default=True, metavar="N/M", help="Its K_p."
+)
+@json_option
+def stuck(**options: Any) -> None:
+    """How fast the spring that sticks settles in the sampled loop, and how stiff it may be.
+
+    rho is the spectral radius of a sample's step; K_max is the stiffness from which on it does not
+    settle. The hand's own impedance counts.
+
+    \b
+    Examples:
+      coulombus analyse stuck --stiffness 20000
+      coulombus analyse stuck --delay 1e-3 --operator 0.05 2 178 --json
+    """
+    with errors():
+        from coulombus.analysis.theory.stuck_spring import stuck_spring
+
+        found = stuck_spring(parameters_of(options), options["stiffness"])
+
+        def text() -> Iterator[str]:
+            word = "settles" if found.stable else "does not settle"
+            yield f"K = {found.stiffness_N_m:g} N/m: {word}, rho = {found.radius:.9g}"
+            yield f"K_max = {found.largest_N_m:.6g} N/m"
+
+        tell(options["as_json"], lambda: {"stuck": found, "stable": found.stable}, text)
+
+
+@click.command(epilog=EXIT_STATUS, short_help="Figure 10: active and passive friction under the paper's force.")
+@loop_options
+@figures_option
+@json_option
+def fig10(**options: Any) -> None:
+    """Fig. 10: the paper's force on active and passive friction, exact between samples and to the
+    event.
+    """
+    with errors():
+        from coulombus.analysis.figures.report import fig10_json, fig10_lines
+        from coulombus.analysis.theory.fig10 import figure_10
+
+        runs = figure_10(parameters_of(options))
+
+        def text() -> Iterator[str]:
+            yield from fig10_lines(runs)
+            for begin, end in runs.passive.stick_intervals_s:
+                yield f"passive, stuck        {begin:9.5f} ... {end:9.5f} s"
+
+        tell(options["as_json"], lambda: fig10_json(runs), text)
+        if options["figures"]:
+            from coulombus.analysis.figures.time import write_fig10
+
+            tell_paths(write_fig10(options["figures"], runs))
+
+
+@click.command("laws", epilog=EXIT_STATUS, short_help="The friction laws held against the literature.")
+@json_option
+def laws_command(as_json: bool) -> None:
+    """Compute the published benchmarks of the friction laws, their describing functions (v = 1 rad/s,
+    1 Hz) and what they give back.
+
+    Ends with 1 when a law does not give what the literature says.
+    """
+    with errors():
+        from coulombus.analysis.theory.law_benchmarks import benchmarks, lines, plain, sweep
+
+        with steps(2) as step:
+            step("benchmarks")
+            found = benchmarks()
+            step("describing functions")
+            swept = sweep()
+        with verdict(0 if all(one.ok for one in found) else 1):
+            tell(as_json, lambda: plain(found, swept), lambda: lines(found, swept))
