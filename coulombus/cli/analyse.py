@@ -59,12 +59,12 @@ def _all(options: dict[str, Any]) -> None:
 
     parameters, rig = parameters_of(options), rig_of(options)
     with steps(9) as step:
-        found = study(parameters, rig, seed=options["seed"], step=step)
-    tell(options["as_json"], lambda: as_json(found), lambda: lines(found))
+        result = study(parameters, rig, seed=options["seed"], step=step)
+    tell(options["as_json"], lambda: as_json(result), lambda: lines(result))
     if options["figures"]:
         from coulombus.analysis.figures.all import write_all
 
-        tell_paths(write_all(options["figures"], found))
+        tell_paths(write_all(options["figures"], result))
 
 
 @analyse.command(epilog=EXIT_STATUS)
@@ -89,16 +89,16 @@ def study(folder: Path, figures: Path | None, exploration: bool, as_json: bool) 
         from coulombus.lab.study.results.pictures import write_figures
         from coulombus.lab.study.results.report import lines, report
 
-        found = report(folder, exploration=exploration)
+        result = report(folder, exploration=exploration)
         if figures is not None:
-            tell_paths(write_figures(found, figures))
-        if found["no_mixed_model"] is not None and len(found["subjects"]) > 1:
-            say(f"coulombus: {found['no_mixed_model']}")
+            tell_paths(write_figures(result, figures))
+        if result["no_mixed_model"] is not None and len(result["subjects"]) > 1:
+            say(f"coulombus: {result['no_mixed_model']}")
         with printed():
             if as_json:
-                print_json(found)
+                print_json(result)
             else:
-                echo("\n".join(lines(found)))
+                echo("\n".join(lines(result)))
 
 
 for verb in (nyquist, limit_cycle, stuck, fig10, laws_command, hold, felt, z_width, map_command):

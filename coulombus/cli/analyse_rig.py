@@ -36,12 +36,12 @@ def _hold(rig: Rig, figures: Path | None, as_json: bool) -> None:
     from coulombus.analysis.rig.hold import hold_study
 
     with bar("hold") as report:
-        found = hold_study(rig, progress=report)
-    tell(as_json, lambda: found, lambda: hold_lines(found))
+        result = hold_study(rig, progress=report)
+    tell(as_json, lambda: result, lambda: hold_lines(result))
     if figures:
         from coulombus.analysis.figures.rig import write_fig12, write_fig14, write_stick_figure
 
-        tell_paths(write_fig12(figures) + write_fig14(figures, found) + write_stick_figure(figures, found))
+        tell_paths(write_fig12(figures) + write_fig14(figures, result) + write_stick_figure(figures, result))
 
 
 @click.command(epilog=EXIT_STATUS, short_help="How right the display is, and what that depends on.")
@@ -61,8 +61,8 @@ def _felt(rig: Rig, seed: int, as_json: bool) -> None:
     from coulombus.analysis.rig.felt import felt_study
 
     with bar("felt") as report:
-        found = felt_study(rig, seed=seed, progress=report)
-    tell(as_json, lambda: found, found.lines)
+        result = felt_study(rig, seed=seed, progress=report)
+    tell(as_json, lambda: result, result.lines)
 
 
 @click.command("z-width", epilog=EXIT_STATUS, short_help="How stiff a virtual wall may be, active and hybrid.")
@@ -88,12 +88,12 @@ def _z_width(rig: Rig, options: dict[str, Any]) -> None:
     from coulombus.analysis.rig.wall_plane import wall_plane
 
     with bar("z-width") as report:
-        found = wall_plane(rig, seed=options["seed"], progress=report)
-    tell(options["as_json"], found.as_dict, found.lines)
+        result = wall_plane(rig, seed=options["seed"], progress=report)
+    tell(options["as_json"], result.as_dict, result.lines)
     if options["figures"]:
         from coulombus.analysis.figures.rig import write_wall_plane
 
-        tell_paths(write_wall_plane(options["figures"], found))
+        tell_paths(write_wall_plane(options["figures"], result))
 
 
 @click.command("map", epilog=EXIT_STATUS)
@@ -141,17 +141,17 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
             raise click.BadParameter(f"{given!r}: expected NAME=V1,V2,...", param_hint="--axis") from None
     try:
         with bar("map") as report:
-            found = oscillation_map(
+            result = oscillation_map(
                 axes or None, base=rig, dask=options["dask"], workers=options["workers"], progress=report
             )
     except (ValueError, ImportError) as error:
         raise click.UsageError(str(error)) from error
 
-    tell(options["as_json"], lambda: found, lambda: map_lines(found))
+    tell(options["as_json"], lambda: result, lambda: map_lines(result))
     if options["figures"]:
         from coulombus.analysis.figures.rig import write_map
 
         try:
-            tell_paths(write_map(options["figures"], found))
+            tell_paths(write_map(options["figures"], result))
         except ValueError as error:
             raise click.UsageError(str(error)) from error

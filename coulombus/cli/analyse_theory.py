@@ -27,18 +27,18 @@ def nyquist(**options: Any) -> None:
         from coulombus.analysis.theory.crossings import crossings
 
         parameters = parameters_of(options)
-        found, absolute = crossings(parameters), absolute_stability(parameters)
+        prediction, absolute = crossings(parameters), absolute_stability(parameters)
         disk = disk_of(parameters)
-        weights = [weights_at(crossing.frequency_Hz, parameters) for crossing in found.found]
+        weights = [weights_at(crossing.frequency_Hz, parameters) for crossing in prediction.found]
         tell(
             options["as_json"],
-            lambda: {**nyquist_json(found, disk, absolute), "alias_weights": weights},
-            lambda: nyquist_lines(found, absolute),
+            lambda: {**nyquist_json(prediction, disk, absolute), "alias_weights": weights},
+            lambda: nyquist_lines(prediction, absolute),
         )
         if options["figures"]:
             from coulombus.analysis.figures.frequency import write_frequency_figures
 
-            tell_paths(write_frequency_figures(options["figures"], parameters, found, absolute))
+            tell_paths(write_frequency_figures(options["figures"], parameters, prediction, absolute))
 
 
 @click.command("limit-cycle", epilog=EXIT_STATUS)
@@ -68,14 +68,14 @@ def limit_cycle(**options: Any) -> None:
         from coulombus.analysis.theory.three_valued import three_valued_orbits
 
         parameters = parameters_of(options)
-        found = crossings(parameters)
+        prediction = crossings(parameters)
         motions = orbits(parameters, longest=options["longest"], starts=options["starts"], seed=options["seed"])
         rows = () if options["no_table"] else delay_table(parameters, seed=options["seed"])
         seen = three_valued_orbits(parameters, options["zero"]) if parameters.resolution_m > 0 else ()
         most = l1_bound(parameters) if sample(parameters).spectral_radius < 1 - 1e-12 else None
 
         def text() -> Iterator[str]:
-            yield f"describing function   {found.text}"
+            yield f"describing function   {prediction.text}"
             for orbit in motions.found:
                 share = "" if orbit.share is None else f"  {orbit.share:4.0%} of the starts"
                 yield (
@@ -90,9 +90,9 @@ def limit_cycle(**options: Any) -> None:
             if most is not None:
                 yield f"no motion that the display sustains has more than {most:.4g} m/s (l1 norm)"
             yield from (
-                f"{one.pattern:<17} {one.frequency_Hz:8.4g} Hz  peak {one.velocity_peak_m_s:.4g} m/s  "
-                f"at {one.share:.0%} of the encoder's places"
-                for one in seen
+                f"{orbit.pattern:<17} {orbit.frequency_Hz:8.4g} Hz  peak {orbit.velocity_peak_m_s:.4g} m/s  "
+                f"at {orbit.share:.0%} of the encoder's places"
+                for orbit in seen
             )
             if rows:
                 yield ""
@@ -101,7 +101,7 @@ def limit_cycle(**options: Any) -> None:
         tell(
             options["as_json"],
             lambda: {
-                "crossings": plain(found.found),
+                "crossings": plain(prediction.found),
                 **orbits_json(motions),
                 "l1_bound_m_s": most,
                 "with_encoder": plain(seen),
@@ -136,14 +136,14 @@ def stuck(**options: Any) -> None:
     with errors():
         from coulombus.analysis.theory.stuck_spring import stuck_spring
 
-        found = stuck_spring(parameters_of(options), options["stiffness"])
+        spring = stuck_spring(parameters_of(options), options["stiffness"])
 
         def text() -> Iterator[str]:
-            word = "settles" if found.stable else "does not settle"
-            yield f"K = {found.stiffness_N_m:g} N/m: {word}, rho = {found.radius:.9g}"
-            yield f"K_max = {found.largest_N_m:.6g} N/m"
+            word = "settles" if spring.stable else "does not settle"
+            yield f"K = {spring.stiffness_N_m:g} N/m: {word}, rho = {spring.radius:.9g}"
+            yield f"K_max = {spring.largest_N_m:.6g} N/m"
 
-        tell(options["as_json"], lambda: {"stuck": found, "stable": found.stable}, text)
+        tell(options["as_json"], lambda: {"stuck": spring, "stable": spring.stable}, text)
 
 
 @click.command(epilog=EXIT_STATUS, short_help="Figure 10: active and passive friction under the paper's force.")
@@ -185,8 +185,8 @@ def laws_command(as_json: bool) -> None:
 
         with steps(2) as step:
             step("benchmarks")
-            found = benchmarks()
+            results = benchmarks()
             step("describing functions")
             swept = sweep()
-        with verdict(0 if all(one.ok for one in found) else 1):
-            tell(as_json, lambda: plain(found, swept), lambda: lines(found, swept))
+        with verdict(0 if all(result.ok for result in results) else 1):
+            tell(as_json, lambda: plain(results, swept), lambda: lines(results, swept))

@@ -47,17 +47,17 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool)
         from coulombus.rigs.errors import RigError
 
         try:
-            found = _Findings(load(rig_name, overrides))
+            findings = _Findings(load(rig_name, overrides))
         except RigError as error:
             if as_json:
-                told = {"event": "error", "error": str(error), "exit_status": error.exit_status}
-                print_json(told | {"ok": False, "problems": _refused(error), "losses": [], "reactions": []})
+                failure = {"event": "error", "error": str(error), "exit_status": error.exit_status}
+                print_json(failure | {"ok": False, "problems": _refused(error), "losses": [], "reactions": []})
             raise
-        with verdict(0 if found.ok else 1):
+        with verdict(0 if findings.ok else 1):
             if as_json:
-                print_json(found.document(steps))
+                print_json(findings.document(steps))
             else:
-                found.tell(steps)
+                findings.tell(steps)
 
 
 def _refused(error: RigError) -> list[dict[str, str]]:
@@ -67,8 +67,8 @@ def _refused(error: RigError) -> list[dict[str, str]]:
     from coulombus.rigs.problem import Problem
 
     known = [problem._asdict() for problem in error.problems]
-    told = [text for text in error.errors if not any(problem["text"] in text for problem in known)]
-    return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in told]
+    texts = [text for text in error.errors if not any(problem["text"] in text for problem in known)]
+    return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in texts]
 
 
 GENTLER = "give limits.safe_ramp_s more time, up to 1.8 s"
@@ -105,10 +105,11 @@ class _Findings:
                 made = device_plans(controller)
                 self.by_mode.setdefault(mode, []).extend(made)
                 devices += made
-        self.problems = _once(one for device in devices for one in device.problems)  # each mode has its own limit
+        # each mode has its own limit
+        self.problems = _once(problem for device in devices for problem in device.problems)
         self.questions: list[str] = _once(text for device in devices for text in device.questions)
         self.losses: list[str] = _once(text for device in devices for text in device.losses)
-        self.reactions: list[Reaction] = _once(one for device in devices for one in device.reactions)
+        self.reactions: list[Reaction] = _once(reaction for device in devices for reaction in device.reactions)
         self.releases = [
             release_of(
                 axis,
@@ -131,14 +132,14 @@ class _Findings:
         return [
             {
                 "device": plan.name,
-                "object": f"{one.index:04X}h:{one.subindex:02X}",
-                "value": one.value,
-                "bits": one.variable(plan.description).bits,
-                "why": one.why,
-                "only_if_different": one.unless_equal,
-                "verified": one.verify,
+                "object": f"{step.index:04X}h:{step.subindex:02X}",
+                "value": step.value,
+                "bits": step.variable(plan.description).bits,
+                "why": step.why,
+                "only_if_different": step.unless_equal,
+                "verified": step.verify,
             }
-            for plan, one in steps_of(self.by_mode[mode])
+            for plan, step in steps_of(self.by_mode[mode])
         ]
 
     def document(self, steps: bool) -> dict[str, Any]:
@@ -157,30 +158,30 @@ class _Findings:
             "late": list(planned.reasons),
             "latest_rpdo_s": planned.latest_rpdo_ns * 1e-9,
             "motor_limit_per_mille": self.limits,
-            "problems": [one._asdict() for one in self.problems],
+            "problems": [problem._asdict() for problem in self.problems],
             "questions": self.questions,
             "losses": self.losses,
-            "reactions": [one._asdict() for one in self.reactions],
-            "releases": [one._asdict() | {"gentle": one.is_gentle} for one in self.releases],
+            "reactions": [reaction._asdict() for reaction in self.reactions],
+            "releases": [release._asdict() | {"gentle": release.is_gentle} for release in self.releases],
             "limits": self.meanings,
             "accepted": list(self.rig.host.accept),
             "roles": [
                 {
-                    "role": one.kind.name,
-                    "node": axis.prefix + one.node,
-                    "object": f"{one.entry.index:04X}h:{one.entry.subindex:02X}",
-                    "bits": one.entry.bits,
-                    "scale": one.scale,
-                    "unit": one.kind.unit,
-                    "decided_by": one.decided,
+                    "role": binding.kind.name,
+                    "node": axis.prefix + binding.node,
+                    "object": f"{binding.entry.index:04X}h:{binding.entry.subindex:02X}",
+                    "bits": binding.entry.bits,
+                    "scale": binding.scale,
+                    "unit": binding.kind.unit,
+                    "decided_by": binding.decided,
                 }
                 for axis in self.rig.axes
-                for one in axis.allocation.bound.bindings
+                for binding in axis.allocation.bound.bindings
             ],
             "frames": [
                 {"name": m.name, "can_id": m.can_id, "bytes": m.length, "bits": m.bits}
-                for one in self.buses.values()
-                for m in one.cyclic
+                for bus in self.buses.values()
+                for m in bus.cyclic
             ],
         }
         return document | ({"steps": self._steps()} if steps else {})
@@ -228,10 +229,10 @@ class _Findings:
 
     def _tell_pdos(self) -> None:
         decided = {
-            axis.prefix + one.kind.signal: one.decided
+            axis.prefix + binding.kind.signal: binding.decided
             for axis in self.rig.axes
-            for one in axis.allocation.bound.bindings
-            if one.decided
+            for binding in axis.allocation.bound.bindings
+            if binding.decided
         }
         columns = columns_of(sys.stdout) or PROSE
         for pdo in self.rig.pdos():
@@ -257,7 +258,7 @@ class _Findings:
     def _tell_reactions(self) -> None:
         if self.reactions:
             echo("\nwhen the host is lost:")
-        for one in self.reactions:
-            within = f"within {one.within_s:g} s by {one.who}" if one.who else "nobody notices"
-            off = "" if one.safe_s is None else f" within {one.safe_s:g} s"
-            echo(on_terminal(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}", 26, PROSE))
+        for reaction in self.reactions:
+            within = f"within {reaction.within_s:g} s by {reaction.who}" if reaction.who else "nobody notices"
+            off = "" if reaction.safe_s is None else f" within {reaction.safe_s:g} s"
+            echo(on_terminal(f"  {reaction.device:<12} {reaction.fault:<10} {within}: {reaction.what}{off}", 26, PROSE))

@@ -210,11 +210,11 @@ def commission(
         given = Given(weighed.weight_Nm, weighed.marks_rad)
         session = Session(path, run, given, _now, overrides, own.axis)
         done = _commission(session, chosen, doing, report)
-        asked_for_what_lacks = bool(doing.names) and any(one.what == "lacking" for one in done)
+        asked_for_what_lacks = bool(doing.names) and any(result.what == "lacking" for result in done)
         with verdict(1 if asked_for_what_lacks else 0):
             if as_json:
                 print_json(results(done))
-            elif any(one.outcome for one in done):
+            elif any(result.outcome for result in done):
                 _print_findings(done)
 
 
@@ -251,10 +251,10 @@ def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report:
         if step.name in session.state.steps and not (doing.again or doing.names):
             say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
             continue
-        one = session.do(step, lambda step, risk: _agree(step, risk, doing.yes))
-        done.append(one)
-        _tell(one)
-        if one.what == "done":
+        result = session.do(step, lambda step, risk: _agree(step, risk, doing.yes))
+        done.append(result)
+        _tell(result)
+        if result.what == "done":
             _report(session, report)
     return done
 
@@ -271,16 +271,16 @@ def _real(bus_name: str | None, as_json: bool) -> Runner:
 
     address = None if bus_name is None else parse_address(bus_name)
 
-    def run(one: Exercise, path: Path) -> RunResult:
+    def run(exercise: Exercise, path: Path) -> RunResult:
         with Signals() as signals, progress(not as_json) as bar:
             return real_run(
-                one.rig,
-                one.mode,
-                one.seconds,
+                exercise.rig,
+                exercise.mode,
+                exercise.seconds,
                 bus=address,
                 outputs=Outputs(record=path, force=True),
                 signals=signals,
-                progress=lambda t: bar(one.name, t, one.seconds),
+                progress=lambda t: bar(exercise.name, t, exercise.seconds),
             )
 
     return run
@@ -303,12 +303,12 @@ def _agree(step: Step, risk: Risk, yes: bool) -> bool:
         raise KeyboardInterrupt from None
 
 
-def _tell(one: Done) -> None:
-    if one.what != "done":
-        say(f"{one.step}: {one.what}{': ' + one.why if one.why else ''}")
+def _tell(result: Done) -> None:
+    if result.what != "done":
+        say(f"{result.step}: {result.what}{': ' + result.why if result.why else ''}")
         return
-    say(f"{one.step}: done{', written: ' + ', '.join(one.written) if one.written else ', nothing to change'}")
-    for text in one.outcome.remarks if one.outcome else ():
+    say(f"{result.step}: done{', written: ' + ', '.join(result.written) if result.written else ', nothing to change'}")
+    for text in result.outcome.remarks if result.outcome else ():
         say(f"  note: {text}")
 
 
@@ -330,8 +330,8 @@ def _print_findings(done: list[Done]) -> None:
     table = Table(box=None, pad_edge=False)
     for name, justify in (("finding", "left"), ("was", "right"), ("is", "right"), ("+-", "right"), ("unit", "left")):
         table.add_column(name, justify=justify)  # type: ignore[arg-type]
-    for one in done:
-        for finding in one.outcome.findings if one.outcome else ():
+    for result in done:
+        for finding in result.outcome.findings if result.outcome else ():
             reach = "" if finding.uncertainty is None else f"{finding.uncertainty:.2g}"
             table.add_row(finding.key or finding.name, _figure(finding.old), _figure(finding.new), reach, finding.unit)
     table_console(80).print(table)

@@ -196,15 +196,15 @@ def _print(report: Report) -> None:
     for head in ("case", "", "result", "reason"):
         table.add_column(head, overflow="fold")
     colour = {"pass": "green", "fail": "bold red", "not_applicable": "dim", "error": "bold magenta"}
-    for one in report.outcomes:
-        result = f"[{colour[one.result]}]{WORDS[one.result]}[/]"
-        table.add_row(one.case.id, escape(one.case.name), result, escape(one.reason))
+    for outcome in report.outcomes:
+        result = f"[{colour[outcome.result]}]{WORDS[outcome.result]}[/]"
+        table.add_row(outcome.case.id, escape(outcome.case.name), result, escape(outcome.reason))
     console.print(table)
-    for one in report.outcomes:
-        if one.result in ("fail", "error"):
+    for outcome in report.outcomes:
+        if outcome.result in ("fail", "error"):
             console.print(
-                f"\n[bold]{one.case.id} {escape(one.case.name)}[/]: {escape(one.case.objective)}\n{escape(one.reason)}"
+                f"\n[bold]{outcome.case.id} {escape(outcome.case.name)}[/]: {escape(outcome.case.objective)}\n{escape(outcome.reason)}"
             )
-            for line in one.frames:
+            for line in outcome.frames:
                 console.print(f"  {escape(line)}", highlight=False)
     console.print(f"\n{summary(report)}")

@@ -69,8 +69,8 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
                 result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
         else:
             result = _real_demo(rig_name, overrides, seed, out, total, as_json)
-        shown = {name: one for name, one in displays(rig).items() if name in result.results}
-        columns = {one.title: (one.mode, blocks(out / f"{name}.pcapng")) for name, one in shown.items()}
+        shown = {name: display for name, display in displays(rig).items() if name in result.results}
+        columns = {display.title: (display.mode, blocks(out / f"{name}.pcapng")) for name, display in shown.items()}
         figure_14(columns, out / "demo.png")
         with verdict(0 if result.passed else 1):
             if as_json:

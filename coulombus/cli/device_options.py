@@ -76,9 +76,9 @@ def open_link(bus_name: str, *, beside: bool = False) -> Iterator[BusLink]:
 
     address = parse_address(bus_name)
     with BusLink(address, FILTERS) as link:
-        found = check_alone(link, address, beside=beside)
-        if found:
-            say(f"coulombus: a host is on bus {address}: {found}; its display may be disturbed")
+        host = check_alone(link, address, beside=beside)
+        if host:
+            say(f"coulombus: a host is on bus {address}: {host}; its display may be disturbed")
         yield link
 
 

@@ -20,18 +20,18 @@ __all__ = ["diff"]
 
 
 def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
-    found: dict[str, float] = {}
+    tolerances: dict[str, float] = {}
     for text in texts:
         name, _, number = text.rpartition("=")
         try:
             value = float(number)
         except ValueError:
             value = math.nan
-        if not 0 <= value < math.inf or name in found:
-            reason = "twice" if name in found else "expected V, SIGNAL=V or UNIT=V, as in Nm=0.05"
+        if not 0 <= value < math.inf or name in tolerances:
+            reason = "twice" if name in tolerances else "expected V, SIGNAL=V or UNIT=V, as in Nm=0.05"
             raise click.BadParameter(f"{text!r}: {reason}")
-        found[name] = value
-    return found
+        tolerances[name] = value
+    return tolerances
 
 
 @click.command("diff", epilog=EXIT_STATUS)
@@ -77,31 +77,31 @@ def diff(
         reason = None if out is None else reason_against(out, force=overwrite, remedy=remedy)
         if reason is not None:  # before two long recordings are read
             raise click.UsageError(reason)
-        found = compare(a, b, tolerances=tolerances, rig=rig_name)
+        comparison = compare(a, b, tolerances=tolerances, rig=rig_name)
         if out is not None:
             from coulombus.recording.pictures.differences import draw_differences
             from coulombus.recording.pictures.plot import save_picture
 
             with new_file(out, force=overwrite) as path:
-                save_picture(draw_differences(found), path)
-        with verdict(0 if found.equal else 1):
-            remark(found.remarks)
+                save_picture(draw_differences(comparison), path)
+        with verdict(0 if comparison.equal else 1):
+            remark(comparison.remarks)
             if as_json:
-                print_json(_plain(found.as_dict()))
+                print_json(_plain(comparison.as_dict()))
             else:
-                _tell(found)
+                _tell(comparison)
 
 
 def _plain(value: Any) -> Any:
     """Return a value in which what is no number is null."""
     if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_plain(one) for one in value]
+        return [_plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _tell(found: Comparison) -> None:
+def _tell(comparison: Comparison) -> None:
     """Print the differences for people."""
     from rich.table import Table
 
@@ -111,18 +111,26 @@ def _tell(found: Comparison) -> None:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("in")
     table.add_column("verdict", no_wrap=True)
-    for one in found.signals:
-        when = "" if one.at_s is None else f"{one.at_s:.3f}"
-        table.add_row(one.name, f"{one.max:.4g}", f"{one.rms:.4g}", when, one.phase, _verdict(one))
-    if found.signals:
+    for difference in comparison.signals:
+        when = "" if difference.at_s is None else f"{difference.at_s:.3f}"
+        table.add_row(
+            difference.name,
+            f"{difference.max:.4g}",
+            f"{difference.rms:.4g}",
+            when,
+            difference.phase,
+            _verdict(difference),
+        )
+    if comparison.signals:
         console = table_console(80)
         print_table(console, table)
-    echo("the same bytes" if found.same_bytes else "equal" if found.equal else "not equal")
+    echo("the same bytes" if comparison.same_bytes else "equal" if comparison.equal else "not equal")
 
 
-def _verdict(one: Difference) -> str:
-    if one.tolerance is None:
+def _verdict(difference: Difference) -> str:
+    if difference.tolerance is None:
         return "not judged"
-    if one.equal:
+    if difference.equal:
         return "equal"
-    return "differs" if one.max > one.tolerance else "count differs"  # more samples in a phase of one of them
+    beyond = difference.max > difference.tolerance
+    return "differs" if beyond else "count differs"  # more samples in a phase of one of them

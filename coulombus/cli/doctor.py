@@ -69,25 +69,25 @@ def doctor(
 
         cpu = default_cpu() if cpu is None else cpu
         rig = load(rig_name, overrides)
-        wanted = Wanted.of(rig)
+        needs = Wanted.of(rig)
         addresses = bus_addresses(rig, bus_names)
-        findings = examination(wanted, addresses, given_cpu=cpu)
+        findings = examination(needs, addresses, given_cpu=cpu)
         measured = None
         if latency_s is not None:
-            measured, finding = _latency(latency_s, wanted, cpu, quiet=as_json or fix)
+            measured, finding = _latency(latency_s, needs, cpu, quiet=as_json or fix)
             findings.append(finding)
-        with verdict(0 if all(one.ok for one in findings) else 1):
+        with verdict(0 if all(finding.ok for finding in findings) else 1):
             if fix:
                 echo(script(findings), nl=False)
             elif as_json:
-                print_json([one.as_dict() for one in findings])
+                print_json([finding.as_dict() for finding in findings])
             else:
                 _tell(findings)
                 if measured is not None:
                     _draw(measured)
 
 
-def _latency(seconds: float, wanted: Wanted, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, Finding]:
+def _latency(seconds: float, needs: Wanted, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, Finding]:
     from coulombus.host.doctor.finding import Finding
     from coulombus.host.doctor.latency import LatencyError, judge, measure_latency
 
@@ -95,26 +95,26 @@ def _latency(seconds: float, wanted: Wanted, cpu: int | None, *, quiet: bool) ->
         try:
             measured = measure_latency(
                 seconds,
-                wanted,
+                needs,
                 cpu=cpu,
                 progress=lambda t: report("latency", t, seconds),
             )
         except LatencyError as error:
             return None, Finding("latency", False, f"the test did not run: {error}", "# see what stands above")
-    return measured, judge(measured, wanted)
+    return measured, judge(measured, needs)
 
 
 def _tell(findings: Sequence[Finding]) -> None:
     import textwrap
 
-    width = max(len(one.check) for one in findings)
-    for one in findings:
-        head = f"{'ok' if one.ok else 'MEND':<6}{one.check:<{width}}  "
-        text = one.found
+    width = max(len(finding.check) for finding in findings)
+    for finding in findings:
+        head = f"{'ok' if finding.ok else 'MEND':<6}{finding.check:<{width}}  "
+        text = finding.found
         echo(textwrap.fill(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)))
-        for line in one.fix.splitlines():
+        for line in finding.fix.splitlines():
             echo(" " * INDENT + line)  # to be copied: not wrapped
-    bad = sum(not one.ok for one in findings)
+    bad = sum(not finding.ok for finding in findings)
     if bad:
         echo(f"{bad} of {len(findings)} to mend; `coulombus doctor --fix` prints all commands as a script")
     else:

@@ -115,9 +115,9 @@ def _print(result: dict[str, Any], pdos: bool) -> None:
     verdict = "readable" if result["readable"] else "refused"
     if result["readable"] and result["refused"]:
         verdict += f" but for {_number(len(result['refused']), 'PDO')}"
-    told = f"{_number(count['error'], 'error')}, {_number(count['warning'], 'warning')}"
+    summary = f"{_number(count['error'], 'error')}, {_number(count['warning'], 'warning')}"
     size = f"{_number(result['objects'], 'object')}, {_number(result['pdos'], 'PDO')}"
-    echo(f"{file}: {verdict}: {size}, {told}")
+    echo(f"{file}: {verdict}: {size}, {summary}")
 
 
 def _number(count: int, noun: str) -> str:

@@ -110,7 +110,7 @@ class Verbs(click.Group):
             except click.UsageError as error:
                 meant = _option_meant(error)
                 if isinstance(error, click.NoSuchOption):  # of --mod, --mode is meant, and --record is noise
-                    begun = [one for one in error.possibilities or () if one.startswith(error.option_name)]
+                    begun = [option for option in error.possibilities or () if option.startswith(error.option_name)]
                     if begun:
                         raise click.NoSuchOption(error.option_name, None, begun, error.ctx) from None
                 raise click.UsageError(f"{error.format_message()}{meant}", error.ctx) if meant else error from None
@@ -151,10 +151,10 @@ def _option_meant(error: click.UsageError) -> str:
     if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
         known = (re.match(r"'([^']*)' is not one of", error.message) or ("", ""))[1].lower()
         return f" Did you mean '{known}'?" if known in error.param.type.choices else ""
-    found = re.fullmatch(r"Got unexpected extra arguments? \((\S+).*\)", error.message)
-    if found is None or error.ctx is None:
+    extra = re.fullmatch(r"Got unexpected extra arguments? \((\S+).*\)", error.message)
+    if extra is None or error.ctx is None:
         return ""
-    word = found[1]
+    word = extra[1]
     known = {option: param for param in error.ctx.command.params for option in param.opts}
     words = error.ctx.meta.get(WORDS, ())
     place = words.index(word) if word in words else 0
@@ -234,7 +234,9 @@ def _needs_linux(error: Exception) -> str:
     if isinstance(error, ModuleNotFoundError) and error.name in LINUX_MODULES:
         return error.name
     if isinstance(error, AttributeError):
-        return next((f"{one.__name__}.{error.name}" for one in (os, select, signal, socket) if error.obj is one), "")
+        return next(
+            (f"{module.__name__}.{error.name}" for module in (os, select, signal, socket) if error.obj is module), ""
+        )
     return ""
 
 

@@ -53,7 +53,7 @@ class Where:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Answering:
     """Who answers, how, and who hears of it, as the options say it."""
 
     observer: float | None
@@ -76,9 +76,9 @@ where_options = bundle(
     click.option("--virtual", is_flag=True, help="Display in virtual time, on the simulated rig."),
     shared_machine_option,
 )
-asked_options = bundle(
-    "asked",
-    Asked,
+answering_options = bundle(
+    "answering",
+    Answering,
     click.option(
         "--observer",
         type=click.FloatRange(0, min_open=True),
@@ -104,14 +104,14 @@ asked_options = bundle(
 )
 @click.option("--subject", required=True, metavar="S", help="The subject, by letters and digits: S01.")
 @where_options
-@asked_options
+@answering_options
 @json_option
 def experiment_command(
     file: Path,
     out: Path,
     subject: str,
     where: Where,
-    asked: Asked,
+    answering: Answering,
     as_json: bool,
 ) -> None:
     """Show a study's trials to a subject, ask, and keep the answers.
@@ -136,26 +136,28 @@ def experiment_command(
 
         if where.virtual and (where.bus_name is not None or where.shared_machine):
             raise click.UsageError("--virtual needs no bus and no wider limits; take --bus and --shared-machine out")
-        if asked.observer is not None and asked.page:
+        if answering.observer is not None and answering.page:
             raise click.UsageError("--observer answers by itself; take --page out")
-        if asked.felt and asked.observer is None:
+        if answering.felt and answering.observer is None:
             raise click.UsageError("--felt is how a simulated observer judges; add --observer JND")
-        if asked.port is not None and not asked.page:
+        if answering.port is not None and not answering.page:
             raise click.UsageError("--port is the page's; add --page")
         study = read_study(file)
-        known = "a person" if asked.observer is None else f"simulated, JND {asked.observer:g}" + " Nm felt" * asked.felt
+        known = "a person"
+        if answering.observer is not None:
+            known = f"simulated, JND {answering.observer:g}" + " Nm felt" * answering.felt
         meta = {"observer": known}
-        if asked.observer is None:
+        if answering.observer is None:
             meta["began"] = datetime.now(UTC).isoformat(timespec="seconds")
         displays, meta["bus"] = _displays(study, where)
         with SubjectFolder(study, out, subject, meta) as folder:
-            session = SubjectSession(folder, displays, *_streams(folder, asked.lsl))
-            with _people(session, asked) as people:
+            session = SubjectSession(folder, displays, *_streams(folder, answering.lsl))
+            with _people(session, answering) as people:
                 came = run_session(session, people)
         with verdict(came.exit_status):
             if not came.complete:
                 words = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
-                words += [*asked.words(), *where.words()]
+                words += [*answering.words(), *where.words()]
                 say(f"coulombus: ended: {came.ended_by}; nothing is lost; to go on: {shlex.join(words)}")
             _tell(came, out, as_json)
 
@@ -184,19 +186,19 @@ def _streams(folder: SubjectFolder, lsl: bool) -> tuple[()] | tuple[LslMarkers, 
 
 
 @contextmanager
-def _people(session: SubjectSession, asked: Asked) -> Iterator[People]:
+def _people(session: SubjectSession, answering: Answering) -> Iterator[People]:
     from coulombus.lab.study.displays import VirtualDisplays
     from coulombus.lab.study.observer import Observer
     from coulombus.lab.study.session import People
 
     study = session.study
-    if asked.observer is not None:
-        judged = [_felt(session.folder)] if asked.felt else []
-        yield _simulated(Observer(asked.observer, study.file.seed, session.folder.number, *judged))
-    elif asked.page:
+    if answering.observer is not None:
+        judged = [_felt(session.folder)] if answering.felt else []
+        yield _simulated(Observer(answering.observer, study.file.seed, session.folder.number, *judged))
+    elif answering.page:
         from coulombus.lab.study.page import AnswerPage
 
-        with AnswerPage(study.file.question, session.stop, asked.port or 0) as asking:
+        with AnswerPage(study.file.question, session.stop, answering.port or 0) as asking:
             say(f"coulombus: the page: {asking.url}")
             yield People(asking.tell, asking.ask, asking.go_on, time.monotonic)
             asking.over("The study is over. Thank you." if session.trial is None else "The session has ended.")
@@ -243,9 +245,9 @@ def _at_the_terminal(study: Study) -> People:
                 return given == "y"
 
     def ask(trial: Trial) -> str | None:
-        wanted = "a number of 0 or more" if trial.reference is None else "1 or 2"
+        expected = "a number of 0 or more" if trial.reference is None else "1 or 2"
         while True:
-            given = _key(f"{study.file.question} ({wanted}; q: stop)", "" if trial.reference is None else "12q")
+            given = _key(f"{study.file.question} ({expected}; q: stop)", "" if trial.reference is None else "12q")
             if given is None or given == "q":
                 return None
             if is_answer(given, trial):

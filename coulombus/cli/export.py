@@ -85,7 +85,7 @@ def export_command(
         if reason is not None:
             raise click.UsageError(reason)
         with progress(not as_json, "exported") as report:
-            found = export(
+            exported = export(
                 file,
                 place,
                 kind,
@@ -96,10 +96,19 @@ def export_command(
                 progress=lambda t_s: report(kind, t_s, None),
             )
         with verdict(0):
-            remark(found.remarks)
+            remark(exported.remarks)
             if as_json:
-                told = {"file": str(found.path), "to": found.kind, "until_s": found.until_s, "rows": found.rows}
-                print_json({**told, "signals": list(found.signals), "remarks": list(found.remarks)})
+                document = {
+                    "file": str(exported.path),
+                    "to": exported.kind,
+                    "until_s": exported.until_s,
+                    "rows": exported.rows,
+                }
+                print_json({**document, "signals": list(exported.signals), "remarks": list(exported.remarks)})
             else:
-                what = f"{found.rows} rows of {len(found.signals)} signals" if found.signals else f"{found.rows} frames"
-                say(f"{found.path}: {what}, {found.until_s:.3f} s")
+                what = (
+                    f"{exported.rows} rows of {len(exported.signals)} signals"
+                    if exported.signals
+                    else f"{exported.rows} frames"
+                )
+                say(f"{exported.path}: {what}, {exported.until_s:.3f} s")

@@ -74,20 +74,20 @@ def identify(
         recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
         seen = recording.one_axis(axis)
         try:
-            found = friction.identify(seen)
+            fit = friction.identify(seen)
         finally:
             remark(seen.remarks)
         if figure is not None:
             from coulombus.analysis.figures.rig import write_identification
 
             with new_file(figure, force=overwrite) as path:
-                write_identification(path, found)
+                write_identification(path, fit)
             say(f"figure: {figure}")
         with printed():
             if as_json:
-                print_json(found.as_dict())
+                print_json(fit.as_dict())
             else:
-                _print(friction.lines(found))
+                _print(friction.lines(fit))
 
 
 def _print(lines: Iterable[str]) -> None:
@@ -102,14 +102,14 @@ def _identify_iron(file: Path, rig_name: str | None, axis: str | None, *, as_jso
 
     seen = blocks(file, rig=None if rig_name is None else load_rig(rig_name)).one_axis(axis)
     try:
-        found = identify_iron(seen)
+        fit = identify_iron(seen)
     finally:
         remark(seen.remarks)
     with printed():
         if as_json:
-            print_json(found.as_dict())
+            print_json(fit.as_dict())
         else:
-            _print(iron_lines(found))
+            _print(iron_lines(fit))
 
 
 def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
@@ -131,11 +131,11 @@ def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: d
         finally:
             remark(seen.remarks)
     try:
-        found = fit_law(options["law"], data, options["overrides"], rig=not table)
+        fit = fit_law(options["law"], data, options["overrides"], rig=not table)
     except IdentifyError as error:
         raise IdentifyError(f"{file}: {error}".replace(f"{file}: {file}:", f"{file}:")) from error
     with printed():
         if options["as_json"]:
-            print_json(found.as_dict())
+            print_json(fit.as_dict())
         else:
-            _print(lines(found))
+            _print(lines(fit))

@@ -37,23 +37,23 @@ class Wishes:
     brake_id: int | None
     sensor_ids: tuple[int, ...]
 
-    def check(self, asked: bool) -> None:
+    def check(self, live: bool) -> None:
         """Refuse what is not enough, or contradicts itself.
 
         Parameters
         ----------
-        asked : the devices of a bus are asked who they are
+        live : the devices of a bus are asked who they are
 
         Raises
         ------
         click.UsageError
             It says which options are missing or too many.
         """
-        if not asked and not (self.drive and self.brake):
+        if not live and not (self.drive and self.brake):
             raise click.UsageError("give --drive and --brake, or --bus to ask who is there")
         if len(self.sensor_ids) > len(self.sensors):
             raise click.UsageError("--sensor-id is given more often than --sensor")
-        given = [one for one in (self.drive_id, self.brake_id, *self.sensor_ids) if one is not None]
+        given = [node_id for node_id in (self.drive_id, self.brake_id, *self.sensor_ids) if node_id is not None]
         if len(set(given)) < len(given):
             raise click.UsageError("each device has a node id of its own")
 
@@ -61,10 +61,10 @@ class Wishes:
         """Return them by the names that they have in the rig file."""
         from coulombus.rigs.draft.discover import Wanted
 
-        found = [Wanted("motor", self.drive, self.drive_id), Wanted("brake", self.brake, self.brake_id)]
+        devices = [Wanted("motor", self.drive, self.drive_id), Wanted("brake", self.brake, self.brake_id)]
         for number, (eds, node_id) in enumerate(zip_longest(self.sensors, self.sensor_ids), 1):
-            found.append(Wanted("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
-        return found
+            devices.append(Wanted("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
+        return devices
 
 
 wishes_options = bundle(
@@ -121,7 +121,7 @@ def init(
       coulombus init --drive vendor.eds --brake bench --rehearse -o try.toml
       coulombus init --bus socketcan:can0 --eds-folder eds -o my-rig.toml
     """
-    wishes.check(asked=bus_name is not None)
+    wishes.check(live=bus_name is not None)
     with errors():
         from coulombus.rigs.draft.discover import gather
         from coulombus.rigs.draft.draft import Draft
@@ -158,18 +158,18 @@ def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
     from coulombus.host.errors import AnswerUntrusted, DeviceMismatch
     from coulombus.wire.address import parse_address
 
-    found = survey(parse_address(bus_name))
-    for answers in found:
+    nodes = survey(parse_address(bus_name))
+    for answers in nodes:
         if answers.twice:
             what_to_do = "take one off the bus, and give the other another id (coulombus lss)"
             raise DeviceMismatch(f"{answers.remark}; {what_to_do}")
         if answers.doubt:
             raise AnswerUntrusted(answers.remark)
         say(f"coulombus: {answers}")
-    if not found:
+    if not nodes:
         look = f"coulombus scan --bus {bus_name} tells of devices without a node id, of silent ones and of the wire"
         say(f"coulombus: nobody on {bus_name} answers SDO: {look}")
-    return {answers.node_id: dict(answers.numbers) for answers in found}
+    return {answers.node_id: dict(answers.numbers) for answers in nodes}
 
 
 def _acknowledgements(rig: Rig) -> Iterator[str]:

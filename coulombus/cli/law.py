@@ -135,7 +135,7 @@ def _write(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
 def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
     """Print what came of it."""
     samples, work_J = driven.samples, driven.work_J
-    found = {
+    document = {
         "law": given.name,
         "parameters": {} if given.parameters is None else given.parameters.model_dump(),
         "samples": len(samples),
@@ -147,14 +147,14 @@ def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
         "plot": None if options["plot"] is None else str(options["plot"]),
     }
     if options["as_json"]:
-        print_json(found)
+        print_json(document)
         return
-    echo(f"law {given.name}: {found['samples']} samples in {found['seconds']:g} s")
-    echo(f"largest torque  {found['peak_Nm']:.6g} Nm")
-    echo(f"work taken up   {found['work_J']:.6g} J, at least {found['least_work_J']:.6g} J on the way")
+    echo(f"law {given.name}: {document['samples']} samples in {document['seconds']:g} s")
+    echo(f"largest torque  {document['peak_Nm']:.6g} Nm")
+    echo(f"work taken up   {document['work_J']:.6g} J, at least {document['least_work_J']:.6g} J on the way")
     for key in ("csv", "plot"):
-        if found[key] is not None:
-            say(f"{key}: {found[key]}")
+        if document[key] is not None:
+            say(f"{key}: {document[key]}")
 
 
 def _as_dict(name: str, declared: Declaration | None) -> dict[str, Any]:
@@ -171,23 +171,23 @@ def _list(as_json: bool) -> None:
         if as_json:
             print_json({"laws": laws})
             return
-        width = max(len(one["law"]) for one in laws)
-        for one in laws:
-            echo(on_terminal(f"{one['law']:<{width}}  {one['title']}", width + 2))
+        width = max(len(entry["law"]) for entry in laws)
+        for entry in laws:
+            echo(on_terminal(f"{entry['law']:<{width}}  {entry['title']}", width + 2))
         echo("`coulombus law NAME` lists a law's parameters; docs/laws.md has its equation")
 
 
 def _describe(given: GivenLaw, as_json: bool) -> None:
-    one = _as_dict(given.name, given.declaration)
+    entry = _as_dict(given.name, given.declaration)
     with printed():
         if as_json:
-            print_json(one)
+            print_json(entry)
             return
-        echo(f"{given.name}: {one.get('title') or 'a law without named parameters'}")
-        for doi in one.get("doi", ()):
+        echo(f"{given.name}: {entry.get('title') or 'a law without named parameters'}")
+        for doi in entry.get("doi", ()):
             echo(f"doi:{doi}")
-        if one.get("parameters"):
-            _print_parameters(one["parameters"])
+        if entry.get("parameters"):
+            _print_parameters(entry["parameters"])
 
 
 def _print_parameters(parameters: list[dict[str, Any]]) -> None:
@@ -196,7 +196,9 @@ def _print_parameters(parameters: list[dict[str, Any]]) -> None:
     table = Table(box=None, pad_edge=False)
     for title in ("parameter", "default", "unit", "accepted", "meaning"):
         table.add_column(title, no_wrap=title in ("parameter", "unit"))
-    for one in parameters:
-        table.add_row(one["name"], str(one["default"]), one["unit"], one["accepted"], one["meaning"])
+    for parameter in parameters:
+        table.add_row(
+            parameter["name"], str(parameter["default"]), parameter["unit"], parameter["accepted"], parameter["meaning"]
+        )
     console = table_console(100)
     print_table(console, table)

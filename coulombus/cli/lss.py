@@ -39,7 +39,7 @@ class IdentityType(click.ParamType):  # type: ignore[type-arg]  # generic to som
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Assignment:
     """What is given to which devices, as the options say it."""
 
     node_id: int | None
@@ -74,9 +74,9 @@ class Wanted:
                 raise click.BadParameter(str(error), param_hint="--bitrate") from None
 
 
-wanted_options = bundle(
-    "wanted",
-    Wanted,
+assignment_options = bundle(
+    "assignment",
+    Assignment,
     click.option("--set-id", "node_id", type=click.IntRange(1, 127), metavar="N", help="Give the device this node id."),
     click.option("--all", "everybody", is_flag=True, help="All devices without a node id: N, N + 1, and so on."),
     click.option(
@@ -94,13 +94,13 @@ wanted_options = bundle(
 @click.command(epilog=EXIT_STATUS)
 @devices_bus_option
 @eds_folder_option
-@wanted_options
+@assignment_options
 @beside_option
 @json_option
 def lss(
     bus_name: str,
     eds_folder: Path | None,
-    wanted: Wanted,
+    assignment: Assignment,
     beside: bool,
     as_json: bool,
 ) -> None:
@@ -124,32 +124,37 @@ def lss(
         from coulombus.host.devices.lss import LssMaster
         from coulombus.host.devices.numbering import Number, check_free, give, only
 
-        wanted.check()
+        assignment.check()
         files = [*(read_folder(eds_folder)[0] if eds_folder is not None else ()), *packaged()]
         numbered: list[Number] = []
         with LiveLine() as show, open_link(bus_name, beside=beside) as link, LssMaster(link) as master:
-            found = [] if wanted.identity else master.unconfigured(lambda count: show(f"fastscan: {count} found"))
-            if wanted.changes:
-                chosen = found if wanted.everybody else [wanted.identity or only(found)]
-                ids = [None if wanted.node_id is None else wanted.node_id + k for k in range(len(chosen))]
-                if wanted.node_id is not None:
-                    check_free(link, [one for one in ids if one is not None], show)
-                for one, new in zip(chosen, ids, strict=True):
-                    show(f"setting {one}")
-                    numbered.append(give(master, link, one, new, bit_s=wanted.bitrate, store=wanted.store))
-        status = 0 if all(one.booted is not False for one in numbered) else 5
+            identities = (
+                [] if assignment.identity else master.unconfigured(lambda count: show(f"fastscan: {count} found"))
+            )
+            if assignment.changes:
+                chosen = identities if assignment.everybody else [assignment.identity or only(identities)]
+                ids = [None if assignment.node_id is None else assignment.node_id + k for k in range(len(chosen))]
+                if assignment.node_id is not None:
+                    check_free(link, [node_id for node_id in ids if node_id is not None], show)
+                for identity, new in zip(chosen, ids, strict=True):
+                    show(f"setting {identity}")
+                    numbered.append(give(master, link, identity, new, bit_s=assignment.bitrate, store=assignment.store))
+        status = 0 if all(number.booted is not False for number in numbered) else 5
         with verdict(status):
             rows = [
-                {**one._asdict(), "eds": None if (file := fitting(files, one[:2], one.revision)) is None else file.path}
-                for one in found
+                {
+                    **identity._asdict(),
+                    "eds": None if (file := fitting(files, identity[:2], identity.revision)) is None else file.path,
+                }
+                for identity in identities
             ]
             if as_json:
-                print_json({"unconfigured": rows, "set": [one.as_dict() for one in numbered]})
-            elif wanted.changes:
+                print_json({"unconfigured": rows, "set": [number.as_dict() for number in numbered]})
+            elif assignment.changes:
                 for done in numbered:
                     echo(str(done))
             else:
-                for one, row in zip(found, rows, strict=True):
-                    echo(f"{one}  {Path(row['eds']).name if row['eds'] else 'no EDS file'}")
-                count = len(found) or "no"
-                echo(f"{count} device{'s' * (len(found) != 1)} without a node id on {bus_name}")
+                for identity, row in zip(identities, rows, strict=True):
+                    echo(f"{identity}  {Path(row['eds']).name if row['eds'] else 'no EDS file'}")
+                count = len(identities) or "no"
+                echo(f"{count} device{'s' * (len(identities) != 1)} without a node id on {bus_name}")

@@ -108,8 +108,8 @@ LIBRARIES = ("numba", "llvmlite", "numpy", "scipy", "pydantic", "python-can", "c
 """Whose versions a report needs."""
 
 
-def _tell_versions(context: click.Context, option: click.Parameter, asked: bool) -> None:
-    if not asked or context.resilient_parsing:
+def _tell_versions(context: click.Context, option: click.Parameter, given: bool) -> None:
+    if not given or context.resilient_parsing:
         return
     import platform
     from importlib.metadata import version

@@ -36,10 +36,10 @@ def mark(text: str, rig_name: str, bus_names: tuple[str, ...], as_json: bool) ->
 
         rig = load_rig(rig_name)
         addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
-        found = [ask_mark(address, text) for address in addresses]
+        replies = [ask_mark(address, text) for address in addresses]
         with verdict(0):
             if as_json:
-                print_json(found[0] if len(found) == 1 else found)
+                print_json(replies[0] if len(replies) == 1 else replies)
             else:
-                for one in found:
-                    echo(f"{one.get('recording')}: {one.get('marker')}")
+                for reply in replies:
+                    echo(f"{reply.get('recording')}: {reply.get('marker')}")

@@ -72,18 +72,18 @@ def measure(
             _refuse_to_write(chosen.rig_name, rig, chosen.overrides)
         on_bus, address = one_bus(rig, chosen.bus_name, chosen.channel)
         with _progress(not as_json, rounds, cycles) as report:
-            found = measure_rig(on_bus, address, rounds=rounds, cycles=cycles, cpu=cpu, progress=report)
-        numbers = found.numbers(on_bus)
+            measured = measure_rig(on_bus, address, rounds=rounds, cycles=cycles, cpu=cpu, progress=report)
+        numbers = measured.numbers(on_bus)
         changed = on_bus.variant(*(f"{'.'.join(map(str, key))}={value!r}" for key, value in numbers.items()))
         fits = plan(changed).fits
-        document = _document(found, on_bus, str(address)) | {
+        document = _document(measured, on_bus, str(address)) | {
             "values": {".".join(map(str, key)): value for key, value in numbers.items()},
             "fits": fits,
             "backup": None,
         }
         if write:
             try:
-                document["backup"] = str(_write(rig, found, on_bus))
+                document["backup"] = str(_write(rig, measured, on_bus))
             except Exception:  # what was measured is not lost
                 say("\n".join(_lines(document)))
                 raise
@@ -105,26 +105,26 @@ def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> Non
     if overrides:
         raise click.UsageError("--write changes the rig file, and --set is not in it: use one of them")
     path = Path(rig.path).resolve()
-    for one in (path, path.with_name(f"{path.name}.bak")):
-        reason = reason_against(one, force=True)
+    for file in (path, path.with_name(f"{path.name}.bak")):
+        reason = reason_against(file, force=True)
         if reason is not None:
             raise click.BadParameter(reason, param_hint="--write")
 
 
-def _document(found: Measured, rig: Rig, bus: str) -> dict[str, Any]:
+def _document(measured: Measured, rig: Rig, bus: str) -> dict[str, Any]:
     from coulombus.host.run.measure import Spread
 
     before = {node.name: node.part.response_us for node in rig.nodes}
     devices = []
-    for device in found.devices:
+    for device in measured.devices:
         pdos = [
             {
-                "pdo": one.name,
-                "can_id": one.can_id,
-                "missed": one.missed,
-                **(_spread(Spread.of(one.times_ns)) if one.times_ns else {}),
+                "pdo": pdo.name,
+                "can_id": pdo.can_id,
+                "missed": pdo.missed,
+                **(_spread(Spread.of(pdo.times_ns)) if pdo.times_ns else {}),
             }
-            for one in device.pdos
+            for pdo in device.pdos
         ]
         devices.append(
             {
@@ -133,19 +133,19 @@ def _document(found: Measured, rig: Rig, bus: str) -> dict[str, Any]:
                 "tpdos": pdos,
                 "why_not": device.why,
                 "emergencies": list(device.emergencies),
-                "response_us": found.response_us(device),
+                "response_us": measured.response_us(device),
                 "before_us": before[device.plan.name],
             }
         )
-    host = _spread(found.host) | {"compute_s": found.compute_s, "before_s": rig.host.compute_s}
-    return {"rig": rig.name, "bus": bus, "devices": devices, "host": host, "real_time": list(found.real_time)}
+    host = _spread(measured.host) | {"compute_s": measured.compute_s, "before_s": rig.host.compute_s}
+    return {"rig": rig.name, "bus": bus, "devices": devices, "host": host, "real_time": list(measured.real_time)}
 
 
 def _spread(spread: Any) -> dict[str, Any]:
     return {"count": spread.count, "p50_us": spread.p50, "p99_us": spread.p99, "max_us": spread.max}
 
 
-def _write(rig: Rig, found: Measured, on_bus: Rig) -> Path:
+def _write(rig: Rig, measured: Measured, on_bus: Rig) -> Path:
     """Write the values into the rig file, each with where it comes from."""
     from coulombus.host.run.measure import Spread
     from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
@@ -157,12 +157,12 @@ def _write(rig: Rig, found: Measured, on_bus: Rig) -> Path:
         return f"{today}: p50 {spread.p50:.0f}, p99 {spread.p99:.0f}, max {spread.max:.0f} us of {spread.count}"
 
     times = {
-        device.plan.name: [t for pdo in device.pdos for t in pdo.times_ns] for device in found.devices if device.pdos
+        device.plan.name: [t for pdo in device.pdos for t in pdo.times_ns] for device in measured.devices if device.pdos
     }
     numbers = {}
-    for key, value in found.numbers(on_bus).items():
+    for key, value in measured.numbers(on_bus).items():
         name = str(key[-2]) if key[0] != "axis" else f"{key[1]}.{key[-2]}"
-        spread = found.host if key == ("host", "compute_s") else Spread.of(times[name])
+        spread = measured.host if key == ("host", "compute_s") else Spread.of(times[name])
         numbers[key] = NewValue(value, note(spread))
     text = rewritten(rig.text, numbers, MARK, rig.path)
     load_rig_text(text, rig.path)  # what is written is a rig

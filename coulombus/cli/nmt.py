@@ -54,12 +54,15 @@ def nmt(word: str, node_id: int, bus_name: str, timeout_s: float, beside: bool, 
         from coulombus.host.devices.nmt import command
 
         with open_link(bus_name, beside=beside) as link:
-            told = command(link, word, node_id or None, timeout_s)
-        with verdict(MISSING if any(one.well is False for one in told) else 0):
+            answers = command(link, word, node_id or None, timeout_s)
+        with verdict(MISSING if any(answer.well is False for answer in answers) else 0):
             if as_json:
-                states = [(one.node_id, None if one.state is None else one.state.name, one.well) for one in told]
+                states = [
+                    (answer.node_id, None if answer.state is None else answer.state.name, answer.well)
+                    for answer in answers
+                ]
                 print_json({"nodes": [{"node_id": n, "state": state, "followed": well} for n, state, well in states]})
-            for one in () if as_json else told:
-                echo(str(one))
-            if not told:
+            for answer in () if as_json else answers:
+                echo(str(answer))
+            if not answers:
                 say(f"coulombus: sent to all; no heartbeat came within {timeout_s:g} s")

@@ -172,8 +172,8 @@ class _BitRate(click.ParamType):  # type: ignore[type-arg]
     name = "bit rate"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*([kM]?)(?:bit/s|bps)?", str(value))
-        rate = float(found[1]) * {"": 1, "k": 1e3, "M": 1e6}[found[2]] if found else 0.0
+        match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*([kM]?)(?:bit/s|bps)?", str(value))
+        rate = float(match[1]) * {"": 1, "k": 1e3, "M": 1e6}[match[2]] if match else 0.0
         if not (10_000 <= rate <= 20_000_000 and rate == int(rate)):
             self.fail(f"{value!r}: expected a bit rate from 10k to 20M, such as 1000000, 500k or 1M", param, ctx)
         return int(rate)

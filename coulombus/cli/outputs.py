@@ -45,8 +45,8 @@ class OutputOptions:
     @property
     def files(self) -> dict[str, Path]:
         """What is written: option -> where."""
-        found = {"--record": self.record, "--histogram": self.histogram, "--status": self.status}
-        return {option: path for option, path in found.items() if path is not None}
+        places = {"--record": self.record, "--histogram": self.histogram, "--status": self.status}
+        return {option: path for option, path in places.items() if path is not None}
 
     def refusable(self) -> Iterable[Path]:
         """Return the files that are refused where they exist: no folder, and no socket."""
@@ -105,7 +105,7 @@ class OutputOptions:
         if self.mark_on and self.record is None:
             raise click.UsageError("--mark-on marks a recording: give --record, too")
         try:
-            return tuple(bit_mark(one, rig) for one in self.mark_on)
+            return tuple(bit_mark(text, rig) for text in self.mark_on)
         except ValueError as error:
             raise click.BadParameter(str(error), param_hint="--mark-on") from None
 
@@ -113,14 +113,14 @@ class OutputOptions:
         """Return the pairs of --meta."""
         if self.meta and self.record is None:
             raise click.UsageError("--meta is of a recording: give --record, too")
-        found: dict[str, str] = {}
+        pairs: dict[str, str] = {}
         for text in self.meta:
             key, equals, value = text.partition("=")
-            if not equals or not key.strip() or key in found:
-                reason = "twice" if key in found else "expected KEY=VALUE, as in subject=S01"
+            if not equals or not key.strip() or key in pairs:
+                reason = "twice" if key in pairs else "expected KEY=VALUE, as in subject=S01"
                 raise click.BadParameter(f"{text!r}: {reason}", param_hint="--meta")
-            found[key] = value
-        return found
+            pairs[key] = value
+        return pairs
 
 
 def _readable(parser: str) -> Callable[[click.Context, click.Parameter, str | None], str | None]:

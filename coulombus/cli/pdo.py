@@ -53,9 +53,9 @@ def pdo(
 
             now = {row.can_id: row for row in look_once(rig, address, seconds).pdos}
         if as_json:
-            print_json([as_dict(one, now.get(one.layout.cob_id)) for one in rig.pdos()])
+            print_json([as_dict(pdo, now.get(pdo.layout.cob_id)) for pdo in rig.pdos()])
             return
         with printed():
-            for one in rig.pdos():
-                for line in as_lines(one, now.get(one.layout.cob_id)):
+            for pdo in rig.pdos():
+                for line in as_lines(pdo, now.get(pdo.layout.cob_id)):
                     echo(line)

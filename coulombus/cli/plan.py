@@ -130,11 +130,11 @@ def message_rows(plan: Plan) -> list[dict[str, Any]]:
     return [row(response) for response in plan.responses]
 
 
-def _print(found: dict[str, Any]) -> None:
+def _print(document: dict[str, Any]) -> None:
     from rich.table import Table
 
     rows = []
-    for row in found["messages"]:
+    for row in document["messages"]:
         cells = [f"{row['can_id']:03X}h", row["name"], str(row["bits"]), f"{row['period_us']:g}"]
         cells += ["" if row[key] is None else f"{row[key]:.0f}" for key in ("cycle_end_us", "cycle_deadline_us")]
         cells += [f"{row['blocking_us']:.0f}", f"{row['jitter_us']:.0f}" if row["bounded"] else ""]
@@ -151,28 +151,28 @@ def _print(found: dict[str, Any]) -> None:
         return table
 
     print_fitting(table_console(WIDTH), build, ("block", "jitter", "bits", "due"))
-    _print_roles(found["roles"])
-    cycle, would = found["cycle"], found["would_fit"]
+    _print_roles(document["roles"])
+    cycle, would = document["cycle"], document["would_fit"]
     more = cycle["latest_rpdo_with_us"]
     rates = ", ".join(f"{rate // 1000}" for rate in would["bitrates"]) or "none of CiA 301's"
     period = would["shortest_period_us"]
     lines = (
-        f"times in us, at {found['bitrate'] / 1e3:g} kbit/s; axes: {found['axes']}; all messages take {found['utilisation']:.1%} of the bus",
+        f"times in us, at {document['bitrate'] / 1e3:g} kbit/s; axes: {document['axes']}; all messages take {document['utilisation']:.1%} of the bus",
         f"TPDOs      all through {cycle['latest_tpdo_us']:.0f} after SYNC's release; the host waits for {cycle['window_us']:g}",
-        f"RPDOs      the latest is through at {cycle['latest_rpdo_us']:.0f} of {found['period_us']:g}: slack {cycle['slack_us']:.0f}",
+        f"RPDOs      the latest is through at {cycle['latest_rpdo_us']:.0f} of {document['period_us']:g}: slack {cycle['slack_us']:.0f}",
         f"           SYNC and PDOs alone {more['cycle']:.0f}, with heartbeats {more['heartbeats']:.0f}, with SDO {more['sdo']:.0f}, "
         f"with EMCY and NMT {more['emcy_nmt']:.0f}",
         f"would fit  at {rates} kbit/s with this period; with a period of {'-' if period is None else f'{period:g}'} or more at this bit rate; "
         f"at most {would['axes']} of such axes",
     )
-    if found["bus"]:
-        echo(f"\nbus {found['bus']}")
+    if document["bus"]:
+        echo(f"\nbus {document['bus']}")
     echo("\n" + "\n".join(hanging(line, PROSE, 11) for line in lines))
-    for reason in found["reasons"]:
+    for reason in document["reasons"]:
         echo(hanging(f"  {reason}", PROSE, 4))
-    if not found["fits"]:
+    if not document["fits"]:
         _print_changes(would)
-    echo("ok: the plan fits" if found["fits"] else "FAIL: the plan does not fit")
+    echo("ok: the plan fits" if document["fits"] else "FAIL: the plan does not fit")
 
 
 def _print_roles(rows: list[dict[str, Any]]) -> None:
@@ -199,8 +199,8 @@ def _print_changes(would: dict[str, Any]) -> None:
         echo(f"a period of {period['period_us']:g} us fits:")
         echo(f"  --set {' --set '.join(period['set'])}")
     elif would["shortest_period_us"] is not None:
-        told = f"{would['shortest_period_us']:g} us fits only with longer watches of SYNC and PDOs"
-        echo(f"a period of {told} ({WATCHES})")
+        condition = f"{would['shortest_period_us']:g} us fits only with longer watches of SYNC and PDOs"
+        echo(f"a period of {condition} ({WATCHES})")
     if without is None:
         echo("without the optional roles, too, this period does not fit")
         return
@@ -211,15 +211,15 @@ def _print_changes(would: dict[str, Any]) -> None:
         echo(f"  lost: {text}")
 
 
-def _draw(path: Path, found: dict[str, Plan], *, force: bool) -> None:
+def _draw(path: Path, plans: dict[str, Plan], *, force: bool) -> None:
     """Draw each bus, into a file of its own where there are several."""
     from coulombus.recording.output_file import new_file
     from coulombus.rigs.plan.gantt import write_gantt
 
-    for channel, one in found.items():
-        each = path.with_stem(f"{path.stem}-{channel}") if len(found) > 1 else path
+    for channel, plan in plans.items():
+        each = path.with_stem(f"{path.stem}-{channel}") if len(plans) > 1 else path
         with new_file(each, force=force) as beside:
-            write_gantt(beside, one)
+            write_gantt(beside, plan)
         say(f"figure: {each}")
 
 
@@ -344,12 +344,12 @@ def plan_command(
 
         rig = chosen.load()
         try:
-            found = plans(rig, **traffic.options(), assumptions=times.assumptions())
+            by_channel = plans(rig, **traffic.options(), assumptions=times.assumptions())
         except ValueError as error:
             raise click.BadParameter(str(error), param_hint="--axes") from None
         if gantt is not None:
-            _draw(gantt, found, force=overwrite)
-        documents = [as_dict(one, rig.on(channel)) for channel, one in found.items()]
+            _draw(gantt, by_channel, force=overwrite)
+        documents = [as_dict(plan, rig.on(channel)) for channel, plan in by_channel.items()]
         worst = min(documents, key=lambda document: (document["fits"], -document["utilisation"]))
         with verdict(0 if worst["fits"] else 1):
             if as_json:

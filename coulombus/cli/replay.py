@@ -56,8 +56,8 @@ class Choice:
         if self.ids_text is not None:
             chosen &= among(tape.frames["can_id"], parse_identifiers(self.ids_text))
         if self.nodes or self.only_host:
-            wanted = (*self.nodes, HOST) if self.only_host else self.nodes
-            chosen &= np.isin(senders(tape.frames["can_id"], rig_of(tape.path, rig_name)), wanted)
+            nodes = (*self.nodes, HOST) if self.only_host else self.nodes
+            chosen &= np.isin(senders(tape.frames["can_id"], rig_of(tape.path, rig_name)), nodes)
         return tape.take(chosen)
 
 
@@ -186,42 +186,45 @@ def _check(file: Path, otherwise: Otherwise, as_host: bool, as_json: bool) -> No
         from coulombus.lab.replay.host_replay import host_replay
 
         checked = host_replay(file, otherwise.all_overrides(), rig)
-        found: HostReplay | VirtualReplay = checked
+        result: HostReplay | VirtualReplay = checked
         lines = _host_lines(checked)
     else:
         from coulombus.lab.replay.virtual_replay import virtual_replay
 
-        found = virtual_replay(file, rig)
-        lines = found.lines()
-    remark(found.remarks)
-    with verdict(found.exit_status):
-        echo(json.dumps(found.as_dict(), indent=2, allow_nan=False) if as_json else "\n".join(lines))
+        result = virtual_replay(file, rig)
+        lines = result.lines()
+    remark(result.remarks)
+    with verdict(result.exit_status):
+        echo(json.dumps(result.as_dict(), indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
-def _host_lines(found: HostReplay) -> list[str]:
-    counts = ", ".join(f"{n} {name}" for name, n in found.frames.items())
-    lines = [f"mode {found.mode}: {found.cycles} cycles, {found.inputs} frames in"]
-    one = found.difference
-    if one is None:
+def _host_lines(result: HostReplay) -> list[str]:
+    counts = ", ".join(f"{n} {name}" for name, n in result.frames.items())
+    lines = [f"mode {result.mode}: {result.cycles} cycles, {result.inputs} frames in"]
+    difference = result.difference
+    if difference is None:
         lines.append(f"identical: {counts}")
-    elif found.judged:
-        lines.append(f"FAIL at {one.t_s:.6f} s, cycle {one.cycle}: {one.name} (before that the same: {counts})")
+    elif result.judged:
+        lines.append(
+            f"FAIL at {difference.t_s:.6f} s, cycle {difference.cycle}: {difference.name} (before that the same: {counts})"
+        )
     else:
-        lines.append(f"the first difference is at {one.t_s:.6f} s, cycle {one.cycle}: {one.name}")
-    if one is not None:
+        lines.append(f"the first difference is at {difference.t_s:.6f} s, cycle {difference.cycle}: {difference.name}")
+    if difference is not None:
         lines.append(f"  {'':<28} {'recorded':>18} {'computed':>18}")
-        lines.append(f"  {'data':<28} {_or_none(one.recorded):>18} {_or_none(one.computed):>18}")
-        for name, (recorded, computed) in one.signals.items():
+        lines.append(f"  {'data':<28} {_or_none(difference.recorded):>18} {_or_none(difference.computed):>18}")
+        for name, (recorded, computed) in difference.signals.items():
             mark = "" if recorded == computed else "  <"
             lines.append(f"  {name:<28} {_number(recorded):>18} {_number(computed):>18}{mark}")
-    if found.rms is not None:
-        lines += [f"  RMS difference of {name}: {value:.6g}" for name, value in found.rms.items()]
-    if found.computed_trip != found.recorded_trip:
-        lines += [f"trip recorded: {found.recorded_trip or 'none'}", f"trip computed: {found.computed_trip or 'none'}"]
-    if found.refused:
-        lines.append(f"{found.refused} frames that the bus had not taken are in no recording")
-    if found.unchecked:
-        lines.append(f"{found.unchecked} frames behind the trace's end were not checked: was the recording killed?")
+    if result.rms is not None:
+        lines += [f"  RMS difference of {name}: {value:.6g}" for name, value in result.rms.items()]
+    if result.computed_trip != result.recorded_trip:
+        trips = (("recorded", result.recorded_trip), ("computed", result.computed_trip))
+        lines += [f"trip {name}: {trip or 'none'}" for name, trip in trips]
+    if result.refused:
+        lines.append(f"{result.refused} frames that the bus had not taken are in no recording")
+    if result.unchecked:
+        lines.append(f"{result.unchecked} frames behind the trace's end were not checked: was the recording killed?")
     return lines
 
 

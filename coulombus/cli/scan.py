@@ -82,7 +82,7 @@ def scan(
             _choose_bit_rate(bus_name)
         without: list[Identity] = []
         with LiveLine() as show, open_link(bus_name, beside=beside) as link:
-            found = ask_all(
+            nodes = ask_all(
                 link, listen_s=listen_s, progress=lambda label, done, total: show(f"{label} {done:.0f} of {total:.0f}")
             )
             if not no_lss:
@@ -91,17 +91,20 @@ def scan(
                         without = master.unconfigured(lambda count: show(f"fastscan: {count} without a node id"))
                     except NodeMissing as error:
                         remarks.append(str(error))
-            told = trouble(link.error_frames, link.error_classes, bool(found))
-        remarks += [told] if told else []
-        remarks += [one.remark for one in found if one.remark]
-        rows = [_row(one, fitting(files, one.identity, one.numbers.get((0x1018, 3), 0))) for one in found]
+            sentence = trouble(link.error_frames, link.error_classes, bool(nodes))
+        remarks += [sentence] if sentence else []
+        remarks += [answers.remark for answers in nodes if answers.remark]
+        rows = [
+            _row(answers, fitting(files, answers.identity, answers.numbers.get((0x1018, 3), 0))) for answers in nodes
+        ]
         status = 0 if rows or without else MISSING
         if not rows and not without:
             remarks.append(_nobody(bus_name, listen_s))
         with verdict(status):
             if as_json:
                 unconfigured = [
-                    {**one._asdict(), "eds": _path(fitting(files, one[:2], one.revision))} for one in without
+                    {**identity._asdict(), "eds": _path(fitting(files, identity[:2], identity.revision))}
+                    for identity in without
                 ]
                 print_json({"nodes": rows, "unconfigured": unconfigured, "remarks": remarks})
             else:
@@ -120,16 +123,16 @@ def _path(description: Description | None) -> str | None:
     return None if description is None else description.path
 
 
-def _row(one: Answers, description: Description | None) -> dict[str, Any]:
+def _row(answers: Answers, description: Description | None) -> dict[str, Any]:
     """Return a node as the JSON has it; null: not told."""
     keys = ("vendor_id", "product_code", "revision", "serial")
-    identity = {key: one.numbers.get((0x1018, part)) for part, key in enumerate(keys, 1)}
+    identity = {key: answers.numbers.get((0x1018, part)) for part, key in enumerate(keys, 1)}
     return {
-        "node_id": one.node_id,
-        "state": None if one.state is None else one.state.name,
-        "device_type": one.numbers.get((0x1000, 0)),
+        "node_id": answers.node_id,
+        "state": None if answers.state is None else answers.state.name,
+        "device_type": answers.numbers.get((0x1000, 0)),
         **identity,
-        "name": one.name or None,
+        "name": answers.name or None,
         "eds": _path(description),
     }
 
@@ -151,14 +154,14 @@ def _print(rows: list[dict[str, Any]], without: list[Identity], files: list[Desc
     for row in rows:
         kind = row["device_type"]
         what = [row["name"] or "no name", *([f"CiA {kind & 0xFFFF}"] if kind is not None else [])]
-        told = [hexed(row[key]) for key in ("vendor_id", "product_code", "revision", "serial")]
+        numbers = [hexed(row[key]) for key in ("vendor_id", "product_code", "revision", "serial")]
         state = (row["state"] or "-").lower().replace("_", "-")
         eds = "-" if row["eds"] is None else Path(row["eds"]).name
-        table.add_row(str(row["node_id"]), state, escape(", ".join(what)), " ".join(told), escape(eds))
-    for one in without:
-        file = fitting(files, one[:2], one.revision)
+        table.add_row(str(row["node_id"]), state, escape(", ".join(what)), " ".join(numbers), escape(eds))
+    for identity in without:
+        file = fitting(files, identity[:2], identity.revision)
         eds = "-" if file is None else Path(file.path).name
-        table.add_row("none", "no node id", "waits for LSS", " ".join(map(hexed, one)), escape(eds))
+        table.add_row("none", "no node id", "waits for LSS", " ".join(map(hexed, identity)), escape(eds))
     if rows or without:
         table_console(WIDTH).print(table)
     if without:

@@ -193,17 +193,17 @@ def dump(
             LiveLine() as show,
         ):
             description = _described(device)
-            found = read_all(device, lambda done, total: show(f"{done} of {total} objects"))
+            dumped = read_all(device, lambda done, total: show(f"{done} of {total} objects"))
             rate = link.bitrate_bit_s
         with new_file(output, force=overwrite) as path:
-            path.write_text(with_values(description, found.values, node_id, rate), encoding="utf-8", newline="")
+            path.write_text(with_values(description, dumped.values, node_id, rate), encoding="utf-8", newline="")
         with verdict(0):
-            left_out = [where(*place) for place in found.left_out]
+            left_out = [where(*place) for place in dumped.left_out]
             if as_json:
-                print_json({"values": len(found.values), "left_out": left_out, "aborted": list(found.aborted)})
+                print_json({"values": len(dumped.values), "left_out": left_out, "aborted": list(dumped.aborted)})
             else:
-                echo(f"{len(found.values)} values are in {output}")
-                for text in found.aborted:
+                echo(f"{len(dumped.values)} values are in {output}")
+                for text in dumped.aborted:
                     say(f"coulombus: not in it: {text}")
                 if left_out:
                     say(f"coulombus: not in it, for they act when they are written: {', '.join(left_out)}")
@@ -250,31 +250,36 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
         from coulombus.host.devices.sdo import SdoClient
 
         description = read_eds(dcf)
-        told = Restored()
+        restored = Restored()
         with open_link(bus_name, beside=beside) as link:
             device = Device(SdoClient(link, node_id, timeout_s), description)
             with LiveLine() as show:
                 values = check_file(device, description)
-                found = differences(device, description, values, lambda done, total: show(f"{done} of {total} objects"))
+                differing = differences(
+                    device, description, values, lambda done, total: show(f"{done} of {total} objects")
+                )
             if not as_json:
-                _print_differences(found)
-            if found and not yes and not _agreed(f"write {len(found)} of {len(values)} values to node {node_id}?"):
+                _print_differences(differing)
+            question = f"write {len(differing)} of {len(values)} values to node {node_id}?"
+            if differing and not yes and not _agreed(question):
                 with verdict(CHECK_FAILED):
                     say("coulombus: nothing was written")
             try:
                 with LiveLine() as show:
-                    write_all(device, values, found, lambda done, total: show(f"{done} of {total} written"), told)
+                    write_all(
+                        device, values, differing, lambda done, total: show(f"{done} of {total} written"), restored
+                    )
             except BaseException:
-                say(f"coulombus: {len(told.written)} of {len(found)} values were written before the end")
+                say(f"coulombus: {len(restored.written)} of {len(differing)} values were written before the end")
                 raise
-        with verdict(ABORTED if told.failed else 0):
+        with verdict(ABORTED if restored.failed else 0):
             if as_json:
-                rows = [one.as_dict() for one in found]
-                print_json({"differences": rows, "written": len(told.written), "failed": told.failed})
+                rows = [difference.as_dict() for difference in differing]
+                print_json({"differences": rows, "written": len(restored.written), "failed": restored.failed})
             else:
-                done = f"{len(told.written)} of {len(found)} values written; " if found else ""
-                echo(f"{done}{len(values) - len(found)} were right already")
-                for text in told.failed:
+                done = f"{len(restored.written)} of {len(differing)} values written; " if differing else ""
+                echo(f"{done}{len(values) - len(differing)} were right already")
+                for text in restored.failed:
                     say(f"coulombus: {text}")
 
 
@@ -285,22 +290,25 @@ def _agreed(question: str) -> bool:
     return click.confirm(printable(question), err=True)
 
 
-def _print_differences(found: list[Difference]) -> None:
+def _print_differences(differences: list[Difference]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
     from coulombus.eds.sdo_frames import where
 
-    if not found:
+    if not differences:
         return
     table = Table(box=None, pad_edge=False, header_style="bold")
     for head, options in (("object", {"no_wrap": True}), ("name", {"overflow": "fold"}), ("device", {}), ("file", {})):
         table.add_column(head, **options)
-    for one in found:
-        held, wanted = (
-            "-" if v is None else v.hex(" ") if isinstance(v, bytes) else str(v) for v in (one.held, one.wanted)
+    for difference in differences:
+        in_device, in_file = (
+            "-" if v is None else v.hex(" ") if isinstance(v, bytes) else str(v)
+            for v in (difference.held, difference.wanted)
         )
-        table.add_row(where(*one.place), *(escape(text) for text in (one.variable.name, held, wanted)))
+        table.add_row(
+            where(*difference.place), *(escape(text) for text in (difference.variable.name, in_device, in_file))
+        )
     table_console(WIDTH).print(table)
 
 

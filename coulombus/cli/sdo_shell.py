@@ -65,9 +65,12 @@ class Shell(cmd.Cmd):
 
     def do_ls(self, line: str) -> None:
         """List the objects whose number or name has a text: ls [TEXT]."""
-        wanted = line.strip().lower()
-        rows = [(where(one.index, one.subindex), one.access, name) for name, one in self.device.names.items()]
-        rows = [row for row in rows if wanted in f"{row[0]} {row[2]}".lower()]
+        text = line.strip().lower()
+        rows = [
+            (where(variable.index, variable.subindex), variable.access, name)
+            for name, variable in self.device.names.items()
+        ]
+        rows = [row for row in rows if text in f"{row[0]} {row[2]}".lower()]
         shown = rows if not self.interactive else rows[:MOST_LISTED]
         for place, access, name in shown:
             echo(f"{place}  {access:<5}  {name}")
@@ -86,8 +89,8 @@ class Shell(cmd.Cmd):
         if word not in COMMANDS:
             raise click.UsageError(f"{word!r}: expected one of {', '.join(COMMANDS)}")
         self._alone()
-        for one in command(self._link, word, self.device.node_id, NMT_S):
-            echo(str(one))
+        for answer in command(self._link, word, self.device.node_id, NMT_S):
+            echo(str(answer))
 
     def do_quit(self, line: str) -> bool:
         """End (Ctrl-D, too): quit."""
@@ -150,9 +153,9 @@ class Shell(cmd.Cmd):
         return False
 
     def _alone(self) -> None:
-        found = check_alone(self._link, self._link.address, beside=self._beside)
-        if found:
-            say(f"a host is on the bus: {found}; its display may be disturbed")
+        host = check_alone(self._link, self._link.address, beside=self._beside)
+        if host:
+            say(f"a host is on the bus: {host}; its display may be disturbed")
 
     def _words(self, line: str, count: int) -> list[str]:
         """Return the words of a line; the last one takes the rest of it."""

@@ -22,10 +22,10 @@ def _values(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     """Return NAME=VALUE as numbers by name."""
     from coulombus.rigs.errors import number_hint
 
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for text in texts:
         name, equals, number = (part.strip() for part in text.partition("="))
-        reason = f"{name} is given twice" if name in found else ""
+        reason = f"{name} is given twice" if name in numbers else ""
         try:
             value = float(number)
         except ValueError:
@@ -35,8 +35,8 @@ def _values(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
             reason = "expected NAME=VALUE, as in F_s=2.0"
         if reason:
             raise click.BadParameter(f"{text!r}: {reason}")
-        found[name] = value
-    return found
+        numbers[name] = value
+    return numbers
 
 
 def _seconds(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:
@@ -118,17 +118,17 @@ def set_command(
         if manner.undo and values:
             raise click.UsageError("--undo takes the last change back: leave the values out")
         address = parse_address(bus_name) if bus_name else one_bus(load_rig(rig_name), None, channel)[1]
-        found = ask_change(address, manner.order(values))
+        reply = ask_change(address, manner.order(values))
         with verdict(0):
             if as_json:
-                print_json(found)
-            elif "marker" in found:
-                echo(str(found["marker"]).partition(" [")[0])
+                print_json(reply)
+            elif "marker" in reply:
+                echo(str(reply["marker"]).partition(" [")[0])
             else:
-                _list(found)
+                _list(reply)
 
 
-def _list(found: dict[str, Any]) -> None:
+def _list(reply: dict[str, Any]) -> None:
     """Print the parameters for people."""
     from rich.table import Table
 
@@ -137,19 +137,19 @@ def _list(found: dict[str, Any]) -> None:
     for name in ("value", "from", "to"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit")
-    for name, row in _rows(found):
+    for name, row in _rows(reply):
         low = f"above {row['low']:g}" if row["above_low"] else f"{row['low']:g}"
         table.add_row(name, f"{row['value']:g}", low, f"{row['high']:g}", row["unit"])
     console = table_console(80)
     print_table(console, table)
-    if found.get("arm_key"):
+    if reply.get("arm_key"):
         echo("a change needs the arm key that coulombus run has printed: --key")
 
 
-def _rows(found: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+def _rows(reply: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     """Return each parameter with its name, that of its axis before it."""
     return [
         (f"{row['axis']}.{row['name']}" if row.get("axis") else row["name"], row)
-        for rows in found["parameters"]
+        for rows in reply["parameters"]
         for row in rows
     ]

@@ -140,7 +140,7 @@ def sim(
 
         rig = load_rig(chosen.rig_name, chosen.overrides)
         addresses = chosen.addresses(rig)
-        told = simulated.of(rig)
+        settings = simulated.of(rig)
         virtual = next(iter(addresses.values())).is_virtual
         if record is not None and (simulated.unpaced or len(addresses) > 1 or not virtual):
             raise click.UsageError(
@@ -157,7 +157,7 @@ def sim(
         (address,) = addresses.values()
 
         def make() -> SimServer:
-            return SimServer(rig, address, record=record, force=overwrite, **told[rig.channels[0]])
+            return SimServer(rig, address, record=record, force=overwrite, **settings[rig.channels[0]])
 
         with page.beside(chosen, address):
             run_sim(make, seconds, priority=realtime.priority or None, cpu=realtime.cpu, as_json=as_json)

@@ -38,23 +38,23 @@ def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
 
         rig = load_rig(rig_name)
         addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
-        found = [ask_status(address) for address in addresses]
+        states = [ask_status(address) for address in addresses]
         with verdict(0):
             if as_json:
-                print_json(found[0] if len(found) == 1 else found)
+                print_json(states[0] if len(states) == 1 else states)
             else:
-                for one in found:
-                    _tell(one)
+                for state in states:
+                    _tell(state)
 
 
-def _tell(found: dict[str, Any]) -> None:
+def _tell(state: dict[str, Any]) -> None:
     """Print a host's state for people."""
-    shown = found.get("display_s")
+    shown = state.get("display_s")
     since = "not yet displaying" if shown is None else f"displaying for {_number(shown)} s"
     rows = [
-        f"{found.get('bus')}: rig {found.get('rig')}, mode {found.get('mode')}, {since}, {found.get('cycles')} cycles"
+        f"{state.get('bus')}: rig {state.get('rig')}, mode {state.get('mode')}, {since}, {state.get('cycles')} cycles"
     ]
-    for axis in found.get("axes") or ():
+    for axis in state.get("axes") or ():
         rows.append(
             f"  {axis.get('axis') or 'axis'}: {axis.get('phase')}, at {_number(axis.get('position_rad'))} rad, "
             f"{_number(axis.get('velocity_rad_s'))} rad/s"
@@ -62,14 +62,14 @@ def _tell(found: dict[str, Any]) -> None:
         torques = (("motor", "motor_torque_Nm"), ("brake", "brake_torque_Nm"), ("handle", "handle_torque_Nm"))
         rows.append("    torque: " + ", ".join(f"{name} {_number(axis.get(key))} Nm" for name, key in torques))
     for name, text in (("wakeup_us", "woke late by"), ("sync_to_rpdo_us", "SYNC to RPDO")):
-        if spread := found.get(name):
+        if spread := state.get(name):
             rows.append(f"  {text}: " + ", ".join(f"{key} {_number(value)}" for key, value in spread.items()) + " us")
-    counted = {name: n for name, n in (found.get("counters") or {}).items() if n and name != "rx_frames"}
+    counted = {name: n for name, n in (state.get("counters") or {}).items() if n and name != "rx_frames"}
     rows.append("  counted: " + (", ".join(f"{name} {n}" for name, n in counted.items()) or "nothing amiss"))
-    if found.get("recording"):
-        rows.append(f"  recording: {found['recording']}")
-    if found.get("trip"):
-        rows.append(f"  trip: {found['trip']}")
+    if state.get("recording"):
+        rows.append(f"  recording: {state['recording']}")
+    if state.get("trip"):
+        rows.append(f"  trip: {state['trip']}")
     for row in rows:
         echo(row)
 

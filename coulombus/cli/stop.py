@@ -43,18 +43,18 @@ def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
         rig = load_rig(rig_name)
         addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
         requests = [StopRequest(address) for address in addresses]  # all are asked before one is waited for
-        failures, told = [], []
+        failures, sentences = [], []
         for request in requests:
             try:
-                told.append(_what_came(request.address, request.result()))
+                sentences.append(_what_came(request.address, request.result()))
             except NoHost as failure:
                 failures.append(str(failure))
-        for text in told if failures else ():
+        for text in sentences if failures else ():
             say(text)
         if failures:
             raise NoHost("; ".join(failures))
         with verdict(0):
-            for text in told:
+            for text in sentences:
                 echo(text)
 
 

@@ -108,14 +108,14 @@ def _tell(result: SweepResult, seconds: float | None) -> None:
     echo(f"{result.runs} runs, {result.failed} of them failed (column error)")
     if result.simulated_s_per_core_s is not None:
         echo(f"{result.simulated_s_per_core_s:.0f} s displayed for each second of one core")
-    for name, found in result.worst.items():
+    for name, mildest in result.worst.items():
         values = ", ".join(
             f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}"
-            for key, value in found["values"].items()
+            for key, value in mildest["values"].items()
         )
         length = "" if seconds is None else f" --seconds {seconds:g}"
-        call = f"coulombus simulate --rig {shell(found['file'])} --mode {found['mode']}{length} --seed {found['seed']}"
-        echo(f"mildest rig that misses {name}: {values or 'the rig itself'} (of run {found['run']})\n  {call}")
+        call = f"coulombus simulate --rig {shell(mildest['file'])} --mode {mildest['mode']}{length} --seed {mildest['seed']}"
+        echo(f"mildest rig that misses {name}: {values or 'the rig itself'} (of run {mildest['run']})\n  {call}")
     for path in (result.table, *result.maps.values()):
         echo(str(path))
 

@@ -57,15 +57,15 @@ def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: 
         if len(rig.channels) > 1:
             text = f"{rig_name}: a unit runs one bus, and the rig has the buses {', '.join(rig.channels)}"
             raise click.BadParameter(text, param_hint="--rig")
-        one, address = one_bus(rig, bus_name, None)
+        on_bus, address = one_bus(rig, bus_name, None)
         script = shutil.which("coulombus", path=str(Path(sys.prefix, "bin")))
-        limits = [axis.limits for axis in one.axes]
+        limits = [axis.limits for axis in on_bus.axes]
         service = Service(
             program=(script,) if script else (sys.executable, "-P", "-m", "coulombus"),
             rig=rig_name if rig_name in known_rigs() else str(Path(rig_name).absolute()),
             bus=str(address),
             mode=mode,
-            bitrate_bit_s=one.bus.bitrate_bit_s,
+            bitrate_bit_s=on_bus.bus.bitrate_bit_s,
             ending_s=max(limit.safe_hold_s + limit.safe_ramp_s for limit in limits),
             user=user,
         )

@@ -31,13 +31,13 @@ def host_text(address: BusAddress) -> str | None:
     from coulombus.host.run.control_socket import NoHost, ask_status
 
     try:
-        found = ask_status(address)
+        state = ask_status(address)
     except NoHost:
         return None
-    text = f"host: mode {found['mode']}" if "mode" in found else f"host: {found.get('error')}"
-    for axis in found.get("axes") or ():
+    text = f"host: mode {state['mode']}" if "mode" in state else f"host: {state.get('error')}"
+    for axis in state.get("axes") or ():
         text += f"  {axis.get('axis') or 'phase'} {axis.get('phase')}"
-    return text + (f"  trip: {found['trip']}" if found.get("trip") else "")
+    return text + (f"  trip: {state['trip']}" if state.get("trip") else "")
 
 
 @dataclass(frozen=True)
@@ -192,10 +192,10 @@ def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None
 
     sink: Sink = Foxglove(rig, view.foxglove) if view.foxglove is not None else PlotJuggler(view.plotjuggler or 0)
     try:
-        found = forward(rig, address, sink, seconds=seconds, ready=ready)
+        counts = forward(rig, address, sink, seconds=seconds, ready=ready)
     finally:
         sink.close()
     if as_json:
-        echo(json.dumps({"event": "end", **found}))
+        echo(json.dumps({"event": "end", **counts}))
     else:
-        say(f"{found['pdos']} PDOs handed on, {found['unheard']} unheard, {found['lost']} lost")
+        say(f"{counts['pdos']} PDOs handed on, {counts['unheard']} unheard, {counts['lost']} lost")

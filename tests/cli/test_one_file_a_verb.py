@@ -1,0 +1,55 @@
+"""Each verb has a module of its name in `coulombus.cli`, and what else is there has its reason."""
+
+from __future__ import annotations
+
+import ast
+from importlib import import_module
+
+import click
+
+from coulombus.cli.main import SECTIONS, main
+from places import ROOT
+
+CLI = ROOT / "coulombus" / "cli"
+VERBS = {name for section in SECTIONS.values() for name in section}
+SHARED = {
+    "main": "the list of the verbs",
+    "errors": "what ends a verb",
+    "exit_status": "what it ends with",
+    "bundle": "options that are one value of a verb",
+    "common": "options of several verbs, and checks of what they say",
+    "option_types": "what an option's text may be",
+    "rig_options": "a rig and its buses",
+    "device_options": "the bus of the verbs for devices",
+    "page_options": "the page of run, sim and watch",
+    "outputs": "what run writes",
+    "tables": "what is printed, and progress",
+    "run_table": "the results of run, simulate and demo",
+    "sdo_shell": "the prompt of sdo",
+    "analyse_options": "the loop's and the rig's options of the verbs of analyse",
+    "analyse_output": "what the verbs of analyse print",
+    "analyse_theory": "the verbs of analyse that need no rig",
+    "analyse_rig": "the verbs of analyse that run a rig",
+}
+"""The modules that are no verb, and what they hold."""
+
+
+def test_each_verb_is_the_command_of_the_module_of_its_name():
+    for name in VERBS:
+        verb = main.commands[name]
+        commands = [thing for thing in vars(import_module(f"coulombus.cli.{name}")).values() if thing is verb]
+        assert isinstance(verb, click.Command)
+        assert (verb.name, len(commands), verb.callback.__module__) == (name, 1, f"coulombus.cli.{name}")
+
+
+def test_each_module_is_a_verb_or_has_a_reason():
+    modules = {path.stem for path in CLI.glob("*.py")} - {"__init__"}
+    assert not VERBS & set(SHARED)
+    assert modules == VERBS | set(SHARED)
+
+
+def test_no_verb_imports_another():
+    for name in VERBS:
+        for node in ast.walk(ast.parse((CLI / f"{name}.py").read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("coulombus.cli."):
+                assert node.module.removeprefix("coulombus.cli.") in SHARED, f"{name}: {node.module}"
