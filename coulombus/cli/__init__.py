@@ -1,4 +1,4 @@
-"""The command line, one file a verb: the only place that knows click."""
+"""The command line, one file a verb, with the verb's name: the only place that knows click."""
 
 from __future__ import annotations
 
