@@ -23,8 +23,13 @@ from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 from places import ROOT
 
-DOCS = [ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SECTIONS = ["Added", "Changed", "Fixed", "Removed", "Security"]  # of a version in CHANGELOG.md
+DOCS = [
+    *(ROOT / name for name in ("README.md", "SECURITY.md", "CONTRIBUTING.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 NAMES = [str(path.relative_to(ROOT)) for path in DOCS]
+WITH_CHANGES = [*NAMES, "CHANGELOG.md"]  # what it says of verbs and options was true once
 LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")
 SPAN = re.compile(r"`([^`\n]+)`")
 
@@ -64,7 +69,7 @@ def options(command):
     return own_options(command).union(*(options(verb) for verb in getattr(command, "commands", {}).values()))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", WITH_CHANGES)
 def test_relative_links_resolve(name):
     text = text_of(name)
     for target in LINK.findall(text):
@@ -196,7 +201,7 @@ def test_devices_show_the_pdos_the_objects_and_the_emergencies():
             assert re.search(row, text), cause.name
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", WITH_CHANGES)
 def test_no_machine_path(name):
     assert not re.search(r"(?<!\.)/(work|tmp|home|root)/", text_of(name))
 
@@ -205,6 +210,36 @@ def test_the_version_is_the_same_everywhere():
     version = tomllib.loads(text_of("pyproject.toml"))["project"]["version"]
     assert re.search(rf"^version: {re.escape(version)}$", text_of("CITATION.cff"), re.M)
     assert re.search(rf"^## {re.escape(version)} - \d{{4}}-\d\d-\d\d$", text_of("CHANGELOG.md"), re.M)
+
+
+def versions():
+    """Return (heading, text) of each version in CHANGELOG.md."""
+    parts = re.split(r"^## (.*)$", text_of("CHANGELOG.md"), flags=re.M)[1:]
+    return list(zip(parts[::2], parts[1::2], strict=True))
+
+
+def test_the_changelog_has_dated_versions_newest_first():
+    heads = [head for head, _ in versions()]
+    assert heads[0] == "Unreleased"
+    dated = [re.fullmatch(r"(\d+)\.(\d+)\.(\d+) - (\d{4}-\d\d-\d\d)", head) for head in heads[1:]]
+    assert all(dated), heads
+    numbers = [tuple(int(part) for part in found.groups()[:3]) for found in dated]
+    assert numbers == sorted(set(numbers), reverse=True)
+    dates = [found[4] for found in dated]
+    assert dates == sorted(dates, reverse=True)
+
+
+@pytest.mark.parametrize("head", [head for head, _ in versions()])
+def test_a_version_has_known_sections_of_short_entries(head):
+    text = dict(versions())[head]
+    sections = re.split(r"^### (.*)$", text, flags=re.M)
+    names = sections[1::2]
+    assert names == [name for name in SECTIONS if name in names], "unknown, doubled or out of order"
+    assert "\n- " not in sections[0], "an entry above the first section"
+    for name, entries in zip(names, sections[2::2], strict=True):
+        short = re.compile(r"- \S.*(\n  \S.*)?")  # one line, or two
+        listed = re.split(r"\n(?! )", entries.strip("\n"))
+        assert [entry for entry in listed if not short.fullmatch(entry)] == [], f"{head}, {name}"
 
 
 def test_the_settings_for_a_shared_machine_are_those_of_the_option():
@@ -217,7 +252,7 @@ def test_a_page_begins_with_what_the_reader_can_do_after_it(name):
     assert text_of(name).split("\n\n")[1].startswith("After this page "), name
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", WITH_CHANGES)
 def test_lines_of_prose_have_at_most_100_columns(name):
     prose = re.sub(r"^```.*?^```$", "", text_of(name), flags=re.M | re.S)
     long = [line for line in prose.splitlines() if len(line) > 100 and not line.startswith(("|", "    ", "!["))]
