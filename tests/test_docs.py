@@ -209,7 +209,8 @@ def test_no_machine_path(name):
 def test_the_version_is_the_same_everywhere():
     version = tomllib.loads(text_of("pyproject.toml"))["project"]["version"]
     assert re.search(rf"^version: {re.escape(version)}$", text_of("CITATION.cff"), re.M)
-    assert re.search(rf"^## {re.escape(version)} - \d{{4}}-\d\d-\d\d$", text_of("CHANGELOG.md"), re.M)
+    (date,) = re.findall(rf"^## {re.escape(version)} - (\d{{4}}-\d\d-\d\d)$", text_of("CHANGELOG.md"), re.M)
+    assert re.search(rf"^date-released: {date}$", text_of("CITATION.cff"), re.M)
 
 
 def versions():
