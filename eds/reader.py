@@ -84,8 +84,8 @@ def parse_eds(raw: bytes, path: str) -> Description:
 
 @contextmanager
 def _collector_at_rest() -> Iterator[None]:
-    """Keep Python's garbage collector from looking, again and again, through all that is being
-    made: of a large file a third of the time, and there is no circle in it.
+    """Keep Python's garbage collector from looking, again and again, through all that is being made:
+    there is no circle in it.
     """
     was_on = gc.isenabled()
     gc.disable()

@@ -9,15 +9,15 @@ Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (our
 sub-directories of it all the same); ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
 
 Kernels take records: a record is one pointer, and an array in a record costs nothing to pass. What
-has no fixed size (a log, a row of devices) comes as an array in a named tuple; 23 of them take
-`Entry` 10 us (6 us one by one), which only Python's rare calls pay. A law's function stands beside
-the tuples: in a tuple numba would type it as a value that the disk cache cannot keep.
+has no fixed size (a log, a row of devices) comes as an array in a named tuple, which only Python's
+rare calls pack. A law's function stands beside the tuples: in a tuple numba would type it as a value
+that the disk cache cannot keep.
 
 Numba compiles a function anew for each literal with which another kernel calls it, because the
 literal 2 is a type of its own. Where that would compile much twice, the number is a `constant`.
 
-A call that passes five arrays costs about 25 ns: an array is a structure of seven words, and its
-reference is counted atomically on the way in and out. `inlined` makes a kernel part of its caller;
+A call that passes arrays is not free: an array is a structure of seven words, and its reference is
+counted atomically on the way in and out. `inlined` makes a kernel part of its caller;
 `kernels.numba_inside.borrowed` returns arrays whose references are not counted.
 """
 
@@ -53,7 +53,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 CACHE_DIR = choose(source_key())
 """Where the machine code is kept; None where no place can be written."""
 
-with _without("coverage"):  # numba would load it, a tenth of a start, to ask whether it measures
+with _without("coverage"):  # numba would load it to ask whether it measures, and a start would wait for it
     import numba  # only now does numba read NUMBA_CACHE_DIR
 import numpy as np  # noqa: E402
 
@@ -89,7 +89,7 @@ def kernel(function: F) -> F:
 def inlined(function: F) -> F:
     """Compile `function` as `kernel` does; LLVM makes it part of each of its callers.
 
-    Numba's own way copies a caller once for each call: a third of what `run` took.
+    Numba's own inlining copies code before it has types, and is slow to compile.
     """
     return _compiled(function, forceinline=True)
 
@@ -111,8 +111,8 @@ def is_kept(function: Callable[..., Any]) -> bool:
 class Entry:
     """A kernel that Python calls often, always with arguments of the same types.
 
-    The dispatcher looks at the type of each argument at each call, which takes 40 us for a dozen
-    arrays of records; after the first call this goes past it.
+    The dispatcher looks at the type of each argument at each call, which is slow for arrays of
+    records; after the first call this goes past it.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:

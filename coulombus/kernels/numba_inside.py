@@ -1,7 +1,7 @@
 """The one file that uses what stands inside numba, `numba.core`, beyond its public interface.
 
-`borrowed` has no public counterpart: without it a simulation takes twice its time, because each
-call that passes arrays counts their references. `listen` uses numba's event listeners, which its
+`borrowed` has no public counterpart: without it each call that passes arrays counts their references,
+atomically. `listen` uses numba's event listeners, which its
 manual describes, and which stand in `numba.core`.
 
 LLVM calls back into Python; an exception of a signal's handler that is raised there is printed and

@@ -1,7 +1,7 @@
 """The set-up of a simulated rig, done once for rigs that differ in plant and hand alone.
 
-Power-on, bring-up over SDO and NMT start take more processor time than a display of 13 s. In a
-sweep they are mostly the same, frame by frame. So a world that has ended is kept, and begins again
+Power-on, bring-up over SDO and NMT start are much of a run's work. In a sweep they are mostly the
+same, frame by frame. So a world that has ended is kept, and begins again
 behind its set-up with the plant and the hand of the next run (`ready_world`, `give_back`); or another
 world of the same devices goes on where the set-up ended (`set_up`).
 """

@@ -228,8 +228,8 @@ def _welch(values: Floats, period_s: float, samples: int) -> tuple[Floats, Float
               \left\langle\left|\sum_n w_n (v_n - \bar v)\,e^{-2\pi i k n / N}\right|^2\right\rangle
 
     with Hann's window, over segments that overlap by half; without the factor 2 at 0 and at half
-    the sampling rate (doi:10.1109/TAU.1967.1161901). SciPy's `welch` has the same default values. To
-    load it takes twice as long as a run of a second.
+    the sampling rate (doi:10.1109/TAU.1967.1161901). SciPy's `welch` has the same default values;
+    SciPy is slow to load.
     """
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(samples) / samples) if samples > 1 else np.ones(1)
     segments = np.lib.stride_tricks.sliding_window_view(values, samples)[:: samples - samples // 2]

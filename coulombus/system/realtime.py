@@ -239,9 +239,7 @@ def ask_for_real_time(priority: int | None, cpu: int | None = None) -> RealTime:
 
 
 def freeze_garbage() -> None:
-    """Collect garbage once, and never look again at what lives now
-    (30 ms -> nothing for 1e6 objects).
-    """
+    """Collect garbage once; later collections leave out what lives now."""
     gc.collect()
     gc.freeze()
 

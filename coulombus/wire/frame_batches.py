@@ -1,7 +1,7 @@
 """Many frames at once, as arrays: for who looks at a bus some times a second.
 
 `BlockReader` empties a client's socket with recvmmsg(2): one system call for up to `MESSAGES`
-messages, and no Python object for a frame. A frame costs a twelfth of what `Client.receive` takes.
+messages, and no Python object for a frame.
 """
 
 from __future__ import annotations

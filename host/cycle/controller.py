@@ -201,7 +201,7 @@ class Controller:
     @records.setter
     def records(self, records: Records) -> None:
         self._records = records
-        self._parts: dict[str, Records] = {name: records[name] for name in AXIS.names or ()}  # each takes 10 us
+        self._parts: dict[str, Records] = {name: records[name] for name in AXIS.names or ()}
         self._phase = records.view(np.ndarray)["host"]["phase"]
 
     @property

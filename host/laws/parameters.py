@@ -109,7 +109,7 @@ def _validated(
 
 @lru_cache(64)
 def _schema(laws: tuple[tuple[str, Declaration], ...]) -> type[Section]:
-    """Return the model of a file with the tables of these laws; to make one takes 2 ms."""
+    """Return the model of a file with the tables of these laws; it is made once for the same laws."""
     models: dict[str, Any] = {name: (law.parameters, Field(description=law.title)) for name, law in laws}
     section = create_model("Laws", __base__=Section, **models)
     return create_model("File", __base__=Section, law=(section, Field(description="the laws")))

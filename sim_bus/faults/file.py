@@ -99,7 +99,7 @@ class FaultError(CoulombusError, ValueError):
 
 
 class _Strict(BaseModel):
-    # the validators of a dozen kinds take 50 ms to build, and most runs have no fault file
+    # validators are built when a fault file is read: most runs have none
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
 

@@ -150,7 +150,7 @@ class Injection:
 
     def tell(self) -> None:
         """Tell what was injected since the last time."""
-        halves = self._world.bus.view(np.ndarray)  # a plain array answers faster than a recarray
+        halves = self._world.bus.view(np.ndarray)  # a recarray looks each field up in Python
         if self._on_fault is not None:
             columns = [halves[name] for name in ("told_ns", "told_row", "told_id")]
             found: list[tuple[int, int, int]] = []

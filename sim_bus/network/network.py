@@ -180,7 +180,7 @@ class VirtualNetwork:
         self._out = new_queue()
         self._log = frames(LOG_FRAMES)
         self._listening = np.zeros(IDENTIFIERS, np.int8)
-        self._world = np.zeros(1, WORLD)  # Python looks at it often: a plain array answers faster than a recarray
+        self._world = np.zeros(1, WORLD)  # Python reads it often: a recarray looks each field up in Python
         w = self._world[0]
         w["script_ns"], w["force_end_ns"], w["stale"], w["host_elsewhere"] = FAR_NS, FAR_NS, 1, mechanics is None
         m = mechanics or without_mechanics(capacity)

@@ -104,7 +104,7 @@ class VirtualRig(VirtualNetwork):
         n = len(rig.axes)
         knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
         axes, plant = new_records(RigAxis, n), new_records(PlantRecord, n)
-        self._axes = axes.view(np.ndarray)  # Python looks at it often: a plain array answers faster than a recarray
+        self._axes = axes.view(np.ndarray)  # Python reads it often: a recarray looks each field up in Python
         self._f_h = np.zeros((n, knots + 1))
         self._take(rig, plant, seed)
         self._axes["truth_on"] = truth

@@ -87,7 +87,7 @@ class Beside(NamedTuple):
 
 @kernel
 def _copy(to: Integers, source: Integers, first: int, end: int) -> None:
-    """Copy words of a row; numba's own assignment of a slice takes 2 s to compile."""
+    """Copy words of a row; numba is slow to compile the assignment of a slice."""
     for k in range(first, end):
         to[k] = source[k]
 

@@ -46,7 +46,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 QUIET_COUNTS = 2
 DYING_OUT = 0.9  # the velocity's RMS in the window's second half, against the whole: a hand's own swing that decays
 MOST_DELAY_CYCLES = 60
-CHUNK = 96  # runs for one task: some 20 ms
+CHUNK = 96  # runs for one task: many enough that handing it over does not count
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,8 @@ def continuous_model(parameters: Parameters) -> tuple[Floats, Floats, Floats]:
 def exponential(A: Floats) -> Floats:
     """Return exp(A) of a small matrix by scaling, the series, and squaring.
 
-    As scipy.linalg.expm to rounding (a test holds them together), but in microseconds: that one
-    took 8 ms for a dozen rows where BLAS has threads of its own.
+    As scipy.linalg.expm to rounding (a test holds them together), but without BLAS, whose threads
+    cost more than the arithmetic of a dozen rows.
     """
     squarings = max(0, math.ceil(math.log2(max(float(np.linalg.norm(A, 1)), 1e-300))) + 1)
     scaled = A * 0.5**squarings

@@ -145,7 +145,7 @@ def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], b
     name = recording.rig.law_function
     if now is None or recorded is None:
         text = f"{recording.path}: whether {chosen.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
-        own = chosen.law_function == name and name in OWN_LAWS  # as in recordings of earlier versions
+        own = chosen.law_function == name and name in OWN_LAWS  # a built-in law needs no attachment
         return () if own else (text,), own
     if now.sha256 == recorded:
         return (), True
