@@ -17,7 +17,6 @@ from coulombus.cli.tables import echo
 __all__ = ["hz"]
 
 
-
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
 @one_bus_options
