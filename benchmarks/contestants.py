@@ -24,7 +24,7 @@ from benchmarks.loaded_plane import LoadedPlane
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.errors import NodeMissing
 from coulombus.host.realtime.data_plane import DataPlane, rig_filters
-from coulombus.host.realtime.shared_memory import Status
+from coulombus.host.realtime.shared_memory import PlaneStatus
 from coulombus.host.setup.bringup import bring_up
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.rigs.rig import Rig, load_rig
@@ -229,7 +229,7 @@ def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
             late = int(k.host["missed_deadlines"][0]) + int(wakeup[period // 1000 :].sum())
             trip = k.trip
             plane.end_cycle()
-            while plane.status is Status.CYCLING:
+            while plane.status is PlaneStatus.CYCLING:
                 time.sleep(0.001)
             time.sleep(0.05)
             count()

@@ -14,7 +14,7 @@ from typing import Any
 from benchmarks.load import start_load
 from coulombus.host.realtime import process
 from coulombus.host.realtime.data_plane import DataPlane
-from coulombus.host.realtime.shared_memory import SharedPlane, Status
+from coulombus.host.realtime.shared_memory import PlaneStatus, SharedPlane
 
 
 class LoadedPlane(DataPlane):
@@ -32,7 +32,9 @@ class LoadedPlane(DataPlane):
 
 def _load_later(settings: dict[str, Any]) -> None:
     shared = SharedPlane(settings["memory_fd"], settings["axes"])
-    while shared.plane["status"][0] != Status.LISTENING:  # what comes before would take minutes beside a busy thread
+    while (
+        shared.plane["status"][0] != PlaneStatus.LISTENING
+    ):  # what comes before would take minutes beside a busy thread
         time.sleep(0.02)
     start_load()
     os.write(1, b"loaded\n")

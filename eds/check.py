@@ -15,7 +15,7 @@ from coulombus.eds.cia301 import CobId, predefined, restricted
 from coulombus.eds.description import Description, Diagnosis, EdsError
 from coulombus.eds.pdo import COB_ID_INVALID, COMMUNICATION, MAPPING, PDO_COUNT, Direction, PdoLayout, read_layout
 
-__all__ = ["Report", "check"]
+__all__ = ["EdsReport", "check"]
 
 MANDATORY = (0x1000, 0x1001, 0x1018)
 NOT_READABLE, NOT_WRITABLE = ("wo", "rww"), ("ro", "const", "rwr")
@@ -31,7 +31,7 @@ SERVICES = {
 
 
 @dataclass(frozen=True)
-class Report:
+class EdsReport:
     """What is wrong with a file. `refusals` tells of PDOs that cannot
     be read right, each as ``file:line: what; what to do``.
 
@@ -44,7 +44,7 @@ class Report:
     pdos: tuple[PdoLayout, ...]
 
 
-def check(description: Description, node_id: int = 1) -> Report:
+def check(description: Description, node_id: int = 1) -> EdsReport:
     """Hold the file's PDOs against its objects; the identifiers are those of the node `node_id`."""
     found = list(description.diagnoses)
     for index in MANDATORY:
@@ -69,7 +69,7 @@ def check(description: Description, node_id: int = 1) -> Report:
             found += _identifier(description, pdo, node_id, pdos[:-1])
             found += _mapped(description, pdo)
     found.sort(key=lambda diagnosis: diagnosis.line)
-    return Report(description, tuple(found), tuple(refusals), tuple(pdos))
+    return EdsReport(description, tuple(found), tuple(refusals), tuple(pdos))
 
 
 def _warn(description: Description, index: int, subindex: int, text: str, assumed: str) -> Diagnosis:

@@ -40,7 +40,7 @@ __all__ = [
     "VOLTAGE_ENABLED",
     "Command",
     "PowerState",
-    "State",
+    "PowerStateRow",
     "WordField",
     "diagram",
     "word_fields",
@@ -91,7 +91,7 @@ CONTROLWORD = {
 """The controlword (6040h) that spells each command."""
 
 
-class State(NamedTuple):
+class PowerStateRow(NamedTuple):
     """A state, how the statusword (6041h) tells it, and the
     controlword that leads one step on towards Operation Enabled.
     """
@@ -104,14 +104,14 @@ class State(NamedTuple):
 
 _S, _C = PowerState, Command
 STATES = (
-    State(_S.NOT_READY_TO_SWITCH_ON, 0x4F, 0x00, CONTROLWORD[_C.DISABLE_VOLTAGE]),
-    State(_S.SWITCH_ON_DISABLED, 0x4F, 0x40, CONTROLWORD[_C.SHUTDOWN]),
-    State(_S.READY_TO_SWITCH_ON, 0x6F, 0x21, CONTROLWORD[_C.SWITCH_ON]),
-    State(_S.SWITCHED_ON, 0x6F, 0x23, CONTROLWORD[_C.ENABLE_OPERATION]),
-    State(_S.OPERATION_ENABLED, 0x6F, 0x27, CONTROLWORD[_C.ENABLE_OPERATION]),
-    State(_S.QUICK_STOP_ACTIVE, 0x6F, 0x07, CONTROLWORD[_C.DISABLE_VOLTAGE]),
-    State(_S.FAULT_REACTION_ACTIVE, 0x4F, 0x0F, CONTROLWORD[_C.DISABLE_VOLTAGE]),
-    State(_S.FAULT, 0x4F, 0x08, CONTROLWORD[_C.FAULT_RESET]),
+    PowerStateRow(_S.NOT_READY_TO_SWITCH_ON, 0x4F, 0x00, CONTROLWORD[_C.DISABLE_VOLTAGE]),
+    PowerStateRow(_S.SWITCH_ON_DISABLED, 0x4F, 0x40, CONTROLWORD[_C.SHUTDOWN]),
+    PowerStateRow(_S.READY_TO_SWITCH_ON, 0x6F, 0x21, CONTROLWORD[_C.SWITCH_ON]),
+    PowerStateRow(_S.SWITCHED_ON, 0x6F, 0x23, CONTROLWORD[_C.ENABLE_OPERATION]),
+    PowerStateRow(_S.OPERATION_ENABLED, 0x6F, 0x27, CONTROLWORD[_C.ENABLE_OPERATION]),
+    PowerStateRow(_S.QUICK_STOP_ACTIVE, 0x6F, 0x07, CONTROLWORD[_C.DISABLE_VOLTAGE]),
+    PowerStateRow(_S.FAULT_REACTION_ACTIVE, 0x4F, 0x0F, CONTROLWORD[_C.DISABLE_VOLTAGE]),
+    PowerStateRow(_S.FAULT, 0x4F, 0x08, CONTROLWORD[_C.FAULT_RESET]),
 )
 """CiA 402 table 30, in the order of `PowerState`. Bit 4 (voltage
 enabled) is in no mask; bit 5 is set in the fault states by some drives.

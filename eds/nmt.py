@@ -26,8 +26,8 @@ __all__ = [
     "NEXT_STATE",
     "STATES",
     "TRANSITIONS",
+    "NmtStateRow",
     "Service",
-    "State",
     "diagram",
     "services",
 ]
@@ -46,7 +46,7 @@ class Service(IntEnum):
     PDO = 128
 
 
-class State(NamedTuple):
+class NmtStateRow(NamedTuple):
     """A state, and the services that it allows, as a sum of their bits."""
 
     state: NmtState
@@ -58,10 +58,10 @@ _ALWAYS = Service.NMT | Service.ERROR_CONTROL
 _CONFIGURING = _ALWAYS | Service.SDO | Service.SYNC | Service.TIME | Service.EMCY
 
 STATES = (
-    State(_S.INITIALISING, int(Service.BOOT_UP)),
-    State(_S.PRE_OPERATIONAL, _CONFIGURING),
-    State(_S.OPERATIONAL, _CONFIGURING | Service.PDO),
-    State(_S.STOPPED, _ALWAYS),
+    NmtStateRow(_S.INITIALISING, int(Service.BOOT_UP)),
+    NmtStateRow(_S.PRE_OPERATIONAL, _CONFIGURING),
+    NmtStateRow(_S.OPERATIONAL, _CONFIGURING | Service.PDO),
+    NmtStateRow(_S.STOPPED, _ALWAYS),
 )
 """Section 7.3.2.2.5, table 37."""
 

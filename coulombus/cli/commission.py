@@ -28,7 +28,7 @@ from coulombus.cli.option_types import OutputFile
 from coulombus.cli.tables import echo, progress, table_console
 
 if TYPE_CHECKING:
-    from coulombus.host.commission.session import Done, Runner, Session
+    from coulombus.host.commission.session import Runner, Session, StepEnd
     from coulombus.host.commission.step import Exercise, Finding, Risk, Step
     from coulombus.host.run.result import RunResult
 
@@ -232,9 +232,9 @@ def _chosen(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]
 
 def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None, as_json: bool) -> None:
     """Print the steps, and end."""
-    from coulombus.host.commission.state import State, folder_of
+    from coulombus.host.commission.state import Progress, folder_of
 
-    done = State.load(folder_of(rig_path, axis)).steps if rig_path is not None else {}
+    done = Progress.load(folder_of(rig_path, axis)).steps if rig_path is not None else {}
     rows = [{"step": step.name, "title": step.title, "done": done.get(step.name, {}).get("at")} for step in steps]
     with verdict(0):
         if as_json:
@@ -244,9 +244,9 @@ def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None
                 echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
 
 
-def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report: Path | None) -> list[Done]:
+def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report: Path | None) -> list[StepEnd]:
     """Do the steps, and return what came of them."""
-    done: list[Done] = []
+    done: list[StepEnd] = []
     for step in steps:
         if step.name in session.state.steps and not (doing.again or doing.names):
             say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
@@ -303,7 +303,7 @@ def _agree(step: Step, risk: Risk, yes: bool) -> bool:
         raise KeyboardInterrupt from None
 
 
-def _tell(result: Done) -> None:
+def _tell(result: StepEnd) -> None:
     if result.what != "done":
         say(f"{result.step}: {result.what}{': ' + result.why if result.why else ''}")
         return
@@ -324,7 +324,7 @@ def _report(session: Session, path: Path | None) -> None:
         write_whole(path, page)
 
 
-def _print_findings(done: list[Done]) -> None:
+def _print_findings(done: list[StepEnd]) -> None:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)

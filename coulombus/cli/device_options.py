@@ -17,7 +17,7 @@ from coulombus.cli.option_types import SECONDS, InputPath
 from coulombus.system.foreign_text import printable
 
 if TYPE_CHECKING:
-    from coulombus.host.devices.device import Device
+    from coulombus.host.devices.device import KnownDevice
     from coulombus.wire.bus_link import BusLink
 
 __all__ = [
@@ -121,14 +121,14 @@ class DeviceOptions:
     beside: bool
 
     @contextmanager
-    def open(self, node_id: int, *, to_write: bool = False) -> Iterator[tuple[BusLink, Device]]:
+    def open(self, node_id: int, *, to_write: bool = False) -> Iterator[tuple[BusLink, KnownDevice]]:
         """Open the bus and a node on it, with its EDS file where there is one.
 
         Parameters
         ----------
         to_write : a host at work on the bus is a reason to refuse, unless the options allow it
         """
-        from coulombus.host.devices.device import Device, describe
+        from coulombus.host.devices.device import KnownDevice, describe
         from coulombus.host.devices.sdo import SdoClient
 
         if self.eds is not None and self.rig_name is not None:
@@ -137,12 +137,12 @@ class DeviceOptions:
             client = SdoClient(link, node_id, self.timeout_s)
             if self.rig_name is not None:
                 description, units = _of_rig(self.rig_name, node_id)
-                yield link, Device(client, description, units)
+                yield link, KnownDevice(client, description, units)
                 return
             with LiveLine() as show:
                 source = "device" if self.eds is not None and str(self.eds) == "device" else self.eds
                 description = describe(client, source, lambda done, total: show(f"EDS file: {done} of {total} bytes"))
-            yield link, Device(client, description)
+            yield link, KnownDevice(client, description)
 
 
 device_options = bundle(

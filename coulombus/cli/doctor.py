@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from coulombus.host.doctor.finding import Finding
     from coulombus.host.doctor.latency import Latency
-    from coulombus.host.doctor.wanted import Wanted
+    from coulombus.host.doctor.wanted import RigDemands
 
 __all__ = ["doctor"]
 
@@ -63,13 +63,13 @@ def doctor(
     with errors():
         from coulombus.host.doctor.examination import examination
         from coulombus.host.doctor.finding import script
-        from coulombus.host.doctor.wanted import Wanted
+        from coulombus.host.doctor.wanted import RigDemands
         from coulombus.rigs.buses import bus_addresses
         from coulombus.system.realtime import default_cpu
 
         cpu = default_cpu() if cpu is None else cpu
         rig = load(rig_name, overrides)
-        needs = Wanted.of(rig)
+        needs = RigDemands.of(rig)
         addresses = bus_addresses(rig, bus_names)
         findings = examination(needs, addresses, given_cpu=cpu)
         measured = None
@@ -87,7 +87,7 @@ def doctor(
                     _draw(measured)
 
 
-def _latency(seconds: float, needs: Wanted, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, Finding]:
+def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, Finding]:
     from coulombus.host.doctor.finding import Finding
     from coulombus.host.doctor.latency import LatencyError, judge, measure_latency
 

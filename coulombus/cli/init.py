@@ -18,7 +18,7 @@ from coulombus.cli.tables import echo
 from coulombus.system.quoting import shell
 
 if TYPE_CHECKING:
-    from coulombus.rigs.draft.discover import Wanted
+    from coulombus.rigs.draft.discover import DeviceChoice
     from coulombus.rigs.rig import Rig
 
 __all__ = ["init"]
@@ -57,13 +57,13 @@ class Wishes:
         if len(set(given)) < len(given):
             raise click.UsageError("each device has a node id of its own")
 
-    def wanted(self) -> list[Wanted]:
+    def wanted(self) -> list[DeviceChoice]:
         """Return them by the names that they have in the rig file."""
-        from coulombus.rigs.draft.discover import Wanted
+        from coulombus.rigs.draft.discover import DeviceChoice
 
-        devices = [Wanted("motor", self.drive, self.drive_id), Wanted("brake", self.brake, self.brake_id)]
+        devices = [DeviceChoice("motor", self.drive, self.drive_id), DeviceChoice("brake", self.brake, self.brake_id)]
         for number, (eds, node_id) in enumerate(zip_longest(self.sensors, self.sensor_ids), 1):
-            devices.append(Wanted("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
+            devices.append(DeviceChoice("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
         return devices
 
 

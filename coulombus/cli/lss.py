@@ -122,11 +122,11 @@ def lss(
         from coulombus.eds.folder import fitting, read_folder
         from coulombus.eds.own_devices import packaged
         from coulombus.host.devices.lss import LssMaster
-        from coulombus.host.devices.numbering import Number, check_free, give, only
+        from coulombus.host.devices.numbering import AssignedId, check_free, give, only
 
         assignment.check()
         files = [*(read_folder(eds_folder)[0] if eds_folder is not None else ()), *packaged()]
-        numbered: list[Number] = []
+        numbered: list[AssignedId] = []
         with LiveLine() as show, open_link(bus_name, beside=beside) as link, LssMaster(link) as master:
             identities = (
                 [] if assignment.identity else master.unconfigured(lambda count: show(f"fastscan: {count} found"))

@@ -20,7 +20,7 @@ from coulombus.system.wrap_text import hanging
 if TYPE_CHECKING:
     from coulombus.rigs.plan.response_times import Errors, Response
     from coulombus.rigs.plan.rig_plan import Assumptions, Plan
-    from coulombus.rigs.plan.role_costs import Change
+    from coulombus.rigs.plan.role_costs import Remedy
     from coulombus.rigs.rig import Rig
 
 __all__ = ["as_dict", "message_rows", "plan_command", "role_rows"]
@@ -77,7 +77,7 @@ def as_dict(plan: Plan, rig: Rig) -> dict[str, Any]:
     }
 
 
-def _change(change: Change | None) -> dict[str, Any] | None:
+def _change(change: Remedy | None) -> dict[str, Any] | None:
     if change is None:
         return None
     return {

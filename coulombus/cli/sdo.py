@@ -25,7 +25,7 @@ from coulombus.system.foreign_text import printable
 
 if TYPE_CHECKING:
     from coulombus.host.devices.configuration import Difference
-    from coulombus.host.devices.device import Device
+    from coulombus.host.devices.device import KnownDevice
 
 __all__ = ["sdo"]
 
@@ -209,7 +209,7 @@ def dump(
                     say(f"coulombus: not in it, for they act when they are written: {', '.join(left_out)}")
 
 
-def _described(device: Device) -> Any:
+def _described(device: KnownDevice) -> Any:
     """Return the EDS file of a device, without which a DCF cannot be made."""
     from coulombus.host.errors import DeviceMismatch
 
@@ -246,13 +246,13 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
         from coulombus.eds.reader import read_eds
         from coulombus.host.devices.configuration import Restored, check_file, differences
         from coulombus.host.devices.configuration import restore as write_all
-        from coulombus.host.devices.device import Device
+        from coulombus.host.devices.device import KnownDevice
         from coulombus.host.devices.sdo import SdoClient
 
         description = read_eds(dcf)
         restored = Restored()
         with open_link(bus_name, beside=beside) as link:
-            device = Device(SdoClient(link, node_id, timeout_s), description)
+            device = KnownDevice(SdoClient(link, node_id, timeout_s), description)
             with LiveLine() as show:
                 values = check_file(device, description)
                 differing = differences(

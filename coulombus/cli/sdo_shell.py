@@ -16,7 +16,7 @@ from coulombus.cli.common import say
 from coulombus.cli.tables import echo
 from coulombus.eds.reader import EdsError
 from coulombus.eds.sdo_frames import where
-from coulombus.host.devices.device import Device
+from coulombus.host.devices.device import KnownDevice
 from coulombus.host.devices.guard import check_alone
 from coulombus.host.devices.nmt import COMMANDS, command
 from coulombus.host.devices.sdo import store_parameters
@@ -37,7 +37,7 @@ class Shell(cmd.Cmd):
 
     doc_header = "Commands (help COMMAND):"
 
-    def __init__(self, link: BusLink, device: Device, *, beside: bool) -> None:
+    def __init__(self, link: BusLink, device: KnownDevice, *, beside: bool) -> None:
         super().__init__(stdin=sys.stdin)
         self._link, self.device, self._beside = link, device, beside
         self.interactive = sys.stdin.isatty()

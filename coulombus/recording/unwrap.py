@@ -21,7 +21,7 @@ import numpy.typing as npt
 from coulombus.eds.pdo import Entry
 from coulombus.rigs.rig import Rig
 
-__all__ = ["POSITION", "Followed", "Turns", "fastest", "follow"]
+__all__ = ["POSITION", "Turns", "Unwrapped", "fastest", "follow"]
 
 POSITION = "motor.position_rad"
 """The signal that is followed (of each axis, with its name before it)."""
@@ -40,7 +40,7 @@ class Turns(NamedTuple):
     doubts: int = 0
 
 
-class Followed(NamedTuple):
+class Unwrapped(NamedTuple):
     """The counts without wraps, and the last of them."""
 
     counts: npt.NDArray[Any]
@@ -53,7 +53,7 @@ def fastest(rig: Rig, name: str) -> float:
     return axis.limits.encoder_jump_counts / axis.bus.period_ns
 
 
-def follow(raw: npt.NDArray[Any], t_ns: Integers, entry: Entry, before: Turns | None, counts_ns: float) -> Followed:
+def follow(raw: npt.NDArray[Any], t_ns: Integers, entry: Entry, before: Turns | None, counts_ns: float) -> Unwrapped:
     """Return raw counts of a position without its wraps.
 
     Parameters
@@ -64,7 +64,7 @@ def follow(raw: npt.NDArray[Any], t_ns: Integers, entry: Entry, before: Turns | 
     counts_ns : the fastest that it may go [counts/ns]
     """
     if not len(raw) or entry.kind != "int" or entry.bits >= 64:
-        return Followed(raw, before)
+        return Unwrapped(raw, before)
     whole, half = 1 << entry.bits, 1 << entry.bits - 1
     first = Turns(int(raw[0]), int(t_ns[0]), 0) if before is None else before
     steps = np.diff(raw, prepend=first.raw)
@@ -73,4 +73,4 @@ def follow(raw: npt.NDArray[Any], t_ns: Integers, entry: Entry, before: Turns | 
     wraps = np.where(np.abs(shorter) <= np.maximum(farthest, half // 2), shorter - steps, 0)
     wrapped = first.wrapped + np.cumsum(wraps)
     doubts = first.doubts + int(np.count_nonzero(farthest >= half))
-    return Followed(raw + wrapped, Turns(int(raw[-1]), int(t_ns[-1]), int(wrapped[-1]), doubts))
+    return Unwrapped(raw + wrapped, Turns(int(raw[-1]), int(t_ns[-1]), int(wrapped[-1]), doubts))

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from pydantic import ConfigDict, Field
 
 from coulombus.eds.reader import Description, parse_eds
-from coulombus.rigs.devices import Brake, Device, Motor, Roles, Sensor
+from coulombus.rigs.devices import Brake, DeviceSection, Motor, Roles, Sensor
 from coulombus.rigs.errors import RigError, Source, shown
 from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.model import About, Bus, Host, Law, Limits, Mechanics, Modes, Section
@@ -66,7 +66,7 @@ class Sections(Section):
         """The names of all devices: the motor, the brake, the sensors."""
         return ("motor", "brake", *self.sensor)
 
-    def part(self, node: Node) -> Device:
+    def part(self, node: Node) -> DeviceSection:
         """Return the section of a device."""
         return self.motor if node == "motor" else self.brake if node == "brake" else self.sensor[node]
 

@@ -22,7 +22,7 @@ __all__ = [
     "Brake",
     "BrakeRole",
     "CurrentRole",
-    "Device",
+    "DeviceSection",
     "HandleRole",
     "Motor",
     "Role",
@@ -68,7 +68,7 @@ class Sdo(Section):
     verify: bool = Field(True, description="read it back", json_schema_extra={"expected": "true or false"})
 
 
-class Device(Section):
+class DeviceSection(Section):
     """What every device of the rig has."""
 
     node_id: int = Field(ge=1, le=127, description="the device's node id")
@@ -103,7 +103,7 @@ class Device(Section):
     )
 
 
-class _Actuator(Device):
+class _Actuator(DeviceSection):
     setpoint_fault_s: Milliseconds = Field(
         ge=1e-3, le=65.535, description="RPDO deadline, EMCY 8250", json_schema_extra=MS
     )
@@ -147,7 +147,7 @@ class Brake(_Actuator):
     )
 
 
-class Sensor(Device):
+class Sensor(DeviceSection):
     """[sensor.NAME]: a further node on the bus that only tells: a torque transducer's amplifier, an
     encoder.
     """

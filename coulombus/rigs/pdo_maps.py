@@ -34,7 +34,7 @@ from coulombus.rigs.problem import Problem
 from coulombus.rigs.roles import Binding, Bound, bind
 from coulombus.rigs.signals import Constant, Direction, Node, Parts, RigPdo, Signal
 
-__all__ = ["MOST_CONSTANTS", "MOST_PDOS", "AxisPdos", "PdoRecord", "allocate", "mode_of", "records_of", "writable"]
+__all__ = ["MOST_CONSTANTS", "MOST_PDOS", "AxisPdos", "PdoParameters", "allocate", "mode_of", "records_of", "writable"]
 
 FIRST = {"rpdo": CobId.RPDO1, "tpdo": CobId.TPDO1}
 PREDEFINED = 4
@@ -54,7 +54,7 @@ def writable(variable: Variable) -> bool:
 
 
 @dataclass(frozen=True)
-class PdoRecord:
+class PdoParameters:
     """What an EDS file lets a PDO be.
 
     Attributes
@@ -83,7 +83,7 @@ class PdoRecord:
 
 def records_of(
     description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
-) -> tuple[PdoRecord, ...]:
+) -> tuple[PdoParameters, ...]:
     """Return the PDOs of a device that can carry something: found once for a description.
 
     Parameters
@@ -94,13 +94,13 @@ def records_of(
     key = node_id, direction, period_ns, wanted
     if key not in found:
         found[key] = tuple(_records_of(description, *key))
-    records: tuple[PdoRecord, ...] = found[key]
+    records: tuple[PdoParameters, ...] = found[key]
     return records
 
 
 def _records_of(
     description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
-) -> Iterator[PdoRecord]:
+) -> Iterator[PdoParameters]:
     first = COMMUNICATION[direction]
     for index in sorted(index for index in description.objects if first <= index < first + PDO_COUNT):
         number, mapping = index - first + 1, index - first + MAPPING[direction]
@@ -121,7 +121,7 @@ def _records_of(
         if transmission is None:
             continue
         event_ns = _event_ns(description, index, node_id, period_ns) if direction == "tpdo" else 0
-        yield PdoRecord(
+        yield PdoParameters(
             direction,
             number,
             identifier,
@@ -275,9 +275,9 @@ class _Device:
         records = records_of(self.description, self.part.node_id, self.direction, period_ns, transmission)
         standing = [record for record in records if record.entries and not (record.room and record.settable)]
         left = {one.place[1:]: one for one in wanted}
-        found: dict[int, tuple[PdoRecord, tuple[Entry, ...]]] = {}
+        found: dict[int, tuple[PdoParameters, tuple[Entry, ...]]] = {}
 
-        def take(record: PdoRecord, entries: Iterable[Entry]) -> None:
+        def take(record: PdoParameters, entries: Iterable[Entry]) -> None:
             found[record.number] = record, tuple(entries)
             for entry in found[record.number][1]:
                 left.pop((entry.index, entry.subindex), None)
@@ -316,7 +316,9 @@ class _Device:
             Problem(one.kind.name, self.node, label, text, f"take a device that can send it{optional}")
         )
 
-    def _pdo(self, record: PdoRecord, entries: tuple[Entry, ...], roles: Mapping[tuple[int, int], Binding]) -> RigPdo:
+    def _pdo(
+        self, record: PdoParameters, entries: tuple[Entry, ...], roles: Mapping[tuple[int, int], Binding]
+    ) -> RigPdo:
         receive = self.direction == "rpdo"
         event_ns = record.event_ns
         if receive:
@@ -347,7 +349,7 @@ class _Device:
             )
         return RigPdo(self.prefix + self.node, self.part.node_id, layout, signals, fixed=stands, constants=constants)
 
-    def _timed(self, record: PdoRecord, name: str, mine: Sequence[Binding]) -> None:
+    def _timed(self, record: PdoParameters, name: str, mine: Sequence[Binding]) -> None:
         """Tell that a TPDO does not follow SYNC.
 
         Refuse it where it comes too seldom for its roles.
@@ -440,7 +442,9 @@ def _groups(left: Iterable[Binding]) -> list[list[Entry]]:
     return groups
 
 
-def _first_fit(free: Sequence[PdoRecord], groups: Sequence[list[Entry]]) -> Iterator[tuple[PdoRecord, list[Entry]]]:
+def _first_fit(
+    free: Sequence[PdoParameters], groups: Sequence[list[Entry]]
+) -> Iterator[tuple[PdoParameters, list[Entry]]]:
     """Put each group into the first PDO that has room for it.
 
     One that fits nowhere is put there entry by entry.

@@ -25,7 +25,7 @@ from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.arguments import WrongCall, path_text, texts
 from coulombus.rigs.axes import check_axes, split_axes
 from coulombus.rigs.axis import Axis, Origin, Sections
-from coulombus.rigs.devices import Device
+from coulombus.rigs.devices import DeviceSection
 from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.errors import RigError, Source, nearest
 from coulombus.rigs.field_help import explain
@@ -49,7 +49,7 @@ class RigNode:
 
     name: str
     device: Node
-    part: Device
+    part: DeviceSection
     description: Description
 
     @property

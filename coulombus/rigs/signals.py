@@ -19,7 +19,7 @@ from typing import Literal, Protocol, TypeAlias
 
 from coulombus.eds.pdo import PdoLayout
 from coulombus.eds.reader import Description
-from coulombus.rigs.devices import Brake, Device, Motor, Roles, Sensor
+from coulombus.rigs.devices import Brake, DeviceSection, Motor, Roles, Sensor
 from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.model import Bus, Host, Limits, Mechanics
 
@@ -144,7 +144,7 @@ class Parts(Protocol):
     def devices(self) -> tuple[Node, ...]:
         """The names of all devices."""
 
-    def part(self, node: Node) -> Device:
+    def part(self, node: Node) -> DeviceSection:
         """Return the section of a device."""
 
     def description(self, node: Node) -> Description:

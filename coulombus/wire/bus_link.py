@@ -17,17 +17,17 @@ from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.client import BusFull, Client, pack_frame
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["RTR", "BusLink", "Frame", "FrameLink"]
+__all__ = ["RTR", "BusFrame", "BusLink", "FrameLink"]
 
 RTR = 0x40000000
-"""Flag of a remote frame in `Frame.can_id`, as in Linux."""
+"""Flag of a remote frame in `BusFrame.can_id`, as in Linux."""
 
 _ERR, _EFF = 0x20000000, 0x80000000
 _PATIENCE_S = 2.0
 
 
 @dataclass(frozen=True)
-class Frame:
+class BusFrame:
     """A frame that this end received or (`sent`) sent.
 
     Of a remote frame `length` is what it asks for.
@@ -56,7 +56,7 @@ class FrameLink(Protocol):
     def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
         """Send a frame; `length` only of a remote frame."""
 
-    def receive(self, until_ns: int) -> Frame | None:
+    def receive(self, until_ns: int) -> BusFrame | None:
         """Return the next frame of another station, or None when it is `until_ns` and there was
         none.
         """
@@ -85,7 +85,7 @@ class BusLink:
         self._client = Client(address, Hello(Flags.ERRORS, tuple(filters)))
         self.address = address
         self.error_frames, self.error_classes = 0, 0
-        self._waiting: deque[Frame] = deque()
+        self._waiting: deque[BusFrame] = deque()
         self._epoch_ns = time.time_ns() - time.monotonic_ns()  # stamps are since 1970
 
     def __enter__(self) -> BusLink:
@@ -118,7 +118,7 @@ class BusLink:
                     raise BusUnavailable(text) from error
                 self._fetch(0.005)
 
-    def receive(self, until_ns: int) -> Frame | None:
+    def receive(self, until_ns: int) -> BusFrame | None:
         """Return the next frame, or None at `until_ns`."""
         while not self._waiting:
             left_ns = until_ns - self.now_ns()
@@ -137,4 +137,4 @@ class BusLink:
                 continue
             t_ns = stamp - self._epoch_ns if stamp else self.now_ns()
             content = b"" if can_id & RTR else bytes(data[:length])
-            self._waiting.append(Frame(t_ns, can_id, content, length))
+            self._waiting.append(BusFrame(t_ns, can_id, content, length))

@@ -16,7 +16,7 @@ from typing import TypeAlias
 from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.ancillary import SO_RXQ_OVFL, SO_TIMESTAMPNS
 from coulombus.wire.controller_state import ControllerState
-from coulombus.wire.handshake import Answer, Flags, Hello, Status, greet, is_greeting
+from coulombus.wire.handshake import Answer, BusStatus, Flags, Hello, greet, is_greeting
 
 __all__ = ["CAN_FRAME", "BusDown", "BusFull", "BusGone", "Client", "Echo", "Received", "pack_frame"]
 
@@ -207,7 +207,7 @@ class Client:
             self.malformed += 1
             return
         self.unanswered = max(0, self.unanswered - 1)
-        if answer.status == Status.OK:
+        if answer.status == BusStatus.OK:
             self._take_answer(answer)
 
     def _take_answer(self, answer: Answer) -> None:

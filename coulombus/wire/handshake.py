@@ -34,11 +34,11 @@ __all__ = [
     "MAX_FILTERS",
     "VERSION",
     "Answer",
+    "BusStatus",
     "BusUnavailable",
     "Connection",
     "Flags",
     "Hello",
-    "Status",
     "connect",
     "connect_path",
     "greet",
@@ -66,7 +66,7 @@ class Flags(IntFlag):
 _NO_FLAGS = Flags(0)
 
 
-class Status(IntEnum):
+class BusStatus(IntEnum):
     """How a bus answers."""
 
     OK = 0
@@ -76,9 +76,9 @@ class Status(IntEnum):
 
 
 _REFUSAL = {
-    Status.WRONG_VERSION: f"it speaks another version than {VERSION} of the protocol; update both to one coulombus",
-    Status.BAD_HELLO: "it does not understand the greeting; update both to one coulombus",
-    Status.FULL: "all its places for clients are taken; end another client first",
+    BusStatus.WRONG_VERSION: f"it speaks another version than {VERSION} of the protocol; update both to one coulombus",
+    BusStatus.BAD_HELLO: "it does not understand the greeting; update both to one coulombus",
+    BusStatus.FULL: "all its places for clients are taken; end another client first",
 }
 
 
@@ -111,21 +111,21 @@ class Hello:
         return _padded(head + b"".join(_FILTER.pack(*one) for one in self.filters))
 
     @classmethod
-    def unpack(cls, message: bytes) -> Hello | Status:
+    def unpack(cls, message: bytes) -> Hello | BusStatus:
         """Return the greeting in `message`, or with which status the bus refuses it.
 
         Never raises.
         """
         if len(message) < _HELLO.size:
-            return Status.BAD_HELLO
+            return BusStatus.BAD_HELLO
         magic, version, flags, count = _HELLO.unpack_from(message)
         if magic != MAGIC:
-            return Status.BAD_HELLO
+            return BusStatus.BAD_HELLO
         if version != VERSION:
-            return Status.WRONG_VERSION
+            return BusStatus.WRONG_VERSION
         size = _HELLO.size + count * _FILTER.size
         if count > MAX_FILTERS or len(message) != size + (8 - size) % 16:
-            return Status.BAD_HELLO
+            return BusStatus.BAD_HELLO
         known = flags & (Flags.OWN | Flags.LISTEN_ONLY | Flags.ERRORS)
         return cls(Flags(known), tuple(_FILTER.iter_unpack(message[_HELLO.size : size])))
 
@@ -139,7 +139,7 @@ class Answer:
     it does not read, since it connected. `controller` is its CAN controller.
     """
 
-    status: Status
+    status: BusStatus
     bitrate_bit_s: int = 0
     station: int = 0
     lost: int = 0
@@ -156,9 +156,9 @@ class Answer:
         if len(message) < _ANSWER.size or not is_greeting(message):
             return None
         magic, _, status, bitrate, station, lost = _ANSWER.unpack_from(message)
-        if magic != MAGIC or status not in Status.__members__.values():
+        if magic != MAGIC or status not in BusStatus.__members__.values():
             return None
-        return cls(Status(status), bitrate, station, lost, ControllerState.unpack(message[_ANSWER.size :]))
+        return cls(BusStatus(status), bitrate, station, lost, ControllerState.unpack(message[_ANSWER.size :]))
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ def connect_path(path: Path, hello: Hello, timeout: float) -> Connection:
             if not message:
                 raise ConnectionResetError(errno.ECONNRESET, "it closed the connection")
             answer = Answer.unpack(message)
-        if answer.status != Status.OK:
+        if answer.status != BusStatus.OK:
             raise BusUnavailable(_REFUSAL[answer.status])
         client.settimeout(None)
     except BaseException:

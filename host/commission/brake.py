@@ -19,12 +19,12 @@ from coulombus.host.commission.step import (
     CommissionError,
     Curve,
     Exercise,
+    ExerciseResult,
     Finding,
     Given,
     Outcome,
     Risk,
     Step,
-    Taken,
     exercise,
     lacks_roles,
     move_s,
@@ -107,7 +107,7 @@ class Brake(Step):
         stroke = strokes(length, SPEED_RAD_S, move, DWELL_S)
         return (exercise(self.name, rig, "stair", [self._top(axis), STEPS, STAIR_S], [stroke], hand=STROKING_HAND),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the table, the hysteresis, and the share of the slip torque at which it
         lets go.
         """

@@ -21,12 +21,12 @@ from coulombus.host.commission.step import (
     CommissionError,
     Curve,
     Exercise,
+    ExerciseResult,
     Finding,
     Given,
     Outcome,
     Risk,
     Step,
-    Taken,
     exercise,
 )
 from coulombus.recording.signals import Recording
@@ -104,7 +104,7 @@ class Delay(Step):
             found.append(exercise("delay-brake", rig, "square", [0.0, HALF_S, brake], rest, hand=FREE_HAND))
         return tuple(found)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return delays and time constants; the rig file has no key for them."""
         rows = [
             ("motor's torque", "motor.target_torque_Nm", "motor.torque_Nm", bool(self._motor(axis))),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from coulombus.host.commission.samples import thinned
-from coulombus.host.commission.step import Curve, Exercise, Finding, Given, Outcome, Risk, Step, Taken
+from coulombus.host.commission.step import Curve, Exercise, ExerciseResult, Finding, Given, Outcome, Risk, Step
 from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.recording.measures import measure
 from coulombus.rigs.axis import Axis
@@ -50,7 +50,7 @@ class Display(Step):
         chosen = rig.variant(schedule)
         return (Exercise(self.name, chosen, self._mode(rig.one_axis()), chosen.schedule_s, (schedule,)),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return whether the handle held still while it was pushed."""
         recording = taken[0].recording
         found = measure(recording)

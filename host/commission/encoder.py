@@ -14,12 +14,12 @@ from coulombus.host.commission.step import (
     CommissionError,
     Curve,
     Exercise,
+    ExerciseResult,
     Finding,
     Given,
     Outcome,
     Risk,
     Step,
-    Taken,
     exercise,
     strokes,
 )
@@ -79,7 +79,7 @@ class Encoder(Step):
         )
         return (exercise(self.name, rig, "hold", [0.0], phases, hand=FIRM_HAND),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return sign and ratio."""
         recording, marks = taken[0].recording, given.marks_rad or 0.0
         angle = recording["motor.position_rad"]

@@ -24,12 +24,12 @@ from coulombus.host.commission.step import (
     CommissionError,
     Curve,
     Exercise,
+    ExerciseResult,
     Finding,
     Given,
     Outcome,
     Risk,
     Step,
-    Taken,
     exercise,
     lacks_roles,
 )
@@ -115,7 +115,7 @@ class Friction(Step):
         """Return the sweep with the handle free."""
         return (sweep_exercise(rig, self.name, FREE_HAND),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return friction, and the motor's limit that goes with it."""
         recording = taken[0].recording
         try:

@@ -15,7 +15,7 @@ import numpy as np
 
 from coulombus.host.commission.friction import FREE_HAND
 from coulombus.host.commission.samples import handle_torque, mean_in
-from coulombus.host.commission.step import Exercise, Finding, Given, Outcome, Risk, Step, Taken, exercise
+from coulombus.host.commission.step import Exercise, ExerciseResult, Finding, Given, Outcome, Risk, Step, exercise
 from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -45,7 +45,7 @@ class Limits(Step):
         rest = f'{{kind="rest", duration_s={SECONDS}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the limits that cannot stay."""
         return Outcome(tuple(_findings(taken[0].recording, axis)))
 

@@ -20,12 +20,12 @@ from coulombus.host.commission.step import (
     CommissionError,
     Curve,
     Exercise,
+    ExerciseResult,
     Finding,
     Given,
     Outcome,
     Risk,
     Step,
-    Taken,
     lacks_roles,
 )
 from coulombus.recording.friction.sliding import IdentifyError, equations, sliding
@@ -66,7 +66,7 @@ class Motor(Step):
         """Return the sweep against the hand."""
         return (replace(sweep_exercise(rig, self.name, ()), may_trip=(SIGN,)),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the sign, or the torque constant."""
         mechanics, rated = axis.mechanics, axis.motor.rated_torque_Nm
         if taken[0].trip is not None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
-from coulombus.host.commission.state import State
+from coulombus.host.commission.state import Progress
 from coulombus.rigs.rig import Rig
 
 __all__ = ["report"]
@@ -31,7 +31,7 @@ tr.written td { font-weight: 600; } code { font-size: .93em; }
 """
 
 
-def report(rig: Rig, state: State, titles: Mapping[str, str]) -> str:
+def report(rig: Rig, state: Progress, titles: Mapping[str, str]) -> str:
     """Return the report as HTML.
 
     Parameters
@@ -41,7 +41,7 @@ def report(rig: Rig, state: State, titles: Mapping[str, str]) -> str:
     return "\n".join(_page(rig, state, titles)) + "\n"
 
 
-def _page(rig: Rig, state: State, titles: Mapping[str, str]) -> Iterator[str]:
+def _page(rig: Rig, state: Progress, titles: Mapping[str, str]) -> Iterator[str]:
     done = [name for name in titles if name in state.steps]
     missing = [title for name, title in titles.items() if name not in state.steps]
     yield f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Commissioning of {escape(rig.name)}</title>'

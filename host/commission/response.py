@@ -23,12 +23,12 @@ from coulombus.host.commission.step import (
     CommissionError,
     Curve,
     Exercise,
+    ExerciseResult,
     Finding,
     Given,
     Outcome,
     Risk,
     Step,
-    Taken,
     exercise,
     lacks_roles,
     move_s,
@@ -81,7 +81,7 @@ class Response(Step):
         user = [0.0, HALF_S, self._brake(rig.one_axis())]
         return (exercise(self.name, rig, "square", user, [stroke], hand=STROKING_HAND),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return times and time constants; the rig file has no key for them."""
         t, y, steps = _mean_answer(taken[0].recording, axis)
         delay, coil, fluid = _fitted(t, y)

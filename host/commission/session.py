@@ -11,8 +11,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from coulombus.host.commission.state import State, folder_of
-from coulombus.host.commission.step import Exercise, Finding, Given, Outcome, Risk, Step, Taken, Trip
+from coulombus.host.commission.state import Progress, folder_of
+from coulombus.host.commission.step import (
+    Exercise,
+    ExerciseResult,
+    Finding,
+    Given,
+    Outcome,
+    Risk,
+    Step,
+    TrippedExercise,
+)
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.result import RunResult
 from coulombus.recording.reading import read
@@ -21,7 +30,7 @@ from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["MARK", "Done", "RunEnded", "Runner", "Session", "results"]
+__all__ = ["MARK", "RunEnded", "Runner", "Session", "StepEnd", "results"]
 
 MARK = "commission"
 """How the comments begin that commissioning puts above a key."""
@@ -39,7 +48,7 @@ class RunEnded(CoulombusError):
 
 
 @dataclass(frozen=True)
-class Done:
+class StepEnd:
     """A step's end: "done", "skipped" (by the operator) or "lacking" (the rig cannot), and why."""
 
     step: str
@@ -102,7 +111,7 @@ class Session:
             has = f"the rig {path} has the axes {', '.join(names)}"
             raise RigError([f"{has}; commissioning is of one axis at a time: give --axis {names[0]}"])
         self.rig()
-        self.state = State.load(folder_of(path, axis))
+        self.state = Progress.load(folder_of(path, axis))
 
     def _whole(self) -> Rig:
         """Return the rig with all its axes."""
@@ -112,7 +121,7 @@ class Session:
         """Return the rig, or its axis as a rig of its own, as the file says now."""
         return self._whole().alone(self.axis)
 
-    def do(self, step: Step, agree: Callable[[Step, Risk], bool]) -> Done:
+    def do(self, step: Step, agree: Callable[[Step, Risk], bool]) -> StepEnd:
         """Do one step: `agree` is asked before anything moves.
 
         Raises
@@ -131,9 +140,9 @@ class Session:
             axis = rig.one_axis()
             lack = step.lacks(axis, self.given)
             if lack is not None:
-                return Done(step.name, step.title, "lacking", lack)
+                return StepEnd(step.name, step.title, "lacking", lack)
             if not agree(step, step.risk(axis, self.given)):
-                return Done(step.name, step.title, "skipped")
+                return StepEnd(step.name, step.title, "skipped")
             self.state.folder.mkdir(parents=True, exist_ok=True)
             exercises = step.exercises(rig, self.given)
             taken = [self._take(step, one) for one in exercises]
@@ -147,9 +156,9 @@ class Session:
             "recordings": [f"{one.name}.pcapng" for one in exercises],
         }
         self.state.keep(step.name, kept)
-        return Done(step.name, step.title, "done", outcome=outcome, written=written)
+        return StepEnd(step.name, step.title, "done", outcome=outcome, written=written)
 
-    def _take(self, step: Step, one: Exercise) -> Taken:
+    def _take(self, step: Step, one: Exercise) -> ExerciseResult:
         """Run an exercise, and return its recording."""
         path = self.state.folder / f"{one.name}.pcapng"
         result = self.run(one, path)
@@ -157,10 +166,10 @@ class Session:
             raise RunEnded(result.stopped_by, result.exit_status)
         trip = None
         if result.trip is not None:
-            trip = Trip(result.trip.partition(":")[0], result.trip)
+            trip = TrippedExercise(result.trip.partition(":")[0], result.trip)
             if trip.name not in one.may_trip:
                 raise SafetyTrip(f"step {step.name}: {result.trip}; nothing of it was written; the recording is {path}")
-        return Taken(read(path), trip)
+        return ExerciseResult(read(path), trip)
 
     def _write(self, step: Step, outcome: Outcome) -> tuple[str, ...]:
         """Write what was found into the rig file; return the keys that were changed."""
@@ -186,6 +195,6 @@ def _said(one: Finding) -> str:
     return f"was {was}{reach}; {one.basis}".replace("\n", " ")
 
 
-def results(done: Sequence[Done]) -> Mapping[str, Any]:
+def results(done: Sequence[StepEnd]) -> Mapping[str, Any]:
     """Return what `coulombus commission --json` prints."""
     return {"steps": [one.as_dict() for one in done]}

@@ -20,7 +20,7 @@ from typing import Any
 from coulombus.host.commission.step import CommissionError
 from coulombus.rigs.rewrite import write_whole
 
-__all__ = ["State", "folder_of"]
+__all__ = ["Progress", "folder_of"]
 
 VERSION = 1
 LARGEST = 1 << 24
@@ -35,7 +35,7 @@ def folder_of(rig_path: Path, axis: str | None = None) -> Path:
 
 
 @dataclass
-class State:
+class Progress:
     """The steps that are done, in the order in which they were.
 
     Attributes
@@ -54,7 +54,7 @@ class State:
         return self.folder / "state.json"
 
     @classmethod
-    def load(cls, folder: Path) -> State:
+    def load(cls, folder: Path) -> Progress:
         """Return what the folder holds; nothing where there is none.
 
         Raises

@@ -20,13 +20,13 @@ __all__ = [
     "CommissionError",
     "Curve",
     "Exercise",
+    "ExerciseResult",
     "Finding",
     "Given",
     "Outcome",
     "Risk",
     "Step",
-    "Taken",
-    "Trip",
+    "TrippedExercise",
     "exercise",
     "lacks_roles",
     "move_s",
@@ -146,7 +146,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Trip:
+class TrippedExercise:
     """How an exercise ended otherwise than planned: the trip's name, and its words."""
 
     name: str
@@ -154,11 +154,11 @@ class Trip:
 
 
 @dataclass(frozen=True)
-class Taken:
+class ExerciseResult:
     """What an exercise gave: its recording, and the trip where it tripped as it may."""
 
     recording: Recording
-    trip: Trip | None = field(default=None)
+    trip: TrippedExercise | None = field(default=None)
 
 
 class Step(ABC):
@@ -180,7 +180,7 @@ class Step(ABC):
         """Return the runs of the step; none where nothing has to move."""
 
     @abstractmethod
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return what the recordings say.
 
         Raises

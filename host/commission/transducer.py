@@ -16,12 +16,12 @@ from coulombus.host.commission.step import (
     CommissionError,
     Curve,
     Exercise,
+    ExerciseResult,
     Finding,
     Given,
     Outcome,
     Risk,
     Step,
-    Taken,
     exercise,
     lacks_roles,
 )
@@ -74,7 +74,7 @@ class Zero(Step):
         rest = f'{{kind="rest", duration_s={ZERO_S}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND, may_trip=("HANDLE_LOADED",)),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the offset that makes the mean zero, and the noise."""
         series = handle_torque(taken[0].recording)
         found = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer's zero")
@@ -133,7 +133,7 @@ class Weight(Step):
         )
         return (exercise(self.name, rig, "hold", [self._brake(rig.one_axis(), given)], phases, hand=FREE_HAND),)
 
-    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return scale and polarity that read the weight as it is."""
         recording, weight = taken[0].recording, given.weight_Nm or 0.0
         series = handle_torque(recording)

@@ -38,8 +38,8 @@ __all__ = [
     "Change",
     "ChangeRefused",
     "LiveParameters",
-    "Order",
     "Parameter",
+    "ParameterOrder",
     "orders_of",
     "parameters_of",
 ]
@@ -369,7 +369,7 @@ def _pairs(axis: _Axis, values: Mapping[str, float], wanted: Mapping[str, float]
     return f"{told}: {whose} ends at {limit_Nm:g} Nm"
 
 
-class Order(NamedTuple):
+class ParameterOrder(NamedTuple):
     """An order, as a recording's marker has it; `axis` counts from 0."""
 
     axis: int
@@ -377,7 +377,7 @@ class Order(NamedTuple):
     cycles: int
 
 
-def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, Order]:
+def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, ParameterOrder]:
     """Return the orders that a recording's markers tell, by their numbers, for new `controllers`.
 
     Raises
@@ -400,6 +400,6 @@ def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, Ord
             wanted.setdefault(owner, {})[plain] = float.fromhex(exact.rpartition(">")[2])
         for owner, values in wanted.items():
             index, axis = axes[owner]
-            found[int(match[1])] = Order(index, axis.order(values), int(match[3]))
+            found[int(match[1])] = ParameterOrder(index, axis.order(values), int(match[3]))
             axis.value.update(values)
     return found

@@ -28,20 +28,20 @@ import numpy.typing as npt
 from coulombus.host.cycle import axes
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.live_parameters import offer
-from coulombus.host.cycle.parameter_changes import Order
+from coulombus.host.cycle.parameter_changes import ParameterOrder
 from coulombus.host.cycle.records import Trip
 from coulombus.recording.trace import EVENT, Event, Moment
 from coulombus.wire.clock import Clock, bus_ns, own_ns, set_clock
 from coulombus.wire.frame import CAN_ERR_FLAG, Records, new_queue, new_records
 
-__all__ = ["Inputs", "Sent", "replay"]
+__all__ = ["HostFrame", "Inputs", "replay"]
 
 FOREVER_NS = 1 << 62
 AHEAD = 4096
 """Frames and rows that are taken out of their arrays at a time."""
 
 
-class Sent(NamedTuple):
+class HostFrame(NamedTuple):
     """A frame that the step sends: in which cycle (from 1), ready when, and until when it was on
     its way if at all.
     """
@@ -68,7 +68,7 @@ class Inputs:
 
     frames: Records
     trace: npt.NDArray[Any]
-    orders: Mapping[int, Order] = field(default_factory=dict)
+    orders: Mapping[int, ParameterOrder] = field(default_factory=dict)
 
     @property
     def virtual(self) -> bool:
@@ -76,7 +76,7 @@ class Inputs:
         return self.trace.dtype == EVENT
 
 
-def replay(controllers: Controllers, inputs: Inputs) -> Iterator[Sent]:
+def replay(controllers: Controllers, inputs: Inputs) -> Iterator[HostFrame]:
     """Yield the frames that new `controllers` send on these inputs, until the trace ends (virtual
     time: for ever).
     """
@@ -110,13 +110,13 @@ class _Replay:
             return 0
         return int(axes.on_frame(self.axes, self.k.owner, int(own_ns(self.clock, frame[0])), *frame[1:]))
 
-    def _sent(self, cycle: int, until_ns: int = FOREVER_NS, refusable: int = 0) -> Iterator[Sent]:
+    def _sent(self, cycle: int, until_ns: int = FOREVER_NS, refusable: int = 0) -> Iterator[HostFrame]:
         count = int(self.out["count"])
         if count == 0:
             return
         self.out["count"] = 0
         for frame in self.out.frames[:count].tolist():
-            yield Sent(cycle, frame[0], until_ns, refusable, *frame[1:4])
+            yield HostFrame(cycle, frame[0], until_ns, refusable, *frame[1:4])
 
     def _want(self, number: int) -> None:
         """Let the step want an order from the next cycle on."""
@@ -125,7 +125,7 @@ class _Replay:
         offer(live, number, order.values, order.cycles)
         live["wanted"] = number
 
-    def by_trace(self, trace: npt.NDArray[Any]) -> Iterator[Sent]:
+    def by_trace(self, trace: npt.NDArray[Any]) -> Iterator[HostFrame]:
         """Do what the loop of `host.realtime.loop` did."""
         period_ns = int(self.k.control["period_ns"][0])
         cycle = due_ns = refused_before = 0
@@ -156,7 +156,7 @@ class _Replay:
                 axes.finish(self.axes, self.law_function, t_ns, int(kind == Moment.WINDOW), self.out)
             yield from self._sent(cycle, until_ns, later - refused_before)
 
-    def in_virtual_time(self, events: npt.NDArray[Any]) -> Iterator[Sent]:
+    def in_virtual_time(self, events: npt.NDArray[Any]) -> Iterator[HostFrame]:
         """Do what the kernel of `sim_bus.network.kernel` did: at one instant first what arrives,
         then the host.
         """

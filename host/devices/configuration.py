@@ -16,7 +16,7 @@ from coulombus.eds.dcf_text import configured
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, Value, Variable
 from coulombus.eds.sdo_frames import where
-from coulombus.host.devices.device import Device, identity_of, trimmed
+from coulombus.host.devices.device import KnownDevice, identity_of, trimmed
 from coulombus.host.errors import DeviceMismatch, SdoAborted
 
 __all__ = ["Difference", "Dump", "acts", "check_file", "differences", "dump", "restore"]
@@ -74,7 +74,7 @@ class Dump:
     left_out: tuple[Place, ...]
 
 
-def dump(device: Device, show: Show = lambda done, total: None) -> Dump:
+def dump(device: KnownDevice, show: Show = lambda done, total: None) -> Dump:
     """Read all that can be configured of a device.
 
     Raises
@@ -118,7 +118,7 @@ def _fits_a_line(text: str) -> bool:
     return bool(text) and text.isprintable() and text == text.strip() and not (text[0] == text[-1] == '"')
 
 
-def check_file(device: Device, description: Description) -> dict[Place, Value]:
+def check_file(device: KnownDevice, description: Description) -> dict[Place, Value]:
     """Return the values of a DCF that are to be written to this device.
 
     Raises
@@ -175,7 +175,7 @@ class Difference:
 
 
 def differences(
-    device: Device, description: Description, values: Mapping[Place, Value], show: Show = lambda done, total: None
+    device: KnownDevice, description: Description, values: Mapping[Place, Value], show: Show = lambda done, total: None
 ) -> list[Difference]:
     """Return what the device has otherwise than `values`.
 
@@ -215,7 +215,7 @@ class Restored:
 
 
 def restore(
-    device: Device,
+    device: KnownDevice,
     values: Mapping[Place, Value],
     found: Sequence[Difference],
     show: Show = lambda done, total: None,
@@ -268,7 +268,7 @@ def _same(variable: Variable, data: bytes, value: Value) -> bool:
     return data == encode(variable, value) or decode(variable, data) == value
 
 
-def _write(device: Device, variable: Variable, value: Value, told: Restored) -> bool:
+def _write(device: KnownDevice, variable: Variable, value: Value, told: Restored) -> bool:
     place = variable.index, variable.subindex
     data = encode(variable, value)
     try:
@@ -284,7 +284,9 @@ def _write(device: Device, variable: Variable, value: Value, told: Restored) -> 
     return True
 
 
-def _write_pdo(device: Device, pdo: int, values: Mapping[Place, Value], differing: set[Place], told: Restored) -> None:
+def _write_pdo(
+    device: KnownDevice, pdo: int, values: Mapping[Place, Value], differing: set[Place], told: Restored
+) -> None:
     """Write the parameters of one PDO in the order that a device asks for."""
     steps = Restored()
     cob, mapping = device.at(pdo, 1), pdo + 0x200

@@ -22,7 +22,7 @@ from coulombus.host.devices.sdo import SdoClient
 from coulombus.host.devices.transfers import MOST_BYTES, Progress
 from coulombus.host.errors import DeviceMismatch, HostError, SdoAborted
 
-__all__ = ["Device", "ObjectUnknown", "Reading", "ValueRefused", "describe", "identity_of", "trimmed"]
+__all__ = ["KnownDevice", "ObjectUnknown", "Reading", "ValueRefused", "describe", "identity_of", "trimmed"]
 
 Place = tuple[int, int]
 STORED_EDS = (0x1021, 0)
@@ -161,7 +161,7 @@ def describe(
 
 
 @dataclass
-class Device:
+class KnownDevice:
     """A node with its EDS file, None where there is none.
 
     Attributes

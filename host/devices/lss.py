@@ -17,7 +17,7 @@ from typing import NamedTuple
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia305 import BIT_RATES, FASTSCAN_START, UNCONFIGURED, LssService, LssState
 from coulombus.host.errors import HostError, NodeMissing
-from coulombus.wire.bus_link import Frame, FrameLink
+from coulombus.wire.bus_link import BusFrame, FrameLink
 
 __all__ = ["Identity", "LssMaster", "LssRefused", "rate_index"]
 
@@ -106,7 +106,7 @@ class LssMaster:
     hear : takes the frames that are no LSS answer
     """
 
-    def __init__(self, link: FrameLink, hear: Callable[[Frame], None] = lambda frame: None) -> None:
+    def __init__(self, link: FrameLink, hear: Callable[[BusFrame], None] = lambda frame: None) -> None:
         self._link, self._hear = link, hear
 
     def __enter__(self) -> LssMaster:

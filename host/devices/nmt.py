@@ -9,7 +9,7 @@ from coulombus.host.devices.sdo import SdoClient
 from coulombus.host.errors import HostError, NodeMissing
 from coulombus.wire.bus_link import FrameLink
 
-__all__ = ["COMMANDS", "Followed", "command"]
+__all__ = ["COMMANDS", "CommandResult", "command"]
 
 COMMANDS = {
     "start": (NmtCommand.START, NmtState.OPERATIONAL),
@@ -24,7 +24,7 @@ ASK_S, QUIET_S = 0.3, 0.5
 
 
 @dataclass(frozen=True)
-class Followed:
+class CommandResult:
     """What a node did.
 
     Attributes
@@ -46,7 +46,7 @@ class Followed:
         return f"node {self.node_id}: no heartbeat and no boot-up came"
 
 
-def command(link: FrameLink, word: str, node_id: int | None, timeout_s: float) -> tuple[Followed, ...]:
+def command(link: FrameLink, word: str, node_id: int | None, timeout_s: float) -> tuple[CommandResult, ...]:
     """Send an NMT command, and wait for what the nodes say.
 
     Parameters
@@ -78,11 +78,11 @@ def command(link: FrameLink, word: str, node_id: int | None, timeout_s: float) -
     if node_id is None:
         if not heard and wanted is NmtState.INITIALISING:
             raise NodeMissing(f"no node booted within {timeout_s:g} s")
-        return tuple(Followed(one, state, state is wanted) for one, state in sorted(heard.items()))
+        return tuple(CommandResult(one, state, state is wanted) for one, state in sorted(heard.items()))
     state_heard = heard.get(node_id)
     if state_heard is None:
-        return (Followed(node_id, None, None if silent else False),)
-    return (Followed(node_id, state_heard, state_heard is wanted),)
+        return (CommandResult(node_id, None, None if silent else False),)
+    return (CommandResult(node_id, state_heard, state_heard is wanted),)
 
 
 def _has_no_heartbeat(link: FrameLink, node_id: int) -> bool:

@@ -10,16 +10,16 @@ from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.host.devices.lss import Identity, LssMaster
 from coulombus.host.devices.scan import scan
 from coulombus.host.errors import DeviceMismatch, NodeMissing
-from coulombus.wire.bus_link import Frame, FrameLink
+from coulombus.wire.bus_link import BusFrame, FrameLink
 
-__all__ = ["Number", "check_free", "give", "only"]
+__all__ = ["AssignedId", "check_free", "give", "only"]
 
 BOOT_S = 5.0
 LAST = 127
 
 
 @dataclass(frozen=True)
-class Number:
+class AssignedId:
     """What a device was given.
 
     Attributes
@@ -103,7 +103,7 @@ def give(
     *,
     bit_s: int | None = None,
     store: bool = False,
-) -> Number:
+) -> AssignedId:
     """Give one device what was asked for, and wait for its boot-up under a new node id.
 
     Raises
@@ -127,11 +127,11 @@ def give(
         if before is not None:
             link.send(CobId.NMT, bytes((NmtCommand.RESET_COMMUNICATION, before)))
         booted = _boots(link, node_id)
-    return Number(identity, node_id, before, bit_s, store, booted)
+    return AssignedId(identity, node_id, before, bit_s, store, booted)
 
 
 def _boots(link: FrameLink, node_id: int) -> bool:
-    def boot_up(frame: Frame) -> bool:
+    def boot_up(frame: BusFrame) -> bool:
         return frame.can_id == CobId.HEARTBEAT + node_id and frame.data == b"\0"
 
     until_ns = link.now_ns() + round(BOOT_S * 1e9)

@@ -18,7 +18,7 @@ from coulombus.host.devices.sdo import talk_to_all
 from coulombus.host.devices.transfers import SdoSilent, Transfer, upload
 from coulombus.host.errors import AnswerUntrusted, HostError
 from coulombus.wire.address import BusAddress
-from coulombus.wire.bus_link import BusLink, Frame, FrameLink
+from coulombus.wire.bus_link import BusFrame, BusLink, FrameLink
 
 __all__ = ["ASKED", "IDENTITY", "TOLD", "Answers", "scan", "survey", "trouble"]
 
@@ -107,7 +107,7 @@ class _Heard:
     asked: dict[int, SdoAnswers] = field(default_factory=dict)
     answers: set[int] = field(default_factory=set)
 
-    def hear(self, frame: Frame) -> None:
+    def hear(self, frame: BusFrame) -> None:
         """Take a frame: a heartbeat, a boot-up, or an SDO response."""
         node_id = frame.can_id & 0x7F
         if frame.can_id == CobId.HEARTBEAT + node_id and node_id and frame.length == 1 and frame.data:

@@ -18,14 +18,14 @@ from coulombus.host.devices.transfers import (
     Progress,
     SdoProtocolError,
     SdoSilent,
+    SdoStep,
     Transfer,
-    Turn,
     abort,
     download,
     upload,
 )
 from coulombus.host.errors import HostError
-from coulombus.wire.bus_link import Frame, FrameLink
+from coulombus.wire.bus_link import BusFrame, FrameLink
 
 __all__ = ["TIMEOUT_S", "SdoClient", "Talk", "load_defaults", "store_parameters", "talk_to_all"]
 
@@ -89,7 +89,7 @@ class Talk(Generic[T]):
     def _place(self) -> tuple[int, int]:
         return self._object or (0, 0)
 
-    def _go_on(self, act: Callable[[], Turn]) -> None:
+    def _go_on(self, act: Callable[[], SdoStep]) -> None:
         try:
             turn = act()
             while True:
@@ -124,7 +124,7 @@ def talk_to_all(
     transfers: Mapping[int, Iterator[Transfer[T]]],
     timeout_s: float,
     tell: Callable[[int, T | HostError], None],
-    hear: Callable[[Frame], None] = lambda frame: None,
+    hear: Callable[[BusFrame], None] = lambda frame: None,
     answers: Mapping[int, SdoAnswers] | None = None,
 ) -> None:
     """Do the transfers of each node one after the other, those of different nodes at a time.
@@ -181,7 +181,7 @@ class SdoClient:
         link: FrameLink,
         node_id: int,
         timeout_s: float = TIMEOUT_S,
-        hear: Callable[[Frame], None] = lambda frame: None,
+        hear: Callable[[BusFrame], None] = lambda frame: None,
     ) -> None:
         self.link, self.node_id, self.timeout_s, self._hear = link, node_id, timeout_s, hear
         self._answers = SdoAnswers()

@@ -1,7 +1,7 @@
 """SDO transfers of a client as generators: they yield what is to be sent and are sent what came.
 
 A transfer knows no bus and no clock: `host.devices.sdo` drives it, for one node or for all nodes of
-a bus at a time. A `Turn` has the messages to the server, eight bytes each. It gets the server's
+a bus at a time. A `SdoStep` has the messages to the server, eight bytes each. It gets the server's
 next message, or `SdoSilent` thrown in.
 
 The tester of `coulombus conformance` checks each bit of a server, and can do it wrong. This client
@@ -27,8 +27,8 @@ __all__ = [
     "SdoProtocolError",
     "SdoRefused",
     "SdoSilent",
+    "SdoStep",
     "Transfer",
-    "Turn",
     "abort",
     "download",
     "upload",
@@ -37,7 +37,7 @@ __all__ = [
 T = TypeVar("T")
 
 
-class Turn(NamedTuple):
+class SdoStep(NamedTuple):
     """Messages to the server, and whether its next one is waited for; if not, b"" comes back.
 
     Attributes
@@ -50,7 +50,7 @@ class Turn(NamedTuple):
     initiates: bool = False
 
 
-Transfer: TypeAlias = Generator[Turn, bytes, T]
+Transfer: TypeAlias = Generator[SdoStep, bytes, T]
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with the bytes that are there, and how many there will be; 0: the server does not tell."""
 
@@ -115,11 +115,11 @@ class _Answers:
 
     def next(self, *messages: bytes, initiates: bool = False) -> Transfer[bytes]:
         """Send messages; return the server's next one. An abort raises `SdoRefused`."""
-        answer = yield Turn(messages, initiates=initiates)
+        answer = yield SdoStep(messages, initiates=initiates)
         while answer[0] == ABORT and named(answer) not in ((self.index, self.subindex), (0, 0)):
-            answer = yield Turn()  # of a transfer before this one
+            answer = yield SdoStep()  # of a transfer before this one
         if answer == self.refusal:  # delivered twice: this client asks in another way meanwhile
-            answer = yield Turn()
+            answer = yield SdoStep()
         if answer[0] == ABORT:
             self.refusal = answer
             raise SdoRefused(self.what, self.index, self.subindex, int.from_bytes(answer[4:8], "little"))
@@ -170,7 +170,7 @@ def upload(
     if answer[0] >> 5 == 2 and answer[0] & 0x03 == 0x01 and block:
         told = int.from_bytes(answer[4:8], "little")
         if LONG < told <= most:
-            yield Turn((abort(index, subindex),), waits=False)  # the ordinary one
+            yield SdoStep((abort(index, subindex),), waits=False)  # the ordinary one
             try:
                 content = yield from _block_upload(say, most, progress)
                 if content is not None:
@@ -253,7 +253,7 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
         raise say.wrong("the CRC is wrong", Abort.CRC)
     if told and told != len(content):
         raise say.wrong(f"{told} bytes were told, {len(content)} came", Abort.LENGTH)
-    yield Turn((b"\xa1" + bytes(7),), waits=False)
+    yield SdoStep((b"\xa1" + bytes(7),), waits=False)
     return content
 
 

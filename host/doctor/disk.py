@@ -8,7 +8,7 @@ from pathlib import Path
 
 from coulombus.host.doctor.finding import Check, Outcome
 from coulombus.host.doctor.machine import CannotRead
-from coulombus.host.doctor.wanted import Wanted
+from coulombus.host.doctor.wanted import RigDemands
 
 __all__ = ["bytes_s", "checks"]
 
@@ -18,17 +18,17 @@ ENOUGH_H = 8.0
 """A day of work."""
 
 
-def bytes_s(wanted: Wanted) -> float:
+def bytes_s(wanted: RigDemands) -> float:
     """Return how fast a recording grows, in bytes a second of display."""
     return (PACKET_BYTES * wanted.frames + TRACE_BYTES) / wanted.period_s
 
 
-def checks(folder: Path, wanted: Wanted) -> list[Check]:
+def checks(folder: Path, wanted: RigDemands) -> list[Check]:
     """Return the checks of the folder for recordings."""
     return [("disk.free", partial(free, folder, wanted))]
 
 
-def free(folder: Path, wanted: Wanted) -> Outcome:
+def free(folder: Path, wanted: RigDemands) -> Outcome:
     """A day's recordings find room."""
     try:
         found = os.statvfs(folder)

@@ -8,14 +8,14 @@ from pathlib import Path
 from coulombus.host.doctor import can, cpu, disk, kernel, power, rights, software
 from coulombus.host.doctor.finding import Check, Finding, Outcome, examine
 from coulombus.host.doctor.machine import Machine
-from coulombus.host.doctor.wanted import Wanted
+from coulombus.host.doctor.wanted import RigDemands
 from coulombus.wire.address import BusAddress
 
 __all__ = ["examination"]
 
 
 def examination(
-    wanted: Wanted,
+    wanted: RigDemands,
     addresses: Mapping[str, BusAddress],
     *,
     machine: Machine | None = None,
@@ -40,7 +40,7 @@ def examination(
     return examine(checks)
 
 
-def _of_bus(machine: Machine, wanted: Wanted, channel: str, address: BusAddress, *, several: bool) -> list[Check]:
+def _of_bus(machine: Machine, wanted: RigDemands, channel: str, address: BusAddress, *, several: bool) -> list[Check]:
     if not address.is_interface:
         text = f"{address} is a virtual bus: no card is looked at (--bus socketcan:can0 names one)"
         found: list[Check] = [("can.interface", lambda: Outcome(True, text))]

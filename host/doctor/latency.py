@@ -21,7 +21,7 @@ from shutil import which
 from typing import Any
 
 from coulombus.host.doctor.finding import Finding, Outcome
-from coulombus.host.doctor.wanted import Wanted
+from coulombus.host.doctor.wanted import RigDemands
 from coulombus.system.errors import CoulombusError
 from coulombus.system.realtime import die_with_parent
 
@@ -196,7 +196,7 @@ def _folder() -> str:
 
 def measure_latency(
     seconds: float,
-    wanted: Wanted,
+    wanted: RigDemands,
     *,
     cpu: int | None,
     priority: int | None = PRIORITY,
@@ -261,7 +261,7 @@ def measure_latency(
     return Latency(own, None if reason else beside, reason, refused, loads)
 
 
-def judge(found: Latency, wanted: Wanted) -> Finding:
+def judge(found: Latency, wanted: RigDemands) -> Finding:
     """Say whether the machine is fit for a rig's limits, and why not.
 
     A wake-up that is a watchdog's time late, a period included, trips; one that leaves no room for

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Wanted"]
+__all__ = ["RigDemands"]
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RigDemands:
     """Limits of a rig.
 
     Attributes
@@ -31,7 +31,7 @@ class Wanted:
     frames: int
 
     @classmethod
-    def of(cls, rig: Rig) -> Wanted:
+    def of(cls, rig: Rig) -> RigDemands:
         """Return what a rig wants."""
         period_s = min(bus.period_s for bus in rig.buses)
         limits = [axis.limits.missed_tpdo_cycles * period_s for axis in rig.axes]

@@ -23,7 +23,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.loop import take_log, take_trace
-from coulombus.host.realtime.shared_memory import BINS, TRACE_ROWS, Command, SharedPlane, Status
+from coulombus.host.realtime.shared_memory import BINS, TRACE_ROWS, PlaneCommand, PlaneStatus, SharedPlane
 from coulombus.recording.trace import TraceRow
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import Client
@@ -182,9 +182,9 @@ class DataPlane:
     # state
 
     @property
-    def status(self) -> Status:
+    def status(self) -> PlaneStatus:
         """What the data plane is doing."""
-        return Status(int(self.shared.plane["status"][0]))
+        return PlaneStatus(int(self.shared.plane["status"][0]))
 
     @property
     def cycles(self) -> int:
@@ -217,7 +217,7 @@ class DataPlane:
         """Begin the cycle at CLOCK_MONOTONIC = `at_ns`."""
         self._controllers.start(at_ns)
         self.shared.plane["start_ns"] = at_ns
-        self.shared.plane["command"] = Command.CYCLE
+        self.shared.plane["command"] = PlaneCommand.CYCLE
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
         """Ask for the safe state: the normal end, or for the reason `trip`.
@@ -245,12 +245,12 @@ class DataPlane:
 
     def end_cycle(self) -> None:
         """End the cycle, with set-points of zero torque last, and listen on."""
-        self.shared.plane["command"] = Command.LISTEN
+        self.shared.plane["command"] = PlaneCommand.LISTEN
 
     def await_end(self) -> None:
         """Wait until the cycle that was ended has ramped off what it had to."""
         deadline = time.monotonic() + 1.0 + self._controllers.ending_s
-        while self.alive and self.status is Status.CYCLING and time.monotonic() < deadline:
+        while self.alive and self.status is PlaneStatus.CYCLING and time.monotonic() < deadline:
             self.attend()
             time.sleep(2e-3)
 
@@ -276,7 +276,7 @@ class DataPlane:
         """
         if self._process.stdout is None or self._process.stdout.closed:
             return
-        self.shared.plane["command"] = Command.QUIT
+        self.shared.plane["command"] = PlaneCommand.QUIT
         deadline = time.monotonic() + timeout_s + self._controllers.ending_s
         while self.alive and time.monotonic() < deadline:
             time.sleep(2e-3)

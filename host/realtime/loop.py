@@ -29,7 +29,7 @@ from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramp
 from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.cycle.telemetry import tell
-from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, PlaneRecord, Status
+from coulombus.host.realtime.shared_memory import BINS, PLANE, PlaneCommand, PlaneRecord, PlaneStatus
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import (
     CLOCK_REALTIME,
@@ -322,7 +322,7 @@ def _look_after_parent(p: PlaneRecord, base: int, axes: AxisRecords) -> None:
     if orphan or 0 < until < now_ns():
         _stop(p, axes, Trip.HOST)
     if orphan and _all_done(axes):
-        store_release(base + AT_COMMAND, Command.QUIT)
+        store_release(base + AT_COMMAND, PlaneCommand.QUIT)
 
 
 @kernel
@@ -422,7 +422,7 @@ def _goes_on(p: PlaneRecord, axes: AxisRecords, command: int) -> bool:
     """Tell whether another cycle begins: as commanded, or as a brake is to be ramped off before the
     end, which the safe state does within its time.
     """
-    if command == Command.CYCLE:
+    if command == PlaneCommand.CYCLE:
         return True
     if not ramps_a_brake(axes):
         return False
@@ -484,15 +484,15 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
 def run_plane(b: Buffers, law_function: LawFunction) -> int:
     """Do what the parent commands until it commands QUIT or the bus is lost.
 
-    Return the `Status`.
+    Return the `PlaneStatus`.
     """
     p, axes = b.plane[0], b.axes
     base = b.plane.ctypes.data
     b.poll[0] = b.fd | POLLIN << 32
     while True:
         command = load_acquire(base + AT_COMMAND)
-        if command == Command.CYCLE:
-            store_release(base + AT_STATUS, Status.CYCLING)
+        if command == PlaneCommand.CYCLE:
+            store_release(base + AT_STATUS, PlaneStatus.CYCLING)
             cpu = clock_ns(CLOCK_THREAD_CPUTIME_ID)
             gone = _cycle(b, law_function)
             p.cpu_ns += clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu
@@ -511,19 +511,19 @@ def run_plane(b: Buffers, law_function: LawFunction) -> int:
             for k in range(axes.shape[0]):
                 axes[k].host.phase = Phase.DONE
             if gone:
-                store_release(base + AT_STATUS, Status.LOST)
-                return Status.LOST
-        elif command == Command.LISTEN:
-            store_release(base + AT_STATUS, Status.LISTENING)
+                store_release(base + AT_STATUS, PlaneStatus.LOST)
+                return PlaneStatus.LOST
+        elif command == PlaneCommand.LISTEN:
+            store_release(base + AT_STATUS, PlaneStatus.LISTENING)
             found = _take(b, 0)
             lost = found == GONE
             if found == EMPTY and ppoll_ns(b.poll.ctypes.data, 1, LISTEN_NS) < 0:
                 lost = _failed(p)
             if lost:
-                store_release(base + AT_STATUS, Status.LOST)
-                return Status.LOST
+                store_release(base + AT_STATUS, PlaneStatus.LOST)
+                return PlaneStatus.LOST
             if p.parent != 0 and getppid() != p.parent:
-                store_release(base + AT_COMMAND, Command.QUIT)
+                store_release(base + AT_COMMAND, PlaneCommand.QUIT)
         else:
-            store_release(base + AT_STATUS, Status.ENDED)
-            return Status.ENDED
+            store_release(base + AT_STATUS, PlaneStatus.ENDED)
+            return PlaneStatus.ENDED

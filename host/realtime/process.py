@@ -24,7 +24,7 @@ import numpy as np
 from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
 from coulombus.host.realtime.loop import MESSAGE_FRAMES, Buffers, run_plane
-from coulombus.host.realtime.shared_memory import Command, SharedPlane
+from coulombus.host.realtime.shared_memory import PlaneCommand, SharedPlane
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.system.realtime import ask_for_real_time, die_with_parent, outlive_parent
 from coulombus.system.stop_signals import SIGNALS
@@ -48,7 +48,7 @@ def warm_up(shared: SharedPlane, buffers: Buffers, law_function: LawFunction) ->
     the histograms.
     """
     command = int(shared.plane["command"][0])
-    shared.plane["command"] = Command.QUIT
+    shared.plane["command"] = PlaneCommand.QUIT
     run_plane(buffers, law_function)
     shared.plane["command"] = command
     shared.ring["source"] = 0

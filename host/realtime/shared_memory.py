@@ -21,7 +21,7 @@ from coulombus.kernels.records import Record, RecordArray, dtype_of
 from coulombus.recording.trace import TRACE, TraceRow
 from coulombus.wire.frame import FRAME, Frame
 
-__all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "Command", "SharedPlane", "Status"]
+__all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "PlaneCommand", "PlaneStatus", "SharedPlane"]
 
 RING_FRAMES = 1 << 17
 """About nine seconds of frames, and of what the host tells of itself, at 1 kHz; a power of two."""
@@ -38,7 +38,7 @@ TRACE_ROWS = 1 << 15
 PAGE = 4096
 
 
-class Command(IntEnum):
+class PlaneCommand(IntEnum):
     """What the parent wants."""
 
     LISTEN = 0  # log what the bus carries
@@ -46,7 +46,7 @@ class Command(IntEnum):
     QUIT = 2
 
 
-class Status(IntEnum):
+class PlaneStatus(IntEnum):
     """What the data plane is doing."""
 
     STARTING = 0

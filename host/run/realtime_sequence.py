@@ -23,7 +23,7 @@ from coulombus.host.cycle.parameter_changes import Change, LiveParameters
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.realtime.data_plane import PARENT_NS, DataPlane
-from coulombus.host.realtime.shared_memory import Status
+from coulombus.host.realtime.shared_memory import PlaneStatus
 from coulombus.host.run.arm_key import new_arm_key
 from coulombus.host.run.changes import Changes
 from coulombus.host.run.client_requests import Answers
@@ -119,7 +119,7 @@ class RealCourse(Course):
         super().mark(t_ns - self.zero_ns, text)
 
     def _why_no_change(self) -> str | None:
-        if self.plane.status is not Status.CYCLING:
+        if self.plane.status is not PlaneStatus.CYCLING:
             return "the host does not cycle yet"
         return "the host ends: it is in its safe state" if self.k.ending else None
 
@@ -214,7 +214,7 @@ class RealCourse(Course):
             )
         self.signals.defer()
         self.signals.stop()
-        if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):
+        if not self.plane.alive or self.plane.status in (PlaneStatus.LOST, PlaneStatus.ENDED):
             raise BusUnavailable(f"bus {self.address}: lost before anything was armed: {self.plane.lost_text}")
         period = int(self.k.control["period_ns"][0])
         self.plane.attend()
@@ -260,7 +260,7 @@ class RealCourse(Course):
                 self.plane.stop()
                 now = self.now_ns
                 deadline = deadline or now + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
-                if self.plane.status is Status.LOST or self.k.done or now >= deadline or not self._supervise():
+                if self.plane.status is PlaneStatus.LOST or self.k.done or now >= deadline or not self._supervise():
                     break
             except Exception as error:
                 failures += 1
@@ -274,7 +274,7 @@ class RealCourse(Course):
 
         Return False when it is to end: on a signal, on request, or because it has tripped.
         """
-        if not self._supervise() or self.k.ending or self.plane.status is Status.LOST:
+        if not self._supervise() or self.k.ending or self.plane.status is PlaneStatus.LOST:
             return False
         if self.signals.number:
             self.stopped_by = signal.Signals(self.signals.number).name
@@ -310,7 +310,7 @@ class RealCourse(Course):
         self.drain(seen_ns)
         self.answers.tell(seen_ns)
         stuck = now - self._seen[1] > STUCK_S
-        if (stuck or not self.plane.alive) and self.plane.status not in (Status.LOST, Status.ENDED):
+        if (stuck or not self.plane.alive) and self.plane.status not in (PlaneStatus.LOST, PlaneStatus.ENDED):
             self._plane_gone()
             return False
         return True
@@ -329,7 +329,7 @@ class RealCourse(Course):
         """
         h = self.k.host
         running = h["phase"] < Phase.SAFE
-        if self.plane.status is Status.LOST and running.any():
+        if self.plane.status is PlaneStatus.LOST and running.any():
             h["trip"][running], h["trip_ns"][running] = Trip.BUS_LOST, time.monotonic_ns()
             h["phase"] = Phase.DONE
 
@@ -338,7 +338,7 @@ class RealCourse(Course):
 
         An error of one of them keeps none of the others from it.
         """
-        cycling = self.plane.status is Status.CYCLING and self.plane.alive
+        cycling = self.plane.status is PlaneStatus.CYCLING and self.plane.alive
         if cycling and not self.k.done:  # a brake that only the host ramps off is, before NMT ends the PDOs
             self.plane.end_cycle()
             self._attempt(self.plane.await_end)

@@ -19,7 +19,7 @@ from coulombus.host.cycle.controller import Controller
 from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.devices import Brake, Device, Motor
+from coulombus.rigs.devices import Brake, DeviceSection, Motor
 from coulombus.rigs.emergency import emcy_default
 from coulombus.rigs.guarding import beats
 from coulombus.rigs.pdo_maps import mode_of, writable
@@ -52,7 +52,7 @@ class DevicePlan:
     name: str
     node_id: int
     role: str
-    part: Device
+    part: DeviceSection
     description: Description
     mode: int | None
     writes: tuple[Setting, ...]

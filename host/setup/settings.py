@@ -18,7 +18,7 @@ from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.devices import Brake, Device, Motor
+from coulombus.rigs.devices import Brake, DeviceSection, Motor
 from coulombus.rigs.emergency import emcy_default, emcy_identifier, is_mute
 from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.pdo_maps import mode_of, writable
@@ -107,7 +107,7 @@ def settings_of(axis: Axis, node: str, mode: str, limit_pm: int) -> Iterator[Set
     yield from _listed(part, node, "end")
 
 
-def _listed(part: Device, node: str, when: Literal["before", "after", "end"]) -> Iterator[Setting]:
+def _listed(part: DeviceSection, node: str, when: Literal["before", "after", "end"]) -> Iterator[Setting]:
     """The rig file's own list."""
     for k, one in enumerate(part.sdo):
         if one.when == when:
@@ -177,7 +177,7 @@ def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int)
                     yield Setting(index, 1, cob_id | INVALID, why="it is not used", lost=lost, soft=True)
 
 
-def _common_settings(axis: Axis, node: str, part: Device, ours: bool) -> Iterator[Setting]:
+def _common_settings(axis: Axis, node: str, part: DeviceSection, ours: bool) -> Iterator[Setting]:
     """Heartbeats both ways, or guarding; the loss of SYNC."""
     description = axis.description(node)
     if is_guarded(description):

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from coulombus.node.hardware.channels import HardwareError, Order, finite
+from coulombus.node.hardware.channels import HardwareError, SafeWrite, finite
 
 __all__ = ["Board", "BoardInput", "BoardOutput", "load_class"]
 
@@ -122,6 +122,6 @@ class BoardOutput:
         """Return the value itself."""
         return raw
 
-    def orders(self, raw: float) -> Sequence[Order]:
+    def orders(self, raw: float) -> Sequence[SafeWrite]:
         """Return the call that puts the value out."""
-        return (Order(self._board.place, json.dumps({self._name: raw})),)
+        return (SafeWrite(self._board.place, json.dumps({self._name: raw})),)

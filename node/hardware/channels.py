@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 from coulombus.system.errors import CoulombusError
 from coulombus.system.file_lock import lock_file
 
-__all__ = ["Claim", "HardwareError", "Input", "Order", "Output", "SysfsFile", "finite", "put", "told"]
+__all__ = ["Claim", "HardwareError", "Input", "Output", "SafeWrite", "SysfsFile", "finite", "put", "told"]
 
 MOST_BYTES = 64
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
@@ -29,7 +29,7 @@ class HardwareError(CoulombusError):
     exit_status = 3
 
 
-class Order(NamedTuple):
+class SafeWrite(NamedTuple):
     """A write that makes an output safe, for a process that knows nothing else of it."""
 
     path: str
@@ -57,7 +57,7 @@ class Output(Protocol):
     def spelled(self, raw: float) -> float:
         """Return the value that `read_back` should give after `write` of this one."""
 
-    def orders(self, raw: float) -> Sequence[Order]:
+    def orders(self, raw: float) -> Sequence[SafeWrite]:
         """Return the writes that put the value out."""
 
 
@@ -145,9 +145,9 @@ class SysfsFile:
         """Return the value of the nearest whole count."""
         return (self._counts(raw) + self.offset) * self.scale
 
-    def orders(self, raw: float) -> Sequence[Order]:
+    def orders(self, raw: float) -> Sequence[SafeWrite]:
         """Return the one write that puts the value out."""
-        return (Order(self.path, f"{self._counts(raw)}\n"),)
+        return (SafeWrite(self.path, f"{self._counts(raw)}\n"),)
 
 
 class Claim:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from coulombus.node.hardware.channels import HardwareError, Order, SysfsFile, put
+from coulombus.node.hardware.channels import HardwareError, SafeWrite, SysfsFile, put
 
 __all__ = ["COUNTERS", "IIO", "PWM", "PwmOutput", "counter", "find", "iio"]
 
@@ -127,6 +127,6 @@ class PwmOutput:
         """Return the duty cycle in whole nanoseconds, within the period."""
         return min(max(round(raw), 0), self._period_ns)
 
-    def orders(self, raw: float) -> Sequence[Order]:
+    def orders(self, raw: float) -> Sequence[SafeWrite]:
         """Return the write that sets the duty cycle."""
-        return (Order(self.path, f"{int(self.spelled(raw))}\n"),)
+        return (SafeWrite(self.path, f"{int(self.spelled(raw))}\n"),)

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 
-from coulombus.node.hardware.channels import HardwareError, Order
+from coulombus.node.hardware.channels import HardwareError, SafeWrite
 from coulombus.node.hardware.watchdog import READY, TRIPPED
 
 __all__ = ["Guard"]
@@ -33,7 +33,7 @@ class Guard:
         it did not come up
     """
 
-    def __init__(self, watchdog_s: float, orders: Sequence[Order], claims: Collection[int] = ()) -> None:
+    def __init__(self, watchdog_s: float, orders: Sequence[SafeWrite], claims: Collection[int] = ()) -> None:
         self._watchdog_s = watchdog_s
         words = [sys.executable, "-m", "coulombus.node.hardware.watchdog", str(watchdog_s), json.dumps(orders)]
         self._process = subprocess.Popen(

@@ -22,7 +22,7 @@ from coulombus.node import emcy
 from coulombus.node.device import Device
 from coulombus.node.hardware import converters
 from coulombus.node.hardware.board import Board, BoardInput, BoardOutput
-from coulombus.node.hardware.channels import Claim, HardwareError, Input, Order, Output, finite
+from coulombus.node.hardware.channels import Claim, HardwareError, Input, Output, SafeWrite, finite
 from coulombus.node.hardware.converters import PwmOutput, counter, find, iio
 from coulombus.node.hardware.iio_buffer import BufferedInput, IioBuffer, NoBuffer
 from coulombus.node.hardware.io_file import CounterInput, IioInput, IioOutput, Line, Plan
@@ -73,7 +73,7 @@ class Pump:
     """
 
     plan: Plan
-    guard: Callable[[float, Sequence[Order], Sequence[int]], Watched]
+    guard: Callable[[float, Sequence[SafeWrite], Sequence[int]], Watched]
     tell: Callable[[str], None]
     failure: str = ""
     """Why nothing is put out but the safe values; empty: all is well."""

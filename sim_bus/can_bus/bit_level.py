@@ -18,7 +18,15 @@ from __future__ import annotations
 
 from coulombus.kernels.decorator import kernel
 from coulombus.sim_bus.can_bus.bus_state import NS, Stage
-from coulombus.sim_bus.can_bus.controller_bits import Mode, Sent, drive, follow, look_anew, may_start, open_frame
+from coulombus.sim_bus.can_bus.controller_bits import (
+    ControllerMode,
+    FrameFate,
+    drive,
+    follow,
+    look_anew,
+    may_start,
+    open_frame,
+)
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.noise import noisy_bit
 from coulombus.sim_bus.can_bus.records import BusRecord
@@ -35,7 +43,7 @@ def add_sender(bus: BusRecord, order: int, can_id: int, length: int, word: int, 
     """Let a station send a frame in the slow motion that is to begin."""
     k = bus.senders
     sender = bus.tx[k]
-    sender.state = Sent.PENDING
+    sender.state = FrameFate.PENDING
     sender.order = order
     sender.can_id = can_id
     sender.length = length
@@ -116,7 +124,7 @@ def _see(bus: BusRecord, level: int, hit: int, end_ns: int) -> bool:
         if c.changed:
             changed = True
             if c.state == CanState.BUS_OFF and c.frame >= 0:
-                bus.tx[c.frame].state = Sent.FAILED
+                bus.tx[c.frame].state = FrameFate.FAILED
                 c.frame = -1
     return changed
 
@@ -131,7 +139,7 @@ def _somebody_may_start(bus: BusRecord) -> bool:
         c = bus.stations[bus.on[k]]
         if c.state != CanState.BUS_OFF:
             alive += 1
-            idle += c.mode == Mode.IDLE
+            idle += c.mode == ControllerMode.IDLE
             ready += may_start(c)
             sending += c.frame >= 0
     over = sending == 0 and (ready > 0 or alive == 0)

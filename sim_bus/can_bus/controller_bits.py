@@ -21,10 +21,10 @@ from coulombus.sim_bus.can_bus.records import BusRecord, ControllerRecord
 from coulombus.sim_bus.can_bus.stuffing import CRC_BITS, crc_step
 from coulombus.wire.frame import CAN_EFF_FLAG
 
-__all__ = ["Mode", "Sent", "drive", "follow", "look_anew", "may_start", "open_frame"]
+__all__ = ["ControllerMode", "FrameFate", "drive", "follow", "look_anew", "may_start", "open_frame"]
 
 
-class Mode(IntEnum):
+class ControllerMode(IntEnum):
     """What a controller is in the middle of."""
 
     IDLE = 0
@@ -37,7 +37,7 @@ class Mode(IntEnum):
     INTEGRATING = 7  # switched on: 11 recessive bits first
 
 
-class Sent(IntEnum):
+class FrameFate(IntEnum):
     """What became of a frame that was on the wire."""
 
     PENDING = 0
@@ -67,7 +67,7 @@ TAIL_PLACES = np.array([0x18, 0x19, 0x1B] + 7 * [0x1A], np.int64)
 @kernel
 def open_frame(c: ControllerRecord, frame: int) -> None:
     """Begin to follow a frame at its start of frame."""
-    c.mode = Mode.FRAME
+    c.mode = ControllerMode.FRAME
     c.frame = frame
     c.sent_bits = c.position = c.run = c.crc = c.bit_12 = c.extended = c.dlc = c.joins = 0
     c.last = c.tail = -1
@@ -80,7 +80,7 @@ def may_start(c: ControllerRecord) -> bool:
     """Tell whether a controller may begin to send: it is idle, or the third bit of its intermission
     was dominant, which is a start of frame.
     """
-    return bool(c.mode == Mode.IDLE or c.joins != 0)
+    return bool(c.mode == ControllerMode.IDLE or c.joins != 0)
 
 
 @kernel
@@ -97,8 +97,8 @@ def look_anew(bus: BusRecord) -> None:
 @kernel
 def _place(c: ControllerRecord) -> int:
     """Return where in the frame a controller is, in Linux's numbers."""
-    if c.mode != Mode.FRAME:
-        return PLACE_INTERMISSION if c.mode == Mode.INTERMISSION else PLACE_UNKNOWN
+    if c.mode != ControllerMode.FRAME:
+        return PLACE_INTERMISSION if c.mode == ControllerMode.INTERMISSION else PLACE_UNKNOWN
     if c.tail >= 0:
         return int(TAIL_PLACES[min(c.tail, LAST)])
     if c.position >= c.header:
@@ -150,14 +150,14 @@ def _error(bus: BusRecord, c: ControllerRecord, station: int, kind: int, exempt:
         bits = 0
     _tell(bus, c, station, ERR_BUSERROR | (ERR_ACK if kind == ErrorKind.ACK else ERR_PROT), bits)
     if c.frame >= 0:
-        bus.tx[c.frame].state = Sent.FAILED
+        bus.tx[c.frame].state = FrameFate.FAILED
         c.frame = -1
     c.exempt = 0
     if kind == ErrorKind.ACK and passive:
         c.exempt = 1  # rule c1, unless something dominant is seen in the passive flag
     elif not exempt:
         _raise(c, 1)
-    c.mode = Mode.FLAG
+    c.mode = ControllerMode.FLAG
     c.count = c.flag_run = 0
     c.overload = 0
     c.passive_flag = 1 if passive or c.listen_only else 0
@@ -170,7 +170,7 @@ def _bit_error_in_flag(bus: BusRecord, c: ControllerRecord, station: int) -> Non
     _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_BIT0)
     passive = 1 if c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL else 0
     _raise(c, 8)
-    c.mode = Mode.FLAG
+    c.mode = ControllerMode.FLAG
     c.count = c.flag_run = 0
     c.overload = 0
     c.passive_flag = passive
@@ -180,7 +180,7 @@ def _bit_error_in_flag(bus: BusRecord, c: ControllerRecord, station: int) -> Non
 def _overload(bus: BusRecord, c: ControllerRecord, station: int) -> None:
     c.overloads += 1
     _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_OVERLOAD)
-    c.mode = Mode.OVERLOAD
+    c.mode = ControllerMode.OVERLOAD
     c.count = 0
     c.overload = 1
 
@@ -221,14 +221,14 @@ def _tail_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> No
             _overload(bus, c, station)
             return
         if sender:
-            bus.tx[c.frame].state = Sent.DONE
+            bus.tx[c.frame].state = FrameFate.DONE
             count_sent(c)
             if c.loopback:
                 c.hears = 1
             if bus.seen.accepted_bit < 0:
                 bus.seen.accepted_bit = bus.play.bit - 1
             c.frame = -1
-        c.mode = Mode.INTERMISSION
+        c.mode = ControllerMode.INTERMISSION
         c.count = 0
     elif bit == 0:
         _error(bus, c, station, ErrorKind.FORM, 0)
@@ -256,7 +256,7 @@ def _frame_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> N
             if c.run == 5:
                 _error(bus, c, station, ErrorKind.STUFF, 1)  # rule c2
                 return
-            bus.tx[c.frame].state = Sent.LOST
+            bus.tx[c.frame].state = FrameFate.LOST
             bus.tx[c.frame].lost_bit = c.position
             bus.seen.gave_up |= c.one_shot
             c.arbitration_lost += 1
@@ -284,7 +284,7 @@ def _frame_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> N
 @kernel
 def _flag_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
     """Follow the station's own error flag or overload flag."""
-    if c.mode == Mode.OVERLOAD or not c.passive_flag:
+    if c.mode == ControllerMode.OVERLOAD or not c.passive_flag:
         if bit == 1 and not c.listen_only:
             _bit_error_in_flag(bus, c, station)
             return
@@ -297,16 +297,16 @@ def _flag_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> No
         c.flag_last = bit
         c.count = c.flag_run
     if c.count == FLAG_BITS:
-        c.mode = Mode.WAIT
+        c.mode = ControllerMode.WAIT
         c.count = c.exempt = 0
 
 
 @kernel
 def _after_flag(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
     """Wait for recessive, then count the delimiter."""
-    if c.mode == Mode.WAIT:
+    if c.mode == ControllerMode.WAIT:
         if bit == 1:
-            c.mode = Mode.DELIMITER
+            c.mode = ControllerMode.DELIMITER
             c.count = 1
             return
         c.count += 1
@@ -323,7 +323,7 @@ def _after_flag(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> 
         return
     c.count += 1
     if c.count == DELIMITER_BITS:
-        c.mode = Mode.INTERMISSION
+        c.mode = ControllerMode.INTERMISSION
         c.count = 0
 
 
@@ -339,11 +339,11 @@ def _suspends(c: ControllerRecord) -> bool:
 def _between_frames(bus: BusRecord, c: ControllerRecord, station: int, bit: int, end_ns: int) -> None:
     """Intermission, idle, or the first bits after switch-on."""
     joins = 0
-    if c.mode == Mode.INTEGRATING:
+    if c.mode == ControllerMode.INTEGRATING:
         c.count = c.count + 1 if bit else 0
         if c.count == INTEGRATION_BITS:
-            c.mode = Mode.IDLE
-    elif c.mode == Mode.INTERMISSION:
+            c.mode = ControllerMode.IDLE
+    elif c.mode == ControllerMode.INTERMISSION:
         if bit == 0:
             if c.count < INTER_FRAME_BITS - 1:
                 _overload(bus, c, station)
@@ -353,11 +353,11 @@ def _between_frames(bus: BusRecord, c: ControllerRecord, station: int, bit: int,
             c.count += 1
             if c.count < INTER_FRAME_BITS:
                 return
-            c.mode = Mode.IDLE
+            c.mode = ControllerMode.IDLE
             if _suspends(c):
                 c.suspend_ns = end_ns + SUSPEND_BITS * NS // bus.bit_rate
             return
-    if bit == 0 and c.mode != Mode.INTEGRATING:  # a start of frame
+    if bit == 0 and c.mode != ControllerMode.INTEGRATING:  # a start of frame
         open_frame(c, -1)
         _frame_bit(bus, c, station, bit)
         c.joins = joins
@@ -366,13 +366,13 @@ def _between_frames(bus: BusRecord, c: ControllerRecord, station: int, bit: int,
 @kernel
 def drive(bus: BusRecord, c: ControllerRecord) -> int:
     """Return the level that a controller drives in this bit."""
-    if c.mode == Mode.FRAME:
+    if c.mode == ControllerMode.FRAME:
         if c.frame >= 0:
             if c.tail == ACK_SLOT and c.loopback:
                 return 0
             return int(bus.tx[c.frame].bit[c.sent_bits]) if c.sent_bits < bus.tx[c.frame].bits else 1
         return 0 if c.tail == ACK_SLOT and c.crc == 0 and not c.listen_only else 1
-    if c.mode == Mode.OVERLOAD or (c.mode == Mode.FLAG and not c.passive_flag):
+    if c.mode == ControllerMode.OVERLOAD or (c.mode == ControllerMode.FLAG and not c.passive_flag):
         return 1 if c.listen_only else 0
     return 1
 
@@ -380,11 +380,11 @@ def drive(bus: BusRecord, c: ControllerRecord) -> int:
 @kernel
 def follow(bus: BusRecord, c: ControllerRecord, station: int, bit: int, end_ns: int) -> None:
     """Let a controller make of a bit what it is in the midst of."""
-    if c.mode == Mode.FRAME:
+    if c.mode == ControllerMode.FRAME:
         _frame_bit(bus, c, station, bit)
-    elif c.mode == Mode.FLAG or c.mode == Mode.OVERLOAD:
+    elif c.mode == ControllerMode.FLAG or c.mode == ControllerMode.OVERLOAD:
         _flag_bit(bus, c, station, bit)
-    elif c.mode == Mode.WAIT or c.mode == Mode.DELIMITER:
+    elif c.mode == ControllerMode.WAIT or c.mode == ControllerMode.DELIMITER:
         _after_flag(bus, c, station, bit)
     else:
         _between_frames(bus, c, station, bit, end_ns)

@@ -7,7 +7,7 @@ from __future__ import annotations
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.bit_level import run_bits
 from coulombus.sim_bus.can_bus.bus_state import NS, SUSPEND_BITS, Delivered, Stage
-from coulombus.sim_bus.can_bus.controller_bits import Sent
+from coulombus.sim_bus.can_bus.controller_bits import FrameFate
 from coulombus.sim_bus.can_bus.error_frames import error_frame, lost_frame, state_frame
 from coulombus.sim_bus.can_bus.fault_confinement import (
     PASSIVE_LEVEL,
@@ -73,7 +73,7 @@ def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
     for k in range(bus.senders):
         source = bus.tx[k].source
         c = bus.stations[source & STATION_MASK]
-        if bus.tx[k].state != Sent.LOST or not c.one_shot:
+        if bus.tx[k].state != FrameFate.LOST or not c.one_shot:
             continue
         if row == last:
             bus.seen.gave_up = 1
@@ -81,7 +81,7 @@ def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
             can_id, word = lost_frame(c, source, bus.tx[k].lost_bit)
             _write(log, row, bus.end_ns, can_id, word, source)
             row += 1
-            bus.tx[k].state = Sent.GIVEN_UP
+            bus.tx[k].state = FrameFate.GIVEN_UP
             c.dropped += 1
     return row
 
@@ -140,7 +140,7 @@ def _end_slow(bus: BusRecord) -> None:
     for k in range(bus.senders):
         c = bus.stations[bus.tx[k].source & STATION_MASK]
         state = bus.tx[k].state
-        if state != Sent.FAILED and state != Sent.LOST:
+        if state != FrameFate.FAILED and state != FrameFate.LOST:
             continue
         if c.attached == 0 or c.state == CanState.BUS_OFF or c.one_shot:
             c.dropped += 1
@@ -163,10 +163,10 @@ def _show_sent(bus: BusRecord) -> bool:
         return False
     k = 0
     for j in range(bus.senders):
-        if bus.tx[j].state == Sent.DONE:
+        if bus.tx[j].state == FrameFate.DONE:
             k = j
             break
-        if bus.tx[j].state == Sent.FAILED:  # in the last bit: its receivers have it
+        if bus.tx[j].state == FrameFate.FAILED:  # in the last bit: its receivers have it
             k = j
     bus.can_id = bus.tx[k].can_id
     bus.length = bus.tx[k].length

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.bus_state import Stage
-from coulombus.sim_bus.can_bus.controller_bits import Mode
+from coulombus.sim_bus.can_bus.controller_bits import ControllerMode
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import plan_alarm
 from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
@@ -46,7 +46,7 @@ def attach(bus: BusRecord, station: int) -> None:
     if c.attached == 0:
         c.attached = 1
         c.tec = c.rec = c.state = c.changed = c.recovered = c.suspend_ns = 0
-        c.mode = Mode.INTEGRATING if _in_slow_motion(bus) or bus.play.unsettled else 0
+        c.mode = ControllerMode.INTEGRATING if _in_slow_motion(bus) or bus.play.unsettled else 0
         c.count = c.transmitted = c.joins = 0
         c.frame = c.contends_ns = -1
         bus.on[bus.on_count] = row

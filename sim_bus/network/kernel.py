@@ -61,7 +61,7 @@ __all__ = [
     "TOLD_FRAMES",
     "WORLD",
     "Exit",
-    "Host",
+    "HostCycle",
     "World",
     "actuate",
     "end_closely",
@@ -165,7 +165,7 @@ class World(NamedTuple):
     """By axis: the block of the plant's true course."""
 
 
-class Host(NamedTuple):
+class HostCycle(NamedTuple):
     """The host's cycle, as `host.cycle.axes` takes it."""
 
     axes: AxisRecords  # `host.cycle.records.AxisRecord` records
@@ -302,7 +302,9 @@ def next_event(w: WorldRecord, b: BusRecord, out: Queue, deadlines: Integers, ho
 
 
 @kernel
-def run(world: World, host: Host, law_function: LawFunction | None, course: CourseFunction, closely: int | None) -> int:
+def run(
+    world: World, host: HostCycle, law_function: LawFunction | None, course: CourseFunction, closely: int | None
+) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
     `law_function` None: there is no host in this world. `closely` None: up to where a close look is

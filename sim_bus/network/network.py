@@ -60,7 +60,7 @@ from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.can_bus.tx_queue import withdraw
 from coulombus.sim_bus.network.deadline_tree import IDENTIFIERS, new_deadlines, new_wants
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
-from coulombus.sim_bus.network.kernel import LOG_FRAMES, MOST_DEVICES, TOLD_FRAMES, WORLD, Exit, Host, World, run
+from coulombus.sim_bus.network.kernel import LOG_FRAMES, MOST_DEVICES, TOLD_FRAMES, WORLD, Exit, HostCycle, World, run
 from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
@@ -93,7 +93,7 @@ ever; a fault file takes it away.
 
 
 @dataclass(frozen=True)
-class Mechanics:
+class AttachedAxes:
     """What hangs on the devices of a network: its axes with their plants and force blocks, and the
     host, as the kernel's arrays.
 
@@ -106,26 +106,26 @@ class Mechanics:
     plant: RecordArray[PlantRecord]
     f_h: Floats
     truth: Floats
-    host: Host
+    host: HostCycle
     law_function: LawFunction
 
 
-def without_mechanics(devices: int) -> Mechanics:
+def without_mechanics(devices: int) -> AttachedAxes:
     """Return no axis and no host."""
-    return Mechanics(
+    return AttachedAxes(
         axes=new_records(RigAxis, 0),
         axis_of=np.full(devices, -1, np.int64),
         plant=new_records(PlantRecord, 0),
         f_h=np.zeros((0, 1)),
         truth=np.zeros((0, 1, len(TRUTH_COLUMNS))),
-        host=Host(
+        host=HostCycle(
             axes=new_records(AxisRecord, 1), owner=np.zeros(IDENTIFIERS, np.int64), told=new_records(Frame, TOLD_FRAMES)
         ),
         law_function=unused_law(),
     )
 
 
-class Injected(Protocol):
+class FaultSource(Protocol):
     """The faults on the bus, as the network needs them (`sim_bus.faults.injection.Injection`)."""
 
     def act(self) -> None:
@@ -158,7 +158,7 @@ class VirtualNetwork:
         *,
         capacity: int = CAPACITY,
         on_frames: Callable[[Records], None] | None = None,
-        mechanics: Mechanics | None = None,
+        mechanics: AttachedAxes | None = None,
     ) -> None:
         a_number(bitrate_bit_s, "bitrate_bit_s", "500_000", whole=True)
         if bitrate_bit_s < 0:
@@ -167,7 +167,7 @@ class VirtualNetwork:
             raise ValueError(f"capacity {capacity}; expected 0 to {MOST_DEVICES} devices")
         self.exits = dict.fromkeys(Exit, 0)
         self.devices: list[Device] = []
-        self.injection: Injected | None = None
+        self.injection: FaultSource | None = None
         self.opened: tuple[str, ...] = ()
         """What devices have otherwise than their EDS files, a line each (`node.relaxed_eds`)."""
         self.on_frames = on_frames
@@ -209,7 +209,7 @@ class VirtualNetwork:
         self._run = Entry(run)
 
     @property
-    def arguments(self) -> tuple[World, Host, LawFunction, CourseFunction]:
+    def arguments(self) -> tuple[World, HostCycle, LawFunction, CourseFunction]:
         """The arguments of `sim_bus.network.kernel.run` but for `closely`.
 
         Since it ran last, somebody may have written to the records.

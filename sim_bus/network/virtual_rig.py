@@ -22,8 +22,8 @@ from coulombus.node.device import Device
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.network.kernel import BRAKE, MOTOR, TOLD_FRAMES, Exit, Host
-from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
+from coulombus.sim_bus.network.kernel import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
+from coulombus.sim_bus.network.network import AttachedAxes, CanopenNetwork, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, new_plant, truth_columns
@@ -121,9 +121,9 @@ class VirtualRig(VirtualNetwork):
             rig.bus.bitrate_bit_s,
             capacity=len(axis_of),
             on_frames=on_frames,
-            mechanics=Mechanics(
+            mechanics=AttachedAxes(
                 *(axes, axis_of, plant, self._f_h, self._truth_block),
-                *(Host(k.axes, k.owner, self._told), k.law_function),
+                *(HostCycle(k.axes, k.owner, self._told), k.law_function),
             ),
         )
         self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # as plain arrays, see `_axes`

@@ -41,7 +41,7 @@ from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Frame, Queue, push
 from coulombus.wire.recvmsg import Mailbox, receive
 
-__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOTS", "STATION", "Need", "State", "flush", "hand_out", "take"]
+__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOTS", "STATION", "Need", "SlotState", "flush", "hand_out", "take"]
 
 SLOTS = 32
 """Clients at a time."""
@@ -65,7 +65,7 @@ class Need(IntEnum):
     GONE = 22  # the SocketCAN interface does not exist any more
 
 
-class State(IntEnum):
+class SlotState(IntEnum):
     """Of a slot."""
 
     FREE = 0
@@ -177,13 +177,13 @@ def hand_out(
                 if half != b.stations[f.source & STATION_MASK].half:
                     continue
                 b = bus[half]
-            if s.state in (State.SOCKETCAN, State.JOINED):
+            if s.state in (SlotState.SOCKETCAN, SlotState.JOINED):
                 if f.source < STATION:
                     batches[i, 0], batches[i, 1] = head, f.word
                     if _to_interface(s, batches[i]) != 0:
                         p.slot = i
                         return Need.GONE
-            elif s.state == State.OPEN:
+            elif s.state == SlotState.OPEN:
                 own = f.source == STATION + i
                 word = f.word
                 if error:  # of the bus, with the counters of the client's own controller; or of its own state
@@ -225,7 +225,7 @@ def _read(
         if number == EAGAIN:
             return 0
         p.slot = i
-        if s.state == State.SOCKETCAN:
+        if s.state == SlotState.SOCKETCAN:
             if number == ENETDOWN:
                 s.net_down += 1
                 return 0
@@ -234,15 +234,15 @@ def _read(
         s.gone = 1
         return 0
     box = boxes[i]
-    if n == 0 and s.state != State.SOCKETCAN:
+    if n == 0 and s.state != SlotState.SOCKETCAN:
         s.dry = s.gone = 1
         return 0
-    if s.state == State.SOCKETCAN:
+    if s.state == SlotState.SOCKETCAN:
         s.overflow = box.overflow
     if box.truncated or n == 0:
         s.malformed += 1
         return 0
-    if s.state == State.GREETING or (n % 16 == 8 and s.state != State.JOINED):
+    if s.state == SlotState.GREETING or (n % 16 == 8 and s.state != SlotState.JOINED):
         p.slot = i
         p.message_bytes = n
         return Need.MESSAGE
@@ -278,7 +278,7 @@ def _offer(
         length = head >> 32 & 0xFF
         can_id = head & 0xFFFFFFFF
         if can_id & CAN_ERR_FLAG:
-            if s.state == State.SOCKETCAN:
+            if s.state == SlotState.SOCKETCAN:
                 s.error_frames += 1
             else:
                 s.malformed += 1
@@ -327,13 +327,13 @@ def take(
     slots = clients.slots
     for i in range(slots.shape[0]):
         s = slots[i]
-        if s.state == State.FREE:
+        if s.state == SlotState.FREE:
             continue
         while s.next >= s.staged and not s.dry:
             why = _read(p, slots, clients.boxes, i, offset_ns, t_ns)
             if why != 0:
                 return why
-        if s.gone and s.next >= s.staged and not (s.state == State.OPEN and _under_way(bus, STATION + i, out)):
+        if s.gone and s.next >= s.staged and not (s.state == SlotState.OPEN and _under_way(bus, STATION + i, out)):
             p.slot = i
             return Need.CLOSED
         if s.next < s.staged:

@@ -51,7 +51,7 @@ FRAME, RECORD = -1, -2
 """Jobs that are of no axis."""
 
 
-class Turn(IntEnum):
+class JobState(IntEnum):
     """Whose turn it is."""
 
     FREE = 0  # Python has nothing to do
@@ -136,7 +136,7 @@ def leave(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord
 def _begin(beside: Beside, world: World) -> None:
     """Let Python begin with the job that waits first, unless it is at work."""
     j, w, python = beside.state, world.state, beside.python
-    if j.turn != Turn.FREE or j.waiting == 0:
+    if j.turn != JobState.FREE or j.waiting == 0:
         return
     job, now = j.jobs[j.first], j.now
     j.first = (j.first + 1) % JOBS
@@ -161,7 +161,7 @@ def _begin(beside: Beside, world: World) -> None:
         for r in range(beside.loop_words.shape[0]):
             _copy(beside.python_nodes[i], beside.nodes[i], beside.loop_words[r, 0], beside.loop_words[r, 1])
         world.nodes[i].outbox_next_ns = FAR_FUTURE_NS
-    j.turn = Turn.PYTHON
+    j.turn = JobState.PYTHON
     beside.words[0] = 1
     write(j.python, beside.words.ctypes.data, 8)
 
@@ -170,7 +170,7 @@ def _begin(beside: Beside, world: World) -> None:
 def collect(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
     """Take over what Python has made of its job, and let it begin with the next one."""
     j, w, python = beside.state, world.state, beside.python
-    if j.turn != Turn.DONE:
+    if j.turn != JobState.DONE:
         return
     now, a = j.now, j.now.axis
     for k in range(j.changed):
@@ -202,7 +202,7 @@ def collect(beside: Beside, world: World, course: CourseFunction, pace: PaceReco
     for k in range(world.axes.shape[0]):
         actuate(world, course, k, w.t_ns)
     j.served += 1
-    j.turn = Turn.FREE
+    j.turn = JobState.FREE
     refresh(w, world.nodes, world.axes, world.deadlines, world.wants)
     _begin(beside, world)
 
@@ -217,7 +217,7 @@ def drained(beside: Beside) -> None:
 def _await(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
     """Sleep until Python's job is done, and take over what became of it."""
     j = beside.state
-    while j.turn == Turn.PYTHON:
+    while j.turn == JobState.PYTHON:
         beside.words[2] = (j.loop & 0xFFFFFFFF) | POLLIN << 32
         if ppoll_ns(beside.words.ctypes.data + 16, 1, PATIENCE_NS) > 0:
             drained(beside)
@@ -228,7 +228,7 @@ def _await(beside: Beside, world: World, course: CourseFunction, pace: PaceRecor
 def settle(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
     """Let all jobs end: Python needs the whole world."""
     j = beside.state
-    while j.turn != Turn.FREE or j.waiting > 0:
+    while j.turn != JobState.FREE or j.waiting > 0:
         _await(beside, world, course, pace)
 
 
@@ -327,7 +327,7 @@ class Worker:
             except BaseException as error:
                 self.failure = error
                 self._stop()
-            state["turn"] = Turn.DONE
+            state["turn"] = JobState.DONE
             os.eventfd_write(self._wake, 1)
 
     def _do(self, job: Any) -> None:

@@ -37,9 +37,9 @@ from coulombus.kernels.libc import (
 )
 from coulombus.kernels.records import Integers, RecordArray
 from coulombus.sim_bus.can_bus.cable_cut import choose
-from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
+from coulombus.sim_bus.network.kernel import Exit, HostCycle, World, next_event, refresh, run
 from coulombus.sim_bus.rig.plant_step import CourseFunction
-from coulombus.sim_bus.server.clients import Clients, State, flush, hand_out, take
+from coulombus.sim_bus.server.clients import Clients, SlotState, flush, hand_out, take
 from coulombus.sim_bus.server.python_worker import FRAME, RECORD, Beside, collect, drained, leave
 from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 
@@ -85,7 +85,7 @@ def _wait(p: PaceRecord, slots: RecordArray[SlotRecord], pollfds: Integers, time
     for i in range(n):
         s = slots[i]  # a client whose message is not done is not asked, not even whether it is still there
         s.watched = 0
-        if s.state != State.FREE and s.next >= s.staged and s.gone == 0:
+        if s.state != SlotState.FREE and s.next >= s.staged and s.gone == 0:
             pollfds[count] = s.fd | POLLIN << 32
             s.watched = count
             count += 1
@@ -119,7 +119,7 @@ def _forgive(p: PaceRecord, slots: RecordArray[SlotRecord], planned_ns: int, t_n
     """
     first = t_ns
     for i in range(slots.shape[0]):
-        if slots[i].state != State.FREE and slots[i].next < slots[i].staged:
+        if slots[i].state != SlotState.FREE and slots[i].next < slots[i].staged:
             first = min(first, slots[i].ready_ns)
     lost = first - planned_ns
     if lost < STALL_NS:
@@ -138,7 +138,7 @@ def serve(
     clients: Clients,
     beside: Beside,
     world: World,
-    host: Host,
+    host: HostCycle,
     course: CourseFunction,
 ) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.

@@ -25,7 +25,7 @@ from coulombus.sim_bus.can_bus.cable_cut import wire_of
 from coulombus.sim_bus.can_bus.fault_confinement import state_of
 from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
-from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOTS, STATION, Clients, Need, State
+from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOTS, STATION, Clients, Need, SlotState
 from coulombus.sim_bus.server.precompile import warm_up
 from coulombus.sim_bus.server.python_worker import Worker, settle
 from coulombus.sim_bus.server.realtime_loop import Serve, serve
@@ -34,7 +34,7 @@ from coulombus.system.file_lock import lock_file
 from coulombus.system.realtime import RealTime, ask_for_real_time, bus_cpu
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.frame import new_records
-from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
+from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, BusStatus, Flags, Hello, greet
 from coulombus.wire.recvmsg import Mailbox, ask_for_stamps, set_up
 from coulombus.wire.socketcan import can_socket, is_virtual
 
@@ -266,7 +266,7 @@ class BusServer:
     def _finish(self) -> SimResult:
         result, pace, bus = self.result, self._pace[0], self.world.bus
         for slot in list(self._sockets):
-            if self._slots[slot]["state"] == State.SOCKETCAN:
+            if self._slots[slot]["state"] == SlotState.SOCKETCAN:
                 names = ("sent", "delivered", "lost", "overflow", "no_buffer", "net_down", "error_frames")
                 result.socketcan = {name: int(self._slots[slot][name]) for name in names}
             self._part(slot)
@@ -329,7 +329,7 @@ class BusServer:
             self.bit_rate = connection.answer.bitrate_bit_s
             self.world.bus["bit_rate"] = 0  # frames take their time there
             connection.socket.setblocking(False)
-            self._admit(0, connection.socket, State.JOINED)
+            self._admit(0, connection.socket, SlotState.JOINED)
         return self.joined
 
     def _listen(self, address: BusAddress) -> None:
@@ -372,7 +372,7 @@ class BusServer:
             except PermissionError:
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             ask_for_stamps(client)
-            self._admit(place, client, State.GREETING)
+            self._admit(place, client, SlotState.GREETING)
         except BaseException as error:
             with ExitStack() as left:
                 left.callback(client.close)
@@ -391,7 +391,7 @@ class BusServer:
         try:
             client, _ = self._listener.accept()
             with client, suppress(OSError):
-                client.send(Answer(Status.FULL).pack())
+                client.send(Answer(BusStatus.FULL).pack())
         except BlockingIOError:
             pass
         except OSError as error:
@@ -404,23 +404,25 @@ class BusServer:
 
         When there are none for clients, who has connected and says nothing is turned away.
         """
-        free = np.flatnonzero(self._slots["state"] == State.FREE)
+        free = np.flatnonzero(self._slots["state"] == SlotState.FREE)
         if len(free) and free[0] < SLOTS:
             return int(free[0])
-        mute = [i for i in self._sockets if self._slots[i]["state"] == State.GREETING]  # in the order of their coming
+        mute = [
+            i for i in self._sockets if self._slots[i]["state"] == SlotState.GREETING
+        ]  # in the order of their coming
         mute.sort(key=lambda i: i == SLOTS)  # the place at which one is only told that there is none comes last
         before = time.monotonic() - MUTE_S
         for i in [i for i in mute if self._since[i] < before] or ([] if len(free) else mute[:1]):
             self._part(i)
-        free = np.flatnonzero(self._slots["state"] == State.FREE)
+        free = np.flatnonzero(self._slots["state"] == SlotState.FREE)
         return int(free[0]) if len(free) else None
 
-    def _admit(self, i: int, client: socket.socket, state: State) -> None:
+    def _admit(self, i: int, client: socket.socket, state: SlotState) -> None:
         self._sockets[i], self._since[i] = client, time.monotonic()
         self._slots[i : i + 1] = np.zeros(1, SLOT)
         self._slots[i]["fd"], self._slots[i]["state"] = client.fileno(), state
         self._boxes[i]["overflow"] = 0
-        if state is State.GREETING:
+        if state is SlotState.GREETING:
             credentials = client.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, struct.calcsize("3i"))
             self._pids[i] = struct.unpack("3i", credentials)[0]
 
@@ -432,14 +434,14 @@ class BusServer:
         slot = self._slots[i]
         message = self._words[i].tobytes()[: int(self._pace["message_bytes"][0])]
         hello = Hello.unpack(message)
-        status = hello if isinstance(hello, Status) else Status.OK
-        first = slot["state"] == State.GREETING
-        if status is Status.OK and i == SLOTS:
-            status = Status.FULL
-        if isinstance(hello, Hello) and status is Status.OK:
+        status = hello if isinstance(hello, BusStatus) else BusStatus.OK
+        first = slot["state"] == SlotState.GREETING
+        if status is BusStatus.OK and i == SLOTS:
+            status = BusStatus.FULL
+        if isinstance(hello, Hello) and status is BusStatus.OK:
             slot["greeted"], slot["filters"] = int(hello.flags), len(hello.filters)
             self._filters[i, : len(hello.filters)] = np.array(hello.filters, np.int64).reshape(-1, 2)
-            slot["state"] = State.OPEN
+            slot["state"] = SlotState.OPEN
             bus = wire_of(self.world.bus, STATION + i)
             bus.stations[STATION + i].listen_only = int(Flags.LISTEN_ONLY in hello.flags)
             attach(bus, STATION + i)
@@ -448,7 +450,7 @@ class BusServer:
         answer = Answer(status, self.bit_rate, STATION + i, int(slot["lost"]), state_of(controller))
         with suppress(OSError):  # it does not read, or has gone: the loop will find out
             self._sockets[i].send(answer.pack())
-        if not isinstance(hello, Hello) or status is not Status.OK:
+        if not isinstance(hello, Hello) or status is not BusStatus.OK:
             if first:
                 self._part(i)
             else:
@@ -461,12 +463,12 @@ class BusServer:
         pid = self._pids.pop(i, 0)
         lost = int(slot["lost"])
         result.malformed += int(slot["malformed"])
-        if slot["state"] == State.OPEN:
+        if slot["state"] == SlotState.OPEN:
             result.lost += lost
             if lost and len(result.losers) < LOSERS_TOLD:
                 result.losers.append({"pid": pid, "lost": lost, "delivered": int(slot["delivered"])})
         detach(wire_of(self.world.bus, STATION + i), STATION + i)
-        slot["state"], slot["fd"] = State.FREE, -1
+        slot["state"], slot["fd"] = SlotState.FREE, -1
         if self._listener is not None:
             self._pace["listener"] = self._listener.fileno()
 
@@ -476,7 +478,7 @@ class BusServer:
         raw.setblocking(False)
         raw.setsockopt(SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK)
         ask_for_stamps(raw)
-        self._admit(0, raw, State.SOCKETCAN)
+        self._admit(0, raw, SlotState.SOCKETCAN)
 
 
 @contextmanager

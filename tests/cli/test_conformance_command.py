@@ -20,7 +20,7 @@ from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.wire import bus_link as link_module
 from coulombus.wire.address import BusUnavailable, parse_address
-from coulombus.wire.bus_link import RTR, BusLink, Frame
+from coulombus.wire.bus_link import RTR, BusFrame, BusLink
 from tiny_bus import tiny_bus
 
 
@@ -46,7 +46,7 @@ class BabblingLink(VirtualLink):
         if frame.can_id != 0x581:
             return [frame]
         noise = bytes((frame.data[0] ^ 0x65, 0xFF, 0x12, 7, 1, 2, 3, 4))
-        return [Frame(frame.t_ns, 0x581, noise, 8), Frame(frame.t_ns, 0x581, b"\x41", 1)]
+        return [BusFrame(frame.t_ns, 0x581, noise, 8), BusFrame(frame.t_ns, 0x581, b"\x41", 1)]
 
 
 def invoke(*arguments):
@@ -388,7 +388,7 @@ class LocalNodeLink:
         self.network.add_node(self.node)
 
     def _send(self, can_id, data, remote=False):
-        self.sent.append(Frame(self.t, can_id, bytes(data), len(data)))
+        self.sent.append(BusFrame(self.t, can_id, bytes(data), len(data)))
 
     def now_ns(self):
         return self.t

@@ -426,12 +426,12 @@ def test_a_line_that_fails_ends_a_pipe(desk, line, status):
 
 
 def test_at_a_terminal_the_shell_goes_on_and_completes_names(desk, monkeypatch, capsys):
-    from coulombus.host.devices.device import Device, describe
+    from coulombus.host.devices.device import KnownDevice, describe
     from coulombus.host.devices.sdo import SdoClient
 
     monkeypatch.setattr("sys.stdin", Terminal())
     client = SdoClient(desk, 1)
-    shell = sdo_shell.Shell(desk, Device(client, describe(client, None)), beside=False)
+    shell = sdo_shell.Shell(desk, KnownDevice(client, describe(client, None)), beside=False)
     for line in ("get nothing", "nonsense", "set 1017h 70000"):
         assert shell.onecmd(line) is False
     assert len(capsys.readouterr().err.splitlines()) == 3

@@ -10,7 +10,7 @@ import pytest
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.commission.session import RunEnded, Session
-from coulombus.host.commission.state import State
+from coulombus.host.commission.state import Progress
 from coulombus.host.commission.step import CommissionError, Given
 from coulombus.host.commission.steps import STEPS
 from coulombus.host.cycle.demand import motor_limit_Nm
@@ -72,7 +72,7 @@ def test_the_friction_step_finds_the_friction_though_the_belief_is_wrong(afterno
     assert "# identified Coulomb friction with the coil off, compensated by the motor" in text
     (copy,) = session.state.folder.glob("my.*.friction.toml")
     assert copy.read_text() == packaged_rig("bench").read_text()
-    assert "friction" in State.load(session.state.folder).steps
+    assert "friction" in Progress.load(session.state.folder).steps
 
 
 def test_a_friction_that_is_too_large_in_the_belief_is_found_as_well(afternoon):
@@ -112,7 +112,7 @@ def test_a_trip_leaves_the_rig_file_and_tells_the_recording(afternoon, tmp_path)
     with pytest.raises(SafetyTrip, match=r"step friction: SIGN_ENCODER.*nothing of it was written; the recording is"):
         afternoon("friction", truth=("plant.encoder_polarity=-1",))
     assert (tmp_path / "my.toml").read_text() == before
-    assert State.load(tmp_path / "my.commission").steps == {}
+    assert Progress.load(tmp_path / "my.commission").steps == {}
 
 
 def test_a_stop_from_outside_ends_the_session_with_its_status(afternoon, tmp_path):
@@ -148,7 +148,7 @@ def test_ctrl_c_leaves_nothing_energised_and_the_file_whole(afternoon, tmp_path,
     assert not world.nodes["out_brake_Nm"].any()
     assert world.nodes["power_state"][MOTOR] == PowerState.SWITCH_ON_DISABLED
     assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
-    assert State.load(tmp_path / "my.commission").steps == {}
+    assert Progress.load(tmp_path / "my.commission").steps == {}
     (recording,) = (tmp_path / "my.commission").iterdir()
     assert recording.name.startswith(step.name)
 
@@ -167,7 +167,7 @@ def test_a_disk_that_fills_up_in_a_step_ends_it_safely(afternoon, tmp_path, monk
         afternoon(step)
     assert tripped.value.exit_status == 7
     assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
-    assert State.load(tmp_path / "my.commission").steps == {}
+    assert Progress.load(tmp_path / "my.commission").steps == {}
     end = read(tmp_path / "my.commission" / f"{step}.pcapng")  # what was written stays readable
     assert end["motor.position_rad"].values.size > 1000
 

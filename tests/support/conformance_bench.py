@@ -18,7 +18,7 @@ from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
-from coulombus.wire.bus_link import RTR, Frame
+from coulombus.wire.bus_link import RTR, BusFrame
 from coulombus.wire.frame import data_bytes, data_word, new_queue
 from places import EDS
 
@@ -42,7 +42,7 @@ class VirtualLink:
         self.out = new_queue()
         self.device = device_type(eds, node_id, kind, self.nodes[0])
         self.t = 0
-        self.sent: deque[Frame] = deque()
+        self.sent: deque[BusFrame] = deque()
         self.prepare()
         self.device.power_on(0, self.out)
         self._collect()
@@ -70,7 +70,7 @@ class VirtualLink:
             self._collect()
         self.t = max(self.t, t_ns)
 
-    def receive(self, until_ns: int) -> Frame | None:
+    def receive(self, until_ns: int) -> BusFrame | None:
         while not self.sent:
             if self.t >= until_ns:
                 return None
@@ -85,11 +85,11 @@ class VirtualLink:
             row = self.out.frames[k]
             can_id, length = int(row["can_id"]), int(row["length"])
             data = b"" if can_id & RTR else data_bytes(int(row["word"]), length)
-            for frame in self.tamper(Frame(int(row["t_ns"]), can_id, data, length)):
+            for frame in self.tamper(BusFrame(int(row["t_ns"]), can_id, data, length)):
                 self.sent.append(frame)
         self.out["count"] = 0
 
-    def tamper(self, frame: Frame) -> list[Frame]:
+    def tamper(self, frame: BusFrame) -> list[BusFrame]:
         return [frame]
 
 

@@ -15,7 +15,7 @@ from conformance_bench import VirtualLink, description
 from conformance_mutants import MutantLink, is_abort, place, with_data, written
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.reader import parse_eds
-from coulombus.wire.bus_link import Frame
+from coulombus.wire.bus_link import BusFrame
 
 MS = 1_000_000
 PASS, EITHER = ("pass",), ("pass", "not_applicable")
@@ -246,7 +246,9 @@ def _acknowledges_at_the_gap(link, can_id, data, length):
         link.memory["received"] = number
     elif not link.memory["early"]:
         link.memory["early"] = True
-        link.sent.append(Frame(link.t + 100_000, 0x581, bytes((0xA2, link.memory["received"], 127, 0, 0, 0, 0, 0)), 8))
+        link.sent.append(
+            BusFrame(link.t + 100_000, 0x581, bytes((0xA2, link.memory["received"], 127, 0, 0, 0, 0, 0)), 8)
+        )
     return can_id, data, length
 
 

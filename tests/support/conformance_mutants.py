@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from conformance_bench import VirtualLink
-from coulombus.wire.bus_link import RTR, Frame
+from coulombus.wire.bus_link import RTR, BusFrame
 
 ABORT = 0x80
 MS = 1_000_000
@@ -44,7 +44,7 @@ class MutantLink(VirtualLink):
             found = self.mutant.takes(self, can_id, data, size)
         if isinstance(found, bytes):  # an SDO response of the mutant's own
             self.t += 100_000
-            self.sent.append(Frame(self.t, 0x581, found, 8))
+            self.sent.append(BusFrame(self.t, 0x581, found, 8))
         elif found is not None:
             super().send(found[0], found[1], found[2])
         else:
@@ -497,7 +497,7 @@ MUTANTS[-2:] = [
     replace(
         one,
         takes=lambda link, can_id, data, length: (
-            link.sent.append(Frame(link.t, 0x701, b"\x7f", 1)) if can_id == 0x701 | RTR else (can_id, data, length)
+            link.sent.append(BusFrame(link.t, 0x701, b"\x7f", 1)) if can_id == 0x701 | RTR else (can_id, data, length)
         ),
     )
     for one in MUTANTS[-2:]
@@ -651,7 +651,7 @@ def threshold_of_255(link, can_id, data, length):
 @takes("B.12")
 def end_of_upload_is_answered(link, can_id, data, length):
     if can_id == 0x601 and data[0] == 0xA1:
-        link.sent.append(Frame(link.t, 0x581, b"\xa1" + bytes(7), 8))
+        link.sent.append(BusFrame(link.t, 0x581, b"\xa1" + bytes(7), 8))
     return can_id, data, length
 
 
@@ -792,7 +792,7 @@ def twelve_bits_taken(link, can_id, data, length):
 @takes("T.9")
 def empty_tpdo_is_sent(link, can_id, data, length):
     if can_id == 0x80:
-        link.sent.append(Frame(link.t, 0x181, b"", 0))
+        link.sent.append(BusFrame(link.t, 0x181, b"", 0))
     return can_id, data, length
 
 
@@ -893,7 +893,7 @@ def lss_table_ignored(link, can_id, data, length):
 @takes("L.7")
 def lss_waiting_answers(link, can_id, data, length):
     if can_id == 0x7E5 and data[0] == 0x5E:
-        link.sent.append(Frame(link.t, 0x7E4, b"\x5e\x01" + bytes(6), 8))
+        link.sent.append(BusFrame(link.t, 0x7E4, b"\x5e\x01" + bytes(6), 8))
     return can_id, data, length
 
 
@@ -907,7 +907,7 @@ def lss_node_id_acts_at_once(link, can_id, data, length):
 @takes("L.9")
 def lss_255_is_acknowledged_and_forgotten(link, can_id, data, length):
     if can_id == 0x7E5 and data[:2] == b"\x11\xff":
-        link.sent.append(Frame(link.t, 0x7E4, b"\x11" + bytes(7), 8))
+        link.sent.append(BusFrame(link.t, 0x7E4, b"\x11" + bytes(7), 8))
         return None
     return can_id, data, length
 

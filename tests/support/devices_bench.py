@@ -15,7 +15,7 @@ from coulombus.node import core
 from coulombus.node.device import Device
 from coulombus.node.kinds import of_identity
 from coulombus.node.record import new_nodes
-from coulombus.wire.bus_link import RTR, Frame
+from coulombus.wire.bus_link import RTR, BusFrame
 from coulombus.wire.frame import data_bytes, data_word, new_queue
 from eds_edit import edit
 from places import EDS
@@ -65,7 +65,7 @@ class DevicesLink:
 
     def put(self, can_id, data, after_ns=DELAY_NS):
         """Let a frame of some other station come."""
-        frame = Frame(self.t + after_ns, can_id, bytes(data), len(data))
+        frame = BusFrame(self.t + after_ns, can_id, bytes(data), len(data))
         heapq.heappush(self._waiting, (frame.t_ns, next(self._number), frame))
 
     def now_ns(self):
@@ -118,11 +118,11 @@ class DevicesLink:
             row = self.out.frames[k]
             can_id, length = int(row["can_id"]), int(row["length"])
             data = b"" if can_id & RTR else data_bytes(int(row["word"]), length)
-            for frame in self.tamper(Frame(max(int(row["t_ns"]), self.t) + DELAY_NS, can_id, data, length)):
+            for frame in self.tamper(BusFrame(max(int(row["t_ns"]), self.t) + DELAY_NS, can_id, data, length)):
                 times = self._times()
                 for again in range(times):
                     t_ns = max(frame.t_ns + again * self.again_ns, self._from_ns.get(frame.can_id, 0))
-                    one = Frame(t_ns, frame.can_id, frame.data, frame.length)
+                    one = BusFrame(t_ns, frame.can_id, frame.data, frame.length)
                     self._from_ns[frame.can_id] = t_ns
                     heapq.heappush(self._waiting, (t_ns, next(self._number), one))
         self.out["count"] = 0

@@ -30,7 +30,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase
 from coulombus.host.realtime.loop import run_plane
 from coulombus.host.realtime.process import new_buffers
-from coulombus.host.realtime.shared_memory import Command, SharedPlane, Status
+from coulombus.host.realtime.shared_memory import PlaneCommand, PlaneStatus, SharedPlane
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.server.rig_server import SimServer
@@ -158,7 +158,7 @@ class Plane:
         at = time.monotonic_ns() + 2_000_000
         self.k.start(at)
         self.plane["start_ns"] = at
-        self.plane["command"] = Command.CYCLE
+        self.plane["command"] = PlaneCommand.CYCLE
         h = self.shared.axes["host"]
         return wait(
             lambda: (
@@ -172,7 +172,7 @@ class Plane:
         return wait(lambda: self.plane["cycles"][0] >= goal or self.ended)
 
     def close(self):
-        self.plane["command"] = Command.QUIT
+        self.plane["command"] = PlaneCommand.QUIT
         self.thread.join(PATIENCE_S)
         assert self.ended, "the loop does not end"
         self.mine.close()
@@ -208,13 +208,13 @@ def plane_case(moment, function, number, error):
             if not wait(lambda: plane.k.done or plane.ended):
                 wrong.append(f"the safe state does not end: {plane.k.phase.name}")
         if not plane.ended:
-            plane.plane["command"] = Command.LISTEN
-            wait(lambda: plane.plane["status"][0] != Status.CYCLING)
+            plane.plane["command"] = PlaneCommand.LISTEN
+            wait(lambda: plane.plane["status"][0] != PlaneStatus.CYCLING)
         transient = error in (errno.EINTR, errno.EAGAIN) and function != "clock_nanosleep"
         transient |= error == errno.EINTR or (function == "send" and error == errno.ENOBUFS)
         if shim.fault_failed() and not transient and moment in ("listening", "energised"):
-            if plane.plane["status"][0] != Status.LOST:
-                wrong.append(f"not a lost bus: {Status(int(plane.plane['status'][0])).name}")
+            if plane.plane["status"][0] != PlaneStatus.LOST:
+                wrong.append(f"not a lost bus: {PlaneStatus(int(plane.plane['status'][0])).name}")
             if plane.plane["error"][0] != error:
                 wrong.append(f"the reason is {plane.plane['error'][0]}")
             if moment == "energised" and not str(plane.k.trip).startswith("BUS_LOST"):
@@ -223,7 +223,7 @@ def plane_case(moment, function, number, error):
             wrong.append(f"a trip where there is none: {trip}")
     finally:
         plane.close()
-    if plane.status not in (Status.LOST, Status.ENDED):
+    if plane.status not in (PlaneStatus.LOST, PlaneStatus.ENDED):
         wrong.append(f"status {plane.status}")
     last = dict(plane.devices.sent)  # of each identifier
     if last.get(0x201, 0) != 0:
@@ -239,7 +239,7 @@ def plane_case(moment, function, number, error):
 
 def plane_cases(numbers):
     plane = Plane()  # compiles
-    wait(lambda: plane.plane["status"][0] == Status.LISTENING, 300.0)
+    wait(lambda: plane.plane["status"][0] == PlaneStatus.LISTENING, 300.0)
     plane.arrive()
     plane.close()
     for moment in ("energised", "ended", "stopping", "listening"):

@@ -11,7 +11,7 @@ from typing import Any
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import Change, LiveParameters
 from coulombus.host.run.changes import Changes
-from coulombus.monitor.web.capture import Capture
+from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page import Page
 from coulombus.monitor.web.server import Server, listening
 from coulombus.monitor.web.state import HostDoor
@@ -101,7 +101,7 @@ class Door:
 
 def page(rig: str = "bench", door: Door | None = None) -> Page:
     """Return a page with nothing on its bus yet."""
-    capture = Capture(load_rig(rig))
+    capture = LiveCapture(load_rig(rig))
     capture.snapshot(BEGIN_NS)
     door = door or Door()
     found = Page(capture, door.door, TOKEN, lambda: FACTS, threading.Lock())

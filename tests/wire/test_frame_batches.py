@@ -14,7 +14,7 @@ from coulombus.wire.address import parse_address
 from coulombus.wire.ancillary import SO_TIMESTAMPNS
 from coulombus.wire.client import BusGone, Client, pack_frame
 from coulombus.wire.frame_batches import Block, BlockReader
-from coulombus.wire.handshake import Answer, Status
+from coulombus.wire.handshake import Answer, BusStatus
 
 
 @contextmanager
@@ -22,7 +22,7 @@ def two_clients(monkeypatch):
     """Yield a bus' ends of two connections, and the clients at the others."""
     pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(2)]
     free = [near for _, near in pairs]
-    answer = Answer(Status.OK, 500_000, 7)
+    answer = Answer(BusStatus.OK, 500_000, 7)
 
     class Greeted:
         def __init__(self) -> None:
@@ -48,7 +48,7 @@ def rubbish(rng):
     """Return a message that holds a frame of nine bytes, an answer, or no whole frame."""
     return (
         struct.pack("=IB3x8s", 0x181, 9, bytes(8)) + pack_frame(0x80),
-        Answer(Status.OK, 250_000, 7, lost=int(rng.integers(1, 99))).pack(),
+        Answer(BusStatus.OK, 250_000, 7, lost=int(rng.integers(1, 99))).pack(),
         rng.bytes(int(rng.choice([1, 17, 30, 24]))),
     )[int(rng.integers(3))]
 

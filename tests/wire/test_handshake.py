@@ -13,7 +13,7 @@ from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address, socket_path
 from coulombus.wire.controller_state import STATES, ControllerState
-from coulombus.wire.handshake import Answer, BusUnavailable, Flags, Hello, Status, connect, greet, is_greeting
+from coulombus.wire.handshake import Answer, BusStatus, BusUnavailable, Flags, Hello, connect, greet, is_greeting
 from tiny_bus import tiny_bus
 
 pytestmark = pytest.mark.usefixtures("private_sockets")
@@ -28,7 +28,7 @@ def test_bytes_of_a_hello():
 
 
 def test_bytes_of_an_answer():
-    answer = Answer(Status.FULL, 1_000_000, 17, 3)
+    answer = Answer(BusStatus.FULL, 1_000_000, 17, 3)
     assert answer.pack() == bytes.fromhex("434c4253 0100 0300 40420f00 11000000 0300000000000000")
 
 
@@ -42,25 +42,25 @@ def test_hello_is_read_as_written_and_is_no_message_of_frames(flags, filters):
 
 @given(words, words, st.integers(0, 2**64 - 1))
 def test_answer_is_read_as_written(bitrate, station, lost):
-    answer = Answer(Status.OK, bitrate, station, lost)
+    answer = Answer(BusStatus.OK, bitrate, station, lost)
     assert len(answer.pack()) % 16 == 8
     assert Answer.unpack(answer.pack()) == answer
 
 
 @given(st.binary(max_size=80))
 def test_whatever_is_read_never_raises(message):
-    assert isinstance(Hello.unpack(message), Hello | Status)
-    assert isinstance(Hello.unpack(struct.pack("<IH", 0x53424C43, 1) + message), Hello | Status)
+    assert isinstance(Hello.unpack(message), Hello | BusStatus)
+    assert isinstance(Hello.unpack(struct.pack("<IH", 0x53424C43, 1) + message), Hello | BusStatus)
     Answer.unpack(message)
 
 
 def test_hellos_that_a_bus_refuses():
     good = bytearray(Hello(Flags(0), ((1, 2),)).pack())
-    assert Hello.unpack(b"\x44" + good[1:]) is Status.BAD_HELLO
-    assert Hello.unpack(good[:4] + b"\x02\x00" + good[6:]) is Status.WRONG_VERSION
-    assert Hello.unpack(good[:8] + b"\x02\x00" + good[10:]) is Status.BAD_HELLO
-    assert Hello.unpack(good[:8] + b"\xff\xff" + good[10:]) is Status.BAD_HELLO
-    assert Hello.unpack(good[:-1]) is Status.BAD_HELLO
+    assert Hello.unpack(b"\x44" + good[1:]) is BusStatus.BAD_HELLO
+    assert Hello.unpack(good[:4] + b"\x02\x00" + good[6:]) is BusStatus.WRONG_VERSION
+    assert Hello.unpack(good[:8] + b"\x02\x00" + good[10:]) is BusStatus.BAD_HELLO
+    assert Hello.unpack(good[:8] + b"\xff\xff" + good[10:]) is BusStatus.BAD_HELLO
+    assert Hello.unpack(good[:-1]) is BusStatus.BAD_HELLO
 
 
 def test_more_filters_than_a_bus_takes():
@@ -71,7 +71,7 @@ def test_more_filters_than_a_bus_takes():
 def test_connect_greets_and_returns_a_blocking_socket():
     with tiny_bus(bitrate=500_000) as bus:
         connection = greet(BENCH, Hello(Flags.OWN, ((0x80, 0x7FF),)))
-        assert connection.answer == Answer(Status.OK, 500_000, 17)
+        assert connection.answer == Answer(BusStatus.OK, 500_000, 17)
         assert bus.greetings == [(1, [(0x80, 0x7FF)])]
         assert connection.socket.gettimeout() is None
         bus.deliver((0x80, b"\x07"), (0x81, b""))
@@ -179,7 +179,7 @@ def test_frames_before_the_answer_are_no_answer():
         client.recv(100)
         client.send(bytes(16))
         client.send(bytes(24))
-        client.send(Answer(Status.OK, 125_000, 2).pack())
+        client.send(Answer(BusStatus.OK, 125_000, 2).pack())
         client.recv(100)
         client.close()
 
@@ -214,7 +214,7 @@ def test_socketcan_is_not_greeted():
 @given(st.integers(0, 4), st.integers(0, 7), st.integers(0, 2**40))
 def test_the_state_of_a_controller_goes_with_the_answer(state, modes, count):
     controller = ControllerState(state=state, modes=modes, tec=7, rec=9, restart_ms=100, bus_offs=count)
-    message = Answer(Status.OK, 500_000, 3, 1, controller).pack()
+    message = Answer(BusStatus.OK, 500_000, 3, 1, controller).pack()
     assert is_greeting(message)
     told = Answer.unpack(message).controller
     assert told == replace(controller, bus_offs=min(count, 2**32 - 1))

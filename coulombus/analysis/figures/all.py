@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from coulombus.analysis.figures.frequency import write_frequency_figures
-from coulombus.analysis.figures.report import Study
+from coulombus.analysis.figures.report import TheoryResults
 from coulombus.analysis.figures.rig import (
     write_bus_figure,
     write_fig12,
@@ -19,7 +19,7 @@ from coulombus.analysis.figures.time import write_delay_figure, write_fig10, wri
 __all__ = ["write_all"]
 
 
-def write_all(directory: Path, found: Study) -> list[Path]:
+def write_all(directory: Path, found: TheoryResults) -> list[Path]:
     """Write every figure of `found` as PNG and SVG; return the paths."""
     paths = write_frequency_figures(directory, found.parameters, found.crossings, found.absolute)
     paths += write_fig10(directory, found.fig10)

@@ -25,7 +25,7 @@ from coulombus.analysis.theory.parameters import Parameters
 from coulombus.rigs.rig import Rig
 
 __all__ = [
-    "Study",
+    "TheoryResults",
     "as_json",
     "delay_lines",
     "disk_of",
@@ -45,7 +45,7 @@ Step = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Study:
+class TheoryResults:
     """All results of `coulombus analyse`, as dataclasses."""
 
     parameters: Parameters
@@ -69,7 +69,7 @@ def disk_of(parameters: Parameters) -> Disk | None:
     return passive_disk(np.linspace(0.0, parameters.nyquist_Hz, DISK_POINTS), parameters)
 
 
-def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambda name: None) -> Study:
+def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambda name: None) -> TheoryResults:
     """Compute everything; `step` is called with the name of what comes next.
 
     `parameters` are the loop's on paper; `rig` is the one whose friction is identified, that holds
@@ -94,7 +94,7 @@ def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambd
     held = hold_study(rig, seed=seed)
     step("map")
     oscillating = oscillation_map(base=rig)
-    return Study(
+    return TheoryResults(
         parameters, rig, found, motions, disk_of(parameters), absolute, runs, rows, friction, bus, held, oscillating
     )
 
@@ -177,7 +177,7 @@ def fig10_json(runs: Fig10) -> dict[str, Any]:
     return {"fig10": {"passive": _run_json(runs.passive), "active": _run_json(runs.active)}}
 
 
-def as_json(found: Study) -> dict[str, Any]:
+def as_json(found: TheoryResults) -> dict[str, Any]:
     """Return the machine-readable contract of `coulombus analyse --json`."""
     friction = found.friction
     traces = ("t_s", "v_m_s", "force_N")
@@ -282,7 +282,7 @@ def map_lines(found: OscillationMap) -> Iterable[str]:
     )
 
 
-def lines(found: Study) -> Iterable[str]:
+def lines(found: TheoryResults) -> Iterable[str]:
     """Yield all results for people."""
     yield from nyquist_lines(found.crossings, found.absolute)
     yield f"exact orbits          {found.orbits.text}"

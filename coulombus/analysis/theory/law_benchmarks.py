@@ -24,7 +24,7 @@ from coulombus.kernels.records import Record, RecordArray, Records, new_records
 __all__ = [
     "CANUDAS",
     "Benchmark",
-    "Sweep",
+    "SineResponse",
     "benchmarks",
     "break_away",
     "describing_function",
@@ -272,7 +272,7 @@ def energy(law: GivenLaw, seed: int = 0) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SineResponse:
     """A law with its defaults under v = a sin: what it is to a loop, and to energy."""
 
     law: str
@@ -287,13 +287,13 @@ class Sweep:
         return self.least_J >= -1e-6 * self.turned_J
 
 
-def sweep() -> tuple[Sweep, ...]:
+def sweep() -> tuple[SineResponse, ...]:
     """Compute describing function and energy of every law."""
     laws = [given_law(name) for name in OWN_LAWS]
-    return tuple(Sweep(law.name, describing_function(law, 1.0, 1.0), *energy(law)) for law in laws)
+    return tuple(SineResponse(law.name, describing_function(law, 1.0, 1.0), *energy(law)) for law in laws)
 
 
-def lines(found: Sequence[Benchmark], swept: Sequence[Sweep]) -> Iterator[str]:
+def lines(found: Sequence[Benchmark], swept: Sequence[SineResponse]) -> Iterator[str]:
     """Yield the results as tables, as docs/laws.md has them."""
     yield "| law | benchmark | expected | by | found | |"
     yield "|---|---|---|---|---|---|"
@@ -309,7 +309,7 @@ def lines(found: Sequence[Benchmark], swept: Sequence[Sweep]) -> Iterator[str]:
         yield f"| `{each.law}` | {each.psi.real:.3f} | {imaginary:.3f} | {'yes' if each.passive else 'no'} |"
 
 
-def plain(found: Sequence[Benchmark], swept: Sequence[Sweep]) -> dict[str, Any]:
+def plain(found: Sequence[Benchmark], swept: Sequence[SineResponse]) -> dict[str, Any]:
     """Return the results as plain values."""
     return {
         "benchmarks": [{**asdict(one), "ok": one.ok} for one in found],

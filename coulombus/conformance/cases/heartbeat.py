@@ -10,7 +10,7 @@ from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
-from coulombus.wire.bus_link import RTR, Frame
+from coulombus.wire.bus_link import RTR, BusFrame
 
 __all__ = ["HEARTBEAT_MS", "check_heartbeats", "guard"]
 
@@ -38,7 +38,7 @@ def error_id(unit: Unit) -> int:
     return CobId.HEARTBEAT + unit.node_id
 
 
-def guard(unit: Unit) -> Frame:
+def guard(unit: Unit) -> BusFrame:
     """Ask with a remote frame, and return the answer."""
     unit.pause(2 * MS)
     unit.take(error_id(unit))

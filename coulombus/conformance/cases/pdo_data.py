@@ -21,7 +21,7 @@ from coulombus.conformance.tester.provoke import emcy_id
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, where
-from coulombus.wire.bus_link import Frame
+from coulombus.wire.bus_link import BusFrame
 
 __all__: list[str] = []
 
@@ -109,7 +109,7 @@ def rpdo_too_short(unit: Unit) -> str:
         unit.start()
         unit.flush()
         unit.send(rpdo, bytes(length - 1))
-        frame: Frame = unit.expect(can_id, "EMCY after an RPDO that is too short")
+        frame: BusFrame = unit.expect(can_id, "EMCY after an RPDO that is too short")
         if frame.data[:2] != b"\x10\x82":
             raise CaseFailed(f"EMCY {int.from_bytes(frame.data[:2], 'little'):04X}h after a short RPDO, expected 8210h")
         return f"RPDO {k + 1}"

@@ -16,7 +16,7 @@ from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
-from coulombus.wire.bus_link import Frame
+from coulombus.wire.bus_link import BusFrame
 
 __all__: list[str] = []
 
@@ -372,7 +372,7 @@ def in_time(unit: Unit) -> str:
     return ", ".join(done)
 
 
-def _between(what: str, frame: Frame, start_ns: int, limit_ms: int) -> str:
+def _between(what: str, frame: BusFrame, start_ns: int, limit_ms: int) -> str:
     if frame.data[:2] != b"\x30\x81":
         raise CaseFailed(f"EMCY {frame.data[:8].hex(' ')} after the lost {what}, expected 8130h")
     after_ms = (frame.t_ns - start_ns) / 1e6

@@ -11,7 +11,7 @@ from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted
 from coulombus.eds.cia301 import CobId
-from coulombus.wire.bus_link import Frame
+from coulombus.wire.bus_link import BusFrame
 
 __all__: list[str] = []
 
@@ -41,7 +41,7 @@ def produce(unit: Unit, overflow: int | None = None) -> None:
         raise NotApplicable(f"the device refuses to produce SYNC: {abort}") from None
 
 
-def syncs(unit: Unit, count: int) -> list[Frame]:
+def syncs(unit: Unit, count: int) -> list[BusFrame]:
     """Return so many SYNCs of the device, at their period (measured up to three times: the tester
     may be late).
     """
@@ -163,7 +163,7 @@ def counter(unit: Unit) -> str:
     return f"1 to {OVERFLOW}"
 
 
-def check_counter(frames: list[Frame], overflow: int, first: int | None = None) -> None:
+def check_counter(frames: list[BusFrame], overflow: int, first: int | None = None) -> None:
     """Fail unless the SYNCs' counter goes up by one and begins with 1 again after `overflow`."""
     if len(frames) < overflow:
         raise CaseFailed(f"{len(frames)} SYNCs, too few to see the counter's overflow at {overflow}")

@@ -26,7 +26,7 @@ from coulombus.conformance.tester.pdo_setup import (
 from coulombus.conformance.tester.unit import MS, OPERATIONAL, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable
 from coulombus.eds.cia301 import NmtState
-from coulombus.wire.bus_link import RTR, Frame
+from coulombus.wire.bus_link import RTR, BusFrame
 
 __all__ = ["STIMULI", "Stimulus"]
 
@@ -65,15 +65,15 @@ class Stimulus(ABC):
         self.poke(OPERATIONAL)
         return self.unit.wait(self.can_id) is not None
 
-    def of_length(self, frames: list[Frame]) -> None:
+    def of_length(self, frames: list[BusFrame]) -> None:
         """Fail when a frame has not the map's length."""
         for frame in frames:
             if frame.length != self.length or frame.can_id & RTR:
                 raise CaseFailed(f"{self.name} has {frame.length} bytes; its map has {self.length}")
 
-    def syncs(self, count: int, first: int | None = None) -> list[Frame]:
+    def syncs(self, count: int, first: int | None = None) -> list[BusFrame]:
         """Send SYNCs, and return the TPDOs that came with each of them."""
-        found: list[Frame] = []
+        found: list[BusFrame] = []
         for number in range(count):
             sync(self.unit, None if first is None else first + number)
             self.unit.pause(_CALM_NS)

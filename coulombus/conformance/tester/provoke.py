@@ -20,7 +20,7 @@ from coulombus.conformance.tester.pdo_setup import (
 from coulombus.conformance.tester.unit import MS, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable
 from coulombus.eds.cia301 import CobId
-from coulombus.wire.bus_link import RTR, Frame
+from coulombus.wire.bus_link import RTR, BusFrame
 
 __all__ = ["GUARD_MS", "cause_error", "check_emcy", "emcy_id", "short_rpdo"]
 
@@ -87,7 +87,7 @@ def _ways(unit: Unit) -> Iterator[tuple[str, Callable[[], None]]]:
             continue
 
 
-def cause_error(unit: Unit) -> tuple[str, Frame]:
+def cause_error(unit: Unit) -> tuple[str, BusFrame]:
     """Cause an error; return how, and the EMCY that came.
 
     Raises
@@ -113,7 +113,7 @@ def cause_error(unit: Unit) -> tuple[str, Frame]:
     raise CaseFailed(f"no EMCY ({can_id:03X}h) after {', '.join(tried)}")
 
 
-def check_emcy(unit: Unit, frame: Frame) -> None:
+def check_emcy(unit: Unit, frame: BusFrame) -> None:
     """Fail unless an EMCY that tells an error has its form."""
     if frame.length != 8 or frame.can_id & RTR:
         raise CaseFailed(f"an EMCY has {frame.length} bytes, expected 8")

@@ -17,7 +17,7 @@ from coulombus.eds.cia301 import DATA_TYPES, CobId, NmtCommand, NmtState, abort_
 from coulombus.eds.data import encode
 from coulombus.eds.reader import Description, Value, Variable
 from coulombus.wire.address import BusUnavailable
-from coulombus.wire.bus_link import RTR, Frame, FrameLink
+from coulombus.wire.bus_link import RTR, BusFrame, FrameLink
 
 __all__ = ["MS", "Timing", "Unit", "encode"]
 
@@ -62,10 +62,10 @@ class Unit:
         self.link, self.description, self.node_id, self.timing = link, description, node_id, timing
         self.random = random.Random(seed)
         self.codes: tuple[int, ...] = ()
-        self.trace: deque[Frame] = deque(maxlen=_TRACE)
+        self.trace: deque[BusFrame] = deque(maxlen=_TRACE)
         self.boots = True
         self.sync_id = self._sync_id()
-        self._inbox: list[Frame] = []
+        self._inbox: list[BusFrame] = []
         self._undo: list[tuple[int, int, bytes]] = []
         self._deadline_ns = link.now_ns() + timing.case_ns
         self.dirty = True
@@ -94,10 +94,10 @@ class Unit:
     def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
         """Send a frame."""
         size = len(data) if length is None else length
-        self.trace.append(Frame(self.link.now_ns(), can_id, data, size, sent=True))
+        self.trace.append(BusFrame(self.link.now_ns(), can_id, data, size, sent=True))
         self.link.send(can_id, data, length)
 
-    def _next(self, until_ns: int) -> Frame | None:
+    def _next(self, until_ns: int) -> BusFrame | None:
         if self.link.now_ns() > self._deadline_ns:
             raise CaseFailed(f"the case lasts longer than {self.timing.case_ns // 1_000_000_000} s")
         frame = self.link.receive(min(until_ns, self._deadline_ns + MS))
@@ -113,7 +113,7 @@ class Unit:
         while self._next(until_ns) is not None or self.link.now_ns() < until_ns:
             pass
 
-    def take(self, can_id: int) -> list[Frame]:
+    def take(self, can_id: int) -> list[BusFrame]:
         """Take the frames with this identifier that have come."""
         taken = [frame for frame in self._inbox if frame.can_id == can_id]
         self._inbox = [frame for frame in self._inbox if frame.can_id != can_id]
@@ -125,13 +125,13 @@ class Unit:
             pass
         self._inbox.clear()
 
-    def collect(self, can_id: int, duration_ns: int) -> list[Frame]:
+    def collect(self, can_id: int, duration_ns: int) -> list[BusFrame]:
         """Return the frames with this identifier that come within `duration_ns` from now."""
         self.flush()
         self.pause(duration_ns)
         return self.take(can_id)
 
-    def wait(self, can_id: int, timeout_ns: int | None = None) -> Frame | None:
+    def wait(self, can_id: int, timeout_ns: int | None = None) -> BusFrame | None:
         """Return the first frame with this identifier that has come or comes in time."""
         until_ns = self.link.now_ns() + (self.timing.answer_ns if timeout_ns is None else timeout_ns)
         while True:
@@ -141,7 +141,7 @@ class Unit:
             if self._next(until_ns) is None and self.link.now_ns() >= until_ns:
                 return None
 
-    def expect(self, can_id: int, what: str, timeout_ns: int | None = None) -> Frame:
+    def expect(self, can_id: int, what: str, timeout_ns: int | None = None) -> BusFrame:
         """Return the frame that has to come."""
         frame = self.wait(can_id, timeout_ns)
         if frame is None:
@@ -256,7 +256,7 @@ class Unit:
         """Make it OPERATIONAL."""
         self.nmt(NmtCommand.START)
 
-    def reset(self, command: int = NmtCommand.RESET_NODE, *, must: bool = False) -> Frame | None:
+    def reset(self, command: int = NmtCommand.RESET_NODE, *, must: bool = False) -> BusFrame | None:
         """Reset the device and return its boot-up message; PRE-OPERATIONAL follows.
 
         Where a device never sent one, only `must` waits for it and fails; else its SDO server is
@@ -273,7 +273,7 @@ class Unit:
         self.dirty = False
         return boot
 
-    def _boot_up(self, wait_ns: int) -> Frame | None:
+    def _boot_up(self, wait_ns: int) -> BusFrame | None:
         """Return the boot-up message, past a last heartbeat.
 
         Without one, what else came on its identifier.

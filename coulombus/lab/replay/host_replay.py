@@ -21,8 +21,8 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.parameter_changes import Order, orders_of
-from coulombus.host.cycle.replay import Inputs, Sent, replay
+from coulombus.host.cycle.parameter_changes import ParameterOrder, orders_of
+from coulombus.host.cycle.replay import HostFrame, Inputs, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.recording.pdo_table import decode_field
@@ -153,7 +153,7 @@ def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], b
     return (text,), False
 
 
-def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, Order]:
+def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, ParameterOrder]:
     """Return the changed parameters that the markers tell; all that the trace has must be there."""
     orders = orders_of((text for _, text in recording.markers), controllers)
     kinds = inputs.trace["kind"] == (Event.SET if inputs.virtual else Moment.SET)
@@ -251,7 +251,7 @@ class _Check:
         if self.keep:
             result.rms = self._rms()
 
-    def _ended(self, sent: Sent) -> bool:
+    def _ended(self, sent: HostFrame) -> bool:
         """Tell whether this is the cycle that the recording does not have: in virtual time the host
         goes on for ever.
         """
@@ -263,7 +263,7 @@ class _Check:
             self.result.remarks += (f"{where} in phase {phases}",)
         return True
 
-    def _take(self, sent: Sent) -> None:
+    def _take(self, sent: HostFrame) -> None:
         can_id = sent.can_id
         stream, at = self.streams[can_id], self.at[can_id]
         if at == len(stream) or stream[at][0] > sent.until_ns:  # it is not in the recording

@@ -33,7 +33,7 @@ from coulombus.rigs.rewrite import write_whole
 from coulombus.system.errors import CoulombusError
 from coulombus.system.file_lock import lock_file
 
-__all__ = ["Folder", "SweepFolderError", "Taken"]
+__all__ = ["Folder", "RunTimes", "SweepFolderError"]
 
 FORMAT = 1
 OWN = re.compile(
@@ -54,7 +54,7 @@ class SweepFolderError(CoulombusError):
 
 
 @dataclass
-class Taken:
+class RunTimes:
     """What the runs took: displayed and on one core [s]."""
 
     simulated_s: float = 0.0
@@ -68,7 +68,7 @@ class Folder:
     path: Path
     sweep: Sweep
     rows_of_part: int
-    taken: Taken = field(default_factory=Taken)
+    taken: RunTimes = field(default_factory=RunTimes)
     worst: dict[str, Any] = field(default_factory=dict)
     """What was found of the worst cases, kept for a later call."""
     _parts: dict[int, dict[int, dict[str, Any]]] = field(default_factory=dict)
@@ -111,7 +111,7 @@ class Folder:
             self._clear()
             state = None
         if state is not None:
-            self.taken = Taken(float(state.get("simulated_s", 0.0)), float(state.get("cpu_s", 0.0)))
+            self.taken = RunTimes(float(state.get("simulated_s", 0.0)), float(state.get("cpu_s", 0.0)))
             self.worst = dict(state.get("worst", {}))
         copy = self.path / "sweep.toml"
         if not (copy.exists() and copy.samefile(self.sweep.path)):

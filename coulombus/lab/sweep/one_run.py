@@ -24,7 +24,7 @@ from coulombus.lab.sweep.ranges import Vary
 from coulombus.rigs.rig import Rig
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["KEEP", "Done", "Job", "Keep", "Order", "carry_out", "failed_row", "order_of", "warm_up"]
+__all__ = ["KEEP", "FinishedRun", "Job", "Keep", "RunRequest", "carry_out", "failed_row", "order_of", "warm_up"]
 
 Keep: TypeAlias = Literal["none", "failing", "all"]
 KEEP: tuple[Keep, ...] = ("none", "failing", "all")
@@ -49,7 +49,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Order:
+class RunRequest:
     """What is asked of one run."""
 
     run: int
@@ -60,7 +60,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Done:
+class FinishedRun:
     """What came of a run.
 
     Attributes
@@ -76,13 +76,13 @@ class Done:
     recording: bytes | None = None
 
 
-def order_of(sweep: Sweep, run: int) -> Order:
+def order_of(sweep: Sweep, run: int) -> RunRequest:
     """Return run number `run`: all modes of the first point, of the second ..."""
     point, mode = divmod(run, len(sweep.modes))
-    return Order(run, point, sweep.modes[mode], seed_of(sweep.seed, point), sweep.points[point])
+    return RunRequest(run, point, sweep.modes[mode], seed_of(sweep.seed, point), sweep.points[point])
 
 
-def carry_out(job: Job, order: Order) -> Done:
+def carry_out(job: Job, order: RunRequest) -> FinishedRun:
     """Simulate one run and return what came of it.
 
     Whatever goes wrong with the run - a rig that is refused, a trip, a mistake of this program - is
@@ -112,10 +112,10 @@ def carry_out(job: Job, order: Order) -> Done:
     recording = None
     if rig is not None and result is not None and (job.keep == "all" or (job.keep == "failing" and failing)):
         recording = _recorded(rig, order, _seconds(job, rig))
-    return Done(row, simulated_s, cpu_s, recording)
+    return FinishedRun(row, simulated_s, cpu_s, recording)
 
 
-def failed_row(job: Job, order: Order, error: str) -> dict[str, Any]:
+def failed_row(job: Job, order: RunRequest, error: str) -> dict[str, Any]:
     """Return the row of a run of which nothing is known but why."""
     return {
         **_head(job, order, error),
@@ -126,7 +126,7 @@ def failed_row(job: Job, order: Order, error: str) -> dict[str, Any]:
     }
 
 
-def _head(job: Job, order: Order, error: str | None) -> dict[str, Any]:
+def _head(job: Job, order: RunRequest, error: str | None) -> dict[str, Any]:
     values = dict(zip((one.key for one in job.vary), order.values, strict=True))
     return {"run": order.run, "point": order.point, "mode": order.mode, "seed": order.seed, **values, "error": error}
 
@@ -135,7 +135,7 @@ def _seconds(job: Job, rig: Rig) -> float:
     return rig.schedule_s if job.seconds is None else job.seconds
 
 
-def _simulated(job: Job, order: Order) -> tuple[Rig | None, RunResult | None, str | None]:
+def _simulated(job: Job, order: RunRequest) -> tuple[Rig | None, RunResult | None, str | None]:
     """Return the rig, where it is one, what was simulated of it, and why it was not."""
     rig = None
     try:
@@ -146,7 +146,7 @@ def _simulated(job: Job, order: Order) -> tuple[Rig | None, RunResult | None, st
         return rig, None, f"refused: {error}" if known else f"{type(error).__name__}: {error}"
 
 
-def _recorded(rig: Rig, order: Order, seconds: float) -> bytes:
+def _recorded(rig: Rig, order: RunRequest, seconds: float) -> bytes:
     """Return the recording of a run, which is run once more for it."""
     with tempfile.TemporaryDirectory(prefix="coulombus-sweep-") as folder:
         path = Path(folder) / "run.pcapng"
@@ -160,5 +160,5 @@ def warm_up(job: Job) -> None:
     """
     _simulated(
         Job(job.rig, 1e-3, (), {}),
-        Order(0, 0, job.rig.modes[-1], 0, ()),
+        RunRequest(0, 0, job.rig.modes[-1], 0, ()),
     )

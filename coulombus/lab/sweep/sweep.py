@@ -10,7 +10,7 @@ from typing import Any
 
 from coulombus.lab.sweep.file import Sweep
 from coulombus.lab.sweep.folder import Folder, SweepFolderError
-from coulombus.lab.sweep.one_run import Job, Keep, Order, order_of
+from coulombus.lab.sweep.one_run import Job, Keep, RunRequest, order_of
 from coulombus.lab.sweep.picture import MapPoint, map_of
 from coulombus.lab.sweep.rates import Rate
 from coulombus.lab.sweep.workers import on_cluster, on_processes
@@ -169,7 +169,7 @@ def _point(sweep: Sweep, row: Mapping[str, Any], rate: str) -> MapPoint:
     return MapPoint(sweep.points[row["run"] // len(sweep.modes)], holds, row[FIGURE])
 
 
-def _find_worst(kept: Folder, job: Job, rate: str, label: str, failing: list[Order], progress: Progress) -> None:
+def _find_worst(kept: Folder, job: Job, rate: str, label: str, failing: list[RunRequest], progress: Progress) -> None:
     start = nearest_failing(job.vary, failing)
     if start is None or label in kept.worst:
         return

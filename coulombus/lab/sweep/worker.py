@@ -11,7 +11,7 @@ import sys
 import threading
 from multiprocessing.connection import Connection
 
-from coulombus.lab.sweep.one_run import Job, Order, carry_out, warm_up
+from coulombus.lab.sweep.one_run import Job, RunRequest, carry_out, warm_up
 from coulombus.system.realtime import die_with_parent
 from coulombus.system.stop_signals import ignore
 
@@ -38,7 +38,7 @@ def _carry_out(fd: int) -> None:
                 order = line.recv()
             except EOFError:
                 return
-            assert isinstance(order, Order)
+            assert isinstance(order, RunRequest)
             try:
                 line.send(carry_out(job, order))
             except OSError as error:  # the recording's: the parent ends the sweep by it

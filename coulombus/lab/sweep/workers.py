@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from coulombus.lab.sweep.one_run import Done, Job, Order, carry_out, failed_row
+from coulombus.lab.sweep.one_run import FinishedRun, Job, RunRequest, carry_out, failed_row
 from coulombus.system.errors import CoulombusError
 
 __all__ = ["ClusterError", "on_cluster", "on_processes"]
@@ -54,11 +54,11 @@ class _Worker:
             )
         self.line = Connection(ours.detach())
         self.ready = False
-        self.order: Order | None = None
+        self.order: RunRequest | None = None
         with suppress(OSError):  # it has ended: who waits for it learns that
             self.line.send(job)
 
-    def take(self, order: Order) -> None:
+    def take(self, order: RunRequest) -> None:
         """Give it a run."""
         self.order = order
         with suppress(OSError):
@@ -75,7 +75,7 @@ class _Worker:
         return f"by {signal.Signals(-status).name}" if status < 0 else f"with exit status {status}"
 
 
-def on_processes(job: Job, orders: Sequence[Order], count: int) -> Iterator[Done]:
+def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator[FinishedRun]:
     """Yield what came of the runs, by `count` processes here.
 
     A process that ends in the midst of a run (killed, out of memory) makes that run a failed one;
@@ -105,7 +105,7 @@ def on_processes(job: Job, orders: Sequence[Order], count: int) -> Iterator[Done
                     if stillborn >= MOST_STARTS:
                         raise RuntimeError(f"the processes of the sweep end {how} before their first run") from None
                     if worker.order is not None:
-                        yield Done(failed_row(job, worker.order, f"the process of the run ended {how}"))
+                        yield FinishedRun(failed_row(job, worker.order, f"the process of the run ended {how}"))
                     if waiting:
                         workers.append(_Worker(job))
                     continue
@@ -126,7 +126,7 @@ def on_processes(job: Job, orders: Sequence[Order], count: int) -> Iterator[Done
             worker.end()
 
 
-def on_cluster(job: Job, orders: Sequence[Order], address: str) -> Iterator[Done]:
+def on_cluster(job: Job, orders: Sequence[RunRequest], address: str) -> Iterator[FinishedRun]:
     """Yield what came of the runs, by the workers of the dask.distributed scheduler at `address`.
 
     Its workers need this package, and a law that is a file of its own.
@@ -151,7 +151,7 @@ def on_cluster(job: Job, orders: Sequence[Order], address: str) -> Iterator[Done
             raise ClusterError(f"--dask {address}: the cluster has no worker; start one with dask worker {address}")
         everywhere = client.scatter(job, broadcast=True)
         waiting = list(reversed(orders))
-        at_work: dict[Any, Order] = {}
+        at_work: dict[Any, RunRequest] = {}
 
         def give() -> Any:
             order = waiting.pop()
@@ -167,4 +167,4 @@ def on_cluster(job: Job, orders: Sequence[Order], address: str) -> Iterator[Done
             if task.status == "finished":
                 yield task.result()
             else:
-                yield Done(failed_row(job, order, f"the cluster lost the run: {task.exception()}"))
+                yield FinishedRun(failed_row(job, order, f"the cluster lost the run: {task.exception()}"))

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.eds.reader import EdsError
-from coulombus.lab.sweep.one_run import Job, Order, carry_out
+from coulombus.lab.sweep.one_run import Job, RunRequest, carry_out
 from coulombus.lab.sweep.ranges import Vary
 from coulombus.rigs.axes import device_keys
 from coulombus.rigs.errors import Source, dotted, toml_value
@@ -44,7 +44,7 @@ class Worst:
 
     rate: str
     run: int
-    order: Order
+    order: RunRequest
     values: Mapping[str, Any]
     tried: int
 
@@ -65,12 +65,12 @@ def deviation(vary: Sequence[Vary], values: Sequence[Any]) -> float:
     return math.sqrt(sum(one.deviation(value) ** 2 for one, value in zip(vary, values, strict=True)))
 
 
-def nearest_failing(vary: Sequence[Vary], failing: Sequence[Order]) -> Order | None:
+def nearest_failing(vary: Sequence[Vary], failing: Sequence[RunRequest]) -> RunRequest | None:
     """Return the one of these runs that deviates least; the first of several that do alike."""
     return min(failing, key=lambda order: (deviation(vary, order.values), order.run), default=None)
 
 
-def shrunk(job: Job, rate: str, start: Order, progress: Callable[[int], None] = lambda tried: None) -> Worst:
+def shrunk(job: Job, rate: str, start: RunRequest, progress: Callable[[int], None] = lambda tried: None) -> Worst:
     """Return the mildest rig on the way from the run `start`, for which the condition of `rate` does
     not hold, to the rig's own values.
     """

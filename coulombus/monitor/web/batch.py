@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.monitor.tracks import BIN_NS, Samples
-from coulombus.monitor.web.capture import RAW_NS, ROWS, Capture
+from coulombus.monitor.web.capture import RAW_NS, ROWS, LiveCapture
 from coulombus.rigs.axis import Axis
 
 __all__ = ["IN_FLIGHT", "Flow", "batch", "layout", "unpacked"]
@@ -53,7 +53,7 @@ class Flow:
         return True
 
 
-def batch(capture: Capture, axis: Axis, flow: Flow, more: dict[str, Any]) -> bytes:
+def batch(capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any]) -> bytes:
     """Return the next batch of a page, and note in `flow` what it holds.
 
     Parameters
@@ -102,7 +102,7 @@ def unpacked(message: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
     return head, rows
 
 
-def layout(capture: Capture, axis: Axis) -> list[dict[str, Any]]:
+def layout(capture: LiveCapture, axis: Axis) -> list[dict[str, Any]]:
     """Return the plots of an axis: title, unit, names of the signals."""
     names = capture.names(axis)
     return [{"title": title, "unit": unit, "signals": names[title]} for title, unit, _ in ROWS]

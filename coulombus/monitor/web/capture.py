@@ -24,7 +24,7 @@ from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
 from coulombus.wire.frame_batches import Block
 
-__all__ = ["ROWS", "VELOCITY", "Capture", "Curve", "Period", "has_plain_curve"]
+__all__ = ["ROWS", "VELOCITY", "Curve", "LiveCapture", "Period", "has_plain_curve"]
 
 WINDOW_NS = 1_000_000_000
 RAW_NS = 200_000_000
@@ -111,7 +111,7 @@ class _Pdo:
         return Period(float(steps.min()), float(steps.mean()), float(steps.max()))
 
 
-class Capture:
+class LiveCapture:
     """Takes batches of frames of one bus (`take`); what is known is asked by `snapshot`, `period`
     and `track`.
 

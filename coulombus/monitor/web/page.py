@@ -35,7 +35,7 @@ from tornado.iostream import IOStream
 
 from coulombus.monitor.live import Snapshot
 from coulombus.monitor.web.batch import Flow, batch, layout
-from coulombus.monitor.web.capture import Capture, Curve
+from coulombus.monitor.web.capture import Curve, LiveCapture
 from coulombus.monitor.web.guard import Seat, right_token, same_origin, served_as
 from coulombus.monitor.web.state import HostDoor, HostView, document
 from coulombus.rigs.axis import Axis
@@ -75,7 +75,7 @@ class Page:
 
     def __init__(
         self,
-        capture: Capture,
+        capture: LiveCapture,
         door: HostDoor,
         token: str,
         facts: Callable[[], dict[str, Any]],

@@ -10,7 +10,7 @@ import threading
 import time
 from typing import Any
 
-from coulombus.monitor.web.capture import Capture, Curve, has_plain_curve
+from coulombus.monitor.web.capture import Curve, LiveCapture, has_plain_curve
 from coulombus.monitor.web.state import HostDoor, HostView
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -53,7 +53,7 @@ class BusReader(_Worker):
     lock : held while `capture` changes
     """
 
-    def __init__(self, client: Client, capture: Capture, lock: threading.Lock) -> None:
+    def __init__(self, client: Client, capture: LiveCapture, lock: threading.Lock) -> None:
         super().__init__("bus reader")
         self.failure: OSError | None = None
         self.until_ns = time.time_ns()

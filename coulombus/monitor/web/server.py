@@ -19,7 +19,7 @@ import tornado.httpserver
 from tornado.iostream import IOStream
 
 from coulombus.monitor.web import WebError
-from coulombus.monitor.web.capture import Capture
+from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page import SESSIONS, Page, application
 from coulombus.monitor.web.reader import BATCH_S, BusReader, CurveReader, HostReader
 from coulombus.monitor.web.state import HostDoor
@@ -169,7 +169,7 @@ async def _serve(
     client = await _client(shown.address, patient=parent is not None, over=over)
     if client is None:
         return
-    capture = Capture(shown.rig)
+    capture = LiveCapture(shown.rig)
     capture.snapshot(time.time_ns())  # rates count from here
     with client:
         lock = threading.Lock()

@@ -11,7 +11,7 @@ from typing import Any
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.monitor.live import NodeRow, PdoRow, Snapshot, Value
-from coulombus.monitor.web.capture import Capture
+from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 from coulombus.rigs.axis import Axis
 
@@ -121,7 +121,7 @@ class HostView:
         }
 
 
-def document(capture: Capture, snapshot: Snapshot, facts: Mapping[str, Any], host: HostView) -> dict[str, Any]:
+def document(capture: LiveCapture, snapshot: Snapshot, facts: Mapping[str, Any], host: HostView) -> dict[str, Any]:
     """Return the document: top line, PDOs, nodes, events.
 
     Parameters
@@ -201,7 +201,7 @@ def _spread(spread: object) -> list[float] | None:
     return None if None in found else found  # type: ignore[return-value]  # mypy does not see that none is None
 
 
-def _pdo(capture: Capture, row: PdoRow, now_ns: int) -> dict[str, Any]:
+def _pdo(capture: LiveCapture, row: PdoRow, now_ns: int) -> dict[str, Any]:
     period = capture.period(row.can_id, now_ns)
     data = capture.last_data(row.can_id)
     return {

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from coulombus.eds.units import BLOCK_UNITS
-from coulombus.rigs.draft.device import Device, Place, label
+from coulombus.rigs.draft.device import DraftDevice, Place, label
 from coulombus.rigs.draft.motor import command_of, describe_mode
 from coulombus.rigs.draft.text import RigText
 from coulombus.rigs.errors import RigError
@@ -25,7 +25,7 @@ INPUTS: tuple[Place, ...] = ((0x7130, 1), (0x9130, 1), (0x6401, 1))
 """
 
 
-def describe_brake(text: RigText, device: Device) -> None:
+def describe_brake(text: RigText, device: DraftDevice) -> None:
     """Set [brake], and the roles of a driver that is not ours."""
     text.note(
         "brake.coil_A_Nm", "of your brake's data sheet; so are its continuous current and its time constant", "CHECK"
@@ -60,7 +60,7 @@ def describe_brake(text: RigText, device: Device) -> None:
     )
 
 
-def _no_output(device: Device, places: Sequence[Place]) -> RigError:
+def _no_output(device: DraftDevice, places: Sequence[Place]) -> RigError:
     wanted = " or ".join(map(label, places))
     told = f"{device.description.path}: no analogue output that a PDO can carry: {wanted} is not described, or not mappable"
     remedy = "take a driver with one (CiA 404, CiA 401), or a CiA 402 drive with a torque or current set-point"
@@ -68,7 +68,7 @@ def _no_output(device: Device, places: Sequence[Place]) -> RigError:
     return RigError([f"{device.node}: {problem}"], [problem])
 
 
-def _drive(text: RigText, device: Device) -> None:
+def _drive(text: RigText, device: DraftDevice) -> None:
     """A brake whose coil a CiA 402 drive feeds."""
     command = command_of(device)
     describe_mode(text, device, command)
@@ -88,7 +88,7 @@ def _drive(text: RigText, device: Device) -> None:
     text.put("role.brake_setpoint.scale_Nm", float(f"{scale:.4g}"), why)
 
 
-def describe_sensors(text: RigText, devices: Sequence[Device]) -> None:
+def describe_sensors(text: RigText, devices: Sequence[DraftDevice]) -> None:
     """Bind the handle torque to the first sensor that has an analogue input.
 
     The others are watched only.
@@ -116,7 +116,7 @@ def describe_sensors(text: RigText, devices: Sequence[Device]) -> None:
         text.put("role.handle_torque.scale_Nm", scale, why)
 
 
-def _unit(device: Device, place: Place) -> tuple[int, float]:
+def _unit(device: DraftDevice, place: Place) -> tuple[int, float]:
     """Return the notation index of an object's unit, and what a count of it is; (0, 1) where
     nothing tells.
     """
@@ -130,6 +130,6 @@ def _unit(device: Device, place: Place) -> tuple[int, float]:
     return code >> 16 & 0xFF, 10.0 ** (prefix - min(max(digits or 0, 0), 9))
 
 
-def _most(device: Device, place: Place) -> float:
+def _most(device: DraftDevice, place: Place) -> float:
     """Return the largest number that an object takes, as far as the host reckons with it."""
     return min(device.description.variable(*place).largest, 2.0**31 - 1)

@@ -14,7 +14,7 @@ from coulombus.eds.sections import number_of
 from coulombus.rigs.roles import checked_entry
 from coulombus.rigs.signals import Direction, Node
 
-__all__ = ["Device", "Place", "label"]
+__all__ = ["DraftDevice", "Place", "label"]
 
 Place = tuple[int, int]
 
@@ -26,7 +26,7 @@ def label(place: Place) -> str:
 
 
 @dataclass(frozen=True)
-class Device:
+class DraftDevice:
     """A device, as far as it is known.
 
     Attributes

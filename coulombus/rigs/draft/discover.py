@@ -13,12 +13,12 @@ from pathlib import Path
 from coulombus.eds.folder import fitting, read_folder
 from coulombus.eds.own_devices import packaged, told_identity
 from coulombus.eds.reader import Description, read_eds
-from coulombus.rigs.draft.device import Device, Place
+from coulombus.rigs.draft.device import DraftDevice, Place
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.roles import CIA401, CIA402, CIA404
 from coulombus.rigs.signals import Node
 
-__all__ = ["Wanted", "gather"]
+__all__ = ["DeviceChoice", "gather"]
 
 OWN = "bench"
 """The word for our own device, and its file in the package."""
@@ -30,7 +30,7 @@ Answered = Mapping[int, Mapping[Place, int]]
 
 
 @dataclass(frozen=True)
-class Wanted:
+class DeviceChoice:
     """What the user says of a device: its EDS file ("bench": our own; "": whoever answers on the
     bus), and its node id.
     """
@@ -56,7 +56,7 @@ class _Gathering:
     files: Sequence[Description]
     taken: set[int] = field(default_factory=set)
 
-    def named(self, wanted: Wanted) -> Device:
+    def named(self, wanted: DeviceChoice) -> DraftDevice:
         """Return a device whose EDS file is named."""
         name, description = self._read(wanted)
         node_id = wanted.node_id or self._live_id(description) or description.node_id
@@ -64,9 +64,9 @@ class _Gathering:
             first = {"motor": 1, "brake": 2}.get(wanted.node, 3)
             node_id = next(number for number in (*range(first, LAST), *range(1, first)) if number not in self.taken)
         self.taken.add(node_id)
-        return Device(wanted.node, description, name, node_id, self.left.pop(node_id, {}))
+        return DraftDevice(wanted.node, description, name, node_id, self.left.pop(node_id, {}))
 
-    def _read(self, wanted: Wanted) -> tuple[str, Description]:
+    def _read(self, wanted: DeviceChoice) -> tuple[str, Description]:
         if wanted.eds == OWN and wanted.node in OWN_FILES:
             name = OWN_FILES[wanted.node]
             packaged = Path(str(resources.files("coulombus.eds") / name))
@@ -89,7 +89,7 @@ class _Gathering:
             (node for node, answers in self.left.items() if any(identity) and _identity(answers) == identity), 0
         )
 
-    def live(self, node: Node, node_id: int) -> Device:
+    def live(self, node: Node, node_id: int) -> DraftDevice:
         """Return a device that answered on the bus."""
         answers = self.left.pop(node_id)
         description = self.file_of(answers)
@@ -102,7 +102,7 @@ class _Gathering:
                 text += " there is no EDS file for it; put its maker's file into a folder, give it with --eds-folder"
             raise RigError([f"{text}, or name it with --drive, --brake or --sensor"])
         self.taken.add(node_id)
-        return Device(node, description, self._name_of(description), node_id, answers)
+        return DraftDevice(node, description, self._name_of(description), node_id, answers)
 
     def _name_of(self, description: Description) -> str:
         """Return how the rig file names a description; those of the package have short names."""
@@ -149,8 +149,11 @@ class _Gathering:
 
 
 def gather(
-    wanted: Sequence[Wanted], folder: Path | None, answered: Answered | None = None, eds_folder: Path | None = None
-) -> tuple[Device, ...]:
+    wanted: Sequence[DeviceChoice],
+    folder: Path | None,
+    answered: Answered | None = None,
+    eds_folder: Path | None = None,
+) -> tuple[DraftDevice, ...]:
     """Return motor, brake and sensors.
 
     Parameters

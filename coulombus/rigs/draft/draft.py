@@ -17,7 +17,7 @@ from typing import Any
 
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.draft.brake import describe_brake, describe_sensors
-from coulombus.rigs.draft.device import Device
+from coulombus.rigs.draft.device import DraftDevice
 from coulombus.rigs.draft.motor import describe_motor
 from coulombus.rigs.draft.text import CHECK, REHEARSAL, RigText
 from coulombus.rigs.errors import RigError
@@ -68,7 +68,7 @@ class Draft:
         a device cannot have a role that the host needs; `problems` are by role
     """
 
-    def __init__(self, devices: Sequence[Device], like: Axis, path: str, *, rehearse: bool = False) -> None:
+    def __init__(self, devices: Sequence[DraftDevice], like: Axis, path: str, *, rehearse: bool = False) -> None:
         self.devices, self.like, self.path, self.rehearse = tuple(devices), like, path, rehearse
         values = like.model_dump(by_alias=True, exclude_defaults=True)
         for name in ("sensor", "role", "axis", *(() if rehearse else SIMULATED)):
@@ -125,7 +125,7 @@ class Draft:
                 "mark of this kind is gone."
             )
 
-    def _device(self, device: Device) -> None:
+    def _device(self, device: DraftDevice) -> None:
         """Set what every device has; of our own all, as the package's rig has it."""
         own = load_rig(OWN_RIG).one_axis()
         if device.own:
@@ -151,7 +151,7 @@ class Draft:
                 self.text.put(f"{at}.{key}", number, doubt)
         self.text.put(f"{at}.response_us", RESPONSE_US, "nobody has measured this device; see its manual")
 
-    def _replace(self, device: Device, part: dict[str, Any]) -> None:
+    def _replace(self, device: DraftDevice, part: dict[str, Any]) -> None:
         if device.node in ("motor", "brake"):
             self.text.values[device.node] = part
         else:
@@ -240,5 +240,5 @@ def _law_from_anywhere(like: Axis) -> str:
     return f"{beside.resolve()}:{name}" if colon and file.endswith(".py") and beside.exists() else like.law.function
 
 
-def _path(device: Device) -> str:
+def _path(device: DraftDevice) -> str:
     return device.node if device.node in ("motor", "brake") else f"sensor.{device.node}"

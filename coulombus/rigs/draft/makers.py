@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from coulombus.rigs.draft.device import Device, Place
+from coulombus.rigs.draft.device import DraftDevice, Place
 
 __all__ = ["MAKERS", "MakerMode", "maker_mode"]
 
@@ -60,7 +60,7 @@ SOMETHING_ELSE = re.compile(
 )
 
 
-def maker_mode(device: Device) -> MakerMode | None:
+def maker_mode(device: DraftDevice) -> MakerMode | None:
     """Return a maker's own mode by which a drive can be commanded, None where nothing looks like
     one.
     """
@@ -76,7 +76,7 @@ def maker_mode(device: Device) -> MakerMode | None:
     return MakerMode(vendor or 0, "the maker's own mode", mode, named, "unit", sure=False)
 
 
-def _named(device: Device) -> Iterator[Place]:
+def _named(device: DraftDevice) -> Iterator[Place]:
     """Yield the objects of the maker's own that are called a commanded torque or current."""
     for index, entry in device.description.objects.items():
         for subindex, variable in entry.variables.items() if index in MANUFACTURER else ():

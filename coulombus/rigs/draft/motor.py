@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 from coulombus.eds.cia402 import OPERATION_MODE_CST as CST
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE as PROFILE_TORQUE
-from coulombus.rigs.draft.device import Device, Place, label
+from coulombus.rigs.draft.device import DraftDevice, Place, label
 from coulombus.rigs.draft.makers import MakerMode, maker_mode
 from coulombus.rigs.draft.text import CHECK, RigText
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.problem import Problem
 
-__all__ = ["Command", "command_of", "describe_mode", "describe_motor"]
+__all__ = ["TorqueCommand", "command_of", "describe_mode", "describe_motor"]
 
 TARGET_TORQUE: Place = (0x6071, 0)
 SLOPE, TORQUE_OFFSET, INTERPOLATION = 0x6087, 0x60B2, 0x60C2
@@ -27,7 +27,7 @@ MOST_AT_HANDLE_Nm = 14.0
 """Rated torque at the handle: with more, a per mille is a tenth of the device's own friction."""
 
 
-class Command(NamedTuple):
+class TorqueCommand(NamedTuple):
     """How a drive is commanded a torque: the mode of operation, the maker's own mode if it is one,
     and why it is a guess.
     """
@@ -37,7 +37,7 @@ class Command(NamedTuple):
     why: str
 
 
-def command_of(device: Device) -> Command:
+def command_of(device: DraftDevice) -> TorqueCommand:
     """Return how a drive is commanded.
 
     Raises
@@ -53,14 +53,14 @@ def command_of(device: Device) -> Command:
                 device.description.has(TORQUE_OFFSET) or device.description.has(INTERPOLATION)
             )
             mode = PROFILE_TORQUE if slope_only else CST
-            return Command(
+            return TorqueCommand(
                 mode,
                 None,
                 f"{says}. 10 is cyclic synchronous torque, 4 profile torque; bring-up asks the drive",
             )
         for mode in (CST, PROFILE_TORQUE):
             if offered >> (mode - 1) & 1:
-                return Command(mode, None, "")
+                return TorqueCommand(mode, None, "")
     lacking = f"{label(TARGET_TORQUE)} is not " + (
         "mappable" if device.description.has(*TARGET_TORQUE) else "described"
     )
@@ -69,7 +69,7 @@ def command_of(device: Device) -> Command:
     maker = maker_mode(device)
     if maker is not None:
         known = "" if maker.sure else ", by its objects' names: find its number in the manual"
-        return Command(maker.mode, maker, f"{lacking}; this is {maker.name}{known}")
+        return TorqueCommand(maker.mode, maker, f"{lacking}; this is {maker.name}{known}")
     text = f"{device.description.path}: no torque or current set-point that a PDO can carry: {lacking}"
     remedy = "take a drive that has one; a drive for positions or speeds cannot display friction"
     role = f"{'brake' if device.node == 'brake' else 'torque'}_setpoint"
@@ -77,7 +77,7 @@ def command_of(device: Device) -> Command:
     raise RigError([f"{device.node}: {problem}"], [problem])
 
 
-def describe_mode(text: RigText, device: Device, command: Command) -> None:
+def describe_mode(text: RigText, device: DraftDevice, command: TorqueCommand) -> None:
     """Set the mode of operation of a drive, and the objects that a maker's mode needs."""
     text.put(f"{device.node}.mode", command.mode, command.why)
     if command.maker is not None and command.maker.sdo:
@@ -88,7 +88,7 @@ def describe_mode(text: RigText, device: Device, command: Command) -> None:
         text.put(f"{device.node}.sdo", rows, f"objects that {command.maker.name} needs")
 
 
-def describe_motor(text: RigText, device: Device) -> None:
+def describe_motor(text: RigText, device: DraftDevice) -> None:
     """Set [motor], and the roles of a drive that is not ours."""
     command = command_of(device)
     describe_mode(text, device, command)
@@ -99,7 +99,7 @@ def describe_motor(text: RigText, device: Device) -> None:
     _ratio(text, device, rated_Nm)
 
 
-def _ratio(text: RigText, device: Device, rated_Nm: float) -> None:
+def _ratio(text: RigText, device: DraftDevice, rated_Nm: float) -> None:
     """Set the transmission's ratio, with which the drive's torque can be limited as each mode wants
     it.
     """
@@ -119,7 +119,7 @@ def _ratio(text: RigText, device: Device, rated_Nm: float) -> None:
     text.put("mechanics.ratio", float(f"{near / rated_Nm:.4g}"), why)
 
 
-def _rated_torque(text: RigText, device: Device) -> float:
+def _rated_torque(text: RigText, device: DraftDevice) -> float:
     """Set what 1000 per mille are; return it [Nm]."""
     told, like_Nm = device.told(0x6076), float(text.get("motor.rated_torque_Nm"))
     readings = "drives count the set-point in per mille of 6076h in mNm, of 6076h in uNm, or of the rated current"
@@ -133,7 +133,7 @@ def _rated_torque(text: RigText, device: Device) -> float:
     return like_Nm
 
 
-def _position(text: RigText, device: Device) -> None:
+def _position(text: RigText, device: DraftDevice) -> None:
     counts, turns = device.told(0x608F, 1), device.told(0x608F, 2) or 1
     like = text.get("motor.encoder_counts_rev")
     if counts and counts // turns >= LEAST_COUNTS:
@@ -150,7 +150,7 @@ def _position(text: RigText, device: Device) -> None:
         text.put("role.position.object", "6063", "6064h cannot be mapped; 6063h counts increments of the encoder")
 
 
-def _own_units(text: RigText, device: Device, maker: MakerMode, rated_Nm: float) -> None:
+def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: float) -> None:
     """Set the scale of a set-point that is not in per mille of the rated torque, and of the torque
     that flows.
     """

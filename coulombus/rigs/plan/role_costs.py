@@ -21,7 +21,7 @@ from coulombus.rigs.roles import ROLES, Kind
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.bits import worst_case_bits
 
-__all__ = ["Change", "RoleCost", "longer_period", "role_costs", "without_roles"]
+__all__ = ["Remedy", "RoleCost", "longer_period", "role_costs", "without_roles"]
 
 SPARED = ("velocity", "coil_temperature", "torque", "coil_current", "handle_torque")
 """Roles that the host can do without, the first to be given up first: what is only recorded, then
@@ -60,7 +60,7 @@ class RoleCost:
 
 
 @dataclass(frozen=True)
-class Change:
+class Remedy:
     """A change of the rig file with which the plan fits.
 
     Attributes
@@ -113,7 +113,7 @@ def _saved_ns(axis: Axis, role: str, whole_ns: int, rate: int) -> int | None:
     return None if other.allocation.problems else whole_ns - _busy_ns(other.pdos(), rate)
 
 
-def longer_period(rig: Rig, found: Plan, shortest: int | None) -> Change | None:
+def longer_period(rig: Rig, found: Plan, shortest: int | None) -> Remedy | None:
     """Return the shortest period of the raster at which the plan would fit, the TPDO window's share
     of it kept and nothing else changed; None where there is none.
 
@@ -128,11 +128,11 @@ def longer_period(rig: Rig, found: Plan, shortest: int | None) -> Change | None:
         window_s = rig.bus.tpdo_window_s * period_ns / to_ns(rig.bus.period_s)
         overrides = (f"bus.period_s={period_ns * 1e-9:.9g}", f"bus.tpdo_window_s={window_s:.6g}")
         if _fits(rig, found, overrides, period_ns):
-            return Change(overrides, period_ns)
+            return Remedy(overrides, period_ns)
     return None
 
 
-def without_roles(rig: Rig, found: Plan) -> Change | None:
+def without_roles(rig: Rig, found: Plan) -> Remedy | None:
     """Return which optional roles to leave out so that the plan fits as it is, those first that the
     host needs least; None where that is not enough.
     """
@@ -153,7 +153,7 @@ def without_roles(rig: Rig, found: Plan) -> Change | None:
     if not _fits(rig, found, overrides, found.timing.period_ns):
         return None
     lost = tuple(dict.fromkeys(kind.lost for _, kind in left if kind.lost))
-    return Change(overrides, found.timing.period_ns, tuple(axis.prefix + kind.name for axis, kind in left), lost)
+    return Remedy(overrides, found.timing.period_ns, tuple(axis.prefix + kind.name for axis, kind in left), lost)
 
 
 def _lean(rig: Rig, left: Sequence[tuple[Axis, Kind]]) -> Rig:

@@ -9,7 +9,7 @@ import pytest
 from coulombus.eds.dcf_text import configured, with_values
 from coulombus.eds.reader import parse_eds
 from coulombus.host.devices.configuration import Restored, acts, check_file, differences, dump, restore
-from coulombus.host.devices.device import Device, describe
+from coulombus.host.devices.device import KnownDevice, describe
 from coulombus.host.devices.sdo import SdoClient
 from coulombus.host.errors import DeviceMismatch
 from devices_bench import DevicesLink, eds
@@ -22,7 +22,7 @@ def bench(name="motor", node_id=1, description=None):
     link = DevicesLink()
     link.add(description or eds(name), node_id)
     client = SdoClient(link, node_id)
-    return link, Device(client, describe(client, None))
+    return link, KnownDevice(client, describe(client, None))
 
 
 def dcf_of(device, values=None, node_id=1):
@@ -48,7 +48,7 @@ def test_a_dump_is_a_dcf_that_holds_what_the_device_holds(name, node_id):
 
 def test_a_value_that_the_file_does_not_admit_is_told_and_left_out():
     _, device = bench()
-    device = Device(device.client, parse_eds(edit(MOTOR.text, "1017", LowLimit="5").encode(), "strict.eds"))
+    device = KnownDevice(device.client, parse_eds(edit(MOTOR.text, "1017", LowLimit="5").encode(), "strict.eds"))
     found = dump(device)
     assert (0x1017, 0) not in found.values
     assert found.aborted == ("1017h:00: it holds 0; the EDS file admits 5 to 65535",)
@@ -80,7 +80,7 @@ def test_only_what_differs_is_written():
         ((0x2004, 0), "another label", dcf.default(0x2004, 0, 1)),
     ]
     before = len(link.sent)
-    told = restore(Device(device.client, dcf), values, found)
+    told = restore(KnownDevice(device.client, dcf), values, found)
     assert (told.written, told.failed) == ([(0x1017, 0), (0x2004, 0)], [])
     begun = {data[1:4] for can_id, data in link.sent[before:] if can_id == 0x601 and data[0] >> 5 in (1, 2)}
     assert begun == {b"\x17\x10\0", b"\x04\x20\0"}
@@ -96,7 +96,7 @@ def test_a_pdo_is_invalid_while_its_mapping_changes_and_valid_at_the_end():
     values = check_file(device, dcf)
     found = differences(device, dcf, values)
     assert {one.place for one in found} == {(0x1A00, 0), (0x1A00, 1)}
-    told = restore(Device(device.client, dcf), values, found)
+    told = restore(KnownDevice(device.client, dcf), values, found)
     assert told.failed == []
     assert set(told.written) == {(0x1A00, 0), (0x1A00, 1)}
     assert differences(device, dcf, values) == []
@@ -108,7 +108,7 @@ def test_a_mapping_that_is_refused_leaves_the_pdo_invalid_and_says_so():
     values = dump(device).values | {(0x1A00, 1): 0x10180120}  # 1018h:01 cannot be mapped
     dcf = dcf_of(device, values)
     values = check_file(device, dcf)
-    told = restore(Device(device.client, dcf), values, differences(device, dcf, values))
+    told = restore(KnownDevice(device.client, dcf), values, differences(device, dcf, values))
     assert told.written == []
     assert any("0x06040041" in text for text in told.failed)
     assert "stays invalid" in told.failed[-1]
@@ -129,7 +129,7 @@ def test_a_device_that_refuses_each_write_is_told_object_by_object():
     link.send = send
     values = check_file(device, dcf)
     found = differences(device, dcf, values)
-    told = restore(Device(device.client, dcf), values, found)
+    told = restore(KnownDevice(device.client, dcf), values, found)
     assert told.written == []
     assert len(told.failed) == len(found) == 2
     assert all("because of the present device state" in text for text in told.failed)
@@ -145,7 +145,7 @@ def test_who_is_interrupted_knows_what_was_written():
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        restore(Device(device.client, dcf), values, differences(device, dcf, values), interrupt, told)
+        restore(KnownDevice(device.client, dcf), values, differences(device, dcf, values), interrupt, told)
     assert told.written == [(0x100C, 0)]
 
 

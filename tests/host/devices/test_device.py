@@ -10,7 +10,7 @@ from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.data import decode, encode
 from coulombus.eds.reader import Variable, parse_eds
 from coulombus.eds.units import Unit, fixed_unit, told_unit
-from coulombus.host.devices.device import Device, ObjectUnknown, ValueRefused, describe
+from coulombus.host.devices.device import KnownDevice, ObjectUnknown, ValueRefused, describe
 from coulombus.host.devices.sdo import SdoClient
 from coulombus.host.errors import DeviceMismatch
 from devices_bench import DevicesLink, Server, eds
@@ -26,7 +26,7 @@ def link():
 
 def device(link, node_id, description=None, **options):
     client = SdoClient(link, node_id)
-    return Device(client, description or describe(client, None), **options)
+    return KnownDevice(client, description or describe(client, None), **options)
 
 
 def of_type(data_type, **keys):
@@ -69,7 +69,7 @@ def test_names_that_stand_twice_have_their_numbers_behind_them(link):
     rows = ((0x2000, "Digital inputs"), (0x2001, "Digital Inputs"), (0x2002, "Other"))
     body = "\nObjectType=7\nDataType=5\nAccessType=rw\n"
     text = "".join(f"[{index:04X}]\nParameterName={name}{body}" for index, name in rows)
-    one = Device(SdoClient(link, 1), parse_eds(text.encode(), "x.eds"))
+    one = KnownDevice(SdoClient(link, 1), parse_eds(text.encode(), "x.eds"))
     assert list(one.names) == ["Digital_inputs_2000h00", "Digital_Inputs_2001h00", "Other"]
     assert [one.find(name).index for name in one.names] == [0x2000, 0x2001, 0x2002]
     with pytest.raises(ObjectUnknown, match=r"did you mean Digital_[iI]nputs_200"):
@@ -82,7 +82,7 @@ def test_an_unknown_name_is_told_with_the_nearest(link):
     with pytest.raises(ObjectUnknown, match="`ls`"):
         device(link, 1).find("zzzzzzzzzzzz")
     with pytest.raises(ObjectUnknown, match="without an EDS file"):
-        Device(SdoClient(link, 1)).find("vendor")
+        KnownDevice(SdoClient(link, 1)).find("vendor")
 
 
 def test_values_have_types_and_units(link):
@@ -110,7 +110,7 @@ def test_a_rig_files_units_go_before_cias(link):
 
 
 def test_without_an_eds_file_numbers_are_unsigned_and_texts_are_bytes(link):
-    one = Device(SdoClient(link, 1))
+    one = KnownDevice(SdoClient(link, 1))
     assert one.read(one.find("1000h")).value == 0x00020192
     assert one.read(one.find("1008h")).value == b"Coulombus motor drive".hex(" ")
     with pytest.raises(ValueRefused, match="--type"):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.host.devices.configuration import differences, dump, restore
-from coulombus.host.devices.device import Device
+from coulombus.host.devices.device import KnownDevice
 from coulombus.host.devices.lss import LssMaster
 from coulombus.host.devices.nmt import command
 from coulombus.host.devices.numbering import give
@@ -101,7 +101,7 @@ def numbered(link):
 
 def restored(link):
     """A PDO's mapping is written anew, whose parameters a device takes in one order only."""
-    device = Device(client_of(link), MOTOR)
+    device = KnownDevice(client_of(link), MOTOR)
     values = {(0x1017, 0): 70, (0x1A02, 0): 1, (0x1A02, 1): 0x60640020, (0x1802, 2): 1}
     found = differences(device, MOTOR, values)
     told = restore(device, values, found)
@@ -117,7 +117,7 @@ def commanded(link):
 
 
 def dumped(link):
-    device = Device(client_of(link), MOTOR)
+    device = KnownDevice(client_of(link), MOTOR)
     found = dump(device)
     return len(found.values), found.aborted, check_values(found)
 

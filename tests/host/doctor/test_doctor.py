@@ -29,7 +29,7 @@ from coulombus.host.doctor.latency import (
     read_cyclictest,
 )
 from coulombus.host.doctor.machine import Absent, CannotRead, Machine
-from coulombus.host.doctor.wanted import Wanted
+from coulombus.host.doctor.wanted import RigDemands
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.rigs.rig import load_rig
 from coulombus.system.realtime import bus_cpu, cpu_list, default_cpu
@@ -37,7 +37,7 @@ from coulombus.wire.address import parse_address
 from places import ROOT
 
 CAN0 = {"": parse_address("socketcan:can0")}
-WANTED = Wanted.of(load_rig("bench"))
+WANTED = RigDemands.of(load_rig("bench"))
 CPUS = "sys/devices/system/cpu"
 LIMITS = "Limit  Soft  Hard  Units\nMax locked memory         {memlock} {memlock} bytes\nMax realtime priority     {rtprio} {rtprio}\n"
 

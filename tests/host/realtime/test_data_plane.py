@@ -27,7 +27,7 @@ from coulombus.host.errors import SafetyTrip
 from coulombus.host.realtime.data_plane import DataPlane, Spread, rig_filters
 from coulombus.host.realtime.loop import run_plane, take_log
 from coulombus.host.realtime.process import new_buffers
-from coulombus.host.realtime.shared_memory import BINS, RING_FRAMES, Command, SharedPlane, Status
+from coulombus.host.realtime.shared_memory import BINS, RING_FRAMES, PlaneCommand, PlaneStatus, SharedPlane
 from coulombus.host.run.deadman import HeldKey, deadman_of
 from coulombus.host.run.histogram import coarse
 from coulombus.host.run.realtime_sequence import RealCourse
@@ -65,11 +65,11 @@ class Plane:
         self.thread = threading.Thread(target=lambda: setattr(self, "status", run_plane(buffers, self.k.law_function)))
 
     def cycle(self):
-        self.wait(lambda: self.plane["status"][0] == Status.LISTENING, 120, read=False)  # the loop is loaded
+        self.wait(lambda: self.plane["status"][0] == PlaneStatus.LISTENING, 120, read=False)  # the loop is loaded
         at = time.monotonic_ns() + 5_000_000
         self.k.start(at)
         self.plane["start_ns"] = at
-        self.plane["command"] = Command.CYCLE
+        self.plane["command"] = PlaneCommand.CYCLE
 
     def read(self):
         """Take all messages that wait at the bus."""
@@ -93,7 +93,7 @@ def running(*overrides, rig="bench"):
     try:
         yield plane
     finally:
-        plane.plane["command"] = Command.QUIT
+        plane.plane["command"] = PlaneCommand.QUIT
         plane.thread.join()
         plane.mine.close()
         plane.other.close()
@@ -142,7 +142,7 @@ def test_it_listens_and_logs():
         assert list(out["word"][:3]) == [5, -1, 0x7F]  # nothing beyond the length
         assert plane.plane["rx_malformed"][0] == 2
         assert take_log(plane.plane, plane.shared.ring, out) == 0
-    assert plane.status == Status.ENDED
+    assert plane.status == PlaneStatus.ENDED
 
 
 def test_a_ring_that_nobody_empties_keeps_the_oldest_frames():
@@ -160,8 +160,8 @@ def test_without_nodes_it_trips_and_its_last_set_points_are_zero():
         plane.cycle()
         plane.wait(lambda: plane.k.done)
         assert plane.k.trip.startswith("TPDO_LOST")
-        plane.plane["command"] = Command.LISTEN
-        plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING)
+        plane.plane["command"] = PlaneCommand.LISTEN
+        plane.wait(lambda: plane.plane["status"][0] == PlaneStatus.LISTENING)
         plane.read()
         sent = plane.sent
         assert sent[0][:2] == (0x080, 0)
@@ -194,7 +194,7 @@ def test_a_brake_that_does_not_ramp_by_itself_is_ramped_off_before_the_loop_ends
         plane.cycle()
         plane.wait(lambda: plane.plane["cycles"][0] > 0)
         h["brake_Nm"], h["brake_lagged_Nm"], h["phase"] = 1.0, 1.0, Phase.RUN
-        plane.plane["command"] = Command.QUIT
+        plane.plane["command"] = PlaneCommand.QUIT
         plane.wait(lambda: not plane.thread.is_alive())
         plane.read()
     rpdo = next(pdo for pdo in plane.k.rig.pdos() if pdo.name == "RPDO1" and pdo.node == "brake")
@@ -232,7 +232,7 @@ def test_a_parent_that_has_ended_is_too_and_then_the_loop_ends_by_itself():
         assert plane.k.trip is None
         plane.plane["parent"] = -1
         plane.wait(lambda: not plane.thread.is_alive())
-        assert plane.status == Status.ENDED
+        assert plane.status == PlaneStatus.ENDED
         assert plane.k.trip.startswith("HOST")
         plane.read()
         assert [(can_id, word) for can_id, _, word in plane.sent[-3:]] == [(0x201, 0), (0x202, 0), (0x080, 0)]
@@ -249,7 +249,7 @@ def test_waiting_that_fails_is_a_lost_bus_and_no_reason_to_spin():
             plane.thread.join(10)
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        assert plane.status == Status.LOST
+        assert plane.status == PlaneStatus.LOST
         assert plane.plane["error"][0] == errno.EINVAL
         assert plane.k.done
 
@@ -260,7 +260,7 @@ def test_the_bus_goes_away():
         plane.wait(lambda: plane.plane["cycles"][0] > 0)
         plane.other.close()
         plane.thread.join(10)
-        assert plane.status == Status.LOST
+        assert plane.status == PlaneStatus.LOST
         assert plane.k.trip.startswith(("BUS_LOST", "TPDO_LOST"))
         assert plane.k.done
 
@@ -272,8 +272,8 @@ def test_a_bus_that_does_not_read_blocks_nothing():
         plane.cycle()
         plane.wait(lambda: plane.plane["tx_full"][0] > 20, read=False)
         plane.wait(lambda: plane.k.ending, read=False)
-        plane.plane["command"] = Command.LISTEN
-        plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING, read=False)
+        plane.plane["command"] = PlaneCommand.LISTEN
+        plane.wait(lambda: plane.plane["status"][0] == PlaneStatus.LISTENING, read=False)
     assert plane.k.trip.startswith(("TRANSMIT", "TPDO_LOST"))
 
 
@@ -282,10 +282,10 @@ def test_the_last_set_points_are_offered_until_the_bus_takes_them():
         plane.mine.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         plane.cycle()
         plane.wait(lambda: plane.plane["tx_full"][0] > 0, read=False)
-        plane.plane["command"] = Command.LISTEN
+        plane.plane["command"] = PlaneCommand.LISTEN
         trace = plane.shared.trace
         plane.wait(lambda: (trace["kind"] == Moment.END).any(), read=False)  # now the safe ones find the queue full
-        plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING)
+        plane.wait(lambda: plane.plane["status"][0] == PlaneStatus.LISTENING)
         plane.read()
         log = frames(RING_FRAMES)
         log = log[: take_log(plane.plane, plane.shared.ring, log)]

@@ -25,7 +25,7 @@ from coulombus.host.realtime.data_plane import (
     Spread,
     rig_filters,
 )
-from coulombus.host.realtime.shared_memory import BINS, Command, PlaneRecord, Status
+from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus
 from coulombus.recording.trace import TraceRow
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import frames, new_records
@@ -120,9 +120,9 @@ def told(handle, name):
 def test_the_cycle_begins_when_the_controllers_do(handle):
     handle.start_cycle(12345)
     assert handle.started == [12345]
-    assert (told(handle, "start_ns"), told(handle, "command")) == (12345, Command.CYCLE)
+    assert (told(handle, "start_ns"), told(handle, "command")) == (12345, PlaneCommand.CYCLE)
     handle.end_cycle()
-    assert told(handle, "command") == Command.LISTEN
+    assert told(handle, "command") == PlaneCommand.LISTEN
 
 
 @pytest.mark.parametrize(
@@ -164,9 +164,9 @@ def test_the_dead_man_s_key_and_an_order_go_to_the_data_plane(handle):
 # waiting
 
 
-@pytest.mark.parametrize("status", [Status.LISTENING, Status.LOST, Status.ENDED])
+@pytest.mark.parametrize("status", [PlaneStatus.LISTENING, PlaneStatus.LOST, PlaneStatus.ENDED])
 def test_an_end_is_awaited_until_the_cycle_has_ended(handle, status):
-    handle.shared.plane["status"] = Status.CYCLING
+    handle.shared.plane["status"] = PlaneStatus.CYCLING
 
     def each():
         assert told(handle, "parent_ns") == round((handle.clock.s - STEP_S) * 1e9) + PARENT_NS
@@ -179,7 +179,7 @@ def test_an_end_is_awaited_until_the_cycle_has_ended(handle, status):
 
 
 def test_an_end_is_not_awaited_of_a_process_that_has_ended(handle):
-    handle.shared.plane["status"] = Status.CYCLING
+    handle.shared.plane["status"] = PlaneStatus.CYCLING
     handle._process.ends_s = 100.005
     handle.await_end()
     assert handle.clock.sleeps == [2e-3] * 3
@@ -188,7 +188,7 @@ def test_an_end_is_not_awaited_of_a_process_that_has_ended(handle):
 
 
 def test_an_end_is_awaited_for_a_second_more_than_the_brakes_need(handle):
-    handle.shared.plane["status"] = Status.CYCLING
+    handle.shared.plane["status"] = PlaneStatus.CYCLING
     handle.await_end()
     assert handle.clock.s == 101.0 + ENDING_S
 
@@ -197,16 +197,16 @@ def test_an_end_is_awaited_for_a_second_more_than_the_brakes_need(handle):
 def test_a_process_is_told_to_end_and_ended_where_it_does_not(handle, ends_s, log):
     handle._process.ends_s = ends_s
     handle.close()
-    assert told(handle, "command") == Command.QUIT
+    assert told(handle, "command") == PlaneCommand.QUIT
     assert handle._process.log == log
     assert handle._process.stdout.closed
     assert handle.closed == ["client", "shared"]
     assert handle.clock.s == (102.0 + ENDING_S if ends_s is None else ends_s)
     assert set(handle.clock.sleeps) <= {2e-3}
-    handle.shared.plane["command"] = Command.LISTEN
+    handle.shared.plane["command"] = PlaneCommand.LISTEN
     handle.close()
     assert (handle._process.log, handle.closed) == (log, ["client", "shared"])
-    assert told(handle, "command") == Command.LISTEN
+    assert told(handle, "command") == PlaneCommand.LISTEN
 
 
 def test_a_process_whose_pipe_is_not_there_is_left_alone(handle):
@@ -264,7 +264,7 @@ def test_a_process_that_does_not_come_to_that_is_an_error(handle, monkeypatch, l
 # what has become of it
 
 
-@pytest.mark.parametrize("status", Status)
+@pytest.mark.parametrize("status", PlaneStatus)
 def test_the_status_is_what_the_process_says(handle, status):
     handle.shared.plane["status"] = status
     assert handle.status is status

@@ -18,7 +18,7 @@ import pytest
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.data_plane import DataPlane
-from coulombus.host.realtime.shared_memory import TRACE_ROWS, Command, SharedPlane, Status
+from coulombus.host.realtime.shared_memory import TRACE_ROWS, PlaneCommand, PlaneStatus, SharedPlane
 from coulombus.host.run import realtime_sequence
 from coulombus.host.run.control_socket import HostSocket, StopRequest, control_path
 from coulombus.host.run.outputs import Outputs
@@ -103,13 +103,13 @@ class PlayedPlane(DataPlane):
         p, h = self.shared.plane[0], self._controllers.host
         if self._process.status is not None:
             return
-        if p.command != Command.CYCLE:
+        if p.command != PlaneCommand.CYCLE:
             self.unsafe_end |= bool(h["torque_Nm"].any())
-            p.status = Status.ENDED if p.command == Command.QUIT else Status.LISTENING
+            p.status = PlaneStatus.ENDED if p.command == PlaneCommand.QUIT else PlaneStatus.LISTENING
             h["torque_Nm"] = 0.0
-            self._process.status = 0 if p.command == Command.QUIT else None
+            self._process.status = 0 if p.command == PlaneCommand.QUIT else None
             return
-        p.status = Status.CYCLING
+        p.status = PlaneStatus.CYCLING
         if h["phase"][0] == Phase.OFF:
             h["phase"] = Phase.STILL
         p.cycles += 1
@@ -330,7 +330,7 @@ def test_an_error_before_arming_is_a_refusal_with_its_place(bench, monkeypatch):
     assert judge_refusal(found) == []
 
 
-@pytest.mark.parametrize("status", [Status.LOST, Status.ENDED])
+@pytest.mark.parametrize("status", [PlaneStatus.LOST, PlaneStatus.ENDED])
 def test_a_data_plane_that_has_ended_before_arming_is_no_run_that_went_well(bench, monkeypatch, status):
     """It was exit status 0 after 0 cycles."""
 
@@ -352,7 +352,7 @@ def test_a_bus_that_is_lost_before_the_first_cycle_is_a_trip(bench, monkeypatch)
 
     def lose(self, at_ns):
         start(self, at_ns)
-        self.shared.plane["status"], self.shared.plane["error"] = Status.LOST, 5
+        self.shared.plane["status"], self.shared.plane["error"] = PlaneStatus.LOST, 5
         self._process.status = 0
 
     monkeypatch.setattr(PlayedPlane, "start_cycle", lose)

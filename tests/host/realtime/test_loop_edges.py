@@ -10,7 +10,7 @@ import pytest
 
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.realtime import loop
-from coulombus.host.realtime.shared_memory import BINS, Command, Status
+from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneStatus
 from coulombus.kernels.libc import EAGAIN, EINTR
 from coulombus.recording.trace import Moment
 
@@ -163,7 +163,7 @@ def test_the_loop_ends_behind_its_parent_when_all_axes_are_done(bench, parent, d
         host.phase = int(Phase.DONE)
     assert loop._all_done(bench.axes) is (done == 2)
     loop._look_after_parent(bench.p, SHARED, bench.axes)
-    assert bench.said == [(loop.AT_COMMAND, int(Command.QUIT))] * (parent == 1 and done == 2)
+    assert bench.said == [(loop.AT_COMMAND, int(PlaneCommand.QUIT))] * (parent == 1 and done == 2)
 
 
 # times
@@ -196,11 +196,16 @@ def test_a_wait_that_fails_for_good_is_told_from_a_signal(bench, error, failed):
 
 @pytest.mark.parametrize(
     ("command", "ramps", "goes_on", "asked"),
-    [(Command.CYCLE, False, True, []), (Command.CYCLE, True, True, []), (0, False, False, []), (0, True, True, [1])],
+    [
+        (PlaneCommand.CYCLE, False, True, []),
+        (PlaneCommand.CYCLE, True, True, []),
+        (0, False, False, []),
+        (0, True, True, [1]),
+    ],
 )
 def test_another_cycle_begins_as_commanded_or_while_a_brake_is_ramped(bench, command, ramps, goes_on, asked):
     bench.ramps = ramps
-    assert loop._goes_on(bench.p, bench.axes, command if command else Command.QUIT) is goes_on
+    assert loop._goes_on(bench.p, bench.axes, command if command else PlaneCommand.QUIT) is goes_on
     assert bench.asked == asked
 
 
@@ -247,11 +252,11 @@ class Commanded(Bench):
 
 
 def test_a_bus_that_is_lost_in_a_cycle_trips_and_is_told(monkeypatch):
-    bench = Commanded(monkeypatch, Command.CYCLE)
+    bench = Commanded(monkeypatch, PlaneCommand.CYCLE)
     bench.gone, bench.p.error = 1, EBADF
     bench.hosts[1].phase, bench.hosts[1].trip, bench.hosts[1].trip_ns = int(Phase.SAFE), 4, 44
-    assert bench.run() == Status.LOST
-    assert bench.states == [Status.CYCLING, Status.LOST]
+    assert bench.run() == PlaneStatus.LOST
+    assert bench.states == [PlaneStatus.CYCLING, PlaneStatus.LOST]
     assert [(host.trip, host.trip_ns) for host in bench.hosts] == [(Trip.BUS_LOST, NOW_NS), (4, 44)]
     assert [host.phase for host in bench.hosts] == [Phase.DONE, Phase.DONE]
     assert (bench.safe, bench.sent) == ([(NOW_NS, 0)], [20])  # the last set-points, offered again
@@ -262,9 +267,9 @@ def test_a_bus_that_is_lost_in_a_cycle_trips_and_is_told(monkeypatch):
 
 
 def test_a_cycle_that_ends_as_commanded_trips_nothing_and_obeys_on(monkeypatch):
-    bench = Commanded(monkeypatch, Command.CYCLE, Command.QUIT)
-    assert bench.run() == Status.ENDED
-    assert bench.states == [Status.CYCLING, Status.ENDED]
+    bench = Commanded(monkeypatch, PlaneCommand.CYCLE, PlaneCommand.QUIT)
+    assert bench.run() == PlaneStatus.ENDED
+    assert bench.states == [PlaneStatus.CYCLING, PlaneStatus.ENDED]
     assert [(host.trip, host.phase) for host in bench.hosts] == [(0, Phase.DONE)] * 2
     assert bench.sent == [20]
 
@@ -281,18 +286,18 @@ def test_a_cycle_that_ends_as_commanded_trips_nothing_and_obeys_on(monkeypatch):
     ],
 )
 def test_a_bus_that_is_lost_while_listening_is_told(monkeypatch, found, ready, error, lost):
-    bench = Commanded(monkeypatch, Command.LISTEN, Command.QUIT)
+    bench = Commanded(monkeypatch, PlaneCommand.LISTEN, PlaneCommand.QUIT)
     bench.found, bench.ready, bench.error = [found], ready, error
-    assert bench.run() == (Status.LOST if lost else Status.ENDED)
-    assert bench.states == [Status.LISTENING, Status.LOST if lost else Status.ENDED]
+    assert bench.run() == (PlaneStatus.LOST if lost else PlaneStatus.ENDED)
+    assert bench.states == [PlaneStatus.LISTENING, PlaneStatus.LOST if lost else PlaneStatus.ENDED]
     assert bench.waited == [(77, 1, 5_000_000)] * (found == loop.EMPTY)
     assert bench.said[-1] == (loop.AT_STATUS, bench.states[-1])
 
 
 @pytest.mark.parametrize(("known", "parent", "ends"), [(100, 100, False), (100, 1, True), (0, 1, False)])
 def test_a_loop_that_listens_ends_behind_its_parent(monkeypatch, known, parent, ends):
-    bench = Commanded(monkeypatch, Command.LISTEN, Command.LISTEN, Command.QUIT)
+    bench = Commanded(monkeypatch, PlaneCommand.LISTEN, PlaneCommand.LISTEN, PlaneCommand.QUIT)
     bench.found, bench.p.parent, bench.parent = [loop.TOOK, loop.TOOK], known, parent
-    assert bench.run() == Status.ENDED
-    assert bench.states == [Status.LISTENING] * (1 if ends else 2) + [Status.ENDED]
-    assert ((loop.AT_COMMAND, int(Command.QUIT)) in bench.said) is ends
+    assert bench.run() == PlaneStatus.ENDED
+    assert bench.states == [PlaneStatus.LISTENING] * (1 if ends else 2) + [PlaneStatus.ENDED]
+    assert ((loop.AT_COMMAND, int(PlaneCommand.QUIT)) in bench.said) is ends

@@ -18,7 +18,7 @@ from clocks import Clock
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import SafetyTrip
-from coulombus.host.realtime.shared_memory import Status
+from coulombus.host.realtime.shared_memory import PlaneStatus
 from coulombus.host.run import realtime_sequence
 from coulombus.host.run.realtime_sequence import FAILURES, RealCourse
 from coulombus.host.run.run_sequence import Course
@@ -33,7 +33,7 @@ ZERO_NS = 5 * S
 class Plane:
     """A data plane that keeps the calls that it gets."""
 
-    status, alive, lost_text, fate, cycles = Status.CYCLING, True, "No such device", "stands still", 7
+    status, alive, lost_text, fate, cycles = PlaneStatus.CYCLING, True, "No such device", "stands still", 7
 
     def __init__(self, log):
         self.log, self.real_time = log, []
@@ -129,10 +129,10 @@ def at(run, **fields):
 @pytest.mark.parametrize(
     ("status", "phase", "why"),
     [
-        (Status.LISTENING, Phase.OFF, "the host does not cycle yet"),
-        (Status.LISTENING, Phase.SAFE, "the host does not cycle yet"),
-        (Status.CYCLING, Phase.RUN, None),
-        (Status.CYCLING, Phase.SAFE, "the host ends: it is in its safe state"),
+        (PlaneStatus.LISTENING, Phase.OFF, "the host does not cycle yet"),
+        (PlaneStatus.LISTENING, Phase.SAFE, "the host does not cycle yet"),
+        (PlaneStatus.CYCLING, Phase.RUN, None),
+        (PlaneStatus.CYCLING, Phase.SAFE, "the host ends: it is in its safe state"),
     ],
 )
 def test_a_change_is_taken_while_the_host_cycles_and_does_not_end(run, status, phase, why):
@@ -335,7 +335,7 @@ def test_a_course_arms_displays_and_makes_safe(run, monkeypatch, deadman, switch
 
 @pytest.mark.parametrize(
     ("status", "alive"),
-    [(Status.LISTENING, False), (Status.LOST, True), (Status.ENDED, True), (Status.LOST, False)],
+    [(PlaneStatus.LISTENING, False), (PlaneStatus.LOST, True), (PlaneStatus.ENDED, True), (PlaneStatus.LOST, False)],
 )
 def test_a_bus_that_is_lost_before_is_not_armed(run, monkeypatch, status, alive):
     coursing(run, monkeypatch)
@@ -418,7 +418,7 @@ def test_the_safe_state_is_asked_for_until_all_axes_are_done(run):
 
 def test_a_lost_bus_is_not_waited_for(run):
     ending(run)
-    run.plane.status = Status.LOST
+    run.plane.status = PlaneStatus.LOST
     run.make_safe()
     assert run.log == [STOPPING, ("stop",), *LAST]
 
@@ -484,7 +484,7 @@ def test_what_ends_a_display(run, name):
     if name == "ending":
         at(run, phase=Phase.SAFE)
     if name == "lost":
-        run.plane.status = Status.LOST
+        run.plane.status = PlaneStatus.LOST
     run.signals.number = signal.SIGTERM if name == "signal" else 0
     run.door.stop_wanted = lambda: name in ("door", "signal")
     run._keys.stop = name in ("key", "door")
@@ -541,15 +541,15 @@ def test_the_progress_counts_from_enabled_on(run, enabled_ns, closed):
 @pytest.mark.parametrize(
     ("since_s", "alive", "status", "gone"),
     [
-        (2.0, True, Status.CYCLING, False),
-        (2.001, True, Status.CYCLING, True),
-        (2.001, True, Status.LISTENING, True),
-        (2.001, True, Status.LOST, False),
-        (2.001, True, Status.ENDED, False),
-        (0.0, False, Status.CYCLING, True),
-        (0.0, False, Status.LISTENING, True),
-        (0.0, False, Status.LOST, False),
-        (0.0, False, Status.ENDED, False),
+        (2.0, True, PlaneStatus.CYCLING, False),
+        (2.001, True, PlaneStatus.CYCLING, True),
+        (2.001, True, PlaneStatus.LISTENING, True),
+        (2.001, True, PlaneStatus.LOST, False),
+        (2.001, True, PlaneStatus.ENDED, False),
+        (0.0, False, PlaneStatus.CYCLING, True),
+        (0.0, False, PlaneStatus.LISTENING, True),
+        (0.0, False, PlaneStatus.LOST, False),
+        (0.0, False, PlaneStatus.ENDED, False),
     ],
 )
 def test_a_data_plane_that_has_gone_or_stands_still_is_noticed(run, since_s, alive, status, gone):
@@ -577,9 +577,9 @@ def test_the_axes_of_a_data_plane_that_has_gone_trip_and_end(monkeypatch):
 @pytest.mark.parametrize(
     ("status", "phases", "trips"),
     [
-        (Status.LOST, (Phase.STILL, Phase.SAFE), (Trip.BUS_LOST, Trip.SPEED)),
-        (Status.LOST, (Phase.SAFE, Phase.DISABLE), None),
-        (Status.CYCLING, (Phase.STILL, Phase.SAFE), None),
+        (PlaneStatus.LOST, (Phase.STILL, Phase.SAFE), (Trip.BUS_LOST, Trip.SPEED)),
+        (PlaneStatus.LOST, (Phase.SAFE, Phase.DISABLE), None),
+        (PlaneStatus.CYCLING, (Phase.STILL, Phase.SAFE), None),
     ],
 )
 def test_a_bus_that_is_lost_before_the_first_cycle_is_a_trip(monkeypatch, status, phases, trips):
@@ -613,13 +613,13 @@ END = ["drain", "_give_up_recording", "close"]
 @pytest.mark.parametrize(
     ("status", "alive", "phase", "touched", "steps"),
     [
-        (Status.CYCLING, True, Phase.DONE, True, ["release", "end_cycle", "shut_down"]),
-        (Status.CYCLING, True, Phase.SAFE, True, ["end_cycle", "await_end", "release", "end_cycle", "shut_down"]),
-        (Status.CYCLING, True, Phase.DONE, False, ["release", "end_cycle"]),
-        (Status.CYCLING, False, Phase.SAFE, True, ["shut_down"]),
-        (Status.LISTENING, True, Phase.OFF, True, ["shut_down"]),
-        (Status.LISTENING, True, Phase.OFF, False, []),
-        (Status.LOST, True, Phase.SAFE, True, ["shut_down"]),
+        (PlaneStatus.CYCLING, True, Phase.DONE, True, ["release", "end_cycle", "shut_down"]),
+        (PlaneStatus.CYCLING, True, Phase.SAFE, True, ["end_cycle", "await_end", "release", "end_cycle", "shut_down"]),
+        (PlaneStatus.CYCLING, True, Phase.DONE, False, ["release", "end_cycle"]),
+        (PlaneStatus.CYCLING, False, Phase.SAFE, True, ["shut_down"]),
+        (PlaneStatus.LISTENING, True, Phase.OFF, True, ["shut_down"]),
+        (PlaneStatus.LISTENING, True, Phase.OFF, False, []),
+        (PlaneStatus.LOST, True, Phase.SAFE, True, ["shut_down"]),
     ],
 )
 def test_the_nodes_are_left_in_order(run, monkeypatch, status, alive, phase, touched, steps):

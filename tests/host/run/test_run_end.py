@@ -12,7 +12,7 @@ import pytest
 from clocks import Clock
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
-from coulombus.host.realtime.shared_memory import Status
+from coulombus.host.realtime.shared_memory import PlaneStatus
 from coulombus.host.run import realtime_sequence
 from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.run.run_recording import StampOrder
@@ -114,7 +114,7 @@ class Plane:
     machine that stands still.
     """
 
-    status, alive, lost_text, real_time = Status.CYCLING, True, "", ()
+    status, alive, lost_text, real_time = PlaneStatus.CYCLING, True, "", ()
 
     def __init__(self, k, trip=Trip.NONE, enabled_s=(1,)):
         self.k, self.now, self.taken, self.trip, self.enabled_s = k, 0, 0, trip, enabled_s

@@ -17,7 +17,7 @@ from coulombus.lab.sweep import sweep as module
 from coulombus.lab.sweep.figures import FIGURES
 from coulombus.lab.sweep.file import read_sweep
 from coulombus.lab.sweep.folder import Folder, SweepFolderError
-from coulombus.lab.sweep.one_run import Done, Job, carry_out, order_of
+from coulombus.lab.sweep.one_run import FinishedRun, Job, carry_out, order_of
 from coulombus.lab.sweep.picture import map_of
 from coulombus.lab.sweep.sweep import run_sweep
 from coulombus.lab.sweep.workers import ClusterError, on_processes
@@ -378,7 +378,7 @@ still = "cycles == 1"
     def judged(job, order):
         asked.append(order.values)
         Hz, inertia, _ = order.values
-        return Done({"rig": "", "error": None, "cycles": 1, "rates.still": not (Hz > 12.0 and inertia > 0.05)})
+        return FinishedRun({"rig": "", "error": None, "cycles": 1, "rates.still": not (Hz > 12.0 and inertia > 0.05)})
 
     monkeypatch.setattr("coulombus.lab.sweep.worst.carry_out", judged)
     start = replace(order_of(sweep, 0), values=(28.0, 0.9, 0.5))

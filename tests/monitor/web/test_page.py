@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from coulombus.monitor.web.batch import IN_FLIGHT, Flow, batch, layout, unpacked
-from coulombus.monitor.web.capture import Capture
+from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.guard import Seat, kept_token, new_token, right_token, same_origin, served_as
 from coulombus.monitor.web.state import HostView, arm_state, document
 from coulombus.rigs.rig import load_rig
@@ -15,7 +15,7 @@ from web_bench import BEGIN_NS, FACTS, MS, STATUS, cycles
 
 @pytest.fixture
 def capture():
-    found = Capture(load_rig("bench"))
+    found = LiveCapture(load_rig("bench"))
     found.snapshot(BEGIN_NS)
     for first in range(0, 2000, 33):
         found.take(cycles(first, min(33, 2000 - first)))
@@ -97,7 +97,7 @@ def test_a_hosts_rubbish_is_as_if_not_told(rubbish):
 
 
 def test_a_drive_that_is_not_heard_is_neither_armed_nor_disarmed():
-    found = Capture(load_rig("bench"))
+    found = LiveCapture(load_rig("bench"))
     assert arm_state(found.snapshot(BEGIN_NS)) == "unknown"
 
 

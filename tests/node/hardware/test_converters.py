@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.node.hardware import converters
-from coulombus.node.hardware.channels import HardwareError, Order
+from coulombus.node.hardware.channels import HardwareError, SafeWrite
 from coulombus.node.hardware.converters import PwmOutput, counter, find, iio
 from fake_sysfs import FakeSysfs
 
@@ -41,7 +41,7 @@ def test_a_channel_has_its_own_scale_and_offset_or_those_of_its_type(sysfs):
     channel.write(161.0)
     assert sysfs.get("adc/in_voltage0_raw") == "100"
     assert channel.spelled(161.0) == 160.0
-    assert list(channel.orders(300.0)) == [Order(str(sysfs.folder / "adc/in_voltage0_raw"), "170\n")]
+    assert list(channel.orders(300.0)) == [SafeWrite(str(sysfs.folder / "adc/in_voltage0_raw"), "170\n")]
     sysfs.put("adc/in_voltage0_scale", "0")
     with pytest.raises(HardwareError, match="the scale of in_voltage0 is 0"):
         iio("adc", "in_voltage0", scaled=True)

@@ -12,7 +12,7 @@ import sys
 
 import pytest
 
-from coulombus.node.hardware.channels import HardwareError, Order
+from coulombus.node.hardware.channels import HardwareError, SafeWrite
 from coulombus.node.hardware.guard import Guard
 from coulombus.node.hardware.watchdog import READY, carry_out, guard_outputs
 
@@ -99,7 +99,7 @@ def test_a_killed_node_leaves_safe_outputs(dac, number):
 
 
 def test_a_node_that_stands_still_is_found_and_told(dac):
-    guard = Guard(0.05, [Order(str(dac), "10\n")])
+    guard = Guard(0.05, [SafeWrite(str(dac), "10\n")])
     guard.feed()
     assert select.select([guard._answers], [], [], 20.0)[0]  # nobody feeds it: it acts
     assert dac.read_text() == "10\n"

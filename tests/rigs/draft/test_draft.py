@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from coulombus.eds.reader import parse_eds, read_eds
-from coulombus.rigs.draft.device import Device
-from coulombus.rigs.draft.discover import Wanted, gather
+from coulombus.rigs.draft.device import DraftDevice
+from coulombus.rigs.draft.discover import DeviceChoice, gather
 from coulombus.rigs.draft.draft import Draft
 from coulombus.rigs.draft.text import rehearsal_marks
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
@@ -57,7 +57,9 @@ def draft(tmp_path):
             node = ("motor", "brake", "transducer", "sensor_2")[number]
             (tmp_path / f"{node}-x.eds").write_text(text, encoding="utf-8")
             described = read_eds(tmp_path / f"{node}-x.eds")
-            devices.append(Device(node, described, f"{node}-x.eds", number + 1, (answers or {}) if number == 0 else {}))
+            devices.append(
+                DraftDevice(node, described, f"{node}-x.eds", number + 1, (answers or {}) if number == 0 else {})
+            )
         rig = load_rig(like) if isinstance(like, str) else like
         return Draft(devices, rig.one_axis(), str(tmp_path / "my.toml"), **options)
 
@@ -340,7 +342,7 @@ def test_another_rigs_acknowledgements_and_switch_are_not_taken_over(draft):
 
 
 def test_the_host_gives_way_to_a_device_with_its_id(tmp_path):
-    devices = gather((Wanted("motor", "bench", 127), Wanted("brake", "bench", 126)), tmp_path)
+    devices = gather((DeviceChoice("motor", "bench", 127), DeviceChoice("brake", "bench", 126)), tmp_path)
     rig = Draft(devices, load_rig("bench").one_axis(), str(tmp_path / "my.toml")).rig
     assert rig.host.node_id == 125
 
@@ -382,7 +384,7 @@ def test_live_devices_are_found_by_their_identity(folder):
         5: answers_of(folder / "drive.eds"),
         7: answers_of(folder / "driver.eds"),
     }
-    devices = gather((Wanted("motor"), Wanted("brake")), folder, live, folder)
+    devices = gather((DeviceChoice("motor"), DeviceChoice("brake")), folder, live, folder)
     assert [(one.node, one.eds, one.node_id) for one in devices] == [
         ("motor", "drive.eds", 5),
         ("brake", "driver.eds", 9),
@@ -393,7 +395,9 @@ def test_live_devices_are_found_by_their_identity(folder):
 
 def test_a_named_file_finds_its_live_device(folder):
     live = {5: answers_of(folder / "drive.eds"), 9: answers_of(folder / "driver.eds")}
-    devices = gather((Wanted("motor", str(folder / "drive.eds")), Wanted("brake", "", 9)), None, live, folder)
+    devices = gather(
+        (DeviceChoice("motor", str(folder / "drive.eds")), DeviceChoice("brake", "", 9)), None, live, folder
+    )
     assert [(one.node, one.eds, one.node_id) for one in devices] == [
         ("motor", str(folder / "drive.eds"), 5),
         ("brake", str(folder / "driver.eds"), 9),
@@ -403,21 +407,21 @@ def test_a_named_file_finds_its_live_device(folder):
 def test_a_live_device_without_a_file_is_told(folder):
     live = {5: {(0x1000, 0): 0x20192, (0x1018, 1): 0x99}}
     with pytest.raises(RigError, match="node 5 has 1018h 0x00000099 0x00000000, and none of 2 EDS files"):
-        gather((Wanted("motor"), Wanted("brake", "bench")), folder, live, folder)
+        gather((DeviceChoice("motor"), DeviceChoice("brake", "bench")), folder, live, folder)
 
 
 def test_no_live_device_of_a_kind_is_told(folder):
     with pytest.raises(RigError, match="no node on the bus is a drive"):
-        gather((Wanted("motor"), Wanted("brake", "bench")), folder, {}, folder)
+        gather((DeviceChoice("motor"), DeviceChoice("brake", "bench")), folder, {}, folder)
 
 
 def test_files_are_named_from_the_rig_files_folder_on(folder):
     rigs = folder / "rigs"
     rigs.mkdir()
     wanted = (
-        Wanted("motor", str(folder / "drive.eds")),
-        Wanted("brake", "bench", 1),
-        Wanted("transducer", str(folder / "driver.eds")),
+        DeviceChoice("motor", str(folder / "drive.eds")),
+        DeviceChoice("brake", "bench", 1),
+        DeviceChoice("transducer", str(folder / "driver.eds")),
     )
     devices = gather(wanted, rigs)
     assert [(one.eds, one.node_id) for one in devices] == [
@@ -434,8 +438,8 @@ def test_files_are_named_from_the_rig_files_folder_on(folder):
 def test_drives_of_the_corpus_are_drafted_or_refused_with_a_reason(node):
     refused = {}
     for path in sorted(CORPUS.glob("*.eds")) + sorted(CORPUS.glob("*.dcf")):
-        other = Wanted("brake" if node == "motor" else "motor", "bench")
-        both = sorted((Wanted(node, str(path)), other), key=lambda one: one.node, reverse=True)
+        other = DeviceChoice("brake" if node == "motor" else "motor", "bench")
+        both = sorted((DeviceChoice(node, str(path)), other), key=lambda one: one.node, reverse=True)
         for rehearse in (False, True):
             try:
                 made = Draft(gather(both, None), load_rig("bench").one_axis(), "rig.toml", rehearse=rehearse)

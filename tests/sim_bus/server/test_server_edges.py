@@ -13,12 +13,12 @@ import pytest
 
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server import server as module
-from coulombus.sim_bus.server.clients import MESSAGE_FRAMES, SLOTS, STATION, State
+from coulombus.sim_bus.server.clients import MESSAGE_FRAMES, SLOTS, STATION, SlotState
 from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 from coulombus.sim_bus.server.server import LOSERS_TOLD, MUTE_S, SO_SNDBUFFORCE, BusServer, SimResult
 from coulombus.wire.address import BusUnavailable, parse_address
 from coulombus.wire.frame import new_records
-from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status
+from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, BusStatus, Flags, Hello
 from coulombus.wire.recvmsg import Mailbox
 
 ADDRESS = parse_address("coulombus:desk")
@@ -71,7 +71,7 @@ def pair(server):
     return mine, theirs
 
 
-def admitted(server, i, state=State.GREETING):
+def admitted(server, i, state=SlotState.GREETING):
     mine, theirs = pair(server)
     server._admit(i, mine, state)
     return theirs
@@ -98,20 +98,20 @@ def controller(server, i):
 def test_the_first_free_place_is_given(server):
     assert server._place() == 0
     admitted(server, 0)
-    admitted(server, 2, State.OPEN)
+    admitted(server, 2, SlotState.OPEN)
     assert server._place() == 1
 
 
-def full(server, state=State.OPEN, but=()):
+def full(server, state=SlotState.OPEN, but=()):
     """Take all places for clients."""
     for i in range(SLOTS):
-        admitted(server, i, State.GREETING if i in but else state)
+        admitted(server, i, SlotState.GREETING if i in but else state)
 
 
 def test_where_all_places_are_taken_one_is_left_to_say_so(server):
     full(server)
     assert server._place() == SLOTS
-    admitted(server, SLOTS, State.OPEN)
+    admitted(server, SLOTS, SlotState.OPEN)
     assert server._place() is None
     assert len(server._sockets) == SLOTS + 1
 
@@ -121,7 +121,7 @@ def test_who_says_nothing_for_two_seconds_loses_its_place(server, silent_s, plac
     full(server, but=(3, 5))
     server.clock.s += silent_s
     assert server._place() == place
-    assert [i for i in range(SLOTS) if server._slots[i]["state"] == State.FREE] == ([3, 5] if place == 3 else [])
+    assert [i for i in range(SLOTS) if server._slots[i]["state"] == SlotState.FREE] == ([3, 5] if place == 3 else [])
     assert MUTE_S == 2.0
 
 
@@ -143,23 +143,23 @@ def test_where_not_even_the_last_place_is_free_the_first_that_is_silent_goes(ser
 
 def test_the_place_of_the_one_that_is_told_goes_last(server):
     mine, _ = pair(server)
-    server._admit(SLOTS, mine, State.GREETING)
+    server._admit(SLOTS, mine, SlotState.GREETING)
     full(server, but=(7,))
     assert server._place() == 7
-    admitted(server, 7, State.OPEN)
+    admitted(server, 7, SlotState.OPEN)
     assert server._place() == SLOTS
 
 
 def test_a_client_begins_with_nothing_counted(server):
     server._slots[4]["lost"], server._boxes[4]["overflow"] = 9, 5
     mine, _ = pair(server)
-    server._admit(4, mine, State.GREETING)
+    server._admit(4, mine, SlotState.GREETING)
     slot = server._slots[4]
-    assert (slot["fd"], slot["state"], slot["lost"]) == (mine.fileno(), State.GREETING, 0)
+    assert (slot["fd"], slot["state"], slot["lost"]) == (mine.fileno(), SlotState.GREETING, 0)
     assert server._boxes[4]["overflow"] == 0
     assert server._pids == {4: os.getpid()}
     assert server._since == {4: 100.0}
-    admitted(server, 5, State.JOINED)
+    admitted(server, 5, SlotState.JOINED)
     assert 5 not in server._pids
 
 
@@ -172,11 +172,11 @@ def test_who_greets_is_on_the_bus(server, flags):
     filters = ((0x181, 0x7FF), (0x80, 0x7F0))
     greeted(server, 2, Hello(flags, filters).pack())
     slot = server._slots[2]
-    assert (slot["state"], slot["greeted"], slot["filters"]) == (State.OPEN, int(flags), 2)
+    assert (slot["state"], slot["greeted"], slot["filters"]) == (SlotState.OPEN, int(flags), 2)
     assert server._filters[2, :2].tolist() == [list(one) for one in filters]
     assert (controller(server, 2).attached, controller(server, 2).listen_only) == (1, int(Flags.LISTEN_ONLY in flags))
     told = answer(client)
-    assert (told.status, told.bitrate_bit_s, told.station, told.lost) == (Status.OK, 500_000, STATION + 2, 0)
+    assert (told.status, told.bitrate_bit_s, told.station, told.lost) == (BusStatus.OK, 500_000, STATION + 2, 0)
     assert told.controller.state != module.state_of(controller(server, 3)).state  # that one is off the bus
     assert server.result.clients == 1
 
@@ -195,7 +195,7 @@ def test_a_second_greeting_changes_the_first_and_is_the_same_client(server):
 def test_who_is_only_to_be_told_that_there_is_no_place_goes(server):
     client = admitted(server, SLOTS)
     greeted(server, SLOTS, Hello().pack())
-    assert answer(client).status is Status.FULL
+    assert answer(client).status is BusStatus.FULL
     assert server._sockets == {}
     assert server.result.clients == 0
 
@@ -203,7 +203,7 @@ def test_who_is_only_to_be_told_that_there_is_no_place_goes(server):
 def test_who_does_not_greet_is_told_that_first(server):
     client = admitted(server, SLOTS)
     greeted(server, SLOTS, b"nonsense")
-    assert answer(client).status is Status.BAD_HELLO
+    assert answer(client).status is BusStatus.BAD_HELLO
 
 
 def test_a_client_behind_a_cut_is_on_its_half_of_the_cable(server):
@@ -225,7 +225,7 @@ def test_who_does_not_greet_is_turned_away_and_who_has_greeted_stays(server, fir
         greeted(server, 1, Hello().pack())
         answer(client)
     greeted(server, 1, b"nonsense")
-    assert answer(client).status is Status.BAD_HELLO
+    assert answer(client).status is BusStatus.BAD_HELLO
     assert (1 in server._sockets) is not first
     assert server._slots[1]["malformed"] == (not first)
     assert server.result.malformed == 0
@@ -236,35 +236,35 @@ def test_a_client_that_has_gone_before_its_answer_is_left_to_the_loop(server):
     client = admitted(server, 1)
     client.close()
     greeted(server, 1, Hello().pack())
-    assert server._slots[1]["state"] == State.OPEN
+    assert server._slots[1]["state"] == SlotState.OPEN
 
 
 # the end of a client
 
 
-@pytest.mark.parametrize("state", [State.OPEN, State.GREETING])
+@pytest.mark.parametrize("state", [SlotState.OPEN, SlotState.GREETING])
 @pytest.mark.parametrize("lost", [0, 4])
 def test_what_a_client_lost_is_told_of_those_that_were_on_the_bus(server, state, lost):
     client = admitted(server, 3)
-    if state is State.OPEN:
+    if state is SlotState.OPEN:
         greeted(server, 3, Hello().pack())
         answer(client)
     slot = server._slots[3]
     slot["lost"], slot["delivered"], slot["malformed"] = lost, 8, 2
     server._pace["listener"] = -1
     server._part(3)
-    opened = state is State.OPEN
+    opened = state is SlotState.OPEN
     assert (server.result.lost, server.result.malformed) == (lost if opened else 0, 2)
     told = {"pid": os.getpid(), "lost": lost, "delivered": 8}
     assert server.result.losers == ([told] if opened and lost else [])
-    assert (slot["state"], slot["fd"], controller(server, 3).attached) == (State.FREE, -1, 0)
+    assert (slot["state"], slot["fd"], controller(server, 3).attached) == (SlotState.FREE, -1, 0)
     assert server._pids == {}
     assert client.recv(1) == b""
     assert server._pace["listener"] == 77  # there is a place again
 
 
 def test_a_loser_of_no_known_process_is_told_as_such(server):
-    admitted(server, 0, State.OPEN)
+    admitted(server, 0, SlotState.OPEN)
     server._slots[0]["lost"] = 1
     server._part(0)
     assert server.result.losers == [{"pid": 0, "lost": 1, "delivered": 0}]
@@ -273,7 +273,7 @@ def test_a_loser_of_no_known_process_is_told_as_such(server):
 def test_twenty_losers_are_told(server):
     for _ in range(LOSERS_TOLD + 2):
         admitted(server, 0)
-        server._slots[0]["state"], server._slots[0]["lost"] = State.OPEN, 1
+        server._slots[0]["state"], server._slots[0]["lost"] = SlotState.OPEN, 1
         server._part(0)
     assert (len(server.result.losers), server.result.lost, LOSERS_TOLD) == (20, 22, 20)
 
@@ -299,7 +299,7 @@ def test_a_connection_is_taken_and_waits_for_its_greeting(server):
     server._listener.waiting = [mine]
     server._accept()
     assert server._sockets == {0: mine}
-    assert server._slots[0]["state"] == State.GREETING
+    assert server._slots[0]["state"] == SlotState.GREETING
     assert not mine.getblocking()
 
 
@@ -318,12 +318,12 @@ def test_a_connection_gets_a_long_queue_where_that_is_allowed_and_stamps(server,
     server._listener.waiting = [client]
     server._accept()
     sizes = [(socket.SOL_SOCKET, name, SEND_BUFFER) for name in (SO_SNDBUFFORCE, socket.SO_SNDBUF)]
-    assert log == [False, *sizes[: 1 if forced else 2], client, (0, client, State.GREETING)]
+    assert log == [False, *sizes[: 1 if forced else 2], client, (0, client, SlotState.GREETING)]
 
 
 def test_without_a_place_a_connection_waits(server):
     full(server)
-    admitted(server, SLOTS, State.OPEN)
+    admitted(server, SLOTS, SlotState.OPEN)
     server._pace["listener"] = 77
     server._listener.waiting = ["a client"]
     server._accept()
@@ -350,7 +350,7 @@ def test_without_a_descriptor_a_client_is_let_in_and_out_again(server, number):
     mine, theirs = pair(server)
     server._listener.waiting = [OSError(number, "too many"), mine]
     server._accept()
-    assert answer(theirs).status is Status.FULL
+    assert answer(theirs).status is BusStatus.FULL
     assert theirs.recv(1) == b""
     assert server._sockets == {}
     os.fstat(server._spare)  # there is one to spare again
@@ -394,7 +394,7 @@ def test_one_connection_that_cannot_be_set_up_costs_nobody_else_the_bus(server, 
             server._accept()
     assert (server._sockets, mine.fileno()) == ({}, -1)
     assert theirs.recv(1) == b""
-    assert server._slots[0]["state"] == State.FREE
+    assert server._slots[0]["state"] == SlotState.FREE
 
 
 # the socket's file

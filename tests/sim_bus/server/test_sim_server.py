@@ -23,11 +23,11 @@ from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.script import Entry, ScriptError, read_script
-from coulombus.sim_bus.server.clients import SLOTS, State
+from coulombus.sim_bus.server.clients import SLOTS, SlotState
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import BusAddress, BusUnavailable, parse_address, socket_path
 from coulombus.wire.bits import frame_bits
-from coulombus.wire.handshake import Answer, Flags, Hello, Status, connect
+from coulombus.wire.handshake import Answer, BusStatus, Flags, Hello, connect
 from places import ROOT
 
 pytestmark = [pytest.mark.real_time, pytest.mark.patient]
@@ -218,7 +218,7 @@ def test_malformed_messages_are_dropped_and_counted(rig):
 
 def test_a_bad_greeting_is_refused(rig):
     with served(rig) as server:
-        for message, status in ((frame(0x100), Status.BAD_HELLO), (struct.pack("<IHHH14x", 0x53424C43, 2, 0, 0), 1)):
+        for message, status in ((frame(0x100), BusStatus.BAD_HELLO), (struct.pack("<IHHH14x", 0x53424C43, 2, 0, 0), 1)):
             with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger:
                 stranger.settimeout(TIMEOUT_S)
                 stranger.connect(str(socket_path("t")))
@@ -429,7 +429,7 @@ def test_a_client_for_whom_no_memory_is_left_is_not_kept(rig, monkeypatch):
 def test_whatever_becomes_of_a_client_closing_leaves_nothing(rig, tmp_path, monkeypatch):
     server = SimServer(rig, BusAddress("coulombus", "t"), record=tmp_path / "r.pcapng")
     mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    server._admit(0, mine, State.GREETING)
+    server._admit(0, mine, SlotState.GREETING)
 
     def refused(bus, station):
         raise MemoryError
