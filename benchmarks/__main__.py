@@ -87,7 +87,7 @@ def simulation() -> None:
     show("simulate with recording, figures computed from it", f"{seconds / with_recording:.0f} x", "at least 200 x")
 
     def armed() -> VirtualRig:
-        from coulombus.lab.bringup import switch_on
+        from coulombus.lab.virtual_bringup import switch_on
         from coulombus.rigs.rig import load_rig
 
         world = VirtualRig(load_rig("bench"), "hybrid")

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from benchmarks.size import size
-from coulombus.lab.bringup import switch_on
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 

@@ -17,10 +17,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from benchmarks.size import size
-from coulombus.lab.bringup import switch_on
-from coulombus.lab.sweep.file import read_sweep
 from coulombus.lab.sweep.one_run import Job, carry_out, order_of
+from coulombus.lab.sweep.sweep_file import read_sweep
 from coulombus.lab.sweep.workers import on_processes
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 

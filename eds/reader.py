@@ -8,7 +8,7 @@ Where the file can be read in two ways there, the variable has no default, `Vari
 says why, and `eds.pdo` refuses the map.
 
 The file is read in two steps: lines to sections (`eds.sections`), sections to objects
-(here; values by `eds.values`, a DCF's by `eds.dcf`, the file's other parts by `eds.file`).
+(here; values by `eds.values`, a DCF's by `eds.dcf`, the file's other parts by `eds.file_info`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from types import MappingProxyType
 
 from coulombus.eds.cia301 import ARRAY, DATA_TYPES, DEFSTRUCT, DEFTYPE, DOMAIN, RECORD, VAR
 from coulombus.eds.description import Description, Diagnosis, EdsError, Object, Severity, Value, Variable
-from coulombus.eds.file import FileReader
+from coulombus.eds.file_info import FileReader
 from coulombus.eds.regular_file import NoRegularFile, read_regular
 from coulombus.eds.sections import PDO_PARAMETERS, Section, alike, number_of
 

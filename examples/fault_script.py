@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from coulombus import read, simulate
-from coulombus.sim_bus.network.kernel import MOTOR
+from coulombus.sim_bus.network.event_loop import MOTOR
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
 MS = 1_000_000

@@ -23,12 +23,12 @@ import numpy as np
 from scipy.special import ndtri
 
 from coulombus.lab.study.displays import VirtualDisplays
-from coulombus.lab.study.felt import felt_Nm
-from coulombus.lab.study.folder import SubjectFolder
+from coulombus.lab.study.felt_torque import felt_Nm
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.results.report import report
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
+from coulombus.lab.study.study_folder import SubjectFolder
 
 JND_NM, REFERENCE_NM = 0.15, 2.0
 SUBJECT = "S01"

@@ -8,7 +8,7 @@ import sys
 
 from coulombus import simulate
 from coulombus.lab.study.study import read_study
-from coulombus.lab.sweep.file import read_sweep
+from coulombus.lab.sweep.sweep_file import read_sweep
 from places import ROOT
 
 EXAMPLES = ROOT / "examples"

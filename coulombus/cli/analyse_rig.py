@@ -58,7 +58,7 @@ def felt(**options: Any) -> None:
 
 
 def _felt(rig: Rig, seed: int, as_json: bool) -> None:
-    from coulombus.analysis.rig.felt import felt_study
+    from coulombus.analysis.rig.display_errors import felt_study
 
     with bar("felt") as report:
         result = felt_study(rig, seed=seed, progress=report)

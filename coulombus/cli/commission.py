@@ -232,7 +232,7 @@ def _chosen(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]
 
 def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None, as_json: bool) -> None:
     """Print the steps, and end."""
-    from coulombus.host.commission.state import Progress, folder_of
+    from coulombus.host.commission.progress import Progress, folder_of
 
     done = Progress.load(folder_of(rig_path, axis)).steps if rig_path is not None else {}
     rows = [{"step": step.name, "title": step.title, "done": done.get(step.name, {}).get("at")} for step in steps]

@@ -70,7 +70,7 @@ timeout_option = click.option(
 @contextmanager
 def open_link(bus_name: str, *, beside: bool = False) -> Iterator[BusLink]:
     """Open a bus for a service: alone on it, or beside a host, which is said then."""
-    from coulombus.host.devices.guard import FILTERS, check_alone
+    from coulombus.host.devices.running_host import FILTERS, check_alone
     from coulombus.wire.address import parse_address
     from coulombus.wire.bus_link import BusLink
 

@@ -25,11 +25,11 @@ from coulombus.system.keyboard import in_foreground
 
 if TYPE_CHECKING:
     from coulombus.lab.study.displays import Displays
-    from coulombus.lab.study.folder import SubjectFolder
     from coulombus.lab.study.lsl import LslMarkers, LslSignals
     from coulombus.lab.study.observer import Observer
     from coulombus.lab.study.session import People, Session, SubjectSession
     from coulombus.lab.study.study import Study
+    from coulombus.lab.study.study_folder import SubjectFolder
     from coulombus.lab.study.trials import Trial
 
 __all__ = ["experiment_command"]
@@ -130,9 +130,9 @@ def experiment_command(
       coulombus experiment study.toml -o out/study --subject S01 --virtual --observer 0.15
     """
     with errors():
-        from coulombus.lab.study.folder import SubjectFolder
         from coulombus.lab.study.session import SubjectSession, run_session
         from coulombus.lab.study.study import read_study
+        from coulombus.lab.study.study_folder import SubjectFolder
 
         if where.virtual and (where.bus_name is not None or where.shared_machine):
             raise click.UsageError("--virtual needs no bus and no wider limits; take --bus and --shared-machine out")
@@ -218,7 +218,7 @@ def _tell(session: Session, out: Path, as_json: bool) -> None:
 
 
 def _felt(folder: SubjectFolder) -> Callable[[Trial], list[float]]:
-    from coulombus.lab.study.felt import felt_Nm
+    from coulombus.lab.study.felt_torque import felt_Nm
 
     def judged(trial: Trial) -> list[float]:
         return [felt_Nm(folder.recording(trial, number)) for number in range(1, len(trial.levels) + 1)]

@@ -125,7 +125,7 @@ def init(
     with errors():
         from coulombus.rigs.draft.discover import gather
         from coulombus.rigs.draft.draft import Draft
-        from coulombus.rigs.draft.text import CHECK
+        from coulombus.rigs.draft.draft_text import CHECK
         from coulombus.rigs.rig import load_rig
 
         folder = None if output is None else output.parent.resolve()

@@ -119,7 +119,7 @@ def lss(
       coulombus lss --bus socketcan:can0 --device 4C0:402:10000:7 --bitrate 1000000 --store
     """
     with errors():
-        from coulombus.eds.folder import fitting, read_folder
+        from coulombus.eds.eds_folder import fitting, read_folder
         from coulombus.eds.own_devices import packaged
         from coulombus.host.devices.lss import LssMaster
         from coulombus.host.devices.numbering import AssignedId, check_free, give, only

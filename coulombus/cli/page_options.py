@@ -124,9 +124,9 @@ def serve_page(
     from coulombus.wire.address import socket_path
 
     try:
-        from coulombus.monitor.web.guard import kept_token
+        from coulombus.monitor.web.access import kept_token
+        from coulombus.monitor.web.page_state import HostDoor
         from coulombus.monitor.web.server import Shown, serve
-        from coulombus.monitor.web.state import HostDoor
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "tornado":
             raise

@@ -43,7 +43,7 @@ def pdo(
       coulombus pdo --rig my-rig.toml --json
     """
     with errors():
-        from coulombus.monitor.pdo_table import as_dict, as_lines
+        from coulombus.monitor.pdo_text import as_dict, as_lines
         from coulombus.rigs.buses import one_bus
 
         rig, address = one_bus(load(rig_name, overrides), bus_name, channel)

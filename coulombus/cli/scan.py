@@ -65,7 +65,7 @@ def scan(
       coulombus scan --bus coulombus:bench --json | jq '.nodes[].name'
     """
     with errors():
-        from coulombus.eds.folder import fitting, read_folder
+        from coulombus.eds.eds_folder import fitting, read_folder
         from coulombus.eds.own_devices import packaged
         from coulombus.host.devices.lss import LssMaster
         from coulombus.host.devices.scan import scan as ask_all
@@ -141,7 +141,7 @@ def _print(rows: list[dict[str, Any]], without: list[Identity], files: list[Desc
     from rich.markup import escape
     from rich.table import Table
 
-    from coulombus.eds.folder import fitting
+    from coulombus.eds.eds_folder import fitting
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("node", justify="right", no_wrap=True)

@@ -17,8 +17,8 @@ from coulombus.cli.tables import echo
 from coulombus.eds.reader import EdsError
 from coulombus.eds.sdo_frames import where
 from coulombus.host.devices.device import KnownDevice
-from coulombus.host.devices.guard import check_alone
 from coulombus.host.devices.nmt import COMMANDS, command
+from coulombus.host.devices.running_host import check_alone
 from coulombus.host.devices.sdo import store_parameters
 from coulombus.host.errors import HostError
 from coulombus.system.stop_signals import Stopped, forget

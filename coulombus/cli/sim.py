@@ -44,7 +44,7 @@ class Simulated:
 
     def of(self, rig: Rig) -> dict[str, Any]:
         """Return what a `SimServer` of each bus is told, by the bus; the files are read."""
-        from coulombus.sim_bus.faults.file import read_faults
+        from coulombus.sim_bus.faults.fault_file import read_faults
         from coulombus.sim_bus.network.script import read_script
 
         script = () if self.script is None else read_script(self.script, [node.name for node in rig.nodes])

@@ -72,8 +72,8 @@ def sweep_command(
       coulombus sweep sweep.toml -o out/sweep --dask tcp://cluster:8786 --json
     """
     with errors():
-        from coulombus.lab.sweep.file import read_sweep
         from coulombus.lab.sweep.sweep import run_sweep
+        from coulombus.lab.sweep.sweep_file import read_sweep
 
         if dask is not None and processes is not None:
             raise click.UsageError("--processes is of this machine, --dask of a cluster; give one of them")

@@ -36,7 +36,7 @@ def tools(
       tshark -X lua_script:out/tools/bench.lua -r run.pcapng -Y 'coulombus.motor.position > 1'
     """
     with errors():
-        from coulombus.monitor.tools.folder import tool_files
+        from coulombus.monitor.tools.tool_files import tool_files
         from coulombus.recording.output_file import new_file, reason_against
         from coulombus.rigs.buses import one_bus
         from coulombus.rigs.rig import load_rig

@@ -14,7 +14,7 @@ from typing import Any
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.host.setup.bringup import meet, plans_of
 from coulombus.host.setup.device_plan import DevicePlan
-from coulombus.lab.bringup import switch_on
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.axis import NO_DEVICES, Axis, Sections
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
@@ -69,7 +69,7 @@ def give_back(world: VirtualRig) -> None:
 
 
 def set_up(world: VirtualRig) -> tuple[str, ...]:
-    """Switch the nodes on and bring them up, as `lab.bringup.switch_on`; or go on where an earlier
+    """Switch the nodes on and bring them up, as `lab.virtual_bringup.switch_on`; or go on where an earlier
     set-up of such a rig has ended, with the same bytes. Return what was left out.
     """
     key = _key(world)

@@ -20,8 +20,8 @@ from coulombus.host.run.buses import merged, path_on
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run_sequence import Course, Figures
 from coulombus.host.setup.bringup import check_plan, release, shut_down
-from coulombus.lab.bringup import switch_on
 from coulombus.lab.set_up import give_back, ready_world, set_up
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.recording.measures import Measures, measure
 from coulombus.recording.memory_recording import MeasuredFrames
 from coulombus.recording.output_file import check as check_output
@@ -30,7 +30,7 @@ from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import About, Recorder
 from coulombus.rigs.arguments import a_number, path_text, texts
 from coulombus.rigs.rig import Rig, load_rig
-from coulombus.sim_bus.faults.file import FaultPlan, read_faults
+from coulombus.sim_bus.faults.fault_file import FaultPlan, read_faults
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.plant import truth_columns
@@ -235,7 +235,7 @@ def simulate(
         the rig file, the law or the recording's path is wrong, or a limit would cut the law off
     FileExistsError
         `record` or `truth` exists, and `force` was not given; nothing was run
-    coulombus.sim_bus.faults.file.FaultError
+    coulombus.sim_bus.faults.fault_file.FaultError
         the fault file is wrong
     coulombus.rigs.arguments.WrongCall
         an argument is of a type that is not taken

@@ -21,7 +21,7 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import Description
 from coulombus.monitor.error_frames import error_frame
 from coulombus.monitor.services import Row, Sdo, emcy, heartbeat, lss, nmt, sync
-from coulombus.recording.pdo_table import PdoTable
+from coulombus.recording.pdo_columns import PdoTable
 from coulombus.recording.signals import Recording, Source
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes

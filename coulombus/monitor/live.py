@@ -21,7 +21,7 @@ from coulombus.eds.cia301 import CobId, NmtState, abort_text
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.monitor.error_frames import error_frame
 from coulombus.monitor.services import STATES, emcy, lss, nmt
-from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS, Envelope
-from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.pdo_columns import decode_field
 from coulombus.recording.signals import signal_of
 from coulombus.rigs.rig import Rig
 

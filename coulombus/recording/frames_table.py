@@ -10,7 +10,7 @@ import numpy as np
 
 from coulombus.recording.extras import library
 from coulombus.recording.protocols import Readable
-from coulombus.recording.samples import Array, Group, groups_of, stretches
+from coulombus.recording.sample_groups import Array, Group, groups_of, stretches
 from coulombus.rigs.arguments import WrongCall
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from coulombus.recording.measures import MEASURED
 from coulombus.recording.pcapng_reader import Capture
-from coulombus.recording.pdo_table import signals_of
+from coulombus.recording.pdo_columns import signals_of
 from coulombus.recording.recorder import Markers
 from coulombus.recording.signals import Recording, Series, markers_of
 from coulombus.rigs.rig import Rig

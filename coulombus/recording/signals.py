@@ -28,7 +28,7 @@ import numpy.typing as npt
 from coulombus.recording.host_telemetry import of_axis
 from coulombus.recording.log_files import WALL_CLOCK_NS
 from coulombus.recording.pcapng_reader import Capture
-from coulombus.recording.pdo_table import PdoTable, behind, table_of
+from coulombus.recording.pdo_columns import PdoTable, behind, table_of
 from coulombus.recording.unwrap import Turns
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import WrongCall

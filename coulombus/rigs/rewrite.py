@@ -3,7 +3,7 @@
 A value takes the old one's place. The comment at its line's end stays, in its column where it can,
 and a line above it says where the value comes from. A key that is not there yet is put below the
 header of its section, and its section at the file's end where that is missing, too. A `# CHECK:`
-above a key is a guess that nobody has proved (`rigs.draft.text`): with a found value it is gone.
+above a key is a guess that nobody has proved (`rigs.draft.draft_text`): with a found value it is gone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 from coulombus.eds.regular_file import read_regular
 from coulombus.eds.unfinished_file import remove_unfinished, unfinished
-from coulombus.rigs.draft.text import CHECK
+from coulombus.rigs.draft.draft_text import CHECK
 from coulombus.rigs.errors import RigError, dotted, toml_value
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
-from coulombus.host.commission.state import Progress
+from coulombus.host.commission.progress import Progress
 from coulombus.rigs.rig import Rig
 
 __all__ = ["report"]

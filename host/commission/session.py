@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from coulombus.host.commission.state import Progress, folder_of
+from coulombus.host.commission.progress import Progress, folder_of
 from coulombus.host.commission.step import (
     Exercise,
     ExerciseResult,

@@ -157,7 +157,7 @@ class _Replay:
             yield from self._sent(cycle, until_ns, later - refused_before)
 
     def in_virtual_time(self, events: npt.NDArray[Any]) -> Iterator[HostFrame]:
-        """Do what the kernel of `sim_bus.network.kernel` did: at one instant first what arrives,
+        """Do what the kernel of `sim_bus.network.event_loop` did: at one instant first what arrives,
         then the host.
         """
         running = False

@@ -13,7 +13,7 @@ from typing import Any
 
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.data import READ_ONLY, decode, encode
-from coulombus.eds.folder import fitting, read_folder
+from coulombus.eds.eds_folder import fitting, read_folder
 from coulombus.eds.own_devices import packaged, told_identity
 from coulombus.eds.reader import Description, Value, Variable, parse_eds, read_eds
 from coulombus.eds.sdo_frames import where

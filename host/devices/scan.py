@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.sdo_answers import SdoAnswers
 from coulombus.eds.sdo_frames import head
-from coulombus.host.devices.guard import FILTERS, check_alone
+from coulombus.host.devices.running_host import FILTERS, check_alone
 from coulombus.host.devices.sdo import talk_to_all
 from coulombus.host.devices.transfers import SdoSilent, Transfer, upload
 from coulombus.host.errors import AnswerUntrusted, HostError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from coulombus.host.doctor import can, cpu, disk, kernel, power, rights, software
+from coulombus.host.doctor import can, cpu, disk, linux_kernel, power, rights, software
 from coulombus.host.doctor.finding import Check, Finding, Outcome, examine
 from coulombus.host.doctor.machine import Machine
 from coulombus.host.doctor.wanted import RigDemands
@@ -33,7 +33,7 @@ def examination(
     folder : where recordings go; default is the present one
     """
     one = Machine() if machine is None else machine
-    checks = kernel.checks(one) + cpu.checks(one, given_cpu) + rights.checks(one)
+    checks = linux_kernel.checks(one) + cpu.checks(one, given_cpu) + rights.checks(one)
     for channel, address in addresses.items():
         checks += _of_bus(one, wanted, channel, address, several=len(addresses) > 1)
     checks += disk.checks(Path() if folder is None else folder, wanted) + software.checks()

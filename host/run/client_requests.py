@@ -14,7 +14,7 @@ from coulombus.host.run.changes import Changes
 from coulombus.host.run.markers import marker_of
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.run_sequence import Course
-from coulombus.host.run.state import axis_state, plane_state
+from coulombus.host.run.run_state import axis_state, plane_state
 from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.recording.wall_clock import utc
 from coulombus.system.exit import say

@@ -1,7 +1,7 @@
 """Measure a rig's devices on their bus, and the host on this PC: the times that the planner counts.
 
 The bus is claimed as for a run (`host.run.control_socket`), and refused where another host cycles.
-Nothing is armed: see `host.setup.response`. The values proposed are the longest times with a
+Nothing is armed: see `host.setup.device_response`. The values proposed are the longest times with a
 margin.
 """
 
@@ -25,7 +25,7 @@ from coulombus.host.run.host_latency import measure_compute
 from coulombus.host.run.preflight import check_no_rehearsal
 from coulombus.host.run.realtime_sequence import LISTEN_S
 from coulombus.host.setup.control_plane import RealControlPlane
-from coulombus.host.setup.response import DeviceTimes, Stamped, measure_devices
+from coulombus.host.setup.device_response import DeviceTimes, Stamped, measure_devices
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.toml_lines import Key
@@ -114,7 +114,7 @@ def quiet_mode(rig: Rig) -> str:
 
 
 class _BusWire:
-    """The host's station on a real bus (`host.setup.response.Wire`), by the kernel's stamps."""
+    """The host's station on a real bus (`host.setup.device_response.Wire`), by the kernel's stamps."""
 
     def __init__(self, address: BusAddress) -> None:
         self.client = Client(address, Hello(Flags.OWN))

@@ -10,7 +10,7 @@ from types import TracebackType
 import can
 
 from coulombus.host.errors import SafetyTrip
-from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
+from coulombus.rigs.draft.draft_text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.address import BusAddress

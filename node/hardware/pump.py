@@ -36,7 +36,7 @@ RETRY_NS = 100_000_000
 
 
 class Watched(Protocol):
-    """What `node.hardware.guard.Guard` does."""
+    """What `node.hardware.watchdog_client.Guard` does."""
 
     def feed(self) -> None:
         """Tell that the node goes on; HardwareError when the watchdog has acted, or is gone."""

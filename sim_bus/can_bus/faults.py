@@ -1,7 +1,7 @@
 """Scripted faults as the bus sees them: a table of rows, each with its trigger and what it does
 (compiled).
 
-`sim_bus.faults.file` makes the rows from a file. The table is part of the bus's record, so a kernel
+`sim_bus.faults.fault_file` makes the rows from a file. The table is part of the bus's record, so a kernel
 needs no Python to inject: `strike` judges the rows at the start of each frame, `alarm` those that
 wait for a time.
 

@@ -19,7 +19,7 @@ from coulombus.sim_bus.can_bus.faults import NO_FRAME, fire, plan_alarm
 from coulombus.sim_bus.can_bus.records import STATIONS
 from coulombus.sim_bus.can_bus.stations import detach
 from coulombus.sim_bus.can_bus.targets import CLIENT_ROWS, CLIENTS
-from coulombus.sim_bus.faults.file import FaultError, FaultPlan
+from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.rows import begin_enabled, injections, install
 from coulombus.sim_bus.network.network import TAP
 from coulombus.wire.clock import set_clock
@@ -49,7 +49,7 @@ class Injection:
 
     Raises
     ------
-    coulombus.sim_bus.faults.file.FaultError
+    coulombus.sim_bus.faults.fault_file.FaultError
         the file names a node that is not on this bus, or the bus takes no time
     """
 

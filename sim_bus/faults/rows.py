@@ -15,7 +15,7 @@ from coulombus.sim_bus.can_bus.records import STATIONS, BusRecord, FaultRecord
 from coulombus.sim_bus.can_bus.stations import refresh
 from coulombus.sim_bus.can_bus.targets import ALL, CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
-from coulombus.sim_bus.faults.file import (
+from coulombus.sim_bus.faults.fault_file import (
     BASES,
     BIT_NAMES,
     OF_NO_NODE,

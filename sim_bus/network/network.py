@@ -59,9 +59,18 @@ from coulombus.sim_bus.can_bus.cable_cut import divide, wire_of
 from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.can_bus.tx_queue import withdraw
 from coulombus.sim_bus.network.deadline_tree import IDENTIFIERS, new_deadlines, new_wants
+from coulombus.sim_bus.network.event_loop import (
+    LOG_FRAMES,
+    MOST_DEVICES,
+    TOLD_FRAMES,
+    WORLD,
+    Exit,
+    HostCycle,
+    World,
+    run,
+)
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
-from coulombus.sim_bus.network.kernel import LOG_FRAMES, MOST_DEVICES, TOLD_FRAMES, WORLD, Exit, HostCycle, World, run
-from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
+from coulombus.sim_bus.network.python_stations import CanopenNetwork, Heard, Station
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
@@ -210,7 +219,7 @@ class VirtualNetwork:
 
     @property
     def arguments(self) -> tuple[World, HostCycle, LawFunction, CourseFunction]:
-        """The arguments of `sim_bus.network.kernel.run` but for `closely`.
+        """The arguments of `sim_bus.network.event_loop.run` but for `closely`.
 
         Since it ran last, somebody may have written to the records.
         """
@@ -347,7 +356,7 @@ class VirtualNetwork:
     # the kernel's exits
 
     def answer(self, why: int) -> None:
-        """Do what the kernel needs Python for (`sim_bus.network.kernel.Exit`), at the
+        """Do what the kernel needs Python for (`sim_bus.network.event_loop.Exit`), at the
         present time.
         """
         if why == Exit.SERVICE:

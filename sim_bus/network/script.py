@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, read_toml
-from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
+from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.system.errors import CoulombusError
 
 if TYPE_CHECKING:

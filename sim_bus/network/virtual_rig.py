@@ -22,7 +22,7 @@ from coulombus.node.device import Device
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.network.kernel import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
+from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
 from coulombus.sim_bus.network.network import AttachedAxes, CanopenNetwork, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
@@ -212,7 +212,7 @@ class VirtualRig(VirtualNetwork):
     # the kernel's exits
 
     def answer(self, why: int) -> None:
-        """Do what the kernel needs Python for (`sim_bus.network.kernel.Exit`), at the
+        """Do what the kernel needs Python for (`sim_bus.network.event_loop.Exit`), at the
         present time.
         """
         if why in (Exit.FORCE, Exit.ENABLED):

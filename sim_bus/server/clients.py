@@ -36,7 +36,7 @@ from coulombus.sim_bus.can_bus.cable_cut import divide
 from coulombus.sim_bus.can_bus.error_frames import with_counters
 from coulombus.sim_bus.can_bus.records import ROOM, STATION_MASK, BusRecord
 from coulombus.sim_bus.can_bus.tx_queue import take_in
-from coulombus.sim_bus.network.kernel import WorldRecord
+from coulombus.sim_bus.network.event_loop import WorldRecord
 from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Frame, Queue, push
 from coulombus.wire.recvmsg import Mailbox, receive
@@ -57,7 +57,7 @@ CLOCK_STEP_NS = 1_000_000
 class Need(IntEnum):
     """What a client needs Python for.
 
-    The numbers begin after those of `sim_bus.network.kernel.Exit`.
+    The numbers begin after those of `sim_bus.network.event_loop.Exit`.
     """
 
     MESSAGE = 20  # it sent a message that is no frames

@@ -20,9 +20,9 @@ from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
-from coulombus.node.hardware.guard import Guard
 from coulombus.node.hardware.io_file import read_io_file
 from coulombus.node.hardware.pump import Pump
+from coulombus.node.hardware.watchdog_client import Guard
 from coulombus.node.kinds import of_description, of_identity
 from coulombus.node.profile import Profile
 from coulombus.node.relaxed_eds import Opened, opened

@@ -17,7 +17,7 @@ both ends of it move.
 Where Python needs the whole world (a script's entry), `settle` lets the jobs end first. A server
 without this (`BESIDE.on` is 0) returns to Python for everything.
 
-In the kernels: `j` the record of `BesideRecord`, `w` that of `sim_bus.network.kernel.WORLD`.
+In the kernels: `j` the record of `BesideRecord`, `w` that of `sim_bus.network.event_loop.WORLD`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from coulombus.kernels.libc import POLLIN, ppoll_ns, read, write
 from coulombus.kernels.records import Integers, Records
 from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.record import LOOP_WORDS, NODE
-from coulombus.sim_bus.network.kernel import Exit, World, actuate, refresh
+from coulombus.sim_bus.network.event_loop import Exit, World, actuate, refresh
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.server.records import JOBS, BesideRecord, PaceRecord

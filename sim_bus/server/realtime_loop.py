@@ -1,10 +1,10 @@
 """The virtual bus against the wall clock: one compiled loop between the clients' sockets and the
-world of `sim_bus.network.kernel`.
+world of `sim_bus.network.event_loop`.
 
 The world's time is CLOCK_MONOTONIC minus its start. The loop sleeps in ppoll(2) until the world's
 next event or a client's message, lets the world run up to the present and hands out what the bus
 has carried, each frame at its end of frame. Python is entered for what is rare: a client that
-comes, greets or goes (`sim_bus.network.kernel.Exit`, `sim_bus.server.clients.Need`, `Serve`). The
+comes, greets or goes (`sim_bus.network.event_loop.Exit`, `sim_bus.server.clients.Need`, `Serve`). The
 services of a simulated rig's nodes are done beside this loop (`sim_bus.server.python_worker`).
 
 A frame is ready when the kernel took it from its sender (SO_TIMESTAMPNS), not when this loop came
@@ -37,7 +37,7 @@ from coulombus.kernels.libc import (
 )
 from coulombus.kernels.records import Integers, RecordArray
 from coulombus.sim_bus.can_bus.cable_cut import choose
-from coulombus.sim_bus.network.kernel import Exit, HostCycle, World, next_event, refresh, run
+from coulombus.sim_bus.network.event_loop import Exit, HostCycle, World, next_event, refresh, run
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.server.clients import Clients, SlotState, flush, hand_out, take
 from coulombus.sim_bus.server.python_worker import FRAME, RECORD, Beside, collect, drained, leave
@@ -58,7 +58,7 @@ AHEAD_NS = 1_000_000_000
 
 
 class Serve(IntEnum):
-    """Why the loop returned, besides `sim_bus.network.kernel.Exit` and
+    """Why the loop returned, besides `sim_bus.network.event_loop.Exit` and
     `sim_bus.server.clients.Need`.
     """
 

@@ -13,7 +13,7 @@ from coulombus.recording.recorder import PACED, About, Recorder
 from coulombus.recording.wall_clock import wall_clock
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.can_bus.stations import detach
-from coulombus.sim_bus.faults.file import FaultError, FaultPlan
+from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.server.clients import STATION
@@ -92,7 +92,7 @@ class SimServer(BusServer):
     coulombus.wire.address.BusUnavailable
         (exit status 4) a live process serves this bus already, or the SocketCAN interface is not
         there
-    coulombus.sim_bus.faults.file.FaultError
+    coulombus.sim_bus.faults.fault_file.FaultError
         (exit status 3) the file names a node that is not there, or the bus has no bit times
     """
 

@@ -18,7 +18,7 @@ from coulombus.host.run import measure as measuring
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.host_latency import compute_times_ns
 from coulombus.host.run.measure import Measured, Spread, proposed_ns, quiet_mode
-from coulombus.host.setup.response import DeviceTimes, PdoTimes
+from coulombus.host.setup.device_response import DeviceTimes, PdoTimes
 from coulombus.rigs.rewrite import NewValue, rewritten
 from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.wire.address import parse_address

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from coulombus.eds.cia402 import PowerState
+from coulombus.host.commission.progress import Progress
 from coulombus.host.commission.session import RunEnded, Session
-from coulombus.host.commission.state import Progress
 from coulombus.host.commission.step import CommissionError, Given
 from coulombus.host.commission.steps import STEPS
 from coulombus.host.cycle.demand import motor_limit_Nm
@@ -21,7 +21,7 @@ from coulombus.lab.simulate import simulate
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig, packaged_rig
-from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
+from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 
 BY_NAME = {step.name: step for step in STEPS}
 AT = "2026-11-22T14:03:05Z"
@@ -176,7 +176,7 @@ def test_a_disk_that_is_full_at_the_state_leaves_a_rig_file_that_loads(afternoon
     def full(path, content):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("coulombus.host.commission.state.write_whole", full)
+    monkeypatch.setattr("coulombus.host.commission.progress.write_whole", full)
     with pytest.raises(OSError, match="No space left on device"):
         afternoon("friction", truth=TRUTH)
     assert load_rig(str(tmp_path / "my.toml")).one_axis().mechanics.friction_Nm == pytest.approx(0.2, rel=0.01)

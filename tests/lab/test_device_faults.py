@@ -8,8 +8,8 @@ import re
 
 import pytest
 
-from coulombus.lab.bringup import switch_on
 from coulombus.lab.simulate import simulate
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.sim_bus.network.script import FAULTS, Entry, ScriptError, read_script
 from coulombus.sim_bus.network.virtual_rig import VirtualRig

@@ -15,7 +15,7 @@ from coulombus.eds.check import check
 from coulombus.eds.reader import read_eds
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.emergency import emcy_identifier, is_mute
-from coulombus.sim_bus.network.kernel import BRAKE
+from coulombus.sim_bus.network.event_loop import BRAKE
 
 MS = 1_000_000
 EDS, RIGS = (Path(next(iter(package.__path__))) for package in (coulombus.eds, coulombus.rigs))

@@ -10,7 +10,7 @@ import pytest
 from coulombus.host.cycle.records import Trip
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
-from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
+from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 
 MS = 1_000_000
 SECOND = 1_000_000_000

@@ -10,12 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.lab.bringup import switch_on
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.guarding import life_of
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.faults.file import read_faults
+from coulombus.sim_bus.faults.fault_file import read_faults
 from coulombus.sim_bus.faults.injection import Injection
-from coulombus.sim_bus.network.kernel import MOTOR
+from coulombus.sim_bus.network.event_loop import MOTOR
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from foreign_rigs import brake, drive, written
 

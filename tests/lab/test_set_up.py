@@ -11,9 +11,9 @@ import pytest
 
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.lab import set_up as module
-from coulombus.lab.bringup import switch_on
 from coulombus.lab.set_up import forget, give_back, ready_world, set_up
 from coulombus.lab.simulate import simulate
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from places import ROOT

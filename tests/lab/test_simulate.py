@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from coulombus.host.errors import DeviceMismatch, NodeMissing
-from coulombus.lab.bringup import switch_on
 from coulombus.lab.simulate import simulate
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from coulombus.monitor import pdo_table
+from coulombus.monitor import pdo_text
 from coulombus.monitor.live import BITS, Live
 from coulombus.monitor.screen import CHANGED, Screen, as_dict, as_lines
 from coulombus.monitor.watch import ViewKeys, _Asker
@@ -350,14 +350,14 @@ def test_the_table_of_a_pdo_is_filled_with_what_came(rig):
     live.take([tpdo1(0.9, 0x0237, -819200)])
     now = {row.can_id: row for row in live.snapshot(T0 + S).pdos}
     pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
-    lines = list(pdo_table.as_lines(pdos[0x181], now[0x181]))
+    lines = list(pdo_text.as_lines(pdos[0x181], now[0x181]))
     assert any("last 37 02 00 80 F3 FF 00 00, 100 ms ago" in line for line in lines)
     assert any("motor.position_rad" in line and line.endswith("-65.5386") for line in lines)
     assert any("motor.statusword" in line and line.endswith("567 (237h)") for line in lines)
     assert max(map(len, lines)) <= 80
-    assert any("it did not come" in line for line in pdo_table.as_lines(pdos[0x201], now[0x201]))
-    assert pdo_table.as_dict(pdos[0x181], now[0x181])["now"]["data"] == "37020080f3ff0000"
-    assert "now" not in pdo_table.as_dict(pdos[0x181])
+    assert any("it did not come" in line for line in pdo_text.as_lines(pdos[0x201], now[0x201]))
+    assert pdo_text.as_dict(pdos[0x181], now[0x181])["now"]["data"] == "37020080f3ff0000"
+    assert "now" not in pdo_text.as_dict(pdos[0x181])
 
 
 def test_whatever_the_host_answers_the_view_goes_on():

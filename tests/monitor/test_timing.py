@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.monitor.pdo_table import as_lines as pdo_lines
+from coulombus.monitor.pdo_text import as_lines as pdo_lines
 from coulombus.monitor.timing import Stamps, as_lines, listen, timing
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import load_rig

@@ -11,7 +11,7 @@ import pytest
 from bench_recording import record
 from coulombus.host.cycle.records import Phase
 from coulombus.lab.simulate import simulate
-from coulombus.monitor.tools.folder import tool_files
+from coulombus.monitor.tools.tool_files import tool_files
 from coulombus.recording.comparison import compare
 from coulombus.recording.export.export import export
 from coulombus.recording.host_telemetry import (

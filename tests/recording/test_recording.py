@@ -15,7 +15,7 @@ from coulombus.recording.log_files import LogError
 from coulombus.recording.pcapng_blocks import PcapngError
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.pdo_columns import decode_field
 from coulombus.recording.reading import blocks, read
 from coulombus.recording.recorder import Recorder
 from coulombus.recording.signals import Recording

@@ -13,8 +13,8 @@ from coulombus.host.cycle.parameter_changes import Change, LiveParameters
 from coulombus.host.run.changes import Changes
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page import Page
+from coulombus.monitor.web.page_state import HostDoor
 from coulombus.monitor.web.server import Server, listening
-from coulombus.monitor.web.state import HostDoor
 from coulombus.rigs.rig import load_rig
 
 MS = 1_000_000

@@ -25,7 +25,7 @@ from coulombus.host.cycle.parameter_changes import ParameterOrder, orders_of
 from coulombus.host.cycle.replay import HostFrame, Inputs, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
 from coulombus.host.laws.laws import OWN_LAWS
-from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.pdo_columns import decode_field
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording
 from coulombus.recording.trace import EVENT, TRACE, Event, Moment, unpack, unpack_sent

@@ -22,10 +22,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from coulombus.lab.study.displays import BusDisplays, Displays, VirtualDisplays
-from coulombus.lab.study.folder import StudyFolderError, SubjectFolder
 from coulombus.lab.study.lsl import LslMarkers, LslSignals
 from coulombus.lab.study.session import Ended, SubjectSession, WrongStep
 from coulombus.lab.study.study import StudyError, read_study
+from coulombus.lab.study.study_folder import StudyFolderError, SubjectFolder
 from coulombus.lab.study.trials import Trial
 from coulombus.wire.address import parse_address
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.lab.study.folder import SubjectFolder
+from coulombus.lab.study.study_folder import SubjectFolder
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording
 from coulombus.system.errors import CoulombusError

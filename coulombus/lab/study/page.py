@@ -24,7 +24,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from coulombus.lab.study.trials import Trial, is_answer
 from coulombus.monitor.web import WebError
-from coulombus.monitor.web.guard import new_token, right_token, same_origin
+from coulombus.monitor.web.access import new_token, right_token, same_origin
 
 __all__ = ["AnswerPage"]
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from coulombus.host.run.result import RunResult
 from coulombus.lab.study.displays import Display, Displays
-from coulombus.lab.study.folder import SubjectFolder
+from coulombus.lab.study.study_folder import SubjectFolder
 from coulombus.lab.study.trials import Trial, is_answer
 from coulombus.rigs.rig import Rig
 from coulombus.system.errors import CoulombusError
@@ -190,7 +190,7 @@ class SubjectSession:
         ------
         WrongStep
             it is no answer, or not every display of the trial was shown
-        coulombus.lab.study.folder.StudyFolderError
+        coulombus.lab.study.study_folder.StudyFolderError
             it cannot be kept
         """
         trial = self.trial

@@ -40,7 +40,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from coulombus.host.cycle.demand import cut_off
 from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.lab.file_mistakes import FileMistakes, rig_beside, text_of
-from coulombus.lab.study.bounds import widened
+from coulombus.lab.study.change_bounds import widened
 from coulombus.rigs.errors import nearest, toml_value
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.rigs.toml_lines import Key, read_toml, split_key

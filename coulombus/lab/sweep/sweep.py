@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from coulombus.lab.sweep.file import Sweep
-from coulombus.lab.sweep.folder import Folder, SweepFolderError
 from coulombus.lab.sweep.one_run import Job, Keep, RunRequest, order_of
 from coulombus.lab.sweep.picture import MapPoint, map_of
 from coulombus.lab.sweep.rates import Rate
+from coulombus.lab.sweep.sweep_file import Sweep
+from coulombus.lab.sweep.sweep_folder import Folder, SweepFolderError
 from coulombus.lab.sweep.workers import on_cluster, on_processes
 from coulombus.lab.sweep.worst import nearest_failing, rig_files, shrunk
 from coulombus.system.realtime import usable_cpus
@@ -84,7 +84,7 @@ def run_sweep(
 
     Raises
     ------
-    coulombus.lab.sweep.folder.SweepFolderError
+    coulombus.lab.sweep.sweep_folder.SweepFolderError
         the folder holds another sweep, or cannot be written
     coulombus.lab.sweep.workers.ClusterError
         there is no cluster

@@ -15,7 +15,7 @@ import numpy as np
 
 from coulombus.monitor.live import Event, Live, Snapshot
 from coulombus.monitor.tracks import Envelope, Integers, Samples, Track, velocity
-from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo

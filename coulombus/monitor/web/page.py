@@ -34,10 +34,10 @@ import tornado.websocket
 from tornado.iostream import IOStream
 
 from coulombus.monitor.live import Snapshot
+from coulombus.monitor.web.access import Seat, right_token, same_origin, served_as
 from coulombus.monitor.web.batch import Flow, batch, layout
 from coulombus.monitor.web.capture import Curve, LiveCapture
-from coulombus.monitor.web.guard import Seat, right_token, same_origin, served_as
-from coulombus.monitor.web.state import HostDoor, HostView, document
+from coulombus.monitor.web.page_state import HostDoor, HostView, document
 from coulombus.rigs.axis import Axis
 
 __all__ = ["Page", "application", "order_of"]

@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from coulombus.monitor.web.capture import Curve, LiveCapture, has_plain_curve
-from coulombus.monitor.web.state import HostDoor, HostView
+from coulombus.monitor.web.page_state import HostDoor, HostView
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.wire.client import BusDown, BusFull, Client

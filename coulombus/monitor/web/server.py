@@ -21,8 +21,8 @@ from tornado.iostream import IOStream
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page import SESSIONS, Page, application
+from coulombus.monitor.web.page_state import HostDoor
 from coulombus.monitor.web.reader import BATCH_S, BusReader, CurveReader, HostReader
-from coulombus.monitor.web.state import HostDoor
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress, BusUnavailable

@@ -23,7 +23,7 @@ from coulombus.recording.export.mdf import Mf4Writer
 from coulombus.recording.export.text_table import CsvWriter
 from coulombus.recording.output_file import new_file
 from coulombus.recording.reading import blocks, captures
-from coulombus.recording.samples import groups_of, stretches
+from coulombus.recording.sample_groups import groups_of, stretches
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig

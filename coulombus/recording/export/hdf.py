@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.recording.extras import library
-from coulombus.recording.samples import GRID, Group, Stretch
+from coulombus.recording.sample_groups import GRID, Group, Stretch
 
 __all__ = ["Hdf5Writer"]
 

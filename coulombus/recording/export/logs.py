@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.recording.log_files import WALL_CLOCK_NS
-from coulombus.recording.samples import Array, Integers
+from coulombus.recording.sample_groups import Array, Integers
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Records
 
 __all__ = ["AscWriter", "BlfWriter", "CandumpWriter"]

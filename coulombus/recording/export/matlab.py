@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from coulombus.recording.export.errors import ExportError
-from coulombus.recording.samples import Group, Stretch
+from coulombus.recording.sample_groups import Group, Stretch
 
 __all__ = ["MatWriter"]
 

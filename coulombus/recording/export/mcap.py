@@ -21,7 +21,7 @@ import numpy as np
 
 from coulombus.recording.export.text_table import texts_of
 from coulombus.recording.extras import library
-from coulombus.recording.samples import Array, Column, Group, Stretch
+from coulombus.recording.sample_groups import Array, Column, Group, Stretch
 
 __all__ = ["McapWriter"]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.recording.extras import library
-from coulombus.recording.samples import Group, Stretch
+from coulombus.recording.sample_groups import Group, Stretch
 
 __all__ = ["Mf4Writer"]
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.recording.samples import Array, Column, Group, Stretch
+from coulombus.recording.sample_groups import Array, Column, Group, Stretch
 
 __all__ = ["CsvWriter", "texts_of"]
 

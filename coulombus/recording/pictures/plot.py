@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from coulombus.recording.pictures.style import COLOURS, DASHES, QUANTITIES, WORDS, figure, shade
 from coulombus.recording.protocols import Readable
-from coulombus.recording.samples import EXAMPLE
+from coulombus.recording.sample_groups import EXAMPLE
 from coulombus.recording.span import SpanError, checked_span
 from coulombus.rigs.arguments import texts
 

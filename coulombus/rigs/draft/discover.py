@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
-from coulombus.eds.folder import fitting, read_folder
+from coulombus.eds.eds_folder import fitting, read_folder
 from coulombus.eds.own_devices import packaged, told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.rigs.draft.device import DraftDevice, Place

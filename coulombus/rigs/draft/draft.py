@@ -18,8 +18,8 @@ from typing import Any
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.draft.brake import describe_brake, describe_sensors
 from coulombus.rigs.draft.device import DraftDevice
+from coulombus.rigs.draft.draft_text import CHECK, REHEARSAL, RigText
 from coulombus.rigs.draft.motor import describe_motor
-from coulombus.rigs.draft.text import CHECK, REHEARSAL, RigText
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.plan.rig_plan import plans
 from coulombus.rigs.rig import Rig, load_rig, load_rig_text

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from coulombus.eds.cia402 import OPERATION_MODE_CST as CST
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE as PROFILE_TORQUE
 from coulombus.rigs.draft.device import DraftDevice, Place, label
+from coulombus.rigs.draft.draft_text import CHECK, RigText
 from coulombus.rigs.draft.makers import MakerMode, maker_mode
-from coulombus.rigs.draft.text import CHECK, RigText
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.problem import Problem
 

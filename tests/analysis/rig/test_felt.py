@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coulombus.analysis.rig.felt import Felt, FeltStudy, broke_away, felt_control, iron_of, slid
+from coulombus.analysis.rig.display_errors import Felt, FeltStudy, broke_away, felt_control, iron_of, slid
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import load_rig
 

@@ -16,7 +16,7 @@ from coulombus.recording.host_telemetry import (
     inside_attachment,
     inside_pdos,
 )
-from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import Frame, new_records
 

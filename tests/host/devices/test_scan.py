@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from coulombus.eds.cia301 import NmtState
-from coulombus.eds.folder import fitting, read_folder
-from coulombus.host.devices import guard
-from coulombus.host.devices.guard import check_alone
+from coulombus.eds.eds_folder import fitting, read_folder
+from coulombus.host.devices import running_host
+from coulombus.host.devices.running_host import check_alone
 from coulombus.host.devices.scan import scan, trouble
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.control_socket import HostSocket, host_runs
@@ -140,7 +140,7 @@ def test_a_host_at_work_is_noticed(private_sockets, can_id, data, text):
 def test_a_host_of_this_machine_is_noticed_before_it_sends(private_sockets):
     assert not host_runs(NOBODY)
     host = HostSocket(NOBODY)
-    assert "control socket" in guard.who_is_at_work(DevicesLink(), NOBODY)
+    assert "control socket" in running_host.who_is_at_work(DevicesLink(), NOBODY)
     host.close()
     assert not host_runs(NOBODY)
 

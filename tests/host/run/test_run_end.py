@@ -18,7 +18,7 @@ from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.run.run_recording import StampOrder
 from coulombus.host.run.run_sequence import Course
 from coulombus.host.setup.bringup import release, shut_down
-from coulombus.lab.bringup import switch_on
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.recording.reading import read
 from coulombus.recording.recorder import Recorder
 from coulombus.recording.trace import TRACE

@@ -7,7 +7,7 @@ import pytest
 from coulombus.host.errors import AnswerUntrusted, NodeMissing
 from coulombus.host.setup.bringup import bring_up
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.faults.file import read_faults
+from coulombus.sim_bus.faults.fault_file import read_faults
 from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.lab.study.bridge import Ended, StudyError, StudyFolderError, open_session
-from coulombus.lab.study.folder import read_events
+from coulombus.lab.study.study_folder import read_events
 from coulombus.recording.reading import read
 from study_text import TEXT
 

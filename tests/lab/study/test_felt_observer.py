@@ -5,7 +5,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.lab.simulate import simulate
-from coulombus.lab.study.felt import FeltError, felt_Nm
+from coulombus.lab.study.felt_torque import FeltError, felt_Nm
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.trials import Trial
 from study_text import TEXT

@@ -12,8 +12,8 @@ PROGRAM = r"""
 import json, os, shutil, signal, sys
 from pathlib import Path
 from types import SimpleNamespace
-from coulombus.lab.study import folder, session
-from coulombus.lab.study.folder import SubjectFolder, read_events
+from coulombus.lab.study import study_folder, session
+from coulombus.lab.study.study_folder import SubjectFolder, read_events
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import Study, read_study
@@ -23,7 +23,7 @@ os.fsync = lambda fd: None  # a killed process loses nothing that it wrote, and 
 place, every = Path(sys.argv[1]), int(sys.argv[2])
 study = read_study(place / "study.toml")
 Study.variant = lambda self, condition, level: self.rig  # what is shown does not matter, and costs
-LOOKED_AT = {one.__file__ for one in (folder, session, rewrite)}
+LOOKED_AT = {one.__file__ for one in (study_folder, session, rewrite)}
 
 
 class Show:

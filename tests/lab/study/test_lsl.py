@@ -15,7 +15,7 @@ PROGRAM = """
 import sys
 import pylsl
 from pathlib import Path
-from coulombus.lab.study.folder import SubjectFolder
+from coulombus.lab.study.study_folder import SubjectFolder
 from coulombus.lab.study.lsl import LslMarkers
 from coulombus.lab.study.study import read_study
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from bench_recording import CYCLES, record
-from coulombus.lab.study.folder import SubjectFolder
 from coulombus.lab.study.lsl import LslSignals
 from coulombus.lab.study.session import SubjectSession
 from coulombus.lab.study.study import read_study
+from coulombus.lab.study.study_folder import SubjectFolder
 from coulombus.recording.reading import read
 from study_text import TEXT
 

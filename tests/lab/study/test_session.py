@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import pytest
 
-from coulombus.lab.study.folder import StudyFolderError, SubjectFolder, read_events
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.session import Ended, People, SubjectSession, WrongStep, run_session
 from coulombus.lab.study.study import read_study
+from coulombus.lab.study.study_folder import StudyFolderError, SubjectFolder, read_events
 from study_text import TEXT
 
 TWO = TEXT + '[[condition]]\nname = "b"\nmode = "passive"\n'

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from coulombus.lab.sweep.file import SweepError, read_sweep
 from coulombus.lab.sweep.points import seed_of
+from coulombus.lab.sweep.sweep_file import SweepError, read_sweep
 from coulombus.rigs.rig import RigError, packaged_rig
 from mutilated import mutilated
 from places import ROOT

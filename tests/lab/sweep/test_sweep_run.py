@@ -15,11 +15,11 @@ from coulombus.lab.simulate import simulate
 from coulombus.lab.sweep import one_run, workers
 from coulombus.lab.sweep import sweep as module
 from coulombus.lab.sweep.figures import FIGURES
-from coulombus.lab.sweep.file import read_sweep
-from coulombus.lab.sweep.folder import Folder, SweepFolderError
 from coulombus.lab.sweep.one_run import FinishedRun, Job, carry_out, order_of
 from coulombus.lab.sweep.picture import map_of
 from coulombus.lab.sweep.sweep import run_sweep
+from coulombus.lab.sweep.sweep_file import read_sweep
+from coulombus.lab.sweep.sweep_folder import Folder, SweepFolderError
 from coulombus.lab.sweep.workers import ClusterError, on_processes
 from coulombus.lab.sweep.worst import shrunk
 from coulombus.recording.reading import read
@@ -127,7 +127,7 @@ def test_a_sweep_that_was_interrupted_goes_on(sweep_file, tmp_path, monkeypatch,
             yield known(job, order)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("coulombus.lab.sweep.folder.PART_RUNS", 2)
+    monkeypatch.setattr("coulombus.lab.sweep.sweep_folder.PART_RUNS", 2)
     monkeypatch.setattr(module, "on_processes", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run_sweep(sweep, tmp_path / "out")
@@ -179,7 +179,7 @@ def test_a_sweep_that_is_killed_anywhere_goes_on_to_the_same_table(sweep_file, t
             carried.append(order.run)
             yield known(job, order)
 
-    monkeypatch.setattr("coulombus.lab.sweep.folder.PART_RUNS", 2)
+    monkeypatch.setattr("coulombus.lab.sweep.sweep_folder.PART_RUNS", 2)
     monkeypatch.setattr(module, "on_processes", remembered)
     worst = {}
     monkeypatch.setattr(
@@ -423,9 +423,9 @@ def test_maps_are_pictures_and_the_same_each_time(sweep_file, tmp_path, at_once,
 def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, tmp_path, monkeypatch, at_once):
     sweep = read_sweep(sweep_file())
     own, written = workers, []
-    from coulombus.lab.sweep import folder
+    from coulombus.lab.sweep import sweep_folder
 
-    whole = folder.write_whole
+    whole = sweep_folder.write_whole
 
     def full(path, content, *more):
         if path.suffix == ".parquet" and len(written) == 2:
@@ -433,10 +433,10 @@ def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, 
         written.append(path.name) if path.suffix == ".parquet" else None
         whole(path, content, *more)
 
-    monkeypatch.setattr(folder, "write_whole", full)
+    monkeypatch.setattr(sweep_folder, "write_whole", full)
     with pytest.raises(SweepFolderError, match=r"cannot be written \(No space left on device\).*make room"):
         run_sweep(sweep, tmp_path / "out")
-    monkeypatch.setattr(folder, "write_whole", whole)
+    monkeypatch.setattr(sweep_folder, "write_whole", whole)
     carried = []
     monkeypatch.setattr(
         module, "on_processes", lambda job, orders, count: (carried.append(o.run) or known(job, o) for o in orders)

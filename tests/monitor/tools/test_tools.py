@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.eds.cia402 import CONTROLWORD_FIELDS, STATUSWORD_FIELDS, word_fields
 from coulombus.monitor.names import fields, identifier, plain, signals
-from coulombus.monitor.tools.folder import tool_files
+from coulombus.monitor.tools.tool_files import tool_files
 from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read

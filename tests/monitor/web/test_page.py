@@ -5,10 +5,10 @@ import os
 import numpy as np
 import pytest
 
+from coulombus.monitor.web.access import Seat, kept_token, new_token, right_token, same_origin, served_as
 from coulombus.monitor.web.batch import IN_FLIGHT, Flow, batch, layout, unpacked
 from coulombus.monitor.web.capture import LiveCapture
-from coulombus.monitor.web.guard import Seat, kept_token, new_token, right_token, same_origin, served_as
-from coulombus.monitor.web.state import HostView, arm_state, document
+from coulombus.monitor.web.page_state import HostView, arm_state, document
 from coulombus.rigs.rig import load_rig
 from web_bench import BEGIN_NS, FACTS, MS, STATUS, cycles
 

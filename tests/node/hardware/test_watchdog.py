@@ -13,13 +13,13 @@ import sys
 import pytest
 
 from coulombus.node.hardware.channels import HardwareError, SafeWrite
-from coulombus.node.hardware.guard import Guard
 from coulombus.node.hardware.watchdog import READY, carry_out, guard_outputs
+from coulombus.node.hardware.watchdog_client import Guard
 
 NODE = """
 import json, os, sys
 from coulombus.node.hardware.channels import Claim, Order
-from coulombus.node.hardware.guard import Guard
+from coulombus.node.hardware.watchdog_client import Guard
 claim = Claim(sys.argv[1])
 guard = Guard(float(sys.argv[2]), [Order(sys.argv[1], "10\\n")], [claim.descriptor])
 guard.feed()

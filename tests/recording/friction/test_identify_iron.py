@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from coulombus.analysis.rig.felt import broke_away, felt_control, iron_of
+from coulombus.analysis.rig.display_errors import broke_away, felt_control, iron_of
 from coulombus.cli.main import main
 from coulombus.lab.simulate import simulate
 from coulombus.recording.friction.hysteresis_fit import identify_iron, iron_lines, play

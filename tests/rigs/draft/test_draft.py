@@ -12,7 +12,7 @@ from coulombus.eds.reader import parse_eds, read_eds
 from coulombus.rigs.draft.device import DraftDevice
 from coulombus.rigs.draft.discover import DeviceChoice, gather
 from coulombus.rigs.draft.draft import Draft
-from coulombus.rigs.draft.text import rehearsal_marks
+from coulombus.rigs.draft.draft_text import rehearsal_marks
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from eds_edit import edit, fixed, gone
 from places import CORPUS, RIGS, ROOT

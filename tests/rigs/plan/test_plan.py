@@ -246,7 +246,7 @@ def chain(axes=1):
 
 def run_cycle(messages, node_ns=0, host_ns=0, intruder=True):
     """Send one cycle frame by frame: what each device and the host do is what
-    `sim_bus.network.kernel` lets them do.
+    `sim_bus.network.event_loop` lets them do.
 
     The longest frame from outside has just begun at 0, and another one begins at the last instant
     of each time of computing.

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.host.errors import DeviceMismatch
-from coulombus.lab.bringup import switch_on
+from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.plan.response_times import Errors
 from coulombus.rigs.plan.rig_plan import Assumptions, bitrates_that_fit, largest_axes, plan, plans, shortest_period_ns
 from coulombus.rigs.rig import load_rig

@@ -11,9 +11,9 @@ from coulombus.eds.cia402 import PowerState
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.faults.file import FaultError, read_faults
+from coulombus.sim_bus.faults.fault_file import FaultError, read_faults
 from coulombus.sim_bus.faults.injection import Injection
-from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
+from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.frame import CAN_ERR_FLAG, data_bytes

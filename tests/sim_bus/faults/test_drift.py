@@ -17,7 +17,7 @@ from coulombus.lab.simulate import simulate
 from coulombus.node.record import new_nodes
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.faults.file import FaultError, read_faults
+from coulombus.sim_bus.faults.fault_file import FaultError, read_faults
 from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.rig_server import PacedRig

@@ -14,7 +14,7 @@ from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.record import new_nodes
 from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, new_deadlines, new_wants, next_device
-from coulombus.sim_bus.network.kernel import Exit
+from coulombus.sim_bus.network.event_loop import Exit
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.clock import set_clock

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
-from coulombus.sim_bus.network.kernel import Exit
+from coulombus.sim_bus.network.event_loop import Exit
 from coulombus.sim_bus.rig.operator import LET_GO_S, Operator, paper_force_N
 from coulombus.sim_bus.server.rig_server import PacedRig
 

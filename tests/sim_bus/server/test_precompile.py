@@ -20,9 +20,9 @@ from pathlib import Path
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia305 import LssService
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.faults.file import read_faults
+from coulombus.sim_bus.faults.fault_file import read_faults
 from coulombus.sim_bus.faults.injection import Injection
-from coulombus.sim_bus.network.kernel import Exit
+from coulombus.sim_bus.network.event_loop import Exit
 from coulombus.sim_bus.server.precompile import warm_up
 from coulombus.sim_bus.server.live_nodes import LiveNodes
 from coulombus.sim_bus.server.rig_server import PacedRig

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coulombus.lab.study.results.fit import Fit
-from coulombus.lab.study.results.page import page
+from coulombus.lab.study.results.report_markdown import page
 from coulombus.recording.pictures.style import figure, save
 from coulombus.rigs.rewrite import write_whole
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from coulombus.lab.study.folder import StudyFolderError, read_events, subjects_of
 from coulombus.lab.study.results.exploration import Exploration, explored, mean_of
 from coulombus.lab.study.results.fit import fit_comparisons, fit_magnitudes
 from coulombus.lab.study.results.staircase import staircase
+from coulombus.lab.study.study_folder import StudyFolderError, read_events, subjects_of
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.rigs.field_help import unit_of, without_unit
 

@@ -8,13 +8,13 @@ from click.testing import CliRunner
 from scipy.special import ndtri
 
 from coulombus.cli.main import main
-from coulombus.lab.study.folder import StudyFolderError, SubjectFolder
 from coulombus.lab.study.observer import Observer
-from coulombus.lab.study.results.page import page
 from coulombus.lab.study.results.pictures import write_figures
 from coulombus.lab.study.results.report import _asked, _mixed, lines, report
+from coulombus.lab.study.results.report_markdown import page
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
+from coulombus.lab.study.study_folder import StudyFolderError, SubjectFolder
 from study_text import TEXT
 
 STAIRS = 'kind = "staircase"\nstart = 2.1\nlow = 2.0\nhigh = 3.2\nsteps = [0.05]\ntrials = 80\n'

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.lab.sweep.figures import known_figures
-from coulombus.lab.sweep.file import Sweep
+from coulombus.lab.sweep.sweep_file import Sweep
 from coulombus.recording.extras import library
 from coulombus.rigs.errors import toml_value
 from coulombus.rigs.rewrite import write_whole

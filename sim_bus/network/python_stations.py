@@ -137,4 +137,4 @@ class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no t
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Any:
         """Refused: periodic frames are the kernel's."""
-        raise NotImplementedError("periodic frames belong to the kernel: see coulombus.sim_bus.network.kernel")
+        raise NotImplementedError("periodic frames belong to the kernel: see coulombus.sim_bus.network.event_loop")
