@@ -17,8 +17,8 @@ CoulombusError
 +-- EdsError                     3   eds.description
 +-- Ended                        n   lab.study.session
 +-- ExportError                  2   recording.export.errors
-+-- FaultError                   3   sim_bus.faults.file          ValueError
-+-- FeltError                    2   lab.study.felt
++-- FaultError                   3   sim_bus.faults.fault_file    ValueError
++-- FeltError                    2   lab.study.felt_torque
 +-- HardwareError                3   node.hardware.channels
 |   +-- NoBuffer                 3   node.hardware.iio_buffer
 +-- HostError                    1   host.errors
@@ -65,9 +65,9 @@ CoulombusError
 +-- ScriptError                  3   sim_bus.network.script       ValueError
 +-- SpanError                    2   recording.span
 +-- StudyError                   3   lab.study.study              ValueError
-+-- StudyFolderError             2   lab.study.folder             ValueError
-+-- SweepError                   3   lab.sweep.file               ValueError
-+-- SweepFolderError             2   lab.sweep.folder
++-- StudyFolderError             2   lab.study.study_folder       ValueError
++-- SweepError                   3   lab.sweep.sweep_file         ValueError
++-- SweepFolderError             2   lab.sweep.sweep_folder
 +-- TruthError                   2   lab.simulate
 +-- UnknownCase                  2   conformance.runner           ValueError
 +-- UnknownSignal                2   recording.signals            KeyError
