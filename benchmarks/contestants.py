@@ -226,7 +226,7 @@ def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
             shared = plane.shared
             wakeup, latency = shared.wakeup_bins.copy(), shared.latency_bins.copy()
             missed, incomplete = int(shared.plane["missed_deadlines"][0]), int(k.host["lost_pdos"][0])
-            late = int(k.host["missed_deadlines"][0]) + int(wakeup[period // 1000 :].sum())
+            late = int(k.host["late_cycles"][0]) + int(wakeup[period // 1000 :].sum())
             trip = k.trip
             plane.end_cycle()
             while plane.status is PlaneStatus.CYCLING:

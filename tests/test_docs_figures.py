@@ -11,7 +11,7 @@ from conformance_mutants import MUTANTS
 from coulombus.conformance.catalogue import catalogue
 from coulombus.host.commission.steps import STEPS
 from coulombus.host.laws.law import LAW, LAW_STATE, MOTION
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 from places import ROOT
 
 PAGES = [
@@ -88,7 +88,7 @@ def test_the_folders_of_the_architecture_and_what_they_hold_exist():
 def test_the_page_of_laws_has_every_law_and_every_field():
     text = text_of("docs/laws.md")
     listed = [row[0].strip("`") for row in rows(text.partition("## The laws")[2].partition("\n## ")[0])[2:]]
-    assert sorted(listed) == sorted(OWN_LAWS)
+    assert sorted(listed) == sorted(BUILTIN_LAWS)
     for record, dtype in (("MOTION", MOTION), ("LAW", LAW), ("LAW_STATE", LAW_STATE)):
         table = text.partition(f", record `{record}`")[2].partition("| field |")[2].partition("\n\n")[0]
         fields = [row[0].strip("`").partition("[")[0] for row in rows(table)[1:]]

@@ -188,7 +188,7 @@ class _Findings:
 
     def tell(self, steps: bool) -> None:
         """Print everything for people."""
-        from coulombus.host.laws.laws import OWN_LAWS
+        from coulombus.host.laws.laws import BUILTIN_LAWS
 
         for text in self.diagnoses:
             echo(text)
@@ -210,7 +210,7 @@ class _Findings:
             echo(on_terminal(f"limit: {text}", 4, PROSE))
         for mode, limit in self.limits.items():
             echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
-        if self.rig.law_function.strip() not in OWN_LAWS:
+        if self.rig.law_function.strip() not in BUILTIN_LAWS:
             unknown = "what a limit cuts off of it is not known before it runs; the run tells"
             echo(on_terminal(f"law {self.rig.law_function}: {unknown}", 4))
         for text in self.rig.host.accept:

@@ -164,9 +164,9 @@ def _as_dict(name: str, declared: Declaration | None) -> dict[str, Any]:
 
 
 def _list(as_json: bool) -> None:
-    from coulombus.host.laws.laws import OWN_LAWS
+    from coulombus.host.laws.laws import BUILTIN_LAWS
 
-    laws = [_as_dict(name, declared) for name, declared in OWN_LAWS.items()]
+    laws = [_as_dict(name, declared) for name, declared in BUILTIN_LAWS.items()]
     with printed():
         if as_json:
             print_json({"laws": laws})

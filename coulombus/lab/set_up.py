@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.host.setup.bringup import meet, plans_of
 from coulombus.host.setup.device_plan import DevicePlan
 from coulombus.lab.virtual_bringup import switch_on
@@ -61,7 +61,7 @@ def give_back(world: VirtualRig) -> None:
     """Keep a world that has ended, for `ready_world`: if its host knew what it is, and the law is the
     project's own, whose file nobody edits meanwhile.
     """
-    if world.controllers.rig is world.rig and world.rig.law_function in OWN_LAWS:
+    if world.controllers.rig is world.rig and world.rig.law_function in BUILTIN_LAWS:
         asked = tuple(map(_asked, world.rig.axes))
         for one in _kept:
             if one.key == (world.mode, one.key[1], asked, asked):

@@ -178,7 +178,7 @@ class _VirtualRun(Course):
         k, enabled, trip = self.k, self.enabled_ns, self.trip
         return self.result_of(
             self.figures(),
-            missed_deadlines=int(k.host[0]["missed_deadlines"]),
+            missed_deadlines=int(k.host[0]["late_cycles"]),
             simulated_s=0.0 if enabled is None else (self.ended_ns - enabled) * 1e-9,
             counters=k.counters(),
             exit_status=7 if trip else 0,

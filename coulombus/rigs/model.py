@@ -149,11 +149,9 @@ class Bus(Section):
         return 1 if self.actuation == "next_sync" else 255
 
     @property
-    def late_cycles(self) -> int:
-        """Cycles by which the host holds back what the law asks for: what `delay_cycles` has beyond
-        the one that the bus takes.
-        """
-        return (self.delay_cycles or 1) - 1
+    def cycles_to_actuation(self) -> int:
+        """`delay_cycles`, or the one cycle that the bus takes."""
+        return self.delay_cycles or 1
 
 
 class Host(Section):

@@ -25,7 +25,7 @@ from coulombus.host.cycle.records import (
     Trip,
 )
 from coulombus.host.laws.law import LawRecord
-from coulombus.host.laws.laws import OWN_LAWS, LawError, load_declared
+from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.deadman_object import deadman_mask
@@ -40,7 +40,7 @@ CLIPPING = ("clipped_torque", "slowed_torque", "clipped_setpoints", "slowed_setp
 """Counters of the limits that act on what a law asks for."""
 
 COUNTERS = (
-    *("lost_pdos", "missed_deadlines", "stray_frames", "malformed_pdos", "malformed_services"),
+    *("lost_pdos", "late_cycles", "stray_frames", "malformed_pdos", "malformed_services"),
     *("clipped_torque", "slowed_torque"),
     *("limited_by_drive", "clipped_setpoints", "slowed_setpoints", "negative_setpoints", "withheld_compensation"),
 )
@@ -166,8 +166,8 @@ class Controller:
     def __init__(self, axis: Axis, mode: str) -> None:
         self.axis = axis
         self.mode = mode
-        if axis.law_of_recording and axis.law.function not in OWN_LAWS:
-            wanted = f"{' or '.join(OWN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
+        if axis.law_of_recording and axis.law.function not in BUILTIN_LAWS:
+            wanted = f"{' or '.join(BUILTIN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
             raise axis.mistake("law.function", f"{wanted}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
         try:
             loaded = load_declared(axis.law.function.strip(), axis.law_directory)
@@ -286,17 +286,17 @@ class Controller:
         c["heartbeat_ns"] = round(axis.host.heartbeat_s * 1e9)
         self._set_tpdos(c, pdos)
         c["motor_active"], c["brake_active"] = self.mode == "active", self.mode in ("passive", "hybrid")
-        c["motor_helps"] = self.mode == "hybrid"
+        c["is_hybrid"] = self.mode == "hybrid"
 
         self._set_scales(c)
 
         c["friction_Nm"] = axis.mechanics.friction_Nm
         c["compensation_Nm"] = mode.compensation * axis.mechanics.friction_Nm
         c["viscous"] = axis.mechanics.viscous_Nms_rad
-        c["late_cycles"] = axis.bus.late_cycles
+        c["delay_cycles"] = axis.bus.cycles_to_actuation
         c["velocity_band_counts"] = axis.law.velocity_band_counts
         c["slide_band_counts"] = axis.law.velocity_band_counts / axis.law.velocity_window_cycles
-        c["window_cycles"], c["felt"] = axis.law.velocity_window_cycles, axis.law.level == "felt"
+        c["window_cycles"], c["level_is_felt"] = axis.law.velocity_window_cycles, axis.law.level == "felt"
         c["inertia"] = axis.mechanics.inertia_kg_m2
         for name, lag_s in (("coil_step", axis.brake.coil_lag_s), ("fluid_step", axis.brake.fluid_lag_s)):
             c[name] = 1.0 - math.exp(-T / lag_s) if lag_s > 0 else 0.0
@@ -458,7 +458,7 @@ class Controller:
         trip = Trip(int(self.host["trip"][0]))
         if trip is Trip.NONE:
             return None
-        node = self.axis.devices[int(self.host["doubtful"][0])]
+        node = self.axis.devices[int(self.host["suspect_node"][0])]
         part = ("", " for the brake", " for the motor")[int(self.host["law_part"][0])]
         returned = f"{float(self.host['law_Nm'][0]):g} Nm{part}"
         told = TRIP_TEXT[trip].format(

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, RigError
@@ -66,7 +66,7 @@ def brake_end_Nm(axis: Axis) -> float:
 
 def _pushes(axis: Axis) -> bool:
     """Tell whether the axis' law is one of the project's own that pushes back in mode hybrid."""
-    own = OWN_LAWS.get(axis.law.function.strip())
+    own = BUILTIN_LAWS.get(axis.law.function.strip())
     return own is not None and own.pushes
 
 
@@ -140,10 +140,10 @@ def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
 
 def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
     """Return what the rig's law displays at most in a mode; nothing where that is not known."""
-    own = OWN_LAWS.get(axis.law.function.strip())
+    own = BUILTIN_LAWS.get(axis.law.function.strip())
     if own is None:
         return ()
-    values, place = axis_parameters(axis, own), f"mode.{mode}" if own.of_mode else f"law.{own.name}"
+    values, place = axis_parameters(axis, own), f"mode.{mode}" if own.uses_mode_keys else f"law.{own.name}"
     return tuple(Demand(f"{place}.{key}", getattr(values or axis.mode[mode], key)) for key in own.extremes)
 
 

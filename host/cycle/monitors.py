@@ -118,7 +118,7 @@ def watch_devices(c: ControlRecord, h: HostRecord, t_ns: int) -> int:
         return Trip.TPDO_LOST
     for k in range(c.nodes):
         if c.heartbeat_timeout_ns[k] > 0 and t_ns - h.heard_ns[k] > c.heartbeat_timeout_ns[k]:
-            h.doubtful = k
+            h.suspect_node = k
             return Trip.HEARTBEAT_MOTOR if k == 0 else Trip.HEARTBEAT_BRAKE if k == 1 else Trip.HEARTBEAT_SENSOR
     for k in range(c.nodes):
         if h.nmt[k] != NmtState.OPERATIONAL:

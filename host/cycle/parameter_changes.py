@@ -122,7 +122,7 @@ def parameters_of(controller: Controller) -> tuple[Parameter, ...]:
     chosen, friction_Nm = axis.mode[mode], axis.mechanics.friction_Nm
     share = (motor_Nm / friction_Nm if friction_Nm > 0 else math.inf, motor_whose)
     found = []
-    if law is None or law.of_mode:
+    if law is None or law.uses_mode_keys:
         names = OF_MODE if law is None else {name: slot for name, slot in OF_MODE.items() if name in law.names}
         found = [_parameter(chosen, name, slot, shown if name in TORQUES else ANYTHING) for name, slot in names.items()]
     elif controller.parameters is not None:
@@ -347,7 +347,7 @@ def _name(given: str, axis: _Axis) -> str:
 def _pairs(axis: _Axis, values: Mapping[str, float], wanted: Mapping[str, float]) -> str | None:
     """Return why values do not go together; None where they do, or where none of them is asked for."""
     law = axis.controller.declaration
-    relations = [("F_s_Nm", "F_d_Nm", False)] if law is None or law.of_mode else []
+    relations = [("F_s_Nm", "F_d_Nm", False)] if law is None or law.uses_mode_keys else []
     if law is not None:
         relations += [(first, second, False) for first, second in law.parameters.at_least.items()]
         relations += [(first, second, True) for first, second in law.parameters.above.items()]

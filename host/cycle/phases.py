@@ -239,7 +239,7 @@ def split_law(axis: AxisRecord) -> float:
     pushed_Nm = 0.0
     if c.motor_active:
         pushed_Nm = axis.state.psi_Nm
-    elif c.motor_helps:
+    elif c.is_hybrid:
         pushed_Nm = axis.state.motor_Nm
     sense, pushed_Nm, setpoint = hold_back(c, h, sense, pushed_Nm, axis.state.brake_Nm)
     if sense != 0.0:
@@ -254,7 +254,7 @@ def split_law(axis: AxisRecord) -> float:
         if not setpoint >= 0.0:  # negative or NaN
             h.negative_setpoints += 1
             setpoint = 0.0
-        if c.felt:
+        if c.level_is_felt:
             setpoint = brake_level(c, h, setpoint, given_Nm)
         setpoint = h.gain * setpoint + withheld_Nm
         if setpoint > c.brake_limit_Nm:

@@ -159,7 +159,7 @@ class ControlRecord(Record):
     position_half: int  # half the counts after which it wraps
     motor_active: int  # 1: the motor displays the law (mode active)
     brake_active: int  # 1: the brake displays the law (modes passive, hybrid)
-    motor_helps: int  # 1: the motor displays the law's part for it (mode hybrid)
+    is_hybrid: int  # 1: the motor displays the law's part for it (mode hybrid)
     brake_is_drive: int  # 1: the brake has power states of its own
     brake_ramps: int  # 1: its driver ramps it off by itself when set-points end
     # scales
@@ -182,10 +182,10 @@ class ControlRecord(Record):
     velocity_band_counts: float
     slide_band_counts: float  # the band of the estimate over `window_cycles`
     gain_step: float  # a cycle
-    late_cycles: int  # for which what the law asks for is held back (`host.cycle.study_delay`)
+    delay_cycles: int  # from sampling to actuation; beyond 1 the host holds back what the law asks for
     # what the hand feels (`host.cycle.felt`)
     window_cycles: int  # of the estimate of a slow velocity; 1: a backward difference
-    felt: int  # 1: the law says what the hand feels, and not what the brake bears
+    level_is_felt: int  # 1: the law says what the hand feels, and not what the brake bears
     inertia: float
     coil_step: float  # share of the way that the coil goes in a cycle, as believed; 0: no lead
     fluid_step: float
@@ -267,7 +267,7 @@ class HostRecord(Record):
     guard_due_ns: int
     heard_ns: Annotated[Integers, MOST_DEVICES]  # of each node, its last heartbeat; -1 none
     nmt: Annotated[Integers, MOST_DEVICES]
-    doubtful: int  # the node whose EMCY or heartbeat tripped
+    suspect_node: int  # the node whose EMCY or heartbeat tripped
     law_Nm: float  # what the law returned that is not finite ...
     law_part: int  # ... 0: as its result, 1: for the brake, 2: for the motor
     # measured
@@ -336,7 +336,7 @@ class HostRecord(Record):
     clipped_balance: int  # clipped cycles less unclipped ones, not below 0
     display_cycles: int  # cycles since Operation Enabled, until SAFE
     lost_pdos: int
-    missed_deadlines: int
+    late_cycles: int  # whose RPDOs were handed over after the next SYNC was due
     stray_frames: int
     malformed_pdos: int
     malformed_services: int  # EMCYs, heartbeats, SDO responses of another length than CiA 301's
@@ -349,7 +349,7 @@ class HostRecord(Record):
     withheld_compensation: int  # the observer let the motor give less than its compensation
     # what the host has told of itself (`host.cycle.telemetry`)
     told_cycle: int  # the last cycle of which it told
-    told: Annotated[Integers, 6]  # counters as they were then
+    last_counters: Annotated[Integers, 6]  # counters as they were then
 
 
 HOST = dtype_of(HostRecord)

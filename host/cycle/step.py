@@ -138,7 +138,7 @@ def _on_emergency(h: HostRecord, k: int, length: int, data: int) -> None:
     if (code != 0 or length < 2) and h.emcy == Trip.NONE:
         h.emcy = Trip.EMCY_MOTOR if k == 0 else Trip.EMCY_BRAKE if k == 1 else Trip.EMCY_SENSOR
         h.emcy_code = code
-        h.doubtful = k
+        h.suspect_node = k
 
 
 @kernel
@@ -217,7 +217,7 @@ def _close(c: ControlRecord, h: HostRecord, t_ns: int) -> None:
     h.waiting = 0
     h.next_ns = h.sync_ns + c.period_ns
     if t_ns > h.next_ns:
-        h.missed_deadlines += 1
+        h.late_cycles += 1
     complete = h.arrived & c.every_cycle == c.every_cycle
     h.missed_in_a_row = 0 if complete else h.missed_in_a_row + 1
     h.oldest_tpdo = 0

@@ -30,13 +30,13 @@ def forget(h: HostRecord) -> None:
 def hold_back(
     c: ControlRecord, h: HostRecord, sense: float, psi_Nm: float, level_Nm: float
 ) -> tuple[float, float, float]:
-    """Return what the law asked for `late_cycles` ago - the sense of the compensation, the motor's
+    """Return what the law asked for `delay_cycles` - 1 cycles ago - the sense of the compensation, the motor's
     torque [Nm], the brake's level [Nm] - and keep what it asks for now. Nothing before the first.
     """
-    if c.late_cycles <= 0:
+    if c.delay_cycles <= 1:
         return sense, psi_Nm, level_Nm
     row = h.asked_row
     was = h.asked_sense[row], h.asked_psi_Nm[row], h.asked_brake_Nm[row]
     h.asked_sense[row], h.asked_psi_Nm[row], h.asked_brake_Nm[row] = sense, psi_Nm, level_Nm
-    h.asked_row = (row + 1) % min(c.late_cycles, ASKED)
+    h.asked_row = (row + 1) % min(c.delay_cycles - 1, ASKED)
     return was

@@ -36,7 +36,7 @@ def _limits(h: HostRecord) -> int:
     limits = 0
     counts = h.clipped_torque, h.slowed_torque, h.limited_by_drive, h.clipped_setpoints, h.negative_setpoints
     for k, count in enumerate((*counts, h.withheld_compensation)):
-        limits |= _grown(h.told, k, count) << k  # the first bits of `Limit`, in their order
+        limits |= _grown(h.last_counters, k, count) << k  # the first bits of `Limit`, in their order
     if h.missed_in_a_row > 0:
         limits |= Limit.TPDO_MISSED
     if not h.deadman_ok:

@@ -14,7 +14,7 @@ from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.sdo_answers import SdoAnswers
 from coulombus.eds.sdo_frames import head
 from coulombus.host.devices.running_host import FILTERS, check_alone
-from coulombus.host.devices.sdo import talk_to_all
+from coulombus.host.devices.sdo import run_transfers
 from coulombus.host.devices.transfers import SdoSilent, Transfer, upload
 from coulombus.host.errors import AnswerUntrusted, HostError
 from coulombus.wire.address import BusAddress
@@ -175,7 +175,7 @@ def scan(
                 doubts.setdefault(node_id, str(value))
             silent[node_id] += isinstance(value, SdoSilent | AnswerUntrusted)
 
-    talk_to_all(link, {node_id: transfers(node_id) for node_id in found}, ANSWER_S, tell, heard.hear, heard.asked)
+    run_transfers(link, {node_id: transfers(node_id) for node_id in found}, ANSWER_S, tell, heard.hear, heard.asked)
     while (left_s := listen_s - (link.now_ns() - begin_ns) / 1e9) > 0:
         progress("listening", listen_s - left_s, listen_s)
         heard.listen(link, min(left_s, 0.2))

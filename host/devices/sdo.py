@@ -27,7 +27,7 @@ from coulombus.host.devices.transfers import (
 from coulombus.host.errors import HostError
 from coulombus.wire.bus_link import BusFrame, FrameLink
 
-__all__ = ["TIMEOUT_S", "SdoClient", "Talk", "load_defaults", "store_parameters", "talk_to_all"]
+__all__ = ["TIMEOUT_S", "SdoClient", "SdoSession", "load_defaults", "run_transfers", "store_parameters"]
 
 T = TypeVar("T")
 TIMEOUT_S = 1.0
@@ -37,7 +37,7 @@ STORING_S = 10.0
 """How long a device may take to write its storage."""
 
 
-class Talk(Generic[T]):
+class SdoSession(Generic[T]):
     """A transfer with one node, under way.
 
     Attributes
@@ -119,7 +119,7 @@ class Talk(Generic[T]):
         self._link.send(CobId.SDO_RX + self._node_id, message)
 
 
-def talk_to_all(
+def run_transfers(
     link: FrameLink,
     transfers: Mapping[int, Iterator[Transfer[T]]],
     timeout_s: float,
@@ -138,13 +138,13 @@ def talk_to_all(
     """
     heard = {node_id: SdoAnswers() for node_id in transfers} if answers is None else answers
     waiting = {node_id: iter(row) for node_id, row in transfers.items()}
-    talks: dict[int, Talk[T]] = {}
+    talks: dict[int, SdoSession[T]] = {}
 
     def begin(node_id: int) -> None:
         transfer = next(waiting[node_id], None)
         talks.pop(node_id, None)
         if transfer is not None:
-            talks[node_id] = Talk(link, node_id, transfer, round(timeout_s * 1e9), heard[node_id])
+            talks[node_id] = SdoSession(link, node_id, transfer, round(timeout_s * 1e9), heard[node_id])
 
     try:
         for node_id in waiting:
@@ -222,7 +222,7 @@ class SdoClient:
             self._hear(stale)  # a late answer, too, which is nobody's any more
         self._refuse_twins()
         found: list[T | HostError] = []
-        talk_to_all(
+        run_transfers(
             self.link,
             {self.node_id: iter((transfer,))},
             self.timeout_s,

@@ -29,4 +29,4 @@ def coulomb(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> floa
     return law.F_d if motion.v_counts > 0.0 else -law.F_d
 
 
-COULOMB = Declaration(coulomb, CoulombParameters, extremes=("F_d_Nm",), of_mode=True)
+COULOMB = Declaration(coulomb, CoulombParameters, extremes=("F_d_Nm",), uses_mode_keys=True)

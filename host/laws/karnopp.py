@@ -55,4 +55,6 @@ def karnopp(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> floa
     return force
 
 
-KARNOPP = Declaration(karnopp, KarnoppParameters, extremes=("F_s_Nm", "F_d_Nm"), of_mode=True)  # the spring ends at F_s
+KARNOPP = Declaration(
+    karnopp, KarnoppParameters, extremes=("F_s_Nm", "F_d_Nm"), uses_mode_keys=True
+)  # the spring ends at F_s

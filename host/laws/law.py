@@ -188,7 +188,7 @@ class Declaration:
     state : names of what it keeps, with how many numbers each has
     extremes : the parameters that say how much it displays at most [Nm]; none where that depends on
         the motion
-    of_mode : the parameters are keys of [mode.*] and [law], as those of the first two laws are
+    uses_mode_keys : the parameters are keys of [mode.*] and [law], as those of the first two laws are
     pushes : in mode hybrid the motor displays its ``state.motor_Nm``
     """
 
@@ -196,13 +196,13 @@ class Declaration:
     parameters: type[Parameters]
     state: tuple[tuple[str, int], ...] = ()
     extremes: tuple[str, ...] = ()
-    of_mode: bool = False
+    uses_mode_keys: bool = False
     pushes: bool = False
 
     def __post_init__(self) -> None:
         names, kept = self.names, sum(size for _, size in self.state)
         taken = {*(LAW.names or ()), *(LAW_STATE.names or ())} & {*names, *(name for name, _ in self.state)}
-        if not self.of_mode and (len(names) > USER or kept > USER or taken):
+        if not self.uses_mode_keys and (len(names) > USER or kept > USER or taken):
             what = f"{', '.join(sorted(taken))}: taken" if taken else f"{len(names)} parameters and {kept} numbers kept"
             raise ValueError(f"law {self.name}: {what}; expected names of its own, at most {USER} numbers of each kind")
 
@@ -219,7 +219,7 @@ class Declaration:
     @property
     def law_dtype(self) -> np.dtype[Any]:
         """`LAW` with the parameters' names."""
-        return LAW if self.of_mode else _view(LAW, ((name, 1) for name in self.names))
+        return LAW if self.uses_mode_keys else _view(LAW, ((name, 1) for name in self.names))
 
     @property
     def state_dtype(self) -> np.dtype[Any]:
@@ -248,14 +248,14 @@ class Declaration:
     def fill(self, record: LawRecord, values: Parameters) -> None:
         """Write the parameters into a record of `LawRecord`."""
         for k, (name, number) in enumerate(self.numbers(values).items()):
-            if self.of_mode:
+            if self.uses_mode_keys:
                 record[FIELD_OF_MODE[name]] = number
             else:
                 record["user"][k] = number
 
     def plain(self) -> Callable[..., float]:
         """Return the law as a plain Python function of records without these names."""
-        if self.of_mode:
+        if self.uses_mode_keys:
             return self.function
         of_law, of_state = _places((name, 1) for name in self.names), _places(self.state)
 
@@ -334,6 +334,6 @@ def described(law: Declaration) -> dict[str, Any]:
     return {
         "title": law.title,
         "doi": list(law.dois),
-        "section": "mode.NAME and law" if law.of_mode else f"law.{law.name}",
+        "section": "mode.NAME and law" if law.uses_mode_keys else f"law.{law.name}",
         "parameters": parameters,
     }

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.regular_file import read_regular
-from coulombus.host.laws.laws import OWN_LAWS, LawError, find_law
+from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, find_law
 from coulombus.rigs.rig import Rig
 
 __all__ = ["SHA256", "SOURCE", "LawSource", "law_attachments", "law_source", "recorded_sha256"]
@@ -51,9 +51,11 @@ def law_source(rig: Rig) -> LawSource | None:
     """
     name = rig.law_function
     place = name.rpartition(":")[0]
-    if name in OWN_LAWS:
-        own = OWN_LAWS[name]
-        text = inspect.getsource(own.function if own.of_mode else inspect.getmodule(own.function) or own.function)
+    if name in BUILTIN_LAWS:
+        own = BUILTIN_LAWS[name]
+        text = inspect.getsource(
+            own.function if own.uses_mode_keys else inspect.getmodule(own.function) or own.function
+        )
         return LawSource(name, text.encode())
     try:
         if place.endswith(".py"):

@@ -1,6 +1,6 @@
 r"""Friction laws: what the display should feel like, as compiled functions of one fixed signature.
 
-A law is named in the rig file: ``karnopp``, ``lugre`` or another of `OWN_LAWS`, a file of this
+A law is named in the rig file: ``karnopp``, ``lugre`` or another of `BUILTIN_LAWS`, a file of this
 folder each; ``file.py:function``; or ``module:function``. It is one plain function::
 
     def my_law(motion, law, state):
@@ -77,10 +77,10 @@ import numba  # isort: skip  (after compiled.decorator, which names the cache di
 import numba.experimental.function_type  # isort: skip  (what the type of a compiled law is)
 
 __all__ = [
+    "BUILTIN_LAWS",
     "LAW",
     "LAW_STATE",
     "MOTION",
-    "OWN_LAWS",
     "LawError",
     "LoadedLaw",
     "coulomb",
@@ -106,14 +106,14 @@ class LawError(CoulombusError):
     exit_status = 3
 
 
-NAMED = (
+LAWS = (
     *(stribeck, regularised, dahl, lugre, elastoplastic, gms, leuven, bliman_sorine, kikuuwe),
     *(wall, detent, texture, viscous, inertia),
 )
 """The laws with named parameters, a file of this folder each."""
 
-OWN_LAWS: Mapping[str, Declaration] = MappingProxyType(
-    {one.name: one for one in (KARNOPP, COULOMB, *filter(None, map(declaration_of, NAMED)))}
+BUILTIN_LAWS: Mapping[str, Declaration] = MappingProxyType(
+    {one.name: one for one in (KARNOPP, COULOMB, *filter(None, map(declaration_of, LAWS)))}
 )
 """The project's own laws by their names: of all laws that a recording may name these alone run
 without being named again.
@@ -282,7 +282,7 @@ class LoadedLaw(NamedTuple):
 
 
 def load_law(name: str, directory: Path | None = None) -> LawFunction:
-    """Return the compiled law called `name`: one of `OWN_LAWS`, ``file.py:function`` in `directory`
+    """Return the compiled law called `name`: one of `BUILTIN_LAWS`, ``file.py:function`` in `directory`
     or the current folder, or ``module:function``.
 
     Raises
@@ -296,26 +296,26 @@ def load_law(name: str, directory: Path | None = None) -> LawFunction:
 def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
     """Return the compiled law called `name`, as `load_law` does, with its declaration."""
     place, _, attribute = name.rpartition(":")
-    alike = difflib.get_close_matches(attribute, OWN_LAWS, 1)
+    alike = difflib.get_close_matches(attribute, BUILTIN_LAWS, 1)
     if place == OLD_PLACE and alike:
         raise LawError(f"law {name!r} is an old name; the law is called {alike[0]!r} now")
-    if not place and attribute in OWN_LAWS:
-        declared: Declaration | None = OWN_LAWS[attribute]
+    if not place and attribute in BUILTIN_LAWS:
+        declared: Declaration | None = BUILTIN_LAWS[attribute]
         return LoadedLaw(_own(attribute), declared)
     if not place or not attribute:
         hint = f"; did you mean {alike[0]!r}?" if alike else ""
-        names = ", ".join(map(repr, OWN_LAWS))
+        names = ", ".join(map(repr, BUILTIN_LAWS))
         raise LawError(f"law {name!r}: expected {names}, 'file.py:function' or 'module:function'{hint}")
     own_law = place in (__name__, EXERCISES)
     plain = _function(name, place, attribute, directory, own_law=own_law)
-    declared = next((one for one in OWN_LAWS.values() if one.function is plain), declaration_of(plain))
+    declared = next((one for one in BUILTIN_LAWS.values() if one.function is plain), declaration_of(plain))
     return LoadedLaw(_compiled(name, plain, own_law=own_law), declared)
 
 
 @cache
 def _own(name: str) -> LawFunction:
-    """Return one of `OWN_LAWS`, compiled; it keeps nothing, so a process loads it once."""
-    return _compiled(name, OWN_LAWS[name].function, own_law=True)
+    """Return one of `BUILTIN_LAWS`, compiled; it keeps nothing, so a process loads it once."""
+    return _compiled(name, BUILTIN_LAWS[name].function, own_law=True)
 
 
 def _function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> LawFunction:

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import Field, ValidationError, create_model
 
 from coulombus.host.laws.law import Declaration, Parameters
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.errors import Source, nearest, shown
 from coulombus.rigs.field_help import explain
@@ -32,7 +32,7 @@ def axis_parameters(axis: Axis, law: Declaration | None) -> Parameters | None:
         with every mistake that was found, with ``file:line``
     """
     found = law_parameters(axis.law.tables, law, axis.origin.source(axis.name))
-    return None if law is None or law.of_mode else found[law.name]
+    return None if law is None or law.uses_mode_keys else found[law.name]
 
 
 def law_parameters(
@@ -45,14 +45,14 @@ def law_parameters(
     coulombus.rigs.rig.RigError
         with every mistake that was found
     """
-    declared = {name: one for name, one in OWN_LAWS.items() if not one.of_mode}
-    if law is not None and (not law.of_mode or law is not OWN_LAWS.get(law.name)):
+    declared = {name: one for name, one in BUILTIN_LAWS.items() if not one.uses_mode_keys}
+    if law is not None and (not law.uses_mode_keys or law is not BUILTIN_LAWS.get(law.name)):
         declared[law.name] = law
     known: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
         if name in declared:
             known[name] = dict(table)
-        elif name in OWN_LAWS:
+        elif name in BUILTIN_LAWS:
             source.say(
                 ("law", name, *list(table)[:1]),
                 f"the law {name} has no table: its parameters are in [mode.NAME] and [law]",

@@ -85,7 +85,7 @@ def _new() -> socket.socket:
     return socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 
 
-def _heard_at(path: Path) -> bool | None:
+def _probe(path: Path) -> bool | None:
     """Tell who is at a host's door: True, a host; False, nobody, a killed one left it; None, there
     is no door.
     """
@@ -103,10 +103,10 @@ def _heard_at(path: Path) -> bool | None:
 
 def host_runs(address: BusAddress) -> bool:
     """Tell whether a host of this machine has the bus; nothing is asked of it."""
-    return _heard_at(control_path(address)) is True
+    return _probe(control_path(address)) is True
 
 
-class _Asker:
+class _Client:
     """Somebody at the door."""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -154,11 +154,11 @@ class HostSocket:
 
     def __init__(self, address: BusAddress) -> None:
         self._path = control_path(address)
-        self._askers: list[_Asker] = []
+        self._askers: list[_Client] = []
         self.status: Callable[[], bytes] = lambda: b"{}"
         self.mark: Callable[[str], bytes] = lambda text: b"{}"
         self.change: Callable[[str], bytes] = lambda text: b"{}"
-        heard = _heard_at(self._path)
+        heard = _probe(self._path)
         if heard:
             raise SafetyTrip(_occupied(address))
         if heard is False:  # where there was no door, one that is there now is a host's that starts
@@ -203,9 +203,9 @@ class HostSocket:
                     connection.close()
                     continue
                 self._let_go(silent)
-            self._askers.append(_Asker(connection))
+            self._askers.append(_Client(connection))
 
-    def _let_go(self, asker: _Asker) -> None:
+    def _let_go(self, asker: _Client) -> None:
         self._askers.remove(asker)
         asker.connection.close()
 

@@ -40,7 +40,7 @@ def check_no_delay(rig: Rig, address: BusAddress) -> None:
     RigError
         `bus.delay_cycles` is more than 1
     """
-    if rig.bus.late_cycles:
+    if rig.bus.cycles_to_actuation > 1:
         wanted = f"1 or no such key on {address}: a longer delay is for study in virtual time (coulombus simulate)"
         raise rig.axes[0].mistake("bus.delay_cycles", wanted)
 

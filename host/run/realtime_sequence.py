@@ -403,8 +403,7 @@ class RealCourse(Course):
         k, plane = self.k, self.plane
         figures = self.figures()
         wakeup, latency = plane.wakeup(), plane.latency()
-        counters = {"late_cycles" if name == "missed_deadlines" else name: n for name, n in k.counters().items()}
-        counters |= plane.counters()
+        counters = k.counters() | plane.counters()
         cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()
         self._outcome = {"mode": k.mode, "cycles": cycles, "trip": self.trip, "exit_status": exit_status}
         return self.result_of(

@@ -14,7 +14,7 @@ What Python changes is whole in the loop, and what the loop changed meanwhile st
 that both changed is Python's. A node's ring of segments (`node.outbox`) stands still meanwhile, as
 both ends of it move.
 
-Where Python needs the whole world (a script's entry), `settle` lets the jobs end first. A server
+Where Python needs the whole world (a script's entry), `drain_jobs` lets the jobs end first. A server
 without this (`BESIDE.on` is 0) returns to Python for everything.
 
 In the kernels: `j` the record of `BesideRecord`, `w` that of `sim_bus.network.event_loop.WORLD`.
@@ -43,7 +43,7 @@ from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.server.records import JOBS, BesideRecord, PaceRecord
 from coulombus.wire.frame import new_records, push
 
-__all__ = ["FRAME", "RECORD", "Beside", "Worker", "collect", "drained", "leave", "settle"]
+__all__ = ["FRAME", "RECORD", "Beside", "Worker", "drain_jobs", "drained", "enqueue", "take_results"]
 
 NODE_WORDS = NODE.itemsize // 8
 PATIENCE_NS = 100_000_000
@@ -93,7 +93,7 @@ def _copy(to: Integers, source: Integers, first: int, end: int) -> None:
 
 
 @kernel
-def leave(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord, why: int, axis: int) -> bool:
+def enqueue(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord, why: int, axis: int) -> bool:
     """Let Python do beside the loop what the kernel has just returned for; tell whether it will.
 
     `axis`: whose hand it is; `FRAME`: the last frame of the log is for services; `RECORD`: what
@@ -167,7 +167,7 @@ def _begin(beside: Beside, world: World) -> None:
 
 
 @kernel
-def collect(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
+def take_results(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
     """Take over what Python has made of its job, and let it begin with the next one."""
     j, w, python = beside.state, world.state, beside.python
     if j.turn != JobState.DONE:
@@ -221,11 +221,11 @@ def _await(beside: Beside, world: World, course: CourseFunction, pace: PaceRecor
         beside.words[2] = (j.loop & 0xFFFFFFFF) | POLLIN << 32
         if ppoll_ns(beside.words.ctypes.data + 16, 1, PATIENCE_NS) > 0:
             drained(beside)
-    collect(beside, world, course, pace)
+    take_results(beside, world, course, pace)
 
 
 @kernel
-def settle(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
+def drain_jobs(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
     """Let all jobs end: Python needs the whole world."""
     j = beside.state
     while j.turn != JobState.FREE or j.waiting > 0:

@@ -40,7 +40,7 @@ from coulombus.sim_bus.can_bus.cable_cut import choose
 from coulombus.sim_bus.network.event_loop import Exit, HostCycle, World, next_event, refresh, run
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.server.clients import Clients, SlotState, flush, hand_out, take
-from coulombus.sim_bus.server.python_worker import FRAME, RECORD, Beside, collect, drained, leave
+from coulombus.sim_bus.server.python_worker import FRAME, RECORD, Beside, drained, enqueue, take_results
 from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 
 __all__ = ["Serve", "serve"]
@@ -112,7 +112,7 @@ def _wait(p: PaceRecord, slots: RecordArray[SlotRecord], pollfds: Integers, time
 
 
 @kernel
-def _forgive(p: PaceRecord, slots: RecordArray[SlotRecord], planned_ns: int, t_ns: int) -> int:
+def _discount_stall(p: PaceRecord, slots: RecordArray[SlotRecord], planned_ns: int, t_ns: int) -> int:
     """Take out of the world's time what the whole machine stood still since `planned_ns`.
 
     Return by how much.
@@ -143,7 +143,7 @@ def serve(
 ) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
 
-    `sim_bus.server.python_worker.settle` comes next: it ends what Python does beside this loop.
+    `sim_bus.server.python_worker.drain_jobs` comes next: it ends what Python does beside this loop.
 
     The world's loop is from the first the one that looks closely: nothing is compiled while clients
     wait. A host is another process, so that loop has none.
@@ -154,12 +154,12 @@ def serve(
     if w.stale:
         refresh(w, world.nodes, world.axes, world.deadlines, world.wants)
     while True:
-        collect(beside, world, course, p)
+        take_results(beside, world, course, p)
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
         taken = take(w, p, bus, clients, out, offset_ns, t_ns)
         if t_ns > p.planned_ns + STALL_NS:
-            t_ns -= _forgive(p, slots, p.planned_ns, t_ns)
+            t_ns -= _discount_stall(p, slots, p.planned_ns, t_ns)
         p.planned_ns = t_ns
         if taken != 0:
             return taken
@@ -181,10 +181,10 @@ def serve(
                     return lost
             why = 0
             if reason == Exit.SERVICE:
-                if not leave(beside, world, course, p, reason, FRAME):
+                if not enqueue(beside, world, course, p, reason, FRAME):
                     why += reason
             elif reason == Exit.ENABLED:
-                if not leave(beside, world, course, p, reason, w.axis):
+                if not enqueue(beside, world, course, p, reason, w.axis):
                     why += reason
             elif reason not in (Exit.UNTIL, Exit.LOG):
                 why += reason
@@ -192,7 +192,7 @@ def serve(
                 if p.keep == 0:
                     p.handed_out = w.log_count = 0
                 elif reason == Exit.LOG or (
-                    w.log_count >= p.keep and not leave(beside, world, course, p, Serve.RECORD, RECORD)
+                    w.log_count >= p.keep and not enqueue(beside, world, course, p, Serve.RECORD, RECORD)
                 ):
                     why = Serve.RECORD
                 for a in range(world.axes.shape[0]):
@@ -200,10 +200,10 @@ def serve(
                     state = world.nodes[axis.motor].power_state
                     if axis.operator_start_ns >= 0 and state != PowerState.OPERATION_ENABLED:
                         w.axis = a
-                        if not leave(beside, world, course, p, Serve.RESTED, a):
+                        if not enqueue(beside, world, course, p, Serve.RESTED, a):
                             why = Serve.RESTED
                     elif axis.force_end_ns - t_ns < AHEAD_NS:
-                        leave(beside, world, course, p, Exit.FORCE, a)
+                        enqueue(beside, world, course, p, Exit.FORCE, a)
             if why != 0:
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
@@ -216,7 +216,11 @@ def serve(
         if taken != 0:
             return taken
         waits = p.keep != 0 and 0 < w.log_count <= p.handed_out
-        if waits and t_ns - world.log[0].t_ns >= KEPT_NS and not leave(beside, world, course, p, Serve.RECORD, RECORD):
+        if (
+            waits
+            and t_ns - world.log[0].t_ns >= KEPT_NS
+            and not enqueue(beside, world, course, p, Serve.RECORD, RECORD)
+        ):
             return Serve.RECORD
         if load_acquire(flag) != 0:
             return Serve.STOP

@@ -27,7 +27,7 @@ from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOTS, STATION, Clients, Need, SlotState
 from coulombus.sim_bus.server.precompile import warm_up
-from coulombus.sim_bus.server.python_worker import Worker, settle
+from coulombus.sim_bus.server.python_worker import Worker, drain_jobs
 from coulombus.sim_bus.server.realtime_loop import Serve, serve
 from coulombus.sim_bus.server.records import SLOT, PaceRecord, SlotRecord
 from coulombus.system.file_lock import lock_file
@@ -147,7 +147,7 @@ class BusServer:
         self._since: dict[int, float] = {}
         arrays = self._slots, self._boxes, self._words, self._filters, self._batches, self._pollfds
         self._clients = Clients(*arrays)
-        self._run, self._settle = Entry(serve), Entry(settle)
+        self._run, self._drain_jobs = Entry(serve), Entry(drain_jobs)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         self._worker = Worker(self.world, self._wake, self.stop, on=beside)
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for who comes when there is no other left
@@ -177,7 +177,7 @@ class BusServer:
     def _serve(self) -> int:
         worker, (_, host, _, course) = self._worker, self.world.arguments
         why = int(self._run(self._pace, self._clients, worker.shared, worker.loop, host, course))
-        self._settle(worker.shared, worker.loop, course, self._pace[0])
+        self._drain_jobs(worker.shared, worker.loop, course, self._pace[0])
         return why
 
     @property

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 
 
 def run(*words):
@@ -26,10 +26,10 @@ def rows(path):
 def test_the_laws_are_listed():
     done = run()
     assert done.exit_code == 0
-    assert [line.split()[0] for line in done.stdout.splitlines()[:-1]] == list(OWN_LAWS)
+    assert [line.split()[0] for line in done.stdout.splitlines()[:-1]] == list(BUILTIN_LAWS)
     assert max(map(len, done.stdout.splitlines())) <= 100
     listed = json.loads(run("--json").stdout)["laws"]
-    assert [one["law"] for one in listed] == list(OWN_LAWS)
+    assert [one["law"] for one in listed] == list(BUILTIN_LAWS)
     assert {one["section"] for one in listed} >= {"law.lugre", "law.dahl", "mode.NAME and law"}
 
 
@@ -57,7 +57,7 @@ def test_a_law_is_driven_along_a_file(tmp_path):
     assert (told["samples"], told["csv"]) == (3, str(out))
 
 
-@pytest.mark.parametrize("name", OWN_LAWS)
+@pytest.mark.parametrize("name", BUILTIN_LAWS)
 def test_every_law_runs_with_its_defaults(name, tmp_path):
     out = tmp_path / "out.csv"
     assert run(name, "--motion", "sine", "--csv", out).exit_code == 0

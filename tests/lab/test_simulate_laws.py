@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.replay.virtual_replay import virtual_replay
 from coulombus.lab.simulate import simulate
@@ -63,7 +63,7 @@ def test_lugre_is_quieter_than_karnopp_on_the_motor():
     assert lugre.hold_counts_p2p < 0.2 * karnopp.hold_counts_p2p
 
 
-@pytest.mark.parametrize("name", OWN_LAWS)
+@pytest.mark.parametrize("name", BUILTIN_LAWS)
 def test_every_law_runs_on_the_rig_with_its_defaults(name):
     result = simulate("bench", "active", 0.8, overrides=(f"law.function={name}",))
     assert result.trip is None

@@ -265,7 +265,7 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
     given = given_law(name, overrides)
     if given.declaration is None or given.parameters is None:
         raise LawError(f"law {name!r} names no parameters: there is nothing to identify (docs/laws.md)")
-    if given.declaration.of_mode:
+    if given.declaration.uses_mode_keys:
         raise LawError(
             f"law {name!r} has its parameters in [mode.*]; `coulombus identify` without --law fits Coulomb, viscous and "
             "Stribeck friction"

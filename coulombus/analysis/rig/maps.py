@@ -100,7 +100,7 @@ class LoopParameters:
             "operator_damping_Nms_rad": hand.damping_Nms_rad,
             "operator_stiffness_Nm_rad": hand.stiffness_Nm_rad,
             "rate_Hz": 1.0 / axis.bus.period_s,
-            "delay_s": axis.bus.period_s * (1 + axis.bus.late_cycles),
+            "delay_s": axis.bus.period_s * axis.bus.cycles_to_actuation,
             "motor_lag_s": plant.motor_lag_s,
             "motor_limit_Nm": motor_limit_Nm(axis, mode),
             "torque_step_Nm": scale["motor.target_torque_Nm"],

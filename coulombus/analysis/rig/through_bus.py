@@ -136,7 +136,7 @@ def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float(
         delays = syncs[sampled[known] + 1] - syncs[sampled[known]]
     else:
         delays = answers - syncs[sampled]
-    delays = delays + recording.rig.bus.late_cycles * recording.rig.bus.period_ns
+    delays = delays + (recording.rig.bus.cycles_to_actuation - 1) * recording.rig.bus.period_ns
     return Delay(float(np.median(delays)) * 1e-9, float(np.min(delays)) * 1e-9, float(np.max(delays)) * 1e-9)
 
 
@@ -231,7 +231,7 @@ def through_bus(
     progress : called with the share that is done, 0 to 1
     """
     rig = load_rig("paper") if rig is None else rig
-    if rig.bus.late_cycles:  # whole cycles, which only the next SYNC gives
+    if rig.bus.cycles_to_actuation > 1:  # whole cycles, which only the next SYNC gives
         actuations = [one for one in actuations if one == "next_sync"]
     plants = [(f"rig {rig.name}", rig)] + ([(BENCH_HARDWARE, with_bench_hardware(rig))] if bench else [])
     found: list[BusCycle] = []

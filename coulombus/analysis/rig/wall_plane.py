@@ -93,7 +93,7 @@ def handle_of(rig: Rig) -> Handle:
         plant.inertia_kg_m2,
         plant.viscous_Nms_rad + HAND_NMS_RAD,
         rig.bus.period_s,
-        1 + rig.bus.late_cycles,
+        rig.bus.cycles_to_actuation,
         2 * math.pi / (plant.encoder_counts_rev * plant.ratio),
         plant.brake_coil_lag_s,
         plant.brake_fluid_lag_s,

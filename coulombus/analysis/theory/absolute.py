@@ -104,7 +104,7 @@ def passive_set_slope(parameters: Parameters) -> float:
     """
     b = parameters.damping_Ns_m
     grid = np.append(frequency_grid(parameters), parameters.nyquist_Hz)
-    _, late = parameters.delay_cycles
+    _, late = parameters.delay_parts
     if not late:  # r is a pure lag of at least one period: its real part comes down to -1
         return b
     real = multiplier(grid, parameters).real

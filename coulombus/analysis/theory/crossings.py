@@ -68,7 +68,7 @@ def frequency_grid(parameters: Parameters) -> Floats:
     """Return frequencies in (0, fs/2) [Hz], fine enough for the loop's delay: at least 100 on a
     turn of the locus.
     """
-    whole, _ = parameters.delay_cycles
+    whole, _ = parameters.delay_parts
     fs = 1.0 / parameters.period_s
     points = 2000 + 200 * (whole + 1)
     low = np.geomspace(LOWEST * fs, 0.5 * fs / points, 600, endpoint=False)

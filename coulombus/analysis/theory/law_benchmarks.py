@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.laws.along import Asked, GivenLaw, given_law
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import Record, RecordArray, Records, new_records
 
@@ -289,7 +289,7 @@ class SineResponse:
 
 def sweep() -> tuple[SineResponse, ...]:
     """Compute describing function and energy of every law."""
-    laws = [given_law(name) for name in OWN_LAWS]
+    laws = [given_law(name) for name in BUILTIN_LAWS]
     return tuple(SineResponse(law.name, describing_function(law, 1.0, 1.0), *energy(law)) for law in laws)
 
 

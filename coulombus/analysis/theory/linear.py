@@ -137,7 +137,7 @@ class SampledPlant:
 def sample(parameters: Parameters) -> SampledPlant:
     """Return the exact step of the plant over one period, with the loop's delay."""
     A, B, _ = continuous_model(parameters)
-    q, late = parameters.delay_cycles
+    q, late = parameters.delay_parts
     T = parameters.period_s
     phi, whole = _zoh(A, B, T)
     rest, gamma_0 = _zoh(A, B, T - late)
@@ -164,7 +164,7 @@ def alias_sum(frequency_Hz: Floats, parameters: Parameters, aliases: int = ALIAS
     T, tau = parameters.period_s, parameters.delay_s
     w = 2 * np.pi * np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64))
     ws = 2 * np.pi / T
-    _, fraction = parameters.delay_cycles
+    _, fraction = parameters.delay_parts
     n = aliases if not fraction else max(aliases, 20_000)
     total = np.zeros(len(w), dtype=np.complex128)
     k = np.arange(-n, n + 1)
@@ -236,7 +236,7 @@ def multiplier(frequency_Hz: Floats, parameters: Parameters) -> Complexes:
     :math:`\delta` of the delay weights two periods:
     :math:`(1-\delta/T) + (\delta/T)\,e^{-j\omega T}`.
     """
-    q, late = parameters.delay_cycles
+    q, late = parameters.delay_parts
     lag = np.exp(-2j * np.pi * np.asarray(frequency_Hz) * parameters.period_s)
     share = late / parameters.period_s
     value: Complexes = lag ** (q + 1) * (1 - share + share * lag)

@@ -66,7 +66,7 @@ class Parameters:
         return self.mass_kg + self.operator.parts().inertia
 
     @property
-    def delay_cycles(self) -> tuple[int, float]:
+    def delay_parts(self) -> tuple[int, float]:
         """The delay as whole cycles and the rest in s, in [0, T)."""
         cycles = self.delay_s / self.period_s
         whole = math.floor(cycles + GRID_OF_DELAYS)

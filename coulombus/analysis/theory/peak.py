@@ -105,7 +105,7 @@ def between_samples(parameters: Parameters, signs: Floats) -> Between:
         raise ParameterError("the plant without its position is not stable: no periodic motion; give it damping")
     A, B, _ = continuous_model(parameters)
     A, B = A[1:, 1:], B[1:]
-    q, late = parameters.delay_cycles
+    q, late = parameters.delay_parts
     p, n = len(signs), len(B)
     psi = parameters.friction_N * np.asarray(signs, dtype=np.float64)
     pieces = [

@@ -24,7 +24,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import ParameterOrder, orders_of
 from coulombus.host.cycle.replay import HostFrame, Inputs, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording
@@ -145,7 +145,7 @@ def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], b
     name = recording.rig.law_function
     if now is None or recorded is None:
         text = f"{recording.path}: whether {chosen.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
-        own = chosen.law_function == name and name in OWN_LAWS  # a built-in law needs no attachment
+        own = chosen.law_function == name and name in BUILTIN_LAWS  # a built-in law needs no attachment
         return () if own else (text,), own
     if now.sha256 == recorded:
         return (), True

@@ -10,7 +10,7 @@ import secrets
 import stat
 from pathlib import Path
 
-__all__ = ["Seat", "kept_token", "new_token", "right_token", "same_origin", "served_as"]
+__all__ = ["ControlLock", "kept_token", "new_token", "right_token", "same_origin", "served_as"]
 
 HTTP_PORT = 80
 """Which a browser leaves out."""
@@ -80,19 +80,19 @@ def served_as(host: str | None, address: str, port: int, name: str = "") -> bool
     return given in {f"{one}:{port}" for one in names} or (port == HTTP_PORT and given in names)
 
 
-class Seat:
-    """The place of the one page that controls; all others look on. STOP needs no seat."""
+class ControlLock:
+    """Which page controls; all others look on. STOP needs none."""
 
     def __init__(self) -> None:
         self.holder: int | None = None
 
-    def take(self, session: int) -> bool:
-        """Sit down where nobody sits; tell whether `session` sits there now."""
+    def acquire(self, session: int) -> bool:
+        """Take the control where nobody has it; tell whether `session` has it now."""
         if self.holder is None:
             self.holder = session
         return self.holder == session
 
-    def leave(self, session: int) -> None:
-        """Stand up; nothing where another sits there."""
+    def release(self, session: int) -> None:
+        """Give it back; nothing where another session has it."""
         if self.holder == session:
             self.holder = None

@@ -34,7 +34,7 @@ import tornado.websocket
 from tornado.iostream import IOStream
 
 from coulombus.monitor.live import Snapshot
-from coulombus.monitor.web.access import Seat, right_token, same_origin, served_as
+from coulombus.monitor.web.access import ControlLock, right_token, same_origin, served_as
 from coulombus.monitor.web.batch import Flow, batch, layout
 from coulombus.monitor.web.capture import Curve, LiveCapture
 from coulombus.monitor.web.page_state import HostDoor, HostView, document
@@ -87,7 +87,7 @@ class Page:
         self.host = HostView(door.advice)
         self.curves: Mapping[str, Curve | None] = {}
         """Of the laws that have no plain one, by the axis' name."""
-        self.seat = Seat()
+        self.control = ControlLock()
         self.sessions: set[Data] = set()
         self.sockets: WeakSet[IOStream] = WeakSet()
         """The connections of the sessions."""
@@ -137,7 +137,7 @@ class Page:
         """Ask the host for a change or a marker, as the page that controls; the answer goes to that
         page as words.
         """
-        if self.seat.holder != session.number:
+        if self.control.holder != session.number:
             session.answers.append(f"{what}: this page looks on; take control first")
             return
         if self.asking >= QUESTIONS:
@@ -274,14 +274,14 @@ class Data(_Guarded, tornado.websocket.WebSocketHandler):
         """Begin; the first page controls."""
         self.set_nodelay(True)
         self.axis = self.page.axis(self.get_query_argument("axis", ""))
-        self.page.seat.take(self.number)
+        self.page.control.acquire(self.number)
         self.page.sessions.add(self)
         self.page.sockets.add(self._stream)
 
     def on_close(self) -> None:
         """Forget it; its seat is free."""
         self.page.sessions.discard(self)
-        self.page.seat.leave(self.number)
+        self.page.control.release(self.number)
 
     def on_message(self, message: str | bytes) -> None:
         """Take what a page says; all else is counted, and too much of it ends the session."""
@@ -290,7 +290,7 @@ class Data(_Guarded, tornado.websocket.WebSocketHandler):
         if took is not None and self.flow.take(int(took[1])):
             return
         if text == "control":
-            self.refused = not self.page.seat.take(self.number)
+            self.refused = not self.page.control.acquire(self.number)
             return
         mark = MARK.fullmatch(text)
         if mark is not None:
@@ -314,7 +314,7 @@ class Data(_Guarded, tornado.websocket.WebSocketHandler):
         more: dict[str, Any] = {}
         if version != self.version:
             self.version = version
-            controls = self.page.seat.holder == self.number
+            controls = self.page.control.holder == self.number
             more = {"state": state, "controls": controls, "refused": self.refused and not controls}
             more |= {
                 "law": self._law(),

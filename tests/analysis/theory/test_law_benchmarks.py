@@ -24,7 +24,7 @@ from coulombus.analysis.theory.law_benchmarks import (
 )
 from coulombus.cli.main import main
 from coulombus.host.laws.along import given_law
-from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.laws import BUILTIN_LAWS
 from places import ROOT
 
 pytestmark = pytest.mark.slow
@@ -57,7 +57,7 @@ def test_the_document_has_the_tables(computed):
 
 def test_the_document_has_every_law_with_its_source():
     text = DOCS.read_text()
-    for name, law in OWN_LAWS.items():
+    for name, law in BUILTIN_LAWS.items():
         assert re.search(rf"^\| `{name}` \|", text, re.M) or f"## `{name}`" in text, name
         assert not [doi for doi in law.dois if doi not in text], name
 
@@ -98,7 +98,7 @@ def test_the_verb_prints_the_tables_and_json(computed, monkeypatch):
     assert done.exit_code == 0
     assert done.stdout.splitlines() == list(lines(*computed))
     told = json.loads(CliRunner().invoke(main, ["analyse", "laws", "--json"]).stdout)
-    assert [one["law"] for one in told["laws"]] == list(OWN_LAWS)
+    assert [one["law"] for one in told["laws"]] == list(BUILTIN_LAWS)
     assert all(one["ok"] for one in told["benchmarks"])
     wrong = (replace(computed[0][0], found=0.0), *computed[0][1:])
     monkeypatch.setattr(law_benchmarks, "benchmarks", lambda: wrong)

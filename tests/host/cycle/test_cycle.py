@@ -403,10 +403,10 @@ def test_what_is_no_number_is_torque_zero_and_counted():
 def test_a_cycle_that_ends_after_the_next_should_begin_is_counted(late_ns):
     bench = HostBench().enter(Phase.OFF)
     h = bench.h
-    h.sync_ns, h.waiting, h.missed_deadlines = 100 * MS, 1, 4
+    h.sync_ns, h.waiting, h.late_cycles = 100 * MS, 1, 4
     bench.t_ns = 101 * MS + late_ns
     bench.finish()
-    assert (h.waiting, h.next_ns, h.missed_deadlines) == (0, 101 * MS, 4 + late_ns)
+    assert (h.waiting, h.next_ns, h.late_cycles) == (0, 101 * MS, 4 + late_ns)
 
 
 @pytest.mark.parametrize("arrived", range(8))

@@ -44,9 +44,9 @@ FIELDS = [
     ("law.velocity_band_counts=3", "velocity_band_counts", 3.0),
     ("law.velocity_window_cycles=16", "slide_band_counts", 2 / 16),
     ("law.velocity_window_cycles=16", "window_cycles", 16),
-    ('law.level="felt"', "felt", 1),
-    ('law.level="brake"', "felt", 0),
-    ("bus.delay_cycles=3", "late_cycles", 2),
+    ('law.level="felt"', "level_is_felt", 1),
+    ('law.level="brake"', "level_is_felt", 0),
+    ("bus.delay_cycles=3", "delay_cycles", 3),
     ("mechanics.inertia_kg_m2=0.004", "inertia", 0.004),
     ("brake.coil_lag_s=0.004", "coil_step", 1 - math.exp(-0.25)),
     ("brake.coil_lag_s=0.0", "coil_step", 0.0),
@@ -136,7 +136,7 @@ def test_a_time_is_so_many_cycles_and_at_least_one(seconds, cycles):
 def test_the_mode_says_who_displays_and_how_strong_the_motor_is(mode, motor, brake, limit_pm, polarity):
     c = control(mode, f"mechanics.motor_polarity={polarity}")
     assert (c["motor_active"], c["brake_active"], c["motor_limit_raw"]) == (motor, brake, limit_pm)
-    assert c["motor_helps"] == (mode == "hybrid")
+    assert c["is_hybrid"] == (mode == "hybrid")
     assert c["sign_check"] == (limit_pm > 0)
 
 

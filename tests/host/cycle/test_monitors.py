@@ -373,9 +373,9 @@ def test_a_heartbeat_that_is_older_than_its_time_trips(node, timeout_ns):
     heard = bench.h.heard_ns[k]
     assert watch_devices(bench.c, bench.h, heard + timeout_ns) == Trip.NONE
     bench.h.heard_ns[1 - k] = heard + timeout_ns
-    bench.h.doubtful = 7
+    bench.h.suspect_node = 7
     assert watch_devices(bench.c, bench.h, heard + timeout_ns + 1) == Trip[f"HEARTBEAT_{node.upper()}"]
-    assert bench.h.doubtful == k
+    assert bench.h.suspect_node == k
     bench.c.heartbeat_timeout_ns[k] = 0  # 0: not watched
     assert watch_devices(bench.c, bench.h, heard + timeout_ns + 1) == Trip.NONE
 

@@ -645,7 +645,7 @@ def observed(share, counts, *, felt=0, setpoint=0.5):
     bench = standing(Phase.RUN)
     c, h, law = bench.c, bench.h, bench.k.state[0]
     c.rad_count, c.slide_band_counts, c.compensation_Nm, c.friction_Nm = 2.0**-6, 2.0, 0.125, 0.1875
-    c.gain_step, c.brake_limit_Nm, c.viscous, c.felt = 1.0, 4.0, 0.0, felt
+    c.gain_step, c.brake_limit_Nm, c.viscous, c.level_is_felt = 1.0, 4.0, 0.0, felt
     h.gain, h.share, h.slide_counts, h.withheld_compensation, law.brake_Nm = 1.0, share, counts, 5, setpoint
     return bench.h, split_law(bench.axis)
 

@@ -30,7 +30,7 @@ def standing(n, mode="active", counts=5, *overrides):
 
 def test_nothing_is_held_back_without_the_key():
     bench = HostBench()
-    assert bench.c.late_cycles == 0
+    assert bench.c.delay_cycles == 1
     assert hold_back(bench.c, bench.h, 1.0, -2.0, 3.0) == (1.0, -2.0, 3.0)
     assert not any(bench.h.asked_psi_Nm)
 
@@ -38,7 +38,7 @@ def test_nothing_is_held_back_without_the_key():
 @pytest.mark.parametrize("n", [2, 3, 5, 16])
 def test_what_is_asked_for_comes_n_cycles_later_and_before_that_nothing(n):
     bench = standing(n)
-    assert bench.c.late_cycles == n - 1
+    assert bench.c.delay_cycles == n
     asked = [((-1.0) ** k, 0.5 + k, -0.25 - k) for k in range(3 * n)]
     came = [hold_back(bench.c, bench.h, *one) for one in asked]
     assert came == [(0.0, 0.0, 0.0)] * (n - 1) + asked[: 2 * n + 1]
@@ -46,7 +46,7 @@ def test_what_is_asked_for_comes_n_cycles_later_and_before_that_nothing(n):
 
 def test_more_than_the_memory_is_no_write_behind_it():
     bench = standing(16)
-    bench.c.late_cycles = 1000
+    bench.c.delay_cycles = 1000
     came = [hold_back(bench.c, bench.h, 1.0, float(k), 2.0)[1] for k in range(2 * ASKED + 1)]
     assert came[ASKED:] == [float(k) for k in range(ASKED + 1)]
 

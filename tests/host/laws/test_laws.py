@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
-from coulombus.host.laws.laws import OWN_LAWS, LawError, coulomb, karnopp, load_law
+from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, coulomb, karnopp, load_law
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED
 from coulombus.wire.frame import new_records
 
@@ -93,7 +93,7 @@ def test_coulomb_is_equation_4():
 @pytest.mark.parametrize("paper", [0, 1])
 @pytest.mark.parametrize("name", ["karnopp", "coulomb"])
 def test_compiled_law_gives_what_the_plain_one_gives(name, paper):
-    compiled, plain = load_law(name), OWN_LAWS[name].function
+    compiled, plain = load_law(name), BUILTIN_LAWS[name].function
     assert compiled is not plain
     ours, theirs = records(paper_entry=paper, brake_spring=paper), records(paper_entry=paper, brake_spring=paper)
     draw, x, shown = random.Random(3), 0.5, set()

@@ -22,12 +22,12 @@ from coulombus.host.laws.law import (
     described,
     friction_law,
 )
-from coulombus.host.laws.laws import OWN_LAWS, load_declared
+from coulombus.host.laws.laws import BUILTIN_LAWS, load_declared
 from coulombus.rigs.field_help import unit_of
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.wire.frame import new_records
 
-NAMED = [name for name, law in OWN_LAWS.items() if not law.of_mode]
+NAMED = [name for name, law in BUILTIN_LAWS.items() if not law.uses_mode_keys]
 
 
 def walk(seed, samples=400, step=0.01):
@@ -112,7 +112,7 @@ def test_lugre_keeps_its_bounds_at_any_stiffness_and_period(sigma_0, period_s):
 
 @pytest.mark.parametrize("name", NAMED)
 def test_compiled_and_plain_law_are_the_same(name):
-    declared, t, x = OWN_LAWS[name], *walk(7)
+    declared, t, x = BUILTIN_LAWS[name], *walk(7)
     compiled = given_law(name).along(t, x).samples
     law, state, motion, plain = (
         new_records(LawRecord)[0],
@@ -131,7 +131,7 @@ def test_compiled_and_plain_law_are_the_same(name):
         assert state.brake_Nm == pytest.approx(compiled["brake_Nm"][k], rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize("name", OWN_LAWS)
+@pytest.mark.parametrize("name", BUILTIN_LAWS)
 def test_a_law_at_rest_from_the_start_asks_for_nothing(name):
     driven = given_law(name).along(np.arange(50) * 1e-3, np.zeros(50))
     assert not driven.samples["torque_Nm"].any()
@@ -145,7 +145,7 @@ def mirrored(name):
     return (given_law(name).along(t, sign * x).samples for sign in (1.0, -1.0))
 
 
-@pytest.mark.parametrize("name", [name for name in OWN_LAWS if name != "wall"])
+@pytest.mark.parametrize("name", [name for name in BUILTIN_LAWS if name != "wall"])
 def test_a_mirrored_motion_gives_the_mirrored_torque(name):
     ours, theirs = mirrored(name)
     assert theirs["torque_Nm"] == pytest.approx(-ours["torque_Nm"], abs=1e-9)
@@ -159,7 +159,7 @@ def test_a_wall_has_one_side():
 
 @pytest.mark.parametrize("name", NAMED)
 def test_what_a_law_declares_is_whole(name):
-    law = OWN_LAWS[name]
+    law = BUILTIN_LAWS[name]
     told = described(law)
     assert told["title"]
     for one in told["parameters"]:

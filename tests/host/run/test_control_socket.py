@@ -66,15 +66,15 @@ def test_one_host_a_bus_and_a_dead_one_does_not_count():
 
 def test_a_host_that_starts_meanwhile_keeps_its_door(monkeypatch):
     """It was taken away, and two hosts had the bus."""
-    heard_at, first = control_socket._heard_at, []
+    heard_at, first = control_socket._probe, []
 
     def then_another_starts(path):
         found = heard_at(path)
-        monkeypatch.setattr(control_socket, "_heard_at", heard_at)
+        monkeypatch.setattr(control_socket, "_probe", heard_at)
         first.append(HostSocket(BUS))
         return found
 
-    monkeypatch.setattr(control_socket, "_heard_at", then_another_starts)
+    monkeypatch.setattr(control_socket, "_probe", then_another_starts)
     with pytest.raises(SafetyTrip, match="another host starts"):
         HostSocket(BUS)
     assert control_socket.host_runs(BUS)

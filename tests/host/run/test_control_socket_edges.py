@@ -341,7 +341,7 @@ def test_who_has_not_asked_for_a_stop_hears_nothing_of_the_end(host):
 
 
 def test_a_path_that_a_dead_host_left_may_be_gone_meanwhile(monkeypatch):
-    monkeypatch.setattr(control_socket, "_heard_at", lambda path: False)
+    monkeypatch.setattr(control_socket, "_probe", lambda path: False)
     HostSocket(BUS).close()
 
 

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from coulombus.monitor.web.access import Seat, kept_token, new_token, right_token, same_origin, served_as
+from coulombus.monitor.web.access import ControlLock, kept_token, new_token, right_token, same_origin, served_as
 from coulombus.monitor.web.batch import IN_FLIGHT, Flow, batch, layout, unpacked
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page_state import HostView, arm_state, document
@@ -180,9 +180,9 @@ def test_the_host_is_the_address_that_is_served(host, address, port, name, right
 
 
 def test_one_controls_and_the_others_look_on():
-    seat = Seat()
-    assert [seat.take(1), seat.take(2), seat.take(1)] == [True, False, True]
-    seat.leave(2)
-    assert seat.holder == 1
-    seat.leave(1)
-    assert seat.take(2)
+    lock = ControlLock()
+    assert [lock.acquire(1), lock.acquire(2), lock.acquire(1)] == [True, False, True]
+    lock.release(2)
+    assert lock.holder == 1
+    lock.release(1)
+    assert lock.acquire(2)
