@@ -32,16 +32,16 @@ class PdoRecord(Record):
 
     cob_id: int  # 11-bit identifier; -1: the PDO does not exist or is not valid (bit 31 set)
     transmission: int  # transmission type, CiA 301 table 72: 0, 1-240, 252-255
-    inhibit_ns: int
+    inhibit_ns: int  # between two transmissions at least
     event_ns: int  # event timer of a TPDO, deadline of an RPDO; 0: none
-    sync_start: int
-    rtr_allowed: int
+    sync_start: int  # SYNC start value (1800h:06)
+    rtr_allowed: int  # 1: remote frames ask for it
     length: int  # data bytes
     count: int  # fields
     slot: Annotated[Integers, MAX_FIELDS]  # where the field's value stands in the value array; -1: dummy
     start: Annotated[Integers, MAX_FIELDS]  # first bit
     bits: Annotated[Integers, MAX_FIELDS]  # width, 1-64
-    signed: Annotated[Integers, MAX_FIELDS]
+    signed: Annotated[Integers, MAX_FIELDS]  # 1: the field is sign-extended
 
 
 PDO = dtype_of(PdoRecord)

@@ -60,6 +60,7 @@ def test_every_field_of_the_records_is_on_the_page():
         inherited = {name for base in record.__bases__ if base is not Record for name in dtype_of(base).names or ()}
         found = [name for name, _, _ in records.fields_of_record(record)]
         assert found == [name for name in own if name not in inherited], record
+        assert all(words for _, _, words in records.fields_of_record(record)), f"{record}: a field without a word"
         assert f"\n## {record.__name__}\n" in text
     assert "| `phase_cycle` | `int` | cycles since the phase began |" in text
     assert "| `frames` | `Frame[QUEUE_CAPACITY]` | the first `count` of them |" in text

@@ -54,10 +54,10 @@ class Moment(IntEnum):
 class TraceRow(Record):
     """A row of the trace. All counts begin with the loop's process."""
 
-    t_ns: int
+    t_ns: int  # CLOCK_MONOTONIC
     received: int  # frames that the loop had received until then
     kind: Annotated[int, np.int32]  # `Moment`
-    value: Annotated[int, np.int32]
+    value: Annotated[int, np.int32]  # by `kind`
     refused: int  # frames that the bus had not taken until then
     dropped: int  # frames that found no place in the log until then
 

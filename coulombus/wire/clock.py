@@ -27,7 +27,7 @@ class Clock(Record):
     clock_on: int  # 1: it has a time of its own
     clock_ppb: int  # by how much it runs fast, 1e-9
     clock_from_ns: int  # the bus's time and its own when that began
-    clock_at_ns: int
+    clock_at_ns: int  # ... and what it showed then
 
 
 @inlined

@@ -39,7 +39,7 @@ class Frame(Record):
     """A frame, on its way or received."""
 
     t_ns: int  # ready to be sent (in a queue), or end of frame (in a log)
-    can_id: int
+    can_id: int  # the identifier with Linux's flags
     length: int  # data bytes, 0-8
     word: int  # little-endian word of the eight data bytes, 0 beyond `length`
     source: int  # number of the sending station
@@ -53,8 +53,8 @@ QUEUE_CAPACITY = 1024
 class Queue(Record):
     """The frames that stations ask the bus to send."""
 
-    count: int
-    dropped: int
+    count: int  # frames that wait
+    dropped: int  # frames that found no place
     waiting: int  # frames that the bus has taken over and not sent yet, as far as it has told
     frames: Annotated[RecordArray[Frame], QUEUE_CAPACITY]  # the first `count` of them
 

@@ -139,15 +139,15 @@ DRIVE_PDOS = MOST_PDOS
 class ControlRecord(Record):
     """Limits and scales of an axis."""
 
-    period_ns: int
+    period_ns: int  # of SYNC
     window_ns: int  # SYNC to the last TPDO
-    sync_cob_id: int
-    host_id: int
+    sync_cob_id: int  # SYNC's identifier; -1: another axis leads
+    host_id: int  # the host's own node id
     nodes: int  # motor, brake, sensors
-    node_id: Annotated[Integers, MOST_DEVICES]
+    node_id: Annotated[Integers, MOST_DEVICES]  # of each node
     emcy_id: Annotated[Integers, MOST_DEVICES]  # identifier of each node's EMCYs
     heartbeat_timeout_ns: Annotated[Integers, MOST_DEVICES]  # of each node; 0: not watched
-    heartbeat_ns: int
+    heartbeat_ns: int  # period of the host's heartbeat; 0: it has none
     guard_ns: int  # period of the remote frames by which the host guards; 0: it guards no node
     guarded: int  # a bit for each node that is guarded
     rpdos: int  # number of PDOs the host sends
@@ -167,32 +167,32 @@ class ControlRecord(Record):
     motor_Nm_raw: float  # torque at the handle of one count of the set-point (6071h: per mille), signed
     torque_Nm_raw: float  # of the measured torque; 0: not measured
     torque_commanded: float  # 1: the command stands for it
-    handle_Nm_raw: float
-    handle_offset_Nm: float
+    handle_Nm_raw: float  # of the handle's torque transducer, signed; 0: there is none
+    handle_offset_Nm: float  # what the transducer shows without a load
     brake_Nm_raw: float  # with a table, of its last step
     brake_points: int  # of the table; 0: a factor
-    brake_raw_at: Annotated[Floats, TABLE_POINTS]
-    brake_Nm_at: Annotated[Floats, TABLE_POINTS]
+    brake_raw_at: Annotated[Floats, TABLE_POINTS]  # the set-points of the table, ascending ...
+    brake_Nm_at: Annotated[Floats, TABLE_POINTS]  # ... and the torques that they give
     coil_A_raw: float  # 0: not measured
     coil_A_Nm: float  # the command stands for it; 0: it is measured
     # compensation of the inherent friction
-    friction_Nm: float
-    compensation_Nm: float
-    viscous: float
-    velocity_band_counts: float
+    friction_Nm: float  # the device's own Coulomb friction, as believed
+    compensation_Nm: float  # what the motor gives against it
+    viscous: float  # Nms/rad, compensated, too
+    velocity_band_counts: float  # Delta v, in encoder counts a cycle
     slide_band_counts: float  # the band of the estimate over `window_cycles`
     gain_step: float  # a cycle
     delay_cycles: int  # from sampling to actuation; beyond 1 the host holds back what the law asks for
     # what the hand feels (`host.cycle.felt`)
     window_cycles: int  # of the estimate of a slow velocity; 1: a backward difference
     level_is_felt: int  # 1: the law says what the hand feels, and not what the brake bears
-    inertia: float
+    inertia: float  # kg m2, of the handle with the motor
     coil_step: float  # share of the way that the coil goes in a cycle, as believed; 0: no lead
-    fluid_step: float
+    fluid_step: float  # the same share for the fluid
     iron_plays: int  # play operators of the brake's iron, as believed; 0: it has no hysteresis
-    iron_r: Annotated[Floats, MOST_PLAYS]
-    iron_w: Annotated[Floats, MOST_PLAYS]
-    iron_direct: float
+    iron_r: Annotated[Floats, MOST_PLAYS]  # thresholds of the play operators [Nm] ...
+    iron_w: Annotated[Floats, MOST_PLAYS]  # ... and their weights
+    iron_direct: float  # weight of the coil itself
     passivity_J: float  # inf: the motor's compensation is not observed
     # limits
     motor_limit_raw: int  # in counts of the set-point; of 6071h the same number as the drive's 6072h
@@ -201,33 +201,33 @@ class ControlRecord(Record):
     brake_limit_raw: int  # what its object takes at most
     brake_fall_Nm: float  # by which the law's set-point may fall in a cycle
     clipped_cycles: int  # so many more clipped than unclipped cycles of the law trip
-    speed_limit: float
-    jump_counts: int
-    net_work_J: float
-    net_work_cycles: int
+    speed_limit: float  # rad/s
+    jump_counts: int  # more in a cycle is no motion
+    net_work_J: float  # that the motor may give within the window
+    net_work_cycles: int  # length of that window
     travel_rad: float  # inf: unlimited
     motor_mismatch_Nm: float  # measured torque beyond the command; inf: not measured
-    motor_mismatch_cycles: int
+    motor_mismatch_cycles: int  # so many in a row trip
     motor_lag_decay: float  # a cycle, of the command's envelope
-    mismatch_Nm: float
-    mismatch_cycles: int
-    missed_cycles: int
-    coil_limit_A2: float
+    mismatch_Nm: float  # transducer beyond what motor and brake explain
+    mismatch_cycles: int  # so many in a row trip
+    missed_cycles: int  # so many in a row without a TPDO trip
+    coil_limit_A2: float  # mean square of the coil's current
     coil_decay: float  # a cycle
     brake_lag_decay: float  # a cycle, of the brake torque expected at the handle
     # arming
-    still_cycles: int
-    still_handle_Nm: float
-    still_timeout_cycles: int
-    enable_timeout_cycles: int
+    still_cycles: int  # so many in a row without a count are standstill
+    still_handle_Nm: float  # more torque on the handle is a load
+    still_timeout_cycles: int  # arming is refused after so many
+    enable_timeout_cycles: int  # arming is refused after so many
     sign_check: int  # 0: no motor in this mode, nothing to check
     sign_step_Nm: float  # a cycle
-    sign_counts: int
-    sign_torque_Nm: float
-    sign_travel_counts: int
+    sign_counts: int  # motion that is decisive
+    sign_torque_Nm: float  # the ramp's end
+    sign_travel_counts: int  # motion that is too much
     sign_hand_Nm: float  # change of the handle torque that is decisive
     sign_hand_cycles: int  # ... averaged over this many cycles
-    settle_cycles: int
+    settle_cycles: int  # without torque behind the sign check
     # dead man
     deadman_key: int  # 1: somebody outside keeps HOST.deadman_ok
     deadman_slot: int  # slot of the process image that holds the switch; -1: none
@@ -244,18 +244,18 @@ class ControlRecord(Record):
 class HostRecord(Record):
     """What the cycle of an axis keeps."""
 
-    phase: int
+    phase: int  # a `Phase`
     phase_cycle: int  # cycles since the phase began
     stop: int  # 1: somebody wants the safe state without a trip
-    trip: int
-    trip_ns: int
+    trip: int  # a `Trip`
+    trip_ns: int  # when
     emcy_code: int  # error code of the EMCY that tripped
-    sign_result: int
+    sign_result: int  # a `SignResult`
     sign_direction: int  # sense that the sign check tries: 1, then -1
     sign_moved: int  # counts that its full torque moved the handle, at most
     deadman_ok: int  # 1: a hand is on the switch, or none is asked for
     # the cycle
-    cycle: int
+    cycle: int  # number of this cycle
     next_ns: int  # when `on_time` wants to be called
     sync_ns: int  # when this cycle's SYNC was due
     waiting: int  # 1: SYNC is out, TPDOs are awaited
@@ -263,47 +263,47 @@ class HostRecord(Record):
     enabled_ns: int  # when the drive entered Operation Enabled; -1 before
     armed_ns: int  # when the law began; -1 before
     full_gain_ns: int  # when its gain came to 1; -1 before
-    heartbeat_due_ns: int
-    guard_due_ns: int
+    heartbeat_due_ns: int  # the host's next heartbeat
+    guard_due_ns: int  # its next round of guarding
     heard_ns: Annotated[Integers, MOST_DEVICES]  # of each node, its last heartbeat; -1 none
-    nmt: Annotated[Integers, MOST_DEVICES]
+    nmt: Annotated[Integers, MOST_DEVICES]  # of each node, the state that its heartbeat told; -1 none
     suspect_node: int  # the node whose EMCY or heartbeat tripped
     law_Nm: float  # what the law returned that is not finite ...
     law_part: int  # ... 0: as its result, 1: for the brake, 2: for the motor
     # measured
-    image: Annotated[Integers, IMAGE_SLOTS]
+    image: Annotated[Integers, IMAGE_SLOTS]  # the process image, by `Image`
     raw_position: int  # 6064h as it came last
     counts: int  # encoder counts since the start, without the wrap of 6064h
     position_age: int  # cycles since it was fresh
-    has_position: int
+    has_position: int  # 1: a position has come since the start
     fresh: int  # 1: this cycle's position is fresh
     reference_counts: int  # of the phase: where the handle was still, where the sign check began
     moved_counts: int  # between the last two fresh positions, however many cycles apart
-    v_counts: float
+    v_counts: float  # the velocity, in counts a cycle
     slide_counts: float  # the estimate by which the law slides or is stuck
     track: Annotated[Integers, TRACK]  # the positions behind it
-    track_row: int
-    track_length: int
-    handle_Nm: float
+    track_row: int  # where the next one goes
+    track_length: int  # how many are there
+    handle_Nm: float  # the transducer's torque
     drive: int  # PowerState that the statusword tells; -1: none
     brake_drive: int  # the brake's; of one without power states the drive's
     # commanded
-    gain: float
+    gain: float  # of the law, 0 to 1
     torque_Nm: float  # the motor's
-    brake_Nm: float
-    brake_lagged_Nm: float
+    brake_Nm: float  # the brake's
+    brake_lagged_Nm: float  # the brake torque that is expected at the handle
     coil_Nm: float  # the lead's belief of what the coil's current stands for ...
     iron_Nm: float  # ... of what the fluid sees of it ...
-    iron_y: Annotated[Floats, MOST_PLAYS]
+    iron_y: Annotated[Floats, MOST_PLAYS]  # of the play operators, as believed
     fluid_Nm: float  # ... and of what the fluid bears
     asked_sense: Annotated[Floats, ASKED]  # by the law, and held back: of the compensation ...
     asked_psi_Nm: Annotated[Floats, ASKED]  # ... of the motor ...
     asked_brake_Nm: Annotated[Floats, ASKED]  # ... and of the brake
-    asked_row: int
+    asked_row: int  # where the next ones go
     share: float  # of its compensation that the motor may give
     port_J: float  # paid at the hand's port and still there
     port_kinetic_J: Annotated[Floats, KINETIC_CYCLES]  # of the last fresh cycles
-    port_row: int
+    port_row: int  # where the next energy goes
     port_brake_Nm: float  # the brake's expected torque on the way that the position ends
     port_handle_Nm: float  # a cycle ago: the hand ...
     port_pushed_Nm: float  # ... and the law's part for the motor
@@ -311,41 +311,39 @@ class HostRecord(Record):
     port_slid_ns: int  # ... and for how long it has had its sign
     pushed_Nm: float  # the law's part that the motor was given last, as psi
     handle_before_Nm: float  # sums of the handle torque before and in the sign check
-    handle_during_Nm: float
-    handle_samples: int
+    handle_during_Nm: float  # ... and in it
+    handle_samples: int  # how many are summed
     emcy: int  # a trip that an EMCY asks for
     foreign_id: int  # identifier of a host's frame that somebody else sent; -1: none
     # watches
-    still: int
-    missed_in_a_row: int
-    tpdo_age: Annotated[
-        Integers, DRIVE_PDOS
-    ]  # closed since each of the TPDOs by timer came: 1 in the cycle in which it came
+    still: int  # cycles in a row without a count
+    missed_in_a_row: int  # cycles in a row that lack a TPDO
+    tpdo_age: Annotated[Integers, DRIVE_PDOS]  # cycles since each TPDO by timer came: 1 in the cycle in which it came
     oldest_tpdo: int  # the largest of them
-    voltage_low: int
+    voltage_low: int  # cycles in a row in which the drive lacked its voltage
     commanded_high_Nm: float  # envelope of the motor's commands, which decays to 0 ...
-    commanded_low_Nm: float
+    commanded_low_Nm: float  # ... below and above
     motor_mismatch: int  # cycles in a row in which the measured torque is outside
-    mismatch: int
-    coil_A2: float
-    work_sum: float
-    work_row: int
-    work: Annotated[Floats, WORK_WINDOW_CYCLES]
+    mismatch: int  # cycles in a row in which the transducer shows more than is explained
+    coil_A2: float  # mean square of the coil's current
+    work_sum: float  # of the window [J]
+    work_row: int  # where the next one goes
+    work: Annotated[Floats, WORK_WINDOW_CYCLES]  # of the motor in each cycle of the window [J]
     # counters
     clipped: int  # 1: a limit acts on what the law asks for in this cycle
     clipped_balance: int  # clipped cycles less unclipped ones, not below 0
     display_cycles: int  # cycles since Operation Enabled, until SAFE
-    lost_pdos: int
+    lost_pdos: int  # TPDOs that had not come by the next SYNC
     late_cycles: int  # whose RPDOs were handed over after the next SYNC was due
-    stray_frames: int
-    malformed_pdos: int
+    stray_frames: int  # of nobody that the host knows
+    malformed_pdos: int  # of a wrong length
     malformed_services: int  # EMCYs, heartbeats, SDO responses of another length than CiA 301's
     clipped_torque: int  # the motor's torque was more than its limit
     slowed_torque: int  # ... was held back by its rate, or near the speed limit, in phase RUN
     limited_by_drive: int  # the drive told of a limit of its own (statusword bit 11) in phase RUN
     clipped_setpoints: int  # the brake's set-point was more than its limit
     slowed_setpoints: int  # ... fell faster than its rate
-    negative_setpoints: int
+    negative_setpoints: int  # of the brake, by the law
     withheld_compensation: int  # the observer let the motor give less than its compensation
     # what the host has told of itself (`host.cycle.telemetry`)
     told_cycle: int  # the last cycle of which it told
@@ -371,8 +369,8 @@ SLOTS = Slot.USER + 16
 class OrderRecord(Record):
     """The parameters that somebody wants."""
 
-    value: Annotated[Floats, SLOTS]
-    cycles: int
+    value: Annotated[Floats, SLOTS]  # by `Slot`
+    cycles: int  # in which the axis goes there
 
 
 ORDER = dtype_of(OrderRecord)
@@ -385,7 +383,7 @@ class LiveRecord(Record):
     wanted: int  # number of the newest order; 0: there was none
     taken: int  # number of the order that the step follows
     cycle: int  # of the way there
-    cycles: int
+    cycles: int  # that the way takes
     first: Annotated[Floats, SLOTS]  # where it began
     last: Annotated[Floats, SLOTS]  # where it ends
 

@@ -51,10 +51,10 @@ __all__ = [
 class MotionRecord(Record):
     """What a law sees."""
 
-    x_rad: float
-    v_rad_s: float  # backward difference of the position
+    x_rad: float  # the handle's angle [rad]
+    v_rad_s: float  # backward difference of the position, or its mean over law.velocity_window_cycles
     v_counts: float  # the same in encoder counts a cycle
-    dt_s: float
+    dt_s: float  # the cycle [s]
     handle_Nm: float  # torque transducer, the hand's torque on the handle
 
 
@@ -70,10 +70,10 @@ class LawRecord(Record):
     K_p: float  # Nm/rad
     F_s: float  # Nm
     F_d: float  # Nm
-    velocity_band_counts: float  # Delta v, in encoder counts a cycle
+    velocity_band_counts: float  # Delta v, in encoder counts a cycle: the key's, divided by the window's cycles
     paper_entry: int  # 1: x_stuck = x at stick entry, as printed in the paper
     brake_spring: int  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
-    user: Annotated[Floats, USER]
+    user: Annotated[Floats, USER]  # a law's own parameters, in the order of its declaration
 
 
 LAW = dtype_of(LawRecord)
@@ -82,12 +82,12 @@ LAW = dtype_of(LawRecord)
 class LawStateRecord(Record):
     """What a law keeps from cycle to cycle."""
 
-    stuck: int
+    stuck: int  # 1: the handle sticks
     x_stuck: float  # rad
     psi_Nm: float  # what the law returned last; kept by the host
     brake_Nm: float  # the law's set-point for the brake, >= 0
     motor_Nm: float  # the law's part for the motor in mode hybrid, as psi; 0 but for laws that push back
-    user: Annotated[Floats, USER]
+    user: Annotated[Floats, USER]  # what a law keeps by names of its own
 
 
 LAW_STATE = dtype_of(LawStateRecord)

@@ -60,7 +60,7 @@ class PlaneRecord(Record):
     """What the data plane and its parent tell each other."""
 
     # written by the parent
-    command: int
+    command: int  # a `PlaneCommand`
     stop: int  # for HOST.stop: 1 a safe stop, above it a Trip
     deadman_ns: int  # CLOCK_MONOTONIC until which the dead man's key counts as held
     start_ns: int  # when the first cycle is due
@@ -72,27 +72,27 @@ class PlaneRecord(Record):
     order: int  # number of the newest order of parameters (`host.cycle.live_parameters`)
     order_axis: int  # ... and whose it is
     # written by the data plane
-    status: int
-    error: int
-    log_head: int
-    trace_head: int
+    status: int  # a `PlaneStatus`
+    error: int  # the system's number, where the bus is lost
+    log_head: int  # frames that the ring was given
+    trace_head: int  # and rows that the trace was given
     rx_ns: int  # stamp of the frame that was received last
     ordered: int  # number of the order that was wanted last
     asked: int  # the reason for which all axes were asked to stop
-    cycles: int
+    cycles: int  # done
     missed_deadlines: int  # periods at whose end their RPDOs were not out
     full_in_a_row: int  # cycles one after another in which the bus did not take a frame
     cpu_ns: int  # of this thread while it cycled
-    wakeup_max_ns: int
+    wakeup_max_ns: int  # the latest that a cycle began
     latency_max_ns: int  # SYNC to the last RPDO
-    interrupted: int
+    interrupted: int  # waits that a signal ended
     tx_full: int  # frames that the bus did not take: EAGAIN, ENOBUFS
-    rx_frames: int
-    rx_malformed: int
+    rx_frames: int  # frames that were received
+    rx_malformed: int  # messages that are no frame
     rx_overflow: int  # frames that this socket's queue has dropped
-    error_frames: int
+    error_frames: int  # error frames that were received
     foreign_sync: int  # SYNC or the host's heartbeat from another station
-    log_dropped: int
+    log_dropped: int  # frames that found no place in the ring
 
 
 PLANE = dtype_of(PlaneRecord)

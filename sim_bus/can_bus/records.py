@@ -48,30 +48,30 @@ class ControllerRecord(Record):
     """The CAN controller of a station."""
 
     # set up
-    attached: int
-    listen_only: int
-    one_shot: int
-    loopback: int
-    queue_limit: int
-    restart_ns: int
+    attached: int  # 1: the station is on the bus
+    listen_only: int  # 1: it never drives the wire
+    one_shot: int  # 1: it sends each frame once
+    loopback: int  # 1: it receives its own frames
+    queue_limit: int  # frames that may wait; 0: any number
+    restart_ns: int  # from bus-off to the beginning of recovery; MANUAL: never
     # fault confinement
-    tec: int
-    rec: int
-    state: int
-    changed: int
-    recovered: int
-    restart_at_ns: int
-    runs_left: int
-    suspend_ns: int
+    tec: int  # transmit error counter
+    rec: int  # receive error counter
+    state: int  # a `CanState`
+    changed: int  # 1: the state has changed, which is to be told
+    recovered: int  # 1: bus-off is over, which is to be told
+    restart_at_ns: int  # when recovery begins
+    runs_left: int  # of 11 recessive bits, until bus-off ends
+    suspend_ns: int  # until then an error-passive sender waits
     # counters
-    overloads: int
-    retransmissions: int
-    arbitration_lost: int
-    dropped: int
-    warnings: int
-    passives: int
-    bus_offs: int
-    restarts: int
+    overloads: int  # overload frames
+    retransmissions: int  # frames that were sent again
+    arbitration_lost: int  # arbitrations that it lost
+    dropped: int  # frames that found no place in its queue
+    warnings: int  # times that it came to error warning
+    passives: int  # times that it became error passive
+    bus_offs: int  # times that it went bus-off
+    restarts: int  # times that it recovered
     errors: Annotated[Integers, len(ErrorKind)]  # by kind
     # the frame on the wire
     half: int  # where it is while the cable is cut
@@ -82,28 +82,28 @@ class ControllerRecord(Record):
     again: int  # ... and it is sent once more ...
     lost_for: int  # ... and this station does not receive it
     # bit by bit (`sim_bus.can_bus.controller_bits`)
-    mode: int
-    count: int
-    level: int
-    frame: int
-    sent_bits: int
-    transmitted: int
-    exempt: int
-    overload: int
-    joins: int
-    passive_flag: int
-    flag_last: int
-    flag_run: int
-    position: int
-    last: int
-    run: int
-    crc: int
-    bit_12: int
-    extended: int
-    header: int
-    dlc: int
-    crc_end: int
-    tail: int
+    mode: int  # a `ControllerMode`
+    count: int  # bits in this mode
+    level: int  # that it drives: 0 dominant, 1 recessive
+    frame: int  # row of the frame that it sends; -1: it receives
+    sent_bits: int  # of that frame
+    transmitted: int  # 1: its own frame has just ended
+    exempt: int  # 1: its error counts nothing, unless its passive flag sees something dominant (rule c)
+    overload: int  # 1: the flag and delimiter are an overload frame's
+    joins: int  # 1: it sends with the next start of frame
+    passive_flag: int  # 1: its error flag is passive
+    flag_last: int  # the last level within a passive flag ...
+    flag_run: int  # ... and how often it stood in a row
+    position: int  # of the bit within the frame, without stuff bits
+    last: int  # the last level ...
+    run: int  # ... and how often it stood in a row
+    crc: int  # of what was received
+    bit_12: int  # RTR or SRR
+    extended: int  # 1: 29 bits of identifier
+    header: int  # bits before the data field; NOT_YET
+    dlc: int  # data length code
+    crc_end: int  # bits up to the end of the CRC sequence; NOT_YET
+    tail: int  # bits behind the CRC sequence
 
 
 class SenderRecord(Record):
@@ -145,33 +145,33 @@ class PlayRecord(Record):
 class FaultRecord(Record):
     """A fault that is planned."""
 
-    kind: int
+    kind: int  # a `FaultKind`
     from_ns: int  # active from ... to
-    until_ns: int
+    until_ns: int  # ... to
     framed: int  # 1: it waits for a frame
     match_id: int  # of the frame, with Linux's flags: equal under the mask
-    match_mask: int
+    match_mask: int  # bits that count
     match_source: int  # and sent by this station, or by `ALL`
     nth: int  # the first frame that is meant, counted from 1
     every: int  # and then every so many; 0: that one only
     most: int  # how often it may strike; 0: no limit
     station: int  # whom it hits, or `ALL`
-    bit: int
-    delay_ns: int
+    bit: int  # which one is turned
+    delay_ns: int  # by which a frame is put off
     can_id: int  # what a babbler says
-    length: int
-    word: int
-    period_ns: int
-    next_ns: int
-    seen: int
-    fired: int
-    first_ns: int
-    last_ns: int
+    length: int  # of a babbler's frame
+    word: int  # of a babbler's frame
+    period_ns: int  # of a babbler
+    next_ns: int  # when it acts next
+    seen: int  # frames that matched
+    fired: int  # how often it struck
+    first_ns: int  # when it struck first
+    last_ns: int  # when it struck last
     active: int  # a noise: 1: at work
     hits: int  # bits that it has disturbed, not counted in `fired` yet
     lasts_ns: int  # a cut
     far: Annotated[Integers, STATIONS, np.int8]  # by row of a station: 1: in the second half of the cut cable
-    rate: float
+    rate: float  # of a noise: disturbed bits among all
 
 
 class StruckRecord(Record):
@@ -208,20 +208,20 @@ class BusRecord(Record):
     bit_rate: int  # bit/s; 0: a frame takes no time here (another bus carries it)
     stage: int  # `sim_bus.can_bus.bus_state.Stage`: what the wire is in the midst of
     delivered: int  # `sim_bus.can_bus.bus_state.Delivered`: who has what has ended last
-    end_ns: int
-    free_ns: int
+    end_ns: int  # of the frame on the wire
+    free_ns: int  # the bus is free from then on
     t_ns: int  # the frame on the wire, fields as in FRAME
-    can_id: int
-    length: int
-    word: int
-    source: int
+    can_id: int  # with Linux's flags
+    length: int  # data bytes
+    word: int  # data
+    source: int  # number of the sending station
     frames: int  # counters
-    bits: int
+    bits: int  # all that were on the wire, stuff bits included
     # the cable in two halves (`cable_cut`)
     half: int  # of the cut cable, 0 or 1, that this record is (sim_bus.copper.cut)
     cut: int  # in the first record: is the cable cut?
     cut_row: int  # by which row of the faults
-    mend_ns: int
+    mend_ns: int  # when it is whole again
     # frames that wait (`tx_queue`)
     limited: int  # 1: some station takes no more than so many
     held: int  # frames that wait here
@@ -232,42 +232,42 @@ class BusRecord(Record):
     freed: int  # places that may be used again
     waiting_of: Annotated[Integers, STATION_MASK + 1]  # frames that wait here, by station
     later_key: Annotated[Integers, ROOM]  # heap: ready time
-    later_place: Annotated[Integers, ROOM]
+    later_place: Annotated[Integers, ROOM]  # ... and place
     ready_key: Annotated[Integers, ROOM]  # heap: arbitration field, sequence
-    ready_place: Annotated[Integers, ROOM]
+    ready_place: Annotated[Integers, ROOM]  # ... and place
     free_place: Annotated[Integers, ROOM]  # stack
     held_order: Annotated[Integers, ROOM]  # by place: its key in the heap `ready`
     held_can_id: Annotated[Integers, ROOM]  # by place: the frame
-    held_length: Annotated[Integers, ROOM]
-    held_word: Annotated[Integers, ROOM]
-    held_source: Annotated[Integers, ROOM]
+    held_length: Annotated[Integers, ROOM]  # data bytes
+    held_word: Annotated[Integers, ROOM]  # data
+    held_source: Annotated[Integers, ROOM]  # station
     # who is there (`stations`)
     alert: int  # 1: look closely
-    on_count: int
+    on_count: int  # how many are switched on
     on: Annotated[Integers, STATIONS]  # rows of the stations that are switched on
     # ends of frames (`frame_result`)
     partial_row: int  # the log's row of the last frame that was delivered to `Delivered.HEARERS`
     errors: int  # errors that were told, all stations together
-    retransmissions: int
+    retransmissions: int  # frames that were sent again
     confinements: int  # 1: a controller's `confinement` is to be told to its node
     # bits (`bit_level`, `controller_bits`)
-    play: PlayRecord
+    play: PlayRecord  # where the bits have come to
     recessive_ns: int  # the wire has been recessive since, as far as somebody looked
-    seen: SeenRecord
-    senders: int
-    tx: Annotated[RecordArray[SenderRecord], MAX_SENDERS]
+    seen: SeenRecord  # what was seen of the frame
+    senders: int  # rows of `tx` in use
+    tx: Annotated[RecordArray[SenderRecord], MAX_SENDERS]  # the stations that send
     # faults (`faults`, `noise`)
-    faults: Annotated[RecordArray[FaultRecord], MAX_FAULTS]
-    fault_count: int
+    faults: Annotated[RecordArray[FaultRecord], MAX_FAULTS]  # rows of the faults' file
+    fault_count: int  # how many
     fault_due: int  # bit i: row i waits for the end of the frame that has triggered it
     fault_calls: int  # bit i: row i waits for Python (a reset, a cut)
     alarm_ns: int  # when the bus itself has something to do, though nobody sends
     told: int  # injections since the last look: time, row, identifier
-    told_ns: Annotated[Integers, MOST_TOLD]
-    told_row: Annotated[Integers, MOST_TOLD]
-    told_id: Annotated[Integers, MOST_TOLD]
-    struck: StruckRecord
-    stuck: StuckRecord
-    noise: NoiseRecord
+    told_ns: Annotated[Integers, MOST_TOLD]  # of each, when
+    told_row: Annotated[Integers, MOST_TOLD]  # ... which fault
+    told_id: Annotated[Integers, MOST_TOLD]  # ... identifier of the frame
+    struck: StruckRecord  # what strikes the frame that starts
+    stuck: StuckRecord  # when the wire is dominant
+    noise: NoiseRecord  # random bit errors
     # all controllers
-    stations: Annotated[RecordArray[ControllerRecord], STATIONS]
+    stations: Annotated[RecordArray[ControllerRecord], STATIONS]  # by the low eight bits of a station's number

@@ -132,69 +132,69 @@ class PlantRecord(Record):
     """The rig of an axis (`sim_bus.rig.plant`)."""
 
     # parameters
-    step_ns: int
-    h: float
-    inertia: float
-    viscous: float
-    coulomb: float
+    step_ns: int  # the plant's step
+    h: float  # the same [s]
+    inertia: float  # of the device [kg m2]
+    viscous: float  # of the device [Nms/rad]
+    coulomb: float  # its Coulomb friction [Nm]
     stribeck: float  # what the static friction is more than that
-    stribeck_v: float
-    off_state: float
-    operator_inertia: float
-    operator_damping: float
-    operator_stiffness: float
+    stribeck_v: float  # Stribeck speed [rad/s]
+    off_state: float  # the brake's torque without current [Nm]
+    operator_inertia: float  # of the hand [kg m2]
+    operator_damping: float  # of the hand [Nms/rad]
+    operator_stiffness: float  # of the hand [Nm/rad]
     motor_decay: float  # exp(-h / lag)
     motor_Nm_pm: float  # torque at the handle for one per mille, with the true polarity
-    motor_peak_pm: float
+    motor_peak_pm: float  # what the motor gives at most
     cogging: float  # amplitude at the handle
     cogging_rad: float  # periods for one radian at the handle, times 2 pi
-    coil_decay: float
-    fluid_decay: float
-    brake_max: float
-    coil_A_Nm: float
+    coil_decay: float  # exp(-h / lag) of the coil
+    fluid_decay: float  # exp(-h / lag) of the fluid
+    brake_max: float  # what the brake gives at most [Nm]
+    coil_A_Nm: float  # current for one Nm
     counts_rad: float  # encoder counts for one radian at the handle, with the true polarity
     eccentric: float  # amplitude of the encoder's error at the handle
     eccentric_rad: float  # its radians for one radian at the handle
-    noise: float
-    bias: float
-    drift: float
-    transducer_decay: float
+    noise: float  # of the transducer [Nm RMS]
+    bias: float  # of the transducer [Nm]
+    drift: float  # of the transducer [Nm/s]
+    transducer_decay: float  # exp(-h / lag) of the transducer
     coil_step: float  # resolution of the coil's torque; 0: continuous
-    transducer_polarity: float
-    ambient: float
+    transducer_polarity: float  # 1 or -1
+    ambient: float  # temperature of the room [degC]
     K_A2: float  # steady rise of the coil's temperature for the square of its current
-    thermal_s: float
-    remanence: float
+    thermal_s: float  # time constant of the coil
+    remanence: float  # share of the torque that the iron keeps
     brake_gain: float  # true torque for each Nm that the command stands for
     # state
-    temperature: float
+    temperature: float  # of the coil [degC]
     coil_fault: int  # COIL_INTACT, COIL_OPEN, COIL_SHORT
     motor_pm: float  # what the drive commands, per mille of the motor's rated torque
     brake_Nm: float  # what the brake's driver commands
     reverse_A: float  # the driver's current of the opposite sign
     remanent: float  # brake torque that the iron remembers
     remanent_before: float  # ... before the current became negative
-    t_ns: int
-    x: float
-    v: float
+    t_ns: int  # up to which it was advanced
+    x: float  # angle of the handle [rad]
+    v: float  # speed of the handle [rad/s]
     motor: float  # motor torque at the handle
     coil: float  # brake torque that the coil's present current stands for
     fluid: float  # brake torque that the fluid can bear now, without the off-state part
     inherent: float  # the device's own friction at the present speed
     transduced: float  # what the transducer's filter has of the hand's torque
     filtered: int  # 1: the transducer shows that, and not the torque itself
-    random: int
+    random: int  # state of the noise's generator
     # torques on the handle in the step that ended at t_ns
-    f_operator: float
-    f_motor: float
-    f_brake: float
-    f_friction: float
+    f_operator: float  # the hand's
+    f_motor: float  # the motor's
+    f_brake: float  # the brake's
+    f_friction: float  # the device's own
     # cumulative work of each on the handle, and the viscous loss
-    w_operator: float
-    w_motor: float
-    w_brake: float
-    w_friction: float
-    w_viscous: float
+    w_operator: float  # the hand's [J]
+    w_motor: float  # the motor's
+    w_brake: float  # the brake's
+    w_friction: float  # the device's own friction's
+    w_viscous: float  # what its viscous friction took
     detail: DetailRecord  # what it has beyond one rigid body
 
 
@@ -229,12 +229,12 @@ class RigAxis(Coupling):
     """An axis of the rig: its devices, and the operator's schedule."""
 
     motor: int  # rows of the node records
-    brake: int
+    brake: int  # row of the brake
     operator_start_ns: int  # -1: the schedule has not begun
     force_step: int  # the plant's step at which the force block begins
     force_end_ns: int  # the time at which it ends
-    steps_per_knot: int
-    truth_on: int
+    steps_per_knot: int  # of the operator's force
+    truth_on: int  # 1: the true course is kept
 
 
 DETAIL = dtype_of(DetailRecord)
