@@ -4,7 +4,7 @@ The class is what mypy knows of a record; `dtype_of` makes of it what NumPy and 
 
     class Frame(Record):
         t_ns: int  # end of frame
-        data: Annotated[Integers, 8]
+        words: Annotated[Integers, 8]
 
     FRAME = dtype_of(Frame)
     frame = new_records(Frame)[0]
@@ -97,6 +97,8 @@ def dtype_of(record: type[Record]) -> np.dtype[Any]:
     """Return the structured dtype of the records that `record` declares, aligned as C does it."""
     if record not in _DTYPES:
         hints = get_type_hints(record, include_extras=True)
+        if taken := set(hints) & set(dir(np.record)):
+            raise TypeError(f"{record.__name__}: NumPy's records have {', '.join(sorted(taken))} of their own")
         _DTYPES[record] = np.dtype([(name, *_format(hint)) for name, hint in hints.items()], align=True)
     return _DTYPES[record]
 

@@ -6,7 +6,7 @@ file.
     [[at]]
     t_s = 5.0
     node = "motor"            # or "brake", a sensor's name, of several axes "left.motor"
-    action = "power_off"      # or "power_on", "reset" (as by the NMT command), "fault", "clear"
+    action = "fault"          # or "clear", "power_off", "power_on", "reset" (as by the NMT command)
     fault = "over_current"    # with "fault" and "clear": one of FAULTS; "clear" without it ends all of the node
     after = "enabled"         # t_s counts from the drive's first Operation Enabled; default: "start", the power-on
 

@@ -68,6 +68,14 @@ def test_kernels_write_the_fields():
     assert records[0].n == 0
 
 
+def test_a_name_that_numpy_has_already_is_refused():
+    class Message(Record):
+        data: int
+
+    with pytest.raises(TypeError, match="Message: NumPy's records have data of their own"):
+        dtype_of(Message)
+
+
 def test_copies_are_of_their_own():
     records = new_records(Inner, 2)
     other = copied(records)
