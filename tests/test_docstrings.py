@@ -20,9 +20,10 @@ from coulombus.kernels import records
 from coulombus.lab.study.study import read_study
 from coulombus.lab.sweep.sweep_file import read_sweep
 from coulombus.recording.reading import read
+from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.fault_file import read_faults
 from coulombus.sim_bus.network.script import read_script
-from places import ROOT
+from places import EDS, RIGS, ROOT
 
 BLOCK = re.compile(r"::\n\n((?:    .*(?:\n|\Z)|\n)+)")
 ELSEWHERE = {
@@ -131,7 +132,17 @@ def test_python_runs(module, tmp_path, monkeypatch):
     check(names)
 
 
+def rig_of(path):
+    """The bench rig with the example's axes."""
+    folder = path.parent / "rigs"
+    folder.mkdir()
+    os.symlink(EDS, path.parent / "eds")
+    (folder / "two.toml").write_text((RIGS / "bench.toml").read_text() + path.read_text())
+    return load_rig(str(folder / "two.toml")).axes
+
+
 READERS = {
+    "rigs/axes.py": rig_of,
     "lab/study/study.py": read_study,
     "lab/sweep/sweep_file.py": read_sweep,
     "sim_bus/faults/fault_file.py": read_faults,
