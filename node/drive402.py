@@ -6,7 +6,7 @@ The power states are `node.states402`'s, the torque is
 guarding, bus-off - is a fault of our own drive; another maker's does what 6007h says, as CiA 402
 has it.
 
-    n : the NODE record
+    n : the `NodeRecord`
 """
 
 from __future__ import annotations

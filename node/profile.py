@@ -7,7 +7,7 @@ file that lacks an object leaves the object's slot at `CoreObject.absent`, so th
 behind any vendor's file as far as the file's objects allow; `Profile.missing` tells which ones it
 lacks that the kind cannot do without.
 
-    n : the NODE record
+    n : the `NodeRecord`
 """
 
 from __future__ import annotations

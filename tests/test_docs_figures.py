@@ -89,8 +89,8 @@ def test_the_page_of_laws_has_every_law_and_every_field():
     text = text_of("docs/laws.md")
     listed = [row[0].strip("`") for row in rows(text.partition("## The laws")[2].partition("\n## ")[0])[2:]]
     assert sorted(listed) == sorted(BUILTIN_LAWS)
-    for record, dtype in (("MOTION", MOTION), ("LAW", LAW), ("LAW_STATE", LAW_STATE)):
-        table = text.partition(f", record `{record}`")[2].partition("| field |")[2].partition("\n\n")[0]
+    for record, dtype in (("MotionRecord", MOTION), ("LawRecord", LAW), ("LawStateRecord", LAW_STATE)):
+        table = text.partition(f", a `{record}`")[2].partition("| field |")[2].partition("\n\n")[0]
         fields = [row[0].strip("`").partition("[")[0] for row in rows(table)[1:]]
         assert [field for field in fields if " " not in field] == list(dtype.names), record
 

@@ -5,7 +5,7 @@ One function a phase: it does what the phase does in one cycle, and returns the 
 before the limits, and the phase that follows. `host.cycle.transitions` has the table of what
 follows when. `enter` does what the beginning of a phase needs.
 
-    c : the CONTROL record of an axis        h : its HOST record        axis : the AXIS record, which holds both and the law
+    c : the CONTROL record of an axis        h : its HOST record        axis : the `AxisRecord`, which holds both and the law
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ A cycle is: `begin` (SYNC) - `on_frame` for what arrives - `finish` (measure, wa
 limits, RPDOs), each for one axis. `host.cycle.axes` calls them for all axes of a bus,
 `host.cycle.phases` has what a phase does.
 
-    c : the CONTROL record of an axis        h : its HOST record        axis : the AXIS record, which holds both, its PDOs and the law
+    c : the CONTROL record of an axis        h : its HOST record        axis : the `AxisRecord`, which holds both, its PDOs and the law
 
 Safety that lives here: the brake's set-point is never negative and never becomes motor torque; the
 motor's torque is limited in size, rate and per mille, is never accelerating near the speed limit,

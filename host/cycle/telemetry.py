@@ -3,7 +3,7 @@
 They never go to a bus (`recording.host_telemetry` has their layout). Nothing here changes what the cycle
 does: it is read, and what was told last is kept beside it.
 
-    h : the HOST record of an axis
+    h : the `HostRecord` of an axis
 """
 
 from __future__ import annotations

@@ -7,12 +7,12 @@ folder each; ``file.py:function``; or ``module:function``. It is one plain funct
         state.brake_Nm = law.F_d                      # what the brake should bear, >= 0
         return law.F_d * motion.v_rad_s / (abs(motion.v_rad_s) + 0.1)
 
-motion : `MOTION` record
+motion : `MotionRecord`
     measured: angle, speed, speed in encoder counts a cycle, cycle time, handle torque
-law : `LAW` record
+law : `LawRecord`
     parameters of the mode: K_p, F_s, F_d, the velocity band, and those that the law names
     (`host.laws.law.friction_law`); of a law that names none ``user``, 16 numbers of the rig file
-state : `LAW_STATE` record
+state : `LawStateRecord`
     what the law keeps from cycle to cycle, and its second output ``brake_Nm``
 returns
     :math:`\psi` [Nm], the friction to be displayed: :math:`\psi > 0` opposes :math:`v > 0`. A motor

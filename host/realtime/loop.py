@@ -17,7 +17,7 @@ counted, not repeated (a frame that waits is a wrong set-point later), and too m
 trip; everything else, and the other side closing - the bus is lost. Only the safe set-points behind
 the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothing comes after them.
 
-    b : the Buffers        p : the PLANE record        c, h : the CONTROL and the HOST record of an axis        f, g, r : a frame or a row
+    b : the Buffers        p : the `PlaneRecord`        c, h : the CONTROL and the `HostRecord` of an axis        f, g, r : a frame or a row
 """
 
 from __future__ import annotations

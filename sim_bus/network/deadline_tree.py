@@ -8,7 +8,7 @@ take such a frame, and which, in their order. Both follow the node records: the 
 deadline of a device that it has called, `look_again` all of them after Python has worked on the
 records.
 
-    n : the NODE record of a device
+    n : the `NodeRecord` of a device
 """
 
 from __future__ import annotations

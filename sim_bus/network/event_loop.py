@@ -17,7 +17,7 @@ brake's row, and the rig between them: a row of the plants and one of the blocks
 force. Further devices of an axis show what the rig's roles name (`sim_bus.rig.coupling`). A device
 that belongs to no axis has no rig, and none of this costs it anything.
 
-    w : the WORLD record        b : the BUS record        p : the PLANT record of an axis
+    w : the `WorldRecord`        b : the `BusRecord`        p : the `PlantRecord` of an axis
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ thermal lag, :math:`\tau\dot T = T_{amb} + R_{th} R_{coil} i^2 - T`, and has no 
 mechanics. An open coil carries no current; one that is short takes the supply's, outside the
 winding.
 
-    p : the PLANT record of an axis
+    p : the `PlantRecord` of an axis
 """
 
 from __future__ import annotations
@@ -330,7 +330,7 @@ def advance(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, 
 
     Parameters
     ----------
-    p : PLANT record
+    p : `PlantRecord`
     f_h : float64 array, the operator's muscle torque [Nm] at knots of `per_knot` steps each, linear
         between them
     first : the first step, counted from f_h[0]

@@ -3,7 +3,7 @@
 Both have one signature, so that the loop of the bus takes either as a pointer and contains neither.
 A rig without a `[plant.X]` compiles nothing of the plant in detail.
 
-    p : the PLANT record of an axis
+    p : the `PlantRecord` of an axis
 """
 
 from __future__ import annotations

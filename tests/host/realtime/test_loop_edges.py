@@ -34,7 +34,7 @@ class Axes(list):
 
 
 class Shared(list):
-    """The PLANE record, an array at an address."""
+    """The `PlaneRecord`, an array at an address."""
 
     ctypes = SimpleNamespace(data=SHARED)
 
