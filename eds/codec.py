@@ -22,7 +22,7 @@ from typing import Annotated
 
 from coulombus.eds.cia301 import MAX_FIELDS
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Integers, Record, dtype_of
+from coulombus.kernels.records import IntegerField, Integers, Record, dtype_of
 
 __all__ = ["MAX_FIELDS", "PDO", "PdoRecord", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
 
@@ -38,10 +38,10 @@ class PdoRecord(Record):
     rtr_allowed: int  # 1: remote frames ask for it
     length: int  # data bytes
     count: int  # fields
-    slot: Annotated[Integers, MAX_FIELDS]  # where the field's value stands in the value array; -1: dummy
-    start: Annotated[Integers, MAX_FIELDS]  # first bit
-    bits: Annotated[Integers, MAX_FIELDS]  # width, 1-64
-    signed: Annotated[Integers, MAX_FIELDS]  # 1: the field is sign-extended
+    slot: Annotated[IntegerField, MAX_FIELDS]  # where the field's value stands in the value array; -1: dummy
+    start: Annotated[IntegerField, MAX_FIELDS]  # first bit
+    bits: Annotated[IntegerField, MAX_FIELDS]  # width, 1-64
+    signed: Annotated[IntegerField, MAX_FIELDS]  # 1: the field is sign-extended
 
 
 PDO = dtype_of(PdoRecord)

@@ -14,7 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.codec import PdoRecord
-from coulombus.kernels.records import Floats, Integers, Record, RecordArray, dtype_of, new_records
+from coulombus.kernels.records import (
+    FloatField,
+    IntegerField,
+    Record,
+    RecordArray,
+    dtype_of,
+    new_records,
+)
 from coulombus.node.constants import (
     BLOCK_SEGMENTS,
     EMCY_WAITING,
@@ -84,10 +91,10 @@ class BrakeFields(Record):
     ao_bias_Nm: float  # ... and what is added
     ao_full_Nm: float  # full scale, no output is above it
     ao_FV_Nm: float  # 7330h:01 for one Nm
-    ai_gain: Annotated[Floats, 3]  # 6126h * 10 ** 6132h
-    ai_bias: Annotated[Floats, 3]  # (6127h + 6124h) * 10 ** 6132h
-    ai_low: Annotated[Floats, 3]  # 7148h and 7149h; the other way round for a channel that is off
-    ai_high: Annotated[Floats, 3]  # ... and above it an input is out of range
+    ai_gain: Annotated[FloatField, 3]  # 6126h * 10 ** 6132h
+    ai_bias: Annotated[FloatField, 3]  # (6127h + 6124h) * 10 ** 6132h
+    ai_low: Annotated[FloatField, 3]  # 7148h and 7149h; the other way round for a channel that is off
+    ai_high: Annotated[FloatField, 3]  # ... and above it an input is out of range
     # coil
     coil_A_Nm: float  # what the coil draws for one Nm, told by the rig; 0: no coil is known
     max_A: float  # 2010h
@@ -116,12 +123,12 @@ class BrakeFields(Record):
 class InputOutputFields(Record):
     """What an input and output module of CiA 401 keeps in its record."""
 
-    in_digital: Annotated[Integers, PORTS]  # of each port, its bits
-    in_analogue: Annotated[Integers, INPUTS]  # raw, as 6401h
-    out_digital: Annotated[Integers, PORTS]  # of each port, its bits
-    out_analogue: Annotated[Integers, OUTPUTS]  # raw, as 6411h
-    board_low: Annotated[Integers, OUTPUTS]  # what the hardware may put out, raw; both alike: it sets no limit
-    board_high: Annotated[Integers, OUTPUTS]  # ... at most
+    in_digital: Annotated[IntegerField, PORTS]  # of each port, its bits
+    in_analogue: Annotated[IntegerField, INPUTS]  # raw, as 6401h
+    out_digital: Annotated[IntegerField, PORTS]  # of each port, its bits
+    out_analogue: Annotated[IntegerField, OUTPUTS]  # raw, as 6411h
+    board_low: Annotated[IntegerField, OUTPUTS]  # what the hardware may put out, raw; both alike: it sets no limit
+    board_high: Annotated[IntegerField, OUTPUTS]  # ... at most
     analogue_most: int  # largest count of an analogue channel
     failed: int  # bits of the outputs, as in `carries`, that wait for a new value
 
@@ -165,10 +172,10 @@ class NodeRecord(Clock, DriveFields, BrakeFields, InputOutputFields):
     error_behaviour: int  # 1029h:01, communication: 0 to PRE-OPERATIONAL, 1 no change, 2 to STOPPED
     device_error_behaviour: int  # 1029h:02, a fault of the device itself
     consumers_used: int  # 1 + the last entry of 1016h that watches
-    consumer_id: Annotated[Integers, MAX_CONSUMERS]  # node that is watched
-    consumer_ns: Annotated[Integers, MAX_CONSUMERS]  # its time of 1016h; 0: none
-    consumer_last_ns: Annotated[Integers, MAX_CONSUMERS]  # its last heartbeat
-    consumer_state: Annotated[Integers, MAX_CONSUMERS]  # 0 waits for the first heartbeat, 1 alive, 2 lost
+    consumer_id: Annotated[IntegerField, MAX_CONSUMERS]  # node that is watched
+    consumer_ns: Annotated[IntegerField, MAX_CONSUMERS]  # its time of 1016h; 0: none
+    consumer_last_ns: Annotated[IntegerField, MAX_CONSUMERS]  # its last heartbeat
+    consumer_state: Annotated[IntegerField, MAX_CONSUMERS]  # 0 waits for the first heartbeat, 1 alive, 2 lost
     # node guarding
     guard_on: int  # 1: remote frames on 700h + id are answered (1017h is 0)
     guard_toggle: int  # the next answer's toggle bit
@@ -182,22 +189,24 @@ class NodeRecord(Clock, DriveFields, BrakeFields, InputOutputFields):
     # PDOs
     rpdo: Annotated[RecordArray[PdoRecord], MAX_PDOS]  # what it receives
     tpdo: Annotated[RecordArray[PdoRecord], MAX_PDOS]  # what it sends
-    rpdo_ns: Annotated[Integers, MAX_PDOS]  # last reception
-    rpdo_armed: Annotated[Integers, MAX_PDOS]  # its deadline is watched
-    rpdo_lost: Annotated[Integers, MAX_PDOS]  # 1: its deadline is over, which was told
+    rpdo_ns: Annotated[IntegerField, MAX_PDOS]  # last reception
+    rpdo_armed: Annotated[IntegerField, MAX_PDOS]  # its deadline is watched
+    rpdo_lost: Annotated[IntegerField, MAX_PDOS]  # 1: its deadline is over, which was told
     rpdo_pending: int  # how many RPDOs wait for the next SYNC
-    rpdo_waits: Annotated[Integers, MAX_PDOS]  # this one does
-    rpdo_word: Annotated[Integers, MAX_PDOS]  # what came last
-    rpdo_carries: Annotated[Integers, MAX_PDOS]  # bits `acts` of the objects that it maps (node.profile)
-    rpdo_next: Annotated[Integers, MAX_PDOS]  # next RPDO with the same COB-ID, or -1
+    rpdo_waits: Annotated[IntegerField, MAX_PDOS]  # this one does
+    rpdo_word: Annotated[IntegerField, MAX_PDOS]  # what came last
+    rpdo_carries: Annotated[IntegerField, MAX_PDOS]  # bits `acts` of the objects that it maps (node.profile)
+    rpdo_next: Annotated[IntegerField, MAX_PDOS]  # next RPDO with the same COB-ID, or -1
     rpdo_used: int  # 1 + the last valid RPDO
     tpdo_used: int  # 1 + the last valid TPDO
     tpdo_events: int  # how many valid TPDOs are sent on events (transmission type 254, 255)
-    tpdo_count: Annotated[Integers, MAX_PDOS]  # SYNCs since the last transmission; -1: waits for the SYNC start value
-    tpdo_ns: Annotated[Integers, MAX_PDOS]  # last transmission
-    tpdo_word: Annotated[Integers, MAX_PDOS]  # what was sent last; sampled at SYNC for transmission type 252
-    tpdo_due: Annotated[Integers, MAX_PDOS]  # an event waits for the end of the inhibit time
-    tpdo_mask: Annotated[Integers, MAX_PDOS]  # bits whose change is an event
+    tpdo_count: Annotated[
+        IntegerField, MAX_PDOS
+    ]  # SYNCs since the last transmission; -1: waits for the SYNC start value
+    tpdo_ns: Annotated[IntegerField, MAX_PDOS]  # last transmission
+    tpdo_word: Annotated[IntegerField, MAX_PDOS]  # what was sent last; sampled at SYNC for transmission type 252
+    tpdo_due: Annotated[IntegerField, MAX_PDOS]  # an event waits for the end of the inhibit time
+    tpdo_mask: Annotated[IntegerField, MAX_PDOS]  # bits whose change is an event
     # EMCY
     causes: int  # present now
     detected: int  # device faults that the device found itself, as in_faults
@@ -207,47 +216,47 @@ class NodeRecord(Clock, DriveFields, BrakeFields, InputOutputFields):
     emcy_inhibit_ns: int  # 1015h; between two EMCYs at least
     emcy_ready_ns: int  # the next one goes out then at the earliest
     emcy_waiting: int  # how many wait
-    emcy_word: Annotated[Integers, EMCY_WAITING]  # those that wait
+    emcy_word: Annotated[IntegerField, EMCY_WAITING]  # those that wait
     history_count: int  # entries of 1003h
-    history: Annotated[Integers, MAX_HISTORY]  # 1003h, newest first
+    history: Annotated[IntegerField, MAX_HISTORY]  # 1003h, newest first
     silent_ns: int  # until then it hears and sends nothing (LSS: activate bit timing)
     # SDO server: a transfer that stands still is aborted by the core
     sdo_used: int  # 1 + the last valid channel
-    sdo_deadline_ns: Annotated[Integers, MAX_SDO_SERVERS]  # of each channel; FAR_FUTURE_NS: no transfer
-    sdo_abort_id: Annotated[Integers, MAX_SDO_SERVERS]  # identifier of the abort that is sent then
-    sdo_abort_word: Annotated[Integers, MAX_SDO_SERVERS]  # ... and its data
+    sdo_deadline_ns: Annotated[IntegerField, MAX_SDO_SERVERS]  # of each channel; FAR_FUTURE_NS: no transfer
+    sdo_abort_id: Annotated[IntegerField, MAX_SDO_SERVERS]  # identifier of the abort that is sent then
+    sdo_abort_word: Annotated[IntegerField, MAX_SDO_SERVERS]  # ... and its data
     # segments of block downloads that the core collects; Python opens and closes a channel's
     # row
     segments_open: int  # how many rows are open
-    segments_id: Annotated[Integers, MAX_SDO_SERVERS]  # identifier of the requests; 0: closed
-    segments_next: Annotated[Integers, MAX_SDO_SERVERS]  # number of the segment that comes next
-    segments_last: Annotated[Integers, MAX_SDO_SERVERS]  # number of the block's last segment
-    segments_count: Annotated[Integers, MAX_SDO_SERVERS]  # collected and not yet taken by Python
-    segments_word: Annotated[Integers, (MAX_SDO_SERVERS, BLOCK_SEGMENTS)]  # what was collected
+    segments_id: Annotated[IntegerField, MAX_SDO_SERVERS]  # identifier of the requests; 0: closed
+    segments_next: Annotated[IntegerField, MAX_SDO_SERVERS]  # number of the segment that comes next
+    segments_last: Annotated[IntegerField, MAX_SDO_SERVERS]  # number of the block's last segment
+    segments_count: Annotated[IntegerField, MAX_SDO_SERVERS]  # collected and not yet taken by Python
+    segments_word: Annotated[IntegerField, (MAX_SDO_SERVERS, BLOCK_SEGMENTS)]  # what was collected
     # what the core uploads by itself, sorted by key
     sdo_rx_id: int  # of the first server; -1: none
     sdo_tx_id: int  # ... and of its answers
     fast_count: int  # rows of the table
-    fast_key: Annotated[Integers, SLOTS]  # index x 256 + sub-index
-    fast_slot: Annotated[Integers, SLOTS]  # where the value stands
-    fast_size: Annotated[Integers, SLOTS]  # bytes, 1 to 4
+    fast_key: Annotated[IntegerField, SLOTS]  # index x 256 + sub-index
+    fast_slot: Annotated[IntegerField, SLOTS]  # where the value stands
+    fast_size: Annotated[IntegerField, SLOTS]  # bytes, 1 to 4
     # segments of block uploads, a ring
     outbox_first: int  # the ring's first segment
     outbox_count: int  # how many wait
     outbox_next_ns: int  # when the next one goes out
-    outbox_channel: Annotated[Integers, OUTBOX]  # of each, its channel
-    outbox_id: Annotated[Integers, OUTBOX]  # ... identifier
-    outbox_word: Annotated[Integers, OUTBOX]  # ... and data
+    outbox_channel: Annotated[IntegerField, OUTBOX]  # of each, its channel
+    outbox_id: Annotated[IntegerField, OUTBOX]  # ... identifier
+    outbox_word: Annotated[IntegerField, OUTBOX]  # ... and data
     # set-point of a kind that has one
     setpoint_ns: int  # reception of the one that acts
     setpoint_armed: int  # its age is watched (since the first RPDO that carries one)
     setpoint_stale: int  # 1: it is older than it may be, which was told
     ramping: int  # brake: 0 the set-point acts, 1 on the way to the fault value, 2 there; drive: 1 on a slope
     # tables
-    values: Annotated[Integers, SLOTS]  # raw values of the objects, REAL as bit patterns
+    values: Annotated[IntegerField, SLOTS]  # raw values of the objects, REAL as bit patterns
     rerouted: int  # 1: `route` was written; the reader that indexes it (sim_bus.network.agenda) clears it
-    route: Annotated[Integers, 2048, np.int16]  # node.core's route of each identifier
-    rtr_route: Annotated[Integers, 2048, np.int16]  # the same of remote frames
+    route: Annotated[IntegerField, 2048, np.int16]  # node.core's route of each identifier
+    rtr_route: Annotated[IntegerField, 2048, np.int16]  # the same of remote frames
 
 
 NODE = dtype_of(NodeRecord)

@@ -53,7 +53,9 @@ def _kind(annotation: ast.expr) -> str:
     kind, shape, *width = map(ast.unparse, annotation.slice.elts)
     if kind == "int":
         return shape.removeprefix("np.")
-    element = {"Integers": "int", "Floats": "float"}.get(kind, kind.removeprefix("RecordArray[").removesuffix("]"))
+    element = {"IntegerField": "int", "FloatField": "float"}.get(
+        kind, kind.removeprefix("RecordArray[").removesuffix("]")
+    )
     return f"{width[0].removeprefix('np.') if width else element}[{shape}]"
 
 

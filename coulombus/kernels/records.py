@@ -4,14 +4,15 @@ The class is what mypy knows of a record; `dtype_of` makes of it what NumPy and 
 
     class Frame(Record):
         t_ns: int  # end of frame
-        words: Annotated[Integers, 8]
+        words: Annotated[IntegerField, 8]
 
     FRAME = dtype_of(Frame)
     frame = new_records(Frame)[0]
 
 A field is ``int`` (int64), ``float`` (float64), another record, or an array of such, with its
-length: ``Annotated[Integers, 8]``, ``Annotated[Floats, (2, 3)]``, ``Annotated[RecordArray[Frame], 4]``.
-Another number type stands there, too: ``Annotated[Integers, 8, np.int16]``. A base class has the
+length: ``Annotated[IntegerField, 8]``, ``Annotated[FloatField, (2, 3)]``,
+``Annotated[RecordArray[Frame], 4]``. Another number type stands there, too:
+``Annotated[IntegerField, 8, np.int16]``. A base class has the
 first fields. What follows a field as a comment is its description.
 """
 
@@ -39,7 +40,9 @@ if TYPE_CHECKING:
     from typing import overload
 
 __all__ = [
+    "FloatField",
     "Floats",
+    "IntegerField",
     "Integers",
     "Record",
     "RecordArray",
@@ -84,7 +87,40 @@ if TYPE_CHECKING:
         def __getitem__(self, key: str | list[str]) -> npt.NDArray[Any]: ...
         def __getitem__(self, key: Any) -> Any: ...
         def __iter__(self) -> Iterator[R]: ...  # type: ignore[override]
+
+    class IntegerField(npt.NDArray[np.int64]):
+        """An array of integers within a record."""
+
+        @overload  # type: ignore[override]
+        def __getitem__(self, key: int) -> int: ...
+        @overload
+        def __getitem__(self, key: tuple[int, int]) -> int: ...
+        @overload
+        def __getitem__(self, key: slice | Integers | list[int] | None) -> Integers: ...
+        def __getitem__(self, key: Any) -> Any: ...
+        @overload  # type: ignore[override]
+        def __setitem__(self, key: int | tuple[int, int], value: int) -> None: ...
+        @overload
+        def __setitem__(self, key: slice | Integers | list[int], value: Any) -> None: ...
+        def __setitem__(self, key: Any, value: Any) -> None: ...
+
+    class FloatField(npt.NDArray[np.float64]):
+        """An array of numbers within a record."""
+
+        @overload  # type: ignore[override]
+        def __getitem__(self, key: int) -> float: ...
+        @overload
+        def __getitem__(self, key: tuple[int, int]) -> float: ...
+        @overload
+        def __getitem__(self, key: slice | Integers | list[int] | None) -> Floats: ...
+        def __getitem__(self, key: Any) -> Any: ...
+        @overload  # type: ignore[override]
+        def __setitem__(self, key: int | tuple[int, int], value: float) -> None: ...
+        @overload
+        def __setitem__(self, key: slice | Integers | list[int], value: Any) -> None: ...
+        def __setitem__(self, key: Any, value: Any) -> None: ...
 else:
+    IntegerField, FloatField = Integers, Floats
 
     class RecordArray(Generic[R]):
         """An array of records of one class: one axis, whose elements are records."""
@@ -110,7 +146,7 @@ def _format(hint: Any) -> tuple[Any, ...]:
     kind, shape, *others = get_args(hint)
     if kind is int or kind is float:  # Annotated[int, np.int16]
         return (shape,)
-    element = get_args(kind)[0] if get_origin(kind) is RecordArray else (int if kind == Integers else float)
+    element = get_args(kind)[0] if get_origin(kind) is RecordArray else (int if kind == IntegerField else float)
     return (others[0] if others else _scalar(element), shape if isinstance(shape, tuple) else (int(shape),))
 
 

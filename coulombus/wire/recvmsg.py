@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import MSG_TRUNC, recvmsg
-from coulombus.kernels.records import Integers, Record, RecordArray, dtype_of
+from coulombus.kernels.records import IntegerField, Record, RecordArray, dtype_of
 from coulombus.wire.ancillary import (
     CONTROL_WORDS,
     OVERFLOW,
@@ -50,7 +50,7 @@ class Mailbox(Record):
     stamp_ns: int  # CLOCK_REALTIME at which the kernel had the message; 0: no stamp
     overflow: int  # frames that this socket's queue has dropped so far (SO_RXQ_OVFL)
     truncated: int  # the message was longer than the room for it
-    room: Annotated[Integers, CONTROL_WORDS]  # struct cmsghdr ...
+    room: Annotated[IntegerField, CONTROL_WORDS]  # struct cmsghdr ...
 
 
 MAILBOX = dtype_of(Mailbox)

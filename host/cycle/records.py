@@ -12,7 +12,7 @@ from typing import Annotated, TypeAlias
 
 from coulombus.eds.codec import PdoRecord
 from coulombus.host.laws.law import LawFunction, LawRecord, LawStateRecord, MotionRecord
-from coulombus.kernels.records import Floats, Integers, Record, RecordArray, dtype_of
+from coulombus.kernels.records import FloatField, IntegerField, Record, RecordArray, dtype_of
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.hysteresis import MOST_PLAYS
 from coulombus.rigs.model import MOST_DELAY_CYCLES, MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
@@ -144,9 +144,9 @@ class ControlRecord(Record):
     sync_cob_id: int  # SYNC's identifier; -1: another axis leads
     host_id: int  # the host's own node id
     nodes: int  # motor, brake, sensors
-    node_id: Annotated[Integers, MOST_DEVICES]  # of each node
-    emcy_id: Annotated[Integers, MOST_DEVICES]  # identifier of each node's EMCYs
-    heartbeat_timeout_ns: Annotated[Integers, MOST_DEVICES]  # of each node; 0: not watched
+    node_id: Annotated[IntegerField, MOST_DEVICES]  # of each node
+    emcy_id: Annotated[IntegerField, MOST_DEVICES]  # identifier of each node's EMCYs
+    heartbeat_timeout_ns: Annotated[IntegerField, MOST_DEVICES]  # of each node; 0: not watched
     heartbeat_ns: int  # period of the host's heartbeat; 0: it has none
     guard_ns: int  # period of the remote frames by which the host guards; 0: it guards no node
     guarded: int  # a bit for each node that is guarded
@@ -171,8 +171,8 @@ class ControlRecord(Record):
     handle_offset_Nm: float  # what the transducer shows without a load
     brake_Nm_raw: float  # with a table, of its last step
     brake_points: int  # of the table; 0: a factor
-    brake_raw_at: Annotated[Floats, TABLE_POINTS]  # the set-points of the table, ascending ...
-    brake_Nm_at: Annotated[Floats, TABLE_POINTS]  # ... and the torques that they give
+    brake_raw_at: Annotated[FloatField, TABLE_POINTS]  # the set-points of the table, ascending ...
+    brake_Nm_at: Annotated[FloatField, TABLE_POINTS]  # ... and the torques that they give
     coil_A_raw: float  # 0: not measured
     coil_A_Nm: float  # the command stands for it; 0: it is measured
     # compensation of the inherent friction
@@ -190,8 +190,8 @@ class ControlRecord(Record):
     coil_step: float  # share of the way that the coil goes in a cycle, as believed; 0: no lead
     fluid_step: float  # the same share for the fluid
     iron_plays: int  # play operators of the brake's iron, as believed; 0: it has no hysteresis
-    iron_r: Annotated[Floats, MOST_PLAYS]  # thresholds of the play operators [Nm] ...
-    iron_w: Annotated[Floats, MOST_PLAYS]  # ... and their weights
+    iron_r: Annotated[FloatField, MOST_PLAYS]  # thresholds of the play operators [Nm] ...
+    iron_w: Annotated[FloatField, MOST_PLAYS]  # ... and their weights
     iron_direct: float  # weight of the coil itself
     passivity_J: float  # inf: the motor's compensation is not observed
     # limits
@@ -265,13 +265,13 @@ class HostRecord(Record):
     full_gain_ns: int  # when its gain came to 1; -1 before
     heartbeat_due_ns: int  # the host's next heartbeat
     guard_due_ns: int  # its next round of guarding
-    heard_ns: Annotated[Integers, MOST_DEVICES]  # of each node, its last heartbeat; -1 none
-    nmt: Annotated[Integers, MOST_DEVICES]  # of each node, the state that its heartbeat told; -1 none
+    heard_ns: Annotated[IntegerField, MOST_DEVICES]  # of each node, its last heartbeat; -1 none
+    nmt: Annotated[IntegerField, MOST_DEVICES]  # of each node, the state that its heartbeat told; -1 none
     suspect_node: int  # the node whose EMCY or heartbeat tripped
     law_Nm: float  # what the law returned that is not finite ...
     law_part: int  # ... 0: as its result, 1: for the brake, 2: for the motor
     # measured
-    image: Annotated[Integers, IMAGE_SLOTS]  # the process image, by `Image`
+    image: Annotated[IntegerField, IMAGE_SLOTS]  # the process image, by `Image`
     raw_position: int  # 6064h as it came last
     counts: int  # encoder counts since the start, without the wrap of 6064h
     position_age: int  # cycles since it was fresh
@@ -281,7 +281,7 @@ class HostRecord(Record):
     moved_counts: int  # between the last two fresh positions, however many cycles apart
     v_counts: float  # the velocity, in counts a cycle
     slide_counts: float  # the estimate by which the law slides or is stuck
-    track: Annotated[Integers, TRACK]  # the positions behind it
+    track: Annotated[IntegerField, TRACK]  # the positions behind it
     track_row: int  # where the next one goes
     track_length: int  # how many are there
     handle_Nm: float  # the transducer's torque
@@ -294,15 +294,15 @@ class HostRecord(Record):
     brake_lagged_Nm: float  # the brake torque that is expected at the handle
     coil_Nm: float  # the lead's belief of what the coil's current stands for ...
     iron_Nm: float  # ... of what the fluid sees of it ...
-    iron_y: Annotated[Floats, MOST_PLAYS]  # of the play operators, as believed
+    iron_y: Annotated[FloatField, MOST_PLAYS]  # of the play operators, as believed
     fluid_Nm: float  # ... and of what the fluid bears
-    asked_sense: Annotated[Floats, ASKED]  # by the law, and held back: of the compensation ...
-    asked_psi_Nm: Annotated[Floats, ASKED]  # ... of the motor ...
-    asked_brake_Nm: Annotated[Floats, ASKED]  # ... and of the brake
+    asked_sense: Annotated[FloatField, ASKED]  # by the law, and held back: of the compensation ...
+    asked_psi_Nm: Annotated[FloatField, ASKED]  # ... of the motor ...
+    asked_brake_Nm: Annotated[FloatField, ASKED]  # ... and of the brake
     asked_row: int  # where the next ones go
     share: float  # of its compensation that the motor may give
     port_J: float  # paid at the hand's port and still there
-    port_kinetic_J: Annotated[Floats, KINETIC_CYCLES]  # of the last fresh cycles
+    port_kinetic_J: Annotated[FloatField, KINETIC_CYCLES]  # of the last fresh cycles
     port_row: int  # where the next energy goes
     port_brake_Nm: float  # the brake's expected torque on the way that the position ends
     port_handle_Nm: float  # a cycle ago: the hand ...
@@ -318,7 +318,9 @@ class HostRecord(Record):
     # watches
     still: int  # cycles in a row without a count
     missed_in_a_row: int  # cycles in a row that lack a TPDO
-    tpdo_age: Annotated[Integers, DRIVE_PDOS]  # cycles since each TPDO by timer came: 1 in the cycle in which it came
+    tpdo_age: Annotated[
+        IntegerField, DRIVE_PDOS
+    ]  # cycles since each TPDO by timer came: 1 in the cycle in which it came
     oldest_tpdo: int  # the largest of them
     voltage_low: int  # cycles in a row in which the drive lacked its voltage
     commanded_high_Nm: float  # envelope of the motor's commands, which decays to 0 ...
@@ -328,7 +330,7 @@ class HostRecord(Record):
     coil_A2: float  # mean square of the coil's current
     work_sum: float  # of the window [J]
     work_row: int  # where the next one goes
-    work: Annotated[Floats, WORK_WINDOW_CYCLES]  # of the motor in each cycle of the window [J]
+    work: Annotated[FloatField, WORK_WINDOW_CYCLES]  # of the motor in each cycle of the window [J]
     # counters
     clipped: int  # 1: a limit acts on what the law asks for in this cycle
     clipped_balance: int  # clipped cycles less unclipped ones, not below 0
@@ -347,7 +349,7 @@ class HostRecord(Record):
     withheld_compensation: int  # the observer let the motor give less than its compensation
     # what the host has told of itself (`host.cycle.telemetry`)
     told_cycle: int  # the last cycle of which it told
-    last_counters: Annotated[Integers, 6]  # counters as they were then
+    last_counters: Annotated[IntegerField, 6]  # counters as they were then
 
 
 HOST = dtype_of(HostRecord)
@@ -369,7 +371,7 @@ SLOTS = Slot.USER + 16
 class OrderRecord(Record):
     """The parameters that somebody wants."""
 
-    value: Annotated[Floats, SLOTS]  # by `Slot`
+    value: Annotated[FloatField, SLOTS]  # by `Slot`
     cycles: int  # in which the axis goes there
 
 
@@ -384,8 +386,8 @@ class LiveRecord(Record):
     taken: int  # number of the order that the step follows
     cycle: int  # of the way there
     cycles: int  # that the way takes
-    first: Annotated[Floats, SLOTS]  # where it began
-    last: Annotated[Floats, SLOTS]  # where it ends
+    first: Annotated[FloatField, SLOTS]  # where it began
+    last: Annotated[FloatField, SLOTS]  # where it ends
 
 
 LIVE = dtype_of(LiveRecord)

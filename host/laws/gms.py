@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Annotated
 
 from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
-from coulombus.kernels.records import Floats
+from coulombus.kernels.records import FloatField
 
 __all__ = ["gms"]
 
@@ -35,8 +35,8 @@ class GmsParameters(Parameters):
 class GmsState(LawStateRecord):
     """What it keeps."""
 
-    F_Nm: Annotated[Floats, 4]
-    slips: Annotated[Floats, 4]
+    F_Nm: Annotated[FloatField, 4]
+    slips: Annotated[FloatField, 4]
 
 
 @friction_law(GmsParameters, state=GmsState, extremes=("F_s_Nm",))

@@ -27,7 +27,7 @@ from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar, get_args
 import numpy as np
 from pydantic import Field
 
-from coulombus.kernels.records import Floats, Record, dtype_of
+from coulombus.kernels.records import FloatField, Record, dtype_of
 from coulombus.rigs.field_help import accepted_range, unit_of
 from coulombus.rigs.model import Section
 
@@ -73,7 +73,7 @@ class LawRecord(Record):
     velocity_band_counts: float  # Delta v, in encoder counts a cycle: the key's, divided by the window's cycles
     paper_entry: int  # 1: x_stuck = x at stick entry, as printed in the paper
     brake_spring: int  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
-    user: Annotated[Floats, USER]  # a law's own parameters, in the order of its declaration
+    user: Annotated[FloatField, USER]  # a law's own parameters, in the order of its declaration
 
 
 LAW = dtype_of(LawRecord)
@@ -87,7 +87,7 @@ class LawStateRecord(Record):
     psi_Nm: float  # what the law returned last; kept by the host
     brake_Nm: float  # the law's set-point for the brake, >= 0
     motor_Nm: float  # the law's part for the motor in mode hybrid, as psi; 0 but for laws that push back
-    user: Annotated[Floats, USER]  # what a law keeps by names of its own
+    user: Annotated[FloatField, USER]  # what a law keeps by names of its own
 
 
 LAW_STATE = dtype_of(LawStateRecord)

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Annotated
 
 from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
-from coulombus.kernels.records import Floats
+from coulombus.kernels.records import FloatField
 
 __all__ = ["leuven"]
 
@@ -38,7 +38,7 @@ class LeuvenParameters(Parameters):
 class LeuvenState(LawStateRecord):
     """What it keeps."""
 
-    F_Nm: Annotated[Floats, 4]
+    F_Nm: Annotated[FloatField, 4]
 
 
 @friction_law(LeuvenParameters, state=LeuvenState, extremes=("F_s_Nm",))

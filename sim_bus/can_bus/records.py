@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from coulombus.kernels.records import Integers, Record, RecordArray
+from coulombus.kernels.records import IntegerField, Record, RecordArray
 from coulombus.sim_bus.can_bus.bus_state import ErrorKind
 
 __all__ = [
@@ -72,7 +72,7 @@ class ControllerRecord(Record):
     passives: int  # times that it became error passive
     bus_offs: int  # times that it went bus-off
     restarts: int  # times that it recovered
-    errors: Annotated[Integers, len(ErrorKind)]  # by kind
+    errors: Annotated[IntegerField, len(ErrorKind)]  # by kind
     # the frame on the wire
     half: int  # where it is while the cable is cut
     hears: int  # it receives what is on the wire
@@ -117,7 +117,7 @@ class SenderRecord(Record):
     source: int
     lost_bit: int  # in which it lost the arbitration; without stuff bits
     bits: int
-    bit: Annotated[Integers, FRAME_BITS, np.int8]
+    bit: Annotated[IntegerField, FRAME_BITS, np.int8]
 
 
 class SeenRecord(Record):
@@ -170,7 +170,7 @@ class FaultRecord(Record):
     active: int  # a noise: 1: at work
     hits: int  # bits that it has disturbed, not counted in `fired` yet
     lasts_ns: int  # a cut
-    far: Annotated[Integers, STATIONS, np.int8]  # by row of a station: 1: in the second half of the cut cable
+    far: Annotated[IntegerField, STATIONS, np.int8]  # by row of a station: 1: in the second half of the cut cable
     rate: float  # of a noise: disturbed bits among all
 
 
@@ -178,8 +178,8 @@ class StruckRecord(Record):
     """What a scripted fault does to the frame that starts."""
 
     flips: int  # for the frame that starts: so many of its bits are turned around,
-    flip_bit: Annotated[Integers, MAX_FLIPS]
-    flip_station: Annotated[Integers, MAX_FLIPS]
+    flip_bit: Annotated[IntegerField, MAX_FLIPS]
+    flip_station: Annotated[IntegerField, MAX_FLIPS]
     wrong_crc: int  # its CRC sequence is sent with these bits turned,
     again: int  # it is sent once more,
     lost_for: int  # it is not received by this station, or by `ALL`; `NOBODY`
@@ -230,21 +230,21 @@ class BusRecord(Record):
     ready: int  # how many take part in the next arbitration
     fresh: int  # places from here on were never used
     freed: int  # places that may be used again
-    waiting_of: Annotated[Integers, STATION_MASK + 1]  # frames that wait here, by station
-    later_key: Annotated[Integers, ROOM]  # heap: ready time
-    later_place: Annotated[Integers, ROOM]  # ... and place
-    ready_key: Annotated[Integers, ROOM]  # heap: arbitration field, sequence
-    ready_place: Annotated[Integers, ROOM]  # ... and place
-    free_place: Annotated[Integers, ROOM]  # stack
-    held_order: Annotated[Integers, ROOM]  # by place: its key in the heap `ready`
-    held_can_id: Annotated[Integers, ROOM]  # by place: the frame
-    held_length: Annotated[Integers, ROOM]  # data bytes
-    held_word: Annotated[Integers, ROOM]  # data
-    held_source: Annotated[Integers, ROOM]  # station
+    waiting_of: Annotated[IntegerField, STATION_MASK + 1]  # frames that wait here, by station
+    later_key: Annotated[IntegerField, ROOM]  # heap: ready time
+    later_place: Annotated[IntegerField, ROOM]  # ... and place
+    ready_key: Annotated[IntegerField, ROOM]  # heap: arbitration field, sequence
+    ready_place: Annotated[IntegerField, ROOM]  # ... and place
+    free_place: Annotated[IntegerField, ROOM]  # stack
+    held_order: Annotated[IntegerField, ROOM]  # by place: its key in the heap `ready`
+    held_can_id: Annotated[IntegerField, ROOM]  # by place: the frame
+    held_length: Annotated[IntegerField, ROOM]  # data bytes
+    held_word: Annotated[IntegerField, ROOM]  # data
+    held_source: Annotated[IntegerField, ROOM]  # station
     # who is there (`stations`)
     alert: int  # 1: look closely
     on_count: int  # how many are switched on
-    on: Annotated[Integers, STATIONS]  # rows of the stations that are switched on
+    on: Annotated[IntegerField, STATIONS]  # rows of the stations that are switched on
     # ends of frames (`frame_result`)
     partial_row: int  # the log's row of the last frame that was delivered to `Delivered.HEARERS`
     errors: int  # errors that were told, all stations together
@@ -263,9 +263,9 @@ class BusRecord(Record):
     fault_calls: int  # bit i: row i waits for Python (a reset, a cut)
     alarm_ns: int  # when the bus itself has something to do, though nobody sends
     told: int  # injections since the last look: time, row, identifier
-    told_ns: Annotated[Integers, MOST_TOLD]  # of each, when
-    told_row: Annotated[Integers, MOST_TOLD]  # ... which fault
-    told_id: Annotated[Integers, MOST_TOLD]  # ... identifier of the frame
+    told_ns: Annotated[IntegerField, MOST_TOLD]  # of each, when
+    told_row: Annotated[IntegerField, MOST_TOLD]  # ... which fault
+    told_id: Annotated[IntegerField, MOST_TOLD]  # ... identifier of the frame
     struck: StruckRecord  # what strikes the frame that starts
     stuck: StuckRecord  # when the wire is dominant
     noise: NoiseRecord  # random bit errors

@@ -35,7 +35,7 @@ from coulombus.host.cycle.records import AxisRecords, LawFunction
 from coulombus.host.cycle.telemetry import tell_all
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.numba_inside import borrowed
-from coulombus.kernels.records import Floats, Integers, RecordArray, dtype_of
+from coulombus.kernels.records import Floats, IntegerField, Integers, RecordArray, dtype_of
 from coulombus.node import core, emcy, own_time
 from coulombus.node.record import NodeRecord
 from coulombus.recording.host_telemetry import MOST_FRAMES
@@ -113,7 +113,7 @@ class WorldRecord(Clock):
     phase: int  # the phases of the host's axes that Python knows, four bits each
     log_count: int
     # what only a replay of the host needs to know (`recording.trace`)
-    had: Annotated[Integers, LOG_FRAMES, np.int8]  # by row of the log: 1: the host has received this frame
+    had: Annotated[IntegerField, LOG_FRAMES, np.int8]  # by row of the log: 1: the host has received this frame
     keep_sent: int  # 1: keep what the host asks the bus to send, whatever becomes of it
     sent_count: int
     sent: Annotated[RecordArray[Frame], SENT_FRAMES]
@@ -121,7 +121,7 @@ class WorldRecord(Clock):
     told_count: int
     # who wants the last frame
     services: int  # how many devices
-    service: Annotated[Integers, MOST_DEVICES]  # which
+    service: Annotated[IntegerField, MOST_DEVICES]  # which
     control_plane: int  # 1: the host's
     heard: int  # 1: one of Python's stations
     listen_all: int  # 1: one of them wants what is not in `listening`: remote, extended and error frames

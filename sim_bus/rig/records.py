@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from coulombus.kernels.records import Floats, Integers, Record, RecordArray, dtype_of
+from coulombus.kernels.records import FloatField, IntegerField, Record, RecordArray, dtype_of
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.plant_detail import MOST_ELEMENTS
 
@@ -43,28 +43,28 @@ class DetailRecord(Record):
     count: int  # of bodies
     drum: int  # the body with the brake
     # bodies: parameters and state
-    mass: Annotated[Floats, BODIES]  # inertia of the device's bodies, without the hand
-    total: Annotated[Floats, BODIES]  # with the hand
-    viscous: Annotated[Floats, BODIES]
-    share: Annotated[Floats, BODIES]  # of the device's own friction
-    q: Annotated[Floats, BODIES]
-    v: Annotated[Floats, BODIES]
+    mass: Annotated[FloatField, BODIES]  # inertia of the device's bodies, without the hand
+    total: Annotated[FloatField, BODIES]  # with the hand
+    viscous: Annotated[FloatField, BODIES]
+    share: Annotated[FloatField, BODIES]  # of the device's own friction
+    q: Annotated[FloatField, BODIES]
+    v: Annotated[FloatField, BODIES]
     # couplings
-    k: Annotated[Floats, BODIES - 1]
-    d: Annotated[Floats, BODIES - 1]
-    gap: Annotated[Floats, BODIES - 1]  # half of the backlash
-    contact: Annotated[Integers, BODIES - 1]  # 1, -1: on one side, the other; 0: within the backlash
+    k: Annotated[FloatField, BODIES - 1]
+    d: Annotated[FloatField, BODIES - 1]
+    gap: Annotated[FloatField, BODIES - 1]  # half of the backlash
+    contact: Annotated[IntegerField, BODIES - 1]  # 1, -1: on one side, the other; 0: within the backlash
     # the device's own friction
     bristles: int  # `DRY`, `LUGRE`, `ELEMENTS`
     sigma_0: float
     sigma_1: float
-    z: Annotated[Floats, BODIES]
+    z: Annotated[FloatField, BODIES]
     elements: int
-    element_k: Annotated[Floats, MOST_ELEMENTS]
-    element_w: Annotated[Floats, MOST_ELEMENTS]  # together 1
+    element_k: Annotated[FloatField, MOST_ELEMENTS]
+    element_w: Annotated[FloatField, MOST_ELEMENTS]  # together 1
     slip_rate: float  # C of the generalised Maxwell-slip friction; 0: Leuven's
-    element_Nm: Annotated[Floats, (BODIES, MOST_ELEMENTS)]
-    element_slips: Annotated[Floats, (BODIES, MOST_ELEMENTS)]  # 1, -1: it slips in this sense; 0: it winds
+    element_Nm: Annotated[FloatField, (BODIES, MOST_ELEMENTS)]
+    element_slips: Annotated[FloatField, (BODIES, MOST_ELEMENTS)]  # 1, -1: it slips in this sense; 0: it winds
     waves: Annotated[RecordArray[WaveRecord], BODIES + 2]  # sines: of each body's friction, of ripple and cogging
     angle_share: float
     angle_rad: float  # periods in one revolution of the handle
@@ -86,9 +86,9 @@ class DetailRecord(Record):
     fall_decay: float
     shear: float  # s/rad: the lag is divided by 1 + shear |v|
     plays: int
-    play_r: Annotated[Floats, PLAYS]
-    play_w: Annotated[Floats, PLAYS]
-    play_y: Annotated[Floats, PLAYS]
+    play_r: Annotated[FloatField, PLAYS]
+    play_w: Annotated[FloatField, PLAYS]
+    play_y: Annotated[FloatField, PLAYS]
     direct: float
     # heat
     heat_1_JK: float  # step / capacity; 0: the temperature is constant
@@ -101,28 +101,28 @@ class DetailRecord(Record):
     # a step's own
     weak: float  # what is left of the fluid's torque at its temperature
     wet: float  # the fluid's viscous friction at its temperature
-    level: Annotated[Floats, BODIES]
-    dry: Annotated[Floats, BODIES]  # the brake's part of the level
-    side: Annotated[Integers, BODIES]  # direction of slip; 0: stuck
-    u: Annotated[Floats, BODIES]  # mean speed
-    main: Annotated[Floats, BODIES]  # the system's diagonal
-    load: Annotated[Floats, BODIES]
-    react: Annotated[Floats, BODIES]  # dry friction
-    tied: Annotated[Floats, BODIES - 1]  # a coupling's torque at the step's begin ...
-    stiff: Annotated[Floats, BODIES - 1]  # ... and for each rad/s of mean speed between its bodies
-    alpha: Annotated[Floats, BODIES]
-    bears: Annotated[Floats, BODIES]  # the level of the bristles, or of all elements
-    rate_Nm_s: Annotated[Floats, BODIES]  # how fast the speed winds stiff bristles
-    kept: Annotated[Floats, BODIES]  # of the bristles' deflection behind the step ...
-    taken: Annotated[Floats, BODIES]  # ... and for each rad/s of mean speed
-    winds: Annotated[Integers, BODIES]  # 1: how z goes cannot be foretold
-    follows: Annotated[Floats, BODIES]  # how fast a slipping one follows it [1/s]
-    bristle_damping: Annotated[Floats, BODIES]
-    way: Annotated[Floats, BODIES]  # of z, as foretold
-    borne: Annotated[Floats, BODIES]  # what the elements bear on the mean if z stands still ...
-    rises: Annotated[Floats, BODIES]  # ... and for each rad of z
-    held: Annotated[Floats, BODIES]  # the torque of bristles or elements at rest ...
-    given: Annotated[Floats, BODIES]  # ... and for each rad/s of mean speed
+    level: Annotated[FloatField, BODIES]
+    dry: Annotated[FloatField, BODIES]  # the brake's part of the level
+    side: Annotated[IntegerField, BODIES]  # direction of slip; 0: stuck
+    u: Annotated[FloatField, BODIES]  # mean speed
+    main: Annotated[FloatField, BODIES]  # the system's diagonal
+    load: Annotated[FloatField, BODIES]
+    react: Annotated[FloatField, BODIES]  # dry friction
+    tied: Annotated[FloatField, BODIES - 1]  # a coupling's torque at the step's begin ...
+    stiff: Annotated[FloatField, BODIES - 1]  # ... and for each rad/s of mean speed between its bodies
+    alpha: Annotated[FloatField, BODIES]
+    bears: Annotated[FloatField, BODIES]  # the level of the bristles, or of all elements
+    rate_Nm_s: Annotated[FloatField, BODIES]  # how fast the speed winds stiff bristles
+    kept: Annotated[FloatField, BODIES]  # of the bristles' deflection behind the step ...
+    taken: Annotated[FloatField, BODIES]  # ... and for each rad/s of mean speed
+    winds: Annotated[IntegerField, BODIES]  # 1: how z goes cannot be foretold
+    follows: Annotated[FloatField, BODIES]  # how fast a slipping one follows it [1/s]
+    bristle_damping: Annotated[FloatField, BODIES]
+    way: Annotated[FloatField, BODIES]  # of z, as foretold
+    borne: Annotated[FloatField, BODIES]  # what the elements bear on the mean if z stands still ...
+    rises: Annotated[FloatField, BODIES]  # ... and for each rad of z
+    held: Annotated[FloatField, BODIES]  # the torque of bristles or elements at rest ...
+    given: Annotated[FloatField, BODIES]  # ... and for each rad/s of mean speed
     events: int  # since power-on
     missed_events: int  # steps with more of them than `chain.MOST_EVENTS`
     stored: float  # energy in springs and bristles
@@ -221,8 +221,8 @@ class Coupling(Record):
     brake_counts: float  # counts of the set-point for one per mille of a drive, or one Nm of our driver
     brake_scale_Nm: float  # for one count, where there is no table
     brake_points: int  # of the table; 0: none
-    brake_table_raw: Annotated[Floats, TABLE_POINTS]  # ascending
-    brake_table_Nm: Annotated[Floats, TABLE_POINTS]
+    brake_table_raw: Annotated[FloatField, TABLE_POINTS]  # ascending
+    brake_table_Nm: Annotated[FloatField, TABLE_POINTS]
 
 
 class RigAxis(Coupling):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from coulombus.kernels.records import Integers, Record, RecordArray, dtype_of
+from coulombus.kernels.records import IntegerField, Record, RecordArray, dtype_of
 from coulombus.rigs.model import MOST_DEVICES
 
 __all__ = ["JOBS", "SLOT", "BesideRecord", "JobRecord", "PaceRecord", "SlotRecord"]
@@ -50,7 +50,7 @@ class JobRecord(Record):
     length: int
     word: int
     rows: int  # whose services
-    row: Annotated[Integers, MOST_DEVICES]
+    row: Annotated[IntegerField, MOST_DEVICES]
     frames: int  # rows of the log to be recorded
     start_ns: int  # of the hand's schedule, as Python finds it
 

@@ -12,7 +12,16 @@ import numpy as np
 import pytest
 
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Floats, Integers, Record, RecordArray, copied, dtype_of, new_records, overwrite
+from coulombus.kernels.records import (
+    FloatField,
+    IntegerField,
+    Record,
+    RecordArray,
+    copied,
+    dtype_of,
+    new_records,
+    overwrite,
+)
 from places import ROOT
 
 SOURCES = [
@@ -32,10 +41,10 @@ class Outer(Inner):
 
     inner: Inner
     rows: Annotated[RecordArray[Inner], 3]
-    words: Annotated[Integers, 4]
-    matrix: Annotated[Floats, (2, 3)]
+    words: Annotated[IntegerField, 4]
+    matrix: Annotated[FloatField, (2, 3)]
     small: Annotated[int, np.int16]
-    bytes_: Annotated[Integers, 5, np.int8]
+    bytes_: Annotated[IntegerField, 5, np.int8]
 
 
 def test_the_dtype_is_what_the_class_declares():
@@ -86,12 +95,15 @@ def test_copies_are_of_their_own():
 
 
 PLANTED = """
-from coulombus.kernels.records import Record, RecordArray
+from typing import Annotated
+
+from coulombus.kernels.records import IntegerField, Record, RecordArray
 
 
 class State(Record):
     phase: int
     gain: float
+    track: Annotated[IntegerField, 4]
 
 
 def step(h: State, states: RecordArray[State]) -> int:
@@ -100,6 +112,8 @@ def step(h: State, states: RecordArray[State]) -> int:
     h.phse = 1
     h.phase = 0.5
     states[0].phse = 1
+    states[0].track[1] = 2
+    states[0].track[1] = 0.5
     return states[0].phase
 """
 
@@ -112,9 +126,10 @@ def test_a_misspelt_field_and_a_wrong_type_are_found_by_mypy(tmp_path):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=800)
     found = dict(re.findall(r":(\d+): error: (.*)  \[", done.stdout))
     assert found == {
-        "13": '"State" has no attribute "phse"; maybe "phase"?',
-        "14": 'Incompatible types in assignment (expression has type "float", variable has type "int")',
-        "15": '"State" has no attribute "phse"; maybe "phase"?',
+        "16": '"State" has no attribute "phse"; maybe "phase"?',
+        "17": 'Incompatible types in assignment (expression has type "float", variable has type "int")',
+        "18": '"State" has no attribute "phse"; maybe "phase"?',
+        "20": 'No overload variant of "__setitem__" of "IntegerField" matches argument types "int", "float"',
     }
 
 
