@@ -47,9 +47,6 @@ class FaultKind(IntEnum):
     NOISE = 10
 
 
-FLIP, CORRUPT_CRC, DROP, DELAY, DUPLICATE, RESET, CUT, DRIFT, BABBLE, STUCK_DOMINANT, NOISE = map(int, FaultKind)
-
-
 @inlined
 def strike_nothing(bus: BusRecord) -> None:
     """Forget what struck the last frame."""
@@ -80,7 +77,7 @@ def _meant(f: FaultRecord, now_ns: int, can_id: int, source: int) -> bool:
     """Tell whether a row strikes this frame, and count the frames that it is about."""
     if not f.from_ns <= now_ns < f.until_ns:
         return False
-    if f.kind > CUT or (f.kind >= RESET and not f.framed):
+    if f.kind > FaultKind.CUT or (f.kind >= FaultKind.RESET and not f.framed):
         return False
     if f.framed and (
         (can_id & f.match_mask) != (f.match_id & f.match_mask) or not is_meant(f.match_source, source & STATION_MASK)
@@ -98,20 +95,22 @@ def strike(bus: BusRecord, now_ns: int, can_id: int, length: int, word: int, sou
 
     Return the delay [ns] that they put it off by.
 
-    What else they do is left in `BUS.struck`.
+    What else they do is left in `BusRecord.struck`.
     """
     delay_ns = meant = 0
     for row in range(bus.fault_count):
         f = bus.faults[row]
-        if _meant(f, now_ns, can_id, source) and not (f.kind == CUT and bus.cut | bus.half):  # one cut at a time
+        second_cut = f.kind == FaultKind.CUT and bus.cut | bus.half  # there is one cut at a time
+        if _meant(f, now_ns, can_id, source) and not second_cut:
             meant |= 1 << row
-            if f.kind == DELAY:
+            if f.kind == FaultKind.DELAY:
                 delay_ns = max(delay_ns, f.delay_ns)
     for row in range(bus.fault_count):
         f = bus.faults[row]
-        if meant >> row & 1 == 0 or (f.kind != DELAY and delay_ns > 0):  # who is put off is struck by nothing else
+        put_off = f.kind != FaultKind.DELAY and delay_ns > 0  # who is put off is struck by nothing else
+        if meant >> row & 1 == 0 or put_off:
             continue
-        if f.kind == FLIP:
+        if f.kind == FaultKind.FLIP:
             stuffed = data_frame_bits(can_id, length, word) - INTER_FRAME_BITS - TAIL_BITS  # up to the CRC sequence
             bit = f.bit if f.bit < TAIL_BIT else stuffed + f.bit - TAIL_BIT
             if (
@@ -121,13 +120,13 @@ def strike(bus: BusRecord, now_ns: int, can_id: int, length: int, word: int, sou
             bus.struck.flip_bit[bus.struck.flips] = bit
             bus.struck.flip_station[bus.struck.flips] = f.station
             bus.struck.flips += 1
-        elif f.kind == CORRUPT_CRC:
+        elif f.kind == FaultKind.CORRUPT_CRC:
             bus.struck.wrong_crc = 1
-        elif f.kind == DROP:
+        elif f.kind == FaultKind.DROP:
             bus.struck.lost_for = f.station
-        elif f.kind == DUPLICATE:
+        elif f.kind == FaultKind.DUPLICATE:
             bus.struck.again = 1
-        elif f.kind == RESET or f.kind == CUT:
+        elif f.kind == FaultKind.RESET or f.kind == FaultKind.CUT:
             bus.fault_due |= 1 << row
         fire(bus, row, now_ns, can_id)
     return delay_ns
@@ -136,7 +135,7 @@ def strike(bus: BusRecord, now_ns: int, can_id: int, length: int, word: int, sou
 @inlined
 def _elsewhere(bus: BusRecord, f: FaultRecord) -> bool:
     """Tell whether a babbler is in the other half of a cut cable."""
-    return bool(f.kind == BABBLE and bus.stations[f.station & STATION_MASK].half != bus.half)
+    return bool(f.kind == FaultKind.BABBLE and bus.stations[f.station & STATION_MASK].half != bus.half)
 
 
 @kernel
@@ -156,16 +155,16 @@ def alarm(bus: BusRecord, now_ns: int) -> None:
     noise = False
     for row in range(bus.fault_count):
         f = bus.faults[row]
-        if f.kind == BABBLE:
+        if f.kind == FaultKind.BABBLE:
             if not _elsewhere(bus, f):
                 _babble(bus, f, row, now_ns)
-        elif f.kind == CUT and f.next_ns <= now_ns:
+        elif f.kind == FaultKind.CUT and f.next_ns <= now_ns:
             f.next_ns = FAR_NS
             bus.fault_calls |= 1 << row
-        elif (f.kind == NOISE or f.kind == STUCK_DOMINANT) and f.next_ns <= now_ns:
+        elif (f.kind == FaultKind.NOISE or f.kind == FaultKind.STUCK_DOMINANT) and f.next_ns <= now_ns:
             begins = f.next_ns < f.until_ns
             f.next_ns = f.until_ns if begins else FAR_NS
-            if f.kind == NOISE:
+            if f.kind == FaultKind.NOISE:
                 f.active = 1 if begins else 0
                 noise = True
             elif begins:
@@ -182,11 +181,11 @@ def plan_alarm(bus: BusRecord, now_ns: int) -> None:
     bus.stuck.from_ns = bus.stuck.until_ns = FAR_NS
     for row in range(bus.fault_count):
         f = bus.faults[row]
-        if f.kind == STUCK_DOMINANT and f.until_ns > now_ns and f.from_ns < bus.stuck.from_ns:
+        if f.kind == FaultKind.STUCK_DOMINANT and f.until_ns > now_ns and f.from_ns < bus.stuck.from_ns:
             bus.stuck.from_ns = f.from_ns
             bus.stuck.until_ns = f.until_ns
-        if (f.kind == CUT or f.kind > DRIFT) and (
-            f.kind != BABBLE or (f.next_ns < f.until_ns and not _elsewhere(bus, f))
+        if (f.kind == FaultKind.CUT or f.kind > FaultKind.DRIFT) and (
+            f.kind != FaultKind.BABBLE or (f.next_ns < f.until_ns and not _elsewhere(bus, f))
         ):
             next_ns = min(next_ns, f.next_ns)
     for k in range(bus.on_count):

@@ -16,7 +16,7 @@ from coulombus.sim_bus.can_bus.fault_confinement import (
     count_received,
     count_sent,
 )
-from coulombus.sim_bus.can_bus.faults import NO_FRAME, STUCK_DOMINANT, fire, plan_alarm
+from coulombus.sim_bus.can_bus.faults import NO_FRAME, FaultKind, fire, plan_alarm
 from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
 from coulombus.sim_bus.can_bus.stations import number, refresh
 from coulombus.sim_bus.can_bus.targets import NOBODY, is_meant
@@ -186,7 +186,7 @@ def _tell_stuck(bus: BusRecord) -> None:
     """
     for row in range(bus.fault_count):
         f = bus.faults[row]
-        if f.kind == STUCK_DOMINANT and f.next_ns < min(bus.end_ns, f.until_ns):
+        if f.kind == FaultKind.STUCK_DOMINANT and f.next_ns < min(bus.end_ns, f.until_ns):
             fire(bus, row, f.next_ns, NO_FRAME)
             f.next_ns = f.until_ns
 
