@@ -1,4 +1,4 @@
-"""What the wire is in the midst of, and the lengths in bit times that all of the copper counts
+"""What the wire is in the midst of, and the lengths in bit times that all modules of the bus count
 with.
 
 ::
@@ -8,9 +8,9 @@ with.
     FREE ---> TELLING ----------------------------> FREE     nobody sends; a controller has recovered, which is told
     FREE ---> PLAYED ---> TOLD ---> PLAYED ... OVER ---> FREE   slow motion
 
-`BUS.stage` is written by who begins something (`arbiter.start_frame`, `attempt.attempt`), by
-`slow_motion.run_bits`, and at each end (`BUS.end_ns`) by `arbiter.end_frame` or
-`outcome.end_attempt`.
+`BusRecord.stage` is written by who begins something (`arbiter.start_frame`, `error_path.attempt`),
+by `bit_level.run_bits`, and at each end (`BusRecord.end_ns`) by `arbiter.end_frame` or
+`frame_result.end_attempt`.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from coulombus.wire.frame import Queue, Records
 __all__ = ["APART", "MENDING", "WHOLE", "choose", "divide", "join", "merged_faults", "split", "wire_of"]
 
 WHOLE, APART, MENDING = 0, 1, 2
-"""`BUS.cut` of the first record."""
+"""`BusRecord.cut` of the first record."""
 
 
 @kernel

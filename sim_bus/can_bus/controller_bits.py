@@ -3,7 +3,8 @@
 
 Bit, stuff, CRC, form and ACK errors, active and passive error flags, delimiters, overload frames,
 intermission: `follow` is one bit of them. What the stations together have seen in this stretch
-stands in `BUS.seen`, which only this module fills; what became of their frames in `BUS.tx`.
+stands in `BusRecord.seen`, which only this module fills; what became of their frames in
+`BusRecord.tx`.
 
     c : the record of a controller
 """

@@ -218,7 +218,7 @@ class BusRecord(Record):
     frames: int  # counters
     bits: int  # all that were on the wire, stuff bits included
     # the cable in two halves (`cable_cut`)
-    half: int  # of the cut cable, 0 or 1, that this record is (sim_bus.copper.cut)
+    half: int  # of the cut cable, 0 or 1, that this record is (sim_bus.can_bus.cable_cut)
     cut: int  # in the first record: is the cable cut?
     cut_row: int  # by which row of the faults
     mend_ns: int  # when it is whole again

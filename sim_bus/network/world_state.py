@@ -27,7 +27,7 @@ from coulombus.sim_bus.rig.plant import NOISE_FACTOR, NOISE_MASK, NOISE_SUMMAND
 __all__ = ["WorldState", "adopt", "state_of"]
 
 ARRAYS = ("bus", "nodes", "deadlines", "wants", "listening")
-"""Of `kernel.World`: what belongs to bus and nodes alone."""
+"""Of `sim_bus.network.event_loop.World`: what belongs to bus and nodes alone."""
 RECORDS = ("state", "out")
 SEEN = ("temperature", "coil", "motor", "coil_fault")
 MOST_DRAWS = 100_000

@@ -330,7 +330,7 @@ def advance(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, 
 
     Parameters
     ----------
-    p : `PlantRecord`
+    p : the `PlantRecord`
     f_h : float64 array, the operator's muscle torque [Nm] at knots of `per_knot` steps each, linear
         between them
     first : the first step, counted from f_h[0]

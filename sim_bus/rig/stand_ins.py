@@ -132,7 +132,7 @@ def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
 
 
 def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, tuple[int, Device]]) -> None:
-    """Write to the records of an axis (`kernel.AXIS`) and its plant what its devices show and take;
+    """Write to the records of an axis (`RigAxis`) and its plant what its devices show and take;
     `rows`: row and device by name.
     """
     p = axis.simulation.plant

@@ -6,7 +6,7 @@ frame of this one has gone; one that sends faster than the bus carries finds its
 (EAGAIN). What the bus has carried goes out in batches; a client that does not read loses frames,
 counted, and holds up nobody.
 
-    w : the `WorldRecord`        p : the PACE record        s : the SLOT record of a client
+    w : the `WorldRecord`        p : the `PaceRecord`        s : the `SlotRecord` of a client
 """
 
 from __future__ import annotations

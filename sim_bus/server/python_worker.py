@@ -15,9 +15,9 @@ that both changed is Python's. A node's ring of segments (`node.outbox`) stands 
 both ends of it move.
 
 Where Python needs the whole world (a script's entry), `drain_jobs` lets the jobs end first. A server
-without this (`BESIDE.on` is 0) returns to Python for everything.
+without this (`BesideRecord.on` is 0) returns to Python for everything.
 
-In the kernels: `j` the record of `BesideRecord`, `w` that of `sim_bus.network.event_loop.WORLD`.
+In the kernels: `j` the record of `BesideRecord`, `w` that of `sim_bus.network.event_loop.WorldRecord`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class JobState(IntEnum):
     """Whose turn it is."""
 
     FREE = 0  # Python has nothing to do
-    PYTHON = 1  # it is at work on `BESIDE.now`
+    PYTHON = 1  # it is at work on `BesideRecord.now`
     DONE = 2  # the loop has to take over what became of it
 
 

@@ -13,7 +13,7 @@ by the nodes, before a deadline is judged. Where the whole machine stood still, 
 anything either, the world stood still with it (`stalled_ns`): no deadline passes in a time in which
 nobody could have kept it.
 
-    p : the PACE record
+    p : the `PaceRecord`
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class Serve(IntEnum):
     TIME = 31  # the time is over
     ACCEPT = 32  # a client waits at the listener
     RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule is over
-    RECORD = 34  # `PACE.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
-    FAILED = 35  # a system call that the loop cannot do without; `PACE.error`
+    RECORD = 34  # `PaceRecord.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
+    FAILED = 35  # a system call that the loop cannot do without; `PaceRecord.error`
 
 
 @kernel

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from copper import Copper, carried, told
 from coulombus.sim_bus.can_bus.bit_level import add_sender, begin_bits, run_bits
 from coulombus.sim_bus.can_bus.bus_state import ErrorKind, Stage
 from coulombus.sim_bus.can_bus.fault_confinement import CanState, state_of
@@ -22,6 +21,7 @@ from coulombus.sim_bus.can_bus.stuffing import stuffed_bits
 from coulombus.sim_bus.can_bus.targets import CLIENTS
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, arbitration_key, data_word
+from wire_bench import WireBench, carried, told
 
 US = 1_000
 MS = 1_000_000
@@ -73,7 +73,7 @@ def flip(bus, bit, **values):
 
 
 def test_a_bit_error_costs_flag_delimiter_and_the_frame_once_more():
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, FRAME)
     flip(bus, 40)
     (error, frame) = bus.run()
@@ -90,7 +90,7 @@ def test_a_bit_error_costs_flag_delimiter_and_the_frame_once_more():
 
 
 def test_error_frame_of_the_kernels_format():
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, FRAME)
     flip(bus, 40)
     (error,) = told(bus.run())
@@ -102,7 +102,7 @@ def test_error_frame_of_the_kernels_format():
 
 @pytest.mark.parametrize(("bit", "place"), [(0, 0x03), (5, 0x02), (1000, 0x18), (1002, 0x1B), (1005, 0x1A)])
 def test_the_place_of_an_error(bit, place):
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, FRAME)
     flip(bus, bit)
     rows = bus.run()
@@ -111,7 +111,7 @@ def test_the_place_of_an_error(bit, place):
 
 
 def test_a_wrong_crc_is_seen_by_receivers_and_by_nobody_acknowledged():
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, FRAME)
     bus.fault(FaultKind.CORRUPT_CRC, framed=1, match_id=0x181, match_mask=0x7FF)
     rows = bus.run()
@@ -124,7 +124,7 @@ def test_a_wrong_crc_is_seen_by_receivers_and_by_nobody_acknowledged():
 
 
 def test_one_receiver_alone_disturbed_spoils_the_frame_for_all():
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, FRAME)
     flip(bus, 40, station=2)
     rows = bus.run()
@@ -135,11 +135,11 @@ def test_one_receiver_alone_disturbed_spoils_the_frame_for_all():
 
 def test_the_last_bit_but_one_and_the_last_bit_of_the_end_of_frame():
     """The classic: receivers have accepted, the sender sends again."""
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, FRAME)
     flip(bus, 1009, station=0)
     assert [row.receivers for row in carried(bus.run())] == [(1, 2), (1, 2)]
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, FRAME)
     flip(bus, 1009, station=2)  # a receiver: an overload frame, no error
     assert [row.receivers for row in carried(bus.run())] == [(1, 2)]
@@ -148,7 +148,7 @@ def test_the_last_bit_but_one_and_the_last_bit_of_the_end_of_frame():
 
 
 def test_alone_it_becomes_error_passive_and_never_bus_off():
-    bus = Copper((0,))
+    bus = WireBench((0,))
     bus.send(0, 0x181)
     rows = bus.run(until_ns=50 * MS)
     assert carried(rows) == []
@@ -165,7 +165,7 @@ def test_alone_it_becomes_error_passive_and_never_bus_off():
 
 
 def test_who_comes_acknowledges():
-    bus = Copper((0,))
+    bus = WireBench((0,))
     bus.send(0, 0x181)
     bus.run(until_ns=50 * MS)
     attach(bus.bus, 1)
@@ -176,7 +176,7 @@ def test_who_comes_acknowledges():
 
 
 def test_one_identifier_from_two_stations():
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, b"\x01")
     bus.send(1, 0x181, b"\x00")
     rows = bus.run(until_ns=20 * MS)
@@ -186,7 +186,7 @@ def test_one_identifier_from_two_stations():
     assert [(row.data, row.source) for row in carried(rows)] == [(b"\x00", 1), (b"\x01", 0)]
     assert bus[0].passives == bus[1].passives == 1
     # identical frames are one
-    bus = Copper()
+    bus = WireBench()
     bus.send(0, 0x181, b"\x01")
     bus.send(1, 0x181, b"\x01")
     (frame,) = bus.run()
@@ -194,7 +194,7 @@ def test_one_identifier_from_two_stations():
 
 
 def test_bus_off_and_128_times_11_recessive_bits():
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.FLIP, bit=40, framed=1, match_id=0x181, match_mask=0x7FF, every=1)
     for _ in range(40):
         bus.send(0, 0x181, FRAME)
@@ -202,7 +202,7 @@ def test_bus_off_and_128_times_11_recessive_bits():
     # every new frame of 181h is disturbed once: + 8 - 1 each, - 1 for each 182h
     rows = bus.run(until_ns=100 * MS)
     assert bus[0].passives == 1
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, tec=248)
     flip(bus, 40)
     bus.send(0, 0x181, FRAME)
@@ -218,7 +218,7 @@ def test_bus_off_and_128_times_11_recessive_bits():
 
 
 def test_bus_off_by_hand_only():
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, tec=255, restart_ns=-1)
     flip(bus, 40)
     bus.send(0, 0x181, FRAME)
@@ -232,13 +232,13 @@ def test_bus_off_by_hand_only():
 
 
 def test_error_passive_waits_eight_bits_longer():
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, tec=200, state=int(CanState.ERROR_PASSIVE))
     bus.send(0, 0x100)
     bus.send(0, 0x101)
     first, second = bus.run()
     assert second.t_ns - first.t_ns == (3 + 8 + frame_bits(0x101) - 3) * US
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, tec=200, state=int(CanState.ERROR_PASSIVE))
     bus.send(0, 0x100)
     bus.send(0, 0x101)
@@ -247,7 +247,7 @@ def test_error_passive_waits_eight_bits_longer():
 
 
 def test_rec_above_127_falls_to_119():
-    bus = Copper()
+    bus = WireBench()
     bus.set(1, rec=140, state=int(CanState.ERROR_PASSIVE))
     bus.send(0, 0x100)
     bus.run()
@@ -256,7 +256,7 @@ def test_rec_above_127_falls_to_119():
 
 
 def test_stuck_dominant():
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.STUCK_DOMINANT, from_ns=1 * MS, until_ns=2 * MS)
     bus.send(0, 0x181, FRAME, 1 * MS - 30 * US)  # in the midst of it the wire sticks
     bus.send(1, 0x182, FRAME, 1 * MS + 100 * US)
@@ -272,7 +272,7 @@ def test_stuck_dominant():
 
 
 def test_listen_only_loopback_one_shot_and_a_short_queue():
-    bus = Copper((0, 1))
+    bus = WireBench((0, 1))
     bus.set(1, listen_only=1)
     bus.send(0, 0x181)
     rows = bus.run(until_ns=5 * MS)  # it does not acknowledge, so the sender tries for ever;
@@ -282,17 +282,17 @@ def test_listen_only_loopback_one_shot_and_a_short_queue():
     # attempt for a good frame
     first = next(row.t_ns for row in carried(rows))
     assert first > next(row.t_ns for row in told(rows) if row.can_id & CRTL and row.data[1] & 0x20)
-    bus = Copper((0,))
+    bus = WireBench((0,))
     bus.set(0, loopback=1)
     bus.send(0, 0x181)
     assert [row.receivers for row in bus.run()] == [(0,)]
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, one_shot=1)
     bus.send(0, 0x181, FRAME)
     flip(bus, 40)
     assert carried(bus.run()) == []
     assert bus[0].dropped == 1
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, queue_limit=2)
     for n in range(5):
         bus.send(0, 0x181, bytes((n,)))
@@ -301,7 +301,7 @@ def test_listen_only_loopback_one_shot_and_a_short_queue():
 
 
 def test_drop_delay_duplicate():
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.DROP, framed=1, match_id=0x181, match_mask=0x7FF, station=2)
     bus.fault(FaultKind.DELAY, framed=1, match_id=0x182, match_mask=0x7FF, delay_ns=3 * MS)
     bus.fault(FaultKind.DUPLICATE, framed=1, match_id=0x183, match_mask=0x7FF)
@@ -316,7 +316,7 @@ def test_drop_delay_duplicate():
 
 
 def test_a_babbler_with_the_highest_identifier_starves_all():
-    bus = Copper()
+    bus = WireBench()
     row = {"can_id": 0, "station": 2, "period_ns": 10 * US, "from_ns": MS, "until_ns": 3 * MS}
     bus.fault(FaultKind.BABBLE, **row)
     for n in range(20):
@@ -337,7 +337,7 @@ def test_noise_loses_nothing_unseen(seed, rate):
     """
 
     def course():
-        bus = Copper()
+        bus = WireBench()
         bus.bus.noise.state = seeded(seed)
         bus.fault(FaultKind.NOISE, rate=rate)
         for n in range(15):
@@ -362,7 +362,7 @@ def test_arbitration_bit_by_bit(a, b, extended, remote):
     other = (b << 18 | 77) | CAN_EFF_FLAG if extended else b | (CAN_RTR_FLAG if remote else 0)
     if other == a:
         return
-    bus = Copper()
+    bus = WireBench()
     for source, can_id in ((0, a), (1, other)):
         add_sender(bus.bus, 0, can_id, 0, 0, source, 0)
     begin_bits(bus.bus, 0)
@@ -378,11 +378,11 @@ STRUCK = {"framed": 1, "match_id": 0x100, "match_mask": 0x7FF}
 
 def test_a_frame_that_is_put_off_or_duplicated_is_no_retransmission():
     for kind, values in ((FaultKind.DELAY, {"delay_ns": 500 * US}), (FaultKind.DUPLICATE, {})):
-        copper = Copper()
-        copper.fault(kind, **STRUCK, **values)
-        copper.send(0, 0x100, b"a")
-        assert len(carried(copper.run())) == (2 if kind == FaultKind.DUPLICATE else 1)
-        assert (copper.bus.retransmissions, copper[0].retransmissions) == (0, 0)
+        bench = WireBench()
+        bench.fault(kind, **STRUCK, **values)
+        bench.send(0, 0x100, b"a")
+        assert len(carried(bench.run())) == (2 if kind == FaultKind.DUPLICATE else 1)
+        assert (bench.bus.retransmissions, bench[0].retransmissions) == (0, 0)
 
 
 def test_a_drop_and_a_duplicate_hold_for_a_frame_that_is_disturbed_too():
@@ -390,21 +390,21 @@ def test_a_drop_and_a_duplicate_hold_for_a_frame_that_is_disturbed_too():
     is lost or sent twice.
     """
     for kind, receivers in ((FaultKind.DROP, [()]), (FaultKind.DUPLICATE, [(1, 2), (1, 2)])):
-        copper = Copper()
-        copper.fault(kind, **STRUCK)
-        copper.fault(FaultKind.FLIP, **STRUCK, bit=25)
-        copper.send(0, 0x100, b"a")
-        assert [row.receivers for row in carried(copper.run())] == receivers
-        assert copper[0].retransmissions == 1
+        bench = WireBench()
+        bench.fault(kind, **STRUCK)
+        bench.fault(FaultKind.FLIP, **STRUCK, bit=25)
+        bench.send(0, 0x100, b"a")
+        assert [row.receivers for row in carried(bench.run())] == receivers
+        assert bench[0].retransmissions == 1
 
 
 def test_the_remote_bit_of_a_base_frame_is_linuxs_srtr():
     """CAN_ERR_PROT_LOC_SRTR, 04h, is "substitute RTR (SFF: RTR)"; 0Ch is the extended frame's."""
     for can_id, bit, place in ((0x155, 12, 0x04), (0x80000000 | 0x15555555, 32, 0x0C)):
-        copper = Copper()
-        copper.fault(FaultKind.FLIP, framed=1, match_id=can_id, match_mask=0xFFFFFFFF, bit=bit)
-        copper.send(0, can_id, b"a")
-        assert told(copper.run())[0].data[3] == place
+        bench = WireBench()
+        bench.fault(FaultKind.FLIP, framed=1, match_id=can_id, match_mask=0xFFFFFFFF, bit=bit)
+        bench.send(0, can_id, b"a")
+        assert told(bench.run())[0].data[3] == place
 
 
 def test_two_noises_at_a_time_and_one_goes_on_alone():
@@ -412,7 +412,7 @@ def test_two_noises_at_a_time_and_one_goes_on_alone():
 
     The end of one is not the end of the other.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.bus.noise.state = seeded(1)
     bus.fault(FaultKind.NOISE, rate=5e-4)
     bus.fault(FaultKind.NOISE, rate=2e-4, station=1, until_ns=50 * MS)
@@ -428,7 +428,7 @@ def test_two_noises_at_a_time_and_one_goes_on_alone():
 @pytest.mark.parametrize("bit", range(44, 56))
 def test_a_bit_that_the_frame_has_not_is_not_struck(bit):
     """SYNC has 47 bits with its stuff bits, and 3 of intermission: what is counted has happened."""
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x80, match_mask=0x7FF, bit=bit)
     bus.send(0, 0x80)
     rows = bus.run()
@@ -437,7 +437,7 @@ def test_a_bit_that_the_frame_has_not_is_not_struck(bit):
 
 def test_who_is_put_off_is_struck_by_nothing_else():
     """Neither at once nor, by mistake, the frame that goes instead."""
-    bus = Copper()
+    bus = WireBench()
     for kind in (FaultKind.DROP, FaultKind.DUPLICATE, FaultKind.DELAY):
         bus.fault(kind, framed=1, match_id=0x80, match_mask=0x7FF, delay_ns=MS)
     bus.send(0, 0x80)
@@ -451,7 +451,7 @@ def test_all_clients_as_one():
 
     Bit 10 of SYNC is a stuff bit: who sees it dominant has an error.
     """
-    bus = Copper((0, 1, 128, 159))
+    bus = WireBench((0, 1, 128, 159))
     match = {"framed": 1, "match_mask": 0x7FF, "station": CLIENTS}
     bus.fault(FaultKind.FLIP, match_id=0x80, bit=10, **match)
     bus.fault(FaultKind.DROP, match_id=0x90, match_source=CLIENTS, **match)

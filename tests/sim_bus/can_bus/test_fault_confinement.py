@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import pytest
 
-from copper import US, Copper, carried, told
 from coulombus.sim_bus.can_bus.bus_state import Delivered, ErrorKind
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import TAIL_BIT, FaultKind
@@ -18,6 +17,7 @@ from coulombus.sim_bus.can_bus.stuffing import TAIL_BITS
 from coulombus.sim_bus.can_bus.tx_queue import withdraw
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.frame import CAN_ERR_FLAG
+from wire_bench import US, WireBench, carried, told
 
 FRAME = b"\x55" * 8  # no stuff bits in its data
 LENGTH = frame_bits(0x181, FRAME)  # with intermission
@@ -30,7 +30,7 @@ MS = 1_000_000
 
 def flipped(*bits, set_up=None, data=FRAME, can_id=0x181, one_shot=1):
     """The bus after 181h with these bits turned around: each for all, or (bit, station) for one."""
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, one_shot=one_shot)
     for station, values in (set_up or {}).items():
         bus.set(station, **values)
@@ -107,7 +107,7 @@ def test_f_dominant_bits_after_a_flag(more, is_passive):
     """
     before = 128 if is_passive else 0
     set_up = {0: passive(tec=before), 2: passive(rec=before)} if is_passive else {}
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, one_shot=1)
     for station, values in set_up.items():
         bus.set(station, **values)
@@ -176,7 +176,7 @@ def test_l_each_frame_has_one_run_of_11_recessive_bits():
     """Frame after frame, without a gap: ACK delimiter, end of frame and intermission are 11 bits,
     and there are no others.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, one_shot=1, **passive(tec=248))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=EOF1 + 2)
     bus.send(0, 0x181, FRAME)
@@ -190,7 +190,7 @@ def test_l_each_frame_has_one_run_of_11_recessive_bits():
 
 def test_l_a_glitch_breaks_a_run():
     """Ten recessive bits, one dominant, again and again, are no run at all."""
-    bus = Copper((0, 1))
+    bus = WireBench((0, 1))
     bus.set(0, listen_only=1)  # so nobody answers the glitches with a flag
     bus.set(1, state=int(CanState.BUS_OFF), restart_at_ns=0, runs_left=1)
     for n in range(20):
@@ -202,7 +202,7 @@ def test_l_a_glitch_breaks_a_run():
 @pytest.mark.parametrize("bit", [INTERMISSION1, INTERMISSION1 + 1])
 def test_overload_a_dominant_bit_in_the_first_two_of_intermission(bit):
     """No error: six bits of flag, eight of delimiter, and intermission again."""
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=bit)
     bus.send(0, 0x181, FRAME)
     bus.send(1, 0x200)
@@ -239,7 +239,7 @@ def test_the_third_bit_of_intermission_is_a_start_of_frame_and_who_waits_joins_i
 
     An error-passive sender of the last frame may not.
     """
-    bus = Copper()
+    bus = WireBench()
     for station, values in set_up.items():
         bus.set(station, **values)
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=INTERMISSION1 + 2)
@@ -266,7 +266,7 @@ def test_an_error_passive_receiver_that_alone_saw_an_error_is_behind_the_others(
     7 (form error, the frame is missed), in bit 8 or in the first two of intermission (overload
     flag: it destroys the frame), or is a start of frame for it too.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.set(2, **passive(rec=130))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=40, station=2)
     bus.send(0, 0x181, FRAME)
@@ -297,7 +297,7 @@ def test_its_own_frame_waits_until_it_is_back():
     Eight bits of delimiter and three of intermission later it may send: seven bits after the
     others.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.set(2, **passive(rec=130))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=40, station=2)
     bus.send(0, 0x181, FRAME)
@@ -309,7 +309,7 @@ def test_without_a_gap_it_never_comes_back():
     """As the standard says: it may need the bus idle for some bits, so a bus should not be loaded
     fully.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.set(2, **passive(rec=130))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=40, station=2)
     bus.send(0, 0x181, FRAME)
@@ -329,7 +329,7 @@ def test_a_dominant_bit_on_an_idle_wire_is_a_start_of_frame():
 
     What is to be sent meanwhile waits for their intermission.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.NOISE, **GLITCH)
     bus.send(0, 0x100, b"", 103 * US)
     error, frame = bus.run()
@@ -343,11 +343,11 @@ def test_a_dominant_bit_that_one_alone_sees():
     """Its flag is a start of frame for the others, and six dominant bits a stuff error: rule b for
     the one. A passive flag troubles nobody.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.NOISE, station=1, **GLITCH)
     assert len(told(bus.run(until_ns=MS))) == 1
     assert counters(bus) == [(0, 1), (0, 9), (0, 1)]
-    bus = Copper()
+    bus = WireBench()
     bus.set(1, **passive(rec=130))
     bus.fault(FaultKind.NOISE, station=1, **GLITCH)
     bus.run(until_ns=MS)
@@ -358,7 +358,7 @@ def test_a_frame_that_starts_while_one_is_taken_in_by_a_glitch():
     """Station 1 is three bits into a frame that is none: what it makes of the real one ends in an
     error flag, and the frame is sent again.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.NOISE, station=1, **GLITCH)
     bus.send(0, 0x100, FRAME, 103 * US)
     rows = bus.run(until_ns=MS)
@@ -368,7 +368,7 @@ def test_a_frame_that_starts_while_one_is_taken_in_by_a_glitch():
 
 
 def test_noise_strikes_an_idle_wire_as_often_as_a_busy_one():
-    bus = Copper((0, 1))
+    bus = WireBench((0, 1))
     bus.bus.noise.state = 12345
     bus.fault(FaultKind.NOISE, rate=1e-3, until_ns=200 * MS)
     rows = bus.run(until_ns=201 * MS)
@@ -380,7 +380,7 @@ def test_one_shot_is_given_up_after_a_lost_arbitration():
     """101h against 100h: identifier bit 0, the eleventh behind the start of frame, of which two
     bits are stuffed before.
     """
-    bus = Copper((0, 1, 2, 3))
+    bus = WireBench((0, 1, 2, 3))
     bus.set(1, one_shot=1)
     bus.set(3, one_shot=1)
     bus.send(0, 0x100, b"a")
@@ -400,7 +400,7 @@ def test_one_shot_is_given_up_after_a_lost_arbitration():
 
 
 def test_one_shot_that_wins_or_is_alone_is_sent():
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, one_shot=1)
     bus.send(0, 0x100)
     bus.send(1, 0x101)
@@ -410,7 +410,7 @@ def test_one_shot_that_wins_or_is_alone_is_sent():
 
 
 def test_of_one_hundred_that_lose_at_once_each_is_told():
-    bus = Copper(range(100))
+    bus = WireBench(range(100))
     for station in range(1, 100):
         bus.set(station, one_shot=1)
         bus.send(station, 0x400 + station)
@@ -426,7 +426,7 @@ def test_what_a_reset_node_had_on_the_wire_is_not_sent_again(station):
     """Station 0 sends, disturbed in its arbitration field, and 1 contends: who is reset in the
     midst of that has nothing to send any more.
     """
-    bus = Copper()
+    bus = WireBench()
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x100, match_mask=0x7FF, bit=1)
     bus.send(0, 0x100)
     bus.send(1, 0x101)
@@ -436,7 +436,7 @@ def test_what_a_reset_node_had_on_the_wire_is_not_sent_again(station):
 
 
 def test_frames_of_one_station_with_one_identifier_need_no_closer_look():
-    bus = Copper()
+    bus = WireBench()
     bus.set(2, loopback=1)  # so the bus is looked at closely
     for n in range(4):
         bus.send(0, 0x100, bytes((n,)))
@@ -446,7 +446,7 @@ def test_frames_of_one_station_with_one_identifier_need_no_closer_look():
 
 
 def test_who_only_listens_sends_nothing():
-    bus = Copper()
+    bus = WireBench()
     bus.set(0, listen_only=1)
     bus.send(0, 0x100)
     assert bus.run(until_ns=MS) == []
@@ -457,7 +457,7 @@ def test_all_that_contend_are_transmitters_of_an_error_in_the_arbitration_field(
     """Bit 2 of 100h and 101h, dominant for both, is seen recessive: a bit error of both; 300h has
     lost to neither by then.
     """
-    bus = Copper((0, 1, 2, 3))
+    bus = WireBench((0, 1, 2, 3))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x100, match_mask=0x7FF, bit=1)
     for station, can_id in ((0, 0x100), (1, 0x101), (2, 0x300)):
         bus.send(station, can_id)

@@ -25,7 +25,7 @@ class Row:
     receivers: tuple[int, ...] = ()
 
 
-class Copper:
+class WireBench:
     """`stations` by number on a wire of 1 Mbit/s; `run` returns what the log holds."""
 
     def __init__(self, stations=(0, 1, 2), bitrate=1_000_000):
@@ -112,4 +112,4 @@ def bits(t_ns, bitrate=1_000_000):
     return t_ns * bitrate / 1e9
 
 
-__all__ = ["US", "Copper", "Row", "bits", "carried", "told"]
+__all__ = ["US", "Row", "WireBench", "bits", "carried", "told"]
