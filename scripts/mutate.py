@@ -141,17 +141,12 @@ TARGETS = {
             "serves",
         ),
     ),
-    "sim_bus/server/server.py": Target(
+    "sim_bus/server/admission.py": Target(
         ("test_server_edges",),
-        (
-            "SimResult.exit_status",
-            *(
-                f"BusServer.{name}"
-                for name in ("_accept", "_turn_away", "_place", "_admit", "_greeted", "_part", "_unlink")
-            ),
-            *("_locked", "_refuse_live"),
-        ),
+        tuple(f"Admission.{name}" for name in ("accept", "_turn_away", "_place", "admit", "greeted", "part")),
     ),
+    "sim_bus/server/socket_file.py": Target(("test_server_edges",)),
+    "sim_bus/server/sim_result.py": Target(("test_server_edges",)),
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),
     "node/reactions.py": Target(("test_node_behaviour",)),

@@ -18,7 +18,8 @@ from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.server.clients import STATION
 from coulombus.sim_bus.server.realtime_loop import Serve
-from coulombus.sim_bus.server.server import BusServer, SimResult
+from coulombus.sim_bus.server.server import BusServer
+from coulombus.sim_bus.server.sim_result import SimResult
 from coulombus.wire.address import BusAddress
 from coulombus.wire.frame import Records, push
 

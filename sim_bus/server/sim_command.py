@@ -11,7 +11,8 @@ from dataclasses import asdict
 from types import FrameType
 
 from coulombus.sim_bus.faults.lines import injected_lines
-from coulombus.sim_bus.server.server import BusServer, SimResult
+from coulombus.sim_bus.server.server import BusServer
+from coulombus.sim_bus.server.sim_result import SimResult
 from coulombus.system.exit import printed, say, show, verdict
 from coulombus.system.sd_notify import Notifier
 from coulombus.system.stop_signals import end_at_once, taken

@@ -415,7 +415,7 @@ def test_a_client_for_whom_no_memory_is_left_is_not_kept(rig, monkeypatch):
         raise MemoryError
 
     server = SimServer(rig, BusAddress("coulombus", "t"))
-    monkeypatch.setattr("coulombus.sim_bus.server.server.ask_for_stamps", refused)
+    monkeypatch.setattr("coulombus.sim_bus.server.admission.ask_for_stamps", refused)
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as client:
         client.settimeout(TIMEOUT_S)
         client.connect(str(socket_path("t")))
@@ -429,12 +429,12 @@ def test_a_client_for_whom_no_memory_is_left_is_not_kept(rig, monkeypatch):
 def test_whatever_becomes_of_a_client_closing_leaves_nothing(rig, tmp_path, monkeypatch):
     server = SimServer(rig, BusAddress("coulombus", "t"), record=tmp_path / "r.pcapng")
     mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    server._admit(0, mine, SlotState.GREETING)
+    server._admission.admit(0, mine, SlotState.GREETING)
 
     def refused(bus, station):
         raise MemoryError
 
-    monkeypatch.setattr("coulombus.sim_bus.server.server.detach", refused)
+    monkeypatch.setattr("coulombus.sim_bus.server.admission.detach", refused)
     before = len(os.listdir("/proc/self/fd"))
     with pytest.raises(MemoryError):
         server.close()

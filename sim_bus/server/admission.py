@@ -1,0 +1,212 @@
+"""The clients of a virtual bus: who gets a place, how it is greeted, and what is left when it goes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import struct
+import time
+from contextlib import ExitStack, suppress
+
+import numpy as np
+
+from coulombus.kernels.records import RecordArray
+from coulombus.sim_bus.can_bus.cable_cut import wire_of
+from coulombus.sim_bus.can_bus.fault_confinement import state_of
+from coulombus.sim_bus.can_bus.stations import attach, detach
+from coulombus.sim_bus.network.network import VirtualNetwork
+from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOTS, STATION, Clients, SlotState
+from coulombus.sim_bus.server.records import SLOT, PaceRecord, SlotRecord
+from coulombus.sim_bus.server.sim_result import SimResult
+from coulombus.wire.address import BusAddress, BusUnavailable
+from coulombus.wire.frame import new_records
+from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, BusStatus, Flags, Hello
+from coulombus.wire.recvmsg import Mailbox, ask_for_stamps, set_up
+
+__all__ = ["Admission"]
+
+LOSERS_TOLD = 20
+MUTE_S = 2.0
+"""How long a client may take to greet where others wait for its place."""
+SO_SNDBUFFORCE, SO_PEERCRED = 32, 17
+
+
+class Admission:
+    """The places of a server's clients, and the sockets in them.
+
+    Parameters
+    ----------
+    address, bit_rate : of the bus; a client that greets is told the rate
+    world : what the clients are stations of
+    pace : the loop's record; its `listener` is -1 while no client can be taken
+    result : counts what the clients came to
+    """
+
+    def __init__(
+        self,
+        address: BusAddress,
+        bit_rate: int,
+        world: VirtualNetwork,
+        pace: RecordArray[PaceRecord],
+        result: SimResult,
+    ) -> None:
+        self._address, self._bit_rate, self._world, self._pace, self._result = address, bit_rate, world, pace, result
+        self.listener: socket.socket | None = None
+        rows = SLOTS + 1  # the last is for a client that has to be told that there is no room
+        self.slots = new_records(SlotRecord, rows)
+        self.slots["fd"] = -1
+        self._words = np.zeros((rows, 2 * MESSAGE_FRAMES), np.int64)
+        self._boxes = new_records(Mailbox, rows)
+        for i in range(rows):
+            set_up(self._boxes[i : i + 1], self._words[i])
+        self._filters = np.zeros((rows, MAX_FILTERS, 2), np.int64)
+        batches = np.zeros((rows, 2 * BATCH), np.int64)
+        pollfds = np.zeros(rows + 2, np.int64)
+        self.clients = Clients(self.slots, self._boxes, self._words, self._filters, batches, pollfds)
+        """The same for the compiled loop."""
+        self.sockets: dict[int, socket.socket] = {}
+        self._pids: dict[int, int] = {}
+        self._since: dict[int, float] = {}
+        self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for who comes when there is no other left
+
+    def listen(self, listener: socket.socket) -> None:
+        """Take clients from `listener`, which is closed with the places."""
+        self.listener = listener
+        self._pace["listener"] = listener.fileno()
+
+    def accept(self) -> None:
+        """Give a place to the client that waits at the listener."""
+        assert self.listener is not None
+        place = self._place()
+        if place is None:  # not even room to say so: let it wait
+            self._pace["listener"] = -1
+            return
+        try:
+            client, _ = self.listener.accept()
+        except (BlockingIOError, ConnectionAbortedError):  # it has gone already
+            return
+        except OSError as error:
+            if error.errno not in (errno.EMFILE, errno.ENFILE):
+                raise BusUnavailable(
+                    f"bus {self._address}: no further client can be accepted: {error.strerror}"
+                ) from None
+            self._turn_away()
+            return
+        try:
+            client.setblocking(False)
+            try:
+                client.setsockopt(socket.SOL_SOCKET, SO_SNDBUFFORCE, SEND_BUFFER)
+            except PermissionError:
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            ask_for_stamps(client)
+            self.admit(place, client, SlotState.GREETING)
+        except BaseException as error:
+            with ExitStack() as left:
+                left.callback(client.close)
+                if self.sockets.get(place) is client:
+                    self.part(place)
+            if not isinstance(error, OSError):  # one socket that cannot be set up costs nobody else the bus
+                raise
+
+    def _turn_away(self) -> None:
+        """Without a descriptor left: let one in on the spare one, and out again.
+
+        Who is left to wait would wake the loop for ever.
+        """
+        assert self.listener is not None
+        os.close(self._spare)
+        try:
+            client, _ = self.listener.accept()
+            with client, suppress(OSError):
+                client.send(Answer(BusStatus.FULL).pack())
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            raise BusUnavailable(f"bus {self._address}: no further client can be accepted: {error.strerror}") from None
+        finally:
+            self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+
+    def _place(self) -> int | None:
+        """Return a free place.
+
+        When there are none for clients, who has connected and says nothing is turned away.
+        """
+        free = np.flatnonzero(self.slots["state"] == SlotState.FREE)
+        if len(free) and free[0] < SLOTS:
+            return int(free[0])
+        mute = [i for i in self.sockets if self.slots[i]["state"] == SlotState.GREETING]  # in the order of their coming
+        mute.sort(key=lambda i: i == SLOTS)  # the place at which one is only told that there is none comes last
+        before = time.monotonic() - MUTE_S
+        for i in [i for i in mute if self._since[i] < before] or ([] if len(free) else mute[:1]):
+            self.part(i)
+        free = np.flatnonzero(self.slots["state"] == SlotState.FREE)
+        return int(free[0]) if len(free) else None
+
+    def admit(self, i: int, client: socket.socket, state: SlotState) -> None:
+        """Give a client the slot `i`, with nothing counted."""
+        self.sockets[i], self._since[i] = client, time.monotonic()
+        self.slots[i : i + 1] = np.zeros(1, SLOT)
+        self.slots[i]["fd"], self.slots[i]["state"] = client.fileno(), state
+        self._boxes[i]["overflow"] = 0
+        if state is SlotState.GREETING:
+            credentials = client.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, struct.calcsize("3i"))
+            self._pids[i] = struct.unpack("3i", credentials)[0]
+
+    def greeted(self, i: int) -> None:
+        """Answer a greeting, the first or a later one.
+
+        Who does not greet at first is turned away.
+        """
+        slot = self.slots[i]
+        message = self._words[i].tobytes()[: int(self._pace["message_bytes"][0])]
+        hello = Hello.unpack(message)
+        status = hello if isinstance(hello, BusStatus) else BusStatus.OK
+        first = slot["state"] == SlotState.GREETING
+        if status is BusStatus.OK and i == SLOTS:
+            status = BusStatus.FULL
+        if isinstance(hello, Hello) and status is BusStatus.OK:
+            slot["greeted"], slot["filters"] = int(hello.flags), len(hello.filters)
+            self._filters[i, : len(hello.filters)] = np.array(hello.filters, np.int64).reshape(-1, 2)
+            slot["state"] = SlotState.OPEN
+            bus = wire_of(self._world.bus, STATION + i)
+            bus.stations[STATION + i].listen_only = int(Flags.LISTEN_ONLY in hello.flags)
+            attach(bus, STATION + i)
+            self._result.clients += int(first)
+        controller = wire_of(self._world.bus, STATION + i).stations[STATION + i]
+        answer = Answer(status, self._bit_rate, STATION + i, int(slot["lost"]), state_of(controller))
+        with suppress(OSError):  # it does not read, or has gone: the loop will find out
+            self.sockets[i].send(answer.pack())
+        if not isinstance(hello, Hello) or status is not BusStatus.OK:
+            if first:
+                self.part(i)
+            else:
+                slot["malformed"] += 1
+
+    def part(self, i: int) -> None:
+        """Forget the client in slot `i`."""
+        slot, result = self.slots[i], self._result
+        self.sockets.pop(i).close()
+        pid = self._pids.pop(i, 0)
+        lost = int(slot["lost"])
+        result.malformed += int(slot["malformed"])
+        if slot["state"] == SlotState.OPEN:
+            result.lost += lost
+            if lost and len(result.losers) < LOSERS_TOLD:
+                result.losers.append({"pid": pid, "lost": lost, "delivered": int(slot["delivered"])})
+        detach(wire_of(self._world.bus, STATION + i), STATION + i)
+        slot["state"], slot["fd"] = SlotState.FREE, -1
+        if self.listener is not None:
+            self._pace["listener"] = self.listener.fileno()
+
+    def close(self) -> None:
+        """Close the clients' sockets and the listener, all of them, whatever becomes of one."""
+        with ExitStack() as left:
+            if self._spare >= 0:
+                left.callback(os.close, self._spare)
+                self._spare = -1
+            if self.listener is not None:
+                left.callback(self.listener.close)
+                self.listener = None
+            for slot in self.sockets:
+                left.callback(self.part, slot)

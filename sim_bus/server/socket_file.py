@@ -1,0 +1,56 @@
+"""The file of a virtual bus's socket: whose it is, and who may make and remove it."""
+
+from __future__ import annotations
+
+import os
+import socket
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from coulombus.system.file_lock import lock_file
+from coulombus.wire.address import BusAddress, BusUnavailable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["locked", "refuse_live", "unlink_own"]
+
+
+@contextmanager
+def locked(directory: Path) -> Iterator[None]:
+    """Hold the lock on the sockets' directory, so that two servers that start at a time do not both
+    take a dead one's place.
+    """
+    fd = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        lock_file(fd, wait=True)
+        yield
+    finally:
+        os.close(fd)
+
+
+def refuse_live(path: Path, address: BusAddress) -> bool:
+    """Refuse a socket's file whose process lives.
+
+    Return whether there is the file of a dead one.
+    """
+    with closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)) as probe:
+        try:
+            probe.connect(str(path))
+        except FileNotFoundError:
+            return False
+        except ConnectionRefusedError:
+            return True
+        except BlockingIOError:  # its queue is full: it lives
+            pass
+    raise BusUnavailable(
+        f"bus {address} is served already by another process ({path}); stop that one, or choose another name with --bus"
+    )
+
+
+def unlink_own(path: Path, inode: int) -> None:
+    """Remove a socket's file if it is still the one of this inode."""
+    with locked(path.parent), suppress(FileNotFoundError):
+        if path.stat().st_ino == inode:
+            path.unlink()
