@@ -84,8 +84,8 @@ def _disturbed(bus: BusRecord, row: int, level: int) -> int:
     wire for `ALL`.
     """
     for k in range(bus.struck.flips):
-        one = bus.struck.flip_station[k]
-        if bus.struck.flip_bit[k] == bus.play.bit and (one == ALL) == (row == ALL) and is_meant(one, row):
+        station = bus.struck.flip_station[k]
+        if bus.struck.flip_bit[k] == bus.play.bit and (station == ALL) == (row == ALL) and is_meant(station, row):
             level = 1 - level
     return level
 

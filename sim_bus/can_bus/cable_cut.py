@@ -90,17 +90,17 @@ def split(bus: RecordArray[BusRecord], out: Queue, row: int, t_ns: int) -> Recor
     halves = near.faults[row].far.astype(np.int64)
     switched_on = [int(station) for station in near.on[: near.on_count]]
     waits = [station for station in range(STATIONS) if near.waiting_of[station]]
-    for half, one in enumerate((near, far)):
-        one.half = half
-        one.stations["half"] = halves
+    for half, wire in enumerate((near, far)):
+        wire.half = half
+        wire.stations["half"] = halves
         stay = [station for station in switched_on if halves[station] == half]
-        one.on_count = len(stay)
-        one.on[: len(stay)] = stay
+        wire.on_count = len(stay)
+        wire.on[: len(stay)] = stay
         for station in range(STATIONS):
             if halves[station] != half:
-                one.stations[station].attached = one.stations[station].hears = 0
+                wire.stations[station].attached = wire.stations[station].hears = 0
                 if station in waits:
-                    withdraw(one, out, number(station))
+                    withdraw(wire, out, number(station))
     for name in ("frames", "bits", "errors", "retransmissions", "told", "fault_due", "fault_calls"):
         far[name] = 0
     far.noise.hits = 0
@@ -113,9 +113,9 @@ def split(bus: RecordArray[BusRecord], out: Queue, row: int, t_ns: int) -> Recor
     fault = near.faults[row]
     near.cut, near.cut_row = APART, row
     near.mend_ns = fault.next_ns = min(t_ns + int(fault.lasts_ns), FAR_NS)
-    for one in (near, far):
-        plan_alarm(one, t_ns)
-        refresh(one)
+    for wire in (near, far):
+        plan_alarm(wire, t_ns)
+        refresh(wire)
     return before
 
 
@@ -128,7 +128,7 @@ def merged_faults(bus: RecordArray[BusRecord], before: RecordArray[FaultRecord])
         if row.kind == FaultKind.BABBLE and near.stations[int(row.station) & STATION_MASK].half:
             out[n] = other
             continue
-        firsts = [int(one.first_ns) for one in (row, other) if one.fired]
+        firsts = [int(fault.first_ns) for fault in (row, other) if fault.fired]
         row.first_ns = min(firsts, default=0)
         row.last_ns = max(int(row.last_ns), int(other.last_ns))
         row.fired += other.fired - base.fired

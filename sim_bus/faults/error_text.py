@@ -52,43 +52,43 @@ def mistakes(
     faults, told apart by ``kind``.
     """
     by_kind = {get_args(model.model_fields["kind"].annotation)[0]: model for model in faults}
-    found: dict[tuple[int, str], tuple[list[str], str]] = {}
-    for one in error.errors():
+    findings: dict[tuple[int, str], tuple[list[str], str]] = {}
+    for finding in error.errors():
         names = tuple(
             part
-            for n, part in enumerate(one["loc"])
+            for n, part in enumerate(finding["loc"])
             if isinstance(part, int)
             or not (part in ("int", "str", "float") or part.startswith(WRAPPERS) or (n == 2 and part in by_kind))
         )
         expected, given = "", ""
-        if one["type"] == "extra_forbidden":
-            text = f"no such key here{nearest(str(names[-1]), _keys_beside(one['loc'], schema, by_kind))}"
+        if finding["type"] == "extra_forbidden":
+            text = f"no such key here{nearest(str(names[-1]), _keys_beside(finding['loc'], schema, by_kind))}"
             text += "" if "mean" in text else "; remove it, or see docs/bus.md for the keys of this kind"
-        elif one["type"] == "missing":
+        elif finding["type"] == "missing":
             text = "is missing"
-        elif one["type"].startswith("union_tag"):
+        elif finding["type"].startswith("union_tag"):
             names = (*names, "kind")
-            kind = one["input"].get("kind")
+            kind = finding["input"].get("kind")
             text = "expected one of " + ", ".join(sorted(by_kind))
             if kind is not None:
                 text += (nearest(kind, by_kind) if isinstance(kind, str) else "") + f", not {shown(kind)}"
-        elif one["type"] in WANTED or one["type"] in OF_TYPES:
-            wanted = WANTED.get(one["type"], "a table").format(**one.get("ctx", {}))
-            text = expected = OF_KEYS.get(str(names[-1]), wanted) if one["type"] in OF_TYPES else wanted
-            given = f", not {shown(one['input'])}"
+        elif finding["type"] in WANTED or finding["type"] in OF_TYPES:
+            description = WANTED.get(finding["type"], "a table").format(**finding.get("ctx", {}))
+            text = expected = OF_KEYS.get(str(names[-1]), description) if finding["type"] in OF_TYPES else description
+            given = f", not {shown(finding['input'])}"
         else:
-            text = one["msg"].removeprefix("Value error, ")
-            text += "" if isinstance(one["input"], dict) else f", not {shown(one['input'])}"
+            text = finding["msg"].removeprefix("Value error, ")
+            text += "" if isinstance(finding["input"], dict) else f", not {shown(finding['input'])}"
         line = document.line(names)
         key = line, f"{path}:{line}: {'.'.join(map(str, names))}"
         if not expected:
-            found[key] = [text], ""
+            findings[key] = [text], ""
         else:  # a key that takes several types has a finding for each
-            texts = found.setdefault(key, ([], given))[0]
+            texts = findings.setdefault(key, ([], given))[0]
             texts += [] if expected in texts else [expected]
     return [
         f"{where}: {'expected ' if given else ''}{' or '.join(texts)}{given}"
-        for (_, where), (texts, given) in sorted(found.items(), key=lambda item: item[0])
+        for (_, where), (texts, given) in sorted(findings.items(), key=lambda item: item[0])
     ]
 
 
@@ -99,7 +99,9 @@ def _keys_beside(place: Key, schema: type[BaseModel], by_kind: dict[Any, type[Ba
         if part in by_kind and model is schema:
             model = by_kind[part]
         elif isinstance(part, str) and part in model.model_fields:
-            inner = [one for one in _models(model.model_fields[part].annotation) if one not in by_kind.values()]
+            inner = [
+                member for member in _models(model.model_fields[part].annotation) if member not in by_kind.values()
+            ]
             model = inner[0] if inner else model
     return list(model.model_fields)
 

@@ -123,15 +123,15 @@ class Trigger(_Strict):
     def _words(cls, given: Any) -> Any:
         if not isinstance(given, str):
             return given
-        found = _TRIGGER.fullmatch(given.strip())
-        if found is None:
+        match = _TRIGGER.fullmatch(given.strip())
+        if match is None:
             raise ValueError('expected a text such as "3rd TPDO1 of node 2", "every 10th SYNC" or "1st 0x181"')
-        nth, node = int(found["nth"] or 1), found["node"]
-        words: dict[str, Any] = {"nth": nth, "every": nth if found["every"] else 0}
-        if found["frame"].lower().startswith("0x"):
-            words["can_id"] = int(found["frame"], 16)
+        nth, node = int(match["nth"] or 1), match["node"]
+        words: dict[str, Any] = {"nth": nth, "every": nth if match["every"] else 0}
+        if match["frame"].lower().startswith("0x"):
+            words["can_id"] = int(match["frame"], 16)
         else:
-            words["frame"] = found["frame"]
+            words["frame"] = match["frame"]
         if node is not None:
             words["node"] = int(node) if node.isdigit() else node
         return words
@@ -328,7 +328,7 @@ class FaultPlan:
             an entry names another bus, or none where the rig has several
         """
         kept: dict[str, list[int]] = {"fault": [], "controller": []}
-        known = ", ".join(f'"{one}"' for one in channels if one) or "one without a name; leave the key out"
+        known = ", ".join(f'"{bus}"' for bus in channels if bus) or "one without a name; leave the key out"
         for section, entries in (("fault", self.file.fault), ("controller", self.file.controller)):
             for n, entry in enumerate(entries):
                 if entry.bus is None and len(channels) > 1:

@@ -153,21 +153,21 @@ class Injection:
         halves = self._world.bus.view(np.ndarray)  # a recarray looks each field up in Python
         if self._on_fault is not None:
             columns = [halves[name] for name in ("told_ns", "told_row", "told_id")]
-            found: list[tuple[int, int, int]] = []
+            strikes: list[tuple[int, int, int]] = []
             for half, count in enumerate(halves["told"]):
-                found += zip(*(column[half, :count].tolist() for column in columns), strict=True)
-            for one in sorted(found):
-                self._tell_one(*one)
+                strikes += zip(*(column[half, :count].tolist() for column in columns), strict=True)
+            for entry in sorted(strikes):
+                self._tell_strike(*entry)
         halves["told"] = 0
 
-    def _tell_one(self, t_ns: int, row: int, can_id: int) -> None:
+    def _tell_strike(self, t_ns: int, row: int, can_id: int) -> None:
         what = "" if can_id == NO_FRAME else f" {can_id & 0x1FFFFFFF:X}h"
         self._mark(t_ns, f"fault {self.plan.file.fault[row].kind}{what} (line {self.plan.lines[row]})")
 
     def results(self) -> list[dict[str, Any]]:
         """Return what each fault of the file came to, for JSON."""
         rows = merged_faults(self._world.bus, self._before) if self._bus.cut else self._bus.faults
-        return [asdict(one) for one in injections(rows, self.plan)]
+        return [asdict(result) for result in injections(rows, self.plan)]
 
 
 def controllers_of(world: VirtualRig) -> dict[str, dict[str, Any]]:

@@ -16,15 +16,15 @@ def injected_lines(
     """Yield a line for each fault of a fault file, and for each CAN controller; a fault that never
     struck is told as such.
     """
-    for one in faults or ():
-        bus = f"bus {one['bus']}, " if "bus" in one else ""
-        if not one["times"]:
+    for fault in faults or ():
+        bus = f"bus {fault['bus']}, " if "bus" in fault else ""
+        if not fault["times"]:
             when = "never struck: what it waits for did not come"
-        elif one["times"] == 1:
-            when = f"once, at {one['first_s']:.6f} s"
+        elif fault["times"] == 1:
+            when = f"once, at {fault['first_s']:.6f} s"
         else:
-            when = f"{one['times']} times, from {one['first_s']:.6f} s to {one['last_s']:.6f} s"
-        yield f"fault {one['kind']} ({bus}line {one['line']}): {when}"
+            when = f"{fault['times']} times, from {fault['first_s']:.6f} s to {fault['last_s']:.6f} s"
+        yield f"fault {fault['kind']} ({bus}line {fault['line']}): {when}"
     for name, c in (controllers or {}).items():
         counts = {
             "errors": sum(c["errors"].values()),

@@ -104,7 +104,7 @@ def _at_one_time(a: Lasting, b: Lasting) -> bool:
     """
     if a.after != b.after:
         return True
-    first, second = sorted((a, b), key=lambda one: one.at_s)
+    first, second = sorted((a, b), key=lambda fault: fault.at_s)
     return first.duration_s is None or round((first.at_s + first.duration_s) * 1e9) > round(second.at_s * 1e9)
 
 
@@ -124,7 +124,8 @@ def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
         for m, other in enumerate(plan.file.fault[:n]):
             if isinstance(fault, Drift) and isinstance(other, Drift):
                 clocks = {
-                    nodes.station(one.node, ("fault", plan.faults[k], "node")) for k, one in ((m, other), (n, fault))
+                    nodes.station(drift.node, ("fault", plan.faults[k], "node"))
+                    for k, drift in ((m, other), (n, fault))
                 }
                 if len(clocks) == 1 and _at_one_time(fault, other):
                     text = f"the clock of {fault.node!r} drifts by line {plan.lines[m]} already; let one end before the other begins"

@@ -254,9 +254,9 @@ def end_closely(world: World, course: CourseFunction, b: BusRecord) -> None:
         return
     b.confinements = 0
     for i in range(nodes.shape[0]):
-        told, b.stations[i].confinement = b.stations[i].confinement, 0
-        if told != 0:
-            own_time.confinement_changed(nodes[i], t, told, world.out)
+        change, b.stations[i].confinement = b.stations[i].confinement, 0
+        if change != 0:
+            own_time.confinement_changed(nodes[i], t, change, world.out)
             keep_deadline(world.deadlines, i, nodes[i])
             if world.axis_of[i] >= 0:
                 actuate(world, course, world.axis_of[i], t)
@@ -391,10 +391,10 @@ def run(
                 i = wants[b.can_id, k + 1] if plain else k
                 if nodes[i].powered and receives(b, i):
                     if closely is None or nodes[i].clock_on == 0:
-                        wanted = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
+                        request = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     else:
-                        wanted = own_time.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
-                    if wanted != 0:
+                        request = own_time.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
+                    if request != 0:
                         w.service[w.services] = i
                         w.services += 1
                     keep_deadline(deadlines, i, nodes[i])
@@ -403,14 +403,14 @@ def run(
             if law_function is not None and not w.host_elsewhere and receives(b, step.SOURCE_HOST):
                 w.had[w.log_count - 1] = 1
                 first, t_host = out.count, own_ns(w, t)
-                wanted = host_axes.on_frame(host.axes, host.owner, t_host, b.can_id, b.length, b.word)
-                if wanted == 1 and w.host_on:
+                request = host_axes.on_frame(host.axes, host.owner, t_host, b.can_id, b.length, b.word)
+                if request == 1 and w.host_on:
                     host_axes.finish(host.axes, law_function, t_host, host_axes.WINDOW_OPEN, out)
                     if w.clock_on + w.keep_sent != 0:
                         _keep(w, out, first)
                     if w.tells != 0:
                         w.told_count = tell_all(host.axes, t, host.told, w.told_count)
-                elif wanted == 2:
+                elif request == 2:
                     w.control_plane = 1
             w.heard = world.listening[b.can_id] if plain else w.listen_all
             if w.services != 0 or w.control_plane != 0 or w.heard != 0:

@@ -267,15 +267,15 @@ class VirtualNetwork:
         """
         if len(self._stations) >= MOST_STATIONS:
             raise ValueError(f"the network has {MOST_STATIONS} stations already")
-        wanted = None if can_ids is None else frozenset(can_ids)
-        station = Station(self, FIRST_STATION + len(self._stations), wanted, on_frame)
+        identifiers = None if can_ids is None else frozenset(can_ids)
+        station = Station(self, FIRST_STATION + len(self._stations), identifiers, on_frame)
         self._stations.append(station)
         attach(self.bus[0], station.number)
-        if wanted is None:
+        if identifiers is None:
             self._listening[:] = 1
             self._world["listen_all"] = 1
         else:
-            self._listening[list(wanted)] = 1
+            self._listening[list(identifiers)] = 1
         return station
 
     def canopen(self, sdo_timeout_s: float = 1.0) -> CanopenNetwork:
@@ -412,10 +412,10 @@ class VirtualNetwork:
 
     def power_on(self, device: int | None = None) -> None:
         """Switch all devices on, or that of a row; one that is on stays so."""
-        for row, one in enumerate(self.devices):
-            if device in (None, row) and not one.record["powered"]:
+        for row, node in enumerate(self.devices):
+            if device in (None, row) and not node.record["powered"]:
                 attach(wire_of(self.bus, row), row)
-                self._by_its_clock(row, one.power_on, self.t_ns)
+                self._by_its_clock(row, node.power_on, self.t_ns)
 
     def power_off(self, device: int) -> None:
         """Switch the device of a row off; what it had waiting to be sent is gone."""

@@ -78,9 +78,9 @@ class Station:
 
     def take(self, can_id: int | None = None) -> list[Heard]:
         """Take what was heard (with this identifier) out of `heard`."""
-        taken = [frame for frame in self.heard if can_id in (None, frame.can_id)]
+        frames = [frame for frame in self.heard if can_id in (None, frame.can_id)]
         self.heard = [frame for frame in self.heard if can_id not in (None, frame.can_id)]
-        return taken
+        return frames
 
     def wait_for(self, can_id: int, timeout_ns: int) -> Heard | None:
         """Let time pass until a frame `can_id` comes, and return it, or None after `timeout_ns`.

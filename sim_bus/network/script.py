@@ -140,4 +140,4 @@ def _entry(where: str, given: Any, names: Sequence[str]) -> Entry:
 
 
 def _either(allowed: Sequence[str]) -> str:
-    return " or ".join(f'"{one}"' for one in allowed)
+    return " or ".join(f'"{word}"' for word in allowed)

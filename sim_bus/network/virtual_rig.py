@@ -109,13 +109,15 @@ class VirtualRig(VirtualNetwork):
         self._take(rig, plant, seed)
         self._axes["truth_on"] = truth
         steps = knots * int(self._axes["steps_per_knot"].max())
-        self._columns = [truth_columns(one.simulation.plant) for one in rig.axes]
+        self._columns = [truth_columns(axis.simulation.plant) for axis in rig.axes]
         self._truth_block = np.zeros((n, steps if truth else 1, max(map(len, self._columns))))
         self._truth: list[list[Any]] = [[] for _ in range(n)]
         k = self.controllers
         self._told = new_records(Frame, TOLD_FRAMES)
-        devices = [stand_ins(one) for one in rig.axes]
-        sensors = {one.node_id: (a, one) for a, found in enumerate(devices) for one in found[2:]}  # axes may share one
+        devices = [stand_ins(axis) for axis in rig.axes]
+        sensors = {
+            sensor.node_id: (a, sensor) for a, group in enumerate(devices) for sensor in group[2:]
+        }  # axes may share one
         axis_of = np.array([*(np.arange(2 * n) // 2), *(a for a, _ in sensors.values())], np.int64)
         super().__init__(
             rig.bus.bitrate_bit_s,
@@ -127,17 +129,20 @@ class VirtualRig(VirtualNetwork):
             ),
         )
         self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # as plain arrays, see `_axes`
-        self.nodes["coil_A_Nm"][self._axes["brake"]] = [one.brake.coil_A_Nm for one in rig.axes]
+        self.nodes["coil_A_Nm"][self._axes["brake"]] = [axis.brake.coil_A_Nm for axis in rig.axes]
         rows: dict[int, tuple[int, Device]] = {}
-        for device in (*(one for found in devices for one in found[:2]), *(one for _, one in sensors.values())):
+        for device in (
+            *(stand_in for group in devices for stand_in in group[:2]),
+            *(stand_in for _, stand_in in sensors.values()),
+        ):
             added = self.add(device.served.description, device.node_id if numbered else UNCONFIGURED, device.profile)
             rows[device.node_id] = (len(rows), added)
             self.opened = (*self.opened, *(text for text in device.served.remarks if text not in self.opened))
-        self._rows = [{one.node: rows[one.node_id] for one in found} for found in devices]
+        self._rows = [{stand_in.node: rows[stand_in.node_id] for stand_in in group} for group in devices]
         self.rows: dict[str, int] = {
             axis.prefix + node: row
-            for axis, found in zip(rig.axes, self._rows, strict=True)
-            for node, (row, _) in found.items()
+            for axis, by_node in zip(rig.axes, self._rows, strict=True)
+            for node, (row, _) in by_node.items()
         }
         """The row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with
         several axes).
@@ -156,9 +161,9 @@ class VirtualRig(VirtualNetwork):
         self._axes[:] = np.zeros(n, AXIS)
         self._axes["motor"], self._axes["brake"] = MOTOR + 2 * np.arange(n), BRAKE + 2 * np.arange(n)
         self._axes["operator_start_ns"] = -1
-        self._axes["steps_per_knot"] = [max(1, round(KNOT_S / one.simulation.plant.step_s)) for one in rig.axes]
-        for a, one in enumerate(rig.axes):
-            plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
+        self._axes["steps_per_knot"] = [max(1, round(KNOT_S / axis.simulation.plant.step_s)) for axis in rig.axes]
+        for a, axis in enumerate(rig.axes):
+            plant[a : a + 1] = new_plant(axis, seed + a * SEED_STEP)
 
     def _couple(self) -> None:
         """Let the devices show and move the plants, and the hands act on them."""
@@ -277,7 +282,7 @@ class VirtualRig(VirtualNetwork):
     def _note(self, event: Event, t_ns: int, value: int = 0) -> None:
         w = self._world[0]
         received = self._had + int(np.count_nonzero(w["had"][: w["log_count"]]))
-        next_ns = min(int(h["next_ns"]) for one in self.controllers for h in one.host)
+        next_ns = min(int(h["next_ns"]) for controller in self.controllers for h in controller.host)
         self._events.append((t_ns, received, next_ns if w["host_on"] else 0, event, value))
 
     def flush(self) -> None:

@@ -74,7 +74,7 @@ def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
         and world.exits[Exit.LOG] == 0
     )
     draws = [_drawn(*pair) for pair in zip(noise, parts.plant["random"].tolist(), strict=True)]
-    known = tuple(one for one in draws if one is not None)
+    known = tuple(draw for draw in draws if draw is not None)
     if not simple or len(known) < len(draws):
         return None
     return WorldState(
@@ -136,7 +136,7 @@ def _seen(plants: Records) -> tuple[tuple[float, ...], ...]:
 
 def _advanced(parts: Any, course: Any, a: int, t_ns: int) -> Records | None:
     """Return the plant of axis `a` at `t_ns`; None where it depends on the pieces of the way there."""
-    found = []
+    results = []
     axis, f_h, truth = parts.axes[a], parts.f_h[a], parts.truth[a]
     per_knot = int(axis["steps_per_knot"])
     for pieces in PIECES:
@@ -147,5 +147,5 @@ def _advanced(parts: Any, course: Any, a: int, t_ns: int) -> Records | None:
             steps = (t_ns * piece // pieces - now_ns) // step_ns
             course(p, f_h, per_knot, now_ns // step_ns, steps, truth, -1)
             now_ns += steps * step_ns
-        found.append(plant)
-    return found[0] if len({plant.tobytes() for plant in found}) == 1 else None
+        results.append(plant)
+    return results[0] if len({plant.tobytes() for plant in results}) == 1 else None

@@ -71,11 +71,11 @@ def _solve(d: DetailRecord) -> None:
         if side[1] != 0:
             s1 = d.stiff[1]
     right, left = a1 * a2 - s1 * s1, a0 * a1 - s0 * s0
-    one = 1.0 / (a0 * right - s0 * s0 * a2)
+    inverse = 1.0 / (a0 * right - s0 * s0 * a2)
     across = s0 * a2 * r1 + s0 * s1 * r2
-    u[0] = (right * r0 + across) * one
-    u[1] = (s0 * a2 * r0 + a0 * (a2 * r1 + s1 * r2)) * one
-    u[2] = (s0 * s1 * r0 + s1 * a0 * r1 + left * r2) * one
+    u[0] = (right * r0 + across) * inverse
+    u[1] = (s0 * a2 * r0 + a0 * (a2 * r1 + s1 * r2)) * inverse
+    u[2] = (s0 * s1 * r0 + s1 * a0 * r1 + left * r2) * inverse
     for i in range(BODIES):
         if i >= n:
             continue
@@ -194,20 +194,20 @@ def _parts(d: DetailRecord, j: int) -> float:
 
 
 @kernel
-def _next_event(d: DetailRecord, h: float, found: int) -> int:
-    """Return an event within the step of `h` that was tried and is not the one that was `found` at its
-    end, or `NO_EVENT`.
+def _next_event(d: DetailRecord, h: float, last: int) -> int:
+    """Return an event within the step of `h` that was tried and is not `last`, the one at its end, or
+    `NO_EVENT`.
     """
     for i in range(BODIES):
         if i >= d.count:
             continue
         turns = d.level[i] > 0.0 or (d.bristles == ELEMENTS and d.share[i] > 0.0)
-        if i != found and d.v[i] != 0.0 and turns and _crosses(d, i, h) < 0.0:
+        if i != last and d.v[i] != 0.0 and turns and _crosses(d, i, h) < 0.0:
             return i
     for j in range(BODIES - 1):
         if j + 1 >= d.count:
             continue
-        if 3 + j != found and d.gap[j] > 0.0 and _crosses(d, 3 + j, h) < 0.0:
+        if 3 + j != last and d.gap[j] > 0.0 and _crosses(d, 3 + j, h) < 0.0:
             return 3 + j
     return NO_EVENT
 
@@ -220,11 +220,11 @@ def _first_event(p: PlantRecord, h: float, event: int, hand: float, torque: floa
     The instant is found by the Illinois method; the step up to there is tried last.
     """
     d = p.detail
-    found = NO_EVENT
+    last = NO_EVENT
     for _ in range(MOST_SWITCHES):
         if event == NO_EVENT:
             break
-        found = event
+        last = event
         low, high, f_high = 0.0, h, _crosses(d, event, h)
         begin = f_low = abs(d.v[event]) if event < 3 else _room(d, event - 3, 0.0)
         small = 1e-14 * (abs(f_low) + abs(f_high))
@@ -253,8 +253,8 @@ def _first_event(p: PlantRecord, h: float, event: int, hand: float, torque: floa
             else:
                 low, f_low = h, value
                 f_high *= 0.5
-        event = _next_event(d, h, found)
-    return h, found
+        event = _next_event(d, h, last)
+    return h, last
 
 
 @kernel

@@ -87,20 +87,22 @@ def _wrapped(value: float, low: int, high: int) -> int:
 def show(axis: RigAxis, p: PlantRecord, nodes: RecordArray[NodeRecord], handle_Nm: float, coil_A: float) -> None:
     """Let the objects show the plant, and a drive that feeds the coil the current that flows."""
     for k in range(axis.shown_count):
-        one = axis.shown[k]
-        if one.quantity == Quantity.POSITION:
-            nodes[one.row].values[one.slot] = _wrapped((encoder_rad(p) - one.offset) * one.gain, one.low, one.high)
+        channel = axis.shown[k]
+        if channel.quantity == Quantity.POSITION:
+            nodes[channel.row].values[channel.slot] = _wrapped(
+                (encoder_rad(p) - channel.offset) * channel.gain, channel.low, channel.high
+            )
             continue
         value = p.v
-        if one.quantity == Quantity.TORQUE:
+        if channel.quantity == Quantity.TORQUE:
             value = p.motor
-        elif one.quantity == Quantity.HANDLE:
+        elif channel.quantity == Quantity.HANDLE:
             value = handle_Nm
-        elif one.quantity == Quantity.CURRENT:
+        elif channel.quantity == Quantity.CURRENT:
             value = coil_A
-        elif one.quantity == Quantity.TEMPERATURE:
+        elif channel.quantity == Quantity.TEMPERATURE:
             value = p.temperature
-        count = min(max((value - one.offset) * one.gain, float(one.low)), float(one.high))
-        nodes[one.row].values[one.slot] = math.floor(count + 0.5)
+        count = min(max((value - channel.offset) * channel.gain, float(channel.low)), float(channel.high))
+        nodes[channel.row].values[channel.slot] = math.floor(count + 0.5)
     if axis.brake_output == BrakeOutput.DRIVE:
         nodes[axis.brake].in_torque_pm = nodes[axis.brake].out_torque_pm

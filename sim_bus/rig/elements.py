@@ -105,8 +105,8 @@ def elements_torque(d: DetailRecord, i: int, h: float) -> None:
     way = _way(d, i, h)
     constant = slope = 0.0
     for j in range(d.elements):
-        one, rises, _ = _element(d, i, j, h, way)
-        constant += one
+        term, rises, _ = _element(d, i, j, h, way)
+        constant += term
         slope += rises
     d.way[i], d.borne[i], d.rises[i] = way, constant, slope
     damping = d.bristle_damping[i] if d.slip_rate == 0.0 else 0.0

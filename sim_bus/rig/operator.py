@@ -111,14 +111,14 @@ class Operator:
         """
         torque = np.zeros_like(t)
         hand = self._hand
-        wanted = 0.0  # where the hand wants to be when a phase begins
+        target = 0.0  # where the hand wants to be when a phase begins
         for phase, begin in zip(self._phases, self.starts_s[:-1], strict=True):
-            rest = hand.stiffness_Nm_rad * wanted
+            rest = hand.stiffness_Nm_rad * target
             if phase.kind == "stroke":
                 end, _ = _stroke(np.array([phase.duration_s]), phase.speed_rad_s, phase.move_s, phase.dwell_s)
-                wanted += float(end[0])
+                target += float(end[0])
             elif phase.kind == "motion":
-                wanted += float(np.interp(phase.duration_s, phase.t_s, phase.x_rad))
+                target += float(np.interp(phase.duration_s, phase.t_s, phase.x_rad))
             first, after = np.searchsorted(t, (begin, begin + phase.duration_s))
             if first == after:
                 continue

@@ -98,7 +98,7 @@ def set_bristles(d: DetailRecord, i: int, h: float) -> None:
         return
     g, damping, rate = d.bears[i], d.bristle_damping[i], d.rate_Nm_s[i]
     half = 0.5 * h * rate
-    one = 1.0 / (g + half)
-    stiffness = (d.share[i] * d.sigma_0 * g - damping * rate) * one
+    inverse = 1.0 / (g + half)
+    stiffness = (d.share[i] * d.sigma_0 * g - damping * rate) * inverse
     d.held[i], d.given[i] = stiffness * d.z[i], 0.5 * h * stiffness + damping
-    d.kept[i], d.taken[i] = (g - half) * one, h * g * one
+    d.kept[i], d.taken[i] = (g - half) * inverse, h * g * inverse

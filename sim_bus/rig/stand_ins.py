@@ -76,12 +76,12 @@ def _stand_in(axis: Axis, node: Node) -> StandIn:
     description = axis.description(node)
     base = DRIVE402 if node == "motor" else of_description(description)
     profile = base
-    for one in axis.allocation.bound.bindings:
-        if one.node == node and one.kind.name in ("torque_setpoint", "brake_setpoint") and base is DRIVE402:
-            profile = _drive(axis, one)
-    taken = [_key(one) for one in _shown(axis, {node: base})]
+    for binding in axis.allocation.bound.bindings:
+        if binding.node == node and binding.kind.name in ("torque_setpoint", "brake_setpoint") and base is DRIVE402:
+            profile = _drive(axis, binding)
+    keys = [_key(binding) for binding in _shown(axis, {node: base})]
     first = max(FIRST_FREE, *(row.slot + 1 for row in profile.objects))
-    rows = (CoreObject(*key, first + k, changing=True, named=True) for k, key in enumerate(taken))
+    rows = (CoreObject(*key, first + k, changing=True, named=True) for k, key in enumerate(keys))
     return StandIn(node, axis.part(node).node_id, opened(description, base), profile.fitted(*rows))
 
 
@@ -105,8 +105,8 @@ def _per_mille(axis: Axis, setpoint: Binding) -> float:
     return 1000 * abs(setpoint.scale) / axis.brake.rated_torque_Nm
 
 
-def _key(one: Binding) -> Key:
-    return one.entry.index, one.entry.subindex
+def _key(binding: Binding) -> Key:
+    return binding.entry.index, binding.entry.subindex
 
 
 def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
@@ -115,20 +115,24 @@ def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
     """
     bound = axis.allocation.bound
     setpoint = bound.get("torque_setpoint")
-    for one in bound.bindings:
-        kind, name = kinds.get(one.node), one.kind.name
+    for binding in bound.bindings:
+        kind, name = kinds.get(binding.node), binding.kind.name
         if kind is None or name not in _QUANTITIES:
             continue
-        by_itself = kind is BRAKE404 and one.node == "brake" and _OWN_INPUTS.get(name) == _key(one)
-        if by_itself and not one.decided.startswith(_BY_ROLE) and one.offset == 0.0:
+        by_itself = kind is BRAKE404 and binding.node == "brake" and _OWN_INPUTS.get(name) == _key(binding)
+        if by_itself and not binding.decided.startswith(_BY_ROLE) and binding.offset == 0.0:
             continue
-        if kind is DRIVE402 and one.node == "motor":
-            if name == "position" and _key(one) == _POSITION and one.decided.startswith(_BY_ENCODER):
+        if kind is DRIVE402 and binding.node == "motor":
+            if name == "position" and _key(binding) == _POSITION and binding.decided.startswith(_BY_ENCODER):
                 continue
-            by_setpoint = setpoint is not None and setpoint.entry.index in PER_MILLE and one.scale == setpoint.scale
-            if name == "torque" and _key(one) in _DRIVES_TORQUE and (by_setpoint or one.decided.startswith(_BY_RATED)):
+            by_setpoint = setpoint is not None and setpoint.entry.index in PER_MILLE and binding.scale == setpoint.scale
+            if (
+                name == "torque"
+                and _key(binding) in _DRIVES_TORQUE
+                and (by_setpoint or binding.decided.startswith(_BY_RATED))
+            ):
                 continue
-        yield one
+        yield binding
 
 
 def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, tuple[int, Device]]) -> None:
@@ -139,14 +143,14 @@ def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, t
     kinds = {node: of_description(axis.description(node)) for node in rows}
     kinds["motor"] = DRIVE402
     shown = [*_shown(axis, kinds)]
-    for k, one in enumerate(shown):
-        row, device = rows[one.node]
-        low, high = _range(one)
-        gain, offset = _truth(axis, p, one)
+    for k, binding in enumerate(shown):
+        row, device = rows[binding.node]
+        low, high = _range(binding)
+        gain, offset = _truth(axis, p, binding)
         record["shown"][k] = (
             row,
-            device.dictionary.slot(*_key(one)),
-            _QUANTITIES[one.kind.name],
+            device.dictionary.slot(*_key(binding)),
+            _QUANTITIES[binding.kind.name],
             gain,
             offset,
             low,
@@ -164,39 +168,39 @@ def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, t
     record["foreign"] = int(bool(shown) or record["brake_output"] != BrakeOutput.TORQUE)
 
 
-def _couple_brake(axis: Axis, record: Record, one: Binding, row: int, device: Device) -> None:
+def _couple_brake(axis: Axis, record: Record, binding: Binding, row: int, device: Device) -> None:
     record["brake"] = row
     acts = {core.key: core.slot for core in device.profile.objects if core.acts}
-    slot = acts.get(_key(one), -1)
+    slot = acts.get(_key(binding), -1)
     if device.profile.behaviour is BRAKE404.behaviour and slot >= 0:
-        by_rig = one.decided.startswith(_BY_ROLE)
+        by_rig = binding.decided.startswith(_BY_ROLE)
         record["brake_output"] = BrakeOutput.DRIVER if by_rig else BrakeOutput.TORQUE
         record["brake_counts"] = 10.0 ** device.dictionary.number(0x6302, 1)
         if not by_rig:
             return
     elif device.profile.behaviour is DRIVE402.behaviour:
-        record["brake_output"], record["brake_counts"] = BrakeOutput.DRIVE, 1 / _per_mille(axis, one)
+        record["brake_output"], record["brake_counts"] = BrakeOutput.DRIVE, 1 / _per_mille(axis, binding)
     elif ANALOGUE_OUT <= slot < ANALOGUE_OUT + OUTPUTS:
         record["brake_output"], record["brake_channel"] = BrakeOutput.ANALOGUE, slot - ANALOGUE_OUT
     else:
-        record["brake_output"], record["brake_channel"] = BrakeOutput.OBJECT, device.dictionary.slot(*_key(one))
-    record["brake_scale_Nm"] = one.scale
-    record["brake_points"] = len(one.table)
-    for k, (raw, torque) in enumerate(sorted(one.table)):
+        record["brake_output"], record["brake_channel"] = BrakeOutput.OBJECT, device.dictionary.slot(*_key(binding))
+    record["brake_scale_Nm"] = binding.scale
+    record["brake_points"] = len(binding.table)
+    for k, (raw, torque) in enumerate(sorted(binding.table)):
         record["brake_table_raw"][k], record["brake_table_Nm"][k] = raw, torque
 
 
-def _range(one: Binding) -> tuple[int, int]:
-    half = 1 << one.entry.bits - 1
-    return (-half, half - 1) if one.entry.signed else (0, 2 * half - 1)
+def _range(binding: Binding) -> tuple[int, int]:
+    half = 1 << binding.entry.bits - 1
+    return (-half, half - 1) if binding.entry.signed else (0, 2 * half - 1)
 
 
-def _truth(axis: Axis, p: Plant, one: Binding) -> tuple[float, float]:
+def _truth(axis: Axis, p: Plant, binding: Binding) -> tuple[float, float]:
     """Return (counts for one unit, the quantity at the count 0) of an object that shows a quantity
     of the true plant.
     """
     motor, believed = axis.motor, axis.mechanics
-    counts, name = 1 / abs(one.scale), one.kind.name
+    counts, name = 1 / abs(binding.scale), binding.kind.name
     if name == "position":
         turns = p.encoder_counts_rev * p.ratio / (motor.encoder_counts_rev * believed.ratio)
         return p.encoder_polarity * counts * turns, 0.0
@@ -205,4 +209,4 @@ def _truth(axis: Axis, p: Plant, one: Binding) -> tuple[float, float]:
     if name == "torque":
         torque = motor.rated_torque_Nm * believed.ratio / (p.motor_rated_torque_Nm * p.ratio)
         return p.motor_polarity * counts * torque, 0.0
-    return counts, one.offset * (believed.transducer_polarity if name == "handle_torque" else 1)
+    return counts, binding.offset * (believed.transducer_polarity if name == "handle_torque" else 1)

@@ -124,10 +124,10 @@ class _Way:
         """Receive what there is."""
         counts = self.counts
         try:
-            found = self.source.receive()
+            frames = self.source.receive()
         except BusDown:
             return
-        for _, can_id, length, data in found:
+        for _, can_id, length, data in frames:
             counts.received += 1
             bare = can_id & ~CAN_RTR_FLAG
             if self.ranges and not any(low <= bare <= high for low, high in self.ranges):
@@ -155,8 +155,8 @@ class _Way:
                 counts.forwarded += len(batch)
             except (BusFull, BusDown):
                 counts.refused += 1
-                for one in batch:
-                    heapq.heappush(queue, one)
+                for entry in batch:
+                    heapq.heappush(queue, entry)
                 self._again_ns = now_ns + round(RETRY_S * 1e9)
 
     @property
@@ -225,7 +225,7 @@ def _serve(
     for client in clients:  # also the one that nothing is taken from: its end is to be seen
         poll.register(client, select.POLLIN)
     others = {client.fileno(): client for client in clients if client.fileno() not in by_fd}
-    asked = time.monotonic()
+    last_ask = time.monotonic()
     while True:
         now = time.monotonic()
         notifier.alive(now)
@@ -245,8 +245,8 @@ def _serve(
                 return
         for way in ways:
             way.give(time.monotonic_ns())
-        if now - asked > ASK_S:
-            asked = now
+        if now - last_ask > ASK_S:
+            last_ask = now
             for client in clients:
                 try:
                     if not client.unanswered:

@@ -113,9 +113,9 @@ def _passes(slot: SlotRecord, filters: Integers, can_id: int) -> bool:
     if slot.filters == 0:
         return True
     for k in range(slot.filters):
-        wanted, mask = filters[k, 0], filters[k, 1] & ~INVERTED
-        equal = can_id & mask == wanted & ~INVERTED & mask
-        if equal != (wanted & INVERTED != 0):
+        pattern, mask = filters[k, 0], filters[k, 1] & ~INVERTED
+        equal = can_id & mask == pattern & ~INVERTED & mask
+        if equal != (pattern & INVERTED != 0):
             return True
     return False
 

@@ -94,8 +94,8 @@ class LiveNodes:
         for (path, _), description in zip(self.eds, self.descriptions, strict=True):
             if description.diagnoses:
                 number = len(description.diagnoses)
-                found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
-                text = f"{found}, read tolerantly; see `coulombus eds check {shell(str(path))}`"
+                diagnoses = f"{number} diagnos{'i' if number == 1 else 'e'}s"
+                text = f"{diagnoses}, read tolerantly; see `coulombus eds check {shell(str(path))}`"
                 say(f"coulombus: {path}: {text}")
         if self.io is not None and len(ids) > 1:
             raise NodeError(f"--io {self.io}: one file is for one node; start a `coulombus node` for each")
@@ -116,13 +116,13 @@ class LiveNodes:
         for description in self.descriptions:
             if self.kind == "auto":
                 self.kinds.append(of_description(description))
-                found = opened(description, self.kinds[-1])
+                reading = opened(description, self.kinds[-1])
             else:
                 self.kinds.append(of_identity(told_identity(description)) if self.kind is None else self.kind)
-                found = Opened(description)
-            served.append(found.description)
-            self.opened.append(found.remarks)
-            for text in found.remarks:
+                reading = Opened(description)
+            served.append(reading.description)
+            self.opened.append(reading.remarks)
+            for text in reading.remarks:
                 say(f"coulombus: {text}")
         self.descriptions = served
 
@@ -134,14 +134,14 @@ class LiveNodes:
                 raise NodeError(f"{path} has no node id ([DeviceComissioning] of a DCF has one); give --node-id")
             self.node_ids.append(chosen)
             if chosen != description.node_id and description.node_id:
-                told = f"is a DCF for the node id {description.node_id} and is served as {chosen}"
+                remark = f"is a DCF for the node id {description.node_id} and is served as {chosen}"
                 say(
-                    f"coulombus: {path}: {told}; which identifiers go with it tells `coulombus eds check {shell(str(path))}`"
+                    f"coulombus: {path}: {remark}; which identifiers go with it tells `coulombus eds check {shell(str(path))}`"
                 )
         rates = {description.bit_rate for description in self.descriptions} - {0}
         if len(rates) > 1 and not self.bit_rate:
-            wanted = " and ".join(map(str, sorted(rates)))
-            raise NodeError(f"the DCFs tell of {wanted} bit/s, but a bus has one bit rate; give --bitrate")
+            listed = " and ".join(map(str, sorted(rates)))
+            raise NodeError(f"the DCFs tell of {listed} bit/s, but a bus has one bit rate; give --bitrate")
         self.bit_rate = self.bit_rate or max(rates, default=0)
 
     def make_world(self, bit_rate: int, trial: bool) -> VirtualNetwork:

@@ -346,11 +346,11 @@ class Worker:
         self.shared.state["changed"] = len(place)
 
 
-def _twin(one: Any) -> Any:
+def _twin(original: Any) -> Any:
     """Return an array, or a record, of the same type."""
-    if isinstance(one, np.record):
-        return np.zeros(1, one.dtype).view(np.recarray)[0]
-    return np.zeros_like(one)
+    if isinstance(original, np.record):
+        return np.zeros(1, original.dtype).view(np.recarray)[0]
+    return np.zeros_like(original)
 
 
 def _copy_record(to: Any, source: Any) -> None:

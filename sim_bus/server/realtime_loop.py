@@ -157,12 +157,12 @@ def serve(
         take_results(beside, world, course, p)
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
-        taken = take(w, p, bus, clients, out, offset_ns, t_ns)
+        need = take(w, p, bus, clients, out, offset_ns, t_ns)
         if t_ns > p.planned_ns + STALL_NS:
             t_ns -= _discount_stall(p, slots, p.planned_ns, t_ns)
         p.planned_ns = t_ns
-        if taken != 0:
-            return taken
+        if need != 0:
+            return need
         # the world up to the present, event by event: each start of a frame makes room for its
         # sender's next
         while True:
@@ -208,13 +208,13 @@ def serve(
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
                 return why
-            taken = take(w, p, bus, clients, out, offset_ns, t_ns)
-            if taken != 0:
+            need = take(w, p, bus, clients, out, offset_ns, t_ns)
+            if need != 0:
                 break
         for i in range(slots.shape[0]):
             flush(slots[i], batches[i])
-        if taken != 0:
-            return taken
+        if need != 0:
+            return need
         waits = p.keep != 0 and 0 < w.log_count <= p.handed_out
         if (
             waits

@@ -56,9 +56,9 @@ class PacedRig(VirtualRig):
         """End the schedule of each axis whose drive has left Operation Enabled: what
         `sim_bus.server.realtime_loop` looks for after each event.
         """
-        for axis, one in enumerate(self._axes):
-            state = self.nodes[int(one["motor"])]["power_state"]
-            if one["operator_start_ns"] >= 0 and state != PowerState.OPERATION_ENABLED:
+        for axis, record in enumerate(self._axes):
+            state = self.nodes[int(record["motor"])]["power_state"]
+            if record["operator_start_ns"] >= 0 and state != PowerState.OPERATION_ENABLED:
                 self._world["axis"] = axis
                 self.answer(Serve.RESTED)
 

@@ -76,8 +76,8 @@ def run_sim(
             thread.join()
     finally:
         notifier.tell(STOPPING=1)
-        for one in made:
-            one.close()
+        for open_server in made:
+            open_server.close()
     if failure:
         raise failure[0]
     with verdict(server.result.exit_status):
