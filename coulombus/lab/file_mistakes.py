@@ -26,39 +26,39 @@ class FileMistakes:
 
     def __init__(self, path: str, document: Document, error: type[Exception]) -> None:
         self._path, self._document, self._error = path, document, error
-        self._found: list[tuple[int, str]] = []
+        self._entries: list[tuple[int, str]] = []
 
     def say(self, key: Key, text: str) -> None:
         """Note that something is wrong with a key."""
         line = self._document.line(key)
-        name, text = (_one_line(one) for one in (".".join(map(str, key)), text))
-        self._found.append((line, f"{self._path}:{line}: {name}: {text}" if name else f"{self._path}:{line}: {text}"))
+        name, text = (_one_line(string) for string in (".".join(map(str, key)), text))
+        self._entries.append((line, f"{self._path}:{line}: {name}: {text}" if name else f"{self._path}:{line}: {text}"))
 
     def explain(self, error: ValidationError, above: Key, model: type[BaseModel]) -> None:
         """Note what pydantic found in the table `above`."""
-        for one in error.errors():
-            place = tuple(part for part in one["loc"] if not (isinstance(part, str) and "[" in part))
-            given = "" if isinstance(one["input"], dict) else f", not {shown(one['input'])}"
-            if one["type"] == "extra_forbidden":
+        for finding in error.errors():
+            place = tuple(part for part in finding["loc"] if not (isinstance(part, str) and "[" in part))
+            given = "" if isinstance(finding["input"], dict) else f", not {shown(finding['input'])}"
+            if finding["type"] == "extra_forbidden":
                 hint = nearest(str(place[-1]), model.model_fields)
                 text = f"no such key here{hint or '; expected ' + ', '.join(model.model_fields)}"
-            elif one["type"] == "missing":
+            elif finding["type"] == "missing":
                 text = "is missing"
-            elif one["type"] == "too_short":
+            elif finding["type"] == "too_short":
                 text = "expected one value or more"
-            elif one["type"] in ("dict_type", "model_type"):
+            elif finding["type"] in ("dict_type", "model_type"):
                 text = f"expected a table [{place[-1]}]{given}"
             else:
-                words = {key: value for key, value in one.get("ctx", {}).items() if key != "error"}
-                text = f"expected {WANTED.get(one['type'], one['msg']).format(**words)}{given}"
-                if one["type"] == "literal_error" and isinstance(one["input"], str):
-                    text += nearest(one["input"], re.findall(r"'(\w+)'", words["expected"]))
+                words = {key: value for key, value in finding.get("ctx", {}).items() if key != "error"}
+                text = f"expected {WANTED.get(finding['type'], finding['msg']).format(**words)}{given}"
+                if finding["type"] == "literal_error" and isinstance(finding["input"], str):
+                    text += nearest(finding["input"], re.findall(r"'(\w+)'", words["expected"]))
             self.say((*above, *place), text)
 
     def raise_all(self) -> None:
         """Raise the error with every mistake, in the file's order, if there is one."""
-        if self._found:
-            ordered = sorted(self._found, key=lambda one: one[0])
+        if self._entries:
+            ordered = sorted(self._entries, key=lambda mistake: mistake[0])
             raise self._error("\n".join(dict.fromkeys(text for _, text in ordered)))
 
 

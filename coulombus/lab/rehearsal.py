@@ -25,12 +25,19 @@ def rehearsed(truth: Rig | None, *, seed: int = 0, progress: Callable[[float], N
     seed : of everything random
     """
 
-    def run(one: Exercise, path: Path) -> RunResult:
-        mode = one.rig.one_axis().mode[one.mode]
-        same = (f"mode.{one.mode}.{key}={value!r}" for key, value in mode.model_dump().items())
-        true = (truth or one.rig).variant(*one.hand, *same)  # a mode that the true rig may not have
+    def run(exercise: Exercise, path: Path) -> RunResult:
+        mode = exercise.rig.one_axis().mode[exercise.mode]
+        same = (f"mode.{exercise.mode}.{key}={value!r}" for key, value in mode.model_dump().items())
+        true = (truth or exercise.rig).variant(*exercise.hand, *same)  # a mode that the true rig may not have
         return simulate(
-            one.rig, one.mode, one.seconds, record=path, seed=seed, force=True, simulated=true, progress=progress
+            exercise.rig,
+            exercise.mode,
+            exercise.seconds,
+            record=path,
+            seed=seed,
+            force=True,
+            simulated=true,
+            progress=progress,
         )
 
     return run

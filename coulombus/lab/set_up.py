@@ -46,14 +46,14 @@ def ready_world(rig: Rig, mode: str, seed: int) -> tuple[VirtualRig, tuple[str, 
 
     It is the caller's own until `give_back`.
     """
-    asked = tuple(map(_asked, rig.axes))
-    for one in [one for one in _kept if one.key == (mode, one.key[1], asked, asked)]:
+    needs = tuple(map(_needs, rig.axes))
+    for entry in [entry for entry in _kept if entry.key == (mode, entry.key[1], needs, needs)]:
         try:
-            world = one.idle.pop()
+            world = entry.idle.pop()
         except IndexError:
             return None
         world.renew(rig, seed)
-        return (world, one.losses) if adopt(world, one.state) else None
+        return (world, entry.losses) if adopt(world, entry.state) else None
     return None
 
 
@@ -62,10 +62,10 @@ def give_back(world: VirtualRig) -> None:
     project's own, whose file nobody edits meanwhile.
     """
     if world.controllers.rig is world.rig and world.rig.law_function in BUILTIN_LAWS:
-        asked = tuple(map(_asked, world.rig.axes))
-        for one in _kept:
-            if one.key == (world.mode, one.key[1], asked, asked):
-                one.idle[:] = [world]
+        needs = tuple(map(_needs, world.rig.axes))
+        for entry in _kept:
+            if entry.key == (world.mode, entry.key[1], needs, needs):
+                entry.idle[:] = [world]
 
 
 def set_up(world: VirtualRig) -> tuple[str, ...]:
@@ -73,14 +73,14 @@ def set_up(world: VirtualRig) -> tuple[str, ...]:
     set-up of such a rig has ended, with the same bytes. Return what was left out.
     """
     key = _key(world)
-    for one in [one for one in _kept if one.key == key]:
-        if adopt(world, one.state):
-            meet(one.plans, world.controllers, world)
-            return one.losses
+    for entry in [entry for entry in _kept if entry.key == key]:
+        if adopt(world, entry.state):
+            meet(entry.plans, world.controllers, world)
+            return entry.losses
     noise = world.plant["random"].tolist()
     losses = switch_on(world)
     state = state_of(world, noise)
-    if state is not None and all(one.key != key for one in _kept):
+    if state is not None and all(entry.key != key for entry in _kept):
         _kept.insert(0, _Kept(key, state, plans_of(world.controllers), losses))
         del _kept[MOST:]
     return losses
@@ -93,9 +93,9 @@ def forget() -> None:
 
 def _key(world: VirtualRig) -> tuple[Any, ...]:
     rigs, host = (world.rig, world.controllers.rig), world.controllers.axes.tobytes()  # a law's file may be edited
-    return world.mode, host, *(tuple(map(_asked, rig.axes)) for rig in rigs)
+    return world.mode, host, *(tuple(map(_needs, rig.axes)) for rig in rigs)
 
 
-def _asked(axis: Axis) -> tuple[Any, ...]:
+def _needs(axis: Axis) -> tuple[Any, ...]:
     values = (getattr(axis, name) for name in Sections.model_fields if name not in NO_DEVICES)
-    return axis.name, *(one.text for one in axis.descriptions), *values
+    return axis.name, *(description.text for description in axis.descriptions), *values

@@ -87,9 +87,9 @@ class _VirtualRun(Course):
     def _write(self, frames: Records) -> None:
         if self.measured is not None:
             self.measured.write(frames)
-        told = self.world.take_told()
-        if len(told):  # at one instant first what the bus carried
-            frames = np.concatenate((frames, told))
+        messages = self.world.take_told()
+        if len(messages):  # at one instant first what the bus carried
+            frames = np.concatenate((frames, messages))
             frames = frames[np.argsort(frames["t_ns"], kind="stable")].view(np.recarray)
         self.record(lambda recorder: recorder.write(frames))
 
@@ -162,7 +162,7 @@ class _VirtualRun(Course):
             return super().figures()
         if self.enabled_ns is None:
             return Figures([Measures() for _ in self.k], None)
-        return Figures([measure(one) for one in self.measured.recordings()], None)
+        return Figures([measure(recording) for recording in self.measured.recordings()], None)
 
     def close(self) -> None:
         """Write what is left and close the recording."""
@@ -240,9 +240,9 @@ def simulate(
     coulombus.rigs.arguments.WrongCall
         an argument is of a type that is not taken
     """
-    for name, one in (("record", record), ("truth", truth)):
-        if one is not None:
-            path_text(one, name, f'simulate({name}="run.{"npz" if name == "truth" else "pcapng"}")')
+    for name, given in (("record", record), ("truth", truth)):
+        if given is not None:
+            path_text(given, name, f'simulate({name}="run.{"npz" if name == "truth" else "pcapng"}")')
     wrong = faults if faults is None or isinstance(faults, FaultPlan) else read_faults(_fault_file(faults))
     overrides = texts(overrides, "overrides", "mode.active.F_s_Nm=1.0")
     chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
@@ -255,7 +255,7 @@ def simulate(
     if record is not None or truth is not None or len(chosen.channels) > 1:
         check_plan(chosen)  # before a file is made; bring-up refuses it, too
     check_demand(chosen, mode)
-    for path in (Path(one) for one in (record, truth) if one is not None):
+    for path in (Path(given) for given in (record, truth) if given is not None):
         for channel in chosen.channels:  # known before the first bus is run
             check_output(path_on(path, channel) if len(chosen.channels) > 1 else path, force=force)
     if truth is not None:
@@ -312,7 +312,7 @@ class _Order:
         """Whether nobody sees more of the run than its figures: then the set-up may be an earlier
         run's, and what follows the host's end is left out.
         """
-        return self.measured and all(one is None for one in (self.record, self.truth, self.script, self.faults))
+        return self.measured and all(option is None for option in (self.record, self.truth, self.script, self.faults))
 
     def on(self, channel: str, stop_ns: int | None) -> _Order:
         """Return what that is on one bus, whose host is stopped at `stop_ns`.
@@ -349,13 +349,13 @@ def _simulate_buses(order: _Order) -> RunResult:
     The buses share nothing but that, so one after the other is exact.
     """
     orders = {channel: order.on(channel, None) for channel in order.rig.channels}
-    results = {channel: _simulate_bus(one) for channel, one in orders.items()}
+    results = {channel: _simulate_bus(bus_order) for channel, bus_order in orders.items()}
     trips = {result.trip_ns: channel for channel, result in results.items() if result.trip_ns}
     if trips:
         first, again = min(trips), replace(order, force=True)  # its files are those of the first time
         results = {c: r if c == trips[first] else _simulate_bus(again.on(c, first)) for c, r in results.items()}
-    told = {channel: result.as_dict() for channel, result in results.items()}
-    return RunResult(**merged(told, {channel: result.exit_status for channel, result in results.items()}))
+    parts = {channel: result.as_dict() for channel, result in results.items()}
+    return RunResult(**merged(parts, {channel: result.exit_status for channel, result in results.items()}))
 
 
 def _simulate_bus(order: _Order) -> RunResult:

@@ -150,14 +150,20 @@ def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[st
     directory.mkdir(parents=True, exist_ok=True)
     seconds = rig.schedule_s
     results = {}
-    for name, one in displays(rig).items():
+    for name, display in displays(rig).items():
 
         def report(t_s: float, name: str = name) -> None:
             if progress is not None:
                 progress(name, t_s)
 
         results[name] = simulate(
-            one.rig, one.mode, seconds, record=directory / f"{name}.pcapng", seed=seed, progress=report, force=True
+            display.rig,
+            display.mode,
+            seconds,
+            record=directory / f"{name}.pcapng",
+            seed=seed,
+            progress=report,
+            force=True,
         )
     demo = Demo(results, judge(rig, results))
     (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")

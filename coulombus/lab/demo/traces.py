@@ -68,15 +68,15 @@ def traces(recording: Source, mode: str) -> Traces:
         return times[inside] - start, values[inside]
 
     moved = tuple(replace(span, begin_s=span.begin_s - start, end_s=span.end_s - start) for span in spans)
-    commands = {device: cut(one.t_s, one.values) for device, one in zip(names, others, strict=True)}
-    shown = {device: one for device, one in commands.items() if one[1].any()}
+    commands = {device: cut(signal.t_s, signal.values) for device, signal in zip(names, others, strict=True)}
+    shown = {device: command for device, command in commands.items() if command[1].any()}
     return Traces(_title(recording, mode), *cut(t, v), *cut(handle.t_s, handle.values), shown, moved)
 
 
 def _title(recording: Source, mode: str) -> str:
     """Return the friction that is displayed."""
-    one = recording.rig.one_axis().mode[mode]
-    return f"F_s = {one.F_s_Nm:g} Nm, F_d = {one.F_d_Nm:g} Nm,\nK_p = {one.K_p_Nm_rad:,.6g} Nm/rad"
+    settings = recording.rig.one_axis().mode[mode]
+    return f"F_s = {settings.F_s_Nm:g} Nm, F_d = {settings.F_d_Nm:g} Nm,\nK_p = {settings.K_p_Nm_rad:,.6g} Nm/rad"
 
 
 def _draw_envelope(axes: Axes, t_s: Floats, values: Floats, colour: str, label: str | None = None) -> None:
@@ -136,12 +136,12 @@ def draw_detail(axes: Axes, data: Traces) -> None:
 
 def share_labels(made: Figure, axes: Any) -> None:
     """Let the columns share the labels of their quantities, and one legend below all of them."""
-    for one in axes[:, 1:].flat:
-        one.set_ylabel("")
+    for panel in axes[:, 1:].flat:
+        panel.set_ylabel("")
     low, high = axes[0, 0].get_ylim()
     axes[0, 0].set_ylim(low, high + 0.1 * (high - low))  # room for the phases' names
     known: dict[str, Any] = {
-        label: artist for one in axes[0] for artist, label in zip(*one.get_legend_handles_labels(), strict=True)
+        label: artist for panel in axes[0] for artist, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
     made.legend(known.values(), known.keys(), loc="outside lower center", ncols=len(known))
 

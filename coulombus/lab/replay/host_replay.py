@@ -180,13 +180,13 @@ class _Known(NamedTuple):
 def _known(recording: Recording, controllers: Controllers) -> _Known:
     attachments = recording.capture.attachments
     in_virtual_time = "seed" in attachments and "bus" not in attachments
-    found = unpack(attachments, EVENT if in_virtual_time else TRACE)
-    if found is None:
+    content = unpack(attachments, EVENT if in_virtual_time else TRACE)
+    if content is None:
         raise ReplayError(
             f"{recording.path}: it has no trace of the host (attachments 'host.trace.N'): what the host received, and in which cycle it did, is not "
             "known. Record with `coulombus run --record` or `coulombus simulate --record` of this version"
         )
-    known, trace = found
+    known, trace = content
     if in_virtual_time and not np.any(trace["kind"] == Event.START):
         raise ReplayError(f"{recording.path}: the host's cycle does not begin in it")
     of_the_host = np.isin(recording.frames["can_id"], controllers.own_identifiers)
@@ -223,7 +223,7 @@ class _Check:
         self.result.unchecked = known.behind
         self.period_ns = int(controllers.control["period_ns"][0])
         self.refused: dict[int, int] = {}
-        self.words: dict[int, list[tuple[int, int]]] = {one: [] for one in self.pdos}
+        self.words: dict[int, list[tuple[int, int]]] = {can_id: [] for can_id in self.pdos}
 
     def name(self, can_id: int) -> str:
         if can_id in self.pdos:
@@ -240,11 +240,13 @@ class _Check:
             if result.difference is not None and not self.keep:
                 return
         left = [
-            (stream[self.at[one]].tolist(), one) for one, stream in self.streams.items() if self.at[one] < len(stream)
+            (stream[self.at[identifier]].tolist(), identifier)
+            for identifier, stream in self.streams.items()
+            if self.at[identifier] < len(stream)
         ]
         killed = not inputs.virtual and not (len(inputs.trace) and inputs.trace["kind"][-1] == Moment.END)
         if left and killed:
-            result.unchecked = sum(len(stream) - self.at[one] for one, stream in self.streams.items())
+            result.unchecked = sum(len(stream) - self.at[identifier] for identifier, stream in self.streams.items())
         elif left and result.difference is None:
             (t_ns, length, word), can_id = min(left)
             self._differ(t_ns, result.cycles, can_id, (length, word), None)
@@ -259,7 +261,7 @@ class _Check:
             return False
         if not self.controllers.done:
             where = "the recording ends" if sent.t_ns >= self.last_ns - self.period_ns else "the host's cycle ends"
-            phases = ", ".join(one.phase.name for one in self.controllers)
+            phases = ", ".join(controller.phase.name for controller in self.controllers)
             self.result.remarks += (f"{where} in phase {phases}",)
         return True
 
@@ -288,15 +290,15 @@ class _Check:
     ) -> None:
         if self.result.difference is not None:
             return
-        texts = [_text(one) for one in (recorded, computed)]
+        texts = [_text(payload) for payload in (recorded, computed)]
         pdo = self.pdos.get(can_id)
-        values = [_values(pdo, one) for one in (recorded, computed)]
+        values = [_values(pdo, payload) for payload in (recorded, computed)]
         signals = {name: (values[0].get(name), values[1].get(name)) for name in values[0] | values[1]}
         t_s = (t_ns - self.recording.epoch_ns) / 1e9
         self.result.difference = Difference(t_s, cycle, self.name(can_id), texts[0], texts[1], signals)
 
     def _rms(self) -> dict[str, float]:
-        found = {}
+        rms = {}
         for can_id, pdo in self.pdos.items():
             table = np.array(self.words[can_id], np.int64).reshape(-1, 2)
             for signal, entry, start in zip(pdo.signals, pdo.layout.entries, pdo.layout.starts, strict=True):
@@ -305,8 +307,8 @@ class _Check:
                 columns = (np.ascontiguousarray(table[:, i]) for i in range(2))
                 recorded, computed = (decode_field(column, start, entry) * signal.scale for column in columns)
                 error = computed - recorded
-                found[signal.name] = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
-        return found
+                rms[signal.name] = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
+        return rms
 
 
 def _text(frame: tuple[int, int] | None) -> str | None:

@@ -75,11 +75,11 @@ class VirtualReplay:
 
     def lines(self) -> list[str]:
         """Return the result for people."""
-        asked = f"{self.asked} of them from the host, the others computed"
+        origin = f"{self.asked} of them from the host, the others computed"
         if self.identical:
-            return [f"identical: {self.frames} frames ({asked}), order, data and end of frame"]
+            return [f"identical: {self.frames} frames ({origin}), order, data and end of frame"]
         return [
-            f"FAIL at {self.t_s:.9f} s, after {self.same} of {self.frames} frames ({asked})",
+            f"FAIL at {self.t_s:.9f} s, after {self.same} of {self.frames} frames ({origin})",
             f"  recorded  {self.recorded or 'no more frames'}",
             f"  computed  {self.computed or 'no frame'}",
         ]
@@ -130,8 +130,8 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
     result = VirtualReplay(recording.path, len(frames), int(sent.sum()), compared.same, remarks=recording.remarks)
     if compared.same < len(frames) or len(compared.other):
         rows = frames[compared.same : compared.same + 1], compared.other
-        result.t_s = min(int(one["t_ns"][0]) for one in rows if len(one)) / 1e9
-        result.recorded, result.computed = (_text(one) for one in rows)
+        result.t_s = min(int(row["t_ns"][0]) for row in rows if len(row)) / 1e9
+        result.recorded, result.computed = (_text(row) for row in rows)
     return result
 
 
@@ -166,11 +166,11 @@ class _Nodes(VirtualRig):
 
     def ask(self, frames: Records) -> None:
         """Let frames of the host take part in the arbitration from when they started on."""
-        asked = frames.tolist()
-        starts = [_start_ns(frame, self.rig.bus.bitrate_bit_s) for frame in asked]
-        for begin in range(0, len(asked), BATCH):
+        requests = frames.tolist()
+        starts = [_start_ns(frame, self.rig.bus.bitrate_bit_s) for frame in requests]
+        for begin in range(0, len(requests), BATCH):
             self.run_until(max(self.t_ns, starts[begin] - 1))
-            for start, frame in zip(starts[begin : begin + BATCH], asked[begin : begin + BATCH], strict=True):
+            for start, frame in zip(starts[begin : begin + BATCH], requests[begin : begin + BATCH], strict=True):
                 push(self._out, SOURCE_HOST, start, *frame[1:4])
 
 

@@ -27,15 +27,15 @@ TIGHTER = frozenset({"torque_rate_Nm_s", "brake_torque_Nm", "speed_rad_s", "trav
 
 def widened(rig: Rig, variant: Rig) -> list[str]:
     """Return what `variant` changes of `rig` that a study may not change, a sentence for each."""
-    own, new = (dict(_flat(read_toml(one.effective()).values)) for one in (rig, variant))
-    found = []
+    own, new = (dict(_flat(read_toml(either.effective()).values)) for either in (rig, variant))
+    refusals = []
     for key in dict.fromkeys((*own, *new)):
         before, after = own.get(key), new.get(key)
         if before != after:
             why = _refusal(key[2:] if key[0] == "axis" else key, before, after)
             if why is not None:
-                found.append(f"{'.'.join(map(str, key))}: {why}")
-    return found
+                refusals.append(f"{'.'.join(map(str, key))}: {why}")
+    return refusals
 
 
 def _flat(values: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -56,19 +56,21 @@ def _refusal(key: tuple[str, ...], before: Any, after: Any) -> str | None:
         return _no_larger(before, after)
     if section == "mechanics" and name == "friction_Nm":
         return _no_larger(before, after)
-    return f"is {_told(before)} in the rig file; a study may not change it"
+    return f"is {_value_text(before)} in the rig file; a study may not change it"
 
 
 def _no_larger(before: Any, after: Any) -> str | None:
-    largest, wanted = _number(before), _number(after)
-    if wanted <= largest:
+    largest, number = _number(before), _number(after)
+    if number <= largest:
         return None
-    return f"{_told(after)} is wider than the rig's {_told(before)}; a study may make it smaller, not larger"
+    return (
+        f"{_value_text(after)} is wider than the rig's {_value_text(before)}; a study may make it smaller, not larger"
+    )
 
 
 def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else float("inf")
 
 
-def _told(value: Any) -> str:
+def _value_text(value: Any) -> str:
     return "nothing" if value is None else f"{value:g}" if isinstance(value, float) else f"{value!r}"

@@ -111,6 +111,6 @@ def sampled(
     ends = [recording[name].t_s for name in names if len(recording[name].t_s)]
     if not ends:
         return np.zeros(0), np.zeros((0, len(names)))
-    begin, end = min(float(one[0]) for one in ends), max(float(one[-1]) for one in ends)
+    begin, end = min(float(stamps[0]) for stamps in ends), max(float(stamps[-1]) for stamps in ends)
     t_s: npt.NDArray[np.float64] = begin + period_s * np.arange(int((end - begin) / period_s) + 1, dtype=np.float64)
     return t_s, np.column_stack([recording[name].held(t_s, np.nan) for name in names])

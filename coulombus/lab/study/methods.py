@@ -57,7 +57,7 @@ class Fixed:
     """Each level so many times, in an order drawn at random: constant stimuli, magnitudes."""
 
     def __init__(self, levels: Sequence[float], repeats: int, rng: np.random.Generator) -> None:
-        self._waiting = [float(one) for one in rng.permutation(np.repeat(np.asarray(levels, float), repeats))][::-1]
+        self._waiting = [float(level) for level in rng.permutation(np.repeat(np.asarray(levels, float), repeats))][::-1]
 
     @property
     def done(self) -> bool:

@@ -19,7 +19,7 @@ from coulombus.lab.study.trials import Trial
 __all__ = ["Observer"]
 
 
-def _told(trial: Trial) -> Sequence[float]:
+def _levels(trial: Trial) -> Sequence[float]:
     return trial.levels
 
 
@@ -33,7 +33,9 @@ class Observer:
         is given, as the torque that was felt
     """
 
-    def __init__(self, jnd: float, seed: int, subject: int, judged: Callable[[Trial], Sequence[float]] = _told) -> None:
+    def __init__(
+        self, jnd: float, seed: int, subject: int, judged: Callable[[Trial], Sequence[float]] = _levels
+    ) -> None:
         self._sigma, self._seed, self._judged = jnd / float(ndtri(0.75)), (seed, subject), judged
 
     def answer(self, trial: Trial) -> str:

@@ -10,5 +10,5 @@ def williams(count: int) -> list[list[int]]:
     each in every place as often, and behind each other one as often. An odd `count` takes twice as many rows.
     """
     first = [0] + [(k + 1) // 2 if k % 2 else count - k // 2 for k in range(1, count)]
-    rows = [[(one + shift) % count for one in first] for shift in range(count)]
+    rows = [[(place + shift) % count for place in first] for shift in range(count)]
     return rows if count % 2 == 0 else rows + [row[::-1] for row in rows]

@@ -85,11 +85,11 @@ class AnswerPage:
     def ask(self, trial: Trial) -> str | None:
         """Ask the study's question, and wait for the answer; None: the subject stops."""
         kind = "number" if trial.reference is None else "choice"
-        return self._asked(kind, self._question, lambda text: is_answer(text, trial))
+        return self._answer_to(kind, self._question, lambda text: is_answer(text, trial))
 
     def go_on(self, text: str) -> bool:
         """Show a text and wait; False: the subject stops."""
-        return self._asked("go_on", text, lambda given: given == "y") is not None
+        return self._answer_to("go_on", text, lambda given: given == "y") is not None
 
     def over(self, text: str) -> None:
         """Show the last text."""
@@ -101,7 +101,7 @@ class AnswerPage:
             self._valid, self._answer = valid, None
             self._news.notify_all()
 
-    def _asked(self, kind: str, text: str, valid: Callable[[str], bool]) -> str | None:
+    def _answer_to(self, kind: str, text: str, valid: Callable[[str], bool]) -> str | None:
         self._put(kind, text, valid)
         with self._news:
             while self._answer is None and not self.stopped:
@@ -180,9 +180,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.page.stop()
             self._send(200, "text/plain", b"stopped\n")
         elif place == "answer":
-            taken = self._take()
+            accepted = self._take()
             self._send(
-                200 if taken else 409, "text/plain", b"taken\n" if taken else b"409: no answer to what is asked\n"
+                200 if accepted else 409, "text/plain", b"taken\n" if accepted else b"409: no answer to what is asked\n"
             )
         else:
             self._send(404, "text/plain", b"404\n")

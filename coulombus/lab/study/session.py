@@ -197,8 +197,8 @@ class SubjectSession:
         if trial is None or self._shown < len(trial.levels):
             raise WrongStep("answer(): not every display of the trial was shown; call show() for each first")
         if not is_answer(answer, trial, asked=bool(self.study.file.question)):
-            wanted = "a number of 0 or more" if trial.reference is None else "1 or 2"
-            raise WrongStep(f"answer({answer!r}): expected {wanted if self.study.file.question else 'n/a'}, as text")
+            form = "a number of 0 or more" if trial.reference is None else "1 or 2"
+            raise WrongStep(f"answer({answer!r}): expected {form if self.study.file.question else 'n/a'}, as text")
         if seconds is not None and not (math.isfinite(seconds) and seconds >= 0):
             raise WrongStep(f"answer(seconds={seconds!r}): expected a number of 0 or more, or None")
         self.folder.keep(trial, answer, seconds)
@@ -226,12 +226,12 @@ def _go_through(session: SubjectSession, people: People) -> None:
     file, first = session.study.file, session.trial
     if first is None:
         return
-    for text, told in ((file.consent, "consent"), (file.instructions, "instructions")):
+    for text, notice in ((file.consent, "consent"), (file.instructions, "instructions")):
         if text and not people.go_on(text):
-            session.folder.note(told, "refused")
+            session.folder.note(notice, "refused")
             raise Ended(BY_SUBJECT)
         if text:
-            session.folder.note(told, "given" if told == "consent" else "told")
+            session.folder.note(notice, "given" if notice == "consent" else "told")
     for trial in session:
         done = trial.number - 1
         rest = file.break_after and done and done % file.break_after == 0 and trial is not first

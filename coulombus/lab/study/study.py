@@ -183,8 +183,12 @@ class Study:
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of all that the trials depend on; comments of the file do not count."""
-        told = {"file": self.file.model_dump(mode="json"), "rig": self.rig.effective(), "eds": dict(self.rig.eds_texts)}
-        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+        content = {
+            "file": self.file.model_dump(mode="json"),
+            "rig": self.rig.effective(),
+            "eds": dict(self.rig.eds_texts),
+        }
+        return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _settings(table: Mapping[str, float], mode: str, level: float) -> list[str]:
@@ -242,10 +246,10 @@ def _method(file: StudyFile, mistakes: FileMistakes) -> MethodTable | None:
 def _conditions(file: StudyFile, mistakes: FileMistakes) -> tuple[Condition, ...]:
     """Return each condition with each combination of the factors' values."""
     names: set[str] = set()
-    for k, one in enumerate(file.condition):
-        if one.name in names:
-            mistakes.say(("condition", k, "name"), f"{one.name} is given twice; expected each name once")
-        names.add(one.name)
+    for k, condition in enumerate(file.condition):
+        if condition.name in names:
+            mistakes.say(("condition", k, "name"), f"{condition.name} is given twice; expected each name once")
+        names.add(condition.name)
     keys: set[str] = set()
     for k, factor in enumerate(file.factor):
         if split_key(factor.key.replace("{mode}", "hybrid")) is None:
@@ -255,14 +259,14 @@ def _conditions(file: StudyFile, mistakes: FileMistakes) -> tuple[Condition, ...
         keys |= {factor.name, factor.key}
         if len(set(map(str, factor.values))) < len(factor.values):
             mistakes.say(("factor", k, "values"), "one is given twice; expected each once")
-    found = []
-    for one in file.condition:
+    conditions = []
+    for condition in file.condition:
         for values in itertools.product(*(factor.values for factor in file.factor)):
             pairs = list(zip(file.factor, values, strict=True))
-            name = "_".join([one.name, *(f"{factor.name}={value}" for factor, value in pairs)])
-            more = (f"{factor.key.replace('{mode}', one.mode)}={toml_value(value)}" for factor, value in pairs)
-            found.append(Condition(name, one.mode, (*one.set, *more)))
-    return tuple(found)
+            name = "_".join([condition.name, *(f"{factor.name}={value}" for factor, value in pairs)])
+            more = (f"{factor.key.replace('{mode}', condition.mode)}={toml_value(value)}" for factor, value in pairs)
+            conditions.append(Condition(name, condition.mode, (*condition.set, *more)))
+    return tuple(conditions)
 
 
 def _check_method(file: StudyFile, method: MethodTable, mistakes: FileMistakes) -> None:
@@ -299,13 +303,13 @@ def _shown(study: Study) -> list[tuple[Key, float]]:
     """Return the levels whose limits are checked, each with its key: all, or both ends of what an
     adaptive method may show.
     """
-    found: list[tuple[Key, float]] = []
+    values: list[tuple[Key, float]] = []
     method = study.method
     if isinstance(method, Constant | Free):
-        found += [(("method", "levels"), level) for level in method.levels]
+        values += [(("method", "levels"), level) for level in method.levels]
     else:
-        found += [(("method", "low"), method.low), (("method", "high"), method.high)]
-    return found if study.file.reference is None else [(("reference",), study.file.reference), *found]
+        values += [(("method", "low"), method.low), (("method", "high"), method.high)]
+    return values if study.file.reference is None else [(("reference",), study.file.reference), *values]
 
 
 def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
@@ -321,7 +325,9 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
         except RigError as error:
             for text in error.errors:
                 given = _factor_of(study, condition, "{}=", text)
-                of_set = any(text.startswith(f"--set {one}:") for one in study.file.condition[number // width].set)
+                of_set = any(
+                    text.startswith(f"--set {override}:") for override in study.file.condition[number // width].set
+                )
                 where: Key = ("factor", given) if given is not None and not of_set else (*place, "set")
                 mistakes.say(where, f"the rig refuses it: {_bare(text)}")
             continue
@@ -336,7 +342,9 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
             continue
         for key, level in _shown(study):
             for text in _refusals(study, condition, level):
-                unknown = next((one for one in study.file.level if _names(text, one, condition.mode)), None)
+                unknown = next(
+                    (level_key for level_key in study.file.level if _names(text, level_key, condition.mode)), None
+                )
                 if unknown is not None:
                     mistakes.say(("level", unknown), f"the rig refuses it: {_bare(text)}")
                 else:
@@ -355,13 +363,13 @@ def _law_mistake(rig: Rig) -> str | None:
 
 def _factor_of(study: Study, condition: Condition, form: str, text: str) -> int | None:
     """Return which factor's key stands in a text, written as `form` says."""
-    keys = (form.format(one.key.replace("{mode}", condition.mode)) for one in study.file.factor)
+    keys = (form.format(factor.key.replace("{mode}", condition.mode)) for factor in study.file.factor)
     return next((k for k, key in enumerate(keys) if key in text), None)
 
 
 def _check_level_keys(study: Study, condition: Condition, mistakes: FileMistakes) -> bool:
     """Tell whether a key of [level] changes what a study may not change, at any level shown."""
-    found = False
+    hit = False
     levels = [level for _, level in _shown(study)]
     for level in (min(levels), max(levels)):
         try:
@@ -369,10 +377,10 @@ def _check_level_keys(study: Study, condition: Condition, mistakes: FileMistakes
         except RigError:
             continue  # told with the level
         for text in changed:
-            keys = (one for one in study.file.level if text.startswith(f"{one.replace('{mode}', condition.mode)}:"))
+            keys = (name for name in study.file.level if text.startswith(f"{name.replace('{mode}', condition.mode)}:"))
             mistakes.say(("level", *(key for key in [next(keys, None)] if key)), text)
-            found = True
-    return found
+            hit = True
+    return hit
 
 
 def _names(text: str, key: str, mode: str) -> bool:

@@ -179,15 +179,15 @@ class SubjectFolder:
 
     def _earlier(self) -> list[dict[str, str]]:
         try:
-            found = json.loads(self.events.with_suffix(".json").read_text(encoding="utf-8"))["sessions"]
+            sessions = json.loads(self.events.with_suffix(".json").read_text(encoding="utf-8"))["sessions"]
         except (OSError, ValueError, KeyError, TypeError):
             return []
-        return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+        return [session for session in sessions if isinstance(session, dict)] if isinstance(sessions, list) else []
 
     def _tell(self) -> None:
-        told: dict[str, Any] = {name: {"Description": text} for name, text in COLUMNS.items()}
-        told["sessions"] = self._sessions
-        _write(self.events.with_suffix(".json"), _json(told))
+        sidecar: dict[str, Any] = {name: {"Description": text} for name, text in COLUMNS.items()}
+        sidecar["sessions"] = self._sessions
+        _write(self.events.with_suffix(".json"), _json(sidecar))
 
     def note(self, key: str, text: str) -> None:
         """Keep something of this session: whether the consent was given."""
@@ -207,12 +207,12 @@ class SubjectFolder:
                     f"{self.folder}: holds another study (another file or rig); choose another folder"
                 )
             return
-        if any(not _begun(one, self.study.text) for one in self.folder.iterdir()):
+        if any(not _begun(entry, self.study.text) for entry in self.folder.iterdir()):
             raise StudyFolderError(f"{self.folder}: holds something else; choose an empty folder")
         _write(self.folder / "study.toml", self.study.text)
         _write(self.folder / "participants.tsv", "participant_id\tnumber\n")
-        told = {name: {"Description": text} for name, text in PARTICIPANTS.items()}
-        _write(self.folder / "participants.json", _json(told))
+        sidecar = {name: {"Description": text} for name, text in PARTICIPANTS.items()}
+        _write(self.folder / "participants.json", _json(sidecar))
         values = {
             "Name": self.study.file.name,
             "BIDSVersion": "1.9.0",
@@ -225,7 +225,7 @@ class SubjectFolder:
         subjects = subjects_of(self.folder)
         if self.subject not in subjects:
             subjects.append(self.subject)
-            rows = "".join(f"sub-{one}\t{number}\n" for number, one in enumerate(subjects))
+            rows = "".join(f"sub-{subject}\t{number}\n" for number, subject in enumerate(subjects))
             _write(self.folder / "participants.tsv", f"participant_id\tnumber\n{rows}")
         self.number = subjects.index(self.subject)
 

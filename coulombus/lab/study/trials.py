@@ -90,7 +90,7 @@ class Trials:
 
     def _condition(self) -> int | None:
         """Return which condition is next."""
-        waiting = [one for one in self._order if self._training[one] or not self._methods[one].done]
+        waiting = [place for place in self._order if self._training[place] or not self._methods[place].done]
         if not waiting:
             return None
         return waiting[int(self._rng.integers(len(waiting)))] if self._study.file.order == "mixed" else waiting[0]

@@ -130,22 +130,22 @@ class _Kinds:
             return self._constant(node.value)
         if isinstance(node, ast.BoolOp):
             for part in node.values:
-                self._wanted(part, bool, "a comparison")
+                self._expect(part, bool, "a comparison")
             return bool
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            self._wanted(node.operand, bool, "a comparison")
+            self._expect(node.operand, bool, "a comparison")
             return bool
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
-            self._wanted(node.operand, float, "a number")
+            self._expect(node.operand, float, "a number")
             return float
         if isinstance(node, ast.BinOp) and type(node.op) in _SUMS:
-            self._wanted(node.left, float, "a number")
-            self._wanted(node.right, float, "a number")
+            self._expect(node.left, float, "a number")
+            self._expect(node.right, float, "a number")
             return float
         if isinstance(node, ast.Compare):
             return self._compared(node)
-        wanted = "figures, numbers, texts, + - * /, comparisons, and, or, not"
-        raise ConditionError(f"'{ast.unparse(node)}' is not allowed; expected {wanted}")
+        allowed = "figures, numbers, texts, + - * /, comparisons, and, or, not"
+        raise ConditionError(f"'{ast.unparse(node)}' is not allowed; expected {allowed}")
 
     def _named(self, name: str) -> type:
         if name in _WORDS:
@@ -164,7 +164,7 @@ class _Kinds:
             return float
         raise ConditionError(f"'{value}' is not allowed; expected a finite number or a text in quotes")
 
-    def _wanted(self, node: ast.expr, kind: type, what: str) -> None:
+    def _expect(self, node: ast.expr, kind: type, what: str) -> None:
         if self.of(node) is not kind:
             raise ConditionError(f"'{ast.unparse(node)}' is no {what.partition(' ')[2]}; expected {what}")
 
@@ -173,8 +173,8 @@ class _Kinds:
         kinds = [self.of(part) for part in parts]
         for op, left, right, a, b in zip(node.ops, parts, parts[1:], kinds, kinds[1:], strict=False):
             if type(op) in _ORDERS:
-                self._wanted(left, float, "a number")
-                self._wanted(right, float, "a number")
+                self._expect(left, float, "a number")
+                self._expect(right, float, "a number")
             elif type(op) not in _EQUAL:
                 raise ConditionError(f"'{ast.unparse(node)}' is not allowed; expected < <= > >= == !=")
             elif a is not b and type(None) not in (a, b):
@@ -184,8 +184,8 @@ class _Kinds:
 
 def _beginning(name: str, known: Mapping[str, type]) -> str:
     """Return a hint at the figure that begins as `name` does."""
-    found = next((one for one in known if len(name) > 2 and one.startswith(name)), None)
-    return f"; did you mean '{found}'?" if found else ""
+    suggestion = next((candidate for candidate in known if len(name) > 2 and candidate.startswith(name)), None)
+    return f"; did you mean '{suggestion}'?" if suggestion else ""
 
 
 def _value(node: ast.expr, figures: Mapping[str, Any]) -> Any:
@@ -222,12 +222,12 @@ def _both(node: ast.BoolOp, figures: Mapping[str, Any]) -> bool | None:
 
 def _compared(node: ast.Compare, figures: Mapping[str, Any]) -> bool | None:
     values = [_value(part, figures) for part in (node.left, *node.comparators)]
-    found: list[bool | None] = []
+    truths: list[bool | None] = []
     for op, left, right in zip(node.ops, values, values[1:], strict=False):
         if type(op) in _EQUAL:
-            found.append((left == right) is _EQUAL[type(op)])
+            truths.append((left == right) is _EQUAL[type(op)])
         elif left is None or right is None:
-            found.append(None)
+            truths.append(None)
         else:
-            found.append(_ORDERS[type(op)](left, right))
-    return False if False in found else None if None in found else True
+            truths.append(_ORDERS[type(op)](left, right))
+    return False if False in truths else None if None in truths else True

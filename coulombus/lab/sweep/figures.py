@@ -21,10 +21,10 @@ _LISTS = ("remarks", "losses", "opened")
 
 def _scalars(owner: type) -> Iterator[tuple[str, type]]:
     hints = get_type_hints(owner)
-    for one in fields(owner):
-        kinds = [kind for kind in (get_args(hints[one.name]) or (hints[one.name],)) if kind is not type(None)]
-        if one.name not in _LEFT_OUT and len(kinds) == 1 and kinds[0] in (float, int, str):
-            yield one.name, kinds[0]
+    for member in fields(owner):
+        kinds = [kind for kind in (get_args(hints[member.name]) or (hints[member.name],)) if kind is not type(None)]
+        if member.name not in _LEFT_OUT and len(kinds) == 1 and kinds[0] in (float, int, str):
+            yield member.name, kinds[0]
 
 
 FIGURES: Mapping[str, type] = {
@@ -58,17 +58,17 @@ def _known(names: tuple[str, ...], channels: tuple[str, ...]) -> dict[str, type]
 
 def figures_of(result: RunResult, rig: Rig) -> dict[str, Value]:
     """Return the figures of a run of `rig`, one for each name of `known_figures`."""
-    found = result.as_dict()
-    axes = {**(found["axes"] or {})}
-    for own in (found["buses"] or {}).values():
+    values = result.as_dict()
+    axes = {**(values["axes"] or {})}
+    for own in (values["buses"] or {}).values():
         axes |= own["axes"] or {}
-    return {name: _value(_at(found | {"axes": axes}, name)) for name in known_figures(rig)}
+    return {name: _value(_at(values | {"axes": axes}, name)) for name in known_figures(rig)}
 
 
-def _at(found: Any, name: str) -> Any:
+def _at(tree: Any, name: str) -> Any:
     for part in name.split("."):
-        found = found.get(part) if isinstance(found, Mapping) else None
-    return found
+        tree = tree.get(part) if isinstance(tree, Mapping) else None
+    return tree
 
 
 def _value(value: Any) -> Value:

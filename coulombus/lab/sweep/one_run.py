@@ -127,7 +127,7 @@ def failed_row(job: Job, order: RunRequest, error: str) -> dict[str, Any]:
 
 
 def _head(job: Job, order: RunRequest, error: str | None) -> dict[str, Any]:
-    values = dict(zip((one.key for one in job.vary), order.values, strict=True))
+    values = dict(zip((variation.key for variation in job.vary), order.values, strict=True))
     return {"run": order.run, "point": order.point, "mode": order.mode, "seed": order.seed, **values, "error": error}
 
 
@@ -139,7 +139,9 @@ def _simulated(job: Job, order: RunRequest) -> tuple[Rig | None, RunResult | Non
     """Return the rig, where it is one, what was simulated of it, and why it was not."""
     rig = None
     try:
-        rig = job.rig.variant(*(one.override(value) for one, value in zip(job.vary, order.values, strict=True)))
+        rig = job.rig.variant(
+            *(variation.override(value) for variation, value in zip(job.vary, order.values, strict=True))
+        )
         return rig, simulate(rig, order.mode, _seconds(job, rig), seed=order.seed, measured=True), None
     except Exception as error:  # none of them ends the other runs
         known = isinstance(error, CoulombusError)

@@ -50,23 +50,23 @@ def draw_map(axes: Axes, vary: Sequence[Vary], points: Sequence[MapPoint], title
             x, y = ([row[k] for k in chosen] for row in places)
             size = 30 if marker == "+" else 18
             axes.scatter(x, y, s=size, c=colour, marker=marker, label=f"{name} ({len(chosen)})", linewidths=0.6)
-    for k, one in enumerate(vary[:2]):
-        _scale(axes, "xy"[k], one, [point.values[k] for point in points])
+    for k, variation in enumerate(vary[:2]):
+        _scale(axes, "xy"[k], variation, [point.values[k] for point in points])
     axes.set_title(title)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def _places(one: Vary, values: Sequence[Any]) -> list[float]:
-    if one.numeric:
+def _places(variation: Vary, values: Sequence[Any]) -> list[float]:
+    if variation.numeric:
         return [float(value) for value in values]
-    return [float(one.values.index(value)) for value in values]
+    return [float(variation.values.index(value)) for value in values]
 
 
-def _scale(axes: Axes, which: str, one: Vary, values: Sequence[Any]) -> None:
-    getattr(axes, f"set_{which}label")(one.key)
-    if not one.numeric:
-        getattr(axes, f"set_{which}ticks")(range(len(one.values)), [str(value) for value in one.values])
-    elif one.logarithmic or (min(values) > 0 and max(values) / min(values) > LOGARITHMIC):
+def _scale(axes: Axes, which: str, variation: Vary, values: Sequence[Any]) -> None:
+    getattr(axes, f"set_{which}label")(variation.key)
+    if not variation.numeric:
+        getattr(axes, f"set_{which}ticks")(range(len(variation.values)), [str(value) for value in variation.values])
+    elif variation.logarithmic or (min(values) > 0 and max(values) / min(values) > LOGARITHMIC):
         getattr(axes, f"set_{which}scale")("log")
 
 
@@ -81,8 +81,8 @@ def draw_figure(axes: Axes, vary: Sequence[Vary], points: Sequence[MapPoint], na
     else:
         shown = axes.scatter(places[0], places[1], s=18, c=figures, cmap="viridis")
         axes.figure.colorbar(shown, ax=axes, label=name)
-    for k, one in enumerate(vary[:2]):
-        _scale(axes, "xy"[k], one, [point.values[k] for point in points])
+    for k, variation in enumerate(vary[:2]):
+        _scale(axes, "xy"[k], variation, [point.values[k] for point in points])
     axes.set_title(f"{name} of {len(known)} runs; {len(points) - len(known)} have none")
 
 

@@ -37,9 +37,9 @@ def points(design: str, vary: Sequence[Vary], runs: int, seed: int) -> list[tupl
     `runs`.
     """
     if design == "grid":
-        return list(itertools.product(*(one.grid() for one in vary)))
+        return list(itertools.product(*(variation.grid() for variation in vary)))
     unit = _unit(design, runs, len(vary), seed)
-    return [tuple(one.at(float(u)) for one, u in zip(vary, row, strict=True)) for row in unit]
+    return [tuple(variation.at(float(u)) for variation, u in zip(vary, row, strict=True)) for row in unit]
 
 
 def _unit(design: str, count: int, keys: int, seed: int) -> Floats:

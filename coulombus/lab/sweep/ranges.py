@@ -44,13 +44,13 @@ class Vary:
         ValueError
             the range holds no integer
         """
-        found = replace(self, own=own)
-        if not found.whole or self.values:
-            return found
+        result = replace(self, own=own)
+        if not result.whole or self.values:
+            return result
         low, high = math.ceil(self.low), math.floor(self.high)
         if low > high:
             raise ValueError(f"there is no integer from {self.low:g} to {self.high:g}, and the rig has one there")
-        return replace(found, low=low, high=high)
+        return replace(result, low=low, high=high)
 
     def at(self, u: float) -> Any:
         """Return the value at the share `u` of the range, from 0 to below 1."""

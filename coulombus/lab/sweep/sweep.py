@@ -58,7 +58,7 @@ class SweepResult:
             "rates": {name: rate.as_dict() for name, rate in self.rates.items()},
             "simulated_s_per_core_s": self.simulated_s_per_core_s,
             "table": str(self.table),
-            "worst": {name: dict(found) for name, found in self.worst.items()},
+            "worst": {name: dict(finding) for name, finding in self.worst.items()},
             "maps": {name: str(path) for name, path in self.maps.items()},
         }
 
@@ -107,12 +107,12 @@ def _carry_out(kept: Folder, job: Job, left: list[int], processes: int, dask: st
     source = on_cluster(job, orders, dask) if dask else on_processes(job, orders, processes)
     try:
         with closing(source):  # type: ignore[type-var]
-            for found in source:
-                kept.taken.simulated_s += found.simulated_s
-                kept.taken.cpu_s += found.cpu_s
-                row = dict(found.row)
-                if found.recording is not None:
-                    row["recording"] = kept.keep_recording(row["run"], found.recording)
+            for finished in source:
+                kept.times.simulated_s += finished.simulated_s
+                kept.times.cpu_s += finished.cpu_s
+                row = dict(finished.row)
+                if finished.recording is not None:
+                    row["recording"] = kept.keep_recording(row["run"], finished.recording)
                 kept.add(row)
                 done, failed = done + 1, failed + (row["error"] is not None)
                 progress("runs", done, sweep.runs, failed)
@@ -143,20 +143,20 @@ def _summary(kept: Folder, job: Job, progress: Progress) -> SweepResult:
                 points = [_point(sweep, row, name) for row in own]
                 maps[label] = kept.path / f"map-{label}.png"
                 kept.write(maps[label], map_of(sweep.vary, points, shown))
-    taken = kept.taken
+    times = kept.times
     return SweepResult(
         runs=len(rows),
         failed=sum(row["error"] is not None for row in rows),
         rates=rates,
-        simulated_s_per_core_s=taken.simulated_s / taken.cpu_s if taken.cpu_s > 0 and taken.simulated_s > 0 else None,
+        simulated_s_per_core_s=times.simulated_s / times.cpu_s if times.cpu_s > 0 and times.simulated_s > 0 else None,
         table=kept.path / "runs.parquet",
         worst={name: _placed(kept.worst[name], kept.path) for name in rates if name in kept.worst},
         maps=maps,
     )
 
 
-def _placed(found: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    return {**found, "file": str(folder / found["file"])}
+def _placed(finding: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    return {**finding, "file": str(folder / finding["file"])}
 
 
 def _fails(row: Mapping[str, Any], rate: str) -> bool:
@@ -174,6 +174,8 @@ def _find_worst(kept: Folder, job: Job, rate: str, label: str, failing: list[Run
     if start is None or label in kept.worst:
         return
     worst = shrunk(job, rate, start, lambda tried: progress(f"worst case of {label}", tried, 0, 0))
-    rig = job.rig.variant(*(one.override(value) for one, value in zip(job.vary, worst.order.values, strict=True)))
+    rig = job.rig.variant(
+        *(variation.override(value) for variation, value in zip(job.vary, worst.order.values, strict=True))
+    )
     files = rig_files(rig, kept.path, f"worst-{label}.toml")
     kept.keep_worst(label, {**worst.as_dict(), "rate": label, "file": f"worst-{label}.toml"}, files)

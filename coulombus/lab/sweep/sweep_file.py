@@ -126,7 +126,7 @@ class Sweep:
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of all that the runs depend on, and of what is counted."""
-        told = {
+        content = {
             "version": project_version(),
             "rig": self.rig.effective(),
             "eds": dict(self.rig.eds_texts),
@@ -134,11 +134,11 @@ class Sweep:
             "modes": self.modes,
             "seconds": self.seconds,
             "seed": self.seed,
-            "keys": [one.key for one in self.vary],
+            "keys": [variation.key for variation in self.vary],
             "points": self.points,
             "rates": {name: condition.text for name, condition in self.rates.items()},
         }
-        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def read_sweep(path: Path) -> Sweep:
@@ -171,7 +171,7 @@ def read_sweep(path: Path) -> Sweep:
     if file.seconds is None and not rig.schedule_s > 0:
         mistakes.say(("seconds",), f"is missing; the rig {rig.name} has no schedule ([[phase]]) that would tell")
     rates = _rates(file, rig, mistakes)
-    checked = tuple(_on_rig(key, one, rig, mistakes) for key, one in vary.items())
+    checked = tuple(_on_rig(key, variation, rig, mistakes) for key, variation in vary.items())
     mistakes.raise_all()
     return Sweep(
         path=str(path),
@@ -211,26 +211,26 @@ def _leaves(table: Mapping[str, Any], above: tuple[str, ...] = ("vary",)) -> Ite
 
 def _is_leaf(value: Mapping[str, Any]) -> bool:
     """Tell whether a table is what is tried of a key, misspelled perhaps, and no section of keys."""
-    return any(nearest(name, LEAF) and not isinstance(one, Mapping) for name, one in value.items())
+    return any(nearest(name, LEAF) and not isinstance(entry, Mapping) for name, entry in value.items())
 
 
 def _vary(file: _File, mistakes: FileMistakes) -> dict[Key, Vary]:
-    found: dict[Key, Vary] = {}
+    variations: dict[Key, Vary] = {}
     for place, given in _leaves(file.vary):
         key = ".".join(str(part) for part in place[1:])
         if split_key(key) is None or "=" in key:
             mistakes.say(place, "cannot be read; expected SECTION.KEY, as in plant.inertia_kg_m2")
-        elif any(one.key == key for one in found.values()):
+        elif any(variation.key == key for variation in variations.values()):
             mistakes.say(place, f"{key} is given twice; expected each key once")
         elif not isinstance(given, Mapping):
             mistakes.say(place, f"expected {{ values = [...] }} or {{ low = ..., high = ... }}, not {shown(given)}")
         elif "values" in given and {"low", "high"} & given.keys():
             mistakes.say(place, "has values, and low and high; expected either")
         else:
-            one = _leaf(place, key, given, mistakes)
-            if one is not None:
-                found[place] = one
-    return found
+            variation = _leaf(place, key, given, mistakes)
+            if variation is not None:
+                variations[place] = variation
+    return variations
 
 
 def _leaf(place: Key, key: str, given: Mapping[str, Any], mistakes: FileMistakes) -> Vary | None:
@@ -270,16 +270,16 @@ def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: FileMistakes)
             mistakes.say(("design",) if key is None else (key,), text)
     if file.design != "grid" and file.runs is None:
         mistakes.say((), f'runs is missing; expected how many points the design "{file.design}" has')
-    for place, one in vary.items():
-        if one.values:
+    for place, variation in vary.items():
+        if variation.values:
             continue
-        if file.design == "grid" and not one.count:
+        if file.design == "grid" and not variation.count:
             mistakes.say(place, "of a grid; expected count = N, or values = [...]")
-        if file.design != "grid" and one.count:
+        if file.design != "grid" and variation.count:
             mistakes.say(
                 (*place, "count"), f'is of a grid; take it out, or choose design = "grid" (it is "{file.design}")'
             )
-    size = math.prod(len(one.values) or one.count for one in vary.values())
+    size = math.prod(len(variation.values) or variation.count for variation in vary.values())
     if file.design == "grid" and size > MOST_RUNS:
         mistakes.say(("vary",), f"a grid of {size} points; expected at most {MOST_RUNS}")
 
@@ -298,16 +298,16 @@ def _modes(file: _File, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
 
 
 def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition]:
-    known, found = known_figures(rig), {}
+    known, conditions = known_figures(rig), {}
     for name, text in file.rates.items():
         if not RATE_NAME.fullmatch(name):
             mistakes.say(("rates", name), "expected a name of letters, digits, _ and -")
             continue
         try:
-            found[name] = Condition.of(text, known)
+            conditions[name] = Condition.of(text, known)
         except ConditionError as error:
             mistakes.say(("rates", name), str(error))
-    return found
+    return conditions
 
 
 def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: FileMistakes) -> Vary:
@@ -336,7 +336,7 @@ def _beside(key: str, lacking: tuple[str, ...]) -> str:
     """Return how a key is given that lacks others of its section."""
     if not lacking:
         return ""
-    section, given = lacking[0].rpartition(".")[0], ", ".join(f'"{one}=..."' for one in (key, *lacking))
+    section, given = lacking[0].rpartition(".")[0], ", ".join(f'"{name}=..."' for name in (key, *lacking))
     return f"; give what is not varied of [{section}] beside [vary]: set = [{given}]"
 
 

@@ -68,7 +68,7 @@ class Folder:
     path: Path
     sweep: Sweep
     rows_of_part: int
-    taken: RunTimes = field(default_factory=RunTimes)
+    times: RunTimes = field(default_factory=RunTimes)
     worst: dict[str, Any] = field(default_factory=dict)
     """What was found of the worst cases, kept for a later call."""
     _parts: dict[int, dict[int, dict[str, Any]]] = field(default_factory=dict)
@@ -92,9 +92,9 @@ class Folder:
         seconds = sweep.seconds or sweep.rig.schedule_s
         rows = max(1, min(PART_RUNS, math.ceil(sweep.runs / PART_RUNS), int(PART_S / seconds)))
         with _held(path):
-            found = cls(path, sweep, rows)
-            found._begin(force=force)
-            yield found
+            folder = cls(path, sweep, rows)
+            folder._begin(force=force)
+            yield folder
 
     # what is there
 
@@ -111,7 +111,7 @@ class Folder:
             self._clear()
             state = None
         if state is not None:
-            self.taken = RunTimes(float(state.get("simulated_s", 0.0)), float(state.get("cpu_s", 0.0)))
+            self.times = RunTimes(float(state.get("simulated_s", 0.0)), float(state.get("cpu_s", 0.0)))
             self.worst = dict(state.get("worst", {}))
         copy = self.path / "sweep.toml"
         if not (copy.exists() and copy.samefile(self.sweep.path)):
@@ -135,15 +135,15 @@ class Folder:
         return state if isinstance(state, dict) and state.get("format") == FORMAT else None
 
     def _tell(self) -> None:
-        told = {"format": FORMAT, "fingerprint": self._fingerprint, "runs": self.sweep.runs}
-        told |= {"simulated_s": self.taken.simulated_s, "cpu_s": self.taken.cpu_s, "worst": self.worst}
-        self.write(self.path / "sweep.json", (json.dumps(told, indent=2) + "\n").encode())
+        state = {"format": FORMAT, "fingerprint": self._fingerprint, "runs": self.sweep.runs}
+        state |= {"simulated_s": self.times.simulated_s, "cpu_s": self.times.cpu_s, "worst": self.worst}
+        self.write(self.path / "sweep.json", (json.dumps(state, indent=2) + "\n").encode())
 
-    def keep_worst(self, label: str, found: Mapping[str, Any], files: Mapping[str, str]) -> None:
+    def keep_worst(self, label: str, finding: Mapping[str, Any], files: Mapping[str, str]) -> None:
         """Write the files of a worst case, and keep what was found."""
         for name, text in files.items():
             self.write(self.path / name, text.encode())
-        self.worst[label] = dict(found)
+        self.worst[label] = dict(finding)
         self._tell()
 
     def _clear(self) -> None:
@@ -215,7 +215,7 @@ class Folder:
         self.flush()
         pa, parquet = library("pyarrow", "a table of runs"), library("pyarrow.parquet", "a table of runs")
         place, beside = self.path / "runs.parquet", self.path / ".runs.parquet"
-        with self._told(place):
+        with self._write_errors(place):
             with beside.open("wb") as file:
                 with parquet.ParquetWriter(file, self._schema(), compression="zstd") as writer:
                     waiting: list[Any] = []
@@ -241,8 +241,8 @@ class Folder:
     def rows(self, *columns: str) -> list[dict[str, Any]]:
         """Return these columns of all rows, of a sweep that is finished."""
         parquet = library("pyarrow.parquet", "a table of runs")
-        found: list[dict[str, Any]] = parquet.read_table(self.path / "runs.parquet", columns=list(columns)).to_pylist()
-        return found
+        rows: list[dict[str, Any]] = parquet.read_table(self.path / "runs.parquet", columns=list(columns)).to_pylist()
+        return rows
 
     # how it is written
 
@@ -258,11 +258,11 @@ class Folder:
 
     def write(self, path: Path, content: bytes) -> None:
         """Write a file of the folder whole, or not at all."""
-        with self._told(path):
+        with self._write_errors(path):
             write_whole(path, content)
 
     @contextmanager
-    def _told(self, path: Path) -> Iterator[None]:
+    def _write_errors(self, path: Path) -> Iterator[None]:
         try:
             yield
         except OSError as error:
@@ -276,7 +276,7 @@ class Folder:
         pa = library("pyarrow", "a table of runs")
         words = {float: pa.float64(), int: pa.int64(), str: pa.string(), bool: pa.bool_()}
         fields = [("run", int), ("point", int), ("mode", str), ("seed", int)]
-        fields += zip((one.key for one in self.sweep.vary), self._kinds, strict=True)
+        fields += zip((variation.key for variation in self.sweep.vary), self._kinds, strict=True)
         fields += [("error", str), *known_figures(self.sweep.rig).items()]
         fields += [(f"rates.{name}", bool) for name in self.sweep.rates]
         fields += [("rig", str), ("recording", str)]
@@ -289,19 +289,19 @@ class Folder:
     @cached_property
     def _kinds(self) -> tuple[type, ...]:
         """The types of the varied keys' columns; what has no type of a table is TOML in it."""
-        found = []
+        types = []
         for k in range(len(self.sweep.vary)):
             kinds = {type(point[k]) for point in self.sweep.points}
             plain = len(kinds) == 1 and kinds <= {int, float, bool, str}
-            found.append(float if kinds == {int, float} else kinds.pop() if plain else str)
-        return tuple(found)
+            types.append(float if kinds == {int, float} else kinds.pop() if plain else str)
+        return tuple(types)
 
     def _plain(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        found = dict(row)
-        for one, kind in zip(self.sweep.vary, self._kinds, strict=True):
-            if kind is str and not isinstance(found[one.key], str):
-                found[one.key] = toml_value(found[one.key])
-        return found
+        values = dict(row)
+        for variation, kind in zip(self.sweep.vary, self._kinds, strict=True):
+            if kind is str and not isinstance(values[variation.key], str):
+                values[variation.key] = toml_value(values[variation.key])
+        return values
 
 
 LOCK = ".lock"

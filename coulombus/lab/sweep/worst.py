@@ -62,7 +62,7 @@ class Worst:
 
 def deviation(vary: Sequence[Vary], values: Sequence[Any]) -> float:
     """Return how far a point is from the rig's own values."""
-    return math.sqrt(sum(one.deviation(value) ** 2 for one, value in zip(vary, values, strict=True)))
+    return math.sqrt(sum(variation.deviation(value) ** 2 for variation, value in zip(vary, values, strict=True)))
 
 
 def nearest_failing(vary: Sequence[Vary], failing: Sequence[RunRequest]) -> RunRequest | None:
@@ -85,29 +85,31 @@ def shrunk(job: Job, rate: str, start: RunRequest, progress: Callable[[int], Non
         return row["rig"] is not None and not _refused(row) and not row[f"rates.{rate}"]
 
     values = list(start.values)
-    for k, one in enumerate(job.vary):
-        if one.own is None or values[k] == one.own:
+    for k, variation in enumerate(job.vary):
+        if variation.own is None or values[k] == variation.own:
             continue
         bad = values[k]
-        values[k] = one.own
+        values[k] = variation.own
         if fails(values):
             continue
-        if one.numeric and not one.values:
-            bad = _bisected(one, bad, lambda value, k=k: fails([*values[:k], value, *values[k + 1 :]]))  # type: ignore[misc]
+        if variation.numeric and not variation.values:
+            bad = _bisected(variation, bad, lambda value, k=k: fails([*values[:k], value, *values[k + 1 :]]))  # type: ignore[misc]
         values[k] = bad
-    found = {one.key: value for one, value in zip(job.vary, values, strict=True) if value != one.own}
-    return Worst(rate, start.run, replace(start, values=tuple(values)), found, tried)
+    changes = {
+        variation.key: value for variation, value in zip(job.vary, values, strict=True) if value != variation.own
+    }
+    return Worst(rate, start.run, replace(start, values=tuple(values)), changes, tried)
 
 
 def _refused(row: Mapping[str, Any]) -> bool:
     return row["error"] is not None and row["cycles"] is None
 
 
-def _bisected(one: Vary, bad: Any, fails: Callable[[Any], bool]) -> Any:
+def _bisected(variation: Vary, bad: Any, fails: Callable[[Any], bool]) -> Any:
     """Return the value nearest to the rig's own that is found to fail, from `bad` on."""
-    good = one.own
+    good = variation.own
     for _ in range(HALVINGS):
-        middle = one.between(good, bad, 0.5)
+        middle = variation.between(good, bad, 0.5)
         if middle in (good, bad):
             break
         if fails(middle):
@@ -127,13 +129,13 @@ def rig_files(rig: Rig, folder: Path, name: str) -> dict[str, str]:
     files: dict[str, str] = {}
     changes: list[str] = []
     for above, own in _parts(values):
-        found = _found(own, folder / name)
+        descriptions = _descriptions_of(own, folder / name)
         for key in device_keys(own):
             section: Any = own
             for part in key:
                 section = section.get(part, {})
             eds = section.get("eds")
-            if eds is None or found.get(eds) == rig.eds_texts.get(eds):
+            if eds is None or descriptions.get(eds) == rig.eds_texts.get(eds):
                 continue
             there = f"{Path(name).stem}-{len(files) + 1}.eds"
             files[there] = rig.eds_texts[eds]
@@ -152,10 +154,10 @@ def _parts(values: Mapping[str, Any]) -> list[tuple[Key, Mapping[str, Any]]]:
     return [((), values), *((("axis", name), own) for name, own in values.get("axis", {}).items())]
 
 
-def _found(own: Mapping[str, Any], path: Path) -> dict[str, str]:
+def _descriptions_of(own: Mapping[str, Any], path: Path) -> dict[str, str]:
     """Return the texts of the EDS files that a rig file at `path` would find, by their names."""
     try:
-        found = read_descriptions(own, Source(str(path), Document()), None)
+        descriptions = read_descriptions(own, Source(str(path), Document()), None)
     except (EdsError, OSError):
         return {}
     names = {}
@@ -163,8 +165,8 @@ def _found(own: Mapping[str, Any], path: Path) -> dict[str, str]:
         section: Any = own
         for part in key:
             section = section.get(part, {})
-        if str(key[-1]) in found and "eds" in section:
-            names[section["eds"]] = found[str(key[-1])].text
+        if str(key[-1]) in descriptions and "eds" in section:
+            names[section["eds"]] = descriptions[str(key[-1])].text
     return names
 
 

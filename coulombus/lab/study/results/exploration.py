@@ -114,10 +114,10 @@ def _reversals(theta: npt.NDArray[np.float64]) -> int:
     return count
 
 
-def mean_of(found: list[Exploration]) -> Exploration:
+def mean_of(explorations: list[Exploration]) -> Exploration:
     """Return the mean of each figure over displays; None where one has none."""
     means = {}
-    for one in fields(Exploration):
-        values = [getattr(each, one.name) for each in found]
-        means[one.name] = None if None in values else float(np.mean(values))
+    for quantity in fields(Exploration):
+        values = [getattr(each, quantity.name) for each in explorations]
+        means[quantity.name] = None if None in values else float(np.mean(values))
     return Exploration(**means)  # type: ignore[arg-type]

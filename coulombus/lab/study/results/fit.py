@@ -123,6 +123,6 @@ def fit_magnitudes(levels: Sequence[float], answers: Sequence[float]) -> Magnitu
     counted = (x > 0) & (a > 0)
     if counted.sum() < 3 or len(np.unique(x[counted])) < 2:
         return None
-    found = linregress(np.log(x[counted]), np.log(a[counted]))
-    half = float(t.ppf(0.975, int(counted.sum()) - 2)) * float(found.stderr)
-    return Magnitudes(int(counted.sum()), float(found.slope), (float(found.slope) - half, float(found.slope) + half))
+    line = linregress(np.log(x[counted]), np.log(a[counted]))
+    half = float(t.ppf(0.975, int(counted.sum()) - 2)) * float(line.stderr)
+    return Magnitudes(int(counted.sum()), float(line.slope), (float(line.slope) - half, float(line.slope) + half))

@@ -42,14 +42,14 @@ def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
     StudyFolderError
         it is the folder of no study, or a file of it cannot be used
     """
-    asked = _asked(folder)
-    subjects = {subject: _subject(folder, subject, asked["kind"], exploration) for subject in subjects_of(folder)}
-    names = list(dict.fromkeys(name for found in subjects.values() for name in found))
-    conditions = {name: _over([one[name] for one in subjects.values() if name in one]) for name in names}
+    study = _study_of(folder)
+    subjects = {subject: _subject(folder, subject, study["kind"], exploration) for subject in subjects_of(folder)}
+    names = list(dict.fromkeys(name for subject in subjects.values() for name in subject))
+    conditions = {name: _over([subject[name] for subject in subjects.values() if name in subject]) for name in names}
     model, why_not = _mixed(subjects)
     return {
-        "study": asked["name"],
-        "level": asked["level"],
+        "study": study["name"],
+        "level": study["level"],
         "subjects": subjects,
         "conditions": conditions,
         "mixed_model": model,
@@ -69,45 +69,45 @@ def _subject(folder: Path, subject: str, kind: str | None, exploration: bool) ->
             raise StudyFolderError(f"{path}: a cell is no number ({error}); mend or remove the row") from None
     counted = [row for row in rows if row["training"] == "0"]
     names = dict.fromkeys(row["condition"] for row in counted)
-    found = {}
+    conditions = {}
     for name in names:
         own = [row for row in counted if row["condition"] == name]
-        found[name] = _condition(own, kind)
+        conditions[name] = _condition(own, kind)
         if exploration or all(row["answer"] == "n/a" for row in own):
-            found[name]["exploration"] = _explored(folder / f"sub-{subject}" / "recordings", own)
-    return found
+            conditions[name]["exploration"] = _explored(folder / f"sub-{subject}" / "recordings", own)
+    return conditions
 
 
-def _asked(folder: Path) -> dict[str, Any]:
+def _study_of(folder: Path) -> dict[str, Any]:
     """Return of the study's copy its name, its method, and what the level is: a quantity and its
     unit. What cannot be read is None, of the level "".
     """
-    told: dict[str, Any] = {"name": None, "kind": None, "level": {"quantity": "", "unit": ""}}
+    head: dict[str, Any] = {"name": None, "kind": None, "level": {"quantity": "", "unit": ""}}
     try:
         study = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))
         shares = {key: abs(float(share)) for key, share in study["level"].items()}
         own = max(shares, key=lambda key: -abs(shares[key] - 1.0)).rpartition(".")[2]  # the level itself, if it is set
-        told |= {"name": str(study["name"]), "kind": str(study["method"]["kind"])}
+        head |= {"name": str(study["name"]), "kind": str(study["method"]["kind"])}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return told
-    return told | {"level": {"quantity": without_unit(own), "unit": unit_of(own)}}
+        return head
+    return head | {"level": {"quantity": without_unit(own), "unit": unit_of(own)}}
 
 
 def _explored(recordings: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
     """Return the mean figures of the displays of each level."""
-    found: dict[str, list[Exploration]] = {}
+    by_level: dict[str, list[Exploration]] = {}
     for row in rows:
         path = recordings / f"trial-{int(row['trial']):04d}_display-{max(int(row['first']), 1)}.pcapng"
         try:
-            one = explored(path)
+            display = explored(path)
         except (OSError, RecordingError) as error:
             raise StudyFolderError(
                 f"{path}: cannot be read ({error}); restore it, or leave --exploration out"
             ) from None
-        if one is not None:
-            found.setdefault(f"{float(row['level']):g}", []).append(one)
-    levels = sorted(found, key=float)
-    return {level: {"displays": len(found[level]), **mean_of(found[level]).as_dict()} for level in levels}
+        if display is not None:
+            by_level.setdefault(f"{float(row['level']):g}", []).append(display)
+    levels = sorted(by_level, key=float)
+    return {level: {"displays": len(by_level[level]), **mean_of(by_level[level]).as_dict()} for level in levels}
 
 
 def _check_numbers(row: Mapping[str, str]) -> None:
@@ -120,41 +120,41 @@ def _check_numbers(row: Mapping[str, str]) -> None:
 
 def _condition(rows: Sequence[Mapping[str, str]], kind: str | None) -> dict[str, Any]:
     """Return the fit of one subject in one condition, with the answers that it is of."""
-    told: dict[str, Any] = {"trials": len(rows), "fit": None, "magnitudes": None, "levels": {}}
-    told |= {"staircase": None, "exploration": None, "track": None}
+    result: dict[str, Any] = {"trials": len(rows), "fit": None, "magnitudes": None, "levels": {}}
+    result |= {"staircase": None, "exploration": None, "track": None}
     answered = [row for row in rows if row["answer"] != "n/a"]
     if not answered:
-        return told
+        return result
     levels = [float(row["level"]) for row in answered]
     if answered[0]["reference"] == "n/a":
-        found = fit_magnitudes(levels, [float(row["answer"]) for row in answered])
+        magnitudes = fit_magnitudes(levels, [float(row["answer"]) for row in answered])
         track = [[x, float(row["answer"])] for x, row in zip(levels, answered, strict=True)]
-        return told | {"magnitudes": None if found is None else found.as_dict(), "track": track}
+        return result | {"magnitudes": None if magnitudes is None else magnitudes.as_dict(), "track": track}
     if kind in ("staircase", "quest"):
         right = [row["right"] == "1" for row in answered]
-        told["track"] = [[x, int(one)] for x, one in zip(levels, right, strict=True)]
-        told["staircase"] = staircase(levels, right) if kind == "staircase" else None
+        result["track"] = [[x, int(answer)] for x, answer in zip(levels, right, strict=True)]
+        result["staircase"] = staircase(levels, right) if kind == "staircase" else None
     larger = [row["answer"] == row["first"] for row in answered]
     for level in sorted(set(levels)):
-        took = [one for x, one in zip(levels, larger, strict=True) if x == level]
-        told["levels"][f"{level:g}"] = [sum(took), len(took)]
+        took = [answer for x, answer in zip(levels, larger, strict=True) if x == level]
+        result["levels"][f"{level:g}"] = [sum(took), len(took)]
     try:
         fit = fit_comparisons(levels, larger, float(answered[0]["reference"]))
     except ValueError:
-        return told
-    return told | {"fit": fit.as_dict()}
+        return result
+    return result | {"fit": fit.as_dict()}
 
 
-def _over(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    jnds = [one["fit"]["jnd"] for one in found if one["fit"] is not None]
-    told: dict[str, Any] = {"subjects": len(found), "jnd": None, "jnd_95": None}
+def _over(conditions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    jnds = [condition["fit"]["jnd"] for condition in conditions if condition["fit"] is not None]
+    summary: dict[str, Any] = {"subjects": len(conditions), "jnd": None, "jnd_95": None}
     if jnds:
         logs = np.log(jnds)
-        told["jnd"] = float(np.exp(logs.mean()))
+        summary["jnd"] = float(np.exp(logs.mean()))
         if len(jnds) > 1:
             half = float(student.ppf(0.975, len(jnds) - 1) * logs.std(ddof=1)) / math.sqrt(len(jnds))
-            told["jnd_95"] = [float(np.exp(logs.mean() - half)), float(np.exp(logs.mean() + half))]
-    return told
+            summary["jnd_95"] = [float(np.exp(logs.mean() - half)), float(np.exp(logs.mean() + half))]
+    return summary
 
 
 def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | None, str | None]:
@@ -164,10 +164,10 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
     the truth in 86 of 100 studies of six subjects.
     """
     rows = [
-        (subject, name, math.log(one["fit"]["jnd"]))
-        for subject, found in subjects.items()
-        for name, one in found.items()
-        if one["fit"] is not None
+        (subject, name, math.log(condition["fit"]["jnd"]))
+        for subject, conditions in subjects.items()
+        for name, condition in conditions.items()
+        if condition["fit"] is not None
     ]
     names = list(dict.fromkeys(name for _, name, _ in rows))
     count = len({subject for subject, _, _ in rows})
@@ -178,7 +178,7 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
         models: Any = importlib.import_module("statsmodels.regression.mixed_linear_model")
     except ImportError:
         return None, "a mixed model needs statsmodels: pip install 'coulombus[study]'"
-    design = np.array([[1.0, *(float(name == one) for one in names[1:])] for _, name, _ in rows])
+    design = np.array([[1.0, *(float(name == other) for other in names[1:])] for _, name, _ in rows])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of subjects that are all alike their variance is 0, an end of its range
@@ -201,7 +201,7 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
     return {"against": names[0], "jnd_ratio": effects}, None
 
 
-def _told_hand(hand: Mapping[str, Any]) -> str:
+def _hand_text(hand: Mapping[str, Any]) -> str:
     text = f"path {hand['path_rad']:.3g} rad, {hand['reversals']:.3g} reversals, moving {hand['moving']:.0%}"
     text += f" at {hand['speed_rad_s']:.3g} rad/s"
     return text if hand["work_J"] is None else f"{text}, peak {hand['peak_Nm']:.3g} Nm, work {hand['work_J']:.3g} J"
@@ -211,32 +211,32 @@ def between(bounds: Sequence[float | None] | None) -> str:
     """Return an interval as text: " (0.1 to 0.2)", with `?` for an end that nothing bounds."""
     if bounds is None:
         return ""
-    low, high = ("?" if one is None else f"{one:.4g}" for one in bounds)
+    low, high = ("?" if bound is None else f"{bound:.4g}" for bound in bounds)
     return f" ({low} to {high})"
 
 
-def lines(found: Mapping[str, Any]) -> Iterable[str]:
+def lines(results: Mapping[str, Any]) -> Iterable[str]:
     """Yield a report as text."""
-    unit = f" {found['level']['unit']}".rstrip()
-    for subject, conditions in found["subjects"].items():
-        for name, one in conditions.items():
-            text = f"{subject} {name}: {one['trials']} trials"
-            fit, magnitudes = one["fit"], one["magnitudes"]
+    unit = f" {results['level']['unit']}".rstrip()
+    for subject, conditions in results["subjects"].items():
+        for name, condition in conditions.items():
+            text = f"{subject} {name}: {condition['trials']} trials"
+            fit, magnitudes = condition["fit"], condition["magnitudes"]
             if fit is not None:
                 text += f", JND {fit['jnd']:.4g}{unit}{between(fit['jnd_95'])}, PSE {fit['pse']:.4g}{unit}"
                 text += "" if fit["weber"] is None else f", Weber fraction {fit['weber']:.3g}"
                 text += f", {fit['right']:.1%} right"
             if magnitudes is not None:
                 text += f", exponent {magnitudes['exponent']:.3g}{between(magnitudes['exponent_95'])}"
-            if one["staircase"] is not None:
-                turned = one["staircase"]
+            if condition["staircase"] is not None:
+                turned = condition["staircase"]
                 text += f", {turned['turns']} turns around {turned['threshold']:.4g}{unit} ({turned['right']:.1%} right there)"
             yield text
-            for level, hand in (one["exploration"] or {}).items():
-                yield f"  level {level}{unit}: {_told_hand(hand)}"
-    for name, one in found["conditions"].items():
-        if one["jnd"] is not None and one["subjects"] > 1:
-            yield f"{name}: JND {one['jnd']:.4g}{unit}{between(one['jnd_95'])} of {one['subjects']} subjects"
-    model = found["mixed_model"]
+            for level, hand in (condition["exploration"] or {}).items():
+                yield f"  level {level}{unit}: {_hand_text(hand)}"
+    for name, condition in results["conditions"].items():
+        if condition["jnd"] is not None and condition["subjects"] > 1:
+            yield f"{name}: JND {condition['jnd']:.4g}{unit}{between(condition['jnd_95'])} of {condition['subjects']} subjects"
+    model = results["mixed_model"]
     for name, effect in (model or {"jnd_ratio": {}})["jnd_ratio"].items():
         yield f"{name}: JND {effect['ratio']:.3g}{between(effect['ratio_95'])} times that of {model['against']}"

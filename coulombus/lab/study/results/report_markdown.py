@@ -13,24 +13,24 @@ __all__ = ["page"]
 HAND = ("path [rad]", "reversals", "moving", "speed [rad/s]", "peak [Nm]", "work [J]")
 
 
-def page(found: Mapping[str, Any], paths: Sequence[Path] = ()) -> str:
+def page(results: Mapping[str, Any], paths: Sequence[Path] = ()) -> str:
     """Return a report as Markdown: tables of the thresholds and of how the hands moved, and the
     pictures.
     """
-    unit = f" [{found['level']['unit']}]" if found["level"]["unit"] else ""
+    unit = f" [{results['level']['unit']}]" if results["level"]["unit"] else ""
     rows, hands = [], []
-    for subject, conditions in found["subjects"].items():
-        for name, one in conditions.items():
-            rows.append((subject, name, one["trials"], *_cells(one)))
-            for level, hand in (one["exploration"] or {}).items():
-                told = (hand[key] for key in ("path_rad", "reversals", "moving", "speed_rad_s", "peak_Nm", "work_J"))
-                hands.append((subject, name, level, *("" if x is None else f"{x:.3g}" for x in told)))
-    parts = [f"# {found['study'] or 'What the study came to'}"]
-    if found["level"]["unit"]:
-        parts.append(f"The level is {found['level']['quantity']}{unit}. Intervals are of 95 %.")
+    for subject, conditions in results["subjects"].items():
+        for name, condition in conditions.items():
+            rows.append((subject, name, condition["trials"], *_cells(condition)))
+            for level, hand in (condition["exploration"] or {}).items():
+                values = (hand[key] for key in ("path_rad", "reversals", "moving", "speed_rad_s", "peak_Nm", "work_J"))
+                hands.append((subject, name, level, *("" if x is None else f"{x:.3g}" for x in values)))
+    parts = [f"# {results['study'] or 'What the study came to'}"]
+    if results["level"]["unit"]:
+        parts.append(f"The level is {results['level']['quantity']}{unit}. Intervals are of 95 %.")
     head = ("subject", "condition", "trials", f"JND{unit}", f"PSE{unit}", "Weber fraction", "right", "exponent")
     parts.append(_table((*head, f"staircase{unit}"), rows))
-    together = list(lines({**found, "subjects": {}}))
+    together = list(lines({**results, "subjects": {}}))
     if together:
         parts.append("All subjects:\n\n" + "\n".join(f"- {line}" for line in together))
     parts += [f"![{path.stem}]({path.name})" for path in paths if path.suffix == ".png"]
@@ -39,18 +39,18 @@ def page(found: Mapping[str, Any], paths: Sequence[Path] = ()) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
+def _cells(condition: Mapping[str, Any]) -> tuple[str, ...]:
     """Return JND, PSE, Weber fraction, share of right answers, exponent and staircase of a condition."""
-    fit, magnitudes, turned = one["fit"], one["magnitudes"], one["staircase"]
-    found = ["", "", "", ""]
+    fit, magnitudes, turned = condition["fit"], condition["magnitudes"], condition["staircase"]
+    cells = ["", "", "", ""]
     if fit is not None:
         weber = "" if fit["weber"] is None else f"{fit['weber']:.3g}"
-        found = [f"{fit['jnd']:.4g}{between(fit['jnd_95'])}", f"{fit['pse']:.4g}", weber, f"{fit['right']:.1%}"]
+        cells = [f"{fit['jnd']:.4g}{between(fit['jnd_95'])}", f"{fit['pse']:.4g}", weber, f"{fit['right']:.1%}"]
     exponent = "" if magnitudes is None else f"{magnitudes['exponent']:.3g}{between(magnitudes['exponent_95'])}"
     turns = (
         "" if turned is None else f"{turned['threshold']:.4g} ({turned['turns']} turns, {turned['right']:.1%} right)"
     )
-    return *found, exponent, turns
+    return *cells, exponent, turns
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:

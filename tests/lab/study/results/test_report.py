@@ -10,7 +10,7 @@ from scipy.special import ndtri
 from coulombus.cli.main import main
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.results.pictures import write_figures
-from coulombus.lab.study.results.report import _asked, _mixed, lines, report
+from coulombus.lab.study.results.report import _mixed, _study_of, lines, report
 from coulombus.lab.study.results.report_markdown import page
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
@@ -83,9 +83,9 @@ def test_staircases_come_to_the_observers_thresholds(keep, tmp_path):
 )
 def test_the_level_is_the_key_that_it_is_set_to(tmp_path, level, told):
     (tmp_path / "study.toml").write_text(f'name = "n"\n[level]\n{level}\n[method]\nkind = "free"\n')
-    assert _asked(tmp_path)["level"] == dict(zip(("quantity", "unit"), told, strict=True))
+    assert _study_of(tmp_path)["level"] == dict(zip(("quantity", "unit"), told, strict=True))
     (tmp_path / "study.toml").write_text("[level]\nx = 'a'\n")
-    assert _asked(tmp_path)["level"] == {"quantity": "", "unit": ""}
+    assert _study_of(tmp_path)["level"] == {"quantity": "", "unit": ""}
 
 
 def test_pictures_are_the_same_for_the_same_answers(keep, tmp_path):
