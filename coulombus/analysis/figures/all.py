@@ -19,16 +19,16 @@ from coulombus.analysis.figures.time import write_delay_figure, write_fig10, wri
 __all__ = ["write_all"]
 
 
-def write_all(directory: Path, found: TheoryResults) -> list[Path]:
-    """Write every figure of `found` as PNG and SVG; return the paths."""
-    paths = write_frequency_figures(directory, found.parameters, found.crossings, found.absolute)
-    paths += write_fig10(directory, found.fig10)
-    paths += write_orbit_figure(directory, found.parameters, found.orbits)
-    paths += write_delay_figure(directory, found.delays)
+def write_all(directory: Path, results: TheoryResults) -> list[Path]:
+    """Write every figure of `results` as PNG and SVG; return the paths."""
+    paths = write_frequency_figures(directory, results.parameters, results.crossings, results.absolute)
+    paths += write_fig10(directory, results.fig10)
+    paths += write_orbit_figure(directory, results.parameters, results.orbits)
+    paths += write_delay_figure(directory, results.delays)
     paths += write_fig12(directory)
-    paths += write_fig13(directory, found.friction)
-    paths += write_fig14(directory, found.hold)
-    paths += write_stick_figure(directory, found.hold)
-    paths += write_bus_figure(directory, found.through_bus)
-    paths += write_map(directory, found.map)
+    paths += write_fig13(directory, results.friction)
+    paths += write_fig14(directory, results.hold)
+    paths += write_stick_figure(directory, results.hold)
+    paths += write_bus_figure(directory, results.through_bus)
+    paths += write_map(directory, results.map)
     return paths

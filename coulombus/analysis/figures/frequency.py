@@ -157,17 +157,17 @@ def draw_sampled_disks(axes: Axes, data: Loci) -> None:
     axes.legend(loc="upper right")
 
 
-def draw_zoom(axes: Axes, data: Loci, found: Crossings) -> None:
+def draw_zoom(axes: Axes, data: Loci, intersections: Crossings) -> None:
     """Draw the same near the origin for the concrete operator, with the crossings."""
     h = data.sampled
     axes.plot(h.real, h.imag, color=BLUE, label=r"$H^*(j\omega)$, this operator")
-    if found.largest is None:
+    if intersections.largest is None:
         reach = float(np.max(np.abs(h))) * 0.1
         axes.annotate("no crossing", (0.05, 0.9), xycoords="axes fraction")
     else:
-        reach = 2.4 * abs(found.largest.h_real)
+        reach = 2.4 * abs(intersections.largest.h_real)
     axes.plot([-3 * reach, 0], [0, 0], color=VERMILION, lw=2.2, label=r"$-1/\Psi(a)$")
-    for crossing in found.found:
+    for crossing in intersections.found:
         axes.plot(crossing.h_real, 0, "o", ms=6, mfc=ORANGE if crossing.stable else "w", mec=BLACK, zorder=5)
         axes.annotate(
             f"{crossing.frequency_Hz:.1f} Hz\n{crossing.amplitude_m_s * 1e3:.2f} mm/s\n{'stable' if crossing.stable else 'unstable'}",
@@ -205,7 +205,7 @@ def draw_certificate(axes: Axes, data: Loci, absolute: AbsoluteStability, period
 
 
 def write_frequency_figures(
-    directory: Path, parameters: Parameters, found: Crossings, absolute: AbsoluteStability
+    directory: Path, parameters: Parameters, intersections: Crossings, absolute: AbsoluteStability
 ) -> list[Path]:
     """Write fig02, fig06, fig07 and certificate as PNG and SVG; return their paths."""
     data = loci(parameters)
@@ -219,7 +219,7 @@ def write_frequency_figures(
             paths += save(made, directory, "fig06-passive")
     with figure(10.4, 5.0, 1, 2) as (made, axes):
         draw_sampled_disks(axes[0], data)
-        draw_zoom(axes[1], data, found)
+        draw_zoom(axes[1], data, intersections)
         paths += save(made, directory, "fig07-active")
     with figure(7.0, 3.6) as (made, axes):
         draw_certificate(axes, data, absolute, parameters.period_s)

@@ -77,7 +77,7 @@ def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambd
     "paper".
     """
     step("describing function")
-    found = crossings(parameters)
+    intersections = crossings(parameters)
     step("orbits")
     motions = orbits(parameters, starts=STARTS, seed=seed)
     step("absolute stability")
@@ -95,7 +95,18 @@ def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambd
     step("map")
     oscillating = oscillation_map(base=rig)
     return TheoryResults(
-        parameters, rig, found, motions, disk_of(parameters), absolute, runs, rows, friction, bus, held, oscillating
+        parameters,
+        rig,
+        intersections,
+        motions,
+        disk_of(parameters),
+        absolute,
+        runs,
+        rows,
+        friction,
+        bus,
+        held,
+        oscillating,
     )
 
 
@@ -125,7 +136,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def nyquist_json(found: Crossings, disk: Disk | None, absolute: AbsoluteStability) -> dict[str, Any]:
+def nyquist_json(intersections: Crossings, disk: Disk | None, absolute: AbsoluteStability) -> dict[str, Any]:
     """Return the frequency domain's part of the contract."""
     disks = None
     if disk is not None:
@@ -136,8 +147,8 @@ def nyquist_json(found: Crossings, disk: Disk | None, absolute: AbsoluteStabilit
             "radius": plain(disk.radius),
         }
     return {
-        "crossings": plain(found.found),
-        "crossings_text": found.text,
+        "crossings": plain(intersections.found),
+        "crossings_text": intersections.text,
         "passive_disk": disks,
         "certified_slope_Ns_m": {
             "passive_set": absolute.passive_set,
@@ -177,16 +188,16 @@ def fig10_json(runs: Fig10) -> dict[str, Any]:
     return {"fig10": {"passive": _run_json(runs.passive), "active": _run_json(runs.active)}}
 
 
-def as_json(found: TheoryResults) -> dict[str, Any]:
+def as_json(results: TheoryResults) -> dict[str, Any]:
     """Return the machine-readable contract of `coulombus analyse --json`."""
-    friction = found.friction
+    friction = results.friction
     traces = ("t_s", "v_m_s", "force_N")
     return {
-        "parameters": plain(found.parameters),
-        **nyquist_json(found.crossings, found.disk, found.absolute),
-        **orbits_json(found.orbits),
-        **fig10_json(found.fig10),
-        "delay_table": plain(found.delays),
+        "parameters": plain(results.parameters),
+        **nyquist_json(results.crossings, results.disk, results.absolute),
+        **orbits_json(results.orbits),
+        **fig10_json(results.fig10),
+        "delay_table": plain(results.delays),
         "friction": {
             "coulomb_before_Nm": plain(friction.coulomb_before_Nm),
             "coulomb_after_Nm": plain(friction.coulomb_after_Nm),
@@ -195,27 +206,27 @@ def as_json(found: TheoryResults) -> dict[str, Any]:
         **{
             key: [
                 {f.name: plain(getattr(row, f.name)) for f in fields(row) if f.name not in traces}
-                for row in found.through_bus
+                for row in results.through_bus
                 if (row.hardware == BENCH_HARDWARE) == bench
             ]
             for key, bench in (("through_bus", False), ("through_bus_bench_hardware", True))
         },
-        "hold": plain(found.hold),
+        "hold": plain(results.hold),
         "map": {
-            "points": found.map.share.size,
-            "oscillating": float(np.mean(found.map.oscillates)),
-            "simulated_s": found.map.simulated_s,
+            "points": results.map.share.size,
+            "oscillating": float(np.mean(results.map.oscillates)),
+            "simulated_s": results.map.simulated_s,
         },
     }
 
 
-def nyquist_lines(found: Crossings, absolute: AbsoluteStability) -> Iterable[str]:
+def nyquist_lines(intersections: Crossings, absolute: AbsoluteStability) -> Iterable[str]:
     """Yield the frequency domain's results for people."""
 
     def slope(value: float | None) -> str:
         return "every slope" if value is None else f"{value:.5g} Ns/m"
 
-    yield f"describing function   {found.text}"
+    yield f"describing function   {intersections.text}"
     yield f"ideal friction        {absolute.text}"
     yield f"certified slopes      any passive operator: {slope(absolute.passive_set)} (Tsypkin)"
     yield f"                      this operator: {slope(absolute.tsypkin)} (Tsypkin)"
@@ -255,11 +266,11 @@ def delay_lines(rows: Iterable[DelayRow]) -> Iterable[str]:
         )
 
 
-def hold_lines(found: HoldStudy) -> Iterable[str]:
+def hold_lines(study: HoldStudy) -> Iterable[str]:
     """Yield the hold and stroke tests for people."""
-    yield f"rig {found.rig}; velocity RMS in rad/s while it should be still; breakaway under a push within 1 s and 50 ms, as a share of F_s"
+    yield f"rig {study.rig}; velocity RMS in rad/s while it should be still; breakaway under a push within 1 s and 50 ms, as a share of F_s"
     yield "mode     stick entry  brake   K_p      hold      dwells    slow    fast    hold's peak"
-    for row in found.rows:
+    for row in study.rows:
         still = [
             f"{v:8.2g}" if v is not None else f"{'-':>8}"
             for v in (row.hold_velocity_rms_rad_s, row.stick_velocity_rms_rad_s)
@@ -269,33 +280,33 @@ def hold_lines(found: HoldStudy) -> Iterable[str]:
         yield (
             f"{row.mode:<8} {row.stick_entry:<12} {row.brake_stick:<7} {row.K_p_Nm_rad:<7g} {still[0]}  {still[1]}  {away[0]}  {away[1]}  {peak}"
         )
-    yield from (f"note: {remark}" for remark in found.remarks)
+    yield from (f"note: {remark}" for remark in study.remarks)
 
 
-def map_lines(found: OscillationMap) -> Iterable[str]:
+def map_lines(chart: OscillationMap) -> Iterable[str]:
     """Yield a map's figures for people."""
-    axes = " x ".join(f"{name} ({len(values)})" for name, values in found.axes.items())
-    yield f"map of {found.share.size} points: {axes}"
+    axes = " x ".join(f"{name} ({len(values)})" for name, values in chart.axes.items())
+    yield f"map of {chart.share.size} points: {axes}"
     yield (
-        f"{np.mean(found.oscillates):.0%} of them oscillate; {found.simulated_s:.3g} s simulated in {found.elapsed_s:.3g} s, "
-        f"{found.speed:.3g} s a second"
+        f"{np.mean(chart.oscillates):.0%} of them oscillate; {chart.simulated_s:.3g} s simulated in {chart.elapsed_s:.3g} s, "
+        f"{chart.speed:.3g} s a second"
     )
 
 
-def lines(found: TheoryResults) -> Iterable[str]:
+def lines(results: TheoryResults) -> Iterable[str]:
     """Yield all results for people."""
-    yield from nyquist_lines(found.crossings, found.absolute)
-    yield f"exact orbits          {found.orbits.text}"
-    yield from fig10_lines(found.fig10)
+    yield from nyquist_lines(results.crossings, results.absolute)
+    yield f"exact orbits          {results.orbits.text}"
+    yield from fig10_lines(results.fig10)
     yield ""
-    yield from delay_lines(found.delays)
+    yield from delay_lines(results.delays)
     yield ""
-    for row in found.through_bus:
+    for row in results.through_bus:
         yield f"through the bus       {row.hardware}, {row.actuation}: {row.frequency_Hz:.1f} Hz with {row.delay_s * 1e3:.3f} ms of delay"
-    yield from hold_lines(found.hold)
-    yield from map_lines(found.map)
-    f = found.friction
+    yield from hold_lines(results.hold)
+    yield from map_lines(results.map)
+    f = results.friction
     yield (
-        f"friction ({found.rig.name})      {f.coulomb_before_Nm:.4f} Nm identified, {f.coulomb_after_Nm:.4f} Nm after compensation, "
+        f"friction ({results.rig.name})      {f.coulomb_before_Nm:.4f} Nm identified, {f.coulomb_after_Nm:.4f} Nm after compensation, "
         f"viscous {f.viscous_Nms_rad:.4f} Nms/rad"
     )

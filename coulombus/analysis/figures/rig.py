@@ -71,13 +71,13 @@ def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]
         return [*save(made, directory, "fig12-karnopp")]
 
 
-def draw_identification(axes: Axes, found: Identification, title: str) -> None:
+def draw_identification(axes: Axes, identification: Identification, title: str) -> None:
     """Draw the samples (inertia and bias taken off), the fit, and the fitted Coulomb friction with
     its interval.
     """
-    every = max(1, len(found.v_rad_s) // SCATTER)
-    v, felt, fit = found.v_rad_s[::every], found.felt_Nm[::every], found.felt
-    shown = f"{len(v)} of {len(found.v_rad_s)} samples that slide"
+    every = max(1, len(identification.v_rad_s) // SCATTER)
+    v, felt, fit = identification.v_rad_s[::every], identification.felt_Nm[::every], identification.felt
+    shown = f"{len(v)} of {len(identification.v_rad_s)} samples that slide"
     axes.plot(v, felt, ".", ms=2, color=GREY, alpha=0.5, rasterized=True, zorder=3, label=shown)
     span = float(np.max(np.abs(v)))
     slow = float(np.min(np.abs(v)))
@@ -94,11 +94,11 @@ def draw_identification(axes: Axes, found: Identification, title: str) -> None:
     label(axes, "velocity [rad/s]", "friction felt [Nm]", title)
 
 
-def draw_residuals(axes: Axes, found: Identification) -> None:
+def draw_residuals(axes: Axes, identification: Identification) -> None:
     """Draw what the fit leaves of the samples, and its mean in each of `RESIDUAL_BINS` speeds: a
     curve in it is friction of another form.
     """
-    v, left = found.v_rad_s, found.felt_Nm - found.felt.friction_Nm(found.v_rad_s)
+    v, left = identification.v_rad_s, identification.felt_Nm - identification.felt.friction_Nm(identification.v_rad_s)
     every = max(1, len(v) // SCATTER)
     axes.plot(v[::every], left[::every], ".", ms=2, color=GREY, alpha=0.5, rasterized=True)
     edges = np.linspace(v.min(), v.max(), RESIDUAL_BINS + 1)
@@ -112,16 +112,16 @@ def draw_residuals(axes: Axes, found: Identification) -> None:
     label(axes, "velocity [rad/s]", "left over [Nm]")
 
 
-def write_identification(path: Path, found: Identification) -> Path:
+def write_identification(path: Path, identification: Identification) -> Path:
     """Write the plot of one identification, with what the fit leaves of it; the ending names the
     format.
     """
     with figure(6.4, 6.0, 2, 1, sharex=True, height_ratios=(2, 1)) as (made, (axes, below)):
-        draw_identification(axes, found, f"Friction identified: {Path(found.path).name}")
+        draw_identification(axes, identification, f"Friction identified: {Path(identification.path).name}")
         axes.set_xlabel("")
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 0.25 * (high - low))
-        draw_residuals(below, found)
+        draw_residuals(below, identification)
         made.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
     return path
 
@@ -130,9 +130,9 @@ def write_fig13(directory: Path, data: FrictionStudy) -> list[Path]:
     """Fig. 13: friction before and after its compensation, and what the fits leave of it."""
     with figure(9.5, 5.6, 2, 2, sharex="col", sharey="row", height_ratios=(2, 1)) as (made, axes):
         whole = f"(b) compensated with {data.compensation_Nm:.4f} Nm"
-        for column, found, title in ((0, data.before, "(a) uncompensated"), (1, data.after, whole)):
-            draw_identification(axes[0, column], found, title)
-            draw_residuals(axes[1, column], found)
+        for column, identification, title in ((0, data.before, "(a) uncompensated"), (1, data.after, whole)):
+            draw_identification(axes[0, column], identification, title)
+            draw_residuals(axes[1, column], identification)
             axes[0, column].set_xlabel("")
         low, high = axes[0, 0].get_ylim()
         axes[0, 0].set_ylim(low, high + 0.2 * (high - low))
@@ -227,12 +227,12 @@ def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
         return [*save(made, directory, "through-the-bus")]
 
 
-def draw_map(axes: Axes, found: OscillationMap, title: str) -> Any:
+def draw_map(axes: Axes, chart: OscillationMap, title: str) -> Any:
     """Draw a map of two axes: share of the taps after which it oscillates, dark is oscillating."""
-    (x_name, x), (y_name, y) = found.axes.items()
-    mesh = axes.pcolormesh(x, y, found.share.T, shading="nearest", cmap="Blues", vmin=0, vmax=1.25, rasterized=True)
-    if 0 < np.mean(found.oscillates) < 1:
-        axes.contour(x, y, found.oscillates.T.astype(float), [0.5], colors=[BLACK], linewidths=1.0)
+    (x_name, x), (y_name, y) = chart.axes.items()
+    mesh = axes.pcolormesh(x, y, chart.share.T, shading="nearest", cmap="Blues", vmin=0, vmax=1.25, rasterized=True)
+    if 0 < np.mean(chart.oscillates) < 1:
+        axes.contour(x, y, chart.oscillates.T.astype(float), [0.5], colors=[BLACK], linewidths=1.0)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.grid(False)
@@ -248,7 +248,7 @@ def _name(field: str) -> str:
     return field.replace("_", " ") + " [1]"
 
 
-def write_map(directory: Path, found: OscillationMap) -> list[Path]:
+def write_map(directory: Path, chart: OscillationMap) -> list[Path]:
     """The map, one panel for each rate and delay: operator's inertia against its damping, and the
     bounds' lines where they fall.
 
@@ -258,13 +258,13 @@ def write_map(directory: Path, found: OscillationMap) -> list[Path]:
         the map has not both of these axes
     """
     plane = ("operator_inertia_kg_m2", "operator_damping_Nms_rad")
-    if any(name not in found.axes for name in plane):
+    if any(name not in chart.axes for name in plane):
         raise ValueError(f"the figure shows {plane[0]} against {plane[1]}: have both among the axes")
-    rates = found.axes.get("rate_Hz", np.array([found.base.rate_Hz]))
-    delays = found.axes.get("delay_s", np.array([found.base.delay_s]))
+    rates = chart.axes.get("rate_Hz", np.array([chart.base.rate_Hz]))
+    delays = chart.axes.get("delay_s", np.array([chart.base.delay_s]))
     others = {
-        name: float(values[np.argmin(np.abs(values - getattr(found.base, name)))])
-        for name, values in found.axes.items()
+        name: float(values[np.argmin(np.abs(values - getattr(chart.base, name)))])
+        for name, values in chart.axes.items()
         if name not in (*plane, "rate_Hz", "delay_s")
     }
     with figure(
@@ -281,7 +281,7 @@ def write_map(directory: Path, found: OscillationMap) -> list[Path]:
         for i, rate in enumerate(rates):
             for j, delay in enumerate(delays):
                 part = at(
-                    found, **others, **{n: v for n, v in (("rate_Hz", rate), ("delay_s", delay)) if n in found.axes}
+                    chart, **others, **{n: v for n, v in (("rate_Hz", rate), ("delay_s", delay)) if n in chart.axes}
                 )
                 place = axes[i, j]
                 mesh = draw_map(place, part, f"{rate:g} Hz, delay {delay * 1e3:g} ms")
@@ -304,7 +304,7 @@ def write_map(directory: Path, found: OscillationMap) -> list[Path]:
                     (leave, ":", r"$b = F_d/\Delta v$: no torque can leave the stick band above it"),
                 )
                 for total, dash, text in lines:
-                    y = found.axes[plane[1]]
+                    y = chart.axes[plane[1]]
                     hand = total - base.viscous_Nms_rad
                     if y[0] <= hand <= y[-1]:
                         place.axhline(hand, color=VERMILION, ls=dash, lw=1.2, label=text if text not in named else None)
@@ -323,17 +323,17 @@ def write_map(directory: Path, found: OscillationMap) -> list[Path]:
         return [*save(made, directory, "map")]
 
 
-def write_wall_plane(directory: Path, found: WallPlane) -> list[Path]:
+def write_wall_plane(directory: Path, study: WallPlane) -> list[Path]:
     """Z-width: the stiffest stable wall over its damping; lines are predicted, dashed for a wall
     of one side; points are the bus.
     """
     with figure(5.5, 3.6) as (made, axes):
         for mode, colour in (("active", VERMILION), ("hybrid", BLUE)):
-            rows = [row for row in found.rows if row.mode == mode]
+            rows = [row for row in study.rows if row.mode == mode]
             B = [row.B_Nms_rad for row in rows]
             axes.plot(B, [row.predicted_Nm_rad for row in rows], color=colour, label=f"{mode}, both sides")
             axes.plot(B, [row.leaning_Nm_rad for row in rows], "--", color=colour, label=f"{mode}, one side")
             axes.plot(B, [row.bus_Nm_rad for row in rows], "o", color=colour, label=f"{mode}, through the bus")
         axes.legend(loc="best")
-        label(axes, "damping B [Nms/rad]", "stiffness K [Nm/rad]", f"virtual wall, rig {found.rig}")
+        label(axes, "damping B [Nms/rad]", "stiffness K [Nm/rad]", f"virtual wall, rig {study.rig}")
         return [*save(made, directory, "z-width")]

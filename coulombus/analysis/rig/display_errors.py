@@ -76,11 +76,11 @@ class FeltStudy:
 
     def worst(self) -> dict[tuple[str, str], float]:
         """Return the largest relative error of each control and experiment, by its size."""
-        found: dict[tuple[str, str], float] = {}
+        largest: dict[tuple[str, str], float] = {}
         for row in self.rows:
             key = row.control, row.experiment
-            found[key] = max(found.get(key, 0.0), abs(row.error))
-        return found
+            largest[key] = max(largest.get(key, 0.0), abs(row.error))
+        return largest
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values."""
@@ -132,7 +132,7 @@ def _wrong_beliefs(rig: Rig) -> dict[str, tuple[str, ...]]:
         "the same, inverted": (*iron_of("plant", *IRON), *iron_of("brake", *IRON)),
         "the same, weights believed half": (
             *iron_of("plant", *IRON),
-            *iron_of("brake", IRON[0], [0.5 * one for one in IRON[1]]),
+            *iron_of("brake", IRON[0], [0.5 * value for value in IRON[1]]),
         ),
         "cogging of 0.01 Nm": ("plant.cogging_Nm=0.01",),
     }
@@ -168,7 +168,7 @@ def _levels(rig: Rig, mode: str, F_s_Nm: float, F_d_Nm: float, *more: str) -> Ri
 
 def _torque(points: Iterable[tuple[float, float]]) -> str:
     t, torque = zip(*points, strict=True)
-    times, torques = ", ".join(f"{one:.9g}" for one in t), ", ".join(f"{one:.9g}" for one in torque)
+    times, torques = ", ".join(f"{number:.9g}" for number in t), ", ".join(f"{number:.9g}" for number in torque)
     return f'{{kind="file", duration_s={t[-1]:.9g}, t_s=[{times}], torque_Nm=[{torques}]}}'
 
 
@@ -207,17 +207,17 @@ def slid(
         f'phase=[{{kind="rest", duration_s={REST_S}}}, {_torque(points)}]',
     )
     truth = _truth(drawn, mode, REST_S + t, seed)
-    found = []
+    pairs = []
     for k, speed in enumerate(legs):
         end = (k + 1) * (SETTLE_S + SLIDE_S)
         inside = (truth["t_s"] > end - SLIDE_S) & (truth["t_s"] <= end)
-        found.append(
+        pairs.append(
             (
                 float(np.mean(truth["speed_rad_s"][inside])),
                 float(np.mean(truth["operator_Nm"][inside]) * np.sign(speed)),
             )
         )
-    return found
+    return pairs
 
 
 def _rows(rig: Rig, control: str, levels_Nm: Iterable[float], seed: int) -> Iterator[Felt]:

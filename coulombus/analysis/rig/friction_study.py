@@ -43,8 +43,8 @@ class FrictionStudy:
     @property
     def viscous_Nms_rad(self) -> float:
         """Viscous friction felt without compensation."""
-        found = self.before.felt.viscous_Nms_rad
-        return math.nan if found is None else found.value
+        viscous = self.before.felt.viscous_Nms_rad
+        return math.nan if viscous is None else viscous.value
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures of `coulombus analyse --json`, and both identifications."""
@@ -111,11 +111,11 @@ def friction_study(rig: Rig | None = None, *, seed: int = 0) -> FrictionStudy:
     )
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
         before = _stroked(rig, Path(directory), "before", seed)
-        found = before.felt.coulomb_Nm.value
+        coulomb_Nm = before.felt.coulomb_Nm.value
         compensated = rig.variant(
-            f"mechanics.friction_Nm={found!r}",
+            f"mechanics.friction_Nm={coulomb_Nm!r}",
             f"mode.hybrid.compensation={COMPENSATION}",
-            f"mode.hybrid.motor_limit_Nm={1.2 * found!r}",
+            f"mode.hybrid.motor_limit_Nm={1.2 * coulomb_Nm!r}",
         )
         after = _stroked(compensated, Path(directory), "after", seed)
-    return FrictionStudy(before, after, COMPENSATION * found)
+    return FrictionStudy(before, after, COMPENSATION * coulomb_Nm)

@@ -95,7 +95,10 @@ class LawFit:
         return {
             "law": self.law,
             "parameters": self.values,
-            "ci95": {name: None if one is None else [one.low, one.high] for name, one in self.estimates.items()},
+            "ci95": {
+                name: None if estimate is None else [estimate.low, estimate.high]
+                for name, estimate in self.estimates.items()
+            },
             "held": self.held,
             "not_determined": list(self.not_determined),
             "inertia_kg_m2": self.inertia_kg_m2,
@@ -114,11 +117,11 @@ def stretches_of(recording: Source) -> tuple[Stretch, ...]:
     coulombus.recording.friction.sliding.IdentifyError
         there is no transducer, or hardly a sample
     """
-    found = []
-    for one in stretches(recording):
-        x = savgol_filter(one.x_rad, SMOOTH, 2) if len(one.x_rad) >= SMOOTH else one.x_rad
-        found.append(Stretch(one.t_s, np.asarray(x, np.float64), one.hand_Nm))
-    return tuple(found)
+    smoothed = []
+    for stretch in stretches(recording):
+        x = savgol_filter(stretch.x_rad, SMOOTH, 2) if len(stretch.x_rad) >= SMOOTH else stretch.x_rad
+        smoothed.append(Stretch(stretch.t_s, np.asarray(x, np.float64), stretch.hand_Nm))
+    return tuple(smoothed)
 
 
 class _Search:
@@ -163,19 +166,19 @@ class _Search:
 
     def values(self, u: Floats) -> Floats:
         """Return the parameters, each within its range and within what they ask of each other."""
-        found = np.where(self.scale, self.guess * np.exp(np.clip(u, -700, 700)), self.guess * u)
-        found = np.clip(found, self.low, self.high)
+        values = np.where(self.scale, self.guess * np.exp(np.clip(u, -700, 700)), self.guess * u)
+        values = np.clip(values, self.low, self.high)
         place = {name: k for k, name in enumerate(self.names)}
         rules = [(a, b, 1.0) for a, b in self.declared.parameters.at_least.items()]
         rules += [(a, b, 1.0 + 1e-6) for a, b in self.declared.parameters.above.items()]
         for name, other, factor in rules:
             if name in place:
-                floor = found[place[other]] if other in place else getattr(self.given.parameters, other)
-                found[place[name]] = max(found[place[name]], floor * factor)
+                floor = values[place[other]] if other in place else getattr(self.given.parameters, other)
+                values[place[name]] = max(values[place[name]], floor * factor)
             elif other in place:
                 ceiling = getattr(self.given.parameters, name) / factor
-                found[place[other]] = min(found[place[other]], ceiling)
-        return found
+                values[place[other]] = min(values[place[other]], ceiling)
+        return values
 
     def law(self, values: Floats) -> GivenLaw:
         """Return the law with these parameters."""
@@ -194,13 +197,13 @@ def periods(data: Sequence[Stretch]) -> Floats:
 
     A law is many waves away from the data where its period is a little wrong, so no descent finds it.
     """
-    step = max(sum(len(one.t_s) for one in data) // MOST_ROWS, 1)
+    step = max(sum(len(stretch.t_s) for stretch in data) // MOST_ROWS, 1)
     x, y, s = (
         np.concatenate(parts)[::step]
         for parts in (
-            [one.x_rad for one in data],
-            [one.torque_Nm for one in data],
-            [np.sign(np.gradient(one.x_rad)) for one in data],
+            [stretch.x_rad for stretch in data],
+            [stretch.torque_Nm for stretch in data],
+            [np.sign(np.gradient(stretch.x_rad)) for stretch in data],
         )
     )
     way = float(np.ptp(x))
@@ -230,9 +233,11 @@ def _range(declared: Declaration, name: str) -> tuple[float, float]:
 
 def _guess(declared: Declaration, name: str, data: Sequence[Stretch]) -> float:
     """Return a parameter's size from its unit and the data."""
-    torque = max(float(np.quantile(np.abs(np.concatenate([one.torque_Nm for one in data])), 0.8)), 1e-6)
-    way = max(float(np.ptp(one.x_rad)) for one in data) or 1.0
-    speed = max(float(np.quantile(np.abs(np.diff(one.x_rad) / np.diff(one.t_s)), 0.7)) for one in data) or 1.0
+    torque = max(float(np.quantile(np.abs(np.concatenate([stretch.torque_Nm for stretch in data])), 0.8)), 1e-6)
+    way = max(float(np.ptp(stretch.x_rad)) for stretch in data) or 1.0
+    speed = (
+        max(float(np.quantile(np.abs(np.diff(stretch.x_rad) / np.diff(stretch.t_s)), 0.7)) for stretch in data) or 1.0
+    )
     default = float(declared.parameters.model_fields[name].default)
     by_unit = {
         "Nm": torque * (1.2 if name in declared.parameters.at_least else 1.0),
@@ -270,22 +275,22 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
             f"law {name!r} has its parameters in [mode.*]; `coulombus identify` without --law fits Coulomb, viscous and "
             "Stribeck friction"
         )
-    count = sum(len(one.t_s) for one in data)
+    count = sum(len(stretch.t_s) for stretch in data)
     if count < LEAST_SAMPLES:
         raise IdentifyError(f"{count} samples; expected at least {LEAST_SAMPLES} in which the law is felt")
-    held = {one.partition("=")[0].strip().removeprefix(f"law.{given.declaration.name}.") for one in overrides}
-    if all(float(np.ptp(one.x_rad)) == 0.0 for one in data):
+    held = {override.partition("=")[0].strip().removeprefix(f"law.{given.declaration.name}.") for override in overrides}
+    if all(float(np.ptp(stretch.x_rad)) == 0.0 for stretch in data):
         raise IdentifyError("the handle does not move: no law can be told from that; record strokes, to and fro")
     search = _Search(given, given.declaration, held, data)
     if not search.names:
         raise IdentifyError(f"law {name!r}: every parameter is held by --set: there is nothing to identify")
-    y = np.concatenate([one.torque_Nm for one in data])
+    y = np.concatenate([stretch.torque_Nm for stretch in data])
     linear = _regressors(data) if rig else np.zeros((len(y), 0))
     basis = np.linalg.qr(linear)[0] if linear.shape[1] else linear
 
     def law_torque(u: Floats) -> Floats:
         law = search.law(search.values(u))
-        return np.concatenate([law.along(one.t_s, one.x_rad, 1e-9).samples["torque_Nm"] for one in data])
+        return np.concatenate([law.along(stretch.t_s, stretch.x_rad, 1e-9).samples["torque_Nm"] for stretch in data])
 
     def residual(u: Floats) -> Floats:
         e: Floats = y - law_torque(u)
@@ -296,29 +301,29 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
     best = None
     for start in search.starts(data):
         start = np.clip(start, search.bounds[0], search.bounds[1])
-        found = least_squares(
+        fit = least_squares(
             residual, start, bounds=search.bounds, x_scale="jac", diff_step=1e-4, max_nfev=MOST_EVALUATIONS
         )
-        again = best is not None and abs(found.cost - best.cost) <= AGAIN * best.cost
-        if best is None or found.cost < best.cost:
-            best = found
+        again = best is not None and abs(fit.cost - best.cost) <= AGAIN * best.cost
+        if best is None or fit.cost < best.cost:
+            best = fit
         if again or best.cost <= NOTHING * float(y @ y):
             break
     assert best is not None
-    return _told(search, best, residual, (y - law_torque(best.x), linear), data)
+    return _fit_of(search, best, residual, (y - law_torque(best.x), linear), data)
 
 
 def _regressors(data: Sequence[Stretch]) -> Floats:
     columns = []
-    for one in data:
-        period = float(np.median(np.diff(one.t_s)))
-        size = min(31, 2 * ((len(one.x_rad) - 1) // 2) - 1)
-        a = savgol_filter(one.x_rad, size, 2, deriv=2, delta=period) if size >= 5 else np.zeros(len(one.x_rad))
+    for stretch in data:
+        period = float(np.median(np.diff(stretch.t_s)))
+        size = min(31, 2 * ((len(stretch.x_rad) - 1) // 2) - 1)
+        a = savgol_filter(stretch.x_rad, size, 2, deriv=2, delta=period) if size >= 5 else np.zeros(len(stretch.x_rad))
         columns.append(np.column_stack((a, np.ones(len(a)))))
     return np.concatenate(columns)
 
 
-def _told(search: _Search, best: Any, residual: Any, rest: tuple[Floats, Floats], data: Sequence[Stretch]) -> LawFit:
+def _fit_of(search: _Search, best: Any, residual: Any, rest: tuple[Floats, Floats], data: Sequence[Stretch]) -> LawFit:
     """Return the fit with its intervals."""
     u, e = np.asarray(best.x, np.float64), np.asarray(best.fun, np.float64)
     values, n = search.values(u), len(u)
@@ -337,9 +342,9 @@ def _told(search: _Search, best: Any, residual: Any, rest: tuple[Floats, Floats]
     parts = np.sqrt(np.sum(V[weak] ** 2, axis=0)) if np.any(weak) else np.zeros(n)
     inverse = V.T @ np.diag(np.where(weak, 0.0, 1.0 / np.where(weak, 1.0, singular) ** 2)) @ V / np.outer(sizes, sizes)
     labels, first = [], 0
-    for one in data:
-        size = max(1, round(CLUSTER_S / max(float(np.median(np.diff(one.t_s))), 1e-12)))
-        own = first + np.arange(len(one.t_s)) // size
+    for stretch in data:
+        size = max(1, round(CLUSTER_S / max(float(np.median(np.diff(stretch.t_s))), 1e-12)))
+        own = first + np.arange(len(stretch.t_s)) // size
         labels.append(own)
         first = int(own[-1]) + 1
     cluster = np.concatenate(labels)
@@ -379,19 +384,21 @@ def _told(search: _Search, best: Any, residual: Any, rest: tuple[Floats, Floats]
     )
 
 
-def lines(found: LawFit) -> list[str]:
+def lines(fit: LawFit) -> list[str]:
     """Return a fit as text."""
-    text = [f"law {found.law}: {found.samples} samples; 95 % confidence intervals"]
-    width = max(len(name) for name in (*found.values, *found.held))
-    for name, value in found.values.items():
-        one = found.estimates[name]
-        text.append(f"  {name:<{width}} {value:#.4g} not determined" if one is None else f"  {name:<{width}} {one}")
-    text += [f"  {name:<{width}} {value} held" for name, value in found.held.items()]
-    if found.inertia_kg_m2 is not None:
-        text.append(f"  {'inertia':<{width}} {found.inertia_kg_m2:.4g} kg m2")
-        text.append(f"  {'bias':<{width}} {found.offset_Nm:.4g} Nm")
-    text.append(f"  {'residual, RMS':<{width}} {found.residual_rms_Nm:.3g} Nm")
-    if found.not_determined:
-        names = ", ".join(found.not_determined)
+    text = [f"law {fit.law}: {fit.samples} samples; 95 % confidence intervals"]
+    width = max(len(name) for name in (*fit.values, *fit.held))
+    for name, value in fit.values.items():
+        estimate = fit.estimates[name]
+        text.append(
+            f"  {name:<{width}} {value:#.4g} not determined" if estimate is None else f"  {name:<{width}} {estimate}"
+        )
+    text += [f"  {name:<{width}} {value} held" for name, value in fit.held.items()]
+    if fit.inertia_kg_m2 is not None:
+        text.append(f"  {'inertia':<{width}} {fit.inertia_kg_m2:.4g} kg m2")
+        text.append(f"  {'bias':<{width}} {fit.offset_Nm:.4g} Nm")
+    text.append(f"  {'residual, RMS':<{width}} {fit.residual_rms_Nm:.3g} Nm")
+    if fit.not_determined:
+        names = ", ".join(fit.not_determined)
         text.append(f"note: these data do not tell {names}; hold one with --set, or record more kinds of motion")
     return text

@@ -225,8 +225,8 @@ def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
         low = 0.0 if name not in BOOLEAN_OR_SIGNED else -np.inf
         wrong = ~np.isfinite(column) | (column < low) | ((column == 0) if name in POSITIVE else False)
         if np.any(wrong):
-            wanted = "a finite number above 0" if name in POSITIVE else "a finite number of at least 0"
-            raise ValueError(f"{name} = {column[wrong][0]!r}: expected {wanted}")
+            domain = "a finite number above 0" if name in POSITIVE else "a finite number of at least 0"
+            raise ValueError(f"{name} = {column[wrong][0]!r}: expected {domain}")
         flat[name] = column
     cycles = flat["delay_s"] * flat["rate_Hz"]
     if np.any(cycles > MOST_DELAY_CYCLES):
@@ -269,8 +269,8 @@ def run_chunk(loops: Array) -> Array:
 def _quiet(stats: Array) -> npt.NDArray[np.bool_]:
     """Return where nothing oscillates: still, or moving on without turning back, or dying out."""
     still = (stats["counts_p2p"] <= QUIET_COUNTS) | (stats["reversals"] < 2)
-    found: npt.NDArray[np.bool_] = still | (stats["late_rms"] < DYING_OUT * stats["velocity_rms"])
-    return found
+    quiet: npt.NDArray[np.bool_] = still | (stats["late_rms"] < DYING_OUT * stats["velocity_rms"])
+    return quiet
 
 
 def simulate_point(point: LoopParameters) -> PointResult:
@@ -384,8 +384,8 @@ def oscillation_map(
     chunks = [loops[i : i + CHUNK] for i in range(0, len(loops), CHUNK)]
     stats = np.zeros(len(loops), STATS)
     source = _on_cluster(chunks, dask) if dask else _in_threads(chunks, workers or os.cpu_count() or 1)
-    for done, (i, found) in enumerate(source, 1):
-        stats[i * CHUNK : i * CHUNK + len(found)] = found
+    for done, (i, chunk) in enumerate(source, 1):
+        stats[i * CHUNK : i * CHUNK + len(chunk)] = chunk
         if progress is not None:
             progress(done / len(chunks))
     elapsed = perf_counter() - began
@@ -406,7 +406,7 @@ def oscillation_map(
     )
 
 
-def at(found: OscillationMap, **values: float) -> OscillationMap:
+def at(chart: OscillationMap, **values: float) -> OscillationMap:
     """Return the map's slice at the points nearest to `values` (axis=value).
 
     The other axes stay.
@@ -414,7 +414,7 @@ def at(found: OscillationMap, **values: float) -> OscillationMap:
     index: list[Any] = []
     axes = {}
     changed: dict[str, Any] = {}
-    for name, points in found.axes.items():
+    for name, points in chart.axes.items():
         if name in values:
             i = int(np.argmin(np.abs(points - values[name])))
             changed[name] = float(points[i])
@@ -424,10 +424,10 @@ def at(found: OscillationMap, **values: float) -> OscillationMap:
             index.append(slice(None))
     key = tuple(index)
     return replace(
-        found,
+        chart,
         axes=axes,
-        base=replace(found.base, **changed),
-        share=found.share[key],
-        velocity_rms_rad_s=found.velocity_rms_rad_s[key],
-        frequency_Hz=found.frequency_Hz[key],
+        base=replace(chart.base, **changed),
+        share=chart.share[key],
+        velocity_rms_rad_s=chart.velocity_rms_rad_s[key],
+        frequency_Hz=chart.frequency_Hz[key],
     )

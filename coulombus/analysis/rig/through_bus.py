@@ -232,12 +232,12 @@ def through_bus(
     """
     rig = load_rig("paper") if rig is None else rig
     if rig.bus.cycles_to_actuation > 1:  # whole cycles, which only the next SYNC gives
-        actuations = [one for one in actuations if one == "next_sync"]
+        actuations = [actuation for actuation in actuations if actuation == "next_sync"]
     plants = [(f"rig {rig.name}", rig)] + ([(BENCH_HARDWARE, with_bench_hardware(rig))] if bench else [])
-    found: list[BusCycle] = []
+    cycles: list[BusCycle] = []
     for hardware, plant in plants:
         for actuation in actuations:
-            found.append(bus_cycle(plant.variant(f"bus.actuation={actuation}"), hardware))
+            cycles.append(bus_cycle(plant.variant(f"bus.actuation={actuation}"), hardware))
             if progress is not None:
-                progress(len(found) / (len(plants) * len(actuations)))
-    return tuple(found)
+                progress(len(cycles) / (len(plants) * len(actuations)))
+    return tuple(cycles)

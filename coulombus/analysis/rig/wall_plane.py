@@ -78,8 +78,8 @@ class WallPlane:
         yield f"rig {self.rig}: the stiffest stable wall [Nm/rad]"
         yield f"{'mode':<8} {'B [Nms/rad]':>12} {'predicted':>10} {'leaning':>10} {'bus':>10}"
         for row in self.rows:
-            found = row.predicted_Nm_rad, row.leaning_Nm_rad, row.bus_Nm_rad
-            yield f"{row.mode:<8} {row.B_Nms_rad:>12.3g} " + " ".join(f"{K:>10.4g}" for K in found)
+            stiffnesses = row.predicted_Nm_rad, row.leaning_Nm_rad, row.bus_Nm_rad
+            yield f"{row.mode:<8} {row.B_Nms_rad:>12.3g} " + " ".join(f"{K:>10.4g}" for K in stiffnesses)
         ratios = ", ".join(f"{which} {self.ratio(which):.3g}" for which in ("predicted", "leaning", "bus"))
         yield f"hybrid's area to active's: {ratios}"
         yield "predicted: the wall holds from both sides; leaning: it has one side, without bus and PDOs"

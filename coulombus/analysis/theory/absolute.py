@@ -128,20 +128,20 @@ def circle_slope(parameters: Parameters) -> float | None:
     return None if lowest >= -1e-15 else -1.0 / lowest
 
 
-def nyquist_slope(found: Crossings) -> float | None:
+def nyquist_slope(intersections: Crossings) -> float | None:
     """Return the least gain at which the linear loop is on the edge: 1/|H*| at the crossing
     furthest left; None without one.
     """
-    return min((-1.0 / c.h_real for c in found.found), default=None)
+    return min((-1.0 / c.h_real for c in intersections.found), default=None)
 
 
 def absolute_stability(parameters: Parameters, *, taps: int = 10, shown: Orbits | None = None) -> AbsoluteStability:
     """Return all slopes, and what may be said of ideal Coulomb friction."""
     linear = sample(parameters)
-    found = crossings(parameters)
+    intersections = crossings(parameters)
     tsypkin = tsypkin_slope(parameters)
     edge = linear.response(np.array([-1.0 + 0j]))[0].real  # at fs/2 the loop may be on the edge as well
-    limit = nyquist_slope(found)
+    limit = nyquist_slope(intersections)
     if edge < 0:
         limit = -1.0 / edge if limit is None else min(limit, -1.0 / edge)
     certificate = None

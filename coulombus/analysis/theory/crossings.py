@@ -91,12 +91,12 @@ def crossings(parameters: Parameters) -> Crossings:
             places.append((float(f), h, 1 if response.imag[i + 1] > response.imag[i] else -1))
     end = float(linear.response(np.array([-1.0 + 0j]))[0].real)  # the locus and its mirror image meet at fs/2
     end_passes = -1 if response.imag[-1] > 0 else 1
-    found = []
+    points = []
     for f, h, passes in places:
         turns = sum(2 * other for _, g, other in places if g.real < h.real) + (end_passes if end < h.real else 0)
         amplitude = 4 * parameters.friction_N * abs(h) / math.pi
-        found.append(Crossing(f, amplitude, h.real, passes > 0 and turns == 0))
-    return Crossings(tuple(found))
+        points.append(Crossing(f, amplitude, h.real, passes > 0 and turns == 0))
+    return Crossings(tuple(points))
 
 
 def _z(frequency_Hz: Floats, period_s: float) -> Complexes:

@@ -71,24 +71,24 @@ class CourseRow(Record):
 
 
 @kernel
-def _push(asked: Asked, law_function: Any, pushed: Pushed, course: RecordArray[CourseRow], every: int) -> None:
+def _push(request: Asked, law_function: Any, pushed: Pushed, course: RecordArray[CourseRow], every: int) -> None:
     """Let a mass move under a law: pulled by a spring whose end goes on, pushed by a force that
     grows; keep each `every`-th step.
     """
-    motion, h = asked.motion, pushed.step_s
+    motion, h = request.motion, pushed.step_s
     motion.dt_s = h
     x = v = t = 0.0
     for k in range(len(course) * every):
         motion.x_rad = x
         motion.v_rad_s = v
-        motion.v_counts = v * h / asked.count_rad
-        psi = law_function(motion, asked.law, asked.state)
+        motion.v_counts = v * h / request.count_rad
+        psi = law_function(motion, request.law, request.state)
         if k % every == 0:
-            one = course[k // every]
-            one.t_s = t
-            one.x = x
-            one.v = v
-            one.friction = psi
+            row = course[k // every]
+            row.t_s = t
+            row.x = x
+            row.v = v
+            row.friction = psi
         force = pushed.spring * (pushed.speed * t - x) + pushed.force_rate * t
         v += h * (force - psi) / pushed.mass
         x += h * v
@@ -96,15 +96,15 @@ def _push(asked: Asked, law_function: Any, pushed: Pushed, course: RecordArray[C
 
 
 def _course(law: GivenLaw, seconds: float, every: int, **pushed: float) -> Records:
-    record, asked = new_records(Pushed), new_records(Asked)
+    record, request = new_records(Pushed), new_records(Asked)
     record["mass"], record["step_s"] = 1.0, 1e-5
     for name, value in pushed.items():
         record[name] = value
-    asked["count_rad"] = 1e-9
+    request["count_rad"] = 1e-9
     if law.declaration is not None and law.parameters is not None:
-        law.declaration.fill(asked[0]["law"], law.parameters)
+        law.declaration.fill(request[0]["law"], law.parameters)
     course = new_records(CourseRow, math.ceil(seconds / (float(record["step_s"][0]) * every)))
-    _push(asked[0], law.pointer, record[0], course, every)
+    _push(request[0], law.pointer, record[0], course, every)
     return course
 
 
@@ -153,8 +153,8 @@ def _continuous(force: Callable[[float, float], float], seconds: float) -> tuple
         psi, z_rate = friction(y[1], y[2])
         return [y[1], force(t, y[0]) - psi, z_rate]
 
-    found = solve_ivp(rates, (0, seconds), [0.0, 0.0, 0.0], "Radau", rtol=1e-7, atol=1e-10, max_step=seconds / 2000)
-    return found.t, found.y[1], friction(found.y[1], found.y[2])[0]
+    solution = solve_ivp(rates, (0, seconds), [0.0, 0.0, 0.0], "Radau", rtol=1e-7, atol=1e-10, max_step=seconds / 2000)
+    return solution.t, solution.y[1], friction(solution.y[1], solution.y[2])[0]
 
 
 @dataclass(frozen=True)
@@ -197,52 +197,52 @@ def _lugre_benchmarks() -> Iterator[Benchmark]:
     yield Benchmark("lugre", "stick-slip, largest friction", "N", float(friction.max()), "Radau", most, 2e-3)
     for rate in (1.0, 5.0, 20.0, 50.0):
         _, _, friction = _continuous(lambda t, x, rate=rate: rate * t, 2.5 / rate)  # type: ignore[misc]
-        found = break_away(law, rate)
+        breakaway_N = break_away(law, rate)
         what = f"break-away at {rate:g} N/s (1995, Fig. 5)"
-        yield Benchmark("lugre", what, "N", float(friction.max()), "Radau", found, 5e-3)
+        yield Benchmark("lugre", what, "N", float(friction.max()), "Radau", breakaway_N, 5e-3)
 
 
 def benchmarks() -> tuple[Benchmark, ...]:
     """Compute all benchmarks."""
-    found = list(_lugre_benchmarks())
+    results = list(_lugre_benchmarks())
     A, F_c, sigma = 0.05, 1.0, 100.0
     _, driven = _loop("dahl", (0, A, -A, A, -A, A, -A, A))
     loss = float(driven.work_J[-1] - driven.work_J[-1 - 2 * EACH])
     closed = 4 * F_c * (A - F_c / sigma * math.tanh(sigma * A / F_c))
-    found.append(Benchmark("dahl", "loss of a turn of +-0.05 rad", "J", closed, "closed form", loss, 1e-5))
+    results.append(Benchmark("dahl", "loss of a turn of +-0.05 rad", "J", closed, "closed form", loss, 1e-5))
     only: dict[str, Any] = dict.fromkeys(("k_2_Nm_rad", "k_3_Nm_rad", "k_4_Nm_rad"), 1e-9)
     only |= {"w_1": 1e6, "w_2": 1e-6, "w_3": 1e-6, "w_4": 1e-6, "F_s_Nm": 1.0, "sigma_1_Nms_rad": 0.0}
     _, driven = _loop("leuven", (0, A, -A, A, -A, A, -A, A), **only)
     loss = float(driven.work_J[-1] - driven.work_J[-1 - 2 * EACH])
-    found.append(
+    results.append(
         Benchmark("leuven", "the same with one element, which is Dahl's", "J", closed, "closed form", loss, 1e-5)
     )
     _, driven = _loop("gms", (0, 0.03, -0.02, 0.01, -0.005, 0.01, -0.02, 0.03), F_s_Nm=1.0, C_Nm_s=1e9)
     torque = driven.samples["torque_Nm"]
     error = max(abs(float(torque[EACH * a] - torque[EACH * b])) for a, b in ((5, 3), (6, 2), (7, 1)))
-    found.append(Benchmark("gms", "return-point error of two inner loops (2005)", "Nm", 0.0, "theory", error, 1e-9))
+    results.append(Benchmark("gms", "return-point error of two inner loops (2005)", "Nm", 0.0, "theory", error, 1e-9))
     shakes = (0, *(5.5e-3, 2.5e-3) * 200, 4e-3)
     for name in ("elastoplastic", "lugre"):
         x, driven = _loop(name, shakes, 50, sigma_1_Nms_rad=0.0)
         drift = float(x[-1] - driven.samples["torque_Nm"][-1] / 100.0)
         if name == "elastoplastic":
             what = "drift after 200 shakes below break-away (2002)"
-            found.append(Benchmark(name, what, "rad", 0.0, "theory", drift, 1e-12))
+            results.append(Benchmark(name, what, "rad", 0.0, "theory", drift, 1e-12))
         else:
-            found.append(Benchmark(name, "the same drift, which it has", "rad", 4e-3, "theory: all", drift, 1e-3))
+            results.append(Benchmark(name, "the same drift, which it has", "rad", 4e-3, "theory: all", drift, 1e-3))
     x, driven = _loop("kikuuwe", (0, 0.04, -0.04, 0.01, 0.04), 100, B_Nms_rad=0.0)
     play, e = [0.0], 0.0
     for dx in np.diff(x):
         e = min(max(e + dx, -0.01), 0.01)
         play.append(100 * e)
     error = float(np.abs(driven.samples["torque_Nm"] - play).max())
-    found.append(Benchmark("kikuuwe", "error to the set-valued law (2006)", "Nm", 0.0, "theory", error, 1e-9))
+    results.append(Benchmark("kikuuwe", "error to the set-valued law (2006)", "Nm", 0.0, "theory", error, 1e-9))
     x, driven = _loop("bliman_sorine", (0, 0.1), 20000)
     peak = math.log(1.5 / (0.5 * 0.25)) / (1 / 0.005 - 1 / 0.02)
     top = 1.5 * (1 - math.exp(-peak / 0.005)) - 0.5 * (1 - math.exp(-peak / 0.02))
     torque = driven.samples["torque_Nm"]
-    found.append(Benchmark("bliman_sorine", "peak from rest", "Nm", top, "closed form", float(torque.max()), 1e-5))
-    return tuple(found)
+    results.append(Benchmark("bliman_sorine", "peak from rest", "Nm", top, "closed form", float(torque.max()), 1e-5))
+    return tuple(results)
 
 
 def describing_function(law: GivenLaw, a: float, frequency_Hz: float, samples: int = 20_000) -> complex:
@@ -293,14 +293,15 @@ def sweep() -> tuple[SineResponse, ...]:
     return tuple(SineResponse(law.name, describing_function(law, 1.0, 1.0), *energy(law)) for law in laws)
 
 
-def lines(found: Sequence[Benchmark], swept: Sequence[SineResponse]) -> Iterator[str]:
+def lines(results: Sequence[Benchmark], swept: Sequence[SineResponse]) -> Iterator[str]:
     """Yield the results as tables, as docs/laws.md has them."""
     yield "| law | benchmark | expected | by | found | |"
     yield "|---|---|---|---|---|---|"
-    for one in found:
-        verdict = "ok" if one.ok else "FAIL"
-        told = f"{one.found:.4g}" if abs(one.found) > one.tolerance or one.expected else "0"
-        yield f"| `{one.law}` | {one.what} | {one.expected:.4g} {one.unit} | {one.by} | {told} {one.unit} | {verdict} |"
+    for benchmark in results:
+        verdict = "ok" if benchmark.ok else "FAIL"
+        value = f"{benchmark.found:.4g}" if abs(benchmark.found) > benchmark.tolerance or benchmark.expected else "0"
+        expected, by, unit = f"{benchmark.expected:.4g}", benchmark.by, benchmark.unit
+        yield f"| `{benchmark.law}` | {benchmark.what} | {expected} {unit} | {by} | {value} {unit} | {verdict} |"
     yield ""
     yield "| law | Re Psi [Nm s/rad] | Im Psi [Nm s/rad] | passive |"
     yield "|---|---|---|---|"
@@ -309,18 +310,18 @@ def lines(found: Sequence[Benchmark], swept: Sequence[SineResponse]) -> Iterator
         yield f"| `{each.law}` | {each.psi.real:.3f} | {imaginary:.3f} | {'yes' if each.passive else 'no'} |"
 
 
-def plain(found: Sequence[Benchmark], swept: Sequence[SineResponse]) -> dict[str, Any]:
+def plain(results: Sequence[Benchmark], swept: Sequence[SineResponse]) -> dict[str, Any]:
     """Return the results as plain values."""
     return {
-        "benchmarks": [{**asdict(one), "ok": one.ok} for one in found],
+        "benchmarks": [{**asdict(benchmark), "ok": benchmark.ok} for benchmark in results],
         "laws": [
             {
-                "law": one.law,
-                "psi": [one.psi.real, one.psi.imag],
-                "least_J": one.least_J,
-                "turned_J": one.turned_J,
-                "passive": one.passive,
+                "law": response.law,
+                "psi": [response.psi.real, response.psi.imag],
+                "least_J": response.least_J,
+                "turned_J": response.turned_J,
+                "passive": response.passive,
             }
-            for one in swept
+            for response in swept
         ],
     }

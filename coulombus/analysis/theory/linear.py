@@ -168,8 +168,8 @@ def alias_sum(frequency_Hz: Floats, parameters: Parameters, aliases: int = ALIAS
     n = aliases if not fraction else max(aliases, 20_000)
     total = np.zeros(len(w), dtype=np.complex128)
     k = np.arange(-n, n + 1)
-    for i, one in enumerate(w):
-        s = 1j * (one + k * ws)
+    for i, omega in enumerate(w):
+        s = 1j * (omega + k * ws)
         terms = plant(s, parameters) / s**2 * np.exp(-1j * k * ws * fraction)
         total[i] = np.sum(terms[np.argsort(np.abs(terms))])
     if not fraction:

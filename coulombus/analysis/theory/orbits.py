@@ -131,7 +131,7 @@ def orbits(parameters: Parameters, *, longest: int = LONGEST, starts: int = 0, s
     rounding = (
         ROUNDING * exact.friction_N * np.max(np.abs(linear.response(np.exp(2j * np.pi * np.arange(1, 240) / 240))))
     )
-    found = []
+    cycles = []
     for period in range(1, longest + 1):
         u = patterns(period)
         z = np.exp(2j * np.pi * np.arange(period) / period)
@@ -145,13 +145,13 @@ def orbits(parameters: Parameters, *, longest: int = LONGEST, starts: int = 0, s
             peak = between_samples(exact, u[i]).peak_m_s
             estimate = float(np.max(np.abs(v[i])))
             rate = 1 / (period * exact.period_s)
-            found.append(Orbit(word_of(u[i]), period, rate, estimate, float(margin[i]), stable, true_peak_m_s=peak))
-    found.sort(key=lambda orbit: -orbit.velocity_peak_m_s)
+            cycles.append(Orbit(word_of(u[i]), period, rate, estimate, float(margin[i]), stable, true_peak_m_s=peak))
+    cycles.sort(key=lambda orbit: -orbit.velocity_peak_m_s)
     if not starts:
-        return Orbits(tuple(found), longest, 0, None)
+        return Orbits(tuple(cycles), longest, 0, None)
     motions = settle(
         exact, starts=starts, seconds=SETTLE_S, kept_s=max(KEPT_SAMPLES, 4 * longest) * exact.period_s, seed=seed
     )
     reached = Counter(pattern_of(np.sign(motion.estimate_m_s), longest) for motion in motions)
-    shared = tuple(replace(orbit, share=reached[orbit.pattern] / starts) for orbit in found)
+    shared = tuple(replace(orbit, share=reached[orbit.pattern] / starts) for orbit in cycles)
     return Orbits(shared, longest, starts, 1.0 - sum(orbit.share or 0.0 for orbit in shared))

@@ -128,15 +128,15 @@ def between_samples(parameters: Parameters, signs: Floats) -> Between:
         course: list[Floats] = [y]
         for _ in range(LOOKS):
             course.append(small[:n, :n] @ course[-1] + small[:n, n] * force)
-        v = np.array([one[0] for one in course])
-        rate = np.array([float(A[0] @ one + B[0] * force) for one in course])
+        v = np.array([state[0] for state in course])
+        rate = np.array([float(A[0] @ state + B[0] * force) for state in course])
         peak = max(peak, float(np.abs(v).max()))
         for i in np.flatnonzero(rate[:-1] * rate[1:] < 0):
 
             def at(h: float, start: Floats = course[i], force: float = force) -> Floats:
                 there = _step(A, B, h)
-                found: Floats = there[:n, :n] @ start + there[:n, n] * force
-                return found
+                state: Floats = there[:n, :n] @ start + there[:n, n] * force
+                return state
 
             h = brentq(lambda h: float(A[0] @ at(h) + B[0] * force), 0.0, duration / LOOKS)  # noqa: B023
             peak = max(peak, abs(float(at(h)[0])))

@@ -88,12 +88,12 @@ def largest_stiffness(parameters: Parameters) -> float:
         return value
 
     values = response(grid)
-    found = []
+    reals = []
     for i in np.flatnonzero(values.imag[:-1] * values.imag[1:] < 0):
         f = brentq(lambda f: float(response(np.array([f]))[0].imag), grid[i], grid[i + 1], xtol=1e-12 * grid[i])
-        found.append(float(response(np.array([f]))[0].real))
-    found.append(float((linear.response(np.array([-1.0 + 0j])) * T / 2.0)[0].real))
-    return min((-1.0 / real for real in found if real < 0), default=float("inf"))
+        reals.append(float(response(np.array([f]))[0].real))
+    reals.append(float((linear.response(np.array([-1.0 + 0j])) * T / 2.0)[0].real))
+    return min((-1.0 / real for real in reals if real < 0), default=float("inf"))
 
 
 def stuck_spring(parameters: Parameters, stiffness_N_m: float) -> StuckSpring:

@@ -81,7 +81,7 @@ def three_valued_orbits(
     c, T, r = parameters.friction_N, parameters.period_s, parameters.resolution_m
     all_z = np.exp(2j * np.pi * np.arange(1, 240) / 240)
     rounding = ROUNDING * c * float(np.max(np.abs(linear.response(all_z))))
-    found = []
+    motions = []
     for period in range(1, longest + 1):
         u = patterns(period, 3 if zero == "zero" else 2)
         z = np.exp(2j * np.pi * np.arange(period) / period)
@@ -91,8 +91,8 @@ def three_valued_orbits(
             share, margin = _with_encoder(v[i], u[i], zero, r / T) if r > 0 else _exactly(v[i], u[i], zero, rounding)
             if share > 0.0:
                 peak = float(np.max(np.abs(v[i])))
-                found.append(ThreeValued(word_of(u[i]), period, 1 / (period * T), peak, share, margin * T))
-    return tuple(sorted(found, key=lambda one: -one.velocity_peak_m_s))
+                motions.append(ThreeValued(word_of(u[i]), period, 1 / (period * T), peak, share, margin * T))
+    return tuple(sorted(motions, key=lambda motion: -motion.velocity_peak_m_s))
 
 
 def _exactly(v: Floats, u: Floats, zero: Zero, rounding: float) -> tuple[float, float]:

@@ -109,14 +109,14 @@ def stable_predicted(handle: Handle, K_Nm_rad: float, B_Nms_rad: float, mode: st
     step = expm(free * T)
     size = 3 + q  # x, v, the x before, and the torques under way, the newest first
     loop = np.zeros((size, size))
-    asked = np.zeros(size)
-    asked[0], asked[2] = K_Nm_rad + sampled / T, -sampled / T
-    acts = np.eye(size)[-1] if q else asked
+    demand = np.zeros(size)
+    demand[0], demand[2] = K_Nm_rad + sampled / T, -sampled / T
+    acts = np.eye(size)[-1] if q else demand
     loop[:2, :2] = step[:2, :2]
     loop[:2] += np.outer(step[:2, 2], acts)
     loop[2, 0] = 1.0
     if q:
-        loop[3] = asked
+        loop[3] = demand
         for k in range(4, size):
             loop[k, k - 1] = 1.0
     return bool(np.abs(np.linalg.eigvals(loop)).max() < 1.0)
@@ -184,12 +184,12 @@ def stable_leaning(handle: Handle, K_Nm_rad: float, B_Nms_rad: float, mode: str,
     for k in range(round(lean.seconds / T)):
         shown = round(x / handle.count_rad) * handle.count_rad
         damping, before = B_Nms_rad * (shown - before) / T, shown
-        spring, asked = min(K_Nm_rad * shown, lean.most_Nm), (0.0, 0.0)
+        spring, demand = min(K_Nm_rad * shown, lean.most_Nm), (0.0, 0.0)
         if shown > 0.0 and mode == "hybrid":
-            asked = spring, min(abs(damping), lean.most_Nm if damping >= 0.0 else spring)
+            demand = spring, min(abs(damping), lean.most_Nm if damping >= 0.0 else spring)
         elif shown > 0.0:
-            asked = min(max(K_Nm_rad * shown + damping, 0.0), lean.most_Nm), 0.0
-        under_way.append(asked)
+            demand = min(max(K_Nm_rad * shown + damping, 0.0), lean.most_Nm), 0.0
+        under_way.append(demand)
         torque, level = under_way.pop(0)
         for n in range(STEPS):
             coil += (level - coil) * to_coil
@@ -219,7 +219,7 @@ def z_width(handle: Handle | None = None, *, most_K: float = 1000.0, most_B: flo
     grid_K, grid_B = np.meshgrid(K, B)
     predicted, simulated = {}, {}
     for mode in ("active", "hybrid"):
-        one = [[stable_predicted(handle, float(k), float(b), mode) for k in K] for b in B]
-        predicted[mode] = np.array(one, np.bool_)
+        rows = [[stable_predicted(handle, float(k), float(b), mode) for k in K] for b in B]
+        predicted[mode] = np.array(rows, np.bool_)
         simulated[mode] = stable_simulated(handle, grid_K, grid_B, mode)
     return ZWidth(K, B, predicted, simulated)

@@ -81,17 +81,17 @@ def _best(response: Complexes, theta: Floats, slope: float, taps: int) -> tuple[
     turned = (np.exp(-1j * np.outer(theta, _orders(taps))) * loop[:, None]).real / scale[:, None]
     rows = np.hstack((turned, -turned, np.ones((len(theta), 1))))
     norm = np.append(np.ones(2 * taps), 0.0)
-    found = linprog(
+    solution = linprog(
         np.append(np.zeros(2 * taps), -1.0),
         A_ub=np.vstack((rows, norm)),
         b_ub=np.append(loop.real / scale, NORM),
         bounds=[(0, None)] * (2 * taps) + [(None, 1.0)],
         method="highs",
     )
-    if found.status != 0:
+    if solution.status != 0:
         return np.zeros(taps), -1.0
-    h = found.x[:taps] - found.x[taps : 2 * taps]
-    return h, float(found.x[-1])
+    h = solution.x[:taps] - solution.x[taps : 2 * taps]
+    return h, float(solution.x[-1])
 
 
 def verified(response: Complexes, taps: Floats, slope: float, theta: Floats) -> bool:
@@ -123,15 +123,15 @@ def zames_falb(
         return None
     while high / low > STEP:
         slope = (low * high) ** 0.5
-        h, found = _best(response, theta, slope, 2 * taps)
-        if found > 1e-9 and verified(checked, h, slope, fine) and proof(h, slope).proved:
+        h, least_margin = _best(response, theta, slope, 2 * taps)
+        if least_margin > 1e-9 and verified(checked, h, slope, fine) and proof(h, slope).proved:
             low, best = slope, h
         else:
             high = slope
     norm, proved = float(np.sum(np.abs(best))), proof(best, low)
     least = margin(checked, best, low, fine)
-    taken = tuple(float(x) for x in best)
-    return Certificate(low, taken, norm, least, len(fine), proved.proved, proved.pieces)
+    coefficients = tuple(float(x) for x in best)
+    return Certificate(low, coefficients, norm, least, len(fine), proved.proved, proved.pieces)
 
 
 def _finite_at_rest(linear: SampledPlant) -> bool:
