@@ -3,9 +3,9 @@ take.
 
 `BusRecord` is the wire's state. A frame that waits (`sim_bus.can_bus.tx_queue`) starts when the bus
 is free and it is ready; of all that are ready at that instant the one with the lowest arbitration
-field goes (ISO 11898-1, 10.4.2.5: base before extended, data before remote, first come first served among
-equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three bits of
-inter-frame space later, at `free_ns`. Where something is amiss `start_frame` says so, and
+field goes (ISO 11898-1, 10.4.2.5: base before extended, data before remote, first come first served
+among equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three
+bits of inter-frame space later, at `free_ns`. Where something is amiss `start_frame` says so, and
 `sim_bus.can_bus.error_path` has a closer look.
 """
 

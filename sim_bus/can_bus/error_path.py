@@ -1,8 +1,8 @@
 """What happens to a frame on a bus that wants a closer look than its length: faults, errors that
 were counted, a station that is alone (compiled).
 
-`sim_bus.can_bus.arbiter.start_frame` asks for it when `BusRecord.alert` is set, or when two stations
-send one arbitration field. `attempt` starts the next frame: it lets the scripted faults strike, and
+`sim_bus.can_bus.arbiter.start_frame` asks for it when `BusRecord.alert` is set, or when two
+stations send one arbitration field. `attempt` starts the next frame: it lets the scripted faults strike, and
 either the frame will pass (`Stage.WATCHED`), or `sim_bus.can_bus.bit_level` plays its bits, with
 all whose frames are ready as senders. `sim_bus.can_bus.frame_result` is the end of it.
 """

@@ -1,8 +1,8 @@
 """A CAN controller's state and its fault confinement, compiled (ISO 11898-1:2015, 10.11 to 10.14;
 letters are those of its list of rules).
 
-Each station of a bus has one, a row of `BusRecord.stations` by the low eight bits of its number. The
-transmit and receive error counters follow the standard's twelve rules; `state` is what they come
+Each station of a bus has one, a row of `BusRecord.stations` by the low eight bits of its number.
+The transmit and receive error counters follow the standard's twelve rules; `state` is what they come
 to, in the numbers of Linux's ``enum can_state``:
 
 ==== ==================================================================== =========================

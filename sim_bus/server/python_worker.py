@@ -17,7 +17,7 @@ both ends of it move.
 Where Python needs the whole world (a script's entry), `drain_jobs` lets the jobs end first. A server
 without this (`BesideRecord.on` is 0) returns to Python for everything.
 
-In the kernels: `j` the record of `BesideRecord`, `w` that of `sim_bus.network.event_loop.WorldRecord`.
+In the kernels: `j` the `BesideRecord`, `w` the `sim_bus.network.event_loop.WorldRecord`.
 """
 
 from __future__ import annotations

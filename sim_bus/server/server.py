@@ -1,8 +1,8 @@
 """A world in real time as one process, for clients of a virtual bus, on a SocketCAN interface, or
 on another process' virtual bus.
 
-`BusServer` answers what the compiled loop (`sim_bus.server.realtime_loop.serve`) needs Python for. Its
-clients' sockets are `sim_bus.server.admission.Admission`'s.
+`BusServer` answers what the compiled loop (`sim_bus.server.realtime_loop.serve`) needs Python for.
+Its clients' sockets are `sim_bus.server.admission.Admission`'s.
 """
 
 from __future__ import annotations
