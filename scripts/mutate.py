@@ -57,7 +57,9 @@ TARGETS = {
     "host/cycle/phases.py": Target(
         (
             "test_phases",
-            "cycle/test_felt",
+            "test_slow_velocity",
+            "test_brake_model",
+            "test_passivity",
             "test_mirrored",
             "test_cycle",
             "test_transitions",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, VOLTAGE_ENABLED, PowerState
-from coulombus.host.cycle.felt import expect
+from coulombus.host.cycle.brake_model import expect
 from coulombus.host.cycle.records import ControlRecord, HostRecord, Image, Phase, Trip
 from coulombus.kernels.decorator import kernel
 

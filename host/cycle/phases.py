@@ -13,7 +13,8 @@ from __future__ import annotations
 import math
 
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
-from coulombus.host.cycle.felt import brake_level, lead, observe, slide_velocity
+from coulombus.host.cycle.brake_model import brake_level, lead
+from coulombus.host.cycle.passivity import observe
 from coulombus.host.cycle.records import (
     KINETIC_CYCLES,
     AxisRecord,
@@ -25,6 +26,7 @@ from coulombus.host.cycle.records import (
     SignResult,
     Trip,
 )
+from coulombus.host.cycle.slow_velocity import slide_velocity
 from coulombus.host.cycle.study_delay import forget, hold_back
 from coulombus.host.cycle.transitions import BRAKE_CONTROLWORDS, CONTROLWORDS
 from coulombus.kernels.decorator import kernel

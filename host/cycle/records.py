@@ -183,7 +183,7 @@ class ControlRecord(Record):
     slide_band_counts: float  # the band of the estimate over `window_cycles`
     gain_step: float  # a cycle
     delay_cycles: int  # from sampling to actuation; beyond 1 the host holds back what the law asks for
-    # what the hand feels (`host.cycle.felt`)
+    # what the hand feels (`host.cycle.slow_velocity`, `host.cycle.brake_model`, `host.cycle.passivity`)
     window_cycles: int  # of the estimate of a slow velocity; 1: a backward difference
     level_is_felt: int  # 1: the law says what the hand feels, and not what the brake bears
     inertia: float  # kg m2, of the handle with the motor

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from coulombus.host.cycle.brake_hysteresis import coil_for, magnetise, seen_by_fluid
-from coulombus.host.cycle.felt import expect, lead
+from coulombus.host.cycle.brake_model import expect, lead
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.sim_bus.rig.mr_brake import iron as plants_iron
 from host_bench import HostBench
