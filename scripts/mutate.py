@@ -79,8 +79,9 @@ TARGETS = {
         ("test_host_control", "test_cycle_roles"),
         ("_cycles", "Controller._new_control", "Controller.motor_limit_raw", "Controller.start", "Controller.stop"),
     ),
-    "host/cycle/demand.py": Target(
-        ("test_demand_edges", "test_demand", "test_cycle_roles"),
+    "host/cycle/output_limits.py": Target(("test_output_limits", "test_cycle_roles")),
+    "host/setup/law_demand.py": Target(
+        ("test_law_demand_edges", "test_law_demand"),
         left_out="counted_and_told or nowhere or displays_its or begins_before or run_is_refused",
     ),
     "host/cycle/live_parameters.py": Target(("test_live_parameters",)),

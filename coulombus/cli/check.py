@@ -84,8 +84,9 @@ class _Findings:
     def __init__(self, rig: Rig) -> None:
         from coulombus.eds.own_devices import is_own, told_identity
         from coulombus.host.cycle.controller import Controller
-        from coulombus.host.cycle.demand import brake_limit, cut_off
+        from coulombus.host.cycle.output_limits import brake_limit
         from coulombus.host.setup.device_plan import device_plans
+        from coulombus.host.setup.law_demand import cut_off
         from coulombus.host.setup.limit_meanings import meanings_of
         from coulombus.host.setup.release import release_of
         from coulombus.rigs.plan.rig_plan import plans

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Trip
 from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.run.buses import merged, path_on
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run_sequence import Course, Figures
 from coulombus.host.setup.bringup import check_plan, release, shut_down
+from coulombus.host.setup.law_demand import check_demand
 from coulombus.lab.set_up import give_back, ready_world, set_up
 from coulombus.lab.virtual_bringup import switch_on
 from coulombus.recording.measures import Measures, measure

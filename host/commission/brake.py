@@ -30,7 +30,7 @@ from coulombus.host.commission.step import (
     move_s,
     strokes,
 )
-from coulombus.host.cycle.demand import brake_end_Nm
+from coulombus.host.cycle.output_limits import brake_end_Nm
 from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import Curve, Exercise, ExerciseResult, Finding, Given, Outcome, Risk, Step
-from coulombus.host.cycle.demand import motor_limit_Nm
+from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.recording.measures import measure
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig

@@ -33,7 +33,7 @@ from coulombus.host.commission.step import (
     exercise,
     lacks_roles,
 )
-from coulombus.host.cycle.demand import HYBRID_MARGIN
+from coulombus.host.cycle.output_limits import HYBRID_MARGIN
 from coulombus.recording.friction.cogging import Cogging, find_cogging
 from coulombus.recording.friction.friction_fit import Estimate
 from coulombus.recording.friction.identify import Identification, identify

@@ -12,7 +12,7 @@ from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PdoRecord
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
-from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw, motor_limit_Nm
+from coulombus.host.cycle.output_limits import brake_end_Nm, brake_limit_raw, motor_limit_Nm
 from coulombus.host.cycle.records import (
     AXIS,
     DRIVE_PDOS,

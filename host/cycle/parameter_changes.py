@@ -24,8 +24,8 @@ import numpy.typing as npt
 
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.demand import brake_limit, motor_limit, torque_step_Nm
 from coulombus.host.cycle.live_parameters import offer
+from coulombus.host.cycle.output_limits import brake_limit, motor_limit, torque_step_Nm
 from coulombus.host.cycle.records import Slot
 from coulombus.host.errors import HostError
 from coulombus.rigs.errors import nearest

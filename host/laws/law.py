@@ -281,7 +281,7 @@ def friction_law(
         or their names, of which ("F_Nm", 4) is an array
     extremes : the parameters that say how much the law displays at most [Nm]
     pushes : in mode hybrid the motor displays ``state.motor_Nm``. Of the project's own laws alone
-        this lifts hybrid's limit of the motor (`host.cycle.demand.motor_limit_Nm`).
+        this lifts hybrid's limit of the motor (`host.cycle.output_limits.motor_limit_Nm`).
 
     Raises
     ------

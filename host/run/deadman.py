@@ -20,7 +20,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import ClassVar, Self
 
-from coulombus.host.cycle.demand import motor_limit_Nm
+from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.errors import SafetyTrip
 from coulombus.rigs.rig import Rig
 from coulombus.system.keyboard import Keys

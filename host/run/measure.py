@@ -18,7 +18,7 @@ import can
 import numpy as np
 
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.demand import motor_limit_Nm
+from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.host_latency import measure_compute

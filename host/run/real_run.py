@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import can
 
-from coulombus.host.cycle.demand import check_demand
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import check_no_delay, check_no_rehearsal, refusing
 from coulombus.host.run.realtime_sequence import RealCourse
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
+from coulombus.host.setup.law_demand import check_demand
 from coulombus.recording.output_file import new_file
 from coulombus.rigs.rig import Rig
 from coulombus.system.exit import say

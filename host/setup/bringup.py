@@ -24,10 +24,10 @@ from coulombus.eds.reader import Value, Variable
 from coulombus.eds.sdo_answers import SdoAnswers, named
 from coulombus.eds.sdo_frames import where
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Image
 from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, HostError, NodeMissing, SdoAborted
 from coulombus.host.setup.device_plan import DevicePlan, device_plans, missing_mode
+from coulombus.host.setup.law_demand import check_demand
 from coulombus.host.setup.settings import Setting, encoded, number_of
 from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.plan.rig_plan import plans

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from coulombus.host.cycle.demand import brake_limit, motor_limit_Nm
+from coulombus.host.cycle.output_limits import brake_limit, motor_limit_Nm
 from coulombus.rigs.axis import Axis
 
 __all__ = ["meanings_of"]

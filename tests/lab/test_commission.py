@@ -13,7 +13,7 @@ from coulombus.host.commission.progress import Progress
 from coulombus.host.commission.session import RunEnded, Session
 from coulombus.host.commission.step import CommissionError, Given
 from coulombus.host.commission.steps import STEPS
-from coulombus.host.cycle.demand import motor_limit_Nm
+from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.lab.rehearsal import rehearsed

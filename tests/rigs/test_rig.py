@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from coulombus.host.cycle.demand import motor_limit_Nm
+from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.rigs.axis import Sections
 from coulombus.rigs.devices import Roles, Sdo, Sensor
 from coulombus.rigs.field_help import accepted_range, fields_of, kinds_of, unit_of

@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from coulombus.analysis.theory.bounds import Bounds, bounds
 from coulombus.analysis.theory.sampled_loop import LOOP, STATS, StatsRecord, run_loops
-from coulombus.host.cycle.demand import motor_limit_Nm
+from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, load_rig

@@ -37,8 +37,8 @@ from typing import Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from coulombus.host.cycle.demand import cut_off
 from coulombus.host.laws.laws import LawError, load_declared
+from coulombus.host.setup.law_demand import cut_off
 from coulombus.lab.file_mistakes import FileMistakes, rig_beside, text_of
 from coulombus.lab.study.change_bounds import widened
 from coulombus.rigs.errors import nearest, toml_value

@@ -6,7 +6,8 @@ import pytest
 
 from coulombus.analysis.rig.wall_plane import WallPlane, WallRow, handle_of, stable_through_bus
 from coulombus.analysis.theory.z_width import Lean, stable_leaning, stable_predicted
-from coulombus.host.cycle.demand import cut_off, motor_limit_Nm
+from coulombus.host.cycle.output_limits import motor_limit_Nm
+from coulombus.host.setup.law_demand import cut_off
 from coulombus.rigs.rig import load_rig
 
 

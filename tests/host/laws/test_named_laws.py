@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.demand import cut_off
 from coulombus.host.laws.along import given_law
 from coulombus.host.laws.law import (
     Declaration,
@@ -23,6 +22,7 @@ from coulombus.host.laws.law import (
     friction_law,
 )
 from coulombus.host.laws.laws import BUILTIN_LAWS, load_declared
+from coulombus.host.setup.law_demand import cut_off
 from coulombus.rigs.field_help import unit_of
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.wire.frame import new_records

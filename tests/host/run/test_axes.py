@@ -10,11 +10,12 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.host.cycle.axes import finish, on_frame
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.demand import check_demand, motor_limit_Nm
+from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.cycle.records import Phase, SignResult, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.buses import merged
 from coulombus.host.run.deadman import deadman_of
+from coulombus.host.setup.law_demand import check_demand
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.rigs.buses import bus_addresses, one_bus

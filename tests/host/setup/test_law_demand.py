@@ -14,8 +14,9 @@ from coulombus.cli.main import main
 from coulombus.host.cycle.axes import safe_setpoints
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.demand import brake_limit_raw, check_demand, cut_off
+from coulombus.host.cycle.output_limits import brake_limit_raw
 from coulombus.host.cycle.records import Image, Phase
+from coulombus.host.setup.law_demand import check_demand, cut_off
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text

@@ -1,0 +1,96 @@
+"""The largest outputs of motor and brake: what the rig file, the drive and the brake's object allow,
+and whose limit each is.
+"""
+
+from __future__ import annotations
+
+from coulombus.host.laws.laws import BUILTIN_LAWS
+from coulombus.rigs.axis import Axis
+
+__all__ = [
+    "HYBRID_MARGIN",
+    "brake_end_Nm",
+    "brake_limit",
+    "brake_limit_raw",
+    "law_pushes",
+    "motor_limit",
+    "motor_limit_Nm",
+    "scale_Nm",
+    "torque_step_Nm",
+]
+
+HYBRID_MARGIN = 1.2
+
+
+def brake_limit_raw(axis: Axis) -> int:
+    """Return the largest set-point that the brake's object takes: the high limit of the EDS file,
+    or what its data type holds.
+    """
+    setpoint = axis.allocation.bound["brake_setpoint"]
+    entry = setpoint.entry
+    variable = axis.description(setpoint.node).variable(entry.index, entry.subindex)
+    assert variable.whole is not None  # the rig's reader takes integers of at most 32 bits alone
+    most = int(variable.largest)
+    least = variable.whole[0] if variable.low is None else int(variable.low)
+    for raw, _ in setpoint.table:
+        if not least <= raw <= most:
+            label = f"{entry.index:04X}h:{entry.subindex:02X}"
+            raise axis.mistake("role.brake_setpoint.table", f"raw counts from {least} to {most}, which {label} takes")
+    return most
+
+
+def brake_end_Nm(axis: Axis) -> float:
+    """Return the largest braking torque that the brake's object can say: that of its largest count,
+    or of its table's last point.
+    """
+    setpoint = axis.allocation.bound["brake_setpoint"]
+    return setpoint.table[-1][1] if setpoint.table else float(brake_limit_raw(axis) * setpoint.scale)
+
+
+def law_pushes(axis: Axis) -> bool:
+    """Tell whether the axis' law is one of the project's own that pushes back in mode hybrid."""
+    own = BUILTIN_LAWS.get(axis.law.function.strip())
+    return own is not None and own.pushes
+
+
+def motor_limit_Nm(axis: Axis, mode: str) -> float:
+    """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit
+    6072h is set to.
+
+    In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the
+    identified friction. Of a law that pushes, the rig file's limit is the limit.
+    """
+    limit = axis.mode[mode].motor_limit_Nm
+    if mode != "hybrid" or law_pushes(axis):
+        return limit
+    return min(limit, HYBRID_MARGIN * axis.mechanics.friction_Nm)
+
+
+def motor_limit(axis: Axis, mode: str) -> tuple[float, str]:
+    """Return the motor's largest torque in a mode [Nm], and whose limit that is."""
+    limit = motor_limit_Nm(axis, mode)
+    if limit < axis.mode[mode].motor_limit_Nm:
+        return limit, f"the motor in mode {mode} (1.2 x mechanics.friction_Nm)"
+    return limit, f"mode.{mode}.motor_limit_Nm (the drive's 6072h)"
+
+
+def brake_limit(axis: Axis) -> tuple[float, str]:
+    """Return the brake's largest torque [Nm], and whose limit that is."""
+    setpoint, device_Nm = axis.allocation.bound["brake_setpoint"], brake_end_Nm(axis)
+    if device_Nm >= axis.limits.brake_torque_Nm:
+        return axis.limits.brake_torque_Nm, "limits.brake_torque_Nm"
+    if setpoint.table:
+        return device_Nm, "role.brake_setpoint.table"
+    description, entry = axis.description(setpoint.node), setpoint.entry
+    line = description.variable(entry.index, entry.subindex).line
+    return device_Nm, f"the brake's {entry.index:04X}h:{entry.subindex:02X} ({description.path}:{line})"
+
+
+def torque_step_Nm(axis: Axis) -> float:
+    """Return the motor's torque of one count of its set-point [Nm]."""
+    return scale_Nm(axis, "motor.target_torque_Nm")
+
+
+def scale_Nm(axis: Axis, key: str) -> float:
+    """Return the torque of one raw count of a signal [Nm]; less than that is rounding."""
+    return next(abs(signal.scale) for pdo in axis.pdos() for signal in pdo.signals if signal.key == key)

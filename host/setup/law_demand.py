@@ -1,0 +1,92 @@
+"""What a law asks of motor and brake at most, held against what they can show: a law that a limit
+cuts off is refused before it is armed.
+
+Of the project's own laws the largest outputs follow from their parameters
+(`host.laws.law.Declaration.extremes`). Those of a law of the user's own are not known before it runs; what is
+cut off then is counted in every cycle (``clipped_torque``, ``clipped_setpoints``) and told at the
+end of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from coulombus.host.cycle.output_limits import brake_limit, law_pushes, motor_limit, scale_Nm, torque_step_Nm
+from coulombus.host.laws.laws import BUILTIN_LAWS
+from coulombus.host.laws.parameters import axis_parameters
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig, RigError
+
+__all__ = ["check_demand", "cut_off"]
+
+
+class Demand(NamedTuple):
+    """One extreme of a law: the key of the rig file that makes it, and its size [Nm]."""
+
+    key: str
+    torque_Nm: float
+
+
+def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
+    """Yield what the motor's limit cuts off: of the law in mode active, of the compensation in
+    each.
+    """
+    chosen, scale = axis.mode[mode], torque_step_Nm(axis)
+    compensation = chosen.compensation * axis.mechanics.friction_Nm
+    demands = [Demand(f"mode.{mode}.compensation", compensation)]
+    if mode == "active":  # in slip the compensation takes its share off
+        slip = f"mode.{mode}.F_d_Nm"
+        demands = [Demand(key, Nm - compensation if key == slip else Nm) for key, Nm in _law(axis, mode)] + demands
+    elif mode == "hybrid" and law_pushes(axis):  # it pushes back while it compensates
+        demands = [Demand(key, Nm + compensation) for key, Nm in _law(axis, mode)] + demands
+    limit, whose = motor_limit(axis, mode)
+    for key, torque_Nm in demands:
+        if torque_Nm > limit + scale:
+            yield axis.mistake(key, _expected(limit, torque_Nm, whose))
+
+
+def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
+    """Yield what the brake's limits cut off of the law in the modes in which the brake
+    displays it.
+    """
+    if mode == "active":
+        return
+    scale, (limit, whose) = scale_Nm(axis, "brake.setpoint_Nm"), brake_limit(axis)
+    for key, torque_Nm in _law(axis, mode):
+        if torque_Nm > limit + scale:
+            yield axis.mistake(key, _expected(limit, torque_Nm, whose))
+
+
+def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
+    """Return what the rig's law displays at most in a mode; nothing where that is not known."""
+    own = BUILTIN_LAWS.get(axis.law.function.strip())
+    if own is None:
+        return ()
+    values, place = axis_parameters(axis, own), f"mode.{mode}" if own.uses_mode_keys else f"law.{own.name}"
+    return tuple(Demand(f"{place}.{key}", getattr(values or axis.mode[mode], key)) for key in own.extremes)
+
+
+def _expected(limit_Nm: float, torque_Nm: float, whose: str) -> str:
+    return f"a torque of at most {limit_Nm:.6g} Nm, not {torque_Nm:.6g} Nm: {whose} ends there and would cut it off"
+
+
+def cut_off(rig: Rig, mode: str) -> list[str]:
+    """Return what a limit of any axis would cut off of the law in this mode, each with
+    ``file:line``, key and remedy.
+    """
+    errors = (error for axis in rig.axes for part in (_motor, _brake) for error in part(axis, mode))
+    return list(dict.fromkeys(text for error in errors for text in error.errors))
+
+
+def check_demand(rig: Rig, mode: str) -> None:
+    """Refuse a law that a limit would cut off: what is felt would not be what the rig file says.
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        with everything that would be cut off
+    """
+    texts = cut_off(rig, mode)
+    if texts:
+        raise RigError(texts)
