@@ -24,6 +24,7 @@ from coulombus.host.cycle.records import (
     SignResult,
     Trip,
 )
+from coulombus.host.cycle.trip_text import trip_text
 from coulombus.host.laws.law import LawRecord
 from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import axis_parameters
@@ -35,9 +36,7 @@ from coulombus.rigs.model import MOST_DEVICES
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records, new_records
 
-__all__ = ["COUNTERS", "TRIP_TEXT", "Controller"]
-CLIPPING = ("clipped_torque", "slowed_torque", "clipped_setpoints", "slowed_setpoints")
-"""Counters of the limits that act on what a law asks for."""
+__all__ = ["COUNTERS", "Controller"]
 
 COUNTERS = (
     *("lost_pdos", "late_cycles", "stray_frames", "malformed_pdos", "malformed_services"),
@@ -83,46 +82,6 @@ IMAGE_OF_SIGNAL = {
     "brake.coil_current_A": Image.COIL_CURRENT,
     "brake.coil_temperature_degC": Image.COIL_TEMPERATURE,
 }
-
-TRIP_TEXT = {
-    Trip.SPEED: "the handle was faster than limits.speed_rad_s",
-    Trip.ENCODER_JUMP: "the encoder jumped by more than limits.encoder_jump_counts in a cycle",
-    Trip.NET_WORK: "the motor put more than limits.net_work_J into the handle within limits.net_work_window_s: is a sign wrong?",
-    Trip.HANDLE_TORQUE: "the handle torque did not fit the brake's command for limits.handle_mismatch_s",
-    Trip.TRAVEL: "the handle left +- limits.travel_rad",
-    Trip.VOLTAGE: "the drive lost its supply (statusword: voltage enabled is 0)",
-    Trip.COIL_I2T: "the brake's coil would overheat (I2t above brake.coil_continuous_A)",
-    Trip.TPDO_LOST: "no complete set of TPDOs for {missed_cycles} cycles (limits.missed_tpdo_cycles)",
-    Trip.EMCY_MOTOR: "the motor drive sent an EMCY",
-    Trip.EMCY_BRAKE: "the brake sent an EMCY",
-    Trip.EMCY_SENSOR: "the sensor {node} sent an EMCY",
-    Trip.HEARTBEAT_SENSOR: "the heartbeat of the sensor {node} was lost",
-    Trip.HEARTBEAT_MOTOR: "the motor drive's heartbeat was lost",
-    Trip.HEARTBEAT_BRAKE: "the brake's heartbeat was lost",
-    Trip.DRIVE_STATE: "the drive left Operation Enabled by itself (or the brake, where it is a drive)",
-    Trip.NMT_STATE: "a node left NMT state OPERATIONAL",
-    Trip.TRANSMIT: "the bus did not take a frame",
-    Trip.RECORDING: "the recording could not be written",
-    Trip.OTHER_AXIS: "another axis went to its safe state",
-    Trip.LAW: "the friction law {law} returned {returned}, which is no finite number (law.function)",
-    Trip.BUS_LOST: "the bus is gone: its process ended, or its interface went down",
-    Trip.SECOND_HOST: "somebody else sends what only this host may send on this bus: {foreign}",
-    Trip.MOTOR_TORQUE: "the motor's measured torque (6077h) is off from its commands by more than limits.motor_mismatch_Nm",
-    Trip.LAW_CLIPPED: "a limit acted on the friction law {law} in most cycles, so the hand did not feel this law: {clipped}",
-    Trip.DEADMAN: "the dead man's switch was not held",
-    Trip.DATA_PLANE: "the data plane's process ended, or stood still",
-    Trip.HOST: "the host's own process failed, ended, or stood still",
-    Trip.NOT_STILL: "arming refused: the handle was not still for limits.still_s within limits.still_timeout_s",
-    Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",
-    Trip.ENABLE_TIMEOUT: "arming refused: the drive did not reach Operation Enabled",
-    Trip.SIGN_NO_MOTION: "arming refused: the sign check's torque moved the handle by {sign_moved} of the {sign_counts} counts of "
-    "limits.sign_check_counts: {still_because}",
-    Trip.SIGN_ENCODER: "arming refused: motor and encoder disagree on the sign (mechanics.motor_polarity, mechanics.encoder_polarity)",
-    Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
-    Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
-}
-"""Each trip in words, with the rig file's key that decides it; `Controller.trip` fills in the `{}`.
-"""
 
 
 def _cycles(seconds: float, period_s: float) -> int:
@@ -455,59 +414,7 @@ class Controller:
     @property
     def trip(self) -> str | None:
         """Why the safe state was entered, in words, or None."""
-        trip = Trip(int(self.host["trip"][0]))
-        if trip is Trip.NONE:
-            return None
-        node = self.axis.devices[int(self.host["suspect_node"][0])]
-        part = ("", " for the brake", " for the motor")[int(self.host["law_part"][0])]
-        returned = f"{float(self.host['law_Nm'][0]):g} Nm{part}"
-        told = TRIP_TEXT[trip].format(
-            missed_cycles=int(self.control["missed_cycles"][0]),
-            node=node,
-            law=self.axis.law.function,
-            returned=returned,
-            foreign=self._foreign(),
-            sign_moved=int(self.host["sign_moved"][0]),
-            sign_counts=int(self.control["sign_counts"][0]),
-            still_because=self._still_because(),
-            clipped=", ".join(f"{name} {int(self.host[name][0])}" for name in CLIPPING if self.host[name][0]),
-        )
-        text = f"{trip.name}: {told}"
-        if trip is Trip.NOT_STILL and self._starved:
-            text += (
-                f"; {int(self.host['lost_pdos'][0])} cycles lacked a TPDO within bus.tpdo_window_s, and a handle whose position does not "
-                "come does not count as still"
-            )
-        if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.EMCY_SENSOR):
-            text += f" (error code {int(self.host['emcy_code'][0]):04X}h)"
-        return self.axis.said(text)
-
-    def _foreign(self) -> str:
-        """Return which frame came from somebody else (`Trip.SECOND_HOST`)."""
-        can_id = int(self.host["foreign_id"][0])
-        if can_id < 0:
-            return "SYNC, or its heartbeat"
-        service, node = can_id & 0x780, can_id & 0x7F
-        if service == CobId.SDO_RX:
-            return f"an SDO request that writes an object of node {node} (identifier {can_id:03X}h)"
-        return f"a frame with the identifier {can_id:03X}h of its set-points (RPDO)"
-
-    def _still_because(self) -> str:
-        """Return why the sign check saw too little motion (`Trip.SIGN_NO_MOTION`)."""
-        if self.host["sign_moved"][0] > 0:
-            return "it is held, there is more friction than mechanics.friction_Nm, or the encoder is too coarse for so many"
-        return (
-            "is it held, is the motor not connected, or is there more friction than mechanics.friction_Nm? "
-            "Then identify first: coulombus commission --step friction"
-        )
-
-    @property
-    def _starved(self) -> bool:
-        """Whether so many TPDOs were lost that even a handle at rest could not count as still for
-        long enough.
-        """
-        c = self.control[0]
-        return bool(self.host["lost_pdos"][0] * c["still_cycles"] >= c["still_timeout_cycles"])
+        return trip_text(self.axis, self.control, self.host)
 
     @property
     def sign_result(self) -> SignResult:

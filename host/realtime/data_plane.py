@@ -22,7 +22,7 @@ from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import HostError
-from coulombus.host.realtime.loop import take_log, take_trace
+from coulombus.host.realtime.log_rings import take_log, take_trace
 from coulombus.host.realtime.shared_memory import BINS, TRACE_ROWS, PlaneCommand, PlaneStatus, SharedPlane
 from coulombus.recording.trace import TraceRow
 from coulombus.wire.address import BusAddress

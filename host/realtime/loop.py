@@ -6,7 +6,7 @@ loop without allocation.
 
 t_k are absolute times of CLOCK_MONOTONIC. Periods that have passed are skipped and counted, never
 caught up. The loop logs every frame, its own and the others', into a ring that another process
-empties. However it ends, it sends set-points of zero torque last.
+empties (`host.realtime.log_rings`). However it ends, it sends set-points of zero torque last.
 
 It looks after its parent, too: one that has ended, or that has not shown itself in time
 (`PLANE.parent_ns`), is a reason for the safe state (HOST). After a parent that has ended the loop
@@ -17,7 +17,8 @@ counted, not repeated (a frame that waits is a wrong set-point later), and too m
 trip; everything else, and the other side closing - the bus is lost. Only the safe set-points behind
 the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothing comes after them.
 
-    b : the Buffers        p : the `PlaneRecord`        c, h : the CONTROL and the `HostRecord` of an axis        f, g, r : a frame or a row
+    b : the Buffers        p : the `PlaneRecord`        c, h : the `ControlRecord` and the `HostRecord` of an axis
+    f : a frame
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramp
 from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.cycle.telemetry import tell
-from coulombus.host.realtime.shared_memory import BINS, PLANE, PlaneCommand, PlaneRecord, PlaneStatus
+from coulombus.host.realtime.log_rings import log_frame, log_moment
+from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus, field_offset
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import (
     CLOCK_REALTIME,
@@ -50,12 +52,12 @@ from coulombus.kernels.libc import (
     sleep_until,
     store_release,
 )
-from coulombus.kernels.records import Integers, RecordArray, Records
+from coulombus.kernels.records import Integers, RecordArray
 from coulombus.recording.trace import Moment, TraceRow
 from coulombus.wire.frame import CAN_ERR_FLAG, Frame, Queue
 from coulombus.wire.recvmsg import Mailbox, receive
 
-__all__ = ["MESSAGE_FRAMES", "Buffers", "run_plane", "take_log", "take_trace"]
+__all__ = ["MESSAGE_FRAMES", "Buffers", "run_plane"]
 
 MESSAGE_FRAMES = 64
 """Frames that one message may bring."""
@@ -85,16 +87,9 @@ class Buffers(NamedTuple):
     told: RecordArray[Frame]  # room for what one axis tells of itself (`host.cycle.telemetry`)
 
 
-def _offset(name: str) -> int:
-    fields = PLANE.fields
-    assert fields is not None
-    return int(fields[name][1])
-
-
-AT_COMMAND, AT_STATUS, AT_STOP = _offset("command"), _offset("status"), _offset("stop")
-AT_DEADMAN, AT_HEAD, AT_TAIL = _offset("deadman_ns"), _offset("log_head"), _offset("log_tail")
-AT_TRACE_HEAD, AT_TRACE_TAIL = _offset("trace_head"), _offset("trace_tail")
-AT_CYCLES, AT_PARENT, AT_ORDER = _offset("cycles"), _offset("parent_ns"), _offset("order")
+AT_COMMAND, AT_STATUS, AT_STOP = field_offset("command"), field_offset("status"), field_offset("stop")
+AT_CYCLES, AT_PARENT, AT_ORDER = field_offset("cycles"), field_offset("parent_ns"), field_offset("order")
+AT_DEADMAN = field_offset("deadman_ns")
 
 LISTEN_NS = 5_000_000  # how soon a command is seen while listening
 DRAIN_MESSAGES = 512  # bound of what one cycle takes from a bus that is flooded
@@ -108,90 +103,12 @@ EMPTY, TOOK, COMPLETE, GONE = 0, 1, 2, 3
 
 
 @kernel
-def _log(
-    plane: RecordArray[PlaneRecord],
-    ring: RecordArray[Frame],
-    t_ns: int,
-    can_id: int,
-    length: int,
-    word: int,
-    source: int,
-) -> None:
-    """Append a frame to the ring; the parent sees it whole or not at all."""
-    p = plane[0]
-    head = p.log_head
-    if head - load_acquire(plane.ctypes.data + AT_TAIL) >= ring.shape[0]:
-        p.log_dropped += 1
-        return
-    f = ring[head & (ring.shape[0] - 1)]
-    f.t_ns = t_ns
-    f.can_id = can_id
-    f.length = length
-    f.word = word
-    f.source = source
-    store_release(plane.ctypes.data + AT_HEAD, head + 1)
-
-
-@kernel
-def _trace(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], kind: int, t_ns: int, value: int) -> None:
-    """Append a row to the trace; without room it is left out, as are the frames of that time."""
-    p = plane[0]
-    head = p.trace_head
-    if head - load_acquire(plane.ctypes.data + AT_TRACE_TAIL) >= trace.shape[0]:
-        p.log_dropped += 1
-        return
-    r = trace[head & (trace.shape[0] - 1)]
-    r.t_ns = t_ns
-    r.received = p.rx_frames
-    r.kind = kind
-    r.value = value
-    r.refused = p.tx_full
-    r.dropped = p.log_dropped
-    store_release(plane.ctypes.data + AT_TRACE_HEAD, head + 1)
-
-
-@kernel
 def _tell(b: Buffers, t_ns: int) -> None:
     """Log what the axes tell of themselves, behind the frames of their cycle."""
     for k in range(b.axes.shape[0]):
         for i in range(tell(b.axes[k], k, t_ns, b.told, 0)):
             f = b.told[i]
-            _log(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, f.source)
-
-
-@kernel
-def take_trace(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], out: Records) -> int:
-    """Move rows from the trace to `out`; return how many. For the parent."""
-    p = plane[0]
-    tail = p.trace_tail
-    count = min(load_acquire(plane.ctypes.data + AT_TRACE_HEAD) - tail, out.shape[0])
-    for i in range(count):
-        f, g = trace[(tail + i) & (trace.shape[0] - 1)], out[i]
-        g.t_ns = f.t_ns
-        g.received = f.received
-        g.kind = f.kind
-        g.value = f.value
-        g.refused = f.refused
-        g.dropped = f.dropped
-    store_release(plane.ctypes.data + AT_TRACE_TAIL, tail + count)
-    return count
-
-
-@kernel
-def take_log(plane: RecordArray[PlaneRecord], ring: RecordArray[Frame], out: Records) -> int:
-    """Move frames from the ring to `out`; return how many. For the parent."""
-    p = plane[0]
-    tail = p.log_tail
-    count = min(load_acquire(plane.ctypes.data + AT_HEAD) - tail, out.shape[0])
-    for i in range(count):
-        f, g = ring[(tail + i) & (ring.shape[0] - 1)], out[i]
-        g.t_ns = f.t_ns
-        g.can_id = f.can_id
-        g.length = f.length
-        g.word = f.word
-        g.source = f.source
-    store_release(plane.ctypes.data + AT_TAIL, tail + count)
-    return count
+            log_frame(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, f.source)
 
 
 @kernel
@@ -255,7 +172,7 @@ def _take(b: Buffers, live: int) -> int:
         if length < 8:
             word &= (1 << 8 * length) - 1
         p.rx_frames += 1
-        _log(b.plane, b.ring, t_ns, can_id, length, word, SOURCE_BUS)
+        log_frame(b.plane, b.ring, t_ns, can_id, length, word, SOURCE_BUS)
         if can_id & CAN_ERR_FLAG:
             p.error_frames += 1
             if live and can_id & CAN_ERR_BUSOFF:
@@ -306,7 +223,7 @@ def _transmit(b: Buffers, patience: int) -> int:
             t_ns = now_ns()
             for i in range(done, done + frames):
                 f = out.frames[i]
-                _log(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, SOURCE_HOST)
+                log_frame(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, SOURCE_HOST)
         done += frames
     return 0
 
@@ -380,7 +297,7 @@ def _obey(b: Buffers) -> None:
     if order != p.ordered:
         p.ordered = order
         axes[p.order_axis].live.wanted = order
-        _trace(b.plane, b.trace, Moment.SET, now_ns(), order)
+        log_moment(b.plane, b.trace, Moment.SET, now_ns(), order)
 
 
 @kernel
@@ -406,13 +323,13 @@ def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
             return 1
         if found == COMPLETE:
             now = now_ns()
-            _trace(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
+            log_moment(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
             if finish(axes, law_function, now, 0, b.out) == 0:
                 break
             if _transmit(b, 0) != 0:
                 return 1
     now = now_ns()
-    _trace(b.plane, b.trace, Moment.WINDOW, now, p.asked)
+    log_moment(b.plane, b.trace, Moment.WINDOW, now, p.asked)
     finish(axes, law_function, now, 1, b.out)
     return 1 if _transmit(b, 0) != 0 else 0
 
@@ -441,7 +358,7 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
     for k in range(1, axes.shape[0]):
         missed_cycles = min(missed_cycles, axes[k].control.missed_cycles)
     t = p.start_ns
-    _trace(b.plane, b.trace, Moment.START, t, 0)
+    log_moment(b.plane, b.trace, Moment.START, t, 0)
     while _goes_on(p, axes, load_acquire(base + AT_COMMAND)):
         slept = sleep_until(t)
         if slept == EINTR:
@@ -458,7 +375,7 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
         if _drain(b) != 0:
             return 1
         _obey(b)
-        _trace(b.plane, b.trace, Moment.BEGIN, t, axes[0].host.deadman_ok)
+        log_moment(b.plane, b.trace, Moment.BEGIN, t, axes[0].host.deadman_ok)
         displays = not _all_done(axes)
         begin(axes, t, b.out)
         if _transmit(b, 0) != 0:
@@ -503,7 +420,7 @@ def run_plane(b: Buffers, law_function: LawFunction) -> int:
                     h.trip_ns = now_ns()
             error = p.error
             now = now_ns()
-            _trace(b.plane, b.trace, Moment.END, now, 0)
+            log_moment(b.plane, b.trace, Moment.END, now, 0)
             b.out.count = 0
             safe_setpoints(axes, now, b.out)
             _transmit(b, END_ATTEMPTS)

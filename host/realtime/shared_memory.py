@@ -21,7 +21,7 @@ from coulombus.kernels.records import Record, RecordArray, dtype_of
 from coulombus.recording.trace import TRACE, TraceRow
 from coulombus.wire.frame import FRAME, Frame
 
-__all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "PlaneCommand", "PlaneStatus", "SharedPlane"]
+__all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "PlaneCommand", "PlaneStatus", "SharedPlane", "field_offset"]
 
 RING_FRAMES = 1 << 17
 """About nine seconds of frames, and of what the host tells of itself, at 1 kHz; a power of two."""
@@ -96,6 +96,13 @@ class PlaneRecord(Record):
 
 
 PLANE = dtype_of(PlaneRecord)
+
+
+def field_offset(name: str) -> int:
+    """Return where a field of the PLANE record is, in bytes from its begin."""
+    fields = PLANE.fields
+    assert fields is not None
+    return int(fields[name][1])
 
 
 def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]:

@@ -200,6 +200,6 @@ def test_a_full_disk_ends_the_run_safely(tmp_path, monkeypatch):
 
 
 def test_trip_codes_have_words():
-    from coulombus.host.cycle.controller import TRIP_TEXT
+    from coulombus.host.cycle.trip_text import TRIP_TEXT
 
     assert set(TRIP_TEXT) == set(Trip) - {Trip.NONE}

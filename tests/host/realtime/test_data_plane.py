@@ -25,7 +25,8 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.realtime.data_plane import DataPlane, Spread, rig_filters
-from coulombus.host.realtime.loop import run_plane, take_log
+from coulombus.host.realtime.log_rings import take_log
+from coulombus.host.realtime.loop import run_plane
 from coulombus.host.realtime.process import new_buffers
 from coulombus.host.realtime.shared_memory import BINS, RING_FRAMES, PlaneCommand, PlaneStatus, SharedPlane
 from coulombus.host.run.deadman import HeldKey, deadman_of

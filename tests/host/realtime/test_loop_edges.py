@@ -70,7 +70,7 @@ class Bench:
             "errno": lambda: self.error,
             "ask_to_stop": lambda axes, trip: self.asked.append(int(trip)),
             "ramps_a_brake": lambda axes: self.ramps,
-            "_trace": lambda plane, trace, *row: self.traced.append(row),
+            "log_moment": lambda plane, trace, *row: self.traced.append(row),
         }.items():
             monkeypatch.setattr(loop, name, double)
         self.patch = monkeypatch.setattr
