@@ -223,14 +223,14 @@ class _Device:
             if (index, subindex) in left_out:
                 continue
             variable = variables.get((index, subindex)) or self.description.variable(index, subindex)
-            wanted, there = encoded(variable, value), self.upload(index, subindex)
-            if len(there) != len(wanted):
+            data, there = encoded(variable, value), self.upload(index, subindex)
+            if len(there) != len(data):
                 differences.append(
-                    f"{self._where(index, subindex)} has {len(there)} bytes in the device, {len(wanted)} in {self.description.path}"
+                    f"{self._where(index, subindex)} has {len(there)} bytes in the device, {len(data)} in {self.description.path}"
                 )
-            elif there != wanted:
-                found = number_of(variable, there)
-                differences.append(f"{self._where(index, subindex)}: wrote {value:#x}, reads back {found:#x}")
+            elif there != data:
+                number = number_of(variable, there)
+                differences.append(f"{self._where(index, subindex)}: wrote {value:#x}, reads back {number:#x}")
         return differences
 
 
@@ -277,10 +277,10 @@ _plans: WeakKeyDictionary[Controllers, tuple[DevicePlan, ...]] = WeakKeyDictiona
 """They are asked for at the beginning and at the end of a run."""
 
 
-def meet(found: Sequence[DevicePlan], controllers: Controllers, plane: ControlPlane) -> None:
+def meet(plans: Sequence[DevicePlan], controllers: Controllers, plane: ControlPlane) -> None:
     """Know the devices of these plans, which are set up already, as after `bring_up`."""
-    _plans[controllers] = tuple(found)
-    for plan in found:
+    _plans[controllers] = tuple(plans)
+    for plan in plans:
         _Device(plane, plan)
 
 
@@ -308,23 +308,23 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     """
     check_plan(controllers.rig)
     check_demand(controllers.rig, controllers.mode)
-    found = plans_of(controllers)
-    losses = configure(found, plane)
+    plans = plans_of(controllers)
+    losses = configure(plans, plane)
     plane.network.nmt.send_command(NmtCommand.START)
-    wait_operational(found, plane)
+    wait_operational(plans, plane)
     return losses
 
 
-def configure(found: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:
+def configure(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:
     """Write to the devices what their plans have, and read it back.
 
     They are left in PRE-OPERATIONAL. Returns and raises as `bring_up`; whether the cycle fits on
     the bus is not looked at.
     """
-    _refuse(str(problem) for plan in found for problem in plan.problems)
+    _refuse(str(problem) for plan in plans for problem in plan.problems)
     plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)
-    devices = [_Device(plane, plan) for plan in found]
+    devices = [_Device(plane, plan) for plan in plans]
     try:
         _refuse([text for device in devices for text in device.identify()])
         for device in devices:
@@ -347,7 +347,7 @@ def _refuse_twins(devices: Sequence[_Device]) -> None:
     )
 
 
-def wait_operational(found: Sequence[DevicePlan], plane: ControlPlane) -> None:
+def wait_operational(plans: Sequence[DevicePlan], plane: ControlPlane) -> None:
     """Wait until the heartbeats of these devices, which were told to start, say OPERATIONAL.
 
     Raises
@@ -355,9 +355,9 @@ def wait_operational(found: Sequence[DevicePlan], plane: ControlPlane) -> None:
     NodeMissing
         one of them says otherwise, or nothing
     """
-    heartbeat_ns = round(1e9 * max(plan.part.heartbeat_s for plan in found))
+    heartbeat_ns = round(1e9 * max(plan.part.heartbeat_s for plan in plans))
     plane.wait_ns(SETTLE_NS + 2 * heartbeat_ns)
-    heard = [plan for plan in found if beats(plan.description) and not is_guarded(plan.description)]
+    heard = [plan for plan in plans if beats(plan.description) and not is_guarded(plan.description)]
     for _ in range(LATE_HEARTBEATS):
         if all(plane.nmt_state(plan.node_id) == NmtState.OPERATIONAL for plan in heard):
             break
@@ -365,8 +365,10 @@ def wait_operational(found: Sequence[DevicePlan], plane: ControlPlane) -> None:
     for plan in heard:
         state = plane.nmt_state(plan.node_id)
         if state != NmtState.OPERATIONAL:
-            told = "was not heard" if state is None else f"says {NmtState(state).name}"
-            raise NodeMissing(f"{plan.name} (node {plan.node_id}) {told} after NMT start; OPERATIONAL is expected")
+            state_text = "was not heard" if state is None else f"says {NmtState(state).name}"
+            raise NodeMissing(
+                f"{plan.name} (node {plan.node_id}) {state_text} after NMT start; OPERATIONAL is expected"
+            )
 
 
 def _refuse(differences: Iterable[str]) -> None:
@@ -390,7 +392,7 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
     if not (controllers.done and controllers.trip is None and disabled):
         return
     for plan in plans_of(controllers):
-        watch = next((one for one in plan.writes if (one.index, one.subindex) == (0x1016, 1)), None)
+        watch = next((write for write in plan.writes if (write.index, write.subindex) == (0x1016, 1)), None)
         if watch is None:
             continue
         data = encoded(watch.variable(plan.description), 0)

@@ -107,7 +107,7 @@ class _Planner:
         written = tuple(s for s in kept if not _locked(self.description, s))
         unread = {(s.index, s.subindex) for s in there if not s.verify}
         left_out = {(s.index, s.subindex) for s in there} - {(s.index, s.subindex) for s in kept}
-        wanted = tuple((at, value) for at, value in final.items() if at not in unread | left_out)
+        read_backs = tuple((at, value) for at, value in final.items() if at not in unread | left_out)
         operation_mode = self._modes() if self._is_drive else None
         if self.node == "motor":
             self._limits()
@@ -124,8 +124,10 @@ class _Planner:
             description=self.description,
             mode=operation_mode,
             writes=written,
-            read_backs=wanted,
-            problems=tuple(one._replace(text=said(one.text), remedy=said(one.remedy)) for one in self.problems),
+            read_backs=read_backs,
+            problems=tuple(
+                problem._replace(text=said(problem.text), remedy=said(problem.remedy)) for problem in self.problems
+            ),
             questions=tuple(map(said, self.questions)),
             losses=tuple(map(said, self.losses)),
             reactions=reactions,
@@ -208,7 +210,7 @@ class _Planner:
         if not description.has(0x1000, 0):
             text = f", object 1000h:00 is needed to know the device, but {description.path} does not have it"
             self._problem(text, "take the EDS file of this very device", "1000h:00")
-        for subindex, (told, value) in enumerate(zip(told_identity(description), said, strict=True), 1):
+        for subindex, (number, value) in enumerate(zip(told_identity(description), said, strict=True), 1):
             what, key = (
                 f"{keys[subindex - 1].replace('_', ' ')} 1018h:{subindex:02X}",
                 f"{self.node}.{keys[subindex - 1]}",
@@ -218,14 +220,14 @@ class _Planner:
                     f"{self.who}: {description.path} has no 1018h:{subindex:02X}, so that its {keys[subindex - 1].replace('_', ' ')} is not compared"
                 )
             elif value is None:
-                remedy = f"give {key}" + (f" = {told:#x}, if the file is of this very device" if told else "")
+                remedy = f"give {key}" + (f" = {number:#x}, if the file is of this very device" if number else "")
                 self._problem(f": the rig file does not tell the {what}", remedy, f"1018h:{subindex:02X}")
-            elif not told:
+            elif not number:
                 self.questions.append(
                     f"{self.who}: {description.path} does not tell 1018h:{subindex:02X}; bring-up asks the device"
                 )
-            elif told != value:
-                text = f": {what} is {told:#010x} in {description.path}, the rig file says {value:#010x} ({key})"
+            elif number != value:
+                text = f": {what} is {number:#010x} in {description.path}, the rig file says {value:#010x} ({key})"
                 self._problem(
                     text, "take the EDS file of this very device, or correct the key", f"1018h:{subindex:02X}"
                 )
@@ -261,16 +263,16 @@ class _Planner:
 
     def _limits(self) -> None:
         """Demand a torque limit that the drive itself keeps."""
-        found = torque_limits(self.description)
-        if not found:
+        indices = torque_limits(self.description)
+        if not indices:
             self._acknowledge(
                 NO_TORQUE_LIMIT,
                 "6072h, 60E0h and 60E1h, 6073h cannot be written; only the host limits",
                 self.limit_pm > 0,
             )
-        elif 0x6072 not in found:
+        elif 0x6072 not in indices:
             self.losses.append(
-                f"{self.who}: 6072h is not written, it is not described; {' and '.join(f'{index:04X}h' for index in found)} limit the torque"
+                f"{self.who}: 6072h is not written, it is not described; {' and '.join(f'{index:04X}h' for index in indices)} limit the torque"
             )
 
 
@@ -297,9 +299,9 @@ def _misfit(variable: Variable, setting: Setting) -> tuple[str, str] | None:
     shown = f"{value} ({value:#x})" if abs(value) > 9 else f"{value}"
     change = f"change {setting.key}" if setting.key else "take another device"
     if limits is None:
-        told = f"0x{variable.data_type:04X}"
+        data_type = f"0x{variable.data_type:04X}"
         return (
-            f"{shown} is to be set, but its DataType is {told}",
+            f"{shown} is to be set, but its DataType is {data_type}",
             "expected an integer, correct the EDS file if it is one",
         )
     if setting.type and variable.bits != setting.variable_bits:
@@ -343,14 +345,14 @@ def _other(
     """
     if not locked:
         return None
-    wanted, default = final[variable.index, variable.subindex], variable.default
+    value, default = final[variable.index, variable.subindex], variable.default
     if isinstance(default, int) and variable.node_relative:
         default += node_id
-    if default == wanted:
+    if default == value:
         return None
     has = "tells no value" if default is None else f"says {default!r}"
     return (
-        f"{wanted} ({wanted:#x}) is to be set, but {locked} and the EDS file {has}",
+        f"{value} ({value:#x}) is to be set, but {locked} and the EDS file {has}",
         "correct the file where the device lets it be written, or take another device",
     )
 

@@ -87,7 +87,7 @@ def responses_ns(heard: Sequence[Stamped], can_ids: Collection[int], bitrate_bit
     """Return the response time [ns] of each of `can_ids` to the first SYNC among the frames that
     were heard; who did not come is not among them, and none is below 0.
     """
-    found: dict[int, int] = {}
+    responses: dict[int, int] = {}
     sync_ns, between_bits = -1, 0
     for frame in heard:
         if frame.can_id & CAN_ERR_FLAG:
@@ -103,9 +103,9 @@ def responses_ns(heard: Sequence[Stamped], can_ids: Collection[int], bitrate_bit
         )
         if frame.can_id in can_ids:
             taken_ns = round((bits - INTER_FRAME_BITS + between_bits) * 1e9 / bitrate_bit_s)
-            found.setdefault(frame.can_id, max(frame.t_ns - sync_ns - taken_ns, 0))
+            responses.setdefault(frame.can_id, max(frame.t_ns - sync_ns - taken_ns, 0))
         between_bits += bits
-    return found
+    return responses
 
 
 def measure_devices(
@@ -146,8 +146,8 @@ class _Device:
         self.plan, self.plane, self.wire = plan, plane, wire
         bus = controllers.rig.bus
         self.period_ns, self.rate = bus.period_ns, bus.bitrate_bit_s
-        pdos = [one for one in controllers.rig.pdos() if one.node == plan.name and one.layout.direction == "tpdo"]
-        self.pdos: list[RigPdo] = [one for one in pdos if one.every_cycle]
+        pdos = [pdo for pdo in controllers.rig.pdos() if pdo.node == plan.name and pdo.layout.direction == "tpdo"]
+        self.pdos: list[RigPdo] = [pdo for pdo in pdos if pdo.every_cycle]
         self.why = "" if self.pdos else "no TPDO follows SYNC" if pdos else "it has no TPDO"
         self.emergencies: set[int] = set()
         self.awaited = 0  # SYNCs that were sent and not heard yet
@@ -160,7 +160,7 @@ class _Device:
             return DeviceTimes(self.plan, (), why=self.why)
         self._command(NmtCommand.START)
         wait_operational([self.plan], self.plane)
-        times: dict[int, list[int]] = {one.layout.cob_id: [] for one in self.pdos}
+        times: dict[int, list[int]] = {pdo.layout.cob_id: [] for pdo in self.pdos}
         last = dict.fromkeys(times, 0)
         for done in range(1, rounds + 1):
             for can_id, time_ns in self._round(times).items():
@@ -169,13 +169,13 @@ class _Device:
             progress(name, done)
             self._refuse_silent({can_id for can_id, came in last.items() if done - came >= SILENT_ROUNDS})
         self._command(NmtCommand.ENTER_PRE_OPERATIONAL)
-        found = (
+        results = (
             PdoTimes(
-                one.name, one.layout.cob_id, tuple(times[one.layout.cob_id]), rounds - len(times[one.layout.cob_id])
+                pdo.name, pdo.layout.cob_id, tuple(times[pdo.layout.cob_id]), rounds - len(times[pdo.layout.cob_id])
             )
-            for one in self.pdos
+            for pdo in self.pdos
         )
-        return DeviceTimes(self.plan, tuple(found), tuple(sorted(self.emergencies)))
+        return DeviceTimes(self.plan, tuple(results), tuple(sorted(self.emergencies)))
 
     def _command(self, command: NmtCommand) -> None:
         self.plane.network.send_message(CobId.NMT, bytes((command, self.plan.node_id)))
@@ -187,10 +187,10 @@ class _Device:
         self.awaited += 1
         heard = self.wire.listen(ROUND_NS, (CobId.SYNC, *can_ids))
         self._look(heard)
-        found = responses_ns(heard, can_ids, self.rate)
-        missing = set(can_ids) - set(found)
+        responses = responses_ns(heard, can_ids, self.rate)
+        missing = set(can_ids) - set(responses)
         self._look(self.wire.listen(LATE_NS, missing) if missing else self.wire.listen(self.period_ns))
-        return found
+        return responses
 
     def _look(self, heard: Sequence[Stamped]) -> None:
         """Note emergencies; refuse a SYNC that is not this host's."""
@@ -207,7 +207,7 @@ class _Device:
             return
         if self.awaited >= SILENT_ROUNDS:
             raise BusUnavailable("no SYNC gets through to the bus: look at bit rate, cable and termination")
-        names = ", ".join(f"{one.name} ({one.layout.cob_id:03X}h)" for one in self.pdos if one.layout.cob_id in silent)
+        names = ", ".join(f"{pdo.name} ({pdo.layout.cob_id:03X}h)" for pdo in self.pdos if pdo.layout.cob_id in silent)
         codes = ", ".join(f"{code:04X}h" for code in sorted(self.emergencies))
         raise NodeMissing(
             f"{self.plan.name} (node {self.plan.node_id}) is OPERATIONAL and sends no {names} within {ROUND_NS / 1e6:g} ms of a SYNC"

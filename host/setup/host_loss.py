@@ -46,22 +46,22 @@ def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Re
     assert isinstance(part, Motor | Brake)
     set_there = {(s.index, s.subindex): s.value for s in settings}
     ours = is_own(node, told_identity(description))
-    found = [*_watches(axis, node, part, set_there)]
-    told = ours or (0x6007, 0) in set_there
-    what, ramp_s = "torque 0, disabled" if told else "the drive's own reaction", 0.0
+    watches = [*_watches(axis, node, part, set_there)]
+    acts = ours or (0x6007, 0) in set_there
+    what, ramp_s = "torque 0, disabled" if acts else "the drive's own reaction", 0.0
     if node == "brake" and profile_of(description, "brake") != CIA402:
-        told = any(
+        acts = any(
             {(value, sub), (mode, sub)} <= set(set_there) for value, mode in FAULT_VALUES for _, sub in set_there
         )
         what = "the fault value: off"
         if ours:
             what, ramp_s = "ramped off", set_there.get((0x2005, 0), 0) / 1e6
-            found = _brakes_own(found, set_there)
-        found = found if told else []
-    if not found:
+            watches = _brakes_own(watches, set_there)
+        watches = watches if acts else []
+    if not watches:
         return tuple(Reaction(axis.prefix + node, fault, "", None, "its last set-point stays") for fault in FAULTS)
-    within_s, who = min(found)
-    safe_s = within_s + ramp_s if told else None
+    within_s, who = min(watches)
+    safe_s = within_s + ramp_s if acts else None
     return tuple(Reaction(axis.prefix + node, fault, who, within_s, what, safe_s) for fault in FAULTS)
 
 
@@ -85,10 +85,12 @@ def _watches(
 
 
 def _brakes_own(
-    found: Sequence[tuple[float, str]], set_there: Mapping[tuple[int, int], int]
+    watches: Sequence[tuple[float, str]], set_there: Mapping[tuple[int, int], int]
 ) -> list[tuple[float, str]]:
     """Return what begins the ramp of our own brake: the age of its set-point, and where that is not
     watched the loss of the host's heartbeat. Its RPDO deadline tells only (docs/devices.md).
     """
     hold_us = set_there.get((0x2001, 0), 0)
-    return [(hold_us / 1e6, "set-point age 2001h")] if hold_us else [one for one in found if "RPDO" not in one[1]]
+    return (
+        [(hold_us / 1e6, "set-point age 2001h")] if hold_us else [watch for watch in watches if "RPDO" not in watch[1]]
+    )

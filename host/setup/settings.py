@@ -109,14 +109,14 @@ def settings_of(axis: Axis, node: str, mode: str, limit_pm: int) -> Iterator[Set
 
 def _listed(part: DeviceSection, node: str, when: Literal["before", "after", "end"]) -> Iterator[Setting]:
     """The rig file's own list."""
-    for k, one in enumerate(part.sdo):
-        if one.when == when:
+    for k, setting in enumerate(part.sdo):
+        if setting.when == when:
             yield Setting(
-                *(one.index, one.sub, one.value),
+                *(setting.index, setting.sub, setting.value),
                 key=f"{node}.sdo.{k}",
                 why="the rig file lists it",
-                verify=one.verify,
-                type=one.type,
+                verify=setting.verify,
+                type=setting.type,
                 listed=True,
             )
 
@@ -283,13 +283,13 @@ def _motor_settings(axis: Axis, mode: str, limit_pm: int, ours: bool) -> Iterato
     yield from _drive_settings(axis, axis.motor, axis.allocation.bound["torque_setpoint"], ours)
     for index in torque_limits(description):
         low = description.variable(index, 0).low
-        value, told = limit_pm, ""
+        value, note = limit_pm, ""
         if low is not None and limit_pm < low:
             value = int(low)
-            told = (
+            note = (
                 f"its own limit is {value} per mille, the least that {index:04X}h takes; the host limits to {limit_pm}"
             )
-        yield Setting(index, 0, value, f"mode.{mode}.motor_limit_Nm", why="the drive's own torque limit", told=told)
+        yield Setting(index, 0, value, f"mode.{mode}.motor_limit_Nm", why="the drive's own torque limit", told=note)
     zero_us = round(axis.motor.setpoint_zero_cycles * axis.bus.period_s * 1e6)
     ended = any(
         pdo.node == axis.prefix + "motor"
