@@ -54,10 +54,10 @@ class BusProcess:
     def result(self) -> dict[str, Any] | None:
         """The JSON object that it printed, None where it printed none."""
         try:
-            found = json.loads("".join(self.lines))
+            result = json.loads("".join(self.lines))
         except ValueError:
             return None
-        return found if isinstance(found, dict) else None
+        return result if isinstance(result, dict) else None
 
 
 def _environment() -> dict[str, str]:
@@ -78,7 +78,7 @@ def supervise(
         `BusProcess.lines`
     """
     buses: list[BusProcess] = []
-    wanted = 0
+    signal_number = 0
 
     def end(number: int) -> None:
         for bus in buses:
@@ -87,8 +87,8 @@ def supervise(
                 bus.process.send_signal(number)
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        nonlocal wanted
-        wanted = number
+        nonlocal signal_number
+        signal_number = number
         end(number)
 
     def read(bus: BusProcess) -> None:
@@ -119,8 +119,8 @@ def supervise(
                 preexec_fn=lambda: die_with_parent(parent, signal.SIGTERM),  # its safe end, should this one be killed
             )
             buses.append(BusProcess(channel, process))
-            if wanted:
-                end(wanted)
+            if signal_number:
+                end(signal_number)
         readers = [threading.Thread(target=read, args=(bus,)) for bus in buses]
         for reader in readers:
             reader.start()
@@ -145,34 +145,38 @@ def merged(results: Mapping[str, Mapping[str, Any] | None], statuses: Mapping[st
     under ``buses``, and the exit status that counts, with its reason: that of the first bus that
     did not end well by itself.
     """
-    told = {channel: result for channel, result in results.items() if result is not None}
-    whole: dict[str, Any] = dict(next((result for result in told.values() if "error" not in result), {}))
+    known = {channel: result for channel, result in results.items() if result is not None}
+    whole: dict[str, Any] = dict(next((result for result in known.values() if "error" not in result), {}))
     axes: dict[str, Any] = {}
-    for result in told.values():
+    for result in known.values():
         axes |= result.get("axes") or {}
     whole["axes"] = axes
     for name in ("lost_pdos", "missed_deadlines"):
-        whole[name] = sum(result.get(name) or 0 for result in told.values())
-    counters = [result.get("counters") or {} for result in told.values()]
+        whole[name] = sum(result.get(name) or 0 for result in known.values())
+    counters = [result.get("counters") or {} for result in known.values()]
     if any(counters):
-        whole["counters"] = {name: sum(one.get(name, 0) for one in counters) for one in counters for name in one}
-    checks = [SIGN_CHECKS.index(check) for result in told.values() if (check := result.get("sign_check"))]
+        whole["counters"] = {
+            name: sum(counts.get(name, 0) for counts in counters) for counts in counters for name in counts
+        }
+    checks = [SIGN_CHECKS.index(check) for result in known.values() if (check := result.get("sign_check"))]
     if checks:
         whole["sign_check"] = SIGN_CHECKS[max(checks)]
     if "remarks" in whole:
-        whole["remarks"] = [text for result in told.values() for text in result.get("remarks") or ()]
-        gains: list[Any] = [result.get("full_gain_s") for result in told.values()]
+        whole["remarks"] = [text for result in known.values() for text in result.get("remarks") or ()]
+        gains: list[Any] = [result.get("full_gain_s") for result in known.values()]
         whole["full_gain_s"] = None if None in gains else max(gains)
-    trips = [result["trip"] for result in told.values() if result.get("trip")]
+    trips = [result["trip"] for result in known.values() if result.get("trip")]
     whole["trip"] = next((trip for trip in trips if "OTHER_AXIS" not in trip), trips[0] if trips else None)
     bad = next((channel for channel, status in statuses.items() if status not in (0, status_of(signal.SIGTERM))), None)
     whole["exit_status"] = max(statuses.values(), default=0) if bad is None else statuses[bad]
-    if bad is not None and "error" in told.get(bad, {}):
-        whole["error"] = told[bad]["error"]
-    if any(result.get("faults") for result in told.values()):
-        whole["faults"] = [{**one, "bus": c} for c, result in told.items() for one in result.get("faults") or ()]
+    if bad is not None and "error" in known.get(bad, {}):
+        whole["error"] = known[bad]["error"]
+    if any(result.get("faults") for result in known.values()):
+        whole["faults"] = [{**fault, "bus": c} for c, result in known.items() for fault in result.get("faults") or ()]
         whole["controllers"] = {
-            f"{c}.{name}": one for c, result in told.items() for name, one in (result.get("controllers") or {}).items()
+            f"{c}.{name}": summary
+            for c, result in known.items()
+            for name, summary in (result.get("controllers") or {}).items()
         }
-    whole["buses"] = dict(told)
+    whole["buses"] = dict(known)
     return whole

@@ -67,8 +67,8 @@ class Changes:
             return {"error": str(error), "again": True}
         except ChangeRefused as error:
             return {"error": str(error)}
-        told = {} if change is None else change.as_dict()
-        return {**told, "parameters": self.rows(), "arm_key": bool(self.arm_key)}
+        fields = {} if change is None else change.as_dict()
+        return {**fields, "parameters": self.rows(), "arm_key": bool(self.arm_key)}
 
     def _change(self, order: Mapping[str, Any], now_ns: int) -> Change:
         reason = self._why_not() or self._key.why_not(order["key"], now_ns)
@@ -91,12 +91,12 @@ def _order(text: str) -> dict[str, Any]:
         it is nothing of the kind
     """
     try:
-        found = json.loads(text or "{}")
+        request = json.loads(text or "{}")
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict) or not found.keys() <= set(KEYS):
+        request = None
+    if not isinstance(request, dict) or not request.keys() <= set(KEYS):
         raise ChangeRefused(f"expected a JSON object with keys of {', '.join(KEYS)}")
-    order = {"values": {}, "axis": "", "over_s": OVER_S, "undo": False, "key": "", **found}
+    order = {"values": {}, "axis": "", "over_s": OVER_S, "undo": False, "key": "", **request}
     values, right = order["values"], isinstance(order["values"], dict)
     right = right and all(_is_number(value) for value in values.values()) and _is_number(order["over_s"])
     right = right and isinstance(order["undo"], bool)

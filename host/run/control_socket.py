@@ -181,13 +181,13 @@ class HostSocket:
         OSError: nobody can come in any more.
         """
         self._let_in()
-        wanted = False
+        stop = False
         for asker in list(self._askers):
             asks = asker.asks(self)
-            wanted = wanted or bool(asks)
+            stop = stop or bool(asks)
             if asks is None:
                 self._let_go(asker)
-        return wanted
+        return stop
 
     def _let_in(self) -> None:
         for _ in range(ASKERS):  # a bound: who comes again and again holds up nobody
@@ -314,15 +314,15 @@ class StopRequest:
         if not message:
             return {}
         try:
-            found = json.loads(message)
+            answer = json.loads(message)
         except (ValueError, RecursionError):  # RecursionError: brackets within brackets
-            found = None
-        if not isinstance(found, dict) or not all(
-            isinstance(found.get(key, 0.5), kinds) for key, kinds in TOLD.items()
+            answer = None
+        if not isinstance(answer, dict) or not all(
+            isinstance(answer.get(key, 0.5), kinds) for key, kinds in TOLD.items()
         ):
             self._fail("took the request, but what it told of its end cannot be read")
             raise NoHost(self._failure)
-        return found
+        return answer
 
 
 def stop_host(address: BusAddress, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, Any]:
@@ -359,10 +359,10 @@ def ask_mark(address: BusAddress, text: str, timeout_s: float = STATUS_TIMEOUT_S
     NotMarked
         it does not record, or refuses the text
     """
-    found = _ask(address, MARK + text.encode(errors="replace"), timeout_s)
-    if "error" in found:
-        raise NotMarked(f"the host on bus {address}: {found['error']}")
-    return found
+    answer = _ask(address, MARK + text.encode(errors="replace"), timeout_s)
+    if "error" in answer:
+        raise NotMarked(f"the host on bus {address}: {answer['error']}")
+    return answer
 
 
 def ask_change(address: BusAddress, order: dict[str, Any], timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
@@ -378,11 +378,11 @@ def ask_change(address: BusAddress, order: dict[str, Any], timeout_s: float = ST
     message = SET + json.dumps(order).encode(errors="replace")
     deadline = time.monotonic() + timeout_s
     while True:
-        found = _ask(address, message, timeout_s)
-        if "error" not in found:
-            return found
-        if not found.get("again") or time.monotonic() > deadline:
-            raise NotChanged(f"the host on bus {address}: {found['error']}")
+        answer = _ask(address, message, timeout_s)
+        if "error" not in answer:
+            return answer
+        if not answer.get("again") or time.monotonic() > deadline:
+            raise NotChanged(f"the host on bus {address}: {answer['error']}")
         time.sleep(RETRY_S)
 
 
@@ -393,7 +393,7 @@ def _ask(address: BusAddress, message: bytes, timeout_s: float) -> dict[str, Any
             asker.connect(str(control_path(address)))
             asker.send(message)
             asker.settimeout(timeout_s)
-            found = json.loads(asker.recv(MESSAGE_BYTES))
+            answer = json.loads(asker.recv(MESSAGE_BYTES))
         except (FileNotFoundError, ConnectionRefusedError):
             raise NoHost(f"no host runs on bus {address}") from None
         except (BlockingIOError, TimeoutError):
@@ -403,6 +403,6 @@ def _ask(address: BusAddress, message: bytes, timeout_s: float) -> dict[str, Any
             raise NoHost(f"the host on bus {address} broke off: {error.strerror or error}") from None
         except (ValueError, RecursionError):
             raise NoHost(f"the host on bus {address} gave no answer that is one") from None
-    if not isinstance(found, dict) or not found:
+    if not isinstance(answer, dict) or not answer:
         raise NoHost(f"the host on bus {address} gave no answer that is one")
-    return found
+    return answer

@@ -93,11 +93,11 @@ class HeldLine(Watcher):
         self._ioctl = ioctl
         flags = INPUT | (ACTIVE_LOW | PULL_UP if low else PULL_DOWN)
         offsets = struct.pack("=I", number)
-        wanted = LINE.pack(offsets, b"coulombus dead man", flags, 0, b"", b"", 1, 0, b"", -1)
+        request = LINE.pack(offsets, b"coulombus dead man", flags, 0, b"", b"", 1, 0, b"", -1)
         try:
             device = os.open(chip, os.O_RDONLY)
             try:
-                self._line = LINE.unpack(ioctl(device, GET_LINE, wanted))[-1]
+                self._line = LINE.unpack(ioctl(device, GET_LINE, request))[-1]
             finally:
                 os.close(device)
         except OSError as error:
@@ -158,10 +158,10 @@ class HeldSocket(Watcher):
         try:
             while True:
                 sources = [self._listener.fileno(), *([] if client is None else [client.fileno()])]
-                found = self._lookout.ready(sources, SILENCE_S)
-                if found is None:
+                ready = self._lookout.ready(sources, SILENCE_S)
+                if ready is None:
                     return
-                if self._listener.fileno() in found:
+                if self._listener.fileno() in ready:
                     other = _accepted(self._listener)
                     if client is None:
                         client = other
@@ -170,7 +170,7 @@ class HeldSocket(Watcher):
                         other.close()
                         client = None
                         self._let_go()
-                elif client is not None and found:
+                elif client is not None and ready:
                     if _spoke(client):
                         self._hold_for(SILENCE_S)
                     else:

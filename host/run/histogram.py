@@ -56,8 +56,8 @@ def draw_histograms(wakeup: Counts, latency: Counts, period_us: float, path: Pat
             spread = Spread.of(bins, len(bins) * 1000)
             if spread is None:
                 continue
-            told = f"{name}: p50 {spread.p50:g} us, p99 {spread.p99:g} us"
-            axes.stairs(counts, edges, label=told, fill=True, color=colour, alpha=0.6)
+            legend = f"{name}: p50 {spread.p50:g} us, p99 {spread.p99:g} us"
+            axes.stairs(counts, edges, label=legend, fill=True, color=colour, alpha=0.6)
             axes.axvline(spread.p99, color=colour, lw=1.0, ls="--")
         axes.axvline(period_us, color=BLACK, lw=1.2, label=f"the period, {period_us:g} us")
         axes.set(xscale="log", yscale="log")

@@ -112,7 +112,9 @@ def _cycle(plane: DataPlane, controllers: Controllers, cycles: int, progress: Ca
     time.sleep(BATCH_S)
     batches.append(plane.take())
     log = np.concatenate(batches).view(np.recarray)
-    return compute_times_ns(log, [(_identifiers(one.tpdos), _identifiers(one.rpdos)) for one in controllers])
+    return compute_times_ns(
+        log, [(_identifiers(controller.tpdos), _identifiers(controller.rpdos)) for controller in controllers]
+    )
 
 
 def _identifiers(pdos: Records) -> set[int]:
@@ -142,28 +144,28 @@ def compute_times_ns(log: Records, axes: Sequence[tuple[set[int], set[int]]]) ->
     ----------
     axes : identifiers of each axis' TPDOs and of its RPDOs
     """
-    found: list[int] = []
+    times_ns: list[int] = []
     columns = (log[name].tolist() for name in ("t_ns", "can_id", "source"))
     came: list[dict[int, int]] = [{} for _ in axes]
     sent: list[dict[int, int]] = [{} for _ in axes]
 
     def close() -> None:
-        for (tpdos, rpdos), arrived, asked in zip(axes, came, sent, strict=True):
-            if tpdos and arrived.keys() == tpdos and asked.keys() == rpdos:
-                found.append(max(max(asked.values()) - max(arrived.values()), 0))
+        for (tpdos, rpdos), arrived, setpoints in zip(axes, came, sent, strict=True):
+            if tpdos and arrived.keys() == tpdos and setpoints.keys() == rpdos:
+                times_ns.append(max(max(setpoints.values()) - max(arrived.values()), 0))
             arrived.clear()
-            asked.clear()
+            setpoints.clear()
 
     for t_ns, can_id, source in zip(*columns, strict=True):
         if source == SOURCE_HOST and can_id == CobId.SYNC:
             close()
-        for (tpdos, rpdos), arrived, asked in zip(axes, came, sent, strict=True):
+        for (tpdos, rpdos), arrived, setpoints in zip(axes, came, sent, strict=True):
             if source == SOURCE_HOST and can_id in rpdos:
-                asked[can_id] = t_ns
-            elif source != SOURCE_HOST and can_id in tpdos and not asked:
+                setpoints[can_id] = t_ns
+            elif source != SOURCE_HOST and can_id in tpdos and not setpoints:
                 arrived[can_id] = t_ns
     close()
-    return tuple(found)
+    return tuple(times_ns)
 
 
 class _Devices:

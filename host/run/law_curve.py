@@ -22,7 +22,7 @@ from coulombus.rigs.axis import Axis
 
 __all__ = ["SPEEDS", "Line", "law_curve"]
 
-SPEEDS = tuple(float(one) for one in np.geomspace(5e-4, 1.0, 18))
+SPEEDS = tuple(float(speed) for speed in np.geomspace(5e-4, 1.0, 18))
 """The speeds of the curve, as shares of `limits.speed_rad_s`."""
 FAR_RAD, AWAY_RAD = 0.3, 1000.0
 LEAST_S, MOST_S = 1.0, 15.0
@@ -51,28 +51,30 @@ def law_curve(axis: Axis, mode: str, live: Mapping[str, float]) -> Line | None:
     """
     controller = Controller(axis, mode)
     law, law_name = controller.law.copy(), axis.law.function
-    for one in parameters_of(controller):
-        value = live.get(one.name, one.value) * one.scale
-        if one.slot in FIELDS:
-            law[FIELDS[Slot(one.slot)]] = value
-        elif one.slot >= Slot.USER:
-            law["user"][0, one.slot - Slot.USER] = value
+    for parameter in parameters_of(controller):
+        value = live.get(parameter.name, parameter.value) * parameter.scale
+        if parameter.slot in FIELDS:
+            law[FIELDS[Slot(parameter.slot)]] = value
+        elif parameter.slot >= Slot.USER:
+            law["user"][0, parameter.slot - Slot.USER] = value
     count_rad, period_s = float(controller.control["rad_count"][0]), axis.bus.period_s
 
     def last(v: float, from_rad: float = 0.0) -> npt.NDArray[np.float64]:
         seconds = min(max(LEAST_S, FAR_RAD / abs(v)), MOST_S)
         t_s = np.arange(round(seconds / period_s) + 1) * period_s
         samples = drive(law_name, controller.law_function, law, t_s, from_rad + v * t_s, abs(count_rad)).samples
-        found: npt.NDArray[np.float64] = samples["torque_Nm"][-(len(t_s) // 10) :]
-        return found
+        end: npt.NDArray[np.float64] = samples["torque_Nm"][-(len(t_s) // 10) :]
+        return end
 
     far = axis.limits.speed_rad_s
     speeds = [*(-far * share for share in SPEEDS[::-1]), *(far * share for share in SPEEDS)]
     ends = [last(v) for v in speeds]
-    means = [float(one.mean()) for one in ends]
+    means = [float(torques.mean()) for torques in ends]
     most = SAME * max(map(abs, means))
     middle = len(SPEEDS) // 2
     elsewhere = (last(speeds[middle], away) for away in (AWAY_RAD, -AWAY_RAD))
-    if any(np.ptp(one) > most for one in ends) or any(abs(one.mean() - means[middle]) > most for one in elsewhere):
+    if any(np.ptp(torques) > most for torques in ends) or any(
+        abs(torques.mean() - means[middle]) > most for torques in elsewhere
+    ):
         return None
     return tuple(speeds), tuple(means)

@@ -98,15 +98,15 @@ class BitMarks:
         """Return the markers of a batch: of each frame in which the bits have become 1, its stamp
         and the text.
         """
-        found = []
+        markers = []
         for mark, before in self._marks.items():
             some = frames[(frames["can_id"] == mark.can_id) & (frames["length"] == mark.length)]
             if len(some):
                 now = (some["word"].astype(np.uint64) & np.uint64(mark.mask)) == np.uint64(mark.mask)
                 rises = now & ~np.concatenate(([before], now[:-1]))
-                found += [(int(t_ns), mark.text) for t_ns in some["t_ns"][rises]]
+                markers += [(int(t_ns), mark.text) for t_ns in some["t_ns"][rises]]
                 self._marks[mark] = bool(now[-1])
-        return sorted(found)
+        return sorted(markers)
 
 
 class StruckKeys:

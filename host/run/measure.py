@@ -91,7 +91,7 @@ class Measured:
         """Return the proposed values by the rig file's keys, those of named axes under
         their axis.
         """
-        found: dict[Key, float] = {("host", "compute_s"): self.compute_s}
+        numbers: dict[Key, float] = {("host", "compute_s"): self.compute_s}
         for device in self.devices:
             value = self.response_us(device)
             axis = _axis_of(rig, device.plan.name)
@@ -100,8 +100,8 @@ class Measured:
                 section = (
                     (device.plan.role,) if device.plan.role in ("motor", "brake") else ("sensor", device.plan.role)
                 )
-                found[(*above, *section, "response_us")] = value
-        return found
+                numbers[(*above, *section, "response_us")] = value
+        return numbers
 
 
 def _axis_of(rig: Rig, name: str) -> Axis:
@@ -132,19 +132,19 @@ class _BusWire:
 
     def listen(self, duration_ns: int, until: Collection[int] = ()) -> list[Stamped]:
         """Return what is heard, as the protocol says."""
-        found: list[Stamped] = []
+        frames: list[Stamped] = []
         missing = set(until)
         deadline = time.monotonic() + duration_ns * 1e-9
         while True:
-            taken = self.client.receive()
-            for stamp, can_id, length, data in taken:
-                found.append(Stamped(stamp, can_id, data[:length]))
+            received = self.client.receive()
+            for stamp, can_id, length, data in received:
+                frames.append(Stamped(stamp, can_id, data[:length]))
                 missing.discard(can_id)
             left = deadline - time.monotonic()
-            if taken and (left > 0 or not until):
+            if received and (left > 0 or not until):
                 continue
             if (until and not missing) or left <= 0:
-                return found
+                return frames
             self.client.wait(left)
 
     def close(self) -> None:

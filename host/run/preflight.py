@@ -28,8 +28,8 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
     """
     marks = rehearsal_marks(rig.origin.text) if address.moves_hardware else ()
     if marks:
-        wanted = f"expected what holds for the devices on {address}, and no mark"
-        raise RigError([f"{rig.path}:{line}: got '# {REHEARSAL}'; {wanted}" for line in marks])
+        expected = f"expected what holds for the devices on {address}, and no mark"
+        raise RigError([f"{rig.path}:{line}: got '# {REHEARSAL}'; {expected}" for line in marks])
 
 
 def check_no_delay(rig: Rig, address: BusAddress) -> None:
@@ -41,8 +41,8 @@ def check_no_delay(rig: Rig, address: BusAddress) -> None:
         `bus.delay_cycles` is more than 1
     """
     if rig.bus.cycles_to_actuation > 1:
-        wanted = f"1 or no such key on {address}: a longer delay is for study in virtual time (coulombus simulate)"
-        raise rig.axes[0].mistake("bus.delay_cycles", wanted)
+        expected = f"1 or no such key on {address}: a longer delay is for study in virtual time (coulombus simulate)"
+        raise rig.axes[0].mistake("bus.delay_cycles", expected)
 
 
 @contextmanager

@@ -142,10 +142,10 @@ class RealCourse(Course):
         All that was to be marked up to `seen_ns` is marked: a frame that may still get a marker is
         not written.
         """
-        rows, found = self.plane.take_trace(), self.plane.take()
+        rows, frames = self.plane.take_trace(), self.plane.take()
         if self.recorder is None or self.failure is not None:
             return
-        batch = self._order.batch(found, rows, seen_ns)
+        batch = self._order.batch(frames, rows, seen_ns)
         self.record(lambda recorder: batch.write(recorder, self._bits))
 
     def _give_up_recording(self) -> None:

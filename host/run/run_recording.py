@@ -92,19 +92,19 @@ class StampOrder:
         self._zero_ns = zero_ns
         self._waiting: Records | None = None
 
-    def batch(self, found: Records, rows: Records, seen_ns: int | None) -> Batch:
+    def batch(self, frames: Records, rows: Records, seen_ns: int | None) -> Batch:
         """Return the frames that no frame to come can stand before, as far as was seen.
 
         Frames of the last `HOLD_BACK_NS` before `seen_ns` wait for the next batch; with None,
-        nothing waits. The times of `found` and `rows` become the recording's.
+        nothing waits. The times of `frames` and `rows` become the recording's.
         """
-        found["t_ns"] -= self._zero_ns
+        frames["t_ns"] -= self._zero_ns
         rows["t_ns"] -= self._zero_ns
         if self._waiting is not None:
-            found = np.concatenate((self._waiting, found)).view(np.recarray)
-        found = found[np.argsort(found["t_ns"], kind="stable")]
-        ready = len(found)
+            frames = np.concatenate((self._waiting, frames)).view(np.recarray)
+        frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+        ready = len(frames)
         if seen_ns is not None:
-            ready = int(np.searchsorted(found["t_ns"], seen_ns - self._zero_ns - HOLD_BACK_NS))
-        self._waiting = found[ready:]
-        return Batch(found[:ready], rows, seen_ns is None)
+            ready = int(np.searchsorted(frames["t_ns"], seen_ns - self._zero_ns - HOLD_BACK_NS))
+        self._waiting = frames[ready:]
+        return Batch(frames[:ready], rows, seen_ns is None)

@@ -72,8 +72,8 @@ class Course(ABC):
         """When each axis' drive entered Operation Enabled, which begins its schedule; None while it
         has not.
         """
-        found = (int(controller.host["enabled_ns"][0]) for controller in self.k)
-        return tuple(None if start < 0 else start for start in found)
+        enabled_ns = (int(controller.host["enabled_ns"][0]) for controller in self.k)
+        return tuple(None if start < 0 else start for start in enabled_ns)
 
     @property
     def safe_ns(self) -> int | None:
@@ -193,7 +193,7 @@ class Course(ABC):
         sha256 = file_sha256(self.path)
         if self.failure is not None or self.enabled_ns is None:
             return Figures(none, sha256)
-        return Figures([measure(one) for one in blocks(self.path).axes], sha256)
+        return Figures([measure(axis) for axis in blocks(self.path).axes], sha256)
 
     def result_of(self, figures: Figures, **own: Any) -> RunResult:
         """Return what the run came to; `own` are the fields of `RunResult` that virtual time and a

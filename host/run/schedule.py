@@ -55,7 +55,7 @@ class PhaseMarks:
             (start_ns + round(start * 1e9), f"{axis.prefix}phase {name}")
             for start, name in zip(axis.phase_starts_s, names, strict=True)
         ]
-        self._waiting.sort(key=lambda one: one[0])
+        self._waiting.sort(key=lambda item: item[0])
         self._open.add(axis.prefix)
 
     def due(self, until_ns: int) -> Iterator[tuple[int, str]]:
@@ -84,8 +84,8 @@ def full_gain_s(controllers: Controllers) -> float | None:
     """Return when the law of the last axis was shown whole, its gain at 1, from the start of that
     axis' schedule [s]; None: it never was.
     """
-    found = [_full_gain_s(k) for k in controllers]
-    return None if None in found else max(one for one in found if one is not None)
+    times_s = [_full_gain_s(k) for k in controllers]
+    return None if None in times_s else max(time_s for time_s in times_s if time_s is not None)
 
 
 def _full_gain_s(controller: Controller) -> float | None:

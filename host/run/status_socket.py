@@ -47,9 +47,9 @@ def encoded(document: dict[str, Any]) -> bytes:
 
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
+        return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(one) for one in value]
+        return [_finite(item) for item in value]
     return None if isinstance(value, float) and not abs(value) < float("inf") else value
 
 
@@ -74,15 +74,15 @@ class _Reader:
 
     def send(self, line: bytes, now_ns: int) -> bool:
         """Send a line behind the rest of the last one; return False where it finds no room."""
-        taken = not self.rest
+        free = not self.rest
         self.rest = self.rest or line
         sent = self.connection.send(self.rest, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
         if sent:
             self.took_ns = now_ns
         self.rest = self.rest[sent:]
-        if not taken and not self.rest:
+        if not free and not self.rest:
             return self.send(line, now_ns)
-        return taken
+        return free
 
 
 class StatusSocket:
