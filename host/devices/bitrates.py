@@ -73,44 +73,44 @@ def choose(
     """
     before = _before(name, commands)
     quiet: list[int] = []
-    found = None
+    heard_rate = None
     try:
         for rate in RATES:
             show(rate)
             _set(name, rate, commands, listen=True)
-            with link(BusAddress("socketcan", name)) as one:
-                if _hears(one, LISTEN_S):
-                    found = rate
+            with link(BusAddress("socketcan", name)) as bus:
+                if _hears(bus, LISTEN_S):
+                    heard_rate = rate
                     break
-                if not one.error_frames:
+                if not bus.error_frames:
                     quiet.append(rate)
         else:
             if len(quiet) == len(RATES):  # nobody talks: nobody can be disturbed
-                found = _asked(name, commands, link, show)
+                heard_rate = _rate_by_request(name, commands, link, show)
     finally:
-        if found is None:
+        if heard_rate is None:
             with suppress(BusUnavailable):
                 _set_back(name, before, commands)
-    if found is None:
+    if heard_rate is None:
         raise NodeMissing(
             f"nobody was heard on socketcan:{name} at any bit rate; is a device powered and the bus terminated?"
         )
-    _set(name, found, commands)
-    return found
+    _set(name, heard_rate, commands)
+    return heard_rate
 
 
-def _asked(
+def _rate_by_request(
     name: str, commands: Commands, link: Callable[[BusAddress], BusLink], show: Callable[[int], None]
 ) -> int | None:
     for rate in RATES:
         show(rate)
         _set(name, rate, commands)
-        with link(BusAddress("socketcan", name)) as one, suppress(BusUnavailable):
+        with link(BusAddress("socketcan", name)) as bus, suppress(BusUnavailable):
             for node_id in NODES:
-                one.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
-                if one.error_frames:
+                bus.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
+                if bus.error_frames:
                     break
-            if _hears(one, ASK_S) and not one.error_frames:
+            if _hears(bus, ASK_S) and not bus.error_frames:
                 return rate
     return None
 
@@ -129,8 +129,8 @@ class _Before(NamedTuple):
 
 def _before(name: str, commands: Commands) -> _Before:
     try:
-        told = json.loads(commands(("ip", "-details", "-json", "link", "show", name)))
-        flags, info = told[0].get("flags", ()), told[0]["linkinfo"]
+        links = json.loads(commands(("ip", "-details", "-json", "link", "show", name)))
+        flags, info = links[0].get("flags", ()), links[0]["linkinfo"]
         kind, data = info["info_kind"], info.get("info_data", {})
         rate = int(data.get("bittiming", {}).get("bitrate", 0))
         before = _Before(rate, "BERR-REPORTING" in data.get("ctrlmode", ()), "UP" in flags)

@@ -84,11 +84,15 @@ def dump(device: KnownDevice, show: Show = lambda done, total: None) -> Dump:
     AnswerUntrusted
         (6, or 3 of two devices) an answer is none: what was read before may be another device's
     """
-    wanted = [one for one in device.variables() if one.access in (*WRITABLE, "rww") and one.subindex <= 0xFE]
+    variables = [
+        variable
+        for variable in device.variables()
+        if variable.access in (*WRITABLE, "rww") and variable.subindex <= 0xFE
+    ]
     values: dict[Place, Value] = {}
     aborted = []
-    for number, variable in enumerate(wanted):
-        show(number, len(wanted))
+    for number, variable in enumerate(variables):
+        show(number, len(variables))
         kind = DATA_TYPES.get(variable.data_type)
         if kind is None or kind.kind in ("domain", "record", "time"):
             continue
@@ -126,13 +130,13 @@ def check_file(device: KnownDevice, description: Description) -> dict[Place, Val
     DeviceMismatch
         (exit status 3) it is of another device, has no values, or one that cannot be read
     """
-    expected, found = told_identity(description), identity_of(device.client)
-    if any(expected) and expected != found[:2]:
-        told = f"{expected[0]:#010x} {expected[1]:#010x}"
+    expected, identity = told_identity(description), identity_of(device.client)
+    if any(expected) and expected != identity[:2]:
+        label = f"{expected[0]:#010x} {expected[1]:#010x}"
         raise DeviceMismatch(
-            f"{description.path} is of the device 1018h {told}; node {device.node_id} has {found[0]:#010x} {found[1]:#010x}"
+            f"{description.path} is of the device 1018h {label}; node {device.node_id} has {identity[0]:#010x} {identity[1]:#010x}"
         )
-    bad = [one for one in description.diagnoses if one.assumed == "the default"]
+    bad = [diagnosis for diagnosis in description.diagnoses if diagnosis.assumed == "the default"]
     if bad:
         raise DeviceMismatch(f"{bad[0]}; mend the file first ({len(bad)} such values)")
     node_id = device.node_id
@@ -164,13 +168,13 @@ class Difference:
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON has it; bytes in hexadecimal."""
-        held, wanted = (one.hex() if isinstance(one, bytes) else one for one in (self.held, self.wanted))
+        held, file_value = (value.hex() if isinstance(value, bytes) else value for value in (self.held, self.wanted))
         return {
             "index": self.variable.index,
             "subindex": self.variable.subindex,
             "name": self.variable.name,
             "device": held,
-            "file": wanted,
+            "file": file_value,
         }
 
 
@@ -184,20 +188,20 @@ def differences(
     SdoSilent
         (exit status 5) it does not answer
     """
-    found = []
-    for number, (place, wanted) in enumerate(values.items()):
+    rows = []
+    for number, (place, value) in enumerate(values.items()):
         show(number, len(values))
         variable = description.variable(*place)
         held: Value
         try:
             data = trimmed(variable, device.client.upload(*place, most=MOST_BYTES))
             held = decode(variable, data)
-            same = _same(variable, data, wanted)
+            same = _same(variable, data, value)
         except SdoAborted:
             held, same = None, False
         if not same:
-            found.append(Difference(variable, held, wanted))
-    return found
+            rows.append(Difference(variable, held, value))
+    return rows
 
 
 @dataclass
@@ -217,9 +221,9 @@ class Restored:
 def restore(
     device: KnownDevice,
     values: Mapping[Place, Value],
-    found: Sequence[Difference],
+    changes: Sequence[Difference],
     show: Show = lambda done, total: None,
-    told: Restored | None = None,
+    result: Restored | None = None,
 ) -> Restored:
     """Write what differs, and read it back. A PDO is made invalid before its mapping is changed,
     and valid at its end, as CiA 301 (section 7.5.2.36) wants it.
@@ -227,32 +231,32 @@ def restore(
     Parameters
     ----------
     values : all values of the file: of a PDO whose mapping differs all entries are written
-    told : filled as it goes, for who is interrupted
+    result : filled as it goes, for who is interrupted
 
     Raises
     ------
     SdoSilent
         (exit status 5) the device does not answer any more
     """
-    told = told or Restored()
+    result = result or Restored()
     of_pdos: dict[int, list[Difference]] = {}
     plain = []
-    for one in found:
-        pdo = _pdo_of(one.variable.index)
+    for row in changes:
+        pdo = _pdo_of(row.variable.index)
         if pdo is None:
-            plain.append(one)
+            plain.append(row)
         else:
-            of_pdos.setdefault(pdo, []).append(one)
+            of_pdos.setdefault(pdo, []).append(row)
     done = 0
-    for one in plain:
-        show(done, len(found))
-        _write(device, one.variable, one.wanted, told)
+    for row in plain:
+        show(done, len(changes))
+        _write(device, row.variable, row.wanted, result)
         done += 1
     for pdo, rows in of_pdos.items():
-        show(done, len(found))
-        _write_pdo(device, pdo, values, {one.place for one in rows}, told)
+        show(done, len(changes))
+        _write_pdo(device, pdo, values, {row.place for row in rows}, result)
         done += len(rows)
-    return told
+    return result
 
 
 def _pdo_of(index: int) -> int | None:
@@ -268,24 +272,24 @@ def _same(variable: Variable, data: bytes, value: Value) -> bool:
     return data == encode(variable, value) or decode(variable, data) == value
 
 
-def _write(device: KnownDevice, variable: Variable, value: Value, told: Restored) -> bool:
+def _write(device: KnownDevice, variable: Variable, value: Value, result: Restored) -> bool:
     place = variable.index, variable.subindex
     data = encode(variable, value)
     try:
         device.client.download(*place, data)
         back = device.client.upload(*place, most=MOST_BYTES)
         if not _same(variable, trimmed(variable, back), value):
-            told.failed.append(f"{where(*place)} {variable.name}: written, and reads back as {back.hex(' ')}")
+            result.failed.append(f"{where(*place)} {variable.name}: written, and reads back as {back.hex(' ')}")
             return False
     except SdoAborted as error:
-        told.failed.append(f"{variable.name}: {error}")
+        result.failed.append(f"{variable.name}: {error}")
         return False
-    told.written.append(place)
+    result.written.append(place)
     return True
 
 
 def _write_pdo(
-    device: KnownDevice, pdo: int, values: Mapping[Place, Value], differing: set[Place], told: Restored
+    device: KnownDevice, pdo: int, values: Mapping[Place, Value], differing: set[Place], result: Restored
 ) -> None:
     """Write the parameters of one PDO in the order that a device asks for."""
     steps = Restored()
@@ -293,24 +297,24 @@ def _write_pdo(
 
     def write(place: Place, value: Value) -> bool:
         """Write one; what does not differ is written for its mapping's sake, and not counted."""
-        one = Restored()
-        well = _write(device, device.at(*place), value, one)
-        steps.failed += one.failed
-        steps.written += [place for place in one.written if place in differing]
+        step = Restored()
+        well = _write(device, device.at(*place), value, step)
+        steps.failed += step.failed
+        steps.written += [place for place in step.written if place in differing]
         return well
 
     try:
         held = int.from_bytes(device.client.upload(pdo, 1, most=4), "little")
     except SdoAborted as error:
-        told.failed.append(f"PDO {pdo:04X}h: {error}")
+        result.failed.append(f"PDO {pdo:04X}h: {error}")
         return
-    wanted = values.get((pdo, 1), held)
+    cob_id = values.get((pdo, 1), held)
     data = encode(cob, held | INVALID)
     try:
         if not held & INVALID:
             device.client.download(pdo, 1, data)
     except SdoAborted as error:
-        told.failed.append(f"PDO {pdo:04X}h cannot be made invalid: {error}")
+        result.failed.append(f"PDO {pdo:04X}h cannot be made invalid: {error}")
         return
     whole = True
     if any(index == mapping for index, _ in differing):
@@ -331,9 +335,9 @@ def _write_pdo(
         if index == pdo and sub > 1:
             write((index, sub), values[index, sub])
     if whole:
-        if not write((pdo, 1), wanted):
+        if not write((pdo, 1), cob_id):
             steps.failed.append(f"PDO {pdo:04X}h stays invalid")
     else:
         steps.failed.append(f"PDO {pdo:04X}h stays invalid: its mapping was refused")
-    told.written += steps.written
-    told.failed += steps.failed
+    result.written += steps.written
+    result.failed += steps.failed

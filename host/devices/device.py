@@ -111,13 +111,13 @@ def identity_of(client: SdoClient) -> tuple[int, int, int]:
     AnswerUntrusted
         (6, or 3) its answer is none, or two devices answer
     """
-    found = []
+    numbers = []
     for part in (1, 2, 3):
         try:
-            found.append(int.from_bytes(client.upload(0x1018, part, most=4), "little"))
+            numbers.append(int.from_bytes(client.upload(0x1018, part, most=4), "little"))
         except SdoAborted:
-            found.append(0)
-    return found[0], found[1], found[2]
+            numbers.append(0)
+    return numbers[0], numbers[1], numbers[2]
 
 
 def describe(
@@ -143,7 +143,7 @@ def describe(
             client.upload(*STORED_EDS, most=MOST_BYTES, progress=progress), f"1021h of node {client.node_id}"
         )
     identity = identity_of(client)
-    told = f"node {client.node_id} has 1018h {identity[0]:#010x} {identity[1]:#010x}"
+    label = f"node {client.node_id} has 1018h {identity[0]:#010x} {identity[1]:#010x}"
     if source is None:
         return fitting(packaged(), identity[:2], identity[2])
     path = Path(source)
@@ -151,13 +151,13 @@ def describe(
         description = read_eds(path)
         expected = told_identity(description)
         if any(expected) and expected != identity[:2]:
-            raise DeviceMismatch(f"{told}, and {path} is the file of {expected[0]:#010x} {expected[1]:#010x}")
+            raise DeviceMismatch(f"{label}, and {path} is the file of {expected[0]:#010x} {expected[1]:#010x}")
         return description
     files, _ = read_folder(path)
-    found = fitting(files, identity[:2], identity[2])
-    if found is None:
-        raise DeviceMismatch(f"{told}, and none of {len(files)} EDS files in {path} has it")
-    return found
+    fitted = fitting(files, identity[:2], identity[2])
+    if fitted is None:
+        raise DeviceMismatch(f"{label}, and none of {len(files)} EDS files in {path} has it")
+    return fitted
 
 
 @dataclass
@@ -193,17 +193,17 @@ class KnownDevice:
 
         A name that is given twice has its number behind it: "Current_2003h00".
         """
-        found: dict[str, list[tuple[str, Variable]]] = {}
+        variables: dict[str, list[tuple[str, Variable]]] = {}
         for variable in self.variables():
             assert self.description is not None
             entry = self.description.objects[variable.index]
             single = len(entry.variables) == 1 and variable.subindex == 0
             name = _word(entry.name if single else f"{entry.name}.{variable.name}")
-            found.setdefault(name.lower(), []).append((name, variable))
+            variables.setdefault(name.lower(), []).append((name, variable))
         return {
-            name if len(row) == 1 else f"{name}_{one.index:04X}h{one.subindex:02X}": one
-            for row in found.values()
-            for name, one in row
+            name if len(row) == 1 else f"{name}_{variable.index:04X}h{variable.subindex:02X}": variable
+            for row in variables.values()
+            for name, variable in row
         }
 
     def find(self, text: str) -> Variable:
@@ -216,8 +216,8 @@ class KnownDevice:
             (exit status 2) there is none
         """
         small = {name.lower(): variable for name, variable in self.names.items()}
-        if (wanted := _word(text).lower()) in small:
-            return small[wanted]
+        if (word := _word(text).lower()) in small:
+            return small[word]
         match = PLACE.fullmatch(text.strip())
         if match:
             return self.at(int(match[1], 16), int(match[2] or "0", 16))
@@ -225,13 +225,13 @@ class KnownDevice:
             raise ObjectUnknown(
                 f"{text!r}: without an EDS file objects have numbers only, as 6041h or 1018h:01; name a file by --eds"
             )
-        ends = [name for name in small if name.rpartition(".")[2] == wanted]
+        ends = [name for name in small if name.rpartition(".")[2] == word]
         if len(ends) == 1:
             return small[ends[0]]
         spelled = {name.rpartition(".")[2].lower(): name for name in self.names} | {n.lower(): n for n in self.names}
-        near = ends or difflib.get_close_matches(wanted, spelled, 3, 0.5)
-        told = ", ".join(dict.fromkeys(spelled.get(name, name) for name in near))
-        hint = f"; did you mean {told}?" if told else "; `ls` in `coulombus sdo NODE` lists them"
+        near = ends or difflib.get_close_matches(word, spelled, 3, 0.5)
+        names = ", ".join(dict.fromkeys(spelled.get(name, name) for name in near))
+        hint = f"; did you mean {names}?" if names else "; `ls` in `coulombus sdo NODE` lists them"
         raise ObjectUnknown(f"{text!r}: {self.description.path} has no such object{hint}")
 
     def at(self, index: int, subindex: int) -> Variable:
@@ -245,17 +245,17 @@ class KnownDevice:
     def unit(self, variable: Variable) -> Unit | None:
         """Return the unit of an object: the rig file's, CiA's, or what the device tells (6131h)."""
         place = variable.index, variable.subindex
-        found = self.units.get(place) or fixed_unit(*place)
-        if found is None and variable.index in BLOCK_UNITS and variable.subindex:
+        unit = self.units.get(place) or fixed_unit(*place)
+        if unit is None and variable.index in BLOCK_UNITS and variable.subindex:
             if place not in self._blocks:
-                self._blocks[place] = self._told(*BLOCK_UNITS[variable.index], variable.subindex)
-            found = self._blocks[place]
-        return found
+                self._blocks[place] = self._block_unit(*BLOCK_UNITS[variable.index], variable.subindex)
+            unit = self._blocks[place]
+        return unit
 
-    def _told(self, unit: int, digits: int, subindex: int) -> Unit | None:
+    def _block_unit(self, unit: int, digits: int, subindex: int) -> Unit | None:
         try:
             code, count = (
-                int.from_bytes(self.client.upload(one, subindex, most=4), "little") for one in (unit, digits)
+                int.from_bytes(self.client.upload(index, subindex, most=4), "little") for index in (unit, digits)
             )
         except SdoAborted:
             return None
@@ -383,8 +383,8 @@ def _spelled(number: str, text: str, what: str) -> float:
             return int(number[:-1], 16)
         if "0x" in number.lower():
             return int(number, 16)
-        found = float(number)
+        value = float(number)
         whole = re.fullmatch(r"[-+]?[0-9]+", number)
-        return int(number) if whole else found
+        return int(number) if whole else value
     except (ValueError, OverflowError):
         raise ValueRefused(f"{what}: {text!r} is no number") from None

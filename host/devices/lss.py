@@ -139,7 +139,7 @@ class LssMaster:
         """Send all devices to LSS waiting; one that has been given its first node id boots."""
         self._send(S.SWITCH_STATE_GLOBAL, bytes((LssState.WAITING,)))
 
-    def unconfigured(self, progress: Callable[[int], None] = lambda found: None) -> list[Identity]:
+    def unconfigured(self, progress: Callable[[int], None] = lambda count: None) -> list[Identity]:
         """Return the identities of all devices without a node id; they are in LSS configuration
         then.
 
@@ -153,24 +153,24 @@ class LssMaster:
             one answers, and its identity cannot be found: two devices have the same, or the bus
             loses frames
         """
-        found: list[Identity] = []
-        while len(found) < MOST_DEVICES:
-            one = None
+        identities: list[Identity] = []
+        while len(identities) < MOST_DEVICES:
+            identity = None
             for patience in PATIENCE:
                 if not self._step(0, FASTSCAN_START, 0, 0, patience._replace(first_s=max(START_S, patience.first_s))):
-                    return found
-                one = self._one(patience, found)
-                if one is not None:
+                    return identities
+                identity = self._scan(patience, identities)
+                if identity is not None:
                     break
-            if one is None or one in found:
-                what = "the same identity twice" if one else "an answer, and no identity that fits it"
+            if identity is None or identity in identities:
+                what = "the same identity twice" if identity else "an answer, and no identity that fits it"
                 raise NodeMissing(
                     f"fastscan found {what}: two devices of one serial number (1018h:04), or frames are lost; "
                     "connect them one at a time"
                 )
-            found.append(one)
-            progress(len(found))
-        return found
+            identities.append(identity)
+            progress(len(identities))
+        return identities
 
     def _step(self, number: int, bit: int, part: int, following: int, patience: _Patience) -> bool:
         self._send(S.FASTSCAN, number.to_bytes(4, "little") + bytes((bit, part, following)))
@@ -180,26 +180,28 @@ class LssMaster:
             pass
         return True
 
-    def _one(self, patience: _Patience, known: Sequence[Identity]) -> Identity | None:
+    def _scan(self, patience: _Patience, known: Sequence[Identity]) -> Identity | None:
         """Scan one device's identity, None where a number is not confirmed.
 
         Devices are often of one maker: what is `known` of others is tried first.
         """
-        found: list[int] = []
+        numbers: list[int] = []
         for part in range(4):
             number = 0
-            likely = {one[part] for one in known if list(one[:part]) == found} if part < SERIAL else set()
+            likely = (
+                {identity[part] for identity in known if list(identity[:part]) == numbers} if part < SERIAL else set()
+            )
             guess = next((n for n in likely if self._step(n, 0, part, part + 1, patience)), None)
             if guess is not None:
-                found.append(guess)
+                numbers.append(guess)
                 continue
             for bit in reversed(range(32)):
                 if not self._step(number, bit, part, part, patience):
                     number |= 1 << bit
             if not self._step(number, 0, part, (part + 1) % 4, patience):
                 return None
-            found.append(number)
-        return Identity(*found)
+            numbers.append(number)
+        return Identity(*numbers)
 
     def select(self, identity: Identity) -> None:
         """Switch one device to LSS configuration, and all others to LSS waiting.

@@ -39,8 +39,8 @@ class CommandResult:
 
     def __str__(self) -> str:
         if self.state is not None:
-            told = "booted" if self.state is NmtState.INITIALISING else self.state.name.lower().replace("_", "-")
-            return f"node {self.node_id}: {told}" + ("" if self.well else ", which is not what was asked for")
+            state = "booted" if self.state is NmtState.INITIALISING else self.state.name.lower().replace("_", "-")
+            return f"node {self.node_id}: {state}" + ("" if self.well else ", which is not what was asked for")
         if self.well is None:
             return f"node {self.node_id}: sent; it sends no heartbeat (1017h is 0) that would tell its state"
         return f"node {self.node_id}: no heartbeat and no boot-up came"
@@ -59,30 +59,30 @@ def command(link: FrameLink, word: str, node_id: int | None, timeout_s: float) -
     NodeMissing
         (exit status 5) all nodes were meant, and none said anything after a reset
     """
-    what, wanted = COMMANDS[word]
-    silent = node_id is not None and wanted is not NmtState.INITIALISING and _has_no_heartbeat(link, node_id)
+    what, goal = COMMANDS[word]
+    silent = node_id is not None and goal is not NmtState.INITIALISING and _has_no_heartbeat(link, node_id)
     while link.receive(link.now_ns()) is not None:  # of before
         pass
     link.send(CobId.NMT, bytes((what, node_id or 0)))
     heard: dict[int, NmtState] = {}
     until_ns = link.now_ns() + round((min(QUIET_S, timeout_s) if silent else timeout_s) * 1e9)
     while (frame := link.receive(until_ns)) is not None:
-        one = frame.can_id - CobId.HEARTBEAT
-        if not 1 <= one <= 127 or len(frame.data) != 1 or node_id not in (None, one):
+        sender = frame.can_id - CobId.HEARTBEAT
+        if not 1 <= sender <= 127 or len(frame.data) != 1 or node_id not in (None, sender):
             continue
         state = frame.data[0] & 0x7F
-        if state in tuple(NmtState) and heard.get(one) is not wanted:  # behind its boot-up others come
-            heard[one] = NmtState(state)
-        if node_id is not None and heard.get(one) is wanted:
+        if state in tuple(NmtState) and heard.get(sender) is not goal:  # behind its boot-up others come
+            heard[sender] = NmtState(state)
+        if node_id is not None and heard.get(sender) is goal:
             break
     if node_id is None:
-        if not heard and wanted is NmtState.INITIALISING:
+        if not heard and goal is NmtState.INITIALISING:
             raise NodeMissing(f"no node booted within {timeout_s:g} s")
-        return tuple(CommandResult(one, state, state is wanted) for one, state in sorted(heard.items()))
+        return tuple(CommandResult(sender, state, state is goal) for sender, state in sorted(heard.items()))
     state_heard = heard.get(node_id)
     if state_heard is None:
         return (CommandResult(node_id, None, None if silent else False),)
-    return (CommandResult(node_id, state_heard, state_heard is wanted),)
+    return (CommandResult(node_id, state_heard, state_heard is goal),)
 
 
 def _has_no_heartbeat(link: FrameLink, node_id: int) -> bool:

@@ -59,7 +59,7 @@ class AssignedId:
         return f"{self.identity}: {', '.join(parts)}"
 
 
-def only(found: Sequence[Identity]) -> Identity:
+def only(identities: Sequence[Identity]) -> Identity:
     """Return the only device without a node id.
 
     Raises
@@ -69,14 +69,14 @@ def only(found: Sequence[Identity]) -> Identity:
     DeviceMismatch
         (3) there are several
     """
-    if not found:
+    if not identities:
         raise NodeMissing(
             "no device without a node id answers; one that has an id is named by --device (`scan` tells it)"
         )
-    if len(found) > 1:
-        told = ", ".join(map(str, found))
-        raise DeviceMismatch(f"{len(found)} devices have no node id ({told}); name one by --device, or say --all")
-    return found[0]
+    if len(identities) > 1:
+        names = ", ".join(map(str, identities))
+        raise DeviceMismatch(f"{len(identities)} devices have no node id ({names}); name one by --device, or say --all")
+    return identities[0]
 
 
 def check_free(link: FrameLink, ids: Sequence[int], show: Callable[[str], None]) -> None:
@@ -90,9 +90,9 @@ def check_free(link: FrameLink, ids: Sequence[int], show: Callable[[str], None])
     if ids and ids[-1] > LAST:
         raise DeviceMismatch(f"{len(ids)} devices from {ids[0]} on need the node id {ids[-1]}; the last one is {LAST}")
     show("looking which node ids are free")
-    taken = {one.node_id for one in scan(link, numbers=())} & set(ids)
-    if taken:
-        raise DeviceMismatch(f"a node on the bus has the node id {min(taken)} already; choose another one")
+    ids_there = {answers.node_id for answers in scan(link, numbers=())} & set(ids)
+    if ids_there:
+        raise DeviceMismatch(f"a node on the bus has the node id {min(ids_there)} already; choose another one")
 
 
 def give(

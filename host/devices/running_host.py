@@ -54,9 +54,9 @@ def check_alone(link: FrameLink, address: BusAddress, *, beside: bool = False) -
     SafetyTrip
         (exit status 7) a host is there, and `beside` was not said
     """
-    found = who_is_at_work(link, address)
-    if found and not beside:
+    host = who_is_at_work(link, address)
+    if host and not beside:
         raise SafetyTrip(
-            f"a host is on bus {address}: {found}; end it first (coulombus stop --bus {address}), or say --beside-host"
+            f"a host is on bus {address}: {host}; end it first (coulombus stop --bus {address}), or say --beside-host"
         )
-    return found
+    return host

@@ -153,14 +153,14 @@ def scan(
         heard.listen(link, PACE_S)
         progress("asking", node_id, NODES[-1])
     heard.listen(link, ANSWER_S)
-    found: dict[int, dict[tuple[int, int], bytes]] = {node_id: {} for node_id in sorted(heard.answers)}
-    silent = dict.fromkeys(found, 0)
-    asked = dict.fromkeys(found, (*numbers, *TOLD))
+    values: dict[int, dict[tuple[int, int], bytes]] = {node_id: {} for node_id in sorted(heard.answers)}
+    silent = dict.fromkeys(values, 0)
+    places = dict.fromkeys(values, (*numbers, *TOLD))
     current: dict[int, tuple[int, int]] = {}
     doubts: dict[int, str] = {}
 
     def transfers(node_id: int) -> Iterator[Transfer[bytes]]:
-        for place in asked[node_id]:
+        for place in places[node_id]:
             if silent[node_id] >= SILENT:
                 return
             current[node_id] = place
@@ -168,14 +168,14 @@ def scan(
 
     def tell(node_id: int, value: bytes | HostError) -> None:
         if isinstance(value, bytes):
-            found[node_id][current[node_id]] = value
+            values[node_id][current[node_id]] = value
             silent[node_id] = 0
         else:
             if isinstance(value, AnswerUntrusted) and current[node_id] in IDENTITY:
                 doubts.setdefault(node_id, str(value))
             silent[node_id] += isinstance(value, SdoSilent | AnswerUntrusted)
 
-    run_transfers(link, {node_id: transfers(node_id) for node_id in found}, ANSWER_S, tell, heard.hear, heard.asked)
+    run_transfers(link, {node_id: transfers(node_id) for node_id in values}, ANSWER_S, tell, heard.hear, heard.asked)
     while (left_s := listen_s - (link.now_ns() - begin_ns) / 1e9) > 0:
         progress("listening", listen_s - left_s, listen_s)
         heard.listen(link, min(left_s, 0.2))
@@ -185,12 +185,12 @@ def scan(
             {p: int.from_bytes(raw, "little") for p, raw in said.items() if p in numbers and 0 < len(raw) <= 4},
             {p: text for p, raw in said.items() if p in TOLD and (text := _text(raw))},
             heard.states.get(node_id),
-            node_id in found,
-            node_id in found and heard.asked[node_id].duplicate_node_id,
+            node_id in values,
+            node_id in values and heard.asked[node_id].duplicate_node_id,
             doubts.get(node_id, ""),
         )
         for node_id in sorted(heard.answers | heard.states.keys())
-        for said in (found.get(node_id, {}),)
+        for said in (values.get(node_id, {}),)
     )
 
 
@@ -210,7 +210,7 @@ def survey(address: BusAddress) -> tuple[Answers, ...]:
     """
     with BusLink(address, FILTERS) as link:
         check_alone(link, address)
-        return tuple(one for one in scan(link, numbers=ASKED) if one.answers_sdo)
+        return tuple(answers for answers in scan(link, numbers=ASKED) if answers.answers_sdo)
 
 
 def trouble(error_frames: int, classes: int, anybody: bool) -> str:

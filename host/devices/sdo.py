@@ -221,19 +221,19 @@ class SdoClient:
                 self._answers.take(stale.data)
             self._hear(stale)  # a late answer, too, which is nobody's any more
         self._refuse_twins()
-        found: list[T | HostError] = []
+        results: list[T | HostError] = []
         run_transfers(
             self.link,
             {self.node_id: iter((transfer,))},
             self.timeout_s,
-            lambda _, one: found.append(one),
+            lambda _, result: results.append(result),
             self._hear,
             {self.node_id: self._answers},
         )
         self._refuse_twins()
-        if isinstance(found[0], HostError):
-            raise found[0]
-        return found[0]
+        if isinstance(results[0], HostError):
+            raise results[0]
+        return results[0]
 
     def _refuse_twins(self) -> None:
         if self._answers.duplicate_node_id:

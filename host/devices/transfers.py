@@ -168,8 +168,8 @@ def upload(
     say = _Answers("upload of", index, subindex)
     answer = yield from say.first(head(0x40, index, subindex))
     if answer[0] >> 5 == 2 and answer[0] & 0x03 == 0x01 and block:
-        told = int.from_bytes(answer[4:8], "little")
-        if LONG < told <= most:
+        size = int.from_bytes(answer[4:8], "little")
+        if LONG < size <= most:
             yield SdoStep((abort(index, subindex),), waits=False)  # the ordinary one
             try:
                 content = yield from _block_upload(say, most, progress)
@@ -190,10 +190,10 @@ def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Tr
         raise say.wrong(f"command {answer[0]:02X}h is no upload response", Abort.COMMAND)
     if answer[0] & 0x02:
         return answer[4 : 8 - (answer[0] >> 2 & 3)] if answer[0] & 0x01 else answer[4:8]
-    told = int.from_bytes(answer[4:8], "little") if answer[0] & 0x01 else None
-    if told is not None and told > most:
-        raise say.wrong(f"it has {told} bytes, {most} are the most expected", Abort.MEMORY)
-    limit = told if told is not None else min(most, MOST_UNTOLD)
+    size = int.from_bytes(answer[4:8], "little") if answer[0] & 0x01 else None
+    if size is not None and size > most:
+        raise say.wrong(f"it has {size} bytes, {most} are the most expected", Abort.MEMORY)
+    limit = size if size is not None else min(most, MOST_UNTOLD)
     data, toggle, last = b"", 0, False
     while not last:
         answer = yield from say.next(bytes((0x60 | toggle,)) + bytes(7))
@@ -205,9 +205,9 @@ def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Tr
         last, toggle = bool(answer[0] & 0x01), toggle ^ 0x10
         if len(data) > limit:
             raise say.wrong(f"it continues beyond {limit} bytes, the most expected", Abort.TOO_LONG)
-        progress(len(data), told or 0)
-    if told is not None and told != len(data):
-        raise say.wrong(f"{told} bytes were told, {len(data)} came", Abort.LENGTH)
+        progress(len(data), size or 0)
+    if size is not None and size != len(data):
+        raise say.wrong(f"{size} bytes were told, {len(data)} came", Abort.LENGTH)
     return data
 
 
@@ -222,8 +222,8 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
     if answer[0] & 0xE1 != 0xC0:
         raise say.wrong(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
     crc = bool(answer[0] & 0x04)
-    told = int.from_bytes(answer[4:8], "little") if answer[0] & 0x02 else 0
-    limit = told or min(most, MOST_UNTOLD)
+    size = int.from_bytes(answer[4:8], "little") if answer[0] & 0x02 else 0
+    limit = size or min(most, MOST_UNTOLD)
     data = bytearray()
     message = b"\xa3" + bytes(7)
     repeated, last = 0, False
@@ -243,7 +243,7 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
             raise say.wrong("segments are lost again and again", Abort.SEQUENCE)
         if len(data) > limit + 6:
             raise say.wrong(f"it continues beyond {limit} bytes, the most expected", Abort.TOO_LONG)
-        progress(min(len(data), limit), told)
+        progress(min(len(data), limit), size)
         message = bytes((0xA2, good, BLOCK)) + bytes(5)
     answer = yield from say.next(message)
     if answer[0] & 0xE3 != 0xC1:
@@ -251,8 +251,8 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
     content = bytes(data[: len(data) - (answer[0] >> 2 & 7)])
     if crc and int.from_bytes(answer[1:3], "little") != crc16(content):
         raise say.wrong("the CRC is wrong", Abort.CRC)
-    if told and told != len(content):
-        raise say.wrong(f"{told} bytes were told, {len(content)} came", Abort.LENGTH)
+    if size and size != len(content):
+        raise say.wrong(f"{size} bytes were told, {len(content)} came", Abort.LENGTH)
     yield SdoStep((b"\xa1" + bytes(7),), waits=False)
     return content
 
@@ -270,7 +270,7 @@ def download(index: int, subindex: int, data: bytes, *, progress: Progress = _no
     """
     say = _Answers("download to", index, subindex)
     if 1 <= len(data) <= 4:
-        _taken(say, (yield from say.first(head(0x23 | (4 - len(data)) << 2, index, subindex, data))))
+        _check_download(say, (yield from say.first(head(0x23 | (4 - len(data)) << 2, index, subindex, data))))
         return
     if len(data) > LONG:
         try:
@@ -279,7 +279,7 @@ def download(index: int, subindex: int, data: bytes, *, progress: Progress = _no
         except SdoRefused as refused:
             if refused.code != Abort.COMMAND:
                 raise
-    _taken(say, (yield from say.first(head(0x21, index, subindex, len(data).to_bytes(4, "little")))))
+    _check_download(say, (yield from say.first(head(0x21, index, subindex, len(data).to_bytes(4, "little")))))
     toggle = 0
     for start in range(0, max(len(data), 1), 7):
         part = data[start : start + 7]
@@ -293,7 +293,7 @@ def download(index: int, subindex: int, data: bytes, *, progress: Progress = _no
         progress(start + len(part), len(data))
 
 
-def _taken(say: _Answers, answer: bytes) -> None:
+def _check_download(say: _Answers, answer: bytes) -> None:
     if answer[0] >> 5 != 3:
         raise say.wrong(f"command {answer[0]:02X}h, expected 60h", Abort.COMMAND)
 
@@ -311,7 +311,8 @@ def _block_download(say: _Answers, data: bytes, progress: Progress) -> Transfer[
         block = segments[position : position + size]
         final = position + len(block) == len(segments)
         numbered = [
-            bytes((number | 0x80 * (final and number == len(block)),)) + one for number, one in enumerate(block, 1)
+            bytes((number | 0x80 * (final and number == len(block)),)) + segment
+            for number, segment in enumerate(block, 1)
         ]
         answer = yield from say.next(*numbered)
         if answer[0] & 0xE3 != 0xA2 or answer[1] > len(block):
