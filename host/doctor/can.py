@@ -66,17 +66,17 @@ class Interface:
             except (ValueError, TypeError, RecursionError):
                 self._kept.pop("link", None)
                 raise CannotRead(f"what `ip` says of {self.name} cannot be read: {text[:40]!r}") from None
-        found: dict[str, Any] = self._kept["link"]
-        return found
+        details: dict[str, Any] = self._kept["link"]
+        return details
 
     def data(self, *keys: str) -> Any:
         """Return what stands under `keys` of the details; CannotRead where nothing does."""
-        found: Any = self.details
+        value: Any = self.details
         for key in keys:
-            if not isinstance(found, dict) or key not in found:
+            if not isinstance(value, dict) or key not in value:
                 raise CannotRead(f"`ip` says nothing of {'.'.join(keys)} of {self.name}")
-            found = found[key]
-        return found
+            value = value[key]
+        return value
 
     def number(self, *keys: str) -> float:
         """Return the number under `keys`; CannotRead where none is."""
@@ -94,10 +94,10 @@ class Interface:
     def modes(self) -> frozenset[str]:
         """The controller's modes that are on; `ip` leaves the list out where none is."""
         data = self.data("linkinfo", "info_data")
-        found = data.get("ctrlmode", []) if isinstance(data, dict) else None
-        if not isinstance(found, list):
-            raise CannotRead(f"ctrlmode of {self.name}: got {found!r}, expected a list")
-        return frozenset(map(str, found))
+        modes = data.get("ctrlmode", []) if isinstance(data, dict) else None
+        if not isinstance(modes, list):
+            raise CannotRead(f"ctrlmode of {self.name}: got {modes!r}, expected a list")
+        return frozenset(map(str, modes))
 
     @property
     def virtual(self) -> bool:
@@ -125,8 +125,8 @@ def checks(machine: Machine, name: str, bitrate_bit_s: int | None = None) -> lis
         error_counters,
         timestamps,
     )
-    found: list[Check] = [(f"can.{one.__name__}", partial(one, can)) for one in general]
-    return found + [(f"can.{one.__name__}", partial(_of_controller, can, one)) for one in of_controller]
+    entries: list[Check] = [(f"can.{check.__name__}", partial(check, can)) for check in general]
+    return entries + [(f"can.{check.__name__}", partial(_of_controller, can, check)) for check in of_controller]
 
 
 def _of_controller(can: Interface, check: Callable[[Interface], Outcome]) -> Outcome:
@@ -212,21 +212,21 @@ def irq_thread(can: Interface) -> Outcome:
     if not preempt_rt(machine).ok:
         return Outcome(True, "no PREEMPT_RT kernel: the card's interrupt goes before any thread")
     numbers = _interrupts(can)
-    found: dict[str, int] = {}
+    priorities: dict[str, int] = {}
     for pid in filter(str.isdecimal, machine.names("/proc")):
         try:
             name = machine.text(f"/proc/{pid}/comm")
             if (thread := re.match(r"irq/(\d+)-", name)) and thread[1] in numbers:
-                found[name] = _priority(machine, pid)
+                priorities[name] = _priority(machine, pid)
         except Absent:  # it has ended meanwhile
             continue
-    if not found:
+    if not priorities:
         return Outcome(True, f"no interrupt of {can.name} has a thread")
-    text = ", ".join(f"{name}: SCHED_FIFO {priority}" for name, priority in sorted(found.items()))
+    text = ", ".join(f"{name}: SCHED_FIFO {priority}" for name, priority in sorted(priorities.items()))
     fix = "\n".join(
-        f"sudo chrt -f -p {IRQ_PRIORITY} $(pgrep -x {shell(extended_regex(name))})" for name in sorted(found)
+        f"sudo chrt -f -p {IRQ_PRIORITY} $(pgrep -x {shell(extended_regex(name))})" for name in sorted(priorities)
     )
-    if min(found.values()) > PRIORITY:
+    if min(priorities.values()) > PRIORITY:
         return Outcome(True, text)
     return Outcome(False, f"{text}; the host polls at {PRIORITY}, and the receive buffer overflows meanwhile", fix)
 
@@ -241,12 +241,12 @@ def _interrupts(can: Interface) -> set[str]:
     if named:
         return named
     device, root = (
-        Path(os.path.realpath(one)) for one in (machine.path(f"/sys/class/net/{can.name}/device"), machine.root)
+        Path(os.path.realpath(path)) for path in (machine.path(f"/sys/class/net/{can.name}/device"), machine.root)
     )
     for place in (device, *device.parents):
         if place == root:
             break
-        own = {one.name for one in place.glob("msi_irqs/*")}
+        own = {entry.name for entry in place.glob("msi_irqs/*")}
         with suppress(OSError):
             own |= {(place / "irq").read_text().strip()}
         if own := own & set(numbers):
@@ -282,7 +282,7 @@ def mode(can: Interface) -> Outcome:
     bad = sorted(can.modes & {"LOOPBACK", "LISTEN-ONLY", "ONE-SHOT", "PRESUME-ACK"})
     if not bad:
         return Outcome(True, "sends, and sends again what was destroyed")
-    off = " ".join(f"{one.lower()} off" for one in bad)
+    off = " ".join(f"{name.lower()} off" for name in bad)
     name = shell(can.name)
     fix = f"sudo ip link set {name} down && sudo ip link set {name} type can {off} && sudo ip link set {name} up"
     return Outcome(False, f"{', '.join(bad)} is on", fix)
@@ -327,7 +327,7 @@ def berr_reporting(can: Interface) -> Outcome:
 
 def error_counters(can: Interface) -> Outcome:
     """The controller has met no errors since it was set up."""
-    tx, rx = (can.number("linkinfo", "info_data", "berr_counter", one) for one in ("tx", "rx"))
+    tx, rx = (can.number("linkinfo", "info_data", "berr_counter", counter) for counter in ("tx", "rx"))
     try:
         counted = can.data("linkinfo", "info_xstats")
         since = {name: int(counted.get(name, 0)) for name in ("bus_error", "error_passive", "bus_off")}

@@ -28,8 +28,8 @@ def cycle_cpu(machine: Machine, given: int | None = None) -> int:
 def checks(machine: Machine, given: int | None = None) -> list[Check]:
     """Return the checks of the processors; `given` is the CPU for the cycle."""
     of_cpu = (isolated, nohz_full, irq_affinity, governor)
-    found: list[Check] = [(f"cpu.{one.__name__}", partial(one, machine, given)) for one in of_cpu]
-    return [*found, ("cpu.c_states", partial(c_states, machine))]
+    entries: list[Check] = [(f"cpu.{check.__name__}", partial(check, machine, given)) for check in of_cpu]
+    return [*entries, ("cpu.c_states", partial(c_states, machine))]
 
 
 def _listed(machine: Machine, name: str, given: int | None, why: str) -> Outcome:

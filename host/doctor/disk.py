@@ -18,24 +18,24 @@ ENOUGH_H = 8.0
 """A day of work."""
 
 
-def bytes_s(wanted: RigDemands) -> float:
+def bytes_s(demands: RigDemands) -> float:
     """Return how fast a recording grows, in bytes a second of display."""
-    return (PACKET_BYTES * wanted.frames + TRACE_BYTES) / wanted.period_s
+    return (PACKET_BYTES * demands.frames + TRACE_BYTES) / demands.period_s
 
 
-def checks(folder: Path, wanted: RigDemands) -> list[Check]:
+def checks(folder: Path, demands: RigDemands) -> list[Check]:
     """Return the checks of the folder for recordings."""
-    return [("disk.free", partial(free, folder, wanted))]
+    return [("disk.free", partial(free, folder, demands))]
 
 
-def free(folder: Path, wanted: RigDemands) -> Outcome:
+def free(folder: Path, demands: RigDemands) -> Outcome:
     """A day's recordings find room."""
     try:
-        found = os.statvfs(folder)
+        volume = os.statvfs(folder)
     except OSError as error:
         raise CannotRead(f"{folder} cannot be read: {error.strerror}") from None
-    left = found.f_bavail * found.f_frsize
-    hours = left / bytes_s(wanted) / 3600
+    left = volume.f_bavail * volume.f_frsize
+    hours = left / bytes_s(demands) / 3600
     text = f"{left / 1e9:.1f} GB in {folder.absolute()}: {hours:.0f} h of recording"
     if not os.access(folder, os.W_OK):
         return Outcome(False, f"{folder.absolute()} cannot be written", "# record to another folder")

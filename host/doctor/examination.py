@@ -15,7 +15,7 @@ __all__ = ["examination"]
 
 
 def examination(
-    wanted: RigDemands,
+    demands: RigDemands,
     addresses: Mapping[str, BusAddress],
     *,
     machine: Machine | None = None,
@@ -26,25 +26,25 @@ def examination(
 
     Parameters
     ----------
-    wanted : what the rig asks for
+    demands : what the rig asks for
     addresses : the buses by their channels; the checks of a card are of those of Linux
     machine : what is looked at; default is this one
     given_cpu : for the cycle; default is the one that the host takes
     folder : where recordings go; default is the present one
     """
-    one = Machine() if machine is None else machine
-    checks = linux_kernel.checks(one) + cpu.checks(one, given_cpu) + rights.checks(one)
+    computer = Machine() if machine is None else machine
+    checks = linux_kernel.checks(computer) + cpu.checks(computer, given_cpu) + rights.checks(computer)
     for channel, address in addresses.items():
-        checks += _of_bus(one, wanted, channel, address, several=len(addresses) > 1)
-    checks += disk.checks(Path() if folder is None else folder, wanted) + software.checks()
+        checks += _of_bus(computer, demands, channel, address, several=len(addresses) > 1)
+    checks += disk.checks(Path() if folder is None else folder, demands) + software.checks()
     return examine(checks)
 
 
-def _of_bus(machine: Machine, wanted: RigDemands, channel: str, address: BusAddress, *, several: bool) -> list[Check]:
+def _of_bus(machine: Machine, demands: RigDemands, channel: str, address: BusAddress, *, several: bool) -> list[Check]:
     if not address.is_interface:
         text = f"{address} is a virtual bus: no card is looked at (--bus socketcan:can0 names one)"
-        found: list[Check] = [("can.interface", lambda: Outcome(True, text))]
+        checks: list[Check] = [("can.interface", lambda: Outcome(True, text))]
     else:
-        found = can.checks(machine, address.name, wanted.bitrates_bit_s.get(channel))
-        found += power.checks(machine, address.name)
-    return [(f"{name}.{channel}", check) for name, check in found] if several else found
+        checks = can.checks(machine, address.name, demands.bitrates_bit_s.get(channel))
+        checks += power.checks(machine, address.name)
+    return [(f"{name}.{channel}", check) for name, check in checks] if several else checks

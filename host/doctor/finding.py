@@ -40,8 +40,8 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, `figures` only where there are some."""
-        found = asdict(self)
-        return found if self.figures else {name: found[name] for name in found if name != "figures"}
+        fields = asdict(self)
+        return fields if self.figures else {name: fields[name] for name in fields if name != "figures"}
 
 
 def examine(checks: Iterable[Check]) -> list[Finding]:
@@ -49,7 +49,7 @@ def examine(checks: Iterable[Check]) -> list[Finding]:
 
     What cannot be read is said as such, and is not ok: nobody knows.
     """
-    found = []
+    findings = []
     for name, check in checks:
         try:
             outcome = check()
@@ -58,8 +58,8 @@ def examine(checks: Iterable[Check]) -> list[Finding]:
         except Exception as error:
             text = f"this check failed: {type(error).__name__}: {error}"
             outcome = Outcome(False, text, "# a mistake of this program, please report it")
-        found.append(Finding(name, outcome.ok, _line(outcome.found), "" if outcome.ok else outcome.fix))
-    return found
+        findings.append(Finding(name, outcome.ok, _line(outcome.found), "" if outcome.ok else outcome.fix))
+    return findings
 
 
 def _line(text: str) -> str:
@@ -73,11 +73,11 @@ def script(findings: Iterable[Finding]) -> str:
     """
     lines = ["#!/bin/sh", "# made by `coulombus doctor --fix`: read it before you run it", "set -eu", ""]
     done: set[str] = set()
-    for one in findings:
-        if one.ok or one.fix in done:
+    for finding in findings:
+        if finding.ok or finding.fix in done:
             continue
-        done.add(one.fix)
-        lines += [f"# {one.check}: {comment(one.found)}", one.fix or "# no command mends it", ""]
+        done.add(finding.fix)
+        lines += [f"# {finding.check}: {comment(finding.found)}", finding.fix or "# no command mends it", ""]
     if not done:
         lines += ["# nothing has to be mended", ""]
     return "\n".join(lines)

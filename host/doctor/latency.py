@@ -62,10 +62,10 @@ class Wakeups:
         """Return the time [us] within which so large a share of them was; 0 where there are
         none.
         """
-        wanted, seen = share * self.total, 0
+        least, seen = share * self.total, 0
         for us in sorted(self.counts):
             seen += self.counts[us]
-            if seen >= wanted:
+            if seen >= least:
                 return min(us + 1.0, self.latest_us)
         return 0.0
 
@@ -143,10 +143,10 @@ def _loaded(count: int, folder: str) -> Iterator[None]:
             )
         yield
     finally:
-        for one in started:
-            one.kill()
-        for one in started:
-            one.wait()
+        for process in started:
+            process.kill()
+        for process in started:
+            process.wait()
 
 
 def _ran(words: Sequence[str], seconds: float, tick: Callable[[float], None]) -> str:
@@ -196,7 +196,7 @@ def _folder() -> str:
 
 def measure_latency(
     seconds: float,
-    wanted: RigDemands,
+    demands: RigDemands,
     *,
     cpu: int | None,
     priority: int | None = PRIORITY,
@@ -226,7 +226,7 @@ def measure_latency(
     loads = len(os.sched_getaffinity(0)) if loads is None else loads
     settings = {
         "parent": os.getpid(),
-        "period_ns": round(wanted.period_s * 1e9),
+        "period_ns": round(demands.period_s * 1e9),
         "seconds": turn_s,
         "priority": priority,
         "cpu": cpu,
@@ -238,9 +238,9 @@ def measure_latency(
             def tick(t: float, since: float = started) -> None:
                 progress(since + t)
 
-            told = json.loads(_ran(_module("sleeper", json.dumps(settings)), turn_s, tick))
-            own.add({int(us): count for us, count in told["counts"].items()}, told["latest_us"])
-            refused = tuple(right["name"] for right in told["real_time"] if not right["granted"])
+            sleeper = json.loads(_ran(_module("sleeper", json.dumps(settings)), turn_s, tick))
+            own.add({int(us): count for us, count in sleeper["counts"].items()}, sleeper["latest_us"])
+            refused = tuple(right["name"] for right in sleeper["real_time"] if not right["granted"])
             done += turn_s
             if program and not reason:
                 words = [
@@ -249,10 +249,10 @@ def measure_latency(
                     "-q",
                     "-t1",
                     f"-p{priority or 0}",
-                    f"-i{round(wanted.period_s * 1e6)}",
+                    f"-i{round(demands.period_s * 1e6)}",
                     f"-h{BINS}",
                 ]
-                words += [f"-l{max(1, round(turn_s / wanted.period_s))}"] + ([] if cpu is None else [f"-a{cpu}"])
+                words += [f"-l{max(1, round(turn_s / demands.period_s))}"] + ([] if cpu is None else [f"-a{cpu}"])
                 try:
                     beside.add(*read_cyclictest(_ran(words, turn_s, lambda t, since=done: progress(since + t))))  # type: ignore[misc]
                 except LatencyError as error:
@@ -261,46 +261,46 @@ def measure_latency(
     return Latency(own, None if reason else beside, reason, refused, loads)
 
 
-def judge(found: Latency, wanted: RigDemands) -> Finding:
+def judge(latency: Latency, demands: RigDemands) -> Finding:
     """Say whether the machine is fit for a rig's limits, and why not.
 
     A wake-up that is a watchdog's time late, a period included, trips; one that leaves no room for
     the TPDOs' window loses its period; and the 99th percentile is within a tenth of the period.
     """
-    own = found.own
-    period_us, window_us, watchdog_us = (1e6 * t for t in (wanted.period_s, wanted.window_s, wanted.watchdog_s))
+    own = latency.own
+    period_us, window_us, watchdog_us = (1e6 * t for t in (demands.period_s, demands.window_s, demands.watchdog_s))
     lost = own.beyond(period_us - window_us) / own.total if own.total else 1.0
     reasons = []
-    if "SCHED_FIFO" in found.refused:
+    if "SCHED_FIFO" in latency.refused:
         reasons.append("SCHED_FIFO was refused")
     if own.latest_us + period_us > watchdog_us:
         reasons.append(
             f"a wake-up was {own.latest_us / 1000:.2f} ms late, and a watchdog ends at {watchdog_us / 1000:g} ms"
         )
-    if lost > wanted.loss_limit:
-        reasons.append(f"{lost:.2%} of the periods are lost, and the limit is {wanted.loss_limit:.2%}")
+    if lost > demands.loss_limit:
+        reasons.append(f"{lost:.2%} of the periods are lost, and the limit is {demands.loss_limit:.2%}")
     if own.at(0.99) > LATE_SHARE * period_us:
         reasons.append(
             f"one wake-up in a hundred is {own.at(0.99):.0f} us late or later, a tenth of the period is {period_us / 10:.0f} us"
         )
-    told = f"{own.total} wake-ups beside {found.loads} busy processes, p50 {own.at(0.5):.0f}, p99 {own.at(0.99):.0f}, latest {own.latest_us:.0f} us"
-    if found.cyclictest is not None:
-        told += f" (cyclictest {found.cyclictest.at(0.5):.0f}, {found.cyclictest.at(0.99):.0f}, {found.cyclictest.latest_us:.0f})"
-    outcome = Outcome(True, f"fit for {wanted}: {told}")
+    text = f"{own.total} wake-ups beside {latency.loads} busy processes, p50 {own.at(0.5):.0f}, p99 {own.at(0.99):.0f}, latest {own.latest_us:.0f} us"
+    if latency.cyclictest is not None:
+        text += f" (cyclictest {latency.cyclictest.at(0.5):.0f}, {latency.cyclictest.at(0.99):.0f}, {latency.cyclictest.latest_us:.0f})"
+    outcome = Outcome(True, f"fit for {demands}: {text}")
     if reasons:
         fix = "# mend what the other checks name, and test again; until then: simulated nodes only"
-        outcome = Outcome(False, f"not fit for {wanted}: {'; '.join(reasons)}; {told}", fix)
+        outcome = Outcome(False, f"not fit for {demands}: {'; '.join(reasons)}; {text}", fix)
     figures: dict[str, Any] = {
         "own": own.as_dict(),
-        "cyclictest": None if found.cyclictest is None else found.cyclictest.as_dict(),
-        "refused": list(found.refused),
+        "cyclictest": None if latency.cyclictest is None else latency.cyclictest.as_dict(),
+        "refused": list(latency.refused),
         "lost_share": lost,
         "fit": outcome.ok,
     }
     return Finding("latency", outcome.ok, outcome.found, outcome.fix, figures)
 
 
-def bars(found: Latency) -> list[tuple[str, int, str, int | None, str]]:
+def bars(latency: Latency) -> list[tuple[str, int, str, int | None, str]]:
     """Return the rows of the histogram: how late, and for each contestant the number and a bar
     (logarithmic).
     """
@@ -311,9 +311,9 @@ def bars(found: Latency) -> list[tuple[str, int, str, int | None, str]]:
     rows: list[tuple[str, int, str, int | None, str]] = []
     for low, high in pairwise((*EDGES, 1 << 62)):
         name = f"{low} - {high} us" if high < 1 << 62 else f"over {low} us"
-        one = found.own.between(low, high)
-        other = None if found.cyclictest is None else found.cyclictest.between(low, high)
-        beside = "" if other is None or found.cyclictest is None else bar(other, found.cyclictest.total)
-        rows.append((name, one, bar(one, found.own.total), other, beside))
+        count = latency.own.between(low, high)
+        other = None if latency.cyclictest is None else latency.cyclictest.between(low, high)
+        beside = "" if other is None or latency.cyclictest is None else bar(other, latency.cyclictest.total)
+        rows.append((name, count, bar(count, latency.own.total), other, beside))
     used = [i for i, row in enumerate(rows) if row[1] or row[3]]
     return rows[: used[-1] + 1] if used else []

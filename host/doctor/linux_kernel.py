@@ -24,7 +24,7 @@ THROTTLED_SHARE = 0.9
 def checks(machine: Machine) -> list[Check]:
     """Return the checks of the kernel."""
     each = (preempt_rt, clocksource, rt_throttling, swap, hypervisor, container)
-    return [(f"kernel.{one.__name__}", partial(one, machine)) for one in each]
+    return [(f"kernel.{check.__name__}", partial(check, machine)) for check in each]
 
 
 def preempt_rt(machine: Machine) -> Outcome:

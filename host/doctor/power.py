@@ -24,7 +24,7 @@ def usb(machine: Machine, interface: str) -> Outcome:
     if not device.exists():
         return Outcome(True, f"{interface} is on no port")
     real, root = Path(os.path.realpath(device)), Path(os.path.realpath(machine.root))
-    port = next((one for one in (real, *real.parents) if re.fullmatch(r"\d+-\d+(\.\d+)*", one.name)), None)
+    port = next((place for place in (real, *real.parents) if re.fullmatch(r"\d+-\d+(\.\d+)*", place.name)), None)
     if port is None:
         return Outcome(True, f"{interface} is not on USB")
     try:

@@ -28,7 +28,7 @@ DMA_FIX = (
 
 def checks(machine: Machine) -> list[Check]:
     """Return the checks of this user's rights."""
-    return [(f"rights.{one.__name__}", partial(one, machine)) for one in (rtprio, memlock, dma_latency)]
+    return [(f"rights.{check.__name__}", partial(check, machine)) for check in (rtprio, memlock, dma_latency)]
 
 
 def _limit(machine: Machine, name: str) -> float:

@@ -41,20 +41,20 @@ def checks(
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    found = re.match(r"\d+(\.\d+)*", text)
-    return tuple(map(int, found[0].split("."))) if found else ()
+    match = re.match(r"\d+(\.\d+)*", text)
+    return tuple(map(int, match[0].split("."))) if match else ()
 
 
 def requirement_met(bounds: str, version: str) -> bool:
     """Tell whether a version is within ``>=1.2,<3``; bounds of other kinds are not looked at."""
     have = _numbers(version)
     for text in filter(None, bounds.split(",")):
-        found = _BOUND.match(text)
-        if found is None:
+        match = _BOUND.match(text)
+        if match is None:
             continue
-        kind, limit = found[1], _numbers(found[2])
+        kind, limit = match[1], _numbers(match[2])
         size = max(len(have), len(limit))
-        a, b = (one + (0,) * (size - len(one)) for one in (have, limit))
+        a, b = (numbers + (0,) * (size - len(numbers)) for numbers in (have, limit))
         if (kind == ">=" and a < b) or (kind == "<" and a >= b) or (kind == "<=" and a > b) or (kind == ">" and a <= b):
             return False
     return True
@@ -66,25 +66,25 @@ def versions(
     """Everything that this project needs is here, in a version that it was tried with."""
     try:
         needed = requires(NAME) or []
-        told = [f"{NAME} {version(NAME)}", f"Python {platform.python_version()}"]
+        names = [f"{NAME} {version(NAME)}", f"Python {platform.python_version()}"]
     except metadata.PackageNotFoundError:
         return Outcome(False, f"{NAME} is not installed, only found", f"{sys.executable} -m pip install {NAME}")
     wrong = []
     for text in needed:
-        found = _REQUIREMENT.match(text)
-        if found is None or (found[4] and "extra" in found[4]):
+        match = _REQUIREMENT.match(text)
+        if match is None or (match[4] and "extra" in match[4]):
             continue
         try:
-            have = version(found[1])
+            have = version(match[1])
         except metadata.PackageNotFoundError:
-            wrong.append(f"{found[1]} is missing")
+            wrong.append(f"{match[1]} is missing")
             continue
-        told.append(f"{found[1]} {have}")
-        if not requirement_met(found[3], have):
-            wrong.append(f"{found[1]} is {have}, expected {found[3].strip()}")
+        names.append(f"{match[1]} {have}")
+        if not requirement_met(match[3], have):
+            wrong.append(f"{match[1]} is {have}, expected {match[3].strip()}")
     if wrong:
         return Outcome(False, "; ".join(wrong), f"{sys.executable} -m pip install --upgrade {NAME}")
-    return Outcome(True, ", ".join(told))
+    return Outcome(True, ", ".join(names))
 
 
 def import_name(path: Sequence[str], own: Path) -> Outcome:
@@ -112,15 +112,19 @@ def import_name(path: Sequence[str], own: Path) -> Outcome:
 
 def script_name(folders: Sequence[str], prefix: Path) -> Outcome:
     """The command `coulombus` of the shell is this environment's."""
-    found: list[Path] = []
+    scripts: list[Path] = []
     for folder in dict.fromkeys(filter(None, folders)):
         script = Path(folder) / NAME
-        if script.is_file() and os.access(script, os.X_OK) and script.resolve() not in (one.resolve() for one in found):
-            found.append(script)
+        if (
+            script.is_file()
+            and os.access(script, os.X_OK)
+            and script.resolve() not in (place.resolve() for place in scripts)
+        ):
+            scripts.append(script)
     own = prefix / "bin" / NAME
-    if not found:
+    if not scripts:
         return Outcome(True, f"not on PATH; call it as {own}")
-    if found[0].resolve() == own.resolve():
-        return Outcome(True, str(found[0]))
+    if scripts[0].resolve() == own.resolve():
+        return Outcome(True, str(scripts[0]))
     fix = f". {prefix}/bin/activate  # in each terminal, or: hash -r; export PATH={prefix}/bin:$PATH"
-    return Outcome(False, f"the shell takes {found[0]}, not {own}", fix)
+    return Outcome(False, f"the shell takes {scripts[0]}, not {own}", fix)

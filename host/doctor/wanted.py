@@ -36,7 +36,11 @@ class RigDemands:
         period_s = min(bus.period_s for bus in rig.buses)
         limits = [axis.limits.missed_tpdo_cycles * period_s for axis in rig.axes]
         for axis in rig.axes:
-            limits += [time for one in (axis.motor, axis.brake) for time in (one.setpoint_fault_s, one.sync_timeout_s)]
+            limits += [
+                time
+                for section in (axis.motor, axis.brake)
+                for time in (section.setpoint_fault_s, section.sync_timeout_s)
+            ]
         return cls(
             period_s=period_s,
             window_s=max(bus.tpdo_window_s for bus in rig.buses),
