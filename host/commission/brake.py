@@ -107,15 +107,17 @@ class Brake(Step):
         stroke = strokes(length, SPEED_RAD_S, move, DWELL_S)
         return (exercise(self.name, rig, "stair", [self._top(axis), STEPS, STAIR_S], [stroke], hand=STROKING_HAND),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the table, the hysteresis, and the share of the slip torque at which it
         lets go.
         """
-        stairs = _stairs(taken[0].recording, axis)
+        stairs = _stairs(runs[0].recording, axis)
         zero = stairs[0].slip_Nm  # before the iron has anything to remember
         table: list[list[float]] = [[stairs[0].raw, 0.0]]
-        for raw in sorted({one.raw for one in stairs} - {stairs[0].raw}, key=lambda raw: abs(raw - stairs[0].raw)):
-            table.append([raw, round(float(np.mean([one.slip_Nm for one in stairs if one.raw == raw])) - zero, 4)])
+        for raw in sorted({stair.raw for stair in stairs} - {stairs[0].raw}, key=lambda raw: abs(raw - stairs[0].raw)):
+            table.append(
+                [raw, round(float(np.mean([stair.slip_Nm for stair in stairs if stair.raw == raw])) - zero, 4)]
+            )
         if len(table) < 3:
             raise CommissionError(
                 f"the handle slid on {len(table)} stairs only: stroke it without a stop, harder where it binds"
@@ -125,14 +127,14 @@ class Brake(Step):
             raise CommissionError(
                 f"the brake's torque does not grow with the set-point ({text}): is the coil connected?"
             )
-        ups = {one.raw: one.slip_Nm for one in stairs if one.up}
-        downs = {one.raw: one.slip_Nm for one in stairs if not one.up}
+        ups = {stair.raw: stair.slip_Nm for stair in stairs if stair.up}
+        downs = {stair.raw: stair.slip_Nm for stair in stairs if not stair.up}
         gap = max((abs(ups[raw] - downs[raw]) for raw in ups.keys() & downs.keys()), default=0.0)
-        scatter = max(one.scatter_Nm for one in stairs)
+        scatter = max(stair.scatter_Nm for stair in stairs)
         lets = [
-            one.breakaway_Nm / one.slip_Nm
-            for one in stairs
-            if one.breakaway_Nm == one.breakaway_Nm and one.raw != stairs[0].raw
+            stair.breakaway_Nm / stair.slip_Nm
+            for stair in stairs
+            if stair.breakaway_Nm == stair.breakaway_Nm and stair.raw != stairs[0].raw
         ]
         setpoint = axis.allocation.bound["brake_setpoint"]
         believed = [_believed(axis, raw) for raw, _ in table]
@@ -140,7 +142,7 @@ class Brake(Step):
             abs(was - Nm) > max(0.01 * table[-1][1], scatter) for was, (_, Nm) in zip(believed, table, strict=True)
         )
         basis = f"{len(stairs)} stairs, slip both ways, up and down"
-        old = [list(one) for one in setpoint.table] or None
+        old = [list(point) for point in setpoint.table] or None
         findings = (
             Finding(
                 "role.brake_setpoint.table", "brake's table", old, table, "[raw, Nm]", scatter, basis, changed=other
@@ -153,13 +155,13 @@ class Brake(Step):
         )
         lines = {
             "up": (
-                [float(one.raw) for one in stairs if one.up],
-                [one.slip_Nm - zero for one in stairs if one.up],
+                [float(stair.raw) for stair in stairs if stair.up],
+                [stair.slip_Nm - zero for stair in stairs if stair.up],
                 "o-",
             ),
             "down": (
-                [float(one.raw) for one in stairs if not one.up],
-                [one.slip_Nm - zero for one in stairs if not one.up],
+                [float(stair.raw) for stair in stairs if not stair.up],
+                [stair.slip_Nm - zero for stair in stairs if not stair.up],
                 "s--",
             ),
             "believed": ([float(raw) for raw, _ in table], believed, ":"),
@@ -169,10 +171,10 @@ class Brake(Step):
 
 def _believed(axis: Axis, raw: float) -> float:
     """Return the torque that a set-point is believed to be [Nm]."""
-    one = axis.allocation.bound["brake_setpoint"]
-    if not one.table:
-        return float(raw * abs(one.scale))
-    points = sorted(one.table)
+    setpoint = axis.allocation.bound["brake_setpoint"]
+    if not setpoint.table:
+        return float(raw * abs(setpoint.scale))
+    points = sorted(setpoint.table)
     return float(np.interp(raw, [at for at, _ in points], [Nm for _, Nm in points]))
 
 
@@ -194,21 +196,21 @@ def _stairs(recording: Recording, axis: Axis) -> list[_Stair]:
     begin = float(sent[0]) if len(sent) else 0.0
     edges = [int(np.searchsorted(t, begin)), *(np.flatnonzero(np.diff(raw)) + 1).tolist(), len(t)]
     typical = np.median(np.abs(v[np.abs(v) > 0.1 * SPEED_RAD_S])) if np.any(np.abs(v) > 0.1 * SPEED_RAD_S) else np.inf
-    found: list[_Stair] = []
+    stairs: list[_Stair] = []
     top = False
     for first, end in itertools.pairwise(edges):
         if t[end - 1] - t[first] < 0.75 * STAIR_S:  # the end of the run ramps the brake off
             continue
         inside = slice(first + round(FOLLOWED_S / period), end)
-        one = _stair(int(raw[first]), not top, v[inside], torque[inside], SLIP_SHARE * float(typical))
+        stair = _stair(int(raw[first]), not top, v[inside], torque[inside], SLIP_SHARE * float(typical))
         top = top or abs(int(raw[first])) == int(np.max(np.abs(raw)))
-        if one is not None:
-            found.append(one)
-        elif not found:
+        if stair is not None:
+            stairs.append(stair)
+        elif not stairs:
             raise CommissionError("the handle did not slide both ways with the brake off: stroke it to and fro")
-    if not found:
+    if not stairs:
         raise CommissionError("the run ended before the first stair; do the step again")
-    return found
+    return stairs
 
 
 def _stair(raw: int, up: bool, v: Floats, torque: Floats, slip: float) -> _Stair | None:

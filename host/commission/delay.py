@@ -95,16 +95,16 @@ class Delay(Step):
         limit = axis.limits.sign_check_torque_Nm
         if axis.mode.active is not None:
             limit = min(limit, axis.mode.active.motor_limit_Nm)
-        found = []
+        exercises = []
         if motor:
-            found.append(
+            exercises.append(
                 exercise("delay-motor", rig, "square", [motor, HALF_S, 0.0], rest, motor_Nm=limit, hand=FREE_HAND)
             )
         if brake:
-            found.append(exercise("delay-brake", rig, "square", [0.0, HALF_S, brake], rest, hand=FREE_HAND))
-        return tuple(found)
+            exercises.append(exercise("delay-brake", rig, "square", [0.0, HALF_S, brake], rest, hand=FREE_HAND))
+        return tuple(exercises)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return delays and time constants; the rig file has no key for them."""
         rows = [
             ("motor's torque", "motor.target_torque_Nm", "motor.torque_Nm", bool(self._motor(axis))),
@@ -112,9 +112,9 @@ class Delay(Step):
         ]
         findings: list[Finding] = []
         lines: dict[str, tuple[Sequence[float], Sequence[float], str]] = {}
-        for one, (name, asked, answered) in zip(taken, (row[:3] for row in rows if row[3]), strict=True):
-            answer = _answer(one.recording, asked, answered)
-            basis = f"steps of {asked}, answered by {answered}, at each SYNC"
+        for run, (name, command, answered) in zip(runs, (row[:3] for row in rows if row[3]), strict=True):
+            answer = _answer(run.recording, command, answered)
+            basis = f"steps of {command}, answered by {answered}, at each SYNC"
             tau = None if answer.tau_ms is None else round(answer.tau_ms, 3)
             findings += [
                 Finding("", f"SYNC to {name}", None, round(answer.delay_us, 1), "us", answer.reach_us, basis),
@@ -125,15 +125,15 @@ class Delay(Step):
         return Outcome(tuple(findings), curves=(curve,))
 
 
-def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
-    """Return the answer of `answered` to the steps of `asked`.
+def _answer(recording: Recording, command_name: str, answered: str) -> _Answer:
+    """Return the answer of `answered` to the steps of `command_name`.
 
     Raises
     ------
     CommissionError
         there are hardly any steps
     """
-    target, value = recording[asked], recording[answered]
+    target, value = recording[command_name], recording[answered]
     if not (len(target) and len(value)):
         raise CommissionError(f"{answered}: nothing was recorded of it")
     sampled, sent = sync_before(recording, value.t_s), sync_before(recording, target.t_s)

@@ -50,22 +50,26 @@ class Display(Step):
         chosen = rig.variant(schedule)
         return (Exercise(self.name, chosen, self._mode(rig.one_axis()), chosen.schedule_s, (schedule,)),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return whether the handle held still while it was pushed."""
-        recording = taken[0].recording
-        found = measure(recording)
+        recording = runs[0].recording
+        measures = measure(recording)
         basis = f"mode {self._mode(axis)}, hold and stroke"
         rows = (
-            ("hold: encoder peak to peak", found.hold_counts_p2p, "counts"),
-            ("hold: velocity, RMS", found.hold_velocity_rms_rad_s, "rad/s"),
-            ("hold: largest push", found.hold_push_Nm, "Nm"),
-            ("hold: torque flips", found.torque_flips_per_s, "1/s"),
+            ("hold: encoder peak to peak", measures.hold_counts_p2p, "counts"),
+            ("hold: velocity, RMS", measures.hold_velocity_rms_rad_s, "rad/s"),
+            ("hold: largest push", measures.hold_push_Nm, "Nm"),
+            ("hold: torque flips", measures.torque_flips_per_s, "1/s"),
         )
         findings = tuple(Finding("", name, None, value, unit, None, basis) for name, value, unit in rows)
         remarks: tuple[str, ...] = ()
-        if found.hold_counts_p2p is not None and found.hold_counts_p2p > STILL_COUNTS and self._mode(axis) != "active":
+        if (
+            measures.hold_counts_p2p is not None
+            and measures.hold_counts_p2p > STILL_COUNTS
+            and self._mode(axis) != "active"
+        ):
             remarks = (
-                f"the handle moved by {found.hold_counts_p2p} counts while it was held: was the push below F_s?",
+                f"the handle moved by {measures.hold_counts_p2p} counts while it was held: was the push below F_s?",
             )
         angle = recording["motor.position_rad"]
         curves = [

@@ -79,9 +79,9 @@ class Encoder(Step):
         )
         return (exercise(self.name, rig, "hold", [0.0], phases, hand=FIRM_HAND),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return sign and ratio."""
-        recording, marks = taken[0].recording, given.marks_rad or 0.0
+        recording, marks = runs[0].recording, given.marks_rad or 0.0
         angle = recording["motor.position_rad"]
         rest, stroke = span_of(recording, "rest"), span_of(recording, "stroke")
         first = mean_in(angle, rest.end_s - SETTLED_S, rest.end_s, "the first mark")

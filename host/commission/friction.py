@@ -115,32 +115,32 @@ class Friction(Step):
         """Return the sweep with the handle free."""
         return (sweep_exercise(rig, self.name, FREE_HAND),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return friction, and the motor's limit that goes with it."""
-        recording = taken[0].recording
+        recording = runs[0].recording
         try:
-            found = identify(recording)
+            identification = identify(recording)
             slides = sliding(recording)
         except IdentifyError as error:
             raise CommissionError(
                 f"{error}; is the handle free, and sign_check_torque_Nm more than its friction?"
             ) from error
-        basis = f"{found.samples} samples that slide, motor's sweep, coil off"
-        coulomb, viscous = found.device.coulomb_Nm, found.device.viscous_Nms_rad
+        basis = f"{identification.samples} samples that slide, motor's sweep, coil off"
+        coulomb, viscous = identification.device.coulomb_Nm, identification.device.viscous_Nms_rad
         cogging = find_cogging(slides, axis.mechanics.ratio)
         if cogging is not None:
             coulomb, viscous = cogging.coulomb_Nm, cogging.viscous_Nms_rad
         wave = None if cogging is None else cogging.wave(axis.mechanics.ratio)
-        edges, sectors = _by_sector(slides, found, viscous, wave)
+        edges, sectors = _by_sector(slides, identification, viscous, wave)
         remarks: list[str] = []
         value = coulomb.value
-        told = [one for one in sectors if math.isfinite(one)]
-        if told and min(told) < (1 - UNEVEN) * value:
+        known = [Nm for Nm in sectors if math.isfinite(Nm)]
+        if known and min(known) < (1 - UNEVEN) * value:
             remarks.append(
-                f"the friction is uneven, {min(told):.4f} to {max(told):.4f} Nm by angle; the smallest is taken, "
+                f"the friction is uneven, {min(known):.4f} to {max(known):.4f} Nm by angle; the smallest is taken, "
                 "so that the compensation nowhere pushes by itself"
             )
-            value = min(told)
+            value = min(known)
         if coulomb.high < 0:
             raise CommissionError(
                 f"Coulomb friction {coulomb} Nm: what brakes seems to push; do the steps zero, weight and motor first"
@@ -156,7 +156,7 @@ class Friction(Step):
             findings.append(
                 _finding("mechanics.viscous_Nms_rad", "viscous friction", old, slope, "Nm s/rad", viscous, basis)
             )
-        inertia = found.device.inertia_kg_m2
+        inertia = identification.device.inertia_kg_m2
         if inertia is not None and inertia.value > 0:
             old, new = mechanics.inertia_kg_m2, float(f"{inertia.value:.3g}")
             findings.append(_finding("mechanics.inertia_kg_m2", "inertia", old, new, "kg m2", inertia, basis))
@@ -168,18 +168,18 @@ class Friction(Step):
                 "Friction against speed",
                 "speed [rad/s]",
                 "motor + hand, inertia taken off [Nm]",
-                {"samples": (*thinned(*_device(slides, found)), "."), "fit": (*_line(found), "-")},
+                {"samples": (*thinned(*_device(slides, identification)), "."), "fit": (*_line(identification), "-")},
             ),
             Curve(
                 "Coulomb friction by angle",
                 "angle [rad]",
                 "[Nm]",
-                {"sector": (middles.tolist(), [one if math.isfinite(one) else 0.0 for one in sectors], "o-")},
+                {"sector": (middles.tolist(), [Nm if math.isfinite(Nm) else 0.0 for Nm in sectors], "o-")},
             ),
         )
         if cogging is not None:
             curves = (*curves, _cogging_curve(cogging, axis.mechanics.ratio))
-        return Outcome(tuple(findings), (*remarks, *found.remarks), curves)
+        return Outcome(tuple(findings), (*remarks, *identification.remarks), curves)
 
 
 def _finding(key: str, name: str, old: float, new: float, unit: str, estimate: Estimate, basis: str) -> Finding:
@@ -201,14 +201,14 @@ def _limit(axis: Axis, friction_Nm: float) -> list[Finding]:
     ]
 
 
-def _cogging(axis: Axis, found: Cogging | None, basis: str) -> list[Finding]:
+def _cogging(axis: Axis, cogging: Cogging | None, basis: str) -> list[Finding]:
     """Return amplitude and periods; nothing where none stands out and none was believed."""
     mechanics = axis.mechanics
-    if found is None and mechanics.cogging_Nm == 0:
+    if cogging is None and mechanics.cogging_Nm == 0:
         return []
     amplitude, periods, reach = 0.0, 0, None
-    if found is not None:
-        amplitude, periods, reach = round(found.amplitude_Nm, 5), found.periods, found.reach_Nm
+    if cogging is not None:
+        amplitude, periods, reach = round(cogging.amplitude_Nm, 5), cogging.periods, cogging.reach_Nm
     return [
         Finding(
             *("mechanics.cogging_Nm", "motor's cogging", mechanics.cogging_Nm, amplitude, "Nm", reach, basis),
@@ -222,21 +222,21 @@ def _cogging(axis: Axis, found: Cogging | None, basis: str) -> list[Finding]:
     ]
 
 
-def _cogging_curve(found: Cogging, ratio: float) -> Curve:
+def _cogging_curve(cogging: Cogging, ratio: float) -> Curve:
     """Return the cogging against the motor's angle, all revolutions one above the other."""
-    turn = np.mod(found.x_rad * ratio, 2 * math.pi)
+    turn = np.mod(cogging.x_rad * ratio, 2 * math.pi)
     angle = np.linspace(0, 2 * math.pi, 200)
-    fit = found.wave(ratio)(angle / ratio)
+    fit = cogging.wave(ratio)(angle / ratio)
     return Curve(
         "Cogging by the motor's angle",
         "motor's angle [rad]",
         "motor + hand, friction and inertia taken off [Nm]",
-        {"samples": (*thinned(turn, found.torque_Nm), "."), "fit": (angle.tolist(), fit.tolist(), "-")},
+        {"samples": (*thinned(turn, cogging.torque_Nm), "."), "fit": (angle.tolist(), fit.tolist(), "-")},
     )
 
 
 def _by_sector(
-    slides: Sliding, found: Identification, viscous: Estimate | None, wave: Callable[[Floats], Floats] | None
+    slides: Sliding, identification: Identification, viscous: Estimate | None, wave: Callable[[Floats], Floats] | None
 ) -> tuple[Floats, list[float]]:
     """Return the edges of the angle's sectors, and the Coulomb friction in each; NaN where there
     are hardly any samples.
@@ -244,10 +244,10 @@ def _by_sector(
     `wave`: the cogging at an angle, which is taken off.
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad)
-    x = rows.smooth([one.x_rad - one.x_rad[0] for one in slides.slides])
+    x = rows.smooth([slide.x_rad - slide.x_rad[0] for slide in slides.slides])
     start = np.array([slide.x_rad[0] for slide in slides.slides])
     x = x / rows.weight.sum() + start[rows.slide]
-    inertia = found.device.inertia_kg_m2
+    inertia = identification.device.inertia_kg_m2
     torque = rows.hand_Nm + rows.motor_Nm
     torque = (
         torque
@@ -255,7 +255,7 @@ def _by_sector(
         - (0.0 if inertia is None else inertia.value) * rows.a
     )
     if wave is not None:
-        torque = torque - rows.smooth([wave(one.x_rad) for one in slides.slides])
+        torque = torque - rows.smooth([wave(slide.x_rad) for slide in slides.slides])
     edges = np.linspace(x.min(), x.max(), SECTORS + 1)
     by_sector = []
     for k in range(SECTORS):
@@ -266,14 +266,14 @@ def _by_sector(
     return edges, by_sector
 
 
-def _device(slides: Sliding, found: Identification) -> tuple[Floats, Floats]:
+def _device(slides: Sliding, identification: Identification) -> tuple[Floats, Floats]:
     rows = equations(slides.slides, slides.period_s, slides.count_rad)
-    inertia = found.device.inertia_kg_m2
+    inertia = identification.device.inertia_kg_m2
     return rows.v, rows.hand_Nm + rows.motor_Nm - (0.0 if inertia is None else inertia.value) * rows.a
 
 
-def _line(found: Identification) -> tuple[list[float], list[float]]:
-    top = float(np.max(np.abs(found.v_rad_s)))
-    slope = 0.0 if found.device.viscous_Nms_rad is None else found.device.viscous_Nms_rad.value
+def _line(identification: Identification) -> tuple[list[float], list[float]]:
+    top = float(np.max(np.abs(identification.v_rad_s)))
+    slope = 0.0 if identification.device.viscous_Nms_rad is None else identification.device.viscous_Nms_rad.value
     v = [-top, -1e-6, 1e-6, top]
-    return v, [round(math.copysign(found.device.coulomb_Nm.value, one) + slope * one, 6) for one in v]
+    return v, [round(math.copysign(identification.device.coulomb_Nm.value, speed) + slope * speed, 6) for speed in v]

@@ -45,9 +45,9 @@ class Limits(Step):
         rest = f'{{kind="rest", duration_s={SECONDS}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the limits that cannot stay."""
-        return Outcome(tuple(_findings(taken[0].recording, axis)))
+        return Outcome(tuple(_findings(runs[0].recording, axis)))
 
 
 def _findings(recording: Recording, axis: Axis) -> Iterator[Finding]:
@@ -64,18 +64,18 @@ def _findings(recording: Recording, axis: Axis) -> Iterator[Finding]:
         "law.velocity_band_counts", "velocity band", band, max(band, jitter), "counts", None, why, band < jitter
     )
     fastest = limits.speed_rad_s * period / count
-    jump, wanted = limits.encoder_jump_counts, math.ceil(JUMP_MARGIN * fastest)
+    jump, least_jump = limits.encoder_jump_counts, math.ceil(JUMP_MARGIN * fastest)
     why = f"limits.speed_rad_s is {fastest:.0f} counts a cycle, times {JUMP_MARGIN:g}"
     wrong = jump < fastest or jump > JUMP_LOOSE * fastest
     yield Finding(
-        "limits.encoder_jump_counts", "encoder's jump", jump, wanted if wrong else jump, "counts", None, why, wrong
+        "limits.encoder_jump_counts", "encoder's jump", jump, least_jump if wrong else jump, "counts", None, why, wrong
     )
     if axis.allocation.bound.get("handle_torque") is None:
         return
     series = handle_torque(recording)
-    found = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer at rest")
-    least = abs(found.value) + NOISE_FACTOR * found.deviation
-    yield Finding("", "transducer's noise, RMS", None, float(f"{found.deviation:.3g}"), "Nm", None, basis)
+    mean = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer at rest")
+    least = abs(mean.value) + NOISE_FACTOR * mean.deviation
+    yield Finding("", "transducer's noise, RMS", None, float(f"{mean.deviation:.3g}"), "Nm", None, basis)
     for key, old in (
         ("still_handle_torque_Nm", limits.still_handle_torque_Nm),
         ("handle_mismatch_Nm", limits.handle_mismatch_Nm),

@@ -66,21 +66,21 @@ class Motor(Step):
         """Return the sweep against the hand."""
         return (replace(sweep_exercise(rig, self.name, ()), may_trip=(SIGN,)),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the sign, or the torque constant."""
         mechanics, rated = axis.mechanics, axis.motor.rated_torque_Nm
-        if taken[0].trip is not None:
+        if runs[0].trip is not None:
             old = mechanics.motor_polarity
             why = f"the sign check: {SIGN}; the encoder's sign is as the step encoder left it"
             return Outcome((Finding("mechanics.motor_polarity", "motor's sign", old, -old, "", None, why),), again=True)
         try:
-            slides = sliding(taken[0].recording, WINDOW_S)
+            slides = sliding(runs[0].recording, WINDOW_S)
             rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
         except IdentifyError as error:
             raise CommissionError(f"{error}; hold the handle more loosely") from error
         columns = [rows.motor_Nm, np.sign(rows.v), rows.v, rows.a, np.ones_like(rows.v)]
-        found = fit(columns, rows.hand_Nm, BLOCK)
-        k, reach = -float(found.beta[0]), float(found.reach[0])
+        solution = fit(columns, rows.hand_Nm, BLOCK)
+        k, reach = -float(solution.beta[0]), float(solution.reach[0])
         if reach > MOST_REACH or k < LEAST_SHARE:
             raise CommissionError(
                 f"the motor's torque reads {k:.3f} +- {reach:.3f} of what is believed: hold the handle, so that it "
@@ -104,12 +104,12 @@ class Motor(Step):
                 "motor.rated_torque_Nm", "torque at 1000 per mille", rated, new, "Nm", rated * reach, basis, changed
             ),
         )
-        rest = rows.hand_Nm - np.column_stack(columns[1:]) @ found.beta[1:]
+        rest = rows.hand_Nm - np.column_stack(columns[1:]) @ solution.beta[1:]
         ends = [float(np.min(rows.motor_Nm)), float(np.max(rows.motor_Nm))]
         curve = Curve(
             "Hand against motor",
             "motor's torque as believed [Nm]",
             "hand's torque, friction taken off [Nm]",
-            {"windows": (*thinned(rows.motor_Nm, rest), "."), "fit": (ends, [-k * one for one in ends], "-")},
+            {"windows": (*thinned(rows.motor_Nm, rest), "."), "fit": (ends, [-k * torque for torque in ends], "-")},
         )
         return Outcome(findings, curves=(curve,))

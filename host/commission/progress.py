@@ -71,11 +71,11 @@ class Progress:
             return state
         try:
             values = json.loads(raw)
-            if values["version"] != VERSION or not all(set(KEPT) <= one.keys() for one in values["steps"].values()):
+            if values["version"] != VERSION or not all(set(KEPT) <= step.keys() for step in values["steps"].values()):
                 raise ValueError
         except (ValueError, KeyError, TypeError, AttributeError):
-            wanted = f"this is no state of a commissioning (version {VERSION}); take the folder away to begin anew"
-            raise CommissionError(f"{state.path}: {wanted}") from None
+            refusal = f"this is no state of a commissioning (version {VERSION}); take the folder away to begin anew"
+            raise CommissionError(f"{state.path}: {refusal}") from None
         state.steps = values["steps"]
         return state
 
@@ -87,6 +87,6 @@ class Progress:
         OSError
             it cannot be written; it is as it was
         """
-        steps = {other: one for other, one in self.steps.items() if other != name} | {name: outcome}
+        steps = {other: kept for other, kept in self.steps.items() if other != name} | {name: outcome}
         write_whole(self.path, json.dumps({"version": VERSION, "steps": steps}, indent=1).encode())
         self.steps = steps

@@ -56,12 +56,12 @@ def _page(rig: Rig, state: Progress, titles: Mapping[str, str]) -> Iterator[str]
     yield "</body></html>"
 
 
-def _step(title: str, one: Mapping[str, Any]) -> Iterator[str]:
+def _step(title: str, outcome: Mapping[str, Any]) -> Iterator[str]:
     yield f"<h2>{escape(title)}</h2>"
-    files = ", ".join(f"<code>{escape(name)}</code>" for name in one["recordings"])
-    yield f'<p class="small">{escape(one["at"])}; {files}</p>'
+    files = ", ".join(f"<code>{escape(name)}</code>" for name in outcome["recordings"])
+    yield f'<p class="small">{escape(outcome["at"])}; {files}</p>'
     yield '<table><tr><th>what</th><th class="n">was</th><th class="n">is</th><th class="n">&plusmn;</th><th>unit</th><th>rests on</th></tr>'
-    for finding in one["findings"]:
+    for finding in outcome["findings"]:
         written = ' class="written"' if finding["key"] and finding["changed"] else ""
         name = escape(finding["name"]) + (f" <code>{escape(finding['key'])}</code>" if finding["key"] else "")
         reach = "" if finding["uncertainty"] is None else f"{finding['uncertainty']:.2g}"
@@ -70,10 +70,10 @@ def _step(title: str, one: Mapping[str, Any]) -> Iterator[str]:
             f'<td class="n">{reach}</td><td>{escape(finding["unit"])}</td><td class="small">{escape(finding["basis"])}</td></tr>'
         )
     yield "</table>"
-    for text in one["remarks"]:
+    for text in outcome["remarks"]:
         yield f'<p class="small">Note: {escape(text)}</p>'
-    if one["curves"]:
-        yield f'<div class="pictures">{"".join(_picture(curve) for curve in one["curves"])}</div>'
+    if outcome["curves"]:
+        yield f'<div class="pictures">{"".join(_picture(curve) for curve in outcome["curves"])}</div>'
 
 
 def _figure(value: Any) -> str:

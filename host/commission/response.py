@@ -81,9 +81,9 @@ class Response(Step):
         user = [0.0, HALF_S, self._brake(rig.one_axis())]
         return (exercise(self.name, rig, "square", user, [stroke], hand=STROKING_HAND),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return times and time constants; the rig file has no key for them."""
-        t, y, steps = _mean_answer(taken[0].recording, axis)
+        t, y, steps = _mean_answer(runs[0].recording, axis)
         delay, coil, fluid = _fitted(t, y)
         basis = f"mean of {steps} steps in slip, inertia {axis.mechanics.inertia_kg_m2:g} kg m2 taken off"
         rows = (
@@ -96,10 +96,10 @@ class Response(Step):
         findings = tuple(
             Finding("", name, None, round(float(value), 2), unit, None, basis) for name, value, unit in rows
         )
-        ms = [round(float(one) * 1e3, 3) for one in t]
+        ms = [round(float(t_s) * 1e3, 3) for t_s in t]
         lines = {
-            "measured": (ms, [round(float(one), 4) for one in y], "."),
-            "two lags": (ms, [round(float(one), 4) for one in _model(t, delay, coil, fluid)], "-"),
+            "measured": (ms, [round(float(share), 4) for share in y], "."),
+            "two lags": (ms, [round(float(share), 4) for share in _model(t, delay, coil, fluid)], "-"),
         }
         return Outcome(
             findings, curves=(Curve("Brake's answer to a step", "time since the SYNC before [ms]", "share", lines),)
@@ -115,20 +115,20 @@ def _mean_answer(recording: Recording, axis: Axis) -> tuple[Floats, Floats, int]
         the handle slid through too few of them
     """
     period = recording.rig.bus.period_s
-    angle, hand, asked = recording["motor.position_rad"], handle_torque(recording), recording["brake.setpoint_Nm"]
+    angle, hand, setpoints = recording["motor.position_rad"], handle_torque(recording), recording["brake.setpoint_Nm"]
     if not len(angle):
         raise CommissionError("the recording has no position")
-    sampled, sent = sync_before(recording, angle.t_s), sync_before(recording, asked.t_s)
+    sampled, sent = sync_before(recording, angle.t_s), sync_before(recording, setpoints.t_s)
     v, a = motion(angle, period, SMOOTH)
     torque = (
         np.interp(angle.t_s, hand.t_s, hand.values)
         - axis.mechanics.inertia_kg_m2 * a
         - axis.mechanics.viscous_Nms_rad * v
     )
-    jumps = np.diff(np.asarray(asked.values, np.float64))
+    jumps = np.diff(np.asarray(setpoints.values, np.float64))
     edges = 1 + np.flatnonzero(np.abs(jumps) > 0.5 * np.max(np.abs(jumps), initial=0.0) + 1e-9)
-    before, after, end = (round(one / period) for one in (BEFORE_S, AFTER_S, END_S))
-    found = []
+    before, after, end = (round(time_s / period) for time_s in (BEFORE_S, AFTER_S, END_S))
+    answers = []
     for edge in edges:
         at = int(np.searchsorted(sampled, sent[edge]))
         span = slice(at - before, at + after)
@@ -138,13 +138,13 @@ def _mean_answer(recording: Recording, axis: Axis) -> tuple[Floats, Floats, int]
             sensed = torque[span] * np.sign(v[at])
             low, high = np.mean(sensed[:before]), np.mean(sensed[-end:])
             if abs(high - low) > 1e-6:
-                found.append((sensed[before:] - low) / (high - low))
-    if len(found) < LEAST_STEPS:
+                answers.append((sensed[before:] - low) / (high - low))
+    if len(answers) < LEAST_STEPS:
         raise CommissionError(
-            f"the handle slid through {len(found)} steps; expected {LEAST_STEPS}: stroke it with a firmer hand"
+            f"the handle slid through {len(answers)} steps; expected {LEAST_STEPS}: stroke it with a firmer hand"
         )
     t: Floats = np.asarray(np.arange(after) * period, np.float64)
-    return t, np.mean(found, axis=0), len(found)
+    return t, np.mean(answers, axis=0), len(answers)
 
 
 def _model(t: Floats, delay: float, coil: float, fluid: float) -> Floats:
@@ -159,12 +159,12 @@ def _model(t: Floats, delay: float, coil: float, fluid: float) -> Floats:
 def _fitted(t: Floats, y: Floats) -> tuple[float, float, float]:
     """Return delay and both time constants, the faster one first [s]."""
     start = float(_reached(t, y, 1 - np.exp(-1))) * 1e-3
-    found = least_squares(
+    times = least_squares(
         lambda p: _model(t, p[0], min(p[1], p[2]), max(p[1], p[2])) - y,
         (0.05 * start, 0.2 * start, 0.8 * start),
         bounds=((0.0, 1e-5, 1e-5), (0.05, 0.2, 0.5)),
     ).x
-    return float(found[0]), float(min(found[1:])), float(max(found[1:]))
+    return float(times[0]), float(min(times[1:])), float(max(times[1:]))
 
 
 def _reached(t: Floats, y: Floats, share: float) -> float:

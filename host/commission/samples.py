@@ -120,10 +120,10 @@ def span_of(recording: Recording, kind: str, number: int = 0) -> PhaseSpan:
     CommissionError
         the run ended before it
     """
-    found = [span for span in phases(recording) if span.kind == kind]
-    if len(found) <= number or found[number].end_s <= found[number].begin_s:
+    spans = [span for span in phases(recording) if span.kind == kind]
+    if len(spans) <= number or spans[number].end_s <= spans[number].begin_s:
         raise CommissionError(f"the run ended before its phase '{kind}' was over; do the step again")
-    return found[number]
+    return spans[number]
 
 
 @dataclass(frozen=True)

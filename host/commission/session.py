@@ -62,7 +62,7 @@ class StepEnd:
     def as_dict(self) -> dict[str, Any]:
         """Return plain values; curves are left to the report."""
         outcome = self.outcome
-        findings = [asdict(one) for one in outcome.findings] if outcome else []
+        findings = [asdict(finding) for finding in outcome.findings] if outcome else []
         remarks = list(outcome.remarks) if outcome else []
         return {
             "step": self.step,
@@ -145,40 +145,42 @@ class Session:
                 return StepEnd(step.name, step.title, "skipped")
             self.state.folder.mkdir(parents=True, exist_ok=True)
             exercises = step.exercises(rig, self.given)
-            taken = [self._take(step, one) for one in exercises]
-            outcome = step.analyse(taken, axis, self.given)
+            runs = [self._take(step, exercise) for exercise in exercises]
+            outcome = step.analyse(runs, axis, self.given)
             written = self._write(step, outcome)
             if not outcome.again or last:
                 break
         kept = outcome.as_dict() | {
             "at": self.now(),
             "title": step.title,
-            "recordings": [f"{one.name}.pcapng" for one in exercises],
+            "recordings": [f"{exercise.name}.pcapng" for exercise in exercises],
         }
         self.state.keep(step.name, kept)
         return StepEnd(step.name, step.title, "done", outcome=outcome, written=written)
 
-    def _take(self, step: Step, one: Exercise) -> ExerciseResult:
+    def _take(self, step: Step, exercise: Exercise) -> ExerciseResult:
         """Run an exercise, and return its recording."""
-        path = self.state.folder / f"{one.name}.pcapng"
-        result = self.run(one, path)
+        path = self.state.folder / f"{exercise.name}.pcapng"
+        result = self.run(exercise, path)
         if result.stopped_by is not None:
             raise RunEnded(result.stopped_by, result.exit_status)
         trip = None
         if result.trip is not None:
             trip = TrippedExercise(result.trip.partition(":")[0], result.trip)
-            if trip.name not in one.may_trip:
+            if trip.name not in exercise.may_trip:
                 raise SafetyTrip(f"step {step.name}: {result.trip}; nothing of it was written; the recording is {path}")
         return ExerciseResult(read(path), trip)
 
     def _write(self, step: Step, outcome: Outcome) -> tuple[str, ...]:
         """Write what was found into the rig file; return the keys that were changed."""
-        changed = [one for one in outcome.findings if one.key and one.changed]
+        changed = [finding for finding in outcome.findings if finding.key and finding.changed]
         if not changed:
             return ()
         at, rig = self.now(), self._whole()
         above = () if self.axis is None else ("axis", self.axis)  # what all axes share is true of the others
-        values = {(*above, *one.key.split(".")): NewValue(one.new, f"{at}: {_said(one)}") for one in changed}
+        values = {
+            (*above, *finding.key.split(".")): NewValue(finding.new, f"{at}: {_said(finding)}") for finding in changed
+        }
         text = rewritten(rig.text, values, MARK, str(self.path))
         load_rig_text(text, str(self.path.resolve()), overrides=self.overrides)  # what it refuses is not written
         stamp = at.replace(":", "").replace("-", "")
@@ -187,14 +189,14 @@ class Session:
         return tuple(dotted(key) for key in values)
 
 
-def _said(one: Finding) -> str:
+def _said(finding: Finding) -> str:
     """Return a finding as the comment above its key."""
-    short = toml_value(one.old) if one.old is not None else "nothing"
+    short = toml_value(finding.old) if finding.old is not None else "nothing"
     was = short if len(short) <= 40 else f"{short[:37]}..."
-    reach = "" if one.uncertainty is None else f"; 95 %: +- {one.uncertainty:.2g} {one.unit}"
-    return f"was {was}{reach}; {one.basis}".replace("\n", " ")
+    reach = "" if finding.uncertainty is None else f"; 95 %: +- {finding.uncertainty:.2g} {finding.unit}"
+    return f"was {was}{reach}; {finding.basis}".replace("\n", " ")
 
 
 def results(done: Sequence[StepEnd]) -> Mapping[str, Any]:
     """Return what `coulombus commission --json` prints."""
-    return {"steps": [one.as_dict() for one in done]}
+    return {"steps": [end.as_dict() for end in done]}

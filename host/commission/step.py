@@ -180,7 +180,7 @@ class Step(ABC):
         """Return the runs of the step; none where nothing has to move."""
 
     @abstractmethod
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return what the recordings say.
 
         Raises

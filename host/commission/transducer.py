@@ -47,9 +47,9 @@ LEAST_CHANGE = 0.005
 
 
 def _binding(axis: Axis) -> Binding:
-    one = axis.allocation.bound.get("handle_torque")
-    assert one is not None  # `lacks` has told
-    return one
+    binding = axis.allocation.bound.get("handle_torque")
+    assert binding is not None  # `lacks` has told
+    return binding
 
 
 class Zero(Step):
@@ -74,18 +74,18 @@ class Zero(Step):
         rest = f'{{kind="rest", duration_s={ZERO_S}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND, may_trip=("HANDLE_LOADED",)),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the offset that makes the mean zero, and the noise."""
-        series = handle_torque(taken[0].recording)
-        found = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer's zero")
-        one, turned = _binding(axis), axis.mechanics.transducer_polarity
-        new = round((one.offset - found.value) * turned, 5) + 0.0  # no -0
-        reach = max(found.reach, abs(one.scale) / 2)
+        series = handle_torque(runs[0].recording)
+        mean = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer's zero")
+        binding, turned = _binding(axis), axis.mechanics.transducer_polarity
+        new = round((binding.offset - mean.value) * turned, 5) + 0.0  # no -0
+        reach = max(mean.reach, abs(binding.scale) / 2)
         basis = f"mean of {len(series)} samples with nobody at the handle"
-        old = one.offset * turned
+        old = binding.offset * turned
         findings = (
             Finding(OFFSET, "transducer's zero", old, new, "Nm", reach, basis, changed=abs(new - old) > reach),
-            Finding("", "transducer's noise, RMS", None, float(f"{found.deviation:.3g}"), "Nm", None, basis),
+            Finding("", "transducer's noise, RMS", None, float(f"{mean.deviation:.3g}"), "Nm", None, basis),
         )
         curve = Curve(
             "Transducer at rest", "time [s]", "[Nm]", {"as it reads": (*thinned(series.t_s, series.values), "-")}
@@ -105,8 +105,8 @@ class Weight(Step):
             return "give --weight-Nm: the torque of a known weight at the handle, in its positive sense"
         if not 0 < given.weight_Nm <= axis.limits.brake_torque_Nm / HOLDS:
             most = axis.limits.brake_torque_Nm / HOLDS
-            wanted = f"expected above 0, at most {most:.3g}, which the brake holds with a margin"
-            return f"--weight-Nm {given.weight_Nm:g}: {wanted}"
+            bounds = f"expected above 0, at most {most:.3g}, which the brake holds with a margin"
+            return f"--weight-Nm {given.weight_Nm:g}: {bounds}"
         return lacks_roles(axis, "handle_torque")
 
     def _brake(self, axis: Axis, given: Given) -> float:
@@ -133,9 +133,9 @@ class Weight(Step):
         )
         return (exercise(self.name, rig, "hold", [self._brake(rig.one_axis(), given)], phases, hand=FREE_HAND),)
 
-    def analyse(self, taken: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return scale and polarity that read the weight as it is."""
-        recording, weight = taken[0].recording, given.weight_Nm or 0.0
+        recording, weight = runs[0].recording, given.weight_Nm or 0.0
         series = handle_torque(recording)
         rest, hang = span_of(recording, "rest"), span_of(recording, "file")
         zero = mean_in(series, rest.begin_s + 1.0, rest.end_s, "the free handle")
@@ -146,11 +146,11 @@ class Weight(Step):
             raise CommissionError(
                 f"the transducer shows {difference:.4f} Nm of the {weight:g} Nm: did the weight hang?"
             )
-        one, turned = _binding(axis), axis.mechanics.transducer_polarity
+        binding, turned = _binding(axis), axis.mechanics.transducer_polarity
         factor = weight / abs(difference)
         polarity = turned if difference > 0 else -turned
         reach = (loaded.reach + zero.reach) / abs(difference)
-        old = abs(one.scale)
+        old = abs(binding.scale)
         new = float(f"{old * factor:.5g}")
         other = abs(factor - 1) > max(reach, LEAST_CHANGE)
         basis = f"{weight:g} Nm reads {difference:.4f} Nm"
@@ -158,8 +158,8 @@ class Weight(Step):
             Finding(POLARITY, "transducer's sign", turned, polarity, "", None, basis, changed=polarity != turned),
             Finding(SCALE, "transducer's scale", old, new, "Nm/count", new * reach, basis, changed=other),
         ]
-        if other and one.offset:
-            offset = one.offset * turned
+        if other and binding.offset:
+            offset = binding.offset * turned
             findings.append(
                 Finding(
                     OFFSET, "transducer's zero", offset, round(offset * factor, 5), "Nm", None, "with the new scale"
