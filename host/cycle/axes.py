@@ -47,10 +47,10 @@ def next_ns(axes: AxisRecords) -> int:
 @kernel
 def phases(axes: AxisRecords) -> int:
     """Return the phases of all axes as one number, four bits each."""
-    found: int = axes[0].host.phase
+    phase_bits: int = axes[0].host.phase
     for k in range(1, axes.shape[0]):
-        found |= axes[k].host.phase << (4 * k)
-    return found
+        phase_bits |= axes[k].host.phase << (4 * k)
+    return phase_bits
 
 
 @kernel

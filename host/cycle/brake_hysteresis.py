@@ -56,8 +56,8 @@ def coil_for(c: ControlRecord, h: HostRecord, wanted_Nm: float) -> float:
             low = middle
         else:
             high = middle
-    found: float = high
-    return found
+    coil_Nm: float = high
+    return coil_Nm
 
 
 @kernel

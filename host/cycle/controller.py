@@ -126,8 +126,8 @@ class Controller:
         self.axis = axis
         self.mode = mode
         if axis.law_of_recording and axis.law.function not in BUILTIN_LAWS:
-            wanted = f"{' or '.join(BUILTIN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
-            raise axis.mistake("law.function", f"{wanted}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
+            expected = f"{' or '.join(BUILTIN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
+            raise axis.mistake("law.function", f"{expected}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
         try:
             loaded = load_declared(axis.law.function.strip(), axis.law_directory)
         except LawError as error:
@@ -149,7 +149,7 @@ class Controller:
             self.host[name] = -1
         self.host["deadman_ok"] = 1
         self.host["share"] = 1.0
-        constants = [one.value for pdo in pdos for one in pdo.constants]
+        constants = [constant.value for pdo in pdos for constant in pdo.constants]
         self.host["image"][0, Image.CONSTANT : Image.CONSTANT + len(constants)] = constants
 
     @property
@@ -222,7 +222,7 @@ class Controller:
         constant = count(int(Image.CONSTANT))
         for record, pdo in zip(records, pdos, strict=False):
             slots = {(s.index, s.subindex): slot for s in pdo.signals if (slot := slot_of_signal(s)) >= 0}
-            slots |= {(one.index, one.subindex): next(constant) for one in pdo.constants}
+            slots |= {(fixed.index, fixed.subindex): next(constant) for fixed in pdo.constants}
             fill(record, pdo.layout, _slot_of(slots))
         return records
 
@@ -377,7 +377,7 @@ class Controller:
             ends.insert(0, (MAX_TORQUE, motor.variable(MAX_TORQUE, 0).largest))
         if target.low is not None and target.low < 0:
             ends.append((entry.index, -target.low))
-        index, end = min(ends, key=lambda one: one[1])
+        index, end = min(ends, key=lambda pair: pair[1])
         if limit > end:
             raise self.axis.mistake(
                 f"mode.{self.mode}.motor_limit_Nm",

@@ -94,7 +94,7 @@ class Controllers:
     def own_identifiers(self) -> tuple[int, ...]:
         """Identifiers of the frames that the cycle sends: SYNC, the host's heartbeat, the RPDOs."""
         c = self.control[0]
-        rpdos = (int(pdo["cob_id"]) for one in self.each for pdo in one.rpdos if pdo["cob_id"] >= 0)
+        rpdos = (int(pdo["cob_id"]) for controller in self.each for pdo in controller.rpdos if pdo["cob_id"] >= 0)
         return (int(c["sync_cob_id"]), CobId.HEARTBEAT + int(c["host_id"]), *rpdos)
 
     def __iter__(self) -> Iterator[Controller]:
@@ -166,8 +166,10 @@ class Controllers:
 
         One that was stopped because of another only where that is on another bus.
         """
-        found = [k for k in self.each if k.host["trip"][0] != Trip.NONE]
-        return min(found, key=lambda k: (k.host["trip"][0] == Trip.OTHER_AXIS, int(k.host["trip_ns"][0])), default=None)
+        tripped = [k for k in self.each if k.host["trip"][0] != Trip.NONE]
+        return min(
+            tripped, key=lambda k: (k.host["trip"][0] == Trip.OTHER_AXIS, int(k.host["trip_ns"][0])), default=None
+        )
 
     @property
     def trip(self) -> str | None:
@@ -187,5 +189,5 @@ class Controllers:
 
     def counters(self) -> dict[str, int]:
         """Return the cycles' counters, all axes together."""
-        found = [controller.counters() for controller in self.each]
-        return {name: sum(one[name] for one in found) for name in found[0]}
+        each = [controller.counters() for controller in self.each]
+        return {name: sum(counters[name] for counters in each) for name in each[0]}

@@ -96,7 +96,9 @@ class Parameter:
         exponent = math.floor(math.log10(likely / 100)) if likely > 0 else -2
         share = likely / 100 / 10.0**exponent
         return (
-            float(f"{next(one for one in (5, 2, 1) if one <= share * (1 + 1e-9))}e{exponent}") if likely > 0 else 0.01
+            float(f"{next(digit for digit in (5, 2, 1) if digit <= share * (1 + 1e-9))}e{exponent}")
+            if likely > 0
+            else 0.01
         )
 
     def why_not(self, value: float) -> str | None:
@@ -121,25 +123,29 @@ def parameters_of(controller: Controller) -> tuple[Parameter, ...]:
     shown = (motor_Nm, motor_whose) if mode == "active" else brake_limit(axis)
     chosen, friction_Nm = axis.mode[mode], axis.mechanics.friction_Nm
     share = (motor_Nm / friction_Nm if friction_Nm > 0 else math.inf, motor_whose)
-    found = []
+    parameters = []
     if law is None or law.uses_mode_keys:
         names = OF_MODE if law is None else {name: slot for name, slot in OF_MODE.items() if name in law.names}
-        found = [_parameter(chosen, name, slot, shown if name in TORQUES else ANYTHING) for name, slot in names.items()]
+        parameters = [
+            _parameter(chosen, name, slot, shown if name in TORQUES else ANYTHING) for name, slot in names.items()
+        ]
     elif controller.parameters is not None:
         for k, name in enumerate(law.names):
             end = shown if name in law.extremes else ANYTHING
             if law.parameters.model_fields[name].annotation is float:
-                found.append(_parameter(controller.parameters, name, Slot.USER + k, end))
-    found.append(_parameter(chosen, "compensation", Slot.COMPENSATION, share, friction_Nm))
-    return tuple(one for one in found if math.isfinite(one.low) and math.isfinite(one.high))
+                parameters.append(_parameter(controller.parameters, name, Slot.USER + k, end))
+    parameters.append(_parameter(chosen, "compensation", Slot.COMPENSATION, share, friction_Nm))
+    return tuple(
+        parameter for parameter in parameters if math.isfinite(parameter.low) and math.isfinite(parameter.high)
+    )
 
 
 def _parameter(section: Section, name: str, slot: int, end: tuple[float, str], scale: float = 1.0) -> Parameter:
     low, high, above = -math.inf, math.inf, False
-    for one in type(section).model_fields[name].metadata:
-        above = above or hasattr(one, "gt")
-        low = float(getattr(one, "gt", getattr(one, "ge", low)))
-        high = float(getattr(one, "le", high))
+    for bound in type(section).model_fields[name].metadata:
+        above = above or hasattr(bound, "gt")
+        low = float(getattr(bound, "gt", getattr(bound, "ge", low)))
+        high = float(getattr(bound, "le", high))
     high, whose = min((high, "the rig file's range"), end)
     present = float(getattr(section, name))  # `check_demand` lets less than a count pass
     return Parameter(name, unit_of(name), slot, scale, low, max(high, present), above, whose, present)
@@ -169,20 +175,20 @@ class Change:
     @property
     def marker(self) -> str:
         """The marker, which has all that a replay needs."""
-        names = [f"{self.axis}.{one.name}" if self.axis else one.name for one in self.values]
-        told = ", ".join(
-            f"{name} {one.old:g} -> {one.new:g} {one.unit}".rstrip()
-            for name, one in zip(names, self.values, strict=True)
+        names = [f"{self.axis}.{value.name}" if self.axis else value.name for value in self.values]
+        shown = ", ".join(
+            f"{name} {value.old:g} -> {value.new:g} {value.unit}".rstrip()
+            for name, value in zip(names, self.values, strict=True)
         )
         exact = " ".join(
-            f"{name}={one.old.hex()}>{one.new.hex()}" for name, one in zip(names, self.values, strict=True)
+            f"{name}={value.old.hex()}>{value.new.hex()}" for name, value in zip(names, self.values, strict=True)
         )
         undo = " (undo)" if self.undo else ""
-        return f"{MARKER}{told} in {self.over_s:g} s{undo} [{self.number}: {exact} in {self.cycles}]"
+        return f"{MARKER}{shown} in {self.over_s:g} s{undo} [{self.number}: {exact} in {self.cycles}]"
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        values = [one._asdict() for one in self.values]
+        values = [value._asdict() for value in self.values]
         return {"axis": self.axis, "changes": values, "over_s": self.over_s, "undo": self.undo, "marker": self.marker}
 
 
@@ -191,18 +197,18 @@ class _Axis:
 
     def __init__(self, controller: Controller) -> None:
         self.controller, self.name = controller, controller.axis.name
-        self.table = {one.name: one for one in parameters_of(controller)}
-        self.value = {name: one.value for name, one in self.table.items()}
+        self.table = {parameter.name: parameter for parameter in parameters_of(controller)}
+        self.value = {name: parameter.value for name, parameter in self.table.items()}
         self.number = 0
 
     def order(self, values: Mapping[str, float]) -> Floats:
         """Return the whole record of an order by which `values` are wanted, and all else as it is
         wanted now.
         """
-        found = self._present()
+        order = self._present()
         for name, parameter in self.table.items():
-            found[parameter.slot] = values.get(name, self.value[name]) * parameter.scale
-        return found
+            order[parameter.slot] = values.get(name, self.value[name]) * parameter.scale
+        return order
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameters that the law has, as plain values; `now`: on the way there."""
@@ -210,16 +216,18 @@ class _Axis:
         return [
             {
                 "axis": self.name,
-                "name": one.name,
-                "unit": one.unit,
-                "value": self.value[one.name],
-                "now": float(present[one.slot]) / one.scale if one.scale else self.value[one.name],
-                "low": one.low,
-                "high": one.high,
-                "above_low": one.above_low,
-                "step": one.step,
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "value": self.value[parameter.name],
+                "now": float(present[parameter.slot]) / parameter.scale
+                if parameter.scale
+                else self.value[parameter.name],
+                "low": parameter.low,
+                "high": parameter.high,
+                "above_low": parameter.above_low,
+                "step": parameter.step,
             }
-            for one in self.table.values()
+            for parameter in self.table.values()
         ]
 
     def _present(self) -> Floats:
@@ -259,14 +267,14 @@ class LiveParameters:
         chosen = self._axes[index]
         if not values:
             raise ChangeRefused("no value is given: expected NAME=VALUE, as in F_s=2.0")
-        wanted: dict[str, float] = {}
+        goals: dict[str, float] = {}
         for given, value in values.items():
             name = _name(given, chosen)
-            if name in wanted:
+            if name in goals:
                 raise ChangeRefused(f"{name} is given twice")
-            wanted[name] = float(value)
-        change = self._order(index, wanted, over_s, {name: chosen.value[name] for name in wanted})
-        self._made = [*self._made, (index, {one.name: one.old for one in change.values})][-UNDONE:]
+            goals[name] = float(value)
+        change = self._order(index, goals, over_s, {name: chosen.value[name] for name in goals})
+        self._made = [*self._made, (index, {changed.name: changed.old for changed in change.values})][-UNDONE:]
         return change
 
     def undo(self, over_s: float = OVER_S) -> Change:
@@ -285,31 +293,31 @@ class LiveParameters:
         return change
 
     def _order(
-        self, index: int, wanted: Mapping[str, float], over_s: float, old: Mapping[str, float], *, undo: bool = False
+        self, index: int, goals: Mapping[str, float], over_s: float, old: Mapping[str, float], *, undo: bool = False
     ) -> Change:
         axis = self._axes[index]
         if not LEAST_S <= over_s <= MOST_S:
             raise ChangeRefused(f"within {over_s:g} s: expected {LEAST_S:g} to {MOST_S:g} s")
         if not undo:  # back to what was right before
-            reasons = (axis.table[name].why_not(value) for name, value in wanted.items())
-            reason = next(filter(None, reasons), None) or _pairs(axis, {**axis.value, **wanted}, wanted)
+            reasons = (axis.table[name].why_not(value) for name, value in goals.items())
+            reason = next(filter(None, reasons), None) or _pairs(axis, {**axis.value, **goals}, goals)
             if reason is not None:
                 raise ChangeRefused(reason)
-        if any(int(one.controller.live["taken"][0]) != one.number for one in self._axes):
+        if any(int(other.controller.live["taken"][0]) != other.number for other in self._axes):
             raise NotTaken("the change before has not been taken yet: the host does not cycle")
-        over_s = max(over_s, self._gentle_s(axis, wanted, old))
+        over_s = max(over_s, self._gentle_s(axis, goals, old))
         number, cycles = self._number + 1, max(1, round(over_s / self._period_s))
-        offer(axis.controller.live[0], number, axis.order(wanted), cycles)
+        offer(axis.controller.live[0], number, axis.order(goals), cycles)
         self._number = axis.number = number
-        axis.value.update(wanted)
-        values = tuple(Changed(name, axis.table[name].unit, old[name], value) for name, value in wanted.items())
+        axis.value.update(goals)
+        values = tuple(Changed(name, axis.table[name].unit, old[name], value) for name, value in goals.items())
         return Change(number, axis.name, index, values, over_s, cycles, undo)
 
-    def _gentle_s(self, axis: _Axis, wanted: Mapping[str, float], old: Mapping[str, float]) -> float:
+    def _gentle_s(self, axis: _Axis, goals: Mapping[str, float], old: Mapping[str, float]) -> float:
         """Return how long a torque that becomes less takes to fall at the safe state's rate [s]: a hand
         may lean on it.
         """
-        falls = [old[name] - value for name, value in wanted.items() if axis.table[name].unit == "Nm"]
+        falls = [old[name] - value for name, value in goals.items() if axis.table[name].unit == "Nm"]
         rate_Nm_s = float(axis.controller.control["release_Nm"][0]) / self._period_s
         if rate_Nm_s <= 0.0:
             return 0.0
@@ -344,7 +352,7 @@ def _name(given: str, axis: _Axis) -> str:
     raise ChangeRefused(f"{given}: no parameter of this name; there is {there}{nearest(given, (*names, *short))}")
 
 
-def _pairs(axis: _Axis, values: Mapping[str, float], wanted: Mapping[str, float]) -> str | None:
+def _pairs(axis: _Axis, values: Mapping[str, float], goals: Mapping[str, float]) -> str | None:
     """Return why values do not go together; None where they do, or where none of them is asked for."""
     law = axis.controller.declaration
     relations = [("F_s_Nm", "F_d_Nm", False)] if law is None or law.uses_mode_keys else []
@@ -352,21 +360,21 @@ def _pairs(axis: _Axis, values: Mapping[str, float], wanted: Mapping[str, float]
         relations += [(first, second, False) for first, second in law.parameters.at_least.items()]
         relations += [(first, second, True) for first, second in law.parameters.above.items()]
     for first, second, above in relations:
-        if not {first, second} <= values.keys() or wanted.keys().isdisjoint((first, second)):
+        if not {first, second} <= values.keys() or goals.keys().isdisjoint((first, second)):
             continue
-        one, other = values[first], values[second]
-        if other > one or (above and other == one):
+        value, other = values[first], values[second]
+        if other > value or (above and other == value):
             words = "less than" if above else "at most"
-            return f"{second}={other:g} with {first}={one:g}: expected {second} {words} {first}; change both at once"
+            return f"{second}={other:g} with {first}={value:g}: expected {second} {words} {first}; change both at once"
     believed, mode = axis.controller.axis, axis.controller.mode
-    if mode != "active" or "F_d_Nm" not in values or wanted.keys().isdisjoint(("F_d_Nm", "compensation")):
+    if mode != "active" or "F_d_Nm" not in values or goals.keys().isdisjoint(("F_d_Nm", "compensation")):
         return None
     limit_Nm, whose = motor_limit(believed, mode)
     compensation_Nm = values["compensation"] * axis.table["compensation"].scale
     if values["F_d_Nm"] - compensation_Nm <= limit_Nm + torque_step_Nm(believed):
         return None
-    told = f"F_d_Nm={values['F_d_Nm']:g} with compensation={values['compensation']:g}"
-    return f"{told}: {whose} ends at {limit_Nm:g} Nm"
+    shown = f"F_d_Nm={values['F_d_Nm']:g} with compensation={values['compensation']:g}"
+    return f"{shown}: {whose} ends at {limit_Nm:g} Nm"
 
 
 class ParameterOrder(NamedTuple):
@@ -386,20 +394,20 @@ def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, Par
         a marker names a parameter or an axis that these do not have
     """
     axes = {axis.name: (index, axis) for index, axis in enumerate(map(_Axis, controllers))}
-    found = {}
+    orders = {}
     for text in markers:
         match = ORDER_TEXT.fullmatch(text)
         if match is None:
             continue
-        wanted: dict[str, dict[str, float]] = {}
+        goals: dict[str, dict[str, float]] = {}
         for part in match[2].split(" "):
             name, _, exact = part.partition("=")
             owner, _, plain = name.rpartition(".")
             if owner not in axes or plain not in axes[owner][1].table:
                 raise ChangeRefused(f"the marker '{text}' names {name}, which the rig does not have")
-            wanted.setdefault(owner, {})[plain] = float.fromhex(exact.rpartition(">")[2])
-        for owner, values in wanted.items():
+            goals.setdefault(owner, {})[plain] = float.fromhex(exact.rpartition(">")[2])
+        for owner, values in goals.items():
             index, axis = axes[owner]
-            found[int(match[1])] = ParameterOrder(index, axis.order(values), int(match[3]))
+            orders[int(match[1])] = ParameterOrder(index, axis.order(values), int(match[3]))
             axis.value.update(values)
-    return found
+    return orders

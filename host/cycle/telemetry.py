@@ -23,10 +23,10 @@ MOST_AGE = 127
 
 
 @kernel
-def _grown(told: Records, k: int, count: int) -> int:
+def _grown(last: Records, k: int, count: int) -> int:
     """Return 1 when a counter is more than at the last cycle's end."""
-    grown = 1 if count > told[k] else 0
-    told[k] = count
+    grown = 1 if count > last[k] else 0
+    last[k] = count
     return grown
 
 
