@@ -54,24 +54,24 @@ class Asked(Record):
 
 
 @kernel
-def _drive(asked: Asked, law_function: LawFunction, samples: RecordArray[Sample]) -> int:
+def _drive(inputs: Asked, law_function: LawFunction, samples: RecordArray[Sample]) -> int:
     """Ask the law at each of `samples`; return the first whose torque is no finite number, -1 where
     there is none.
     """
-    motion, state = asked.motion, asked.state
+    motion, state = inputs.motion, inputs.state
     state.stuck = 1
     state.x_stuck = samples[0].x_rad
     for k in range(len(samples)):
-        one = samples[k]
-        before = samples[k - 1] if k > 0 else one
-        motion.dt_s = one.t_s - before.t_s if k > 0 else samples[1].t_s - one.t_s
-        motion.x_rad = one.x_rad
-        motion.v_rad_s = (one.x_rad - before.x_rad) / motion.dt_s
-        motion.v_counts = (one.x_rad - before.x_rad) / asked.count_rad
-        psi_Nm = law_function(motion, asked.law, state)
-        one.v_rad_s = motion.v_rad_s
-        one.torque_Nm = psi_Nm
-        one.brake_Nm = state.brake_Nm
+        sample = samples[k]
+        before = samples[k - 1] if k > 0 else sample
+        motion.dt_s = sample.t_s - before.t_s if k > 0 else samples[1].t_s - sample.t_s
+        motion.x_rad = sample.x_rad
+        motion.v_rad_s = (sample.x_rad - before.x_rad) / motion.dt_s
+        motion.v_counts = (sample.x_rad - before.x_rad) / inputs.count_rad
+        psi_Nm = law_function(motion, inputs.law, state)
+        sample.v_rad_s = motion.v_rad_s
+        sample.torque_Nm = psi_Nm
+        sample.brake_Nm = state.brake_Nm
         if not math.isfinite(psi_Nm) or not math.isfinite(state.brake_Nm):
             return k
         state.psi_Nm = psi_Nm
@@ -125,31 +125,31 @@ class GivenLaw:
         coulombus.host.laws.laws.LawError
             it returned no finite number
         """
-        asked, samples = new_records(Asked), new_records(Sample, len(t_s))
+        inputs, samples = new_records(Asked), new_records(Sample, len(t_s))
         samples["t_s"], samples["x_rad"] = t_s, x_rad
-        asked[0]["count_rad"] = count_rad
+        inputs[0]["count_rad"] = count_rad
         if self.declaration is not None and self.parameters is not None:
-            self.declaration.fill(asked[0]["law"], self.parameters)
-        return _driven(self.name, self.pointer, asked, samples)
+            self.declaration.fill(inputs[0]["law"], self.parameters)
+        return _driven(self.name, self.pointer, inputs, samples)
 
 
 def drive(
     name: str, pointer: LawFunction, law: Records, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float
 ) -> Driven:
     """Drive a law whose parameters are a record of `LawRecord` along a motion, as `GivenLaw.along` does."""
-    asked, samples = new_records(Asked), new_records(Sample, len(t_s))
+    inputs, samples = new_records(Asked), new_records(Sample, len(t_s))
     samples["t_s"], samples["x_rad"] = t_s, x_rad
-    asked[0]["count_rad"], asked[0]["law"] = count_rad, law[0]
-    return _driven(name, pointer, asked, samples)
+    inputs[0]["count_rad"], inputs[0]["law"] = count_rad, law[0]
+    return _driven(name, pointer, inputs, samples)
 
 
-def _driven(name: str, pointer: LawFunction, asked: Records, samples: RecordArray[Sample]) -> Driven:
-    wrong = _drive(asked[0], pointer, samples)
+def _driven(name: str, pointer: LawFunction, inputs: Records, samples: RecordArray[Sample]) -> Driven:
+    wrong = _drive(inputs[0], pointer, samples)
     if wrong >= 0:
-        one = samples[wrong]
+        sample = samples[wrong]
         raise LawError(
-            f"law {name!r} returned {one['torque_Nm']:g} Nm and {one['brake_Nm']:g} Nm for the brake at "
-            f"t_s={one['t_s']:g}, x_rad={one['x_rad']:g}; expected finite numbers: on a rig this trips (LAW)"
+            f"law {name!r} returned {sample['torque_Nm']:g} Nm and {sample['brake_Nm']:g} Nm for the brake at "
+            f"t_s={sample['t_s']:g}, x_rad={sample['x_rad']:g}; expected finite numbers: on a rig this trips (LAW)"
         )
     return Driven(samples)
 

@@ -170,11 +170,11 @@ class _Named:
 
 
 def _places(names: Iterable[tuple[str, int]]) -> dict[str, tuple[int, int]]:
-    found, first = {}, 0
+    places, first = {}, 0
     for name, size in names:
-        found[name] = first, size
+        places[name] = first, size
         first += size
-    return found
+    return places
 
 
 @dataclass(frozen=True)
@@ -201,9 +201,13 @@ class Declaration:
 
     def __post_init__(self) -> None:
         names, kept = self.names, sum(size for _, size in self.state)
-        taken = {*(LAW.names or ()), *(LAW_STATE.names or ())} & {*names, *(name for name, _ in self.state)}
-        if not self.uses_mode_keys and (len(names) > USER or kept > USER or taken):
-            what = f"{', '.join(sorted(taken))}: taken" if taken else f"{len(names)} parameters and {kept} numbers kept"
+        clashes = {*(LAW.names or ()), *(LAW_STATE.names or ())} & {*names, *(name for name, _ in self.state)}
+        if not self.uses_mode_keys and (len(names) > USER or kept > USER or clashes):
+            what = (
+                f"{', '.join(sorted(clashes))}: taken"
+                if clashes
+                else f"{len(names)} parameters and {kept} numbers kept"
+            )
             raise ValueError(f"law {self.name}: {what}; expected names of its own, at most {USER} numbers of each kind")
 
     @property
@@ -239,11 +243,11 @@ class Declaration:
 
     def numbers(self, values: Parameters) -> dict[str, float]:
         """Return the parameters as the law sees them: of a choice, its place."""
-        found = {}
+        numbers = {}
         for name, info in self.parameters.model_fields.items():
             value = getattr(values, name)
-            found[name] = float(get_args(info.annotation).index(value) if isinstance(value, str) else value)
-        return found
+            numbers[name] = float(get_args(info.annotation).index(value) if isinstance(value, str) else value)
+        return numbers
 
     def fill(self, record: LawRecord, values: Parameters) -> None:
         """Write the parameters into a record of `LawRecord`."""
@@ -311,8 +315,8 @@ def _state_fields(state: type[LawStateRecord]) -> Iterator[tuple[str, int]]:
 
 def declaration_of(function: Any) -> Declaration | None:
     """Return what a law declares; None of one without named parameters."""
-    found = getattr(function, "declaration", None)
-    return found if isinstance(found, Declaration) else None
+    declaration = getattr(function, "declaration", None)
+    return declaration if isinstance(declaration, Declaration) else None
 
 
 def described(law: Declaration) -> dict[str, Any]:
@@ -327,10 +331,10 @@ def described(law: Declaration) -> dict[str, Any]:
         }
         for name, info in law.parameters.model_fields.items()
     ]
-    for one in parameters:
+    for row in parameters:
         for words, others in (("at least", law.parameters.at_least), ("more than", law.parameters.above)):
-            if one["name"] in others:
-                one["accepted"] = f"{one['accepted']}, {words} {others[one['name']]}"
+            if row["name"] in others:
+                row["accepted"] = f"{row['accepted']}, {words} {others[row['name']]}"
     return {
         "title": law.title,
         "doi": list(law.dois),

@@ -113,7 +113,7 @@ LAWS = (
 """The laws with named parameters, a file of this folder each."""
 
 BUILTIN_LAWS: Mapping[str, Declaration] = MappingProxyType(
-    {one.name: one for one in (KARNOPP, COULOMB, *filter(None, map(declaration_of, LAWS)))}
+    {law.name: law for law in (KARNOPP, COULOMB, *filter(None, map(declaration_of, LAWS)))}
 )
 """The project's own laws by their names: of all laws that a recording may name these alone run
 without being named again.
@@ -229,9 +229,9 @@ def _why_not(function: Any, error: Exception) -> str:
     if (
         isinstance(error, KeyError) and error.args and isinstance(error.args[0], str)
     ):  # numba: no such field in a record
-        found = _unknown_field(function, error.args[0])
-        if found:
-            return found
+        reason = _unknown_field(function, error.args[0])
+        if reason:
+            return reason
     text = COLOURS.sub("", str(error))
     lines = [line.strip() for line in text.splitlines()]
     first = next((i for i, line in enumerate(lines) if line and "pipeline" not in line), 0)
@@ -266,10 +266,10 @@ def find_law(place: str, directory: Path | None) -> Path:
     looked for.
     """
     tried = [folder / place for folder in (directory, Path()) if folder is not None]
-    found = next((path for path in tried if path.is_file()), None)
-    if found is None:
+    path = next((candidate for candidate in tried if candidate.is_file()), None)
+    if path is None:
         raise LawError(f"there is no file {place}; looked for {', '.join(map(str, tried))}")
-    return found
+    return path
 
 
 class LoadedLaw(NamedTuple):
@@ -308,7 +308,7 @@ def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
         raise LawError(f"law {name!r}: expected {names}, 'file.py:function' or 'module:function'{hint}")
     own_law = place in (__name__, EXERCISES)
     plain = _function(name, place, attribute, directory, own_law=own_law)
-    declared = next((one for one in BUILTIN_LAWS.values() if one.function is plain), declaration_of(plain))
+    declared = next((law for law in BUILTIN_LAWS.values() if law.function is plain), declaration_of(plain))
     return LoadedLaw(_compiled(name, plain, own_law=own_law), declared)
 
 

@@ -31,8 +31,8 @@ def axis_parameters(axis: Axis, law: Declaration | None) -> Parameters | None:
     coulombus.rigs.rig.RigError
         with every mistake that was found, with ``file:line``
     """
-    found = law_parameters(axis.law.tables, law, axis.origin.source(axis.name))
-    return None if law is None or law.uses_mode_keys else found[law.name]
+    sections = law_parameters(axis.law.tables, law, axis.origin.source(axis.name))
+    return None if law is None or law.uses_mode_keys else sections[law.name]
 
 
 def law_parameters(
@@ -45,7 +45,7 @@ def law_parameters(
     coulombus.rigs.rig.RigError
         with every mistake that was found
     """
-    declared = {name: one for name, one in BUILTIN_LAWS.items() if not one.uses_mode_keys}
+    declared = {name: builtin for name, builtin in BUILTIN_LAWS.items() if not builtin.uses_mode_keys}
     if law is not None and (not law.uses_mode_keys or law is not BUILTIN_LAWS.get(law.name)):
         declared[law.name] = law
     known: dict[str, dict[str, Any]] = {}
@@ -86,9 +86,9 @@ def set_parameters(law: Declaration, overrides: Sequence[str]) -> Parameters:
         if not override.partition("=")[2].strip()
     ] or source.found
     source.raise_all()
-    found = _validated(values["law"], {law.name: law}, source)
+    sections = _validated(values["law"], {law.name: law}, source)
     source.raise_all()
-    return found[law.name]
+    return sections[law.name]
 
 
 def _validated(
@@ -97,13 +97,13 @@ def _validated(
     """Return the parameters by the laws' names; mistakes are noted in `source`."""
     schema = _schema(tuple((name, declared[name]) for name in known))
     try:
-        found = schema.model_validate({"law": known})
+        model = schema.model_validate({"law": known})
     except ValidationError as error:
         explain(error, {"law": known}, schema, source)
         return {}
-    values: dict[str, Parameters] = {name: getattr(found.law, name) for name in known}  # type: ignore[attr-defined]
-    for name, one in values.items():
-        _hold_together(name, one, source)
+    values: dict[str, Parameters] = {name: getattr(model.law, name) for name in known}  # type: ignore[attr-defined]
+    for name, section in values.items():
+        _hold_together(name, section, source)
     return values
 
 
@@ -120,12 +120,12 @@ def _hold_together(name: str, values: Parameters, source: Source) -> None:
     relations = [(first, second, "at least") for first, second in values.at_least.items()]
     relations += [(first, second, "more than") for first, second in values.above.items()]
     for first, second, words in relations:
-        one, other = getattr(values, first), getattr(values, second)
-        if one > other or (one == other and words == "at least"):
+        value, other = getattr(values, first), getattr(values, second)
+        if value > other or (value == other and words == "at least"):
             continue
-        told = first if first in values.model_fields_set or second not in values.model_fields_set else second
-        if told == first:
-            source.stands(("law", name, first), one, f"{words} {second}, which is {shown(other)}")
+        key = first if first in values.model_fields_set or second not in values.model_fields_set else second
+        if key == first:
+            source.stands(("law", name, first), value, f"{words} {second}, which is {shown(other)}")
         else:
-            wanted = "at most" if words == "at least" else "less than"
-            source.stands(("law", name, second), other, f"{wanted} {first}, which is {shown(one)}")
+            relation = "at most" if words == "at least" else "less than"
+            source.stands(("law", name, second), other, f"{relation} {first}, which is {shown(value)}")

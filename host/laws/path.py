@@ -67,16 +67,16 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> tuple[npt.NDArray[np.f
     MotionFileError
         with the first mistakes, each with ``file:line``
     """
-    wanted = f"a CSV file with the columns {','.join(columns)}"
+    expected = f"a CSV file with the columns {','.join(columns)}"
     try:
         lines = read_regular(path).decode("utf-8-sig").splitlines()
     except OSError as error:
-        raise MotionFileError(f"{path}: cannot be read ({error.strerror}); expected {wanted}") from error
+        raise MotionFileError(f"{path}: cannot be read ({error.strerror}); expected {expected}") from error
     except UnicodeDecodeError as error:
-        raise MotionFileError(f"{path}:1: no UTF-8; expected {wanted}") from error
+        raise MotionFileError(f"{path}:1: no UTF-8; expected {expected}") from error
     rows = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not rows:
-        raise MotionFileError(f"{path}:1: the file is empty; expected {wanted}")
+        raise MotionFileError(f"{path}:1: the file is empty; expected {expected}")
     number, head = rows[0]
     names = [cell.strip() for cell in _cells(head)]
     if any(names.count(column) != 1 for column in columns):
@@ -90,7 +90,7 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> tuple[npt.NDArray[np.f
     for number, line in rows[1:]:
         cells = _cells(line)
         row = [_number(cells[place]) for place in places] if len(cells) == len(names) else [math.nan]
-        if not all(abs(one) <= MOST for one in row):
+        if not all(abs(cell) <= MOST for cell in row):
             mistakes.append(
                 f"{path}:{number}: got '{line[:60].strip()}', expected finite numbers in {len(names)} columns, "
                 f"within +-{MOST:g}"

@@ -84,10 +84,10 @@ def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
     nothing.
     """
     c = controllers.control[0]
-    wanted = {int(CobId.NMT), int(c["sync_cob_id"]), CobId.HEARTBEAT + int(c["host_id"])}
+    identifiers = {int(CobId.NMT), int(c["sync_cob_id"]), CobId.HEARTBEAT + int(c["host_id"])}
     for controller in controllers:
-        wanted |= controller.can_ids()
-    return tuple((can_id, CAN_SFF_EXACT) for can_id in sorted(wanted))
+        identifiers |= controller.can_ids()
+    return tuple((can_id, CAN_SFF_EXACT) for can_id in sorted(identifiers))
 
 
 class DataPlane:

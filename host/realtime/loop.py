@@ -98,7 +98,7 @@ STAMP_AGE_NS = 1_000_000_000  # an older stamp is a clock that was set
 CAN_ERR_BUSOFF = 0x40
 CLOSED = -1
 
-# what `_take` found
+# what `_take` returns
 EMPTY, TOOK, COMPLETE, GONE = 0, 1, 2, 3
 
 
@@ -161,7 +161,7 @@ def _take(b: Buffers, live: int) -> int:
             t_ns -= age
     t_ns = max(t_ns, p.rx_ns)  # the queue keeps the order; two clocks that are read one after the other may not
     p.rx_ns = t_ns
-    found = TOOK
+    result = TOOK
     for i in range(n // 16):
         can_id = words[2 * i] & 0xFFFFFFFF
         length = (words[2 * i] >> 32) & 0xFF
@@ -184,8 +184,8 @@ def _take(b: Buffers, live: int) -> int:
             p.foreign_sync += 1
             _stop(p, b.axes, Trip.SECOND_HOST)
         if on_frame(b.axes, b.owner, t_ns, can_id, length, word) == 1:
-            found = COMPLETE
-    return found
+            result = COMPLETE
+    return result
 
 
 @kernel
@@ -271,12 +271,12 @@ def _count(bins: Integers, t_ns: int) -> None:
 @kernel
 def _drain(b: Buffers) -> int:
     """Take what the bus carried since the last cycle; return 1 when it is lost."""
-    found = TOOK
+    result = TOOK
     messages = 0
-    while found != EMPTY and messages < DRAIN_MESSAGES:
-        found = _take(b, 1)
+    while result != EMPTY and messages < DRAIN_MESSAGES:
+        result = _take(b, 1)
         messages += 1
-        if found == GONE:
+        if result == GONE:
             return 1
     return 0
 
@@ -317,11 +317,11 @@ def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
             return 1
         if ready <= 0:  # the window is over, or a signal came
             continue
-        found = _take(b, 1)
+        result = _take(b, 1)
         messages += 1
-        if found == GONE:
+        if result == GONE:
             return 1
-        if found == COMPLETE:
+        if result == COMPLETE:
             now = now_ns()
             log_moment(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
             if finish(axes, law_function, now, 0, b.out) == 0:
@@ -432,9 +432,9 @@ def run_plane(b: Buffers, law_function: LawFunction) -> int:
                 return PlaneStatus.LOST
         elif command == PlaneCommand.LISTEN:
             store_release(base + AT_STATUS, PlaneStatus.LISTENING)
-            found = _take(b, 0)
-            lost = found == GONE
-            if found == EMPTY and ppoll_ns(b.poll.ctypes.data, 1, LISTEN_NS) < 0:
+            result = _take(b, 0)
+            lost = result == GONE
+            if result == EMPTY and ppoll_ns(b.poll.ctypes.data, 1, LISTEN_NS) < 0:
                 lost = _failed(p)
             if lost:
                 store_release(base + AT_STATUS, PlaneStatus.LOST)
