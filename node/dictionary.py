@@ -62,8 +62,8 @@ class Dictionary:
         self.values = values
         self._ours = description.default(0x1018, 1, node_id) == VENDOR_ID if description.has(0x1018, 1) else False
         self._slots = {row.key: row.slot for row in core if self._is_meant(row)}
-        taken = set(self._slots.values())
-        self._absent = {row.slot: row.absent for row in core if row.slot not in taken}
+        slots = set(self._slots.values())
+        self._absent = {row.slot: row.absent for row in core if row.slot not in slots}
         self._next = max(FIRST_FREE, *(row.slot + 1 for row in core), 0)
         self._store: dict[Key, Value] = {}
         self.reset(0x0000, 0xFFFF)
@@ -88,8 +88,8 @@ class Dictionary:
         made = self.description.derived.setdefault(_Defaults, {})
         if self.node_id not in made:
             made[self.node_id] = _Defaults.of(self.description, self.node_id)
-        found: _Defaults = made[self.node_id]
-        return found
+        defaults: _Defaults = made[self.node_id]
+        return defaults
 
     @property
     def unreadable(self) -> Mapping[int, str]:
@@ -203,11 +203,11 @@ class Dictionary:
         derived = self.description.derived
         if _expedited not in derived:
             derived[_expedited] = _expedited(self.description)
-        found = []
+        rows = []
         for key, size in derived[_expedited]:
             if key in self._slots or self._next < len(self.values) - SPARE_SLOTS:
-                found.append((key[0] << 8 | key[1], self.slot(*key), size))
-        return found
+                rows.append((key[0] << 8 | key[1], self.slot(*key), size))
+        return rows
 
     def check_read(self, index: int, subindex: int) -> Variable:
         """Abort unless a client may read the object."""
@@ -248,7 +248,7 @@ class _Defaults(NamedTuple):
         rows = []
         for index, entry in description.objects.items():
             for subindex, variable in entry.variables.items():
-                value = _told(description, index, subindex, node_id)
+                value = _default_value(description, index, subindex, node_id)
                 if index in wrong and subindex == 1:
                     value = value | COB_ID_INVALID if isinstance(value, int) else COB_ID_INVALID
                 elif index - MAP_OFFSET in wrong and subindex == 0:
@@ -259,7 +259,7 @@ class _Defaults(NamedTuple):
         return cls(tuple(rows), MappingProxyType(wrong))
 
 
-def _told(description: Description, index: int, subindex: int, node_id: int) -> Value:
+def _default_value(description: Description, index: int, subindex: int, node_id: int) -> Value:
     value = description.default(index, subindex, node_id)
     if value is not None:
         return value
@@ -270,14 +270,14 @@ def _told(description: Description, index: int, subindex: int, node_id: int) -> 
 
 def _expedited(description: Description) -> list[tuple[Key, int]]:
     """Return the objects that may be uploaded in four bytes, sorted, with their bytes."""
-    found = []
+    rows = []
     for index, entry in sorted(description.objects.items()):
         for subindex, variable in sorted(entry.variables.items()):
             kind = data_type(variable)
             short = kind.kind in ("bool", "int", "real") and kind.bits <= 32
             if short and variable.access != "wo" and index != _HISTORY:
-                found.append(((index, subindex), (kind.bits + 7) // 8))
-    return found
+                rows.append(((index, subindex), (kind.bits + 7) // 8))
+    return rows
 
 
 def _raw(kind: DataType, value: Value) -> int:

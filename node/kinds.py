@@ -31,7 +31,7 @@ PROFILES: tuple[Profile, ...] = (
 NO_KIND = 0
 """The number of `GENERIC`."""
 
-BEHAVIOURS: tuple[Behaviour, ...] = tuple(one.behaviour._replace(number=k) for k, one in enumerate(PROFILES))
+BEHAVIOURS: tuple[Behaviour, ...] = tuple(profile.behaviour._replace(number=k) for k, profile in enumerate(PROFILES))
 """The kernels of every kind: `node.reactions` goes through it with
 `numba.literal_unroll`, which gives one branch for each.
 """
@@ -51,10 +51,10 @@ def number(profile: Profile) -> int:
     ValueError
         It is none of them, so no kernel knows it.
     """
-    for k, one in enumerate(PROFILES):
-        if one.name == profile.name and one.behaviour is profile.behaviour:
+    for k, candidate in enumerate(PROFILES):
+        if candidate.name == profile.name and candidate.behaviour is profile.behaviour:
             return k
-    names = ", ".join(one.name for one in PROFILES)
+    names = ", ".join(candidate.name for candidate in PROFILES)
     raise ValueError(f"got kind {profile.name}, expected one of node.kinds.PROFILES: {names}")
 
 
@@ -99,12 +99,12 @@ def of_description(description: Description) -> Profile:
     own = of_identity(told_identity(description))
     if own is not GENERIC:
         return own
-    told = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
-    wanted = _BY_PROFILE.get(told & 0xFFFF) if isinstance(told, int) else None
-    found = [kind for kind, indices in _SIGNS if all(_has(description, index, kind) for index in indices)]
-    if wanted in found:
-        return wanted or GENERIC
-    return found[0] if found else GENERIC
+    device_type = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
+    by_profile = _BY_PROFILE.get(device_type & 0xFFFF) if isinstance(device_type, int) else None
+    fitting = [kind for kind, indices in _SIGNS if all(_has(description, index, kind) for index in indices)]
+    if by_profile in fitting:
+        return by_profile or GENERIC
+    return fitting[0] if fitting else GENERIC
 
 
 def _has(description: Description, index: int, kind: Profile) -> bool:
@@ -114,7 +114,7 @@ def _has(description: Description, index: int, kind: Profile) -> bool:
     if kind is not IO401:
         return description.has(index)
     widths = (
-        {one.bits for subindex, one in description.objects[index].variables.items() if subindex}
+        {variable.bits for subindex, variable in description.objects[index].variables.items() if subindex}
         if description.has(index)
         else set()
     )

@@ -146,9 +146,9 @@ class Lss:
     def _switch_selective(self, data: bytes, t_ns: int) -> bytes | None:
         self._hear(data, t_ns)
         first = LssService.SWITCH_VENDOR
-        asked = [self._heard.get(first + k) for k in range(4)]
+        identity = [self._heard.get(first + k) for k in range(4)]
         self._heard.clear()
-        if asked != self.identity():
+        if identity != self.identity():
             return None
         self.state = LssState.CONFIGURATION
         return bytes((LssService.SWITCH_ANSWER,))
@@ -162,8 +162,8 @@ class Lss:
         alike = (vendor, product) == (heard[LssService.IDENTIFY_VENDOR], heard[LssService.IDENTIFY_PRODUCT])
         low, high = heard[LssService.IDENTIFY_REVISION_LOW], heard[LssService.IDENTIFY_REVISION_HIGH]
         first, last = heard[LssService.IDENTIFY_SERIAL_LOW], heard[LssService.IDENTIFY_SERIAL_HIGH]
-        found = alike and low <= revision <= high and first <= serial <= last
-        return bytes((LssService.IDENTIFY_ANSWER,)) if found else None
+        match = alike and low <= revision <= high and first <= serial <= last
+        return bytes((LssService.IDENTIFY_ANSWER,)) if match else None
 
     def _identify_non_configured(self, data: bytes, t_ns: int) -> bytes | None:
         return bytes((LssService.NON_CONFIGURED_ANSWER,)) if self._unconfigured else None

@@ -21,9 +21,9 @@ __all__ = ["confinement_changed", "on_frame", "on_time"]
 def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> int:
     """As `node.core.on_frame`, at `t_ns` of the bus."""
     first, own = out.count, own_ns(n, t_ns)
-    wanted = core.on_frame(n, own, can_id, length, data, out)
+    due = core.on_frame(n, own, can_id, length, data, out)
     to_bus(n, out, first)
-    return int(wanted)
+    return int(due)
 
 
 @kernel

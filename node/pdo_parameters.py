@@ -88,8 +88,8 @@ class Pdos:
         can be written while the PDO is valid: its map by way of 0 entries.
         """
         index = COMMUNICATION[direction] + k
-        told = self._dictionary.description.variable(index, 1) if (index, 1) in self._dictionary else None
-        fixed = told is None or told.access in ("ro", "const")
+        cob_id = self._dictionary.description.variable(index, 1) if (index, 1) in self._dictionary else None
+        fixed = cob_id is None or cob_id.access in ("ro", "const")
         return self._valid(direction, k) and not fixed
 
     def check(self, index: int, subindex: int, value: int) -> None:

@@ -269,8 +269,8 @@ class Profile:
         """Return the kind as one device has it: with further objects, and with none of
         `without`.
         """
-        taken = {*without, *(row.key for row in rows)}
-        return replace(self, objects=(*(row for row in self.objects if row.key not in taken), *rows))
+        keys = {*without, *(row.key for row in rows)}
+        return replace(self, objects=(*(row for row in self.objects if row.key not in keys), *rows))
 
     def missing(self, objects: Objects) -> tuple[Key, ...]:
         """Return the objects that the kind cannot do without and a file does not have."""

@@ -76,7 +76,7 @@ def opened(description: Description, profile: Profile) -> Opened:
 
 def _limits(description: Description, changed: dict[Key, Variable]) -> Iterator[str]:
     for indices, subindices, needed, what in _RANGES:
-        found: list[str] = []
+        labels: list[str] = []
         highest: int | float = 0
         for index in indices:
             entry = description.objects.get(index)
@@ -85,29 +85,31 @@ def _limits(description: Description, changed: dict[Key, Variable]) -> Iterator[
                 if variable is None or variable.high is None or variable.largest >= needed or variable.bits < 32:
                     continue
                 changed[index, subindex] = replace(variable, high=None)
-                found.append(_label(variable))
+                labels.append(_label(variable))
                 highest = variable.high
-        if found:
-            more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+        if labels:
+            more = f" and {len(labels) - 1} more" if len(labels) > 1 else ""
             yield (
-                f"{description.path}: {found[0]}{more} has the HighLimit {highest}, but is {what} (CiA 301); "
+                f"{description.path}: {labels[0]}{more} has the HighLimit {highest}, but is {what} (CiA 301); "
                 "served without that limit"
             )
 
 
 def _defaults(description: Description, changed: dict[Key, Variable]) -> Iterator[str]:
     limits = [_variable(description, key) for key, _ in _POSITIONS]
-    if any(limits) and not any(one is not None and one.default for one in limits):
+    if any(limits) and not any(limit is not None and limit.default for limit in limits):
         for (key, value), variable in zip(_POSITIONS, limits, strict=True):
             if variable is not None:
                 changed[key] = _with(variable, value)
-        yield _told(description, "607Dh", "0 on both sides", "the whole range", "would keep the drive from any torque")
+        yield _remark(
+            description, "607Dh", "0 on both sides", "the whole range", "would keep the drive from any torque"
+        )
     for key, value in _BLOCKING.items():
         variable = _variable(description, key)
         if variable is not None and not variable.default and not variable.node_relative:
             changed[key] = _with(variable, value)
             served = str(changed[key].default)
-            yield _told(
+            yield _remark(
                 description, _label(variable), _stands(variable), served, "would keep the drive from any torque"
             )
     modes = _variable(description, (0x6502, 0))
@@ -116,7 +118,7 @@ def _defaults(description: Description, changed: dict[Key, Variable]) -> Iterato
         if offered:
             changed[0x6502, 0] = _with(modes, offered)
             numbers = ", ".join(str(k + 1) for k in range(16) if offered >> k & 1)
-            yield _told(description, "6502h", _stands(modes), f"the modes {numbers}", "would allow no mode")
+            yield _remark(description, "6502h", _stands(modes), f"the modes {numbers}", "would allow no mode")
 
 
 def _variable(description: Description, key: Key) -> Variable | None:
@@ -134,7 +136,7 @@ def _stands(variable: Variable) -> str:
     return "without a default" if variable.default is None else str(variable.default)
 
 
-def _told(description: Description, label: str, stands: str, served: str, why: str) -> str:
+def _remark(description: Description, label: str, stands: str, served: str, why: str) -> str:
     return f"{description.path}: {label} is {stands} in the file, which {why}; served as {served}"
 
 

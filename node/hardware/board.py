@@ -42,10 +42,12 @@ def load_class(place: str, folder: Path = Path()) -> type[Any]:
         raise
     except Exception as error:
         raise HardwareError(f"{place}: it cannot be imported: {error}") from error
-    found = getattr(module, name, None)
-    if not isinstance(found, type) or not all(callable(getattr(found, word, None)) for word in ("read", "write")):
+    board_class = getattr(module, name, None)
+    if not isinstance(board_class, type) or not all(
+        callable(getattr(board_class, word, None)) for word in ("read", "write")
+    ):
         raise HardwareError(f"{place}: expected a class with read() and write(values)")
-    return found
+    return board_class
 
 
 class Board:

@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 from coulombus.system.errors import CoulombusError
 from coulombus.system.file_lock import lock_file
 
-__all__ = ["Claim", "HardwareError", "Input", "Output", "SafeWrite", "SysfsFile", "finite", "put", "told"]
+__all__ = ["Claim", "HardwareError", "Input", "Output", "SafeWrite", "SysfsFile", "file_errors", "finite", "put"]
 
 MOST_BYTES = 64
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
@@ -62,7 +62,7 @@ class Output(Protocol):
 
 
 @contextmanager
-def told(path: str) -> Iterator[None]:
+def file_errors(path: str) -> Iterator[None]:
     """Let what the system refuses be a HardwareError that names the file."""
     try:
         yield
@@ -91,7 +91,7 @@ def put(path: str, text: str) -> None:
     HardwareError
         The file is not there, or refuses.
     """
-    with told(path):
+    with file_errors(path):
         descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
             os.write(descriptor, text.encode())
@@ -109,7 +109,7 @@ class SysfsFile:
 
     def count(self) -> float:
         """Return the number in the file."""
-        with told(self.path):
+        with file_errors(self.path):
             descriptor = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
             try:
                 data = os.read(descriptor, MOST_BYTES + 1)
@@ -158,7 +158,7 @@ class Claim:
     """
 
     def __init__(self, path: str) -> None:
-        with told(path):
+        with file_errors(path):
             self.descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
             lock_file(self.descriptor)

@@ -44,11 +44,11 @@ def find(root: Path, device: str) -> Path:
     for folder in sorted(root.glob("*")):
         with suppress(OSError):
             names[folder] = (folder / "name").read_text(errors="replace").strip()
-    found = [folder for folder, name in names.items() if name == device]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise HardwareError(f"{root}: {len(found)} devices are called {device!r}; give the path of one")
+    folders = [folder for folder, name in names.items() if name == device]
+    if len(folders) == 1:
+        return folders[0]
+    if folders:
+        raise HardwareError(f"{root}: {len(folders)} devices are called {device!r}; give the path of one")
     there = ", ".join(f"{folder.name} ({name})" for folder, name in names.items()) or "none"
     raise HardwareError(f"{root}: there is no device {device!r}; there are: {there}")
 
@@ -63,7 +63,7 @@ def iio(device: str, channel: str, *, scaled: bool) -> SysfsFile:
     folder = find(IIO, device)
     path = folder / f"{channel}_raw"
     if not path.exists():
-        there = sorted(one.name.removesuffix("_raw") for one in folder.glob("*_raw"))
+        there = sorted(file.name.removesuffix("_raw") for file in folder.glob("*_raw"))
         raise HardwareError(f"{folder}: it has no channel {channel!r}; it has {', '.join(there) or 'none'}")
     if not scaled:
         return SysfsFile(str(path))

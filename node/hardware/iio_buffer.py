@@ -23,7 +23,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from coulombus.node.hardware.channels import HardwareError, SysfsFile, put, told
+from coulombus.node.hardware.channels import HardwareError, SysfsFile, file_errors, put
 
 __all__ = ["DEV", "BufferedInput", "IioBuffer", "NoBuffer"]
 
@@ -91,9 +91,11 @@ class IioBuffer:
 
     def _layout(self) -> tuple[dict[str, Element], int]:
         """Return the channels' places, and the size of a scan."""
-        found = sorted(((self._element(one), one) for one in self.channels), key=lambda pair: pair[0].index)
+        elements = sorted(
+            ((self._element(channel), channel) for channel in self.channels), key=lambda pair: pair[0].index
+        )
         placed, offset, largest = {}, 0, 1
-        for element, channel in found:
+        for element, channel in elements:
             offset = -(-offset // element.size) * element.size
             placed[channel] = replace(element, offset=offset)
             offset += element.size
@@ -103,7 +105,7 @@ class IioBuffer:
     def _element(self, channel: str) -> Element:
         scans = self.folder / "scan_elements"
         path = scans / f"{channel}_type"
-        with told(str(path)):
+        with file_errors(str(path)):
             text = path.read_text(errors="replace").strip()
         match = _TYPE.fullmatch(text)
         if match is None or match[5] not in (None, "1"):
@@ -131,7 +133,7 @@ class IioBuffer:
         put(str(self.folder / "buffer" / "length"), f"{LENGTH}\n")
         put(str(self.folder / "buffer" / "enable"), "1\n")
         node = DEV / self.folder.resolve().name
-        with told(str(node)):
+        with file_errors(str(node)):
             self._fd = os.open(node, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         self._rest, self._scan, self._scan_ns = b"", b"", None
         select.select([self._fd], [], [], wait_s)
@@ -171,7 +173,7 @@ class IioBuffer:
     def _take(self) -> bool:
         """Read what there is; tell whether a whole scan came."""
         came = False
-        with told(str(self.folder)):
+        with file_errors(str(self.folder)):
             while True:
                 try:
                     data = os.read(self._fd, MOST_READ)

@@ -212,7 +212,7 @@ def read_io_file(path: str | Path, description: Description, profile: Profile) -
         raise RigError((f"{path}: {why}; expected an I/O file (docs/own-device.md)",)) from None
     document = read_toml(text)
     source = Source(str(path), document)
-    source.found += [(line, f"{path}:{line}: {told}") for line, told in document.problems]
+    source.found += [(line, f"{path}:{line}: {problem}") for line, problem in document.problems]
     try:
         file = IoFile.model_validate(document.values)
     except ValidationError as error:
@@ -230,59 +230,59 @@ def _check(file: IoFile, source: Source, profile: Profile) -> None:
     if not file.outputs and not file.inputs:
         source.found.append((1, f"{source.path}:1: got no channel; expected [[output]] or [[input]]"))
     if file.loop.watchdog_s < LEAST_PERIODS * file.loop.period_s:
-        wanted = f"at least {LEAST_PERIODS} times loop.period_s, {LEAST_PERIODS * file.loop.period_s:g} s"
-        source.stands(("loop", "watchdog_s"), file.loop.watchdog_s, wanted)
+        expected = f"at least {LEAST_PERIODS} times loop.period_s, {LEAST_PERIODS * file.loop.period_s:g} s"
+        source.stands(("loop", "watchdog_s"), file.loop.watchdog_s, expected)
     if file.brake.coil_A_Nm and profile.name != "brake":
         source.say(("brake",), f"the node is of kind {profile.name}; expected no such section")
     if file.python is None:
         for name, channels in (("output", file.outputs), ("input", file.inputs)):
-            for i, one in enumerate(channels):
-                if one.kind == "python":
+            for i, channel in enumerate(channels):
+                if channel.kind == "python":
                     source.say((name, i, "kind"), "got 'python', but there is no class; expected [python] with `board`")
 
 
 def _lines(
     name: str, channels: tuple[Channel, ...], source: Source, description: Description, profile: Profile
 ) -> Iterator[Line]:
-    terminals = {one.key: one for one in profile.terminals if one.is_output == (name == "output")}
-    other = {one.key for one in profile.terminals if one.is_output != (name == "output")}
-    taken: dict[object, int] = {}
-    for i, one in enumerate(channels):
+    terminals = {terminal.key: terminal for terminal in profile.terminals if terminal.is_output == (name == "output")}
+    other = {terminal.key for terminal in profile.terminals if terminal.is_output != (name == "output")}
+    numbers: dict[object, int] = {}
+    for i, channel in enumerate(channels):
         here = (name, i)
-        if one.raw_per_unit == 0:
+        if channel.raw_per_unit == 0:
             source.stands((*here, "raw_per_unit"), 0, "a number other than 0")
-        if one.low >= one.high:
-            source.stands((*here, "low"), one.low, f"less than `high`, {one.high:g}")
-        elif isinstance(one, _Output) and not one.low <= one.safe <= one.high:
-            source.stands((*here, "safe"), one.safe, f"{one.low:g} to {one.high:g}, the limits")
-        if isinstance(one, PwmOutput):
-            _check_pwm(one, here, source)
-        key = object_key(one.object, description)
+        if channel.low >= channel.high:
+            source.stands((*here, "low"), channel.low, f"less than `high`, {channel.high:g}")
+        elif isinstance(channel, _Output) and not channel.low <= channel.safe <= channel.high:
+            source.stands((*here, "safe"), channel.safe, f"{channel.low:g} to {channel.high:g}, the limits")
+        if isinstance(channel, PwmOutput):
+            _check_pwm(channel, here, source)
+        key = object_key(channel.object, description)
         if isinstance(key, str):
-            source.stands((*here, "object"), one.object, key)
+            source.stands((*here, "object"), channel.object, key)
             continue
         if key[0] in _COMMUNICATION:
-            source.stands((*here, "object"), one.object, "an object from 2000h on")
+            source.stands((*here, "object"), channel.object, "an object from 2000h on")
         elif key in other:
-            source.stands((*here, "object"), one.object, f"no [[{name}]], as it is the device's other direction")
+            source.stands((*here, "object"), channel.object, f"no [[{name}]], as it is the device's other direction")
         elif key not in terminals and description.variable(*key).whole is None and _is_text(description, key):
-            source.stands((*here, "object"), one.object, "an object that is a number")
-        device = getattr(one, "device", "")
-        for what, told in ((key, "object"), ((one.kind, device, one.channel), "channel")):
-            if what in taken:
-                source.say((*here, told), f"is in [[{name}]] number {taken[what] + 1} already; expected it once")
-            taken[what] = i
+            source.stands((*here, "object"), channel.object, "an object that is a number")
+        device = getattr(channel, "device", "")
+        for what, part in ((key, "object"), ((channel.kind, device, channel.channel), "channel")):
+            if what in numbers:
+                source.say((*here, part), f"is in [[{name}]] number {numbers[what] + 1} already; expected it once")
+            numbers[what] = i
         _, where = source.where(here)
-        yield Line(one, key, terminals.get(key), where)
+        yield Line(channel, key, terminals.get(key), where)
 
 
-def _check_pwm(one: PwmOutput, here: tuple[str, int], source: Source) -> None:
-    period_ns = one.pwm_period_s * 1e9
+def _check_pwm(channel: PwmOutput, here: tuple[str, int], source: Source) -> None:
+    period_ns = channel.pwm_period_s * 1e9
     for end in ("low", "high"):
-        duty_ns = one.raw_at_zero + one.raw_per_unit * getattr(one, end)
+        duty_ns = channel.raw_at_zero + channel.raw_per_unit * getattr(channel, end)
         if not -0.5 <= duty_ns <= period_ns + 0.5:
-            wanted = f"a value whose raw is 0 to {period_ns:g} ns, the period; here it is {duty_ns:g}"
-            source.stands((*here, end), getattr(one, end), wanted)
+            expected = f"a value whose raw is 0 to {period_ns:g} ns, the period; here it is {duty_ns:g}"
+            source.stands((*here, end), getattr(channel, end), expected)
 
 
 def _is_text(description: Description, key: Key) -> bool:

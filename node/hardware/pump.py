@@ -56,8 +56,8 @@ class _End:
 
     def raw(self, value: float) -> float:
         """Return what the channel is told for a value."""
-        one = self.line.channel
-        return one.raw_at_zero + one.raw_per_unit * min(max(value, one.low), one.high)
+        settings = self.line.channel
+        return settings.raw_at_zero + settings.raw_per_unit * min(max(value, settings.low), settings.high)
 
 
 @dataclass
@@ -118,14 +118,14 @@ class Pump:
     def attach(self, device: Device) -> None:
         """Take the device whose core is pumped; before it is switched on."""
         self._device = device
-        for line in (one.line for one in self._outputs):
-            wire, one = line.terminal, line.channel
+        for line in (output.line for output in self._outputs):
+            wire, settings = line.terminal, line.channel
             if wire is None:
                 continue
-            for name, bound in ((wire.low, math.ceil(one.low)), (wire.high, math.floor(one.high))):
+            for name, bound in ((wire.low, math.ceil(settings.low)), (wire.high, math.floor(settings.high))):
                 if name:
                     if wire.k < 0:
-                        device.record[name] = one.high
+                        device.record[name] = settings.high
                     else:
                         device.record[name][wire.k] = bound
         if self.plan.file.brake.coil_A_Nm:
@@ -189,11 +189,11 @@ class Pump:
 
     @staticmethod
     def _value(line: Line, channel: Input) -> float:
-        one = line.channel
-        value = (finite(channel.read(), line.where) - one.raw_at_zero) / one.raw_per_unit
-        if not one.low <= value <= one.high:
+        settings = line.channel
+        value = (finite(channel.read(), line.where) - settings.raw_at_zero) / settings.raw_per_unit
+        if not settings.low <= value <= settings.high:
             object_ = f"{line.key[0]:04X}h:{line.key[1]:02X}"
-            raise HardwareError(f"{line.where}: {object_} is {value:g}, expected {one.low:g} to {one.high:g}")
+            raise HardwareError(f"{line.where}: {object_} is {value:g}, expected {settings.low:g} to {settings.high:g}")
         return value
 
     def _write(self, device: Device) -> None:
@@ -211,13 +211,13 @@ class Pump:
     # faults
 
     def _fail(self, device: Device, t_ns: int, why: str) -> None:
-        told = self._make_safe()
+        failure = self._make_safe()
         self._boots, self._retry_ns = device.boots, t_ns + RETRY_NS
         device.record["in_faults"] |= _BIT
         device.record["next_ns"] = min(int(device.record["next_ns"]), t_ns)
         if why != self.failure:
             self.failure = why
-            safe = f"; NOT SAFE: {told}" if told else "; the outputs are safe"
+            safe = f"; NOT SAFE: {failure}" if failure else "; the outputs are safe"
             self.tell(f"{why}{safe}; they stay so until the node is reset")
 
     def _wait(self, t_ns: int) -> None:
@@ -233,13 +233,13 @@ class Pump:
 
     def _make_safe(self) -> str:
         """Write every safe value, whatever becomes of the others; return what failed first."""
-        told = ""
+        failure = ""
         for end in self._outputs:
             try:
                 end.channel.write(end.safe_raw)
             except Exception as error:
-                told = told or str(error)
-        return told
+                failure = failure or str(error)
+        return failure
 
     # the start
 
@@ -251,8 +251,8 @@ class Pump:
         for line in plan.outputs:
             channel, path = self._output(line)
             end = _End(line, channel)
-            one = line.channel
-            end.safe_raw = end.raw(getattr(one, "safe", 0.0))
+            settings = line.channel
+            end.safe_raw = end.raw(getattr(settings, "safe", 0.0))
             if path not in claimed:
                 end.claim = Claim(path)
                 claimed.add(path)
@@ -264,11 +264,11 @@ class Pump:
 
     def _find_buffers(self) -> None:
         """Prepare a buffer for each device with channels that ask for one; tell where there is none."""
-        wanted: dict[str, list[str]] = {}
-        for one in (line.channel for line in self.plan.inputs):
-            if isinstance(one, IioInput) and one.buffered:
-                wanted.setdefault(str(find(converters.IIO, one.device)), []).append(one.channel)
-        for folder, channels in wanted.items():
+        names: dict[str, list[str]] = {}
+        for settings in (line.channel for line in self.plan.inputs):
+            if isinstance(settings, IioInput) and settings.buffered:
+                names.setdefault(str(find(converters.IIO, settings.device)), []).append(settings.channel)
+        for folder, channels in names.items():
             stale_ns = round(self.plan.file.loop.watchdog_s * 1e9)
             try:
                 self._buffers[folder] = IioBuffer(Path(folder), dict.fromkeys(channels), stale_ns)
@@ -277,26 +277,26 @@ class Pump:
 
     def _output(self, line: Line) -> tuple[Output, str]:
         """Return the channel of a line, and the file that is claimed."""
-        one = line.channel
-        if isinstance(one, IioOutput):
-            file = iio(one.device, one.channel, scaled=one.scaled)
+        settings = line.channel
+        if isinstance(settings, IioOutput):
+            file = iio(settings.device, settings.channel, scaled=settings.scaled)
             return file, file.path
-        if isinstance(one, PwmChannel):
-            pwm = PwmOutput(one.device, one.channel, round(one.pwm_period_s * 1e9))
+        if isinstance(settings, PwmChannel):
+            pwm = PwmOutput(settings.device, settings.channel, round(settings.pwm_period_s * 1e9))
             return pwm, pwm.path
         assert self._board is not None
-        return BoardOutput(self._board, str(one.channel)), self._board.path
+        return BoardOutput(self._board, str(settings.channel)), self._board.path
 
     def _input(self, line: Line) -> Input:
-        one = line.channel
-        if isinstance(one, IioInput):
-            file = iio(one.device, one.channel, scaled=one.scaled)
-            buffer = self._buffers.get(str(find(converters.IIO, one.device))) if one.buffered else None
-            return file if buffer is None else BufferedInput(buffer, one.channel, file.scale, file.offset)
-        if isinstance(one, CounterInput):
-            return counter(one.device, one.channel)
+        settings = line.channel
+        if isinstance(settings, IioInput):
+            file = iio(settings.device, settings.channel, scaled=settings.scaled)
+            buffer = self._buffers.get(str(find(converters.IIO, settings.device))) if settings.buffered else None
+            return file if buffer is None else BufferedInput(buffer, settings.channel, file.scale, file.offset)
+        if isinstance(settings, CounterInput):
+            return counter(settings.device, settings.channel)
         assert self._board is not None
-        return BoardInput(self._board, str(one.channel))
+        return BoardInput(self._board, str(settings.channel))
 
     def _begin(self) -> None:
         """Write the safe values and read them back; read every input."""
@@ -304,9 +304,9 @@ class Pump:
             if isinstance(end.channel, PwmOutput):
                 end.channel.set_up(end.safe_raw)
             end.channel.write(end.safe_raw)
-            got, wanted = finite(end.channel.read_back(), end.line.where), end.channel.spelled(end.safe_raw)
-            if not math.isclose(got, wanted, rel_tol=1e-6, abs_tol=1e-9):
-                raise HardwareError(f"{end.line.where}: the safe value {wanted:g} was written, {got:g} is read back")
+            got, expected = finite(end.channel.read_back(), end.line.where), end.channel.spelled(end.safe_raw)
+            if not math.isclose(got, expected, rel_tol=1e-6, abs_tol=1e-9):
+                raise HardwareError(f"{end.line.where}: the safe value {expected:g} was written, {got:g} is read back")
         if self._board is not None:
             self._board.refresh()
         for buffer in self._buffers.values():

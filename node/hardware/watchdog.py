@@ -41,8 +41,8 @@ def carry_out(orders: Sequence[Sequence[str]]) -> list[str]:
                 break
             except Exception as error:  # a Python class raises what it likes; the next output's turn comes all the same
                 if left == 0:
-                    told = str(error) if isinstance(error, HardwareError) else f"{path}: {error!r}"
-                    failed.append(told)
+                    mistake = str(error) if isinstance(error, HardwareError) else f"{path}: {error!r}"
+                    failed.append(mistake)
     return failed
 
 

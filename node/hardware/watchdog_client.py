@@ -65,10 +65,10 @@ class Guard:
         except OSError:
             raise HardwareError("the watchdog process is gone") from None
         with suppress(BlockingIOError):
-            told = os.read(self._answers, 64)
-            if TRIPPED in told:
+            answer = os.read(self._answers, 64)
+            if TRIPPED in answer:
                 raise HardwareError(f"the node stood still for {self._watchdog_s:g} s, and its watchdog acted")
-            if not told:
+            if not answer:
                 raise HardwareError("the watchdog process is gone")
 
     def close(self) -> None:
