@@ -18,10 +18,10 @@ from coulombus.node.hardware.watchdog_client import Guard
 
 NODE = """
 import json, os, sys
-from coulombus.node.hardware.channels import Claim, Order
+from coulombus.node.hardware.channels import Claim, SafeWrite
 from coulombus.node.hardware.watchdog_client import Guard
 claim = Claim(sys.argv[1])
-guard = Guard(float(sys.argv[2]), [Order(sys.argv[1], "10\\n")], [claim.descriptor])
+guard = Guard(float(sys.argv[2]), [SafeWrite(sys.argv[1], "10\\n")], [claim.descriptor])
 guard.feed()
 with open(sys.argv[1], "w") as file:
     file.write("3000\\n")
