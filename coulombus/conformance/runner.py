@@ -14,16 +14,15 @@ from coulombus.conformance.cases import (
     heartbeat,
     lss,
     nmt,
+    node_guarding,
     objects,
-    pdo_data,
     pdo_mapping,
     pdo_parameters,
-    pdo_rare,
+    pdo_receive,
+    pdo_transmit,
     sdo,
     sdo_block,
-    sdo_out_of_turn,
-    sdo_wrong,
-    services_rare,
+    sdo_segmented,
     storing,
     sync,
 )
@@ -48,8 +47,10 @@ __all__ = [
     "select",
 ]
 
-MODULES = (objects, sdo, sdo_block, pdo_parameters, pdo_mapping, emcy, sync, heartbeat, storing, nmt)
-OWN_MODULES = (sdo_wrong, sdo_out_of_turn, pdo_data, pdo_rare, services_rare, lss, drive)
+MODULES = (
+    *(objects, sdo, sdo_segmented, sdo_block, pdo_parameters, pdo_mapping, pdo_receive, pdo_transmit),
+    *(emcy, sync, node_guarding, heartbeat, storing, nmt, lss, drive),
+)
 """Importing them fills the registry."""
 
 Result = Literal["pass", "fail", "not_applicable", "error"]

@@ -1,18 +1,21 @@
-"""Cases 5.1 to 5.6 and E.1 to E.3: EMCY, error register and history (CiA 301, sections 7.2.7,
+"""Cases 5.1 to 5.6 and E.1 to E.9: EMCY, error register and history (CiA 301, sections 7.2.7,
 7.5.2.2 and 7.5.2.4).
 """
 
 from __future__ import annotations
 
-from coulombus.conformance.tester.objects import READ_ONLY, REFUSED
-from coulombus.conformance.tester.pdo_setup import HeartbeatOfTester
-from coulombus.conformance.tester.provoke import cause_error, emcy_id
+from coulombus.conformance.tester.objects import OTHER_ID, READ_ONLY, REFUSED
+from coulombus.conformance.tester.pdo_setup import INVALID, HeartbeatOfTester
+from coulombus.conformance.tester.provoke import cause_error, emcy_id, short_rpdo
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted
-from coulombus.eds.cia301 import Abort, CobId
+from coulombus.eds.cia301 import Abort, CobId, NmtCommand
 
 __all__: list[str] = []
+
+COMMUNICATION = 0x10
+"""Bit of 1001h."""
 
 
 @case("5.1")
@@ -161,3 +164,121 @@ def inhibit_time(unit: Unit) -> str:
     if gap_ms < 290:
         raise CaseFailed(f"two EMCYs are {gap_ms:.0f} ms apart; the inhibit time is 300 ms")
     return f"{gap_ms:.0f} ms"
+
+
+def movable(unit: Unit) -> int:
+    """Return the identifier of an EMCY whose COB-ID can be written."""
+    unit.need_writable(0x1014)
+    return emcy_id(unit)
+
+
+@case("E.4")
+def disabled(unit: Unit) -> None:
+    """Set bit 31 of 1014h, and cause an error: 1001h shows it, and no EMCY comes."""
+    can_id = movable(unit)
+    heartbeat = HeartbeatOfTester(unit)
+    unit.write(0x1014, 0, can_id | INVALID)
+    unit.flush()
+    heartbeat.lose()
+    frames = unit.take(can_id)
+    if not unit.number(0x1001):
+        raise NotApplicable("1001h stays 0 after a lost heartbeat")
+    if frames:
+        raise CaseFailed(f"EMCY {frames[0].data[:8].hex(' ')} although bit 31 of 1014h is set")
+
+
+@case("E.5")
+def moved(unit: Unit) -> str:
+    """Give the EMCY another identifier, made invalid first, and cause an error: it comes there."""
+    can_id = movable(unit)
+    heartbeat = HeartbeatOfTester(unit)
+    unit.write(0x1014, 0, can_id | INVALID)
+    try:
+        unit.write(0x1014, 0, OTHER_ID)
+    except TransferAborted as abort:
+        raise NotApplicable(str(abort)) from None
+    unit.flush()
+    heartbeat.lose()
+    unit.expect(OTHER_ID, "EMCY with its new identifier")
+    if unit.take(can_id):
+        raise CaseFailed("an EMCY comes with the old identifier, too")
+    return f"{OTHER_ID:03X}h"
+
+
+@case("E.6")
+def in_stopped(unit: Unit) -> None:
+    """Lose a heartbeat in STOPPED: no EMCY; in PRE-OPERATIONAL 1001h shows the error."""
+    can_id = emcy_id(unit)
+    heartbeat = HeartbeatOfTester(unit)
+    heartbeat.beat()
+    unit.nmt(NmtCommand.STOP)
+    unit.flush()
+    heartbeat.lose()
+    frames = unit.take(can_id)
+    unit.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+    if not unit.number(0x1001):
+        raise NotApplicable("1001h stays 0 after a heartbeat that was lost in STOPPED")
+    if frames:
+        raise CaseFailed(f"EMCY {frames[0].data[:8].hex(' ')} in STOPPED")
+
+
+@case("E.7")
+def newest_first(unit: Unit) -> str:
+    """Lose a heartbeat, then send a short RPDO: 1003h has both, the newest in :01."""
+    unit.need(0x1003, 2)
+    can_id = emcy_id(unit)
+    heartbeat = HeartbeatOfTester(unit)
+    unit.flush()
+    heartbeat.lose()
+    first = unit.expect(can_id, "EMCY after a lost heartbeat")
+    send_short = short_rpdo(unit)
+    unit.flush()
+    send_short()
+    second = unit.expect(can_id, "EMCY after an RPDO that is too short")
+    codes = [int.from_bytes(frame.data[:2], "little") for frame in (second, first)]
+    if codes[0] == codes[1]:
+        raise NotApplicable(f"both errors have the code {codes[0]:04X}h")
+    count, found = unit.number(0x1003, 0), [unit.number(0x1003, sub) & 0xFFFF for sub in (1, 2)]
+    if found != codes or count < 2:
+        told_codes = " and ".join(f"{code:04X}h" for code in found)
+        raise CaseFailed(
+            f"1003h:00 is {count}, with {told_codes}; the EMCYs were, newest first, {codes[0]:04X}h and {codes[1]:04X}h"
+        )
+    return ", ".join(f"{code:04X}h" for code in codes)
+
+
+@case("E.8")
+def after_reset(unit: Unit) -> None:
+    """Cause an error, and reset the node: nothing is watched any more, and 1001h is at most what it
+    was before.
+
+    An error of the device may be present all the time; an error of communication is not, behind a
+    reset.
+    """
+    before = unit.number(0x1001)
+    cause_error(unit)
+    unit.reset()
+    value = unit.number(0x1001)
+    if value & (~before | COMMUNICATION):
+        raise CaseFailed(f"1001h is {value:02X}h after reset node, and was {before:02X}h before the error")
+
+
+@case("E.9")
+def inhibit_after_reset(unit: Unit) -> None:
+    """With 1015h at 5 s, cause an error, reset the node, and cause it again: 1015h is what it was,
+    and the EMCY comes at once.
+    """
+    unit.need_writable(0x1015)
+    can_id = emcy_id(unit)
+    default = unit.number(0x1015)
+    heartbeat = HeartbeatOfTester(unit)
+    unit.write(0x1015, 0, 50_000)
+    heartbeat.lose()
+    unit.expect(can_id, "EMCY after a lost heartbeat")
+    unit.reset()
+    if unit.number(0x1015) != default or default > 1000:
+        raise NotApplicable(f"1015h is {unit.number(0x1015)} after a reset")
+    heartbeat = HeartbeatOfTester(unit)
+    unit.flush()
+    heartbeat.lose()
+    unit.expect(can_id, "EMCY after a reset, which ends the inhibit time of the one before")

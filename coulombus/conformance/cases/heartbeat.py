@@ -1,61 +1,24 @@
-"""Cases 7.1 to 7.207: node guarding, heartbeat, and both (CiA 301, sections 7.2.8.2.2 and
-7.2.8.3.2).
+"""Cases 7.101 to 7.207 and H.1 to H.5: heartbeat, alone and beside node guarding (CiA 301, sections
+7.2.8.2.2 and 7.2.8.3.2).
 """
 
 from __future__ import annotations
 
+from coulombus.conformance.cases.nmt import produce_heartbeats, told
+from coulombus.conformance.cases.node_guarding import alternating, error_id, guard, need_guarding
 from coulombus.conformance.tester.pdo_setup import HeartbeatOfTester
 from coulombus.conformance.tester.provoke import GUARD_MS, emcy_id
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.wire.bus_link import RTR, BusFrame
 
-__all__ = ["HEARTBEAT_MS", "check_heartbeats", "guard"]
+__all__ = ["HEARTBEAT_MS", "check_heartbeats"]
 
 HEARTBEAT_MS = 50
 _STATES = (int(NmtState.PRE_OPERATIONAL), int(NmtState.OPERATIONAL), int(NmtState.STOPPED))
-
-
-def need_guarding(unit: Unit) -> None:
-    """Guarding takes both objects; a heartbeat that runs by default has precedence, and is switched
-    off.
-    """
-    unit.need(0x100C)
-    unit.need(0x100D)
-    no_heartbeat(unit)
-
-
-def no_heartbeat(unit: Unit) -> None:
-    """Switch a heartbeat off that runs by default."""
-    if unit.has(0x1017) and unit.number(0x1017):
-        unit.write(0x1017, 0, 0)
-
-
-def error_id(unit: Unit) -> int:
-    """Return the identifier of heartbeat and guarding."""
-    return CobId.HEARTBEAT + unit.node_id
-
-
-def guard(unit: Unit) -> BusFrame:
-    """Ask with a remote frame, and return the answer."""
-    unit.pause(2 * MS)
-    unit.take(error_id(unit))
-    unit.send(error_id(unit) | RTR, length=1)
-    frame = unit.expect(error_id(unit), "answer to the guarding's remote frame")
-    if frame.length != 1:
-        raise CaseFailed(f"the guarding's answer has {frame.length} bytes, expected 1")
-    return frame
-
-
-def alternating(unit: Unit, state: NmtState, count: int = 6, toggle: int = 0) -> None:
-    """Guard so many times: the state is told, and the toggle bit alternates from `toggle` on."""
-    for k in range(count):
-        wanted = state | 0x80 * (toggle ^ (k & 1))
-        value = guard(unit).data[0]
-        if value != wanted:
-            raise CaseFailed(f"guarding answer {k + 1} is {value:02X}h, expected {wanted:02X}h")
+WATCH_MS = 100
 
 
 def check_heartbeats(unit: Unit, period_ms: int, *, ask: bool = False) -> int:
@@ -81,92 +44,6 @@ def check_heartbeats(unit: Unit, period_ms: int, *, ask: bool = False) -> int:
             return len(frames)
         text = f"heartbeats come every {mean_ms:.1f} ms; 1017h is {period_ms} ms"
     raise CaseFailed(text)
-
-
-@case("7.1")
-def guarding_objects(unit: Unit) -> str:
-    """Read 100Ch and 100Dh and compare them with the EDS."""
-    need_guarding(unit)
-    values = [unit.number(0x100C), unit.number(0x100D)]
-    wanted = [unit.default(unit.variable(index)) for index in (0x100C, 0x100D)]
-    for index, value, default in zip((0x100C, 0x100D), values, wanted, strict=True):
-        if isinstance(default, int) and value != default:
-            raise CaseFailed(f"{index:04X}h is {value}; the EDS says {default}")
-    return f"{values[0]} ms, factor {values[1]}"
-
-
-@case("7.2")
-def guarding_answer(unit: Unit) -> None:
-    """Guard once in PRE-OPERATIONAL and OPERATIONAL."""
-    need_guarding(unit)
-    for command, state in ((NmtCommand.ENTER_PRE_OPERATIONAL, 127), (NmtCommand.START, 5), (NmtCommand.STOP, 4)):
-        unit.nmt(command)
-        value = guard(unit).data[0] & 0x7F
-        if value != state:
-            raise CaseFailed(f"the guarding's answer tells state {value}, expected {state}")
-
-
-@case("7.3")
-def guarding_toggle(unit: Unit) -> None:
-    """Reset the communication, and guard six times: 0, 1, 0, 1, 0, 1.
-
-    After another reset 0 again.
-    """
-    need_guarding(unit)
-    for count in (5, 2):
-        unit.reset(NmtCommand.RESET_COMMUNICATION)
-        no_heartbeat(unit)
-        alternating(unit, NmtState.PRE_OPERATIONAL, count)
-
-
-@case("7.4")
-def guarding_identifiers(unit: Unit) -> None:
-    """Send remote frames with all 127 identifiers: the device answers to its own only."""
-    need_guarding(unit)
-    unit.flush()
-    for node_id in range(1, 128):
-        if node_id == unit.node_id:
-            continue
-        unit.send(CobId.HEARTBEAT + node_id | RTR, length=1)
-        unit.pause(MS)
-    unit.pause(unit.timing.quiet_ns)
-    if unit.take(error_id(unit)):
-        raise CaseFailed("the device answers to a remote frame with another node's identifier")
-    alternating(unit, NmtState.PRE_OPERATIONAL, 1)
-
-
-@case("7.5")
-def guarding_parameters(unit: Unit) -> None:
-    """Write 100Ch and 100Dh and read them back."""
-    need_guarding(unit)
-    for index, value in ((0x100C, 500), (0x100D, 3)):
-        unit.need_writable(index)
-        unit.write(index, 0, value)
-        if unit.number(index) != value:
-            raise CaseFailed(f"{index:04X}h is {unit.number(index)} after {value} was written")
-
-
-@case("7.6")
-def life_guarding(unit: Unit) -> str:
-    """Guard in time: no EMCY. Then no more: EMCY after the life time, not before half of it."""
-    need_guarding(unit)
-    can_id = emcy_id(unit)
-    for index, value in ((0x100C, GUARD_MS), (0x100D, 4)):
-        unit.need_writable(index)
-        unit.write(index, 0, value)
-    unit.flush()
-    for _ in range(8):
-        guard(unit)
-        unit.pause(GUARD_MS * MS)
-    if unit.take(can_id):
-        raise CaseFailed("an EMCY although the guarding is in time")
-    last_ns = unit.link.now_ns()
-    guard(unit)
-    frame = unit.expect(can_id, "EMCY after the life time", 4 * GUARD_MS * MS + unit.timing.answer_ns)
-    after_ms = (frame.t_ns - last_ns) / 1e6
-    if after_ms < 2 * GUARD_MS:
-        raise CaseFailed(f"EMCY after {after_ms:.0f} ms; the life time is {4 * GUARD_MS} ms")
-    return f"{int.from_bytes(frame.data[:2], 'little'):04X}h after {after_ms:.0f} ms"
 
 
 @case("7.101")
@@ -332,3 +209,142 @@ def heartbeat_first(unit: Unit, guarding: bool, ask: bool) -> str:
         unit.write(0x100D, 0, 0)
     unit.write(0x1017, 0, HEARTBEAT_MS)
     return f"{check_heartbeats(unit, HEARTBEAT_MS, ask=ask)} heartbeats"
+
+
+def _beat(unit: Unit, producer: int) -> None:
+    unit.send(CobId.HEARTBEAT + producer, bytes((NmtState.OPERATIONAL,)))
+
+
+@case("H.1")
+def second_entry(unit: Unit) -> str:
+    """Watch two nodes, and lose the one of the second entry alone: EMCY."""
+    subs = consumer_subs(unit)
+    if len(subs) < 2:
+        raise NotApplicable("1016h has one entry")
+    can_id = emcy_id(unit)
+    first = HeartbeatOfTester(unit, 4 * WATCH_MS)
+    other = next(n for n in (124, 123) if n != unit.node_id)
+    unit.write(0x1016, subs[1], other << 16 | 2 * WATCH_MS)
+    unit.flush()
+    _beat(unit, other)
+    for _ in range(5):
+        first.beat()
+        unit.pause(WATCH_MS * MS)
+    frame = unit.wait(can_id, unit.timing.quiet_ns)
+    if frame is None:
+        raise CaseFailed(f"no EMCY although node {other} of {where(0x1016, subs[1])} is lost")
+    return f"{int.from_bytes(frame.data[:2], 'little'):04X}h"
+
+
+@case("H.2")
+def begins_with_the_first(unit: Unit) -> str:
+    """Set 1016h, 100Ch and 100Dh, and send nothing: no EMCY, as nothing is watched before the first
+    frame.
+    """
+    can_id = emcy_id(unit)
+    done = []
+    if unit.has(0x1016, 1):
+        consumer_subs(unit)
+        HeartbeatOfTester(unit, WATCH_MS)
+        done.append("heartbeat")
+    try:
+        _guarding(unit)
+        done.append("guarding")
+    except NotApplicable:
+        if not done:
+            raise
+    unit.flush()
+    unit.pause(5 * WATCH_MS * MS)
+    frames = unit.take(can_id)
+    if frames:
+        raise CaseFailed(f"EMCY {frames[0].data[:8].hex(' ')} before the first heartbeat and remote frame")
+    return ", ".join(done)
+
+
+def _guarding(unit: Unit) -> None:
+    need_guarding(unit)
+    for index, value in ((0x100C, GUARD_MS), (0x100D, 2)):
+        unit.need_writable(index)
+        unit.write(index, 0, value)
+
+
+@case("H.3")
+def unused_entries(unit: Unit) -> str:
+    """An entry of 1016h with time 0 is unused: the same node may stand in another one."""
+    subs = consumer_subs(unit)
+    if len(subs) < 2:
+        raise NotApplicable("1016h has one entry")
+    unit.write(0x1016, subs[0], 99 << 16)
+    unit.write(0x1016, subs[1], 99 << 16 | 1000)
+    return where(0x1016, subs[1])
+
+
+@case("H.4")
+def in_time(unit: Unit) -> str:
+    """Lose a heartbeat watched for 100 ms, and a guarding of 2 x 100 ms: the EMCY comes after that
+    time, before half of it more.
+    """
+    can_id = emcy_id(unit)
+    done = []
+    try:
+        consumer_subs(unit)
+    except NotApplicable:
+        pass
+    else:
+        heartbeat = HeartbeatOfTester(unit, WATCH_MS)
+        unit.flush()
+        start_ns = unit.link.now_ns()
+        heartbeat.beat()
+        frame = unit.expect(can_id, "EMCY after a lost heartbeat")
+        done.append(_between("heartbeat", frame, start_ns, WATCH_MS))
+        unit.restore()
+        unit.reset()
+    try:
+        _guarding(unit)
+    except NotApplicable:
+        if not done:
+            raise
+        return done[0]
+    unit.flush()
+    start_ns = unit.link.now_ns()
+    guard(unit)
+    frame = unit.expect(can_id, "EMCY after the life time")
+    done.append(_between("guarding", frame, start_ns, 2 * GUARD_MS))
+    return ", ".join(done)
+
+
+def _between(what: str, frame: BusFrame, start_ns: int, limit_ms: int) -> str:
+    if frame.data[:2] != b"\x30\x81":
+        raise CaseFailed(f"EMCY {frame.data[:8].hex(' ')} after the lost {what}, expected 8130h")
+    after_ms = (frame.t_ns - start_ns) / 1e6
+    if not 0.95 * limit_ms <= after_ms <= 1.5 * limit_ms:
+        raise CaseFailed(f"the EMCY for the lost {what} comes after {after_ms:.0f} ms; its time is {limit_ms} ms")
+    return f"{what} {after_ms:.0f} ms"
+
+
+@case("H.5")
+def error_behaviour(unit: Unit) -> str:
+    """Lose a heartbeat in OPERATIONAL with 1029h:01 at 0, 1 and 2: PRE-OPERATIONAL, OPERATIONAL,
+    STOPPED.
+    """
+    unit.need_writable(0x1029, 1)
+    states = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED)
+    for value, wanted in enumerate(states):
+        produce_heartbeats(unit)
+        heartbeat = HeartbeatOfTester(unit)
+        try:
+            unit.write(0x1029, 1, value)
+        except TransferAborted as abort:
+            raise NotApplicable(f"{where(0x1029, 1)}: {abort}") from None
+        unit.start()
+        heartbeat.lose()
+        state = told(unit)
+        if state is None:
+            raise NotApplicable("the device tells its state neither by heartbeat nor by guarding")
+        if state != wanted:
+            raise CaseFailed(
+                f"NMT state {state} after a lost heartbeat with 1029h:01 at {value}, expected {wanted.name}"
+            )
+        unit.restore()
+        unit.reset()
+    return ", ".join(state.name for state in states)

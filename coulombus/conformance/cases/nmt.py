@@ -1,11 +1,12 @@
-"""Cases 9.1 to 10.4, N.1 and N.2: NMT states and transitions (CiA 301, section 7.3.2)."""
+"""Cases 9.1 to 10.4 and N.1 to N.4: NMT states, transitions and commands (CiA 301, section 7.3.2)."""
 
 from __future__ import annotations
 
-from coulombus.conformance.tester.objects import volatile
-from coulombus.conformance.tester.pdo_setup import Unsupported, arm, enter, sync
+from coulombus.conformance.tester.objects import READ_ONLY, volatile
+from coulombus.conformance.tester.pdo_setup import TPDO, Unsupported, arm, enter, sync
 from coulombus.conformance.tester.pdo_stimuli import candidates
 from coulombus.conformance.tester.registry import case
+from coulombus.conformance.tester.sdo_checks import reads_back, text_object
 from coulombus.conformance.tester.unit import OPERATIONAL, PRE_OPERATIONAL, STOPPED, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, where
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
@@ -181,3 +182,45 @@ def short_command(unit: Unit) -> None:
     unit.dirty = True
     unit.send(CobId.NMT, bytes((NmtCommand.START,)))
     check_state(unit, PRE_OPERATIONAL)
+
+
+@case("N.3")
+def reserved_commands(unit: Unit) -> None:
+    """Send NMT commands that are none: the device stays in PRE-OPERATIONAL, and does not boot."""
+    produce_heartbeats(unit)
+    for command in (0, 3, 5, 127, 131, 255):
+        unit.flush()
+        unit.nmt(command)
+        unit.pause(unit.timing.quiet_ns)
+        if any(frame.data == b"\0" for frame in unit.take(CobId.HEARTBEAT + unit.node_id)):
+            raise CaseFailed(f"NMT command {command} resets the device")
+        state = told(unit)
+        if state not in (None, NmtState.PRE_OPERATIONAL):
+            raise CaseFailed(f"NMT command {command} leads to state {state}")
+
+
+@case("N.4")
+def reset_communication(unit: Unit) -> str:
+    """Change a TPDO's parameter and a text of the manufacturer's, and reset the communication: the
+    first has its default, the text stays.
+    """
+    places = [(k, sub, value) for k in candidates(unit) for sub, value in ((2, 7), (5, 700)) if unit.has(TPDO + k, sub)]
+    places = [(k, sub, value) for k, sub, value in places if unit.variable(TPDO + k, sub).access not in READ_ONLY]
+    if not places:
+        raise NotApplicable("no TPDO's parameter can be written")
+    k, subindex, value = places[-1]
+    index = TPDO + k
+    default = unit.read(index, subindex)
+    try:
+        text: tuple[int, int, bytes, bytes] | None = text_object(unit)
+    except NotApplicable:
+        text = None
+    unit.put(index, subindex, encode(unit.variable(index, subindex), value))
+    if text:
+        unit.put(text[0], text[1], text[3])
+    unit.reset(NmtCommand.RESET_COMMUNICATION)
+    if unit.read(index, subindex) != default:
+        raise CaseFailed(f"{where(index, subindex)} is {unit.read(index, subindex).hex()} after reset communication")
+    if text:
+        reads_back(unit, text[0], text[1], text[3], " after reset communication, which is for 1000h to 1FFFh")
+    return where(index, subindex)

@@ -1,4 +1,4 @@
-"""Cases 3.21 to 3.33: maps and remapping (CiA 301, sections 7.5.2.36 and 7.5.2.38)."""
+"""Cases 3.21 to 3.33 and M.1: maps and remapping (CiA 301, sections 7.5.2.36 and 7.5.2.38)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ from coulombus.conformance.tester.pdo_setup import (
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
-from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES
+from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, Abort
 from coulombus.eds.reader import Variable
 
 _NAME = {RPDO: "RPDO", TPDO: "TPDO"}
 _OUTPUT, _INPUT = ("rww", "wo"), ("rwr", "ro")
+DUMMY = 0x0005
 
 
 def first(unit: Unit, direction: int) -> int:
@@ -316,3 +317,42 @@ def dummies(unit: Unit) -> str:
     if unit.number(RPDO + k, 1) & INVALID == 0:
         raise CaseFailed(f"{where(RPDO + k, 1)} became valid by itself")
     return ", ".join(f"{code:04X}h" for code in types)
+
+
+def _widths(unit: Unit, direction: int) -> Variable:
+    found = [v for v in mappable(unit, direction) if v.bits >= 16]
+    if not found:
+        raise NotApplicable("the EDS has no mappable object of two bytes or more")
+    return found[0]
+
+
+@case("M.1")
+def wrong_entries(unit: Unit) -> str:
+    """Map what is not there, and what is there in another width: refused with the code for it."""
+    direction = TPDO if remappable(unit, TPDO) and mappable(unit, TPDO) else RPDO
+    k = first(unit, direction)
+    index = direction + 0x200 + k
+    wide = _widths(unit, direction)
+    disable(unit, direction, k)
+    clear(unit, index)
+    dummy = DUMMY if direction == TPDO and DUMMY in unit.description.dummies else 0
+    absent = next(i for i in range(0x5FFF, 0x2000, -1) if i not in unit.description.objects)
+    done = []
+    for what, word, codes in (
+        ("an absent object", absent << 16 | 8, (Abort.NO_OBJECT, Abort.NOT_MAPPABLE, Abort.GENERAL)),
+        ("more bits than the object has", mapped(wide) + 8, (Abort.NOT_MAPPABLE, Abort.PDO_LENGTH, Abort.GENERAL)),
+        ("1018h:01", 0x10180120, (Abort.NOT_MAPPABLE, Abort.ACCESS, Abort.GENERAL)),
+        ("a dummy in a TPDO", DUMMY << 16 | 8, (Abort.NO_OBJECT, Abort.NOT_MAPPABLE, Abort.GENERAL)),
+    ):
+        if word >> 16 == DUMMY and not dummy:
+            continue
+        if what == "1018h:01" and (not unit.has(0x1018, 1) or unit.variable(0x1018, 1).pdo_mappable):
+            continue
+        try:
+            unit.put(index, 1, word.to_bytes(4, "little"))
+            unit.put(index, 0, b"\1")
+        except TransferAborted as abort:
+            done.append(f"{what}: {unit.judge(abort, codes):08X}h")
+            continue
+        raise CaseFailed(f"{where(index, 0)} took a map of {what}")
+    return ", ".join(done)

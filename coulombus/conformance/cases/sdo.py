@@ -1,28 +1,26 @@
-"""Cases 2.1 to 2.18 and 2.28 to 2.30: expedited and segmented transfers, further channels (CiA 301,
-section 7.2.4).
+"""Cases 2.1 to 2.12, 2.28 to 2.30, S.4, S.5 and S.12: expedited transfers, requests that are none,
+further channels (CiA 301, section 7.2.4).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from coulombus.conformance.tester.objects import (
-    NOT_NOW,
-    REFUSED,
-    is_command,
-    is_output,
-    keeps,
-    long_object,
-    long_objects,
-)
+from coulombus.conformance.tester.objects import NOT_NOW, REFUSED, is_command, is_output, keeps, long_object
+from coulombus.conformance.tester.pdo_setup import INVALID
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import Unit, encode
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.eds.reader import Variable
 from coulombus.eds.sdo_frames import head
+from coulombus.wire.bus_link import RTR
 
 RW = ("rw", "rwr", "rww")
+RESTRICTED_ID = 0x6E1
+
+IDENTIFIERS = (0x6D8, 0x6D9)
+"""Of no service in the pre-defined connection set, and not restricted."""
 
 
 def short(unit: Unit, sizes: tuple[int, ...]) -> Variable:
@@ -182,28 +180,6 @@ def server_identifiers(unit: Unit) -> None:
             raise CaseFailed(f"1200h:{subindex:02X} is {value:08X}h, expected {expected:08X}h")
 
 
-@case("2.13")
-def segments_of_a_short_object(unit: Unit) -> str:
-    """Read 1000h:00 by segments if the server wants them.
-
-    After an expedited answer a segment request is an error, or ignored.
-    """
-    answer = unit.sdo.initiate_upload(0x1000, 0)
-    if not answer[0] & 0x02:
-        data, last = unit.sdo.upload_segment(0x1000, 0, 0)
-        if len(data) != 4 or not last:
-            raise CaseFailed(f"1000h:00 by segments has {len(data)} bytes in the first segment")
-        return "by segments"
-    try:
-        answer = unit.sdo.request(b"\x60" + bytes(7), 0x1000, 0, "unknown command")
-    except TransferAborted as abort:
-        return f"expedited; the segment request: {abort.code:08X}h"
-    except NoAnswer:
-        unit.read(0x1000, 0)
-        return "expedited; the segment request is ignored"
-    raise CaseFailed(f"a segment request after an expedited upload is answered with {answer.hex(' ')}")
-
-
 def written_and_read(unit: Unit, index: int, value: int, write: Callable[[bytes], object]) -> None:
     """Write an object of the communication profile with `write`, read it, and let it be
     restored.
@@ -215,64 +191,6 @@ def written_and_read(unit: Unit, index: int, value: int, write: Callable[[bytes]
     write(encode(variable, value))
     if unit.number(index) != value:
         raise CaseFailed(f"{where(index, 0)} is {unit.number(index)} after {value} was written")
-
-
-@case("2.14", index=0x100C)
-@case("2.15", index=0x1017)
-def segmented_download(unit: Unit, index: int) -> None:
-    """Write a short object by one segment and read it back."""
-    written_and_read(unit, index, 1234, lambda data: unit.sdo.download_segmented(index, 0, data))
-
-
-@case("2.16")
-def segmented_upload(unit: Unit) -> str:
-    """Read the shortest long object by segments.
-
-    Toggle bits and length are checked with every segment.
-    """
-    variable, _ = long_object(unit)
-    data, segmented = unit.sdo.upload_as(variable.index, variable.subindex)
-    if not segmented:
-        raise CaseFailed(f"{where(variable.index, variable.subindex)} came expedited, with {len(data)} bytes")
-    return f"{where(variable.index, variable.subindex)}, {len(data)} bytes"
-
-
-@case("2.17")
-def wrong_toggle(unit: Unit) -> str:
-    """Repeat the toggle bit in an upload: abort, and the transfer is over."""
-    variable, _ = long_object(unit)
-    index, subindex = variable.index, variable.subindex
-    unit.sdo.initiate_upload(index, subindex)
-    try:
-        unit.sdo.request(b"\x70" + bytes(7), index, subindex, "upload segment of")
-    except TransferAborted as abort:
-        code = unit.judge(abort)
-    else:
-        raise CaseFailed(f"upload of {where(index, subindex)}: a first segment request with toggle bit 1 is answered")
-    try:
-        answer = unit.sdo.request(b"\x60" + bytes(7), index, subindex, "unknown command")
-    except TransferAborted:
-        return f"{code:08X}h"
-    except NoAnswer:
-        unit.read(0x1000, 0)
-        return f"{code:08X}h; a further segment request is ignored"
-    raise CaseFailed(f"the transfer goes on after its abort: {answer.hex(' ')}")
-
-
-@case("2.18")
-def all_long_objects(unit: Unit) -> str:
-    """Read every object of more than four bytes, twice, and compare it with itself and with a
-    default of the EDS.
-    """
-    found = long_objects(unit)
-    for v, content in found:
-        if unit.read(v.index, v.subindex) != content:
-            raise CaseFailed(f"{where(v.index, v.subindex)} reads differently the second time")
-        default = unit.default(v)
-        wanted = encode(v, default) if isinstance(default, str | bytes) else b""
-        if wanted and v.access == "const" and content.rstrip(b"\0") != wanted.rstrip(b"\0"):
-            raise CaseFailed(f"{where(v.index, v.subindex)} is {content!r}; the EDS says {wanted!r}")
-    return ", ".join(f"{where(v.index, v.subindex)} ({len(content)} bytes)" for v, content in found)
 
 
 def channels(unit: Unit, first: int, last: int) -> list[tuple[int, dict[int, bytes]]]:
@@ -341,3 +259,65 @@ def clients_after_storing(unit: Unit) -> str:
         raise CaseFailed("1280h to 12FFh are not as they were stored")
     unit.dirty = True
     return f"{len(before)} clients"
+
+
+def upload_segment(toggle: int) -> bytes:
+    """Return the request of a segment."""
+    return bytes((0x60 | toggle << 4,)) + bytes(7)
+
+
+@case("S.4")
+def short_request(unit: Unit) -> None:
+    """Send requests of 0, 1 and 7 bytes; then the server still serves."""
+    for length in (0, 1, 7):
+        unit.send(unit.sdo_rx, b"\x40\0\x10\0\0\0\0"[:length])
+        unit.pause(unit.timing.quiet_ns // 3)
+    unit.flush()
+    unit.read(0x1000, 0)
+
+
+@case("S.5")
+def remote_request(unit: Unit) -> None:
+    """Send a remote frame with the request's identifier: no answer."""
+    unit.flush()
+    unit.send(unit.sdo_rx | RTR, length=8)
+    unit.pause(unit.timing.quiet_ns)
+    if unit.take(unit.sdo_tx):
+        raise CaseFailed("a remote frame on the SDO request's identifier is answered")
+    unit.read(0x1000, 0)
+
+
+@case("S.12")
+def two_servers(unit: Unit) -> str:
+    """Give the first free further server identifiers, and read by both servers at once: neither
+    disturbs the other.
+
+    Before that a restricted identifier is refused, and then another one, as the server is valid.
+    """
+    found = [index for index in range(0x1201, 0x1280) if unit.has(index, 1) and unit.has(index, 2)]
+    found = [i for i in found if all(unit.variable(i, sub).access not in ("ro", "const") for sub in (1, 2))]
+    found = [i for i in found if unit.number(i, 1) & INVALID]
+    if not found:
+        raise NotApplicable("the EDS has no further SDO server whose identifiers can be written")
+    index, (request_id, response_id) = found[0], IDENTIFIERS
+    unit.refused(index, 1, RESTRICTED_ID, REFUSED)
+    unit.write(index, 2, response_id)
+    unit.write(index, 1, request_id)
+    unit.refused(index, 1, request_id + 2, REFUSED)
+    variable, content = long_object(unit, 8)
+    came = {unit.sdo_tx: b"", response_id: b""}
+    for request in (head(0x40, variable.index, variable.subindex), upload_segment(0), upload_segment(1)):
+        for rx, tx in ((unit.sdo_rx, unit.sdo_tx), (request_id, response_id)):
+            unit.send(rx, request)
+            answer = unit.expect(tx, f"response of the server with request {rx:03X}h").data
+            if len(answer) != 8:
+                raise CaseFailed(f"a response of server {rx:03X}h has {len(answer)} bytes, expected 8")
+            if answer[0] == 0x80:
+                raise CaseFailed(f"two uploads at once: server {rx:03X}h aborts with {answer.hex(' ')}")
+            if request[0] >> 5 == 3:
+                came[tx] += answer[1 : 8 - (answer[0] >> 1 & 7)]
+    unit.sdo.abort(variable.index, variable.subindex)
+    unit.send(request_id, head(0x80, variable.index, variable.subindex, b"\0\0\0\x08"))
+    if any(data != content[:14] for data in came.values()):
+        raise CaseFailed("two uploads of one object at once bring different bytes")
+    return where(index, 1)

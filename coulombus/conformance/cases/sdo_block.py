@@ -1,15 +1,20 @@
-"""Cases 2.19 to 2.27: block transfers of the test plan (CiA 301, section 7.2.4.2.9 on)."""
+"""Cases 2.19 to 2.27 and B.1 to B.14: block transfers (CiA 301, section 7.2.4.2.9 on)."""
 
 from __future__ import annotations
 
 from coulombus.conformance.cases.sdo import written_and_read
-from coulombus.conformance.tester.objects import long_object, long_objects
+from coulombus.conformance.tester.objects import READ_ONLY, long_object, long_objects
 from coulombus.conformance.tester.registry import case
-from coulombus.conformance.tester.unit import Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
+from coulombus.conformance.tester.sdo_checks import must_abort, reads_back, refused, shown, text_object
+from coulombus.conformance.tester.unit import MS, Unit
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.sdo_frames import crc16, head
 
-__all__ = ["need_block"]
+__all__ = ["block_segments", "need_block"]
+
+STANDSTILL_MS = 2500
+"""Longer than a usual server waits before it aborts a transfer."""
 
 
 def need_block(unit: Unit) -> None:
@@ -96,3 +101,267 @@ def wrong_sequence(unit: Unit) -> str:
     except TransferAborted as abort:
         return f"{unit.judge(abort):08X}h"
     raise CaseFailed(f"block upload of {where(index, subindex)}: an acknowledge of segment 128 is taken")
+
+
+def begin(unit: Unit, at_least: int, size: int) -> tuple[int, int, bytes, int | None, bool]:
+    """Begin a block upload with CRC of a long object.
+
+    Return index, sub-index, its bytes, the said length, the CRC.
+    """
+    need_block(unit)
+    variable, content = long_object(unit, at_least)
+    index, subindex = variable.index, variable.subindex
+    crc, said = unit.sdo.initiate_block_upload(index, subindex, crc=True, size=size)
+    unit.sdo.send(b"\xa3" + bytes(7))
+    return index, subindex, content, said, crc
+
+
+def same(index: int, subindex: int, data: bytes, content: bytes) -> None:
+    """Fail unless an upload brought what a segmented one does."""
+    if data != content:
+        raise CaseFailed(f"{where(index, subindex)} is {data!r} by block transfer, {content!r} by segments")
+
+
+@case("B.1")
+def repetition(unit: Unit) -> None:
+    """Acknowledge one segment less than came: the last one comes again, as segment 1 of the next
+    block.
+    """
+    index, subindex, content, said, crc = begin(unit, 15, 2)
+    block, _ = unit.sdo.read_block(index, subindex, 2)
+    segments = block[:1]
+    unit.sdo.acknowledge(1, 127)
+    block, last = unit.sdo.read_block(index, subindex, 127)
+    if not last:
+        raise CaseFailed(f"{where(index, subindex)}: the last segment is not marked")
+    segments += block
+    unit.sdo.acknowledge(len(block), 127)
+    same(index, subindex, unit.sdo.end_block_upload(index, subindex, segments, crc=crc, said=said), content)
+
+
+@case("B.2")
+def changing_size(unit: Unit) -> None:
+    """Ask for blocks of 1 segment, then 2, then 127: each block has so many."""
+    index, subindex, content, said, crc = begin(unit, 15, 1)
+    segments: list[bytes] = []
+    last = False
+    for size, following in ((1, 2), (2, 127), (127, 127)):
+        if last:
+            break
+        block, last = unit.sdo.read_block(index, subindex, size)
+        segments += block
+        unit.sdo.acknowledge(len(block), following)
+    same(index, subindex, unit.sdo.end_block_upload(index, subindex, segments, crc=crc, said=said), content)
+
+
+@case("B.3")
+def single_segments(unit: Unit) -> None:
+    """Read a long object in blocks of one segment."""
+    need_block(unit)
+    variable, content = long_object(unit)
+    data, _ = unit.sdo.block_upload(variable.index, variable.subindex, crc=True, size=1)
+    same(variable.index, variable.subindex, data, content)
+
+
+@case("B.4")
+def size_zero(unit: Unit) -> str:
+    """Ask for an upload in blocks of 0 segments."""
+    need_block(unit)
+    variable, _ = long_object(unit)
+    return refused_size(unit, variable.index, variable.subindex, 0)
+
+
+@case("B.5")
+def aborted(unit: Unit) -> None:
+    """Abort a block upload after its first segment; the next upload works."""
+    index, subindex, content, _, _ = begin(unit, 5, 1)
+    unit.sdo.read_block(index, subindex, 1)
+    unit.sdo.abort(index, subindex)
+    unit.pause(unit.timing.quiet_ns)
+    if unit.take(unit.sdo_tx):
+        raise CaseFailed("the server answers the client's abort")
+    same(index, subindex, unit.read(index, subindex), content)
+
+
+def block_segments(text: bytes) -> list[bytes]:
+    """Return the data of a text's segments."""
+    return [text[start : start + 7].ljust(7, b"\0") for start in range(0, len(text), 7)]
+
+
+@case("B.6")
+def block_download(unit: Unit) -> str:
+    """Write a text by block transfer with CRC, and read it by segments."""
+    need_block(unit)
+    index, subindex, _, text = text_object(unit)
+    agreed = unit.sdo.block_download(index, subindex, text, crc=True)
+    reads_back(unit, index, subindex, text)
+    return where(index, subindex) + ("" if agreed else ", the server has no CRC")
+
+
+@case("B.7")
+def wrong_crc(unit: Unit) -> str:
+    """Write a text by block transfer with a wrong CRC: abort, and the old text stays."""
+    need_block(unit)
+
+    def transfer(index: int, subindex: int, text: bytes) -> None:
+        agreed, _ = unit.sdo.initiate_block_download(index, subindex, len(text), crc=True)
+        unit.sdo.abort(index, subindex)
+        if not agreed:
+            raise NotApplicable("the server has no CRC")
+        unit.sdo.block_download(index, subindex, text, crc=True, wrong_crc=True)
+
+    return refused(unit, transfer, "a block download with a wrong CRC")
+
+
+@case("B.8")
+def lost_segment(unit: Unit) -> None:
+    """Leave a segment of the first block out: the server acknowledges those before it, and takes
+    the others again.
+    """
+    need_block(unit)
+    index, subindex, _, text = text_object(unit)
+    crc, size = unit.sdo.initiate_block_download(index, subindex, len(text), crc=True)
+    if size < 3:
+        unit.sdo.abort(index, subindex)
+        raise NotApplicable(f"the server's blocks have {size} segments")
+    segments = block_segments(text)
+    first = segments[:size]
+    for number, segment in enumerate(first, 1):
+        if number != 2:
+            unit.sdo.stream(bytes((number | 0x80 * (number == len(segments)),)) + segment)
+    good, size = unit.sdo.block_acknowledged(index, subindex)
+    if good != 1:
+        raise CaseFailed(f"the server acknowledges segment {good} although segment 2 is missing")
+    position = good
+    while position < len(segments):
+        unit.pause(unit.timing.quiet_ns)  # a server that acknowledges at the gap may do so again
+        unit.take(unit.sdo_tx)
+        for number, segment in enumerate(segments[position : position + size], 1):
+            unit.sdo.stream(bytes((number | 0x80 * (position + number == len(segments)),)) + segment)
+        good, size = unit.sdo.block_acknowledged(index, subindex)
+        if good == 0:
+            raise CaseFailed("the server does not take the segments that it asked for again")
+        position += good
+    unit.sdo.end_block_download(index, subindex, len(text), crc16(text) if crc else 0)
+    reads_back(unit, index, subindex, text, " after a repetition")
+
+
+@case("B.9")
+def another_length(unit: Unit) -> str:
+    """Say more bytes than follow: abort, and the old text stays."""
+    need_block(unit)
+
+    def transfer(index: int, subindex: int, text: bytes) -> None:
+        crc, _ = unit.sdo.initiate_block_download(index, subindex, len(text), crc=True)
+        unit.sdo.send(b"\x81" + text[:7])
+        unit.sdo.block_acknowledged(index, subindex)
+        unit.sdo.end_block_download(index, subindex, 7, crc16(text[:7]) if crc else 0)
+
+    return refused(unit, transfer, "7 bytes of which more were said")
+
+
+@case("B.10")
+def to_read_only(unit: Unit) -> str:
+    """Begin a block download to 1000h."""
+    need_block(unit)
+    if unit.has(0x1000) and unit.variable(0x1000).access not in READ_ONLY:
+        raise NotApplicable("1000h is writable in the EDS")
+    try:
+        unit.sdo.block_download(0x1000, 0, bytes(4), crc=False)
+    except TransferAborted as abort:
+        return f"{unit.judge(abort):08X}h"
+    raise CaseFailed("1000h:00 took a block download")
+
+
+@case("B.11")
+def threshold(unit: Unit) -> str:
+    """A threshold of one byte less than the object has: a block transfer.
+
+    Of as many: block, segments or expedited.
+    """
+    need_block(unit)
+    variable, content = long_object(unit)
+    index, subindex, size = variable.index, variable.subindex, len(content)
+    if size > 255:
+        raise NotApplicable(f"the shortest long object, {where(index, subindex)}, has more than 255 bytes")
+    answer = unit.sdo.request(head(0xA0, index, subindex, bytes((127, size - 1))), index, subindex, "block upload of")
+    if answer[0] >> 5 != 6:
+        text = f"of {size} bytes comes by another protocol; the threshold is {size - 1}"
+        raise CaseFailed(f"{where(index, subindex)} {text}")
+    unit.sdo.abort(index, subindex)
+    answer = unit.sdo.request(head(0xA0, index, subindex, bytes((127, size))), index, subindex, "block upload of")
+    if answer[0] >> 5 == 6:
+        unit.sdo.abort(index, subindex)
+        return "the server stays with the block transfer"
+    data, toggle, last = b"", 0, False
+    while not last and len(data) <= size:
+        segment, last = unit.sdo.upload_segment(index, subindex, toggle)
+        data, toggle = data + segment, toggle ^ 0x10
+    same(index, subindex, data, content)
+    return "the server changes the protocol"
+
+
+@case("B.12")
+def after_the_end(unit: Unit) -> str:
+    """End a block upload: no answer, nothing later either, and an acknowledge is an error, or
+    ignored.
+    """
+    need_block(unit)
+    variable, _ = long_object(unit)
+    unit.sdo.block_upload(variable.index, variable.subindex, crc=True)
+    unit.pause(STANDSTILL_MS * MS)
+    frames = unit.take(unit.sdo_tx)
+    if frames:
+        raise CaseFailed(f"the server sends {frames[0].data.hex(' ')} after the end of a block upload")
+    return must_abort(unit, b"\xa2\x01\x7f" + bytes(5), "an acknowledge after the end of a block upload")
+
+
+@case("B.13")
+def out_of_turn(unit: Unit) -> None:
+    """In a block upload: a second start, an end before the end, impossible acknowledges.
+
+    Each is aborted, or ignored.
+    """
+    for what, request in (
+        ("a second start", b"\xa3" + bytes(7)),
+        ("the end before the end", b"\xa1" + bytes(7)),
+        ("an acknowledge of segment 2 of 1", b"\xa2\x02\x01" + bytes(5)),
+        ("an acknowledge with block size 0", b"\xa2\x01\x00" + bytes(5)),
+        ("an acknowledge with block size 128", b"\xa2\x01\x80" + bytes(5)),
+    ):
+        index, subindex, *_ = begin(unit, 15, 1)
+        unit.sdo.read_block(index, subindex, 1)
+        must_abort(unit, request, f"block upload of {where(index, subindex)}: {what}", (index, subindex))
+    index, subindex, *_ = begin(unit, 5, 127)
+    segments, _ = unit.sdo.read_block(index, subindex, 127)
+    acknowledge = bytes((0xA2, len(segments), 127)) + bytes(5)
+    unit.sdo.request(acknowledge, index, subindex, "block upload of")
+    what = f"block upload of {where(index, subindex)}: an acknowledge after the last"
+    must_abort(unit, acknowledge, what, (index, subindex))
+
+
+@case("B.14")
+def number_zero(unit: Unit) -> str:
+    """Send segment 0, then segment 2 as the last: abort, or neither is acknowledged.
+
+    The old text stays.
+    """
+    need_block(unit)
+    index, subindex, before, text = text_object(unit)
+    unit.sdo.initiate_block_download(index, subindex, len(text), crc=False)
+    unit.sdo.stream(b"\x00" + text[:7])
+    unit.sdo.stream(b"\x82" + text[7:14])
+    how = "ignored"
+    try:
+        good, _ = unit.sdo.block_acknowledged(index, subindex)
+    except TransferAborted as abort:
+        how = f"{unit.judge(abort):08X}h"
+    except NoAnswer:
+        pass
+    else:
+        if good:
+            raise CaseFailed(f"segment {good} is acknowledged; 0 and 2 were sent")
+    unit.sdo.abort(index, subindex)
+    if shown(unit.read(index, subindex)) != shown(before):
+        raise CaseFailed(f"{where(index, subindex)} took a segment without a number")
+    return how

@@ -1,11 +1,12 @@
-"""Cases 8.1 to 8.10: storing, restoring, verify configuration, restricted identifiers (CiA 301,
-sections 7.5.2.13, 14, 23, 7.3.5).
+"""Cases 8.1 to 8.10, K.1 and K.2: storing, restoring, verify configuration, restricted identifiers
+(CiA 301, sections 7.5.2.13, 14, 23, 7.3.5).
 """
 
 from __future__ import annotations
 
 from coulombus.conformance.tester.objects import volatile
 from coulombus.conformance.tester.registry import case
+from coulombus.conformance.tester.sdo_checks import shown, text_object
 from coulombus.conformance.tester.unit import ON_COMMAND, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 
@@ -13,6 +14,7 @@ __all__: list[str] = []
 
 SAVE, LOAD = b"save", b"load"
 STORE, RESTORE = 0x1010, 0x1011
+
 RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x77F, 0x780, 0x7FF)
 """Ends of the ranges of table 38."""
 
@@ -175,3 +177,55 @@ def restricted(unit: Unit) -> str:
     if not done:
         raise NotApplicable("no identifier can be configured")
     return ", ".join(done)
+
+
+@case("K.1")
+def verification_is_lost(unit: Unit) -> str:
+    """Write date and time to 1020h, and change a parameter: both are 0, or stay, as the boot-up
+    configuration has not changed yet.
+
+    Where they stay: store them, load the defaults and reset. That changes the boot-up
+    configuration, and both are 0.
+    """
+
+    def told() -> list[int]:
+        return [unit.number(0x1020, sub) for sub in (1, 2)]
+
+    def tell() -> None:
+        for sub in (1, 2):
+            unit.put(0x1020, sub, (14_000).to_bytes(4, "little"))
+
+    for sub in (1, 2):
+        unit.need_writable(0x1020, sub)
+    tell()
+    index, subindex, value = volatile(unit)
+    unit.put(index, subindex, encode(unit.variable(index, subindex), value))
+    if not any(told()):
+        return f"0 after {where(index, subindex)} was changed"
+    for index in (0x1010, 0x1011):
+        unit.need_ability(index)
+    tell()
+    unit.stored = True
+    unit.sdo.download(0x1010, 1, b"save")
+    unit.sdo.download(0x1011, 1, b"load")
+    unit.reset()
+    left = told()
+    if any(left):
+        raise CaseFailed(f"1020h is {left[0]} and {left[1]} after the defaults were loaded, expected 0")
+    return "0 after the defaults were loaded"
+
+
+@case("K.2")
+def only_the_group(unit: Unit) -> str:
+    """Change a text of the manufacturer's, and store the communication group alone: the text is
+    lost with a reset.
+    """
+    unit.need_ability(0x1010, 2)
+    index, subindex, before, text = text_object(unit)
+    unit.put(index, subindex, text)
+    unit.stored = True
+    unit.sdo.download(0x1010, 2, b"save")
+    unit.reset()
+    if shown(unit.read(index, subindex)) != shown(before):
+        raise CaseFailed(f"{where(index, subindex)} has been stored with the communication group")
+    return where(index, subindex)

@@ -1,16 +1,18 @@
-"""Cases 6.1 to 6.10: SYNC producer and consumer, and its counter (CiA 301, sections 7.2.5, 7.5.2.5
-and 7.5.2.22).
+"""Cases 6.1 to 6.10 and Y.1 to Y.6: SYNC producer and consumer, its counter, and the identifiers of
+SYNC, TIME and EMCY (CiA 301, sections 7.2.5, 7.5.2.5 and 7.5.2.22).
 """
 
 from __future__ import annotations
 
-from coulombus.conformance.tester.pdo_setup import Unsupported, arm, write_overflow
+from coulombus.conformance.tester.objects import OTHER_ID, READ_ONLY, REFUSED
+from coulombus.conformance.tester.pdo_setup import INVALID, Unsupported, arm, write_overflow
 from coulombus.conformance.tester.pdo_setup import sync as send_sync
 from coulombus.conformance.tester.pdo_stimuli import candidates
+from coulombus.conformance.tester.provoke import emcy_id
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted
-from coulombus.eds.cia301 import CobId
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
+from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.wire.bus_link import BusFrame
 
 __all__: list[str] = []
@@ -226,3 +228,118 @@ def sync_stored(unit: Unit) -> None:
         if unit.number(index) != value:
             raise CaseFailed(f"{index:04X}h is {unit.number(index)} after store and reset, expected {value}")
     check_counter(unit.collect(unit.sync_id, (2 * OVERFLOW + 2) * PERIOD_MS * MS), OVERFLOW)
+
+
+@case("Y.1")
+def wrong_length(unit: Unit) -> str:
+    """Send a SYNC of one byte where 1019h is 0: an EMCY, if one comes, is 8240h.
+
+    The next SYNC of no byte acts.
+    """
+    can_id = synchronous(unit)
+    emcy = emcy_id(unit)
+    unit.start()
+    unit.flush()
+    send_sync(unit, 1)
+    unit.pause(unit.timing.quiet_ns)
+    frames = unit.take(emcy)
+    unit.flush()
+    send_sync(unit)
+    unit.expect(can_id, "TPDO of type 1 after a SYNC")
+    if frames and frames[0].data[:2] != b"\x40\x82":
+        raise CaseFailed(f"EMCY {frames[0].data[:8].hex(' ')} after a SYNC of an unexpected length, expected 8240h")
+    return "EMCY 8240h" if frames else "no EMCY"
+
+
+@case("Y.2")
+def another_identifier(unit: Unit) -> str:
+    """Give 1005h another identifier: the device obeys SYNCs with it, and no others."""
+    unit.need_writable(0x1005)
+    can_id = synchronous(unit)
+    try:
+        unit.write(0x1005, 0, OTHER_ID)
+    except TransferAborted as abort:
+        raise NotApplicable(str(abort)) from None
+    unit.start()
+    unit.pause(unit.timing.quiet_ns)
+    unit.flush()
+    send_sync(unit)
+    unit.pause(unit.timing.quiet_ns)
+    if unit.take(can_id):
+        raise CaseFailed("a TPDO comes with a SYNC of the old identifier")
+    unit.send(OTHER_ID)
+    unit.expect(can_id, "TPDO of type 1 after a SYNC with the new identifier")
+    return f"{OTHER_ID:03X}h"
+
+
+@case("Y.3")
+def producer_in_stopped(unit: Unit) -> None:
+    """Produce SYNC with a counter, and stop: no SYNC. Back in PRE-OPERATIONAL it begins with 1."""
+    unit.need_writable(0x1019)
+    produce(unit, OVERFLOW)
+    unit.pause(2 * PERIOD_MS * MS + PERIOD_MS * MS // 2)
+    unit.nmt(NmtCommand.STOP)
+    unit.pause(PERIOD_MS * MS // 4)  # one that was under way
+    if unit.collect(unit.sync_id, 5 * PERIOD_MS * MS):
+        raise CaseFailed("the device sends SYNC in STOPPED")
+    unit.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+    unit.pause((OVERFLOW + 2) * PERIOD_MS * MS)
+    check_counter(unit.take(unit.sync_id), OVERFLOW, first=1)
+
+
+@case("Y.4")
+def identifiers_in_use(unit: Unit) -> str:
+    """Change the identifier of SYNC while it is produced, of a valid EMCY, of TIME that is
+    consumed: refused.
+    """
+    done = []
+    if unit.has(0x1005) and unit.variable(0x1005).access not in READ_ONLY:
+        try:
+            produce(unit)
+        except (NotApplicable, TransferAborted):
+            pass
+        else:
+            unit.refused(0x1005, 0, PRODUCER | OTHER_ID, REFUSED)
+            done.append("1005h:00")
+    for index, in_use in ((0x1014, 0), (0x1012, INVALID)):
+        if unit.has(index) and unit.variable(index).access not in READ_ONLY:
+            if unit.number(index) & INVALID != in_use:
+                continue
+            unit.refused(index, 0, in_use | OTHER_ID, REFUSED)
+            done.append(where(index, 0))
+    if not done:
+        raise NotApplicable("no identifier that is in use can be written")
+    return ", ".join(done)
+
+
+@case("Y.5")
+def wide_identifiers(unit: Unit) -> str:
+    """Write an identifier of more than 11 bits without bit 29 to 1005h, 1012h and 1014h, made
+    invalid first: refused.
+    """
+    done = []
+    for index in (0x1005, 0x1012, 0x1014):
+        if unit.has(index) and unit.variable(index).access not in READ_ONLY:
+            if index == 0x1014:
+                unit.write(index, 0, unit.number(index) | INVALID)
+            unit.refused(index, 0, 0x1880, REFUSED)
+            done.append(where(index, 0))
+    if not done:
+        raise NotApplicable("the EDS has no identifier that can be configured")
+    return ", ".join(done)
+
+
+@case("Y.6")
+def counter_after_reset(unit: Unit) -> None:
+    """Store a SYNC producer with a counter, and reset the node in mid-count: the first SYNC behind
+    the boot-up has 1.
+    """
+    unit.need_ability(0x1010)
+    unit.need_writable(0x1019)
+    produce(unit, OVERFLOW)
+    store(unit)
+    unit.pause(2 * PERIOD_MS * MS + PERIOD_MS * MS // 2)
+    boot = unit.reset(must=True)
+    unit.pause((OVERFLOW + 2) * PERIOD_MS * MS)
+    frames = unit.take(unit.sync_id)
+    check_counter([frame for frame in frames if boot is None or frame.t_ns >= boot.t_ns], OVERFLOW, first=1)

@@ -13,6 +13,7 @@ from coulombus.eds.reader import Variable
 __all__ = [
     "LONGEST",
     "NOT_NOW",
+    "OTHER_ID",
     "READ_ONLY",
     "REFUSED",
     "is_command",
@@ -42,6 +43,9 @@ code.
 
 NOT_NOW = (Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE, Abort.NO_DATA)
 """An object may refuse an access for the state that the device is in."""
+
+OTHER_ID = 0x6DA
+"""Of no service in the pre-defined connection set, and not restricted."""
 
 _COMMANDS = (0x1003, 0x1010, 0x1011, 0x1023, 0x1F50, 0x1F51, 0x1F80)
 """A write of these does something; the cases that test them do it."""

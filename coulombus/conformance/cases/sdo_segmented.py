@@ -1,124 +1,148 @@
-"""Own cases B.11 to B.13 and S.6 to S.12: requests out of turn, lengths that are not what was said,
-two servers at once.
-"""
+"""Cases 2.13 to 2.18, S.1 to S.3 and S.6 to S.11: segmented transfers (CiA 301, section 7.2.4)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from coulombus.conformance.cases.sdo import short
-from coulombus.conformance.cases.sdo_block import need_block
-from coulombus.conformance.cases.sdo_wrong import (
+from coulombus.conformance.cases.sdo import short, upload_segment, written_and_read
+from coulombus.conformance.cases.sdo_block import block_segments, need_block
+from coulombus.conformance.tester.objects import long_object, long_objects, volatile
+from coulombus.conformance.tester.registry import case
+from coulombus.conformance.tester.sdo_checks import (
     LENGTHS,
-    begin,
-    block_segments,
+    must_abort,
     reads_back,
-    same,
+    refused,
     shown,
     text_object,
     untouched,
 )
-from coulombus.conformance.tester.objects import REFUSED, long_object, volatile
-from coulombus.conformance.tester.pdo_setup import INVALID
-from coulombus.conformance.tester.registry import case
-from coulombus.conformance.tester.unit import MS, Unit, encode
+from coulombus.conformance.tester.unit import Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
-from coulombus.eds.cia301 import Abort
 from coulombus.eds.sdo_frames import head
 
 __all__: list[str] = []
 
-STANDSTILL_MS = 2500
-"""Longer than a usual server waits before it aborts a transfer."""
 
+@case("2.13")
+def segments_of_a_short_object(unit: Unit) -> str:
+    """Read 1000h:00 by segments if the server wants them.
 
-def must_abort(unit: Unit, request: bytes, what: str, place: tuple[int, int] = (0x1000, 0)) -> str:
-    """Send a request that has no place here: it is aborted or ignored; return which.
-
-    CiA 301 names abort codes, but does not say that a server answers what is not for it; so it may
-    be silent, if it serves afterwards. `place` is the open transfer's object.
+    After an expedited answer a segment request is an error, or ignored.
     """
+    answer = unit.sdo.initiate_upload(0x1000, 0)
+    if not answer[0] & 0x02:
+        data, last = unit.sdo.upload_segment(0x1000, 0, 0)
+        if len(data) != 4 or not last:
+            raise CaseFailed(f"1000h:00 by segments has {len(data)} bytes in the first segment")
+        return "by segments"
     try:
-        answer = unit.sdo.request(request, 0, 0, "unknown command")
+        answer = unit.sdo.request(b"\x60" + bytes(7), 0x1000, 0, "unknown command")
     except TransferAborted as abort:
-        return "ignored" if abort.code == Abort.TIMEOUT else f"{unit.judge(abort):08X}h"
+        return f"expedited; the segment request: {abort.code:08X}h"
     except NoAnswer:
-        unit.sdo.abort(*place)
+        unit.read(0x1000, 0)
+        return "expedited; the segment request is ignored"
+    raise CaseFailed(f"a segment request after an expedited upload is answered with {answer.hex(' ')}")
+
+
+@case("2.14", index=0x100C)
+@case("2.15", index=0x1017)
+def segmented_download(unit: Unit, index: int) -> None:
+    """Write a short object by one segment and read it back."""
+    written_and_read(unit, index, 1234, lambda data: unit.sdo.download_segmented(index, 0, data))
+
+
+@case("2.16")
+def segmented_upload(unit: Unit) -> str:
+    """Read the shortest long object by segments.
+
+    Toggle bits and length are checked with every segment.
+    """
+    variable, _ = long_object(unit)
+    data, segmented = unit.sdo.upload_as(variable.index, variable.subindex)
+    if not segmented:
+        raise CaseFailed(f"{where(variable.index, variable.subindex)} came expedited, with {len(data)} bytes")
+    return f"{where(variable.index, variable.subindex)}, {len(data)} bytes"
+
+
+@case("2.17")
+def wrong_toggle(unit: Unit) -> str:
+    """Repeat the toggle bit in an upload: abort, and the transfer is over."""
+    variable, _ = long_object(unit)
+    index, subindex = variable.index, variable.subindex
+    unit.sdo.initiate_upload(index, subindex)
+    try:
+        unit.sdo.request(b"\x70" + bytes(7), index, subindex, "upload segment of")
+    except TransferAborted as abort:
+        code = unit.judge(abort)
+    else:
+        raise CaseFailed(f"upload of {where(index, subindex)}: a first segment request with toggle bit 1 is answered")
+    try:
+        answer = unit.sdo.request(b"\x60" + bytes(7), index, subindex, "unknown command")
+    except TransferAborted:
+        return f"{code:08X}h"
+    except NoAnswer:
+        unit.read(0x1000, 0)
+        return f"{code:08X}h; a further segment request is ignored"
+    raise CaseFailed(f"the transfer goes on after its abort: {answer.hex(' ')}")
+
+
+@case("2.18")
+def all_long_objects(unit: Unit) -> str:
+    """Read every object of more than four bytes, twice, and compare it with itself and with a
+    default of the EDS.
+    """
+    found = long_objects(unit)
+    for v, content in found:
+        if unit.read(v.index, v.subindex) != content:
+            raise CaseFailed(f"{where(v.index, v.subindex)} reads differently the second time")
+        default = unit.default(v)
+        wanted = encode(v, default) if isinstance(default, str | bytes) else b""
+        if wanted and v.access == "const" and content.rstrip(b"\0") != wanted.rstrip(b"\0"):
+            raise CaseFailed(f"{where(v.index, v.subindex)} is {content!r}; the EDS says {wanted!r}")
+    return ", ".join(f"{where(v.index, v.subindex)} ({len(content)} bytes)" for v, content in found)
+
+
+@case("S.1")
+def long_download(unit: Unit) -> str:
+    """Write a text by segments and read it back."""
+    index, subindex, _, text = text_object(unit)
+    unit.sdo.download_segmented(index, subindex, text)
+    reads_back(unit, index, subindex, text)
+    return where(index, subindex)
+
+
+@case("S.2")
+def toggle_in_download(unit: Unit) -> str:
+    """Repeat the toggle bit in a download: it is aborted, or ignored."""
+
+    def transfer(index: int, subindex: int, text: bytes) -> None:
+        request = head(0x21, index, subindex, len(text).to_bytes(4, "little"))
+        unit.sdo.request(request, index, subindex, "download to")
+        for segment in (text[:7], text[7:14]):
+            unit.sdo.request(b"\x00" + segment, index, subindex, "download segment to")
+
+    return refused(unit, transfer, "a repeated toggle bit", silence=True)
+
+
+@case("S.3")
+def client_abort(unit: Unit) -> str:
+    """Abort a segmented upload: no answer; the next segment request is an error, or ignored."""
+    variable, _ = long_object(unit, 8)
+    unit.sdo.initiate_upload(variable.index, variable.subindex)
+    unit.sdo.abort(variable.index, variable.subindex)
+    unit.pause(unit.timing.quiet_ns)
+    if unit.take(unit.sdo_tx):
+        raise CaseFailed("the server answers the client's abort")
+    try:
+        answer = unit.sdo.request(b"\x60" + bytes(7), variable.index, variable.subindex, "unknown command")
+    except TransferAborted as abort:
+        return f"{unit.judge(abort):08X}h"
+    except NoAnswer:
         unit.read(0x1000, 0)
         return "ignored"
-    raise CaseFailed(f"{what} is answered with {answer.hex(' ')}")
-
-
-def upload_segment(toggle: int) -> bytes:
-    """Return the request of a segment."""
-    return bytes((0x60 | toggle << 4,)) + bytes(7)
-
-
-@case("B.11")
-def threshold(unit: Unit) -> str:
-    """A threshold of one byte less than the object has: a block transfer.
-
-    Of as many: block, segments or expedited.
-    """
-    need_block(unit)
-    variable, content = long_object(unit)
-    index, subindex, size = variable.index, variable.subindex, len(content)
-    if size > 255:
-        raise NotApplicable(f"the shortest long object, {where(index, subindex)}, has more than 255 bytes")
-    answer = unit.sdo.request(head(0xA0, index, subindex, bytes((127, size - 1))), index, subindex, "block upload of")
-    if answer[0] >> 5 != 6:
-        text = f"of {size} bytes comes by another protocol; the threshold is {size - 1}"
-        raise CaseFailed(f"{where(index, subindex)} {text}")
-    unit.sdo.abort(index, subindex)
-    answer = unit.sdo.request(head(0xA0, index, subindex, bytes((127, size))), index, subindex, "block upload of")
-    if answer[0] >> 5 == 6:
-        unit.sdo.abort(index, subindex)
-        return "the server stays with the block transfer"
-    data, toggle, last = b"", 0, False
-    while not last and len(data) <= size:
-        segment, last = unit.sdo.upload_segment(index, subindex, toggle)
-        data, toggle = data + segment, toggle ^ 0x10
-    same(index, subindex, data, content)
-    return "the server changes the protocol"
-
-
-@case("B.12")
-def after_the_end(unit: Unit) -> str:
-    """End a block upload: no answer, nothing later either, and an acknowledge is an error, or
-    ignored.
-    """
-    need_block(unit)
-    variable, _ = long_object(unit)
-    unit.sdo.block_upload(variable.index, variable.subindex, crc=True)
-    unit.pause(STANDSTILL_MS * MS)
-    frames = unit.take(unit.sdo_tx)
-    if frames:
-        raise CaseFailed(f"the server sends {frames[0].data.hex(' ')} after the end of a block upload")
-    return must_abort(unit, b"\xa2\x01\x7f" + bytes(5), "an acknowledge after the end of a block upload")
-
-
-@case("B.13")
-def out_of_turn(unit: Unit) -> None:
-    """In a block upload: a second start, an end before the end, impossible acknowledges.
-
-    Each is aborted, or ignored.
-    """
-    for what, request in (
-        ("a second start", b"\xa3" + bytes(7)),
-        ("the end before the end", b"\xa1" + bytes(7)),
-        ("an acknowledge of segment 2 of 1", b"\xa2\x02\x01" + bytes(5)),
-        ("an acknowledge with block size 0", b"\xa2\x01\x00" + bytes(5)),
-        ("an acknowledge with block size 128", b"\xa2\x01\x80" + bytes(5)),
-    ):
-        index, subindex, *_ = begin(unit, 15, 1)
-        unit.sdo.read_block(index, subindex, 1)
-        must_abort(unit, request, f"block upload of {where(index, subindex)}: {what}", (index, subindex))
-    index, subindex, *_ = begin(unit, 5, 127)
-    segments, _ = unit.sdo.read_block(index, subindex, 127)
-    acknowledge = bytes((0xA2, len(segments), 127)) + bytes(5)
-    unit.sdo.request(acknowledge, index, subindex, "block upload of")
-    what = f"block upload of {where(index, subindex)}: an acknowledge after the last"
-    must_abort(unit, acknowledge, what, (index, subindex))
+    raise CaseFailed(f"the transfer goes on after the client's abort: {answer.hex(' ')}")
 
 
 @case("S.6")
@@ -294,44 +318,3 @@ def reserved_bytes(unit: Unit) -> str | None:
         raise CaseFailed(f"reserved bytes of a response are not 0: {answer.hex(' ')}")
     zero(bytes((0xC1 | (-len(text) % 7) << 2,)) + bytes(7), 1)
     return None
-
-
-@case("S.12")
-def two_servers(unit: Unit) -> str:
-    """Give the first free further server identifiers, and read by both servers at once: neither
-    disturbs the other.
-
-    Before that a restricted identifier is refused, and then another one, as the server is valid.
-    """
-    found = [index for index in range(0x1201, 0x1280) if unit.has(index, 1) and unit.has(index, 2)]
-    found = [i for i in found if all(unit.variable(i, sub).access not in ("ro", "const") for sub in (1, 2))]
-    found = [i for i in found if unit.number(i, 1) & INVALID]
-    if not found:
-        raise NotApplicable("the EDS has no further SDO server whose identifiers can be written")
-    index, (request_id, response_id) = found[0], IDENTIFIERS
-    unit.refused(index, 1, RESTRICTED_ID, REFUSED)
-    unit.write(index, 2, response_id)
-    unit.write(index, 1, request_id)
-    unit.refused(index, 1, request_id + 2, REFUSED)
-    variable, content = long_object(unit, 8)
-    came = {unit.sdo_tx: b"", response_id: b""}
-    for request in (head(0x40, variable.index, variable.subindex), upload_segment(0), upload_segment(1)):
-        for rx, tx in ((unit.sdo_rx, unit.sdo_tx), (request_id, response_id)):
-            unit.send(rx, request)
-            answer = unit.expect(tx, f"response of the server with request {rx:03X}h").data
-            if len(answer) != 8:
-                raise CaseFailed(f"a response of server {rx:03X}h has {len(answer)} bytes, expected 8")
-            if answer[0] == 0x80:
-                raise CaseFailed(f"two uploads at once: server {rx:03X}h aborts with {answer.hex(' ')}")
-            if request[0] >> 5 == 3:
-                came[tx] += answer[1 : 8 - (answer[0] >> 1 & 7)]
-    unit.sdo.abort(variable.index, variable.subindex)
-    unit.send(request_id, head(0x80, variable.index, variable.subindex, b"\0\0\0\x08"))
-    if any(data != content[:14] for data in came.values()):
-        raise CaseFailed("two uploads of one object at once bring different bytes")
-    return where(index, 1)
-
-
-RESTRICTED_ID = 0x6E1
-IDENTIFIERS = (0x6D8, 0x6D9)
-"""Of no service in the pre-defined connection set, and not restricted."""

@@ -1,0 +1,125 @@
+"""What the SDO cases judge by: a text that may be written, and how a wrong transfer may end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from coulombus.conformance.tester.objects import NOT_NOW, long_texts
+from coulombus.conformance.tester.unit import Unit
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
+from coulombus.eds.cia301 import Abort
+from coulombus.eds.reader import Variable
+
+__all__ = ["LENGTHS", "must_abort", "reads_back", "refused", "shown", "text_object", "untouched"]
+
+TEXT = b"Coulombus writes a text of more than one segment, and of a length that is not theirs."
+
+SHORTEST = 15
+"""Bytes of three segments: a text that is shorter tells nothing about segments."""
+
+LENGTHS = (Abort.LENGTH, Abort.TOO_LONG, Abort.TOO_SHORT, Abort.MEMORY, Abort.GENERAL, *NOT_NOW)
+"""How a device refuses a text for its length."""
+
+
+def text_object(unit: Unit) -> tuple[int, int, bytes, bytes]:
+    """Return a writable string: index, sub-index, its bytes, which are restored later, and a text
+    that it has room for.
+
+    An EDS does not tell how long a string may be. So it is tried, once in a run: `TEXT`, beginnings
+    of it, and as many bytes as the string has.
+    """
+    reason = ""
+    for variable in long_texts(unit):
+        index, subindex = variable.index, variable.subindex
+        before = unit.read(index, subindex)
+        unit.undo_later(index, subindex, before)
+        unit.dirty = True
+        if (index, subindex) not in unit.rooms:
+            unit.rooms[index, subindex] = _room(unit, variable, before)
+        if unit.rooms[index, subindex] >= SHORTEST:
+            return index, subindex, before, TEXT[: unit.rooms[index, subindex]]
+        reason = f"{where(index, subindex)} has no room for {SHORTEST} bytes"
+    raise NotApplicable(f"the device has no writable string of three segments: {reason}")
+
+
+def _room(unit: Unit, variable: Variable, before: bytes) -> int:
+    """Return how many bytes of `TEXT` the string holds, 0 for fewer than `SHORTEST`.
+
+    It has them no longer when this returns.
+    """
+    index, subindex = variable.index, variable.subindex
+    own: tuple[int, ...] = (len(before),) if SHORTEST <= len(before) < len(TEXT) else ()
+    for length in (len(TEXT), *own, 57, 29, SHORTEST):
+        try:
+            unit.sdo.download_segmented(index, subindex, TEXT[:length])
+        except TransferAborted as abort:
+            if abort.code not in LENGTHS:
+                raise
+            continue
+        held: bool = shown(unit.read(index, subindex)) == TEXT[:length]
+        unit.sdo.download_segmented(index, subindex, before)
+        if held:
+            return length
+    return 0
+
+
+def shown(text: bytes) -> bytes:
+    """Return a string without the zeros behind it, by which a string of fixed length may be filled
+    up.
+    """
+    return text.rstrip(b"\0")
+
+
+def untouched(unit: Unit, index: int, subindex: int, before: bytes) -> str:
+    """Return what an aborted download has left of the old text: nothing to be said, or that a part
+    was written.
+
+    CiA 301 does not say that a download is written at once: a device of little memory writes a long
+    one part by part.
+    """
+    if shown(unit.read(index, subindex)) == shown(before):
+        return ""
+    return f"; {where(index, subindex)} has a part of what was aborted"
+
+
+def refused(unit: Unit, transfer: Callable[[int, int, bytes], object], what: str, *, silence: bool = False) -> str:
+    """Let `transfer` write a text wrongly: it is aborted (or, with `silence`, ignored).
+
+    Return the code.
+    """
+    index, subindex, before, text = text_object(unit)
+    try:
+        transfer(index, subindex, text)
+    except TransferAborted as abort:
+        how = "ignored" if silence and abort.code == Abort.TIMEOUT else f"{unit.judge(abort):08X}h"
+    except NoAnswer:
+        if not silence:
+            raise
+        unit.sdo.abort(index, subindex)
+        how = "ignored"
+    else:
+        raise CaseFailed(f"{where(index, subindex)} took {what}")
+    return how + untouched(unit, index, subindex, before)
+
+
+def reads_back(unit: Unit, index: int, subindex: int, text: bytes, after: str = "") -> None:
+    """Fail unless a string has the text that was written to it."""
+    if shown(unit.read(index, subindex)) != text:
+        raise CaseFailed(f"{where(index, subindex)} does not read back{after}")
+
+
+def must_abort(unit: Unit, request: bytes, what: str, place: tuple[int, int] = (0x1000, 0)) -> str:
+    """Send a request that has no place here: it is aborted or ignored; return which.
+
+    CiA 301 names abort codes, but does not say that a server answers what is not for it; so it may
+    be silent, if it serves afterwards. `place` is the open transfer's object.
+    """
+    try:
+        answer = unit.sdo.request(request, 0, 0, "unknown command")
+    except TransferAborted as abort:
+        return "ignored" if abort.code == Abort.TIMEOUT else f"{unit.judge(abort):08X}h"
+    except NoAnswer:
+        unit.sdo.abort(*place)
+        unit.read(0x1000, 0)
+        return "ignored"
+    raise CaseFailed(f"{what} is answered with {answer.hex(' ')}")
