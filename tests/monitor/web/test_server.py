@@ -179,7 +179,7 @@ def test_a_second_page_looks_on_until_the_first_has_gone():
             while len(shown.sessions) == 2:
                 await asyncio.sleep(0.001)
             await second.write_message("control")
-            while shown.seat.holder is None:
+            while shown.control.holder is None:
                 await asyncio.sleep(0)
             assert await told(3, second) == [(True, False)]
             second.close()
