@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from coulombus.monitor.live import values_of
-from coulombus.recording.signals import signal_of
+from coulombus.recording.signal_names import signal_of
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import Rig, load_rig

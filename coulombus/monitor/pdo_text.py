@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from coulombus.eds.cia402 import word_fields
-from coulombus.monitor.live import PdoRow
 from coulombus.monitor.names import fields
+from coulombus.monitor.snapshot import PdoRow
 from coulombus.rigs.signals import RigPdo
 
 __all__ = ["as_dict", "as_lines"]

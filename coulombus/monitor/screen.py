@@ -10,7 +10,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from coulombus.monitor.braille import drawn
-from coulombus.monitor.live import Event, NodeRow, PdoRow, Snapshot, Value
+from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
 from coulombus.monitor.traces import WINDOW_S, Trace
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 

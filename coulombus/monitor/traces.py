@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS, Envelope
 from coulombus.recording.pdo_columns import decode_field
-from coulombus.recording.signals import signal_of
+from coulombus.recording.signal_names import signal_of
 from coulombus.rigs.rig import Rig
 
 __all__ = ["Trace", "Traces"]

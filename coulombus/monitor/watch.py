@@ -21,8 +21,9 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live as Display
 
-from coulombus.monitor.live import Event, Live, Snapshot
+from coulombus.monitor.live import Live
 from coulombus.monitor.screen import Screen, as_dict, as_lines
+from coulombus.monitor.snapshot import Event, Snapshot
 from coulombus.monitor.traces import Trace, Traces
 from coulombus.rigs.rig import Rig
 from coulombus.system.foreign_text import printable

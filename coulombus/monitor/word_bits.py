@@ -10,7 +10,7 @@ from coulombus.eds.cia402 import (
     Command,
     PowerState,
 )
-from coulombus.monitor.live import Value
+from coulombus.monitor.snapshot import Value
 
 __all__ = ["WORDS", "bits_set", "meaning"]
 

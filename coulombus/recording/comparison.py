@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from coulombus.recording.difference import Comparison, Difference, Pair
 from coulombus.recording.reading import read
-from coulombus.recording.signals import Recording, Series, UnknownSignal
+from coulombus.recording.signal_names import UnknownSignal
+from coulombus.recording.signals import Recording, Series
 from coulombus.rigs.arguments import WrongCall, path_text
 from coulombus.rigs.rig import Rig
 

@@ -21,7 +21,8 @@ from coulombus.recording.host_telemetry import NAME as INSIDE
 from coulombus.recording.host_telemetry import inside_pdos, of_axis
 from coulombus.recording.log_files import LogError, is_log, read_log
 from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
-from coulombus.recording.signals import Recording, Source, decode, epoch_of, left_out_of, markers_of, remarks_on
+from coulombus.recording.remarks import remarks_on
+from coulombus.recording.signals import Recording, Source, decode, epoch_of, left_out_of, markers_of
 from coulombus.recording.unwrap import Turns
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text

@@ -14,9 +14,8 @@ what was on the wire. `series` gathers single signals of a recording that is not
 
 from __future__ import annotations
 
-import difflib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from types import MappingProxyType
@@ -29,12 +28,13 @@ from coulombus.recording.host_telemetry import of_axis
 from coulombus.recording.log_files import WALL_CLOCK_NS
 from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.pdo_columns import PdoTable, behind, table_of
+from coulombus.recording.remarks import UNSURE, remarks_on
+from coulombus.recording.signal_names import UnknownSignal, are_texts, one_signal, signal_of
 from coulombus.recording.unwrap import Turns
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
-from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
 if TYPE_CHECKING:
@@ -59,18 +59,6 @@ __all__ = [
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
-MOST_NAMED = 6
-"""Signals that an error names where none is like the one that was asked for."""
-UNSURE = "unsure "  # begins the names of positions with gaps in which they may have wrapped unseen
-
-
-class UnknownSignal(CoulombusError, KeyError):
-    """A recording has no signal of this name; the text names the nearest ones."""
-
-    exit_status = 2
-
-    def __str__(self) -> str:
-        return str(self.args[0])
 
 
 @dataclass(frozen=True)
@@ -244,7 +232,7 @@ class Recording(Source):
     def __getitem__(self, name: str) -> Series:
         """Return a signal; `UnknownSignal`, a KeyError, names the nearest ones."""
         if not isinstance(name, str):
-            raise WrongCall(_one_signal(name))
+            raise WrongCall(one_signal(name))
         if name not in self.signals:
             self.signal(name)
         return self.signals[name]
@@ -321,16 +309,6 @@ class Recording(Source):
         return plot(self, signals, span)
 
 
-def _one_signal(name: Any) -> str:
-    """Say how a recording is asked for a signal, where `name` is no name."""
-    several = f"; of several: series(recording, {', '.join(map(repr, name))})" if _are_texts(name) else ""
-    return f"recording[{name!r}]: expected a signal's name, as in recording['motor.position_rad']{several}"
-
-
-def _are_texts(names: Any) -> bool:
-    return isinstance(names, (list, tuple)) and bool(names) and all(isinstance(name, str) for name in names)
-
-
 def _range(values: Array) -> tuple[float, float]:
     """Return the least and the largest value, NaN where there is none."""
     return (float(values.min()), float(values.max())) if len(values) else (float("nan"), float("nan"))
@@ -363,7 +341,7 @@ def series(source: Source, *names: str) -> tuple[Series, ...]:
     if not isinstance(source, Source):
         raise WrongCall(f"source is {source!r}: expected a recording, as in series(read('run.pcapng'), {names[:1]!r})")
     if any(not isinstance(name, str) for name in names):
-        listed = names[0] if len(names) == 1 and _are_texts(names[0]) else ("motor.position_rad",)
+        listed = names[0] if len(names) == 1 and are_texts(names[0]) else ("motor.position_rad",)
         call = ", ".join(map(repr, listed))
         raise WrongCall(f"the names are {names!r}: expected one text each, as in series(recording, {call})")
     found = [[block[name] for name in names] for block in source]
@@ -429,35 +407,3 @@ def left_out_of(block: Recording) -> Counter[str]:
         for name, turns in block.turns.items()
     }
     return Counter({"torn": block.capture.torn, "skipped": block.capture.skipped, **block.malformed, **doubts})
-
-
-def remarks_on(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
-    """Return what a reader is told: the file's warnings, and what was left out of it."""
-    texts = {
-        "torn": "the last block is unfinished: {} bytes were left out",
-        "skipped": "{} packets are no classical CAN frames and were left out",
-    }
-
-    def text(name: str) -> str:
-        if name.startswith(UNSURE):
-            return (
-                f"{name.removeprefix(UNSURE)} has {{}} gaps that are longer than its counter can be followed "
-                "(limits.encoder_jump_counts); after them it may be wrong by whole wraps"
-            )
-        return texts.get(name, f"{{}} frames of {name} have a wrong length")
-
-    return (*warnings, *(f"{path}: {text(name).format(n)}" for name, n in left_out.items() if n))
-
-
-def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
-    """Return what the PDOs of a rig say of a signal; `UnknownSignal` says that there is none `where`, and
-    names the nearest ones.
-    """
-    signals = {signal.name: signal for pdo in pdos for signal in pdo.signals}
-    if name not in signals:
-        near = difflib.get_close_matches(name, signals, 3, 0.4)
-        some = near or list(signals)[:MOST_NAMED]
-        more = 0 if near else len(signals) - len(some)
-        others = f" and {more} others, which coulombus pdo lists" if more else ""
-        raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(some)}{others}")
-    return signals[name]

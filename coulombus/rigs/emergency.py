@@ -5,7 +5,7 @@ from __future__ import annotations
 from coulombus.eds.cia301 import CobId, restricted
 from coulombus.eds.pdo import COB_ID_INVALID
 from coulombus.eds.reader import Description
-from coulombus.rigs.pdo_maps import writable
+from coulombus.rigs.pdo_records import writable
 
 __all__ = ["emcy_default", "emcy_identifier", "is_mute"]
 

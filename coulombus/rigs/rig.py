@@ -9,34 +9,27 @@ with ``file:line``, the key, what stands there, what is expected and the nearest
 
 from __future__ import annotations
 
-import codecs
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from coulombus.eds.reader import Description
-from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.arguments import WrongCall, path_text, texts
 from coulombus.rigs.axes import check_axes, split_axes
-from coulombus.rigs.axis import Axis, Origin, Sections
+from coulombus.rigs.axis import Axis, Origin
+from coulombus.rigs.axis_parts import AxisParts
 from coulombus.rigs.devices import DeviceSection
 from coulombus.rigs.emergency import emcy_identifier
-from coulombus.rigs.errors import RigError, Source, nearest
-from coulombus.rigs.field_help import explain
-from coulombus.rigs.files import read_descriptions, read_schedules
+from coulombus.rigs.errors import RigError, Source
 from coulombus.rigs.model import About, Bus, Host
-from coulombus.rigs.pdo_maps import AxisPdos, allocate
-from coulombus.rigs.rules import check, check_roles, remarks
+from coulombus.rigs.rig_file import known_rigs, named_rig, packaged_rig, read_rig_file
+from coulombus.rigs.rules import remarks
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override, emit
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, Table, read_toml
-from coulombus.system.quoting import shell
+from coulombus.rigs.toml_lines import Table, read_toml
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
@@ -318,18 +311,6 @@ def _reload(text: str, path: str, eds_texts: Mapping[str, str], attached: bool, 
     return _from(rig, replace(rig.origin, law_named=law_named))
 
 
-def packaged_rig(name: str) -> Path:
-    """Return the file of a rig of the package."""
-    return Path(str(resources.files("coulombus.rigs") / f"{name}.toml"))
-
-
-def known_rigs() -> tuple[str, ...]:
-    """Return the names of the package's rigs."""
-    return tuple(
-        sorted(entry.name[:-5] for entry in resources.files("coulombus.rigs").iterdir() if entry.name.endswith(".toml"))
-    )
-
-
 def load_rig(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig:
     """Load a rig by its name in the package, or from a file (a path has a separator or ends in
     .toml).
@@ -354,36 +335,9 @@ def load_rig(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()
     name = path_text(name_or_path, "the rig", 'load_rig("bench")')
     overrides, path = texts(overrides, "overrides", "mode.active.F_s_Nm=1.0"), Path(name)
     if isinstance(name_or_path, str) and not ("/" in name or name.endswith(".toml")):
-        known = known_rigs()
-        if name not in known:
-            wanted = f"expected one of {', '.join(known)}, or a path such as ./{Path(name).stem or 'my-rig'}.toml"
-            raise RigError([f"--rig {name or chr(39) * 2}: no rig of this name; {wanted}{_meant(path, known)}"])
-        path = packaged_rig(name)
-    try:
-        raw = read_regular(path, MOST_CHARACTERS)
-    except OSError as error:
-        known_names = ", ".join(known_rigs())
-        reason = f"cannot be read ({error.strerror}); expected a rig file, or one of the rigs {known_names}"
-        raise RigError([f"{path}: {reason}"]) from error
-    try:
-        text = raw.decode("utf-8-sig")
-        broken = []
-    except UnicodeDecodeError as error:
-        if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            raise RigError([f"{path}:1: the file is UTF-16; save it as UTF-8"]) from None
-        line = raw[: error.start].count(b"\n") + 1
-        text = raw.decode("utf-8", "replace").removeprefix("\ufeff")
-        broken = [(line, f"{path}:{line}: the byte 0x{raw[error.start]:02X} is not UTF-8; save the file as UTF-8")]
+        path = named_rig(name)
+    text, broken = read_rig_file(path)
     return _load(text, str(path), None, overrides, broken)
-
-
-def _meant(path: Path, known: Sequence[str]) -> str:
-    """Return what to do where `path` names no rig file, but something else that there is."""
-    if path.suffix.lower() in (".eds", ".dcf"):
-        return f"; an EDS file becomes a rig file by coulombus init --drive {shell(str(path))} --brake bench -o my-rig.toml"
-    if path.suffix == ".pcapng":
-        return "; this is the name of a recording, and its rig is attached to it"
-    return f"; {path} is a folder" if path.is_dir() else nearest(str(path), known)
 
 
 def load_rig_text(
@@ -436,7 +390,7 @@ def _load(
     sources = {"": source} if named is None else {name: source.of_axis(name) for name in named}
     before = {axis.name: axis for axis in earlier}
     parts = [
-        _Parts.of(name, own, sources[name], eds_texts, attached=attached, earlier=before.get(name))
+        AxisParts.of(name, own, sources[name], eds_texts, attached=attached, earlier=before.get(name))
         for name, own in own_values.items()
     ]
     if named is not None:
@@ -452,65 +406,3 @@ def _load(
     warnings = [text for name, own in own_values.items() for text in remarks(own, sources[name])]
     spelled = "" if named is None else _spelled(axes[0].rig.name, values)
     return Rig(axes, origin, tuple(dict.fromkeys(warnings)), spelled)
-
-
-class _Unnamed:
-    """An axis while it is checked: its sections, and what the EDS files say of its devices
-    (`rigs.signals.Parts`).
-    """
-
-    def __init__(self, sections: Sections, descriptions: Mapping[Node, Description]) -> None:
-        self._sections, self._descriptions = sections, descriptions
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._sections, name)
-
-    def description(self, node: Node) -> Description:
-        """Return what the EDS file says of a device."""
-        return self._descriptions[node]
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """What an axis is made of; `sections` is None where they are refused."""
-
-    sections: Sections | None
-    descriptions: Mapping[Node, Description]
-    allocation: AxisPdos | None = None
-
-    @classmethod
-    def of(
-        cls,
-        name: str,
-        values: dict[str, Any],
-        source: Source,
-        eds_texts: Mapping[str, str] | None,
-        *,
-        attached: bool,
-        earlier: Axis | None,
-    ) -> _Parts:
-        """Validate the values of one axis; mistakes are noted in `source`."""
-        read_schedules(values, source, attached=attached)
-        sections: Sections | None = None
-        try:
-            sections = Sections.model_validate(values)
-        except ValidationError as error:
-            explain(error, values, Sections, source)
-        check(values, source)
-        descriptions = read_descriptions(values, source, eds_texts)
-        allocation = None
-        if sections is not None and len(descriptions) == len(sections.devices):
-            if earlier is not None and earlier.has_devices_of(sections, descriptions):
-                allocation = earlier.allocation
-            else:
-                parts = _Unnamed(sections, descriptions)
-                allocation = allocate(parts, f"{name}." if name else "")
-                check_roles(allocation.problems, parts, values, source)
-        if sections is None and not source.found:
-            raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
-        return cls(sections, descriptions, allocation)
-
-    def axis(self, name: str, origin: Origin) -> Axis:
-        """Return the axis; nothing of it was refused."""
-        assert self.sections is not None
-        return Axis.of(self.sections, name, self.descriptions, origin, self.allocation)

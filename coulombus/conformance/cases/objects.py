@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 from coulombus.conformance.cases.sdo import RW, beyond
+from coulombus.conformance.tester.described_device import is_signed
 from coulombus.conformance.tester.objects import LONGEST, NOT_NOW, READ_ONLY, is_command, is_output, is_parameter
 from coulombus.conformance.tester.registry import case
-from coulombus.conformance.tester.unit import Unit, encode, is_signed
+from coulombus.conformance.tester.unit import Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import ARRAY, VAR, Abort, NmtCommand
 from coulombus.eds.reader import Variable

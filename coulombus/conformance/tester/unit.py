@@ -1,21 +1,18 @@
-"""The device under test as the cases see it: its EDS, its services, and what is done to leave it as
-it was.
-"""
+"""The device under test as the cases see it: its services, and what is done to leave it as it was."""
 
 from __future__ import annotations
 
 import random
-import re
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
+from coulombus.conformance.tester.described_device import DescribedDevice, is_signed
 from coulombus.conformance.tester.sdo_client import SdoClient
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
-from coulombus.eds.cia301 import DATA_TYPES, CobId, NmtCommand, NmtState, abort_text
+from coulombus.eds.cia301 import CobId, NmtCommand, NmtState, abort_text
 from coulombus.eds.data import encode
-from coulombus.eds.reader import Description, Value, Variable
+from coulombus.eds.reader import Description, Value
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bus_link import RTR, BusFrame, FrameLink
 
@@ -26,7 +23,6 @@ _INBOX = 20_000
 _TRACE = 400
 ON_COMMAND = 0x1
 """Bit of 1010h and 1011h."""
-_OBJ_FLAGS = re.compile(r"(?ims)^\[([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?\]([^\[]*?)^ObjFlags\s*=\s*(\w+)")
 
 
 @dataclass(frozen=True)
@@ -52,19 +48,20 @@ class Timing:
         return cls(answer_ns, quiet_ns, settle_ns, 5 * answer_ns, 60 * answer_ns)
 
 
-class Unit:
+class Unit(DescribedDevice):
     """One device on a link.
 
     Everything that is sent and received goes into the trace of the case that runs.
     """
 
     def __init__(self, link: FrameLink, description: Description, node_id: int, timing: Timing, seed: int = 0) -> None:
-        self.link, self.description, self.node_id, self.timing = link, description, node_id, timing
+        super().__init__(description, node_id)
+        self.link, self.timing = link, timing
         self.random = random.Random(seed)
         self.codes: tuple[int, ...] = ()
         self.trace: deque[BusFrame] = deque(maxlen=_TRACE)
         self.boots = True
-        self.sync_id = self._sync_id()
+        self.sync_id = self.default_sync_id()
         self._inbox: list[BusFrame] = []
         self._undo: list[tuple[int, int, bytes]] = []
         self._deadline_ns = link.now_ns() + timing.case_ns
@@ -74,20 +71,12 @@ class Unit:
         self.rooms: dict[tuple[int, int], int] = {}
         """How many bytes a writable text was found to hold."""
         self.abilities: dict[tuple[int, int], int] = {}
-        self.channel(self._default_id(1, CobId.SDO_RX), self._default_id(2, CobId.SDO_TX))
+        self.channel(self.default_sdo_id(1, CobId.SDO_RX), self.default_sdo_id(2, CobId.SDO_TX))
 
     def channel(self, request_id: int, response_id: int) -> None:
         """Use these identifiers for SDO."""
         self.sdo_rx, self.sdo_tx = request_id, response_id
-        self.sdo = SdoClient(self._send_sdo, self._wait_sdo, self._stream_sdo, self._width)
-
-    def _default_id(self, subindex: int, otherwise: int) -> int:
-        value = self.description.default(0x1200, subindex, self.node_id) if self.has(0x1200, subindex) else None
-        return value & 0x7FF if isinstance(value, int) and value & 0x7FF else otherwise + self.node_id
-
-    def _sync_id(self) -> int:
-        value = self.description.default(0x1005, 0, self.node_id) if self.has(0x1005) else None
-        return value & 0x7FF if isinstance(value, int) and value & 0x7FF else CobId.SYNC
+        self.sdo = SdoClient(self._send_sdo, self._wait_sdo, self._stream_sdo, self.width)
 
     # frames
 
@@ -177,9 +166,6 @@ class Unit:
             frame = self.wait(self.sdo_tx)
         self._late |= frame is None
         return None if frame is None else frame.data
-
-    def _width(self, index: int, subindex: int) -> int:
-        return (self.variable(index, subindex).bits + 7) // 8 if self.has(index, subindex) else 0
 
     def read(self, index: int, subindex: int = 0) -> bytes:
         """Read an object."""
@@ -308,71 +294,6 @@ class Unit:
             return frame.data[0] & 0x7F if frame and frame.data else None
         return None
 
-    # the EDS
-
-    def has(self, index: int, subindex: int = 0) -> bool:
-        """Tell whether the EDS describes an object."""
-        return self.description.has(index, subindex)
-
-    def need(self, index: int, subindex: int = 0) -> Variable:
-        """Return an object's description; without one the case does not apply."""
-        if not self.has(index, subindex):
-            raise NotApplicable(f"the EDS has no {where(index, subindex)}")
-        return self.description.variable(index, subindex)
-
-    def need_writable(self, index: int, subindex: int = 0) -> Variable:
-        """Return the description of an object that can be written.
-
-        Without one the case does not apply.
-        """
-        variable = self.need(index, subindex)
-        if variable.access in ("ro", "const"):
-            raise NotApplicable(f"{where(index, subindex)} is {variable.access} in the EDS")
-        return variable
-
-    def variable(self, index: int, subindex: int = 0) -> Variable:
-        """Return an object's description."""
-        return self.description.variable(index, subindex)
-
-    def variables(self, first: int = 0x1000, last: int = 0xFFFF) -> Iterator[Variable]:
-        """Yield all variables of the EDS in a range of indices; sub-index 255 is none."""
-        for index in sorted(self.description.objects):
-            if first <= index <= last:
-                for subindex, variable in self.description.objects[index].variables.items():
-                    if subindex != 0xFF:
-                        yield variable
-
-    def default(self, variable: Variable) -> Value:
-        """Return a default of the EDS; None where it gives none."""
-        return self.description.default(variable.index, variable.subindex, self.node_id)
-
-    @cached_property
-    def flags(self) -> dict[tuple[int, int], int]:
-        """ObjFlags of the EDS: bit 0 refuses a write on download, bit 1 a read on scan (CiA
-        306-1).
-        """
-        found = {}
-        for index, subindex, _, value in _OBJ_FLAGS.findall(self.description.text):
-            try:
-                found[int(index, 16), int(subindex or "0", 16)] = int(value, 0)
-            except ValueError:  # the reader has told it
-                continue
-        return found
-
-    @cached_property
-    def granularity(self) -> int:
-        """[DeviceInfo] Granularity: of how many bits the entries of a PDO's map are multiples; 0:
-        no map can be written.
-
-        Bits where the file does not say it, or says what is none of 0 to 64.
-        """
-        said = {key.lower(): value for key, value in self.description.info.items()}.get("granularity", "").strip()
-        try:
-            bits = int(said, 0)
-        except ValueError:
-            return 1
-        return bits if 0 <= bits <= 64 else 1
-
     def need_ability(self, index: int, subindex: int = 1) -> None:
         """Make sure that 1010h or 1011h works on command (bit 0 of what it can do).
 
@@ -387,13 +308,6 @@ class Unit:
         value = self.abilities[index, subindex]
         if not value & ON_COMMAND:
             raise NotApplicable(f"{where(index, subindex)} is {value:08X}h: not on command")
-
-    @property
-    def is_drive(self) -> bool:
-        """Tell whether it is a drive of CiA 402, with controlword and statusword."""
-        kind = self.default(self.variable(0x1000)) if self.has(0x1000) else None
-        profile = isinstance(kind, int) and kind & 0xFFFF == 402
-        return profile and self.has(0x6040) and self.has(0x6041)
 
     # life of a case
 
@@ -455,12 +369,6 @@ class Unit:
         except CaseFailed:
             return
         self.dirty = True
-
-
-def is_signed(variable: Variable) -> bool:
-    """Tell whether the variable is a signed integer."""
-    kind = DATA_TYPES.get(variable.data_type)
-    return bool(kind and kind.signed and kind.kind == "int")
 
 
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED

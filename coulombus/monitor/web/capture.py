@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.monitor.live import Event, Live, Snapshot
+from coulombus.monitor.live import Live
+from coulombus.monitor.snapshot import Event, Snapshot
 from coulombus.monitor.tracks import Envelope, Integers, Samples, Track, velocity
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.axis import Axis

@@ -33,7 +33,7 @@ import tornado.web
 import tornado.websocket
 from tornado.iostream import IOStream
 
-from coulombus.monitor.live import Snapshot
+from coulombus.monitor.snapshot import Snapshot
 from coulombus.monitor.web.access import ControlLock, right_token, same_origin, served_as
 from coulombus.monitor.web.batch import Flow, batch, layout
 from coulombus.monitor.web.capture import Curve, LiveCapture

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coulombus.eds.cia402 import PowerState
-from coulombus.monitor.live import NodeRow, PdoRow, Snapshot, Value
+from coulombus.monitor.snapshot import NodeRow, PdoRow, Snapshot, Value
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 from coulombus.rigs.axis import Axis

@@ -1,0 +1,84 @@
+"""One axis of a rig file, from the values that stand there to an `Axis`: its sections, the EDS files
+of its devices, their PDOs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import ValidationError
+
+from coulombus.eds.reader import Description
+from coulombus.rigs.axis import Axis, Origin, Sections
+from coulombus.rigs.errors import Source
+from coulombus.rigs.field_help import explain
+from coulombus.rigs.files import read_descriptions, read_schedules
+from coulombus.rigs.pdo_maps import AxisPdos, allocate
+from coulombus.rigs.rules import check, check_roles
+from coulombus.rigs.signals import Node
+
+__all__ = ["AxisParts"]
+
+
+class _Unnamed:
+    """An axis while it is checked: its sections, and what the EDS files say of its devices
+    (`rigs.signals.Parts`).
+    """
+
+    def __init__(self, sections: Sections, descriptions: Mapping[Node, Description]) -> None:
+        self._sections, self._descriptions = sections, descriptions
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sections, name)
+
+    def description(self, node: Node) -> Description:
+        """Return what the EDS file says of a device."""
+        return self._descriptions[node]
+
+
+@dataclass(frozen=True)
+class AxisParts:
+    """What an axis is made of; `sections` is None where they are refused."""
+
+    sections: Sections | None
+    descriptions: Mapping[Node, Description]
+    allocation: AxisPdos | None = None
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        values: dict[str, Any],
+        source: Source,
+        eds_texts: Mapping[str, str] | None,
+        *,
+        attached: bool,
+        earlier: Axis | None,
+    ) -> AxisParts:
+        """Validate the values of one axis; mistakes are noted in `source`."""
+        read_schedules(values, source, attached=attached)
+        sections: Sections | None = None
+        try:
+            sections = Sections.model_validate(values)
+        except ValidationError as error:
+            explain(error, values, Sections, source)
+        check(values, source)
+        descriptions = read_descriptions(values, source, eds_texts)
+        allocation = None
+        if sections is not None and len(descriptions) == len(sections.devices):
+            if earlier is not None and earlier.has_devices_of(sections, descriptions):
+                allocation = earlier.allocation
+            else:
+                parts = _Unnamed(sections, descriptions)
+                allocation = allocate(parts, f"{name}." if name else "")
+                check_roles(allocation.problems, parts, values, source)
+        if sections is None and not source.found:
+            raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
+        return cls(sections, descriptions, allocation)
+
+    def axis(self, name: str, origin: Origin) -> Axis:
+        """Return the axis; nothing of it was refused."""
+        assert self.sections is not None
+        return Axis.of(self.sections, name, self.descriptions, origin, self.allocation)

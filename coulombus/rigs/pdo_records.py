@@ -1,0 +1,152 @@
+"""The PDOs of a device as its EDS file lets them be: identifier, transmission type, event timer, and
+what they can be mapped with.
+
+Identifiers are those of the pre-defined connection set for the first four PDOs of each direction,
+where the device lets them be set, and the device's own elsewhere. A TPDO follows SYNC (transmission
+type 1) where it can; one that cannot is sent by the device's event timer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count
+
+from coulombus.eds.cia301 import CobId
+from coulombus.eds.pdo import COMMUNICATION, MAPPING, PDO_COUNT, Entry, read_layout
+from coulombus.eds.reader import Description, EdsError, Variable
+from coulombus.rigs.signals import Direction
+
+__all__ = ["ON_SYNC", "PdoParameters", "records_of", "writable"]
+
+FIRST = {"rpdo": CobId.RPDO1, "tpdo": CobId.TPDO1}
+PREDEFINED = 4
+ON_SYNC, ON_EVENT = 1, 255
+INVALID, NO_RTR = 1 << 31, 1 << 30
+
+
+def writable(variable: Variable) -> bool:
+    """Tell whether an object can be written by SDO."""
+    return variable.access not in ("ro", "const")
+
+
+@dataclass(frozen=True)
+class PdoParameters:
+    """What an EDS file lets a PDO be.
+
+    Attributes
+    ----------
+    identifier : 11 bits
+    room : entries that it can be mapped with; 0: only as it is
+    settable : its identifier can be written, so that it can be made invalid while it is mapped
+    entries : its default map; empty where there is none, or none that can be read
+    transmission : the type that it will have
+    event_ns : of a TPDO that does not follow SYNC, the event timer that it will have; 0: it has
+        none
+    deadline : an RPDO's deadline can be set (1400h:05)
+    """
+
+    direction: Direction
+    number: int
+    identifier: int
+    room: int
+    settable: bool
+    entries: tuple[Entry, ...]
+    transmission: int
+    event_ns: int
+    no_rtr: bool
+    deadline: bool
+
+
+def records_of(
+    description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
+) -> tuple[PdoParameters, ...]:
+    """Return the PDOs of a device that can carry something: found once for a description.
+
+    Parameters
+    ----------
+    wanted : the transmission type that they are to have, where they can
+    """
+    found = description.derived.setdefault(records_of, {})
+    key = node_id, direction, period_ns, wanted
+    if key not in found:
+        found[key] = tuple(_records_of(description, *key))
+    records: tuple[PdoParameters, ...] = found[key]
+    return records
+
+
+def _records_of(
+    description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
+) -> Iterator[PdoParameters]:
+    first = COMMUNICATION[direction]
+    for index in sorted(index for index in description.objects if first <= index < first + PDO_COUNT):
+        number, mapping = index - first + 1, index - first + MAPPING[direction]
+        if not (description.has(index, 1) and description.has(mapping, 0)):
+            continue
+        identity = description.variable(index, 1)
+        told = description.default(index, 1, node_id)
+        word = told if isinstance(told, int) else 0
+        identifier = word & 0x1FFFFFFF
+        if writable(identity):
+            if number <= PREDEFINED:
+                identifier = FIRST[direction] + 0x100 * (number - 1) + node_id
+        elif word & INVALID:
+            continue
+        if not 0 < identifier <= 0x7FF:
+            continue
+        transmission = _transmission(description, index, wanted, direction)
+        if transmission is None:
+            continue
+        event_ns = _event_ns(description, index, node_id, period_ns) if direction == "tpdo" else 0
+        yield PdoParameters(
+            direction,
+            number,
+            identifier,
+            _room(description, mapping),
+            writable(identity),
+            _default_map(description, node_id, direction, number),
+            transmission,
+            event_ns if transmission != ON_SYNC else 0,
+            bool(word & NO_RTR),
+            direction == "rpdo" and description.has(index, 5),
+        )
+
+
+def _transmission(description: Description, index: int, wanted: int, direction: Direction) -> int | None:
+    """Return the transmission type that a PDO will have; None where it is sent on request only."""
+    if not description.has(index, 2):
+        return 255
+    variable = description.variable(index, 2)
+    if writable(variable):
+        choices = (wanted, ON_EVENT, ON_EVENT - 1) if direction == "tpdo" else (wanted, ON_EVENT, ON_EVENT - 1, ON_SYNC)
+        return next((kind for kind in choices if variable.admits(kind)), None)
+    kind = variable.default if isinstance(variable.default, int) else ON_EVENT
+    return None if kind in (252, 253) else kind
+
+
+def _event_ns(description: Description, index: int, node_id: int, period_ns: int) -> int:
+    """Return the event timer of a TPDO that does not follow SYNC: the cycle in whole milliseconds,
+    or what the device has.
+    """
+    if not description.has(index, 5):
+        return 0
+    variable = description.variable(index, 5)
+    if writable(variable):
+        milliseconds = max(1, period_ns // 1_000_000)
+        return milliseconds * 1_000_000 if variable.admits(milliseconds) else 0
+    return variable.default * 1_000_000 if isinstance(variable.default, int) else 0
+
+
+def _room(description: Description, mapping: int) -> int:
+    """Return how many entries the PDO can be mapped with anew; 0 where it keeps its map."""
+    variables = description.objects[mapping].variables
+    if not writable(variables[0]):
+        return 0
+    return next(sub - 1 for sub in count(1) if sub not in variables or not writable(variables[sub]))
+
+
+def _default_map(description: Description, node_id: int, direction: Direction, number: int) -> tuple[Entry, ...]:
+    try:
+        return read_layout(description, node_id, direction, number).entries
+    except EdsError:
+        return ()
