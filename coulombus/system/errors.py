@@ -70,7 +70,7 @@ CoulombusError
 +-- SweepFolderError             2   lab.sweep.sweep_folder
 +-- TruthError                   2   lab.simulate
 +-- UnknownCase                  2   conformance.runner           ValueError
-+-- UnknownSignal                2   recording.signals            KeyError
++-- UnknownSignal                2   recording.signal_names       KeyError
 +-- WebError                     2   monitor.web
 +-- WrongCall                    2   rigs.arguments               TypeError
 +-- WrongDevice                  3   conformance.runner
