@@ -46,18 +46,18 @@ class EdsReport:
 
 def check(description: Description, node_id: int = 1) -> EdsReport:
     """Hold the file's PDOs against its objects; the identifiers are those of the node `node_id`."""
-    found = list(description.diagnoses)
+    diagnoses = list(description.diagnoses)
     for index in MANDATORY:
         if not description.has(index):
             text = f"{index:04X}h is not described, which every CANopen device has"
-            found.append(Diagnosis(description.path, 1, "warning", text, "a device without it"))
-    found += _identifiers(description, node_id)
+            diagnoses.append(Diagnosis(description.path, 1, "warning", text, "a device without it"))
+    diagnoses += _identifiers(description, node_id)
     refusals: list[str] = []
     pdos: list[PdoLayout] = []
     directions: tuple[Direction, ...] = ("rpdo", "tpdo")
     for direction in directions:
         for number in range(1, PDO_COUNT + 1):
-            found += _parameters(description, direction, number)
+            diagnoses += _parameters(description, direction, number)
             if not description.has(COMMUNICATION[direction] + number - 1):
                 continue
             try:
@@ -66,10 +66,10 @@ def check(description: Description, node_id: int = 1) -> EdsReport:
                 refusals.append(str(error))
                 continue
             pdos.append(pdo)
-            found += _identifier(description, pdo, node_id, pdos[:-1])
-            found += _mapped(description, pdo)
-    found.sort(key=lambda diagnosis: diagnosis.line)
-    return EdsReport(description, tuple(found), tuple(refusals), tuple(pdos))
+            diagnoses += _identifier(description, pdo, node_id, pdos[:-1])
+            diagnoses += _mapped(description, pdo)
+    diagnoses.sort(key=lambda diagnosis: diagnosis.line)
+    return EdsReport(description, tuple(diagnoses), tuple(refusals), tuple(pdos))
 
 
 def _warn(description: Description, index: int, subindex: int, text: str, assumed: str) -> Diagnosis:

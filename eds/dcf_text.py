@@ -30,7 +30,7 @@ def configured(description: Description) -> tuple[Place, ...]:
                 places.append(place)
         elif compact := COMPACT.fullmatch(name):
             values = (COMPACT_VALUE.match(line) for line in lines)
-            places += [(int(compact[1], 16), int(one[1])) for one in values if one and one[2]]
+            places += [(int(compact[1], 16), int(match[1])) for match in values if match and match[2]]
     return tuple(place for place in dict.fromkeys(places) if description.has(*place))
 
 

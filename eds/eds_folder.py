@@ -19,24 +19,26 @@ def read_folder(folder: Path) -> tuple[list[Description], list[EdsError]]:
 
     OSError: the folder itself cannot be read.
     """
-    found, refused = [], []
+    descriptions, refused = [], []
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in SUFFIXES:
             try:
-                found.append(read_eds(path))
+                descriptions.append(read_eds(path))
             except EdsError as error:  # of another device, perhaps: who needs it is told that it is missing
                 refused.append(error)
-    return found, refused
+    return descriptions, refused
 
 
 def fitting(descriptions: Iterable[Description], identity: tuple[int, int], revision: int = 0) -> Description | None:
     """Return the file of a device by 1018h:01 and :02, that of its own revision (1018h:03) before
     others; None where there is none.
     """
-    alike = [one for one in descriptions if any(identity) and told_identity(one) == identity]
-    return next((one for one in alike if _revision(one) == revision), alike[0] if alike else None)
+    alike = [description for description in descriptions if any(identity) and told_identity(description) == identity]
+    return next(
+        (description for description in alike if _revision(description) == revision), alike[0] if alike else None
+    )
 
 
 def _revision(description: Description) -> int:
-    told = description.default(0x1018, 3, 0) if description.has(0x1018, 3) else 0
-    return told if isinstance(told, int) else 0
+    revision = description.default(0x1018, 3, 0) if description.has(0x1018, 3) else 0
+    return revision if isinstance(revision, int) else 0

@@ -89,7 +89,7 @@ class FileReader(DcfReader):
         parameters have 64 entries, none of them mapped.
         """
         device = self.sections.get("deviceinfo", Section("", 1))
-        compact, found = self.integer(device, "compactpdo", 0), dict[int, Object]()
+        compact, implied = self.integer(device, "compactpdo", 0), dict[int, Object]()
         line = device.at("compactpdo")
         for key, (first, name) in PDO_NUMBERS.items():
             described = sum(first <= index < first + PDO_COUNT for index in objects)
@@ -100,10 +100,10 @@ class FileReader(DcfReader):
             self.say(line, text, f"the {said - described} that CiA 306 implies")
             free = [index for index in range(first, first + PDO_COUNT) if index not in objects]
             for index in free[: said - described]:
-                found[index] = _communication(index, compact, line)
+                implied[index] = _communication(index, compact, line)
                 if index + 0x200 not in objects:
-                    found[index + 0x200] = _mapping(index + 0x200, line)
-        return found
+                    implied[index + 0x200] = _mapping(index + 0x200, line)
+        return implied
 
     def dummies(self) -> frozenset[int]:
         """Return the types that may fill a PDO's gaps."""

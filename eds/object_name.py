@@ -29,15 +29,15 @@ def object_key(text: str, description: Description) -> tuple[int, int] | str:
     for index, entry in description.objects.items():
         for subindex, variable in entry.variables.items():
             names.setdefault(variable.name, []).append((index, subindex))
-    found = names.get(text.strip(), [])
-    if len(found) == 1:
-        return found[0]
-    if found:
-        keys = " or ".join(f"{index:04X}:{subindex:02X}" for index, subindex in found[:4])
-        return f"one object; this is the name of {len(found)}: {keys}"
+    places = names.get(text.strip(), [])
+    if len(places) == 1:
+        return places[0]
+    if places:
+        keys = " or ".join(f"{index:04X}:{subindex:02X}" for index, subindex in places[:4])
+        return f"one object; this is the name of {len(places)}: {keys}"
     return f"INDEX:SUB as 7300:01, or a name in {description.path}{_nearest(text, names)}"
 
 
 def _nearest(text: str, names: Iterable[str]) -> str:
-    found = difflib.get_close_matches(text, names, 1, 0.6)
-    return f"; did you mean '{found[0]}'?" if found else ""
+    matches = difflib.get_close_matches(text, names, 1, 0.6)
+    return f"; did you mean '{matches[0]}'?" if matches else ""

@@ -26,8 +26,8 @@ MANUFACTURER = range(0x2000, 0x6000)
 
 def told_identity(description: Description) -> tuple[int, int]:
     """Return (1018h:01, 1018h:02) as the EDS file has them; 0 where it tells none."""
-    told = (description.default(0x1018, part, 0) if description.has(0x1018, part) else None for part in (1, 2))
-    vendor, product = (value if isinstance(value, int) else 0 for value in told)
+    numbers = (description.default(0x1018, part, 0) if description.has(0x1018, part) else None for part in (1, 2))
+    vendor, product = (value if isinstance(value, int) else 0 for value in numbers)
     return vendor, product
 
 

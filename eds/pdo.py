@@ -123,13 +123,13 @@ def unreadable(description: Description, node_id: int) -> dict[int, str]:
     """Return why a PDO cannot be read right, by the index of its
     communication parameter; such a PDO is not valid at start.
     """
-    found = {}
+    reasons = {}
     for direction, number in _described(description):
         try:
             read_layout(description, node_id, direction, number)
         except EdsError as error:
-            found[COMMUNICATION[direction] + number - 1] = str(error)
-    return found
+            reasons[COMMUNICATION[direction] + number - 1] = str(error)
+    return reasons
 
 
 def _described(description: Description) -> Iterator[tuple[Direction, int]]:
@@ -201,8 +201,8 @@ def entry_of(variable: Variable, bits: int = 0) -> Entry:
     )
 
 
-def _refuse(description: Description, line: int, text: str, wanted: str) -> EdsError:
-    return EdsError(f"{description.path}:{line}: {text}; {wanted}")
+def _refuse(description: Description, line: int, text: str, expected: str) -> EdsError:
+    return EdsError(f"{description.path}:{line}: {text}; {expected}")
 
 
 def _number(description: Description, index: int, subindex: int, node_id: int, assumed: int | None) -> int | None:

@@ -106,8 +106,8 @@ class _Reader(FileReader):
                 heads[section.index] = section
             elif section.index >= 0:
                 subs.setdefault(section.index, {})[section.subindex] = section
-        for index, found in subs.items():
-            subs[index] = self.in_decimal(found)
+        for index, sections in subs.items():
+            subs[index] = self.in_decimal(sections)
         numbers = sorted(heads.keys() | subs.keys())
         objects = {index: self.object(index, heads.get(index), subs.get(index, {})) for index in numbers}
         if not objects:

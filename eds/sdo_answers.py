@@ -70,7 +70,7 @@ class SdoAnswers:
         self._request = self._last = b""  # the request is there while the client waits for its first answer
         self._behind = 0  # messages sent behind the last answer
         self._count = 0  # initiating requests
-        self._asked: dict[tuple[int, int], _Asked] = {}
+        self._requests: dict[tuple[int, int], _Asked] = {}
         self._place: tuple[int, int] | None = None  # of the last initiating request
         self._twice: set[int] = set()  # numbers of the requests in whose time second answers came
         self._differ = False
@@ -81,12 +81,12 @@ class SdoAnswers:
         self._count += 1
         self._request, self.stray = request, b""
         place = named(request)
-        before = self._asked.pop(place, None)
+        before = self._requests.pop(place, None)
         if place != self._place:
-            self._asked[place] = _Asked(request)
+            self._requests[place] = _Asked(request)
         elif before is not None and before.request == request:
             before.times += 1
-            self._asked[place] = before
+            self._requests[place] = before
         self._place = place
 
     def sent(self) -> None:
@@ -125,13 +125,13 @@ class SdoAnswers:
         return answer[0] & 0xE3 == 0xA2 and answer[1] <= self._behind  # blocks of the same length
 
     def _judge(self, answer: bytes) -> None:
-        asked = self._asked.get(named(answer))
-        if asked is None or not asked.ends(answer):
+        request = self._requests.get(named(answer))
+        if request is None or not request.ends(answer):
             return
-        asked.answers += 1
-        asked.first = asked.first or answer
-        if asked.answers <= asked.times:
+        request.answers += 1
+        request.first = request.first or answer
+        if request.answers <= request.times:
             return
         self.second = answer
         self._twice.add(self._count)
-        self._differ = self._differ or asked.contradicts(answer)
+        self._differ = self._differ or request.contradicts(answer)

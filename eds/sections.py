@@ -145,14 +145,14 @@ def alike(diagnoses: Iterable[Diagnosis]) -> Iterator[Diagnosis]:
     Very many of one kind, which differ in names and numbers only, are one with their number.
     """
     kinds: dict[tuple[str, str], list[Diagnosis]] = {}
-    for one in diagnoses:
-        kinds.setdefault((one.severity, _DETAILS.sub("", one.text)), []).append(one)
-    for found in kinds.values():
-        first, last = min(found, key=_line), max(found, key=_line)
-        if len(found) <= MOST_ALIKE:
-            yield from found
+    for diagnosis in diagnoses:
+        kinds.setdefault((diagnosis.severity, _DETAILS.sub("", diagnosis.text)), []).append(diagnosis)
+    for kind in kinds.values():
+        first, last = min(kind, key=_line), max(kind, key=_line)
+        if len(kind) <= MOST_ALIKE:
+            yield from kind
         else:
-            yield replace(first, text=f"{first.text} (and {len(found) - 1} more like this, up to line {last.line})")
+            yield replace(first, text=f"{first.text} (and {len(kind) - 1} more like this, up to line {last.line})")
 
 
 def _line(diagnosis: Diagnosis) -> int:
@@ -281,10 +281,10 @@ class SectionReader:
 
     def bare(self, section: Section, key: str) -> str:
         """Return a value without the comment behind it."""
-        found = section.entries.get(key)
-        if found is None or found[0].isalnum():  # most of them
-            return "" if found is None else found[0]
-        text = found[0]
+        entry = section.entries.get(key)
+        if entry is None or entry[0].isalnum():  # most of them
+            return "" if entry is None else entry[0]
+        text = entry[0]
         if not text:
             return text
         bare = _without_comment(text)

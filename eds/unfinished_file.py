@@ -30,8 +30,8 @@ def remove_unfinished(folder: Path) -> None:
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            found = NAME.fullmatch(entry.name)
-            if found is not None and entry.is_file(follow_symlinks=False) and _has_ended(int(found[1])):
+            match = NAME.fullmatch(entry.name)
+            if match is not None and entry.is_file(follow_symlinks=False) and _has_ended(int(match[1])):
                 with suppress(OSError):
                     os.unlink(entry.path)
 

@@ -25,7 +25,7 @@ class ValueReader(SectionReader):
         """Return LowLimit and HighLimit as values of the data type `code`."""
         if "lowlimit" not in section.entries and "highlimit" not in section.entries:
             return None, None
-        found: list[int | float | None] = []
+        limits: list[int | float | None] = []
         for key in ("lowlimit", "highlimit"):
             number = number_of(self.bare(section, key))
             kind = DATA_TYPES.get(code)
@@ -35,13 +35,13 @@ class ValueReader(SectionReader):
                     f"{section.what(key)}={section.shown(key)}, but no {kind.name} is below 0",
                     "no limit",
                 )
-                found.append(None)
+                limits.append(None)
                 continue
             value, relative, _ = self.value(section, key, code)
             if relative:
                 self.say(section.at(key), f"{section.what(key)} depends on the node id", "no limit")
-            found.append(value if isinstance(value, int | float) and not relative else None)
-        low, high = found
+            limits.append(value if isinstance(value, int | float) and not relative else None)
+        low, high = limits
         if low is not None and high is not None and low > high:
             text = f"[{section.name}] LowLimit {low} is above HighLimit {high}"
             self.say(section.at("lowlimit"), text, "no limits", "error")

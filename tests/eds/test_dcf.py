@@ -176,8 +176,8 @@ def identifiers(commissioned, cob_ids=COB_IDS):
 @pytest.mark.parametrize("node_id", [1, 9, 17, 127])
 def test_with_another_node_id_all_identifiers_move_and_the_bits_beside_them_stay(node_id):
     d = identifiers(COMMISSIONED)
-    found = {index: d.default(index, 1, node_id) for index in COB_IDS}
-    assert found == {index: int(value, 0) - 17 + node_id for index, (_, value) in COB_IDS.items()}
+    cob_ids = {index: d.default(index, 1, node_id) for index in COB_IDS}
+    assert cob_ids == {index: int(value, 0) - 17 + node_id for index, (_, value) in COB_IDS.items()}
     assert (
         "6 configured values are what the default is for the node id 17; assumed that with another node id they move"
         in [f"{x.text}; assumed {x.assumed}" for x in d.diagnoses]

@@ -203,15 +203,15 @@ def description(name):
 
 def sections(name):
     """The file as it stands: [(section, {key: value})], by no reader of EDS files."""
-    found = []
+    names = []
     for line in (ROOT / "eds" / f"{name}.eds").read_text("ascii").splitlines():
         if line.startswith("["):
-            found.append((line[1:-1], {}))
+            names.append((line[1:-1], {}))
         elif line:
             key, _, value = line.partition("=")
-            assert key not in found[-1][1], f"{found[-1][0]}: {key} twice"
-            found[-1][1][key] = value
-    return found
+            assert key not in names[-1][1], f"{names[-1][0]}: {key} twice"
+            names[-1][1][key] = value
+    return names
 
 
 @BOTH

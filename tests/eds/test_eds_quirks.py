@@ -127,9 +127,9 @@ def test_sub_indices_are_decimal_where_sub_index_0_proves_it():
 @pytest.mark.parametrize("key", ["DefaultValue", "DataType", "AccessType", "LowLimit", "PDOMapping", "ObjectType"])
 def test_a_diagnosis_quotes_at_most_60_characters(key):
     for value in ("x" * 5000, "7" * 5000, '"' + "y" * 5000 + '"', "z" * 5000 + " ; why"):
-        found = parse(variable(**{key: value})).diagnoses
-        assert found
-        assert max(len(d.text + d.assumed) for d in found) < 260
+        diagnoses = parse(variable(**{key: value})).diagnoses
+        assert diagnoses
+        assert max(len(d.text + d.assumed) for d in diagnoses) < 260
     long = "q" * 5000
     for text in (f"[{long}]\na=b\n", f"[2000]\n{long}=1\n", f"[2000] {long}\n", f"{long}\n"):
         assert max(len(d.text + d.assumed) for d in parse(variable() + text).diagnoses) < 260
@@ -139,9 +139,9 @@ def test_many_alike_are_one_line_with_their_number():
     some = parse(variable() + "".join(f"[Junk{k}]\na=b\n" for k in range(20)))
     assert sum("is none of CiA 306" in d.text for d in some.diagnoses) == 20
     many = parse(variable() + "".join(f"[Junk{k}]\na=b\n" for k in range(500)))
-    (one,) = (d for d in many.diagnoses if "is none of CiA 306" in d.text)
-    assert one.text.startswith("the section [Junk0] is none of CiA 306 (and 499 more like this, up to line ")
-    assert one.line == line_of(variable() + "[Junk0]", "[Junk0]")
+    (diagnosis,) = (d for d in many.diagnoses if "is none of CiA 306" in d.text)
+    assert diagnosis.text.startswith("the section [Junk0] is none of CiA 306 (and 499 more like this, up to line ")
+    assert diagnosis.line == line_of(variable() + "[Junk0]", "[Junk0]")
 
 
 @pytest.mark.slow
@@ -154,7 +154,7 @@ def test_a_hundred_thousand_sections_are_read_in_seconds():
     begin = time.process_time()
     d = parse(heads + subs)
     assert time.process_time() - begin < 8.0  # 2 s on a quiet machine
-    assert sum(len(one.variables) for one in d.objects.values()) >= 100_000
+    assert sum(len(entry.variables) for entry in d.objects.values()) >= 100_000
 
 
 def test_compact_pdo_describes_what_the_file_leaves_out():

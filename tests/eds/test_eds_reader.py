@@ -383,8 +383,8 @@ def test_missing_sections_and_padded_numbers_of_the_device(read):
 
 
 def bind(path):
-    with socket.socket(socket.AF_UNIX) as one:
-        one.bind(path)
+    with socket.socket(socket.AF_UNIX) as client:
+        client.bind(path)
 
 
 def longer_than(path, size):
@@ -459,14 +459,14 @@ def test_a_damaged_file_is_read_or_refused_and_never_more(tmp_path, seed):
     d = read_eds(path)
     assert d.diagnoses
     try:
-        found = layouts(d, 1)
+        pdos = layouts(d, 1)
     except EdsError as error:
-        found = ()
+        pdos = ()
         said = str(error)
     else:
         said = f"{path}:1: "
     assert re.match(re.escape(str(path)) + r":\d+: ", said)
-    assert all(p.length <= 8 and len(p.entries) <= 64 for p in found)
+    assert all(p.length <= 8 and len(p.entries) <= 64 for p in pdos)
 
 
 # CiA 301's tables
@@ -525,12 +525,12 @@ def canopen_variables(dictionary):
 
     for index in (i for i in dictionary if i >= 0x1000):
         entry = dictionary[index]
-        for found in [entry] if isinstance(entry, ODVariable) else entry.values():
-            goes_with_the_node_id = found.relative and found.access_type in ("ro", "const")
-            configured = None if goes_with_the_node_id else getattr(found, "value", None)
-            value = found.default if configured is None else configured
+        for entry_variable in [entry] if isinstance(entry, ODVariable) else entry.values():
+            goes_with_the_node_id = entry_variable.relative and entry_variable.access_type in ("ro", "const")
+            configured = None if goes_with_the_node_id else getattr(entry_variable, "value", None)
+            value = entry_variable.default if configured is None else configured
             if value is not None:
-                yield index, found.subindex, value
+                yield index, entry_variable.subindex, value
 
 
 @pytest.mark.slow

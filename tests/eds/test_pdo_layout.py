@@ -50,9 +50,9 @@ def word(name, bits, sub=0):
 
 
 def test_the_motor_s_pdos_as_the_agreement_has_them():
-    found = {(p.direction, p.number): p for p in layouts(read_eds(ROOT / "eds" / "motor.eds"), 3)}
-    assert sorted(found) == [(d, n) for d in ("rpdo", "tpdo") for n in (1, 2, 3, 4)]
-    rpdo, tpdo = found["rpdo", 1], found["tpdo", 1]
+    pdos = {(p.direction, p.number): p for p in layouts(read_eds(ROOT / "eds" / "motor.eds"), 3)}
+    assert sorted(pdos) == [(d, n) for d in ("rpdo", "tpdo") for n in (1, 2, 3, 4)]
+    rpdo, tpdo = pdos["rpdo", 1], pdos["tpdo", 1]
     assert (rpdo.cob_id, rpdo.transmission, rpdo.length) == (0x203, 1, 4)
     assert [(e.index, e.subindex, e.bits, e.signed) for e in rpdo.entries] == [
         (0x6040, 0, 16, False),
@@ -65,11 +65,11 @@ def test_the_motor_s_pdos_as_the_agreement_has_them():
         (0x6077, 0, 16, True),
     ]
     assert tpdo.starts == (0, 16, 48)
-    assert [e.index for e in found["tpdo", 2].entries] == [0x606C]
-    assert found["tpdo", 2].cob_id == 0x283
+    assert [e.index for e in pdos["tpdo", 2].entries] == [0x606C]
+    assert pdos["tpdo", 2].cob_id == 0x283
     for key in (("rpdo", 2), ("rpdo", 3), ("rpdo", 4), ("tpdo", 3), ("tpdo", 4)):
         rtr_only = {("tpdo", 3): [0x1001], ("tpdo", 4): [0x6077]}.get(key, [])
-        assert (found[key].cob_id, [e.index for e in found[key].entries]) == (-1, rtr_only)
+        assert (pdos[key].cob_id, [e.index for e in pdos[key].entries]) == (-1, rtr_only)
 
 
 def test_communication_parameters_and_their_units(describe):
@@ -114,14 +114,14 @@ def test_a_bit_granular_map_with_gaps_and_odd_widths(describe):
     assert [e.dummy for e in p.entries] == [False, True, False, False, True, False, False]
     assert p.length == 8  # 59 bits
     record = np.zeros(1, PDO).view(np.recarray)[0]
-    asked = []
+    widths = []
 
     def slot_of(index, subindex):
-        asked.append((index, subindex))
-        return len(asked) - 1
+        widths.append((index, subindex))
+        return len(widths) - 1
 
     fill(record, p, slot_of)
-    assert asked == [(INDEX[n], 0) for n in ("BOOLEAN", "BOOLEAN", "INTEGER24", "UNSIGNED8", "INTEGER16")]
+    assert widths == [(INDEX[n], 0) for n in ("BOOLEAN", "BOOLEAN", "INTEGER24", "UNSIGNED8", "INTEGER16")]
     values = np.array([1, 0, -2, 0xA5, -30000], np.int64)
     bits = ["1", "0", "0", f"{2**24 - 2:024b}", "0" * 8, f"{0xA5:08b}", f"{2**16 - 30000:016b}", "0" * 5]
     expected = int("".join(reversed(bits)), 2)
@@ -316,12 +316,12 @@ def test_real_files_are_read_right_or_refused_with_a_line():
     for path in sorted(CORPUS.glob("*.eds")) + sorted(CORPUS.glob("*.dcf")):
         d = read_eds(path)
         try:
-            found = layouts(d, 5)
+            pdos = layouts(d, 5)
         except EdsError as error:
             refused.append((path, str(error)))
             continue
         read += 1
-        for p in found:
+        for p in pdos:
             assert sum(entry.bits for entry in p.entries) <= 64
             base = {"rpdo": 0x1600, "tpdo": 0x1A00}[p.direction] + p.number - 1
             mapped = [e.index << 16 | e.subindex << 8 | e.bits for e in p.entries]

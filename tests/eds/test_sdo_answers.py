@@ -55,12 +55,12 @@ def test_a_different_answer_to_one_request_is_a_second_device():
 
 @pytest.mark.parametrize("first", [0, 4])
 def test_second_answers_to_three_requests_in_a_row_are_those_of_a_second_device(first):
-    answers, told = SdoAnswers(), []
+    answers, seconds = SdoAnswers(), []
     for number in range(8):
         value = head(0x43, 0x1000 + number, 0, VALUE)
         upload(answers, 0x1000 + number, value, *([value] if number >= first else []))
-        told.append(answers.duplicate_node_id)
-    assert told.index(True) == first + 2
+        seconds.append(answers.duplicate_node_id)
+    assert seconds.index(True) == first + 2
 
 
 def test_doubled_frames_now_and_then_are_no_second_device():
