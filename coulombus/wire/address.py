@@ -181,10 +181,10 @@ def bus_names() -> list[str]:
     dead ones of killed processes among them.
     """
     try:
-        found = sorted(path.name for path in _directory().iterdir() if path.is_socket())
+        names = sorted(path.name for path in _directory().iterdir() if path.is_socket())
     except OSError:
         return []
-    return [name for name in found if _NAME.fullmatch(name) and not name.endswith(_RESERVED)]
+    return [name for name in names if _NAME.fullmatch(name) and not name.endswith(_RESERVED)]
 
 
 def live_bus_names() -> list[str]:

@@ -77,12 +77,12 @@ class CoulombusBus(can.BusABC):
             raise can.CanInitializationError("the virtual bus carries classical CAN frames only: leave fd out")
         address = _address(channel)
         flags = Flags(0)
-        for wanted, flag in (
+        for chosen, flag in (
             (receive_own_messages, Flags.OWN),
             (listen_only, Flags.LISTEN_ONLY),
             (not ignore_rx_error_frames, Flags.ERRORS),
         ):
-            if wanted:
+            if chosen:
                 flags |= flag
         try:
             self._client = Client(address, Hello(flags, _packed(can_filters)), timeout)
@@ -101,9 +101,9 @@ class CoulombusBus(can.BusABC):
         self._readable = select.epoll()
         self._readable.register(self._client.fileno(), select.EPOLLIN)
         self._readable.register(self._more, select.EPOLLIN)
-        told = self._client.bitrate_bit_s
-        if bitrate and told and int(bitrate) != told:
-            _log.warning("%s runs at %d bit/s, not at the %s asked for", address, told, bitrate)
+        bus_bitrate = self._client.bitrate_bit_s
+        if bitrate and bus_bitrate and int(bitrate) != bus_bitrate:
+            _log.warning("%s runs at %d bit/s, not at the %s asked for", address, bus_bitrate, bitrate)
         super().__init__(channel=address.name, can_filters=can_filters)
 
     @property
@@ -154,18 +154,18 @@ class CoulombusBus(can.BusABC):
     def _take(self) -> bool:
         """Receive one message; return whether it was one of frames."""
         try:
-            found = self._client.receive()
+            frames = self._client.receive()
         except BusUnavailable as error:
             self._gone = not isinstance(error, BusDown)
             raise can.CanOperationError(str(error), error.errno) from None
         except (OSError, ValueError) as error:  # another thread has shut it down
             self._gone = True
             raise can.CanOperationError(f"bus {self._client.address}: {error}") from None
-        self._waiting.extend(found)
+        self._waiting.extend(frames)
         if len(self._waiting) > 1 and not self._marked:
             self._marked = True
             os.eventfd_write(self._more, 1)
-        return bool(found)
+        return bool(frames)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame; `timeout` seconds (None: 0, as of socketcan) for the bus to take it.
@@ -293,11 +293,11 @@ def _packed(filters: CanFilters | None) -> tuple[tuple[int, int], ...]:
     """Return python-can's filters as (identifier, mask) of SocketCAN;
     none when there are more than a bus takes.
     """
-    found = []
-    for one in filters or ():
-        can_id, mask = one["can_id"], one["can_mask"]
-        if "extended" in one:
+    pairs = []
+    for filter_ in filters or ():
+        can_id, mask = filter_["can_id"], filter_["can_mask"]
+        if "extended" in filter_:
             mask |= CAN_EFF_FLAG
-            can_id |= CAN_EFF_FLAG if one["extended"] else 0
-        found.append((can_id & 0xFFFFFFFF, mask & 0xFFFFFFFF))
-    return tuple(found) if len(found) <= MAX_FILTERS else ()
+            can_id |= CAN_EFF_FLAG if filter_["extended"] else 0
+        pairs.append((can_id & 0xFFFFFFFF, mask & 0xFFFFFFFF))
+    return tuple(pairs) if len(pairs) <= MAX_FILTERS else ()

@@ -151,15 +151,15 @@ class Client:
         if size % CAN_FRAME.size or flags & socket.MSG_TRUNC:
             self.take_other(bytes(message))
             return []
-        found = [(stamp, can_id, length, data) for can_id, length, data in CAN_FRAME.iter_unpack(message)]
+        frames = [(stamp, can_id, length, data) for can_id, length, data in CAN_FRAME.iter_unpack(message)]
         if self.hello.flags & Flags.OWN:
             own = self._own(message, flags)
-            found = [Echo(one) if echo else one for one, echo in zip(found, own, strict=True)]
-        if any(one[2] > CAN_LENGTH for one in found):
-            good = [one for one in found if one[2] <= CAN_LENGTH]
-            self.malformed += len(found) - len(good)
+            frames = [Echo(frame) if echo else frame for frame, echo in zip(frames, own, strict=True)]
+        if any(frame[2] > CAN_LENGTH for frame in frames):
+            good = [frame for frame in frames if frame[2] <= CAN_LENGTH]
+            self.malformed += len(frames) - len(good)
             return good
-        return found
+        return frames
 
     def send(self, message: bytes) -> None:
         """Send one message of frames (`pack_frame`); on SocketCAN of one frame.
@@ -218,7 +218,7 @@ class Client:
         filters: Sequence[tuple[int, int]] = self.hello.filters or ((0, 0),)
         flags = self.hello.flags
         option = self.socket.setsockopt
-        option(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"".join(_FILTER.pack(*one) for one in filters))
+        option(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"".join(_FILTER.pack(*pair) for pair in filters))
         option(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, _ALL_ERRORS if flags & Flags.ERRORS else 0)
         option(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, int(bool(flags & Flags.OWN)))
 

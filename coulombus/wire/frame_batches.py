@@ -84,10 +84,10 @@ class Block:
         if not blocks:
             return cls.of(())
         return cls(
-            np.concatenate([one.t_ns for one in blocks]),
-            np.concatenate([one.can_ids for one in blocks]),
-            np.concatenate([one.lengths for one in blocks]),
-            np.concatenate([one.words for one in blocks]),
+            np.concatenate([block.t_ns for block in blocks]),
+            np.concatenate([block.can_ids for block in blocks]),
+            np.concatenate([block.lengths for block in blocks]),
+            np.concatenate([block.words for block in blocks]),
         )
 
     @cached_property
@@ -107,8 +107,8 @@ class Block:
 
     def frames(self, rows: Integers) -> list[Received]:
         """Return some rows as frames that are received one by one."""
-        found = zip(self.t_ns[rows], self.can_ids[rows], self.lengths[rows], self.words[rows], strict=True)
-        return [(int(t), int(can_id), int(length), word.tobytes()) for t, can_id, length, word in found]
+        columns = zip(self.t_ns[rows], self.can_ids[rows], self.lengths[rows], self.words[rows], strict=True)
+        return [(int(t), int(can_id), int(length), word.tobytes()) for t, can_id, length, word in columns]
 
 
 class BlockReader:
@@ -148,7 +148,7 @@ class BlockReader:
         for _ in range(ROUNDS):  # a flood does not hold it for ever
             count = self._call()
             if count:
-                blocks.append(self._taken(count))
+                blocks.append(self._block(count))
             if count < MESSAGES or self._ended:
                 break
         return Block.joined(blocks)
@@ -169,7 +169,7 @@ class BlockReader:
             return 0
         raise self._client.failure(OSError(number, os.strerror(number)))
 
-    def _taken(self, count: int) -> Block:
+    def _block(self, count: int) -> Block:
         sizes = self._headers["size"][:count] & 0xFFFFFFFF
         if not sizes.all():  # the other side has closed; what came before it counts
             self._ended = True
@@ -182,10 +182,10 @@ class BlockReader:
         rows = np.flatnonzero(~odd)
         counts = sizes[rows] // FRAME_BYTES
         first = np.repeat(rows * (MESSAGE_BYTES // FRAME_BYTES) - np.cumsum(counts) + counts, counts)
-        found = self._frames[first + np.arange(len(first))]
-        lengths = found["length"].astype(np.int64)
+        frames = self._frames[first + np.arange(len(first))]
+        lengths = frames["length"].astype(np.int64)
         block = Block(
-            np.repeat(stamps[rows], counts), found["can_id"].astype(np.int64), lengths, found["word"].astype(np.int64)
+            np.repeat(stamps[rows], counts), frames["can_id"].astype(np.int64), lengths, frames["word"].astype(np.int64)
         )
         wrong = lengths > CAN_LENGTH
         if wrong.any():
@@ -209,6 +209,6 @@ class BlockReader:
             stamps = np.where(kind == STAMP, value * SECOND_NS + control[each, at + 3], stamps)
             dropped = np.where(kind == OVERFLOW, value & 0xFFFFFFFF, dropped)
             at = np.minimum((control[each, at] + 7) // 8, CONTROL_WORDS - 4)
-        if len(told := dropped[dropped >= 0]):
-            self._client.lost = int(told[-1])
+        if len(counts := dropped[dropped >= 0]):
+            self._client.lost = int(counts[-1])
         return stamps

@@ -108,7 +108,7 @@ class Hello:
         if len(self.filters) > MAX_FILTERS:
             raise ValueError(f"{len(self.filters)} filters: a bus takes at most {MAX_FILTERS} of a client")
         head = _HELLO.pack(MAGIC, VERSION, self.flags, len(self.filters))
-        return _padded(head + b"".join(_FILTER.pack(*one) for one in self.filters))
+        return _padded(head + b"".join(_FILTER.pack(*pair) for pair in self.filters))
 
     @classmethod
     def unpack(cls, message: bytes) -> Hello | BusStatus:

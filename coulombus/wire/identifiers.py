@@ -48,10 +48,10 @@ def _range(part: str) -> tuple[int, int]:
 
 
 def _number(text: str, part: str) -> int:
-    found = _PART.fullmatch(text.strip())
-    if found is None:
+    match = _PART.fullmatch(text.strip())
+    if match is None:
         raise IdentifierError(f"identifiers {part!r}: expected hexadecimal numbers, as in 181,200-27F,00000123x")
-    value, extended = int(found[2], 16), bool(found[3]) or len(found[2]) > 3
+    value, extended = int(match[2], 16), bool(match[3]) or len(match[2]) > 3
     if value > (0x1FFFFFFF if extended else 0x7FF):
         raise IdentifierError(
             f"identifiers {part!r}: the highest one is 7FF, extended (more than 3 digits, or x) 1FFFFFFF"
@@ -64,7 +64,7 @@ def among(can_ids: npt.NDArray[np.int64] | Iterable[int], ranges: Ranges) -> npt
     whether a frame is a remote one does not matter.
     """
     bare = np.asarray(can_ids, np.int64) & ~CAN_RTR_FLAG
-    found = np.zeros(bare.shape, bool)
+    inside = np.zeros(bare.shape, bool)
     for low, high in ranges:
-        found |= (bare >= low) & (bare <= high)
-    return found
+        inside |= (bare >= low) & (bare <= high)
+    return inside

@@ -125,10 +125,10 @@ def test_the_directory_is_private_whatever_the_umask(runtime, umask):
 def test_a_directory_that_others_may_enter_is_refused_with_what_mends_it(runtime, mode):
     (runtime / "coulombus").mkdir()
     (runtime / "coulombus").chmod(mode)
-    told = f"{runtime / 'coulombus'} has mode {mode:04o}, expected 0700: chmod 700 {runtime / 'coulombus'};"
+    text = f"{runtime / 'coulombus'} has mode {mode:04o}, expected 0700: chmod 700 {runtime / 'coulombus'};"
     with pytest.raises(BusUnavailable) as caught:
         socket_path("bench")
-    assert told in str(caught.value)
+    assert text in str(caught.value)
     (runtime / "coulombus").chmod(0o700)
     assert socket_path("bench") == runtime / "coulombus" / "bench"
 
@@ -170,8 +170,8 @@ def test_names_of_the_buses_that_are_there(runtime):
         made[-1].bind(str(socket_path(name)))
     (runtime / "coulombus" / "a.txt").write_text("")
     assert bus_names() == ["a", "b"]
-    for one in made:
-        one.close()
+    for place in made:
+        place.close()
 
 
 def test_clients_start_without_numba():

@@ -46,19 +46,19 @@ def test_a_frame_goes_to_the_others_as_it_is(bus, message, can_id, length, data)
     with opened() as ours, opened() as other:
         before = time.time()
         ours.send(message)
-        found = other.recv(2)
+        frame = other.recv(2)
         assert bus.frames == [(can_id, length, data.ljust(8, b"\0"))]
-        assert found.equals(message, timestamp_delta=None, check_channel=False)
-        assert found.channel == "bench"
-        assert before <= found.timestamp <= time.time()
+        assert frame.equals(message, timestamp_delta=None, check_channel=False)
+        assert frame.channel == "bench"
+        assert before <= frame.timestamp <= time.time()
         assert ours.recv(0) is None
 
 
 def test_own_frames_on_demand(bus):
     with opened(receive_own_messages=True) as ours:
         ours.send(can.Message(arbitration_id=5, is_extended_id=False))
-        found = ours.recv(2)
-        assert (found.arbitration_id, found.is_rx) == (5, False)
+        frame = ours.recv(2)
+        assert (frame.arbitration_id, frame.is_rx) == (5, False)
         bus.deliver((6, b""))
         assert ours.recv(2).is_rx
 
@@ -113,9 +113,9 @@ def test_asyncio_gets_every_frame_of_a_message(bus):
         with opened() as ours:
             notifier = can.Notifier(ours, [reader], loop=asyncio.get_running_loop())
             bus.deliver(*[(i, b"") for i in range(1, 8)])
-            found = [(await asyncio.wait_for(reader.get_message(), 2)).arbitration_id for _ in range(7)]
+            identifiers = [(await asyncio.wait_for(reader.get_message(), 2)).arbitration_id for _ in range(7)]
             notifier.stop()
-        return found
+        return identifiers
 
     assert asyncio.run(collect()) == list(range(1, 8))
 
@@ -153,8 +153,8 @@ def test_several_filters_of_both_lengths(bus):
         assert ours.recv(0.05) is None  # takes the answer
         passing = [0x181, 0x923456FF, 0x701, 0x80000701]  # without "extended": frames of both lengths
         bus.deliver(*[(can_id, b"") for can_id in (0x80000181, 0x182, *passing, 0x92345700)])
-        found = [ours.recv(2) for _ in passing]
-        assert [m.arbitration_id | m.is_extended_id << 31 for m in found] == passing
+        frames = [ours.recv(2) for _ in passing]
+        assert [m.arbitration_id | m.is_extended_id << 31 for m in frames] == passing
         assert ours.recv(0) is None
 
 
@@ -199,9 +199,9 @@ def test_a_periodic_frame_is_modified_and_stopped(bus):
         assert other.recv(2).data == b"\4"
         message.data = bytes([5])
         task.modify_data(message)
-        found = [other.recv(2).data[0] for _ in range(200)]
-        assert found == sorted(found)
-        assert found[-1] == 5
+        values = [other.recv(2).data[0] for _ in range(200)]
+        assert values == sorted(values)
+        assert values[-1] == 5
         task.stop()
         while other.recv(0.2) is not None:  # what was under way
             pass
@@ -219,12 +219,12 @@ def test_several_threads_share_a_bus(bus):
         threads = [threading.Thread(target=talk, args=(100 * k,)) for k in range(1, 5)]
         for thread in threads:
             thread.start()
-        found = [other.recv(5).arbitration_id for _ in range(80)]
+        identifiers = [other.recv(5).arbitration_id for _ in range(80)]
         for thread in threads:
             thread.join()
-        assert sorted(found) == [100 * k + i for k in range(1, 5) for i in range(20)]
+        assert sorted(identifiers) == [100 * k + i for k in range(1, 5) for i in range(20)]
         for k in range(1, 5):  # each thread's own in their order
-            mine = [one for one in found if one // 100 == k]
+            mine = [identifier for identifier in identifiers if identifier // 100 == k]
             assert mine == sorted(mine)
 
 
@@ -256,11 +256,11 @@ def test_what_is_no_frame_is_dropped_and_counted(bus):
         bus.deliver_bytes(b"\1" * 7)
         bus.deliver_bytes(b"\1" * 24)  # a greeting by its length, but no answer
         bus.deliver_bytes(struct.pack("=IB3x8s", 1, 9, b"") + pack_frame(2, b"ok"))
-        found = []
-        while not found:
+        frames = []
+        while not frames:
             assert client.wait(2)
-            found = client.receive()
-        assert [(can_id, length) for _, can_id, length, _ in found] == [(2, 2)]
+            frames = client.receive()
+        assert [(can_id, length) for _, can_id, length, _ in frames] == [(2, 2)]
         assert client.malformed == 3
 
 

@@ -56,7 +56,7 @@ def rubbish(rng):
 @pytest.mark.parametrize("seed", range(3))
 def test_blocks_hold_what_is_received_one_by_one(monkeypatch, seed):
     rng = np.random.default_rng(seed)
-    with two_clients(monkeypatch) as (ends, (one, other)):
+    with two_clients(monkeypatch) as (ends, (client, other)):
         reader = BlockReader(other)
         assert len(reader.receive()) == 0
         for count in (1, 40, 200):
@@ -68,14 +68,14 @@ def test_blocks_hold_what_is_received_one_by_one(monkeypatch, seed):
                     end.send(message)
             expected = []
             for _ in range(count):  # a message that holds no frame gives none
-                expected += one.receive()
+                expected += client.receive()
             block = reader.receive()
             rows = np.arange(len(block))
             assert [frame[1:] for frame in block.frames(rows)] == [frame[1:] for frame in expected]
             assert np.all(np.diff(block.t_ns) >= 0)
             for name in ("lost", "malformed", "bitrate_bit_s"):
-                assert getattr(one, name) == getattr(other, name)
-        assert one.malformed > 3
+                assert getattr(client, name) == getattr(other, name)
+        assert client.malformed > 3
 
 
 def test_a_long_queue_and_long_messages_come_whole(monkeypatch):

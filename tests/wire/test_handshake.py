@@ -216,6 +216,6 @@ def test_the_state_of_a_controller_goes_with_the_answer(state, modes, count):
     controller = ControllerState(state=state, modes=modes, tec=7, rec=9, restart_ms=100, bus_offs=count)
     message = Answer(BusStatus.OK, 500_000, 3, 1, controller).pack()
     assert is_greeting(message)
-    told = Answer.unpack(message).controller
-    assert told == replace(controller, bus_offs=min(count, 2**32 - 1))
-    assert f"state {STATES[state]} (berr-counter tx 7 rx 9) restart-ms 100" in str(told)
+    answered = Answer.unpack(message).controller
+    assert answered == replace(controller, bus_offs=min(count, 2**32 - 1))
+    assert f"state {STATES[state]} (berr-counter tx 7 rx 9) restart-ms 100" in str(answered)

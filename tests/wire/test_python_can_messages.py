@@ -45,5 +45,5 @@ def test_no_other_place_turns_them_into_each_other():
         for room in ("wire", "recording", "host", "monitor", "sim_bus", "lab")
         for path in (ROOT / "coulombus" / room).resolve().rglob("*.py")
     ]
-    found = {path.name for path in sources if re.search(r"arbitration_id(=| \|)", path.read_text())}
-    assert found == {"python_can_messages.py"}
+    names = {path.name for path in sources if re.search(r"arbitration_id(=| \|)", path.read_text())}
+    assert names == {"python_can_messages.py"}
