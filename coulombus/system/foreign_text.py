@@ -31,10 +31,10 @@ def first_control(text: str) -> str:
     """Return the first character that `printable` changes, a tab or a line end as it writes it; ""
     where there is none.
     """
-    found = re.search(rf"[\t\n]|{_CONTROL.pattern}", text)
-    return "" if found is None else _escaped(found)
+    match = re.search(rf"[\t\n]|{_CONTROL.pattern}", text)
+    return "" if match is None else _escaped(match)
 
 
-def _escaped(found: re.Match[str]) -> str:
-    code = ord(found[0])
+def _escaped(match: re.Match[str]) -> str:
+    code = ord(match[0])
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

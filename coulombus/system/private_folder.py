@@ -52,12 +52,12 @@ def reason_against(folder: Path) -> str:
     OSError
         it cannot be looked at
     """
-    found = folder.lstat()  # not stat: in a folder that all may write to, anybody can place a link
-    if not stat.S_ISDIR(found.st_mode):
+    status = folder.lstat()  # not stat: in a folder that all may write to, anybody can place a link
+    if not stat.S_ISDIR(status.st_mode):
         return f"{folder} is no folder: remove it"
-    if found.st_uid != os.geteuid():
-        return f"{folder} belongs to user {found.st_uid}, and not to user {os.geteuid()}: remove it"
-    mode = stat.S_IMODE(found.st_mode)
+    if status.st_uid != os.geteuid():
+        return f"{folder} belongs to user {status.st_uid}, and not to user {os.geteuid()}: remove it"
+    mode = stat.S_IMODE(status.st_mode)
     if mode & 0o077:
         return f"{folder} has mode {mode:04o}, expected 0700: chmod 700 {shlex.quote(str(folder))}"
     return ""
@@ -75,10 +75,10 @@ def reason_against_above(folder: Path) -> str:
     OSError
         it cannot be looked at
     """
-    found = folder.stat()
-    if found.st_uid not in (0, os.geteuid()):
-        return f"{folder} belongs to user {found.st_uid}, who could exchange what is in it: take another folder"
-    mode = stat.S_IMODE(found.st_mode)
+    status = folder.stat()
+    if status.st_uid not in (0, os.geteuid()):
+        return f"{folder} belongs to user {status.st_uid}, who could exchange what is in it: take another folder"
+    mode = stat.S_IMODE(status.st_mode)
     if mode & 0o022 and not mode & stat.S_ISVTX:
         return (
             f"{folder} has mode {mode:04o}, so others could exchange what is in it: "

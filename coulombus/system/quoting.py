@@ -87,8 +87,8 @@ def _systemd_character(character: str) -> str:
 def unit_name(text: str) -> str:
     """Return a text as it stands in the name of a unit, as ``systemd-escape`` writes it."""
 
-    def escaped(found: re.Match[str]) -> str:
-        return "".join(f"\\x{byte:02x}" for byte in os.fsencode(found[0]))
+    def escaped(match: re.Match[str]) -> str:
+        return "".join(f"\\x{byte:02x}" for byte in os.fsencode(match[0]))
 
     return re.sub(r"^\.|[^A-Za-z0-9:_./]", escaped, text).replace("/", "-")
 
@@ -114,7 +114,7 @@ def lua(text: str) -> str:
 
 def uat_cell(text: str) -> str:
     r"""Return a cell of a table of a Wireshark profile; ``"`` and ``\`` are written as ``\xHH``."""
-    return '"' + re.sub(r'["\\]', lambda found: f"\\x{ord(found[0]):02x}", one_line(text)) + '"'
+    return '"' + re.sub(r'["\\]', lambda match: f"\\x{ord(match[0]):02x}", one_line(text)) + '"'
 
 
 def xml(text: str) -> str:

@@ -120,14 +120,14 @@ def cpu_list(text: str) -> frozenset[int]:
     ValueError
         it is no such list
     """
-    found: set[int] = set()
+    cpus: set[int] = set()
     for part in filter(None, (part.strip() for part in text.split(","))):
         first, dash, last = part.partition("-")
         low, high = int(first), int(last) if dash else int(first)
         if not 0 <= low <= high < MOST_CPUS:
             raise ValueError(f"{part!r} is no CPU")
-        found.update(range(low, high + 1))
-    return frozenset(found)
+        cpus.update(range(low, high + 1))
+    return frozenset(cpus)
 
 
 def isolated_cpus(root: Path = Path("/")) -> frozenset[int]:

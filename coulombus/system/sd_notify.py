@@ -29,10 +29,10 @@ class Notifier:
     """
 
     def __init__(self, environment: MutableMapping[str, str] | None = None) -> None:
-        found = os.environ if environment is None else environment
-        name, self._period_s = found.pop("NOTIFY_SOCKET", ""), _period_s(found)
+        variables = os.environ if environment is None else environment
+        name, self._period_s = variables.pop("NOTIFY_SOCKET", ""), _period_s(variables)
         for key in ("WATCHDOG_USEC", "WATCHDOG_PID"):
-            found.pop(key, None)
+            variables.pop(key, None)
         self._address = "\0" + name[1:] if name.startswith("@") else name
         self._told_s = -float("inf")
         self._progress: object = None

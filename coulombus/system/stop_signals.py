@@ -208,14 +208,14 @@ class _First:
 
     def __init__(self) -> None:
         self.number = 0
-        self._taken = taken(self._handle)
+        self._handling = taken(self._handle)
 
     def __enter__(self) -> Self:
-        self._taken.__enter__()
+        self._handling.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._taken.__exit__(None, None, None)
+        self._handling.__exit__(None, None, None)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self.number == 0:

@@ -37,8 +37,8 @@ class Lookout:
         """Wait until there is something to be read; return what, None when the watching is
         over.
         """
-        found, _, _ = select.select([*sources, self._end], [], [], timeout_s)
-        return None if self._end in found else found
+        readable, _, _ = select.select([*sources, self._end], [], [], timeout_s)
+        return None if self._end in readable else readable
 
     def _run(self) -> None:
         try:

@@ -22,7 +22,7 @@ def hanging(text: str, width: int, indent: int) -> str:
     A word, a command in backquotes and a row of options stay in one piece, also where they are
     wider: a terminal breaks them by itself, and then they are copied whole.
     """
-    kept = _COPIED.sub(lambda found: found[0].rstrip().replace(" ", _GLUE) + " " * found[0].endswith(" "), text)
+    kept = _COPIED.sub(lambda match: match[0].rstrip().replace(" ", _GLUE) + " " * match[0].endswith(" "), text)
     lines = textwrap.fill(kept, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
     return lines.replace(_GLUE, " ")
 

@@ -65,5 +65,5 @@ def test_what_needs_no_live_bus_works_everywhere(tmp_path):
 def test_what_needs_one_says_that_it_needs_linux(line, tmp_path):
     done = elsewhere(line, tmp_path)
     assert done.returncode == 4, done.stderr
-    (told,) = done.stderr.splitlines()
-    assert "this needs Linux (there is no " in told
+    (message,) = done.stderr.splitlines()
+    assert "this needs Linux (there is no " in message

@@ -47,10 +47,10 @@ class Found(NamedTuple):
 
 
 def status_of(node: ast.ClassDef) -> str:
-    for one in node.body:
-        if isinstance(one, ast.Assign) and ast.unparse(one.targets[0]) == "exit_status":
-            return ast.unparse(one.value)
-    assigned = [ast.unparse(one.targets[0]) for one in ast.walk(node) if isinstance(one, ast.Assign)]
+    for statement in node.body:
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "exit_status":
+            return ast.unparse(statement.value)
+    assigned = [ast.unparse(statement.targets[0]) for statement in ast.walk(node) if isinstance(statement, ast.Assign)]
     return "n" if "self.exit_status" in assigned else ""
 
 
@@ -79,31 +79,31 @@ def exceptions() -> list[Found]:
                     classes.append(Found(node.name, module, bases, status_of(node)))
     known: set[str] = set()
     while True:
-        more = {one.name for one in classes if any(base in known or is_exception(base) for base in one.bases)}
+        more = {class_.name for class_ in classes if any(base in known or is_exception(base) for base in class_.bases)}
         if more == known:
-            return [one for one in classes if one.name in known]
+            return [class_ for class_ in classes if class_.name in known]
         known = more
 
 
 def below(name: str) -> list[Found]:
     """Return the classes right below one, by their names."""
-    return sorted(one for one in exceptions() if name in one.bases)
+    return sorted(class_ for class_ in exceptions() if name in class_.bases)
 
 
 def derived(name: str) -> set[str]:
-    return {name}.union(*(derived(one.name) for one in below(name)))
+    return {name}.union(*(derived(class_.name) for class_ in below(name)))
 
 
 def drawn(name: str, status: str = "", indent: str = "") -> list[str]:
     """Return the lines of the tree below a class."""
     lines = []
     children = below(name)
-    for one in children:
-        own = one.status or status
-        others = ", ".join(base for base in one.bases if base != name)
-        head = f"{indent}+-- {one.name}"
-        lines.append(f"{head:<33}{own:<4}{one.module:<29}{others}".rstrip())
-        lines += drawn(one.name, own, indent + ("    " if one is children[-1] else "|   "))
+    for class_ in children:
+        own = class_.status or status
+        others = ", ".join(base for base in class_.bases if base != name)
+        head = f"{indent}+-- {class_.name}"
+        lines.append(f"{head:<33}{own:<4}{class_.module:<29}{others}".rstrip())
+        lines += drawn(class_.name, own, indent + ("    " if class_ is children[-1] else "|   "))
     return lines
 
 
@@ -118,13 +118,13 @@ def test_the_module_draws_the_tree():
 
 def test_every_exception_is_a_coulombus_error_or_internal():
     internal = set().union(*map(derived, INTERNAL))
-    assert set(INTERNAL) <= {one.name for one in exceptions()}
+    assert set(INTERNAL) <= {class_.name for class_ in exceptions()}
     assert not internal & derived("CoulombusError")
-    assert {one.name for one in exceptions()} - internal == derived("CoulombusError")
+    assert {class_.name for class_ in exceptions()} - internal == derived("CoulombusError")
 
 
 def test_no_name_stands_for_two_exceptions():
-    names = [one.name for one in exceptions()]
+    names = [class_.name for class_ in exceptions()]
     assert sorted(names) == sorted(set(names))
 
 

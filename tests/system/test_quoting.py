@@ -83,7 +83,7 @@ def test_words_are_written_as_systemd_reads_them(word, written):
 def test_the_name_of_a_unit_has_nothing_but_a_names_characters(text):
     name = unit_name(text)
     assert re.fullmatch(r"[A-Za-z0-9:_.\\-]*", name)
-    back = re.sub(rb"\\x([0-9a-f]{2})", lambda found: bytes.fromhex(found[1].decode()), name.replace("-", "/").encode())
+    back = re.sub(rb"\\x([0-9a-f]{2})", lambda match: bytes.fromhex(match[1].decode()), name.replace("-", "/").encode())
     assert os.fsdecode(back) == text
 
 
@@ -123,7 +123,7 @@ def test_a_comment_ends_with_its_line(text):
 def test_lua_reads_a_string_as_it_is_shown(text):
     written = lua(text)
     assert re.fullmatch(r'"(?:[ !#-\[\]-~]|\\\d{3})*"', written)
-    raw = re.sub(rb"\\(\d{3})", lambda found: bytes([int(found[1])]), written[1:-1].encode())
+    raw = re.sub(rb"\\(\d{3})", lambda match: bytes([int(match[1])]), written[1:-1].encode())
     assert raw.decode() == printable(text)
 
 
@@ -131,7 +131,7 @@ def test_lua_reads_a_string_as_it_is_shown(text):
 def test_wiresharks_table_reads_a_cell_as_it_is_shown(text):
     ((cell, other),) = csv.reader([f'{uat_cell(text)},"other"'])
     assert other == "other"
-    assert re.sub(r"\\x([0-9a-f]{2})", lambda found: chr(int(found[1], 16)), cell) == one_line(text)
+    assert re.sub(r"\\x([0-9a-f]{2})", lambda match: chr(int(match[1], 16)), cell) == one_line(text)
 
 
 @given(paths)
@@ -161,7 +161,7 @@ def test_what_is_printed_has_no_control_characters_and_nothing_else_is_changed(t
     shown = printable(text)
     assert not CONTROL.search(shown)
     assert printable(shown) == shown
-    assert [one for one in text if not CONTROL.match(one)] == [
+    assert [character for character in text if not CONTROL.match(character)] == [
         one for one in text if one in shown and not CONTROL.match(one)
     ]
     assert bool(first_control(text)) == bool(CONTROL.search(text) or set("\t\n") & set(text))

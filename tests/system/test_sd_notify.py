@@ -18,12 +18,12 @@ def manager(tmp_path):
 
 
 def heard(ear):
-    found = []
+    messages = []
     while True:
         try:
-            found.append(ear.recv(4096).decode())
+            messages.append(ear.recv(4096).decode())
         except BlockingIOError:
-            return found
+            return messages
 
 
 def environment(manager, **more):
@@ -31,9 +31,9 @@ def environment(manager, **more):
 
 
 def test_messages_are_lines_and_the_children_inherit_nothing(manager):
-    found = environment(manager, WATCHDOG_USEC="5000000", WATCHDOG_PID=str(os.getpid()))
-    notifier = Notifier(found)
-    assert found == {"PATH": "/bin"}
+    variables = environment(manager, WATCHDOG_USEC="5000000", WATCHDOG_PID=str(os.getpid()))
+    notifier = Notifier(variables)
+    assert variables == {"PATH": "/bin"}
     notifier.tell(READY=1, STATUS="two\nlines")
     assert heard(manager) == ["READY=1\nSTATUS=two lines"]
 

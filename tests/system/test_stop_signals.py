@@ -23,8 +23,8 @@ def test_signals_are_taken_in_one_place():
     rooms = [path for path in (ROOT / "coulombus").iterdir() if path.is_dir()]
     sources = [path for room in rooms for path in room.resolve().rglob("*.py")]
     assert len(sources) > 200
-    found = {path.name for path in sources if "signal.signal(" in path.read_text()}
-    assert found == {"stop_signals.py", "interrupts.py"}
+    names = {path.name for path in sources if "signal.signal(" in path.read_text()}
+    assert names == {"stop_signals.py", "interrupts.py"}
     assert {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT} == set(SIGNALS)
 
 
