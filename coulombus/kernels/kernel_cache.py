@@ -153,8 +153,8 @@ def _places() -> Iterator[Path]:
 def _own(path: Path) -> bool:
     """Tell whether it is a directory of this user, and no link."""
     with suppress(OSError):
-        found = path.lstat()
-        return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
+        status = path.lstat()
+        return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
     return False
 
 
@@ -214,13 +214,13 @@ def _marker(directory: Path, *, create: bool = False) -> int | None:
     It tells the directory's name, so that a copied one counts for nothing.
     """
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_CREAT if create else 0)
-    told = f"{directory.name}\n".encode()
+    name = f"{directory.name}\n".encode()
     lock = os.open(directory / MARKER, flags, 0o600)
-    found = os.fstat(lock)
-    if stat.S_ISREG(found.st_mode) and found.st_uid == os.getuid():
-        if create and found.st_size == 0:
-            os.pwrite(lock, told, 0)
-        if os.pread(lock, len(told) + 1, 0) == told:
+    status = os.fstat(lock)
+    if stat.S_ISREG(status.st_mode) and status.st_uid == os.getuid():
+        if create and status.st_size == 0:
+            os.pwrite(lock, name, 0)
+        if os.pread(lock, len(name) + 1, 0) == name:
             return lock
     os.close(lock)
     return None
@@ -251,8 +251,8 @@ def _others(directory: Path) -> list[Path]:
         names = [entry.name for entry in os.scandir(directory.parent) if entry.is_dir(follow_symlinks=False)]
     except OSError:
         return []
-    found = [directory.parent / name for name in names if _NAME.fullmatch(name) and name != directory.name]
-    return sorted((one for one in found if _own(one) and _used_ns(one)), key=_used_ns, reverse=True)
+    folders = [directory.parent / name for name in names if _NAME.fullmatch(name) and name != directory.name]
+    return sorted((folder for folder in folders if _own(folder) and _used_ns(folder)), key=_used_ns, reverse=True)
 
 
 def _used_ns(directory: Path) -> int:

@@ -89,14 +89,14 @@ def test_the_key_follows_every_source(tmp_path):
     (tmp_path / "node").mkdir()
     empty = source_key(tmp_path)
     (tmp_path / "node" / "core.py").write_text("a = 1\n")
-    one = source_key(tmp_path)
+    key = source_key(tmp_path)
     (tmp_path / "node" / "core.py").write_text("a = 2\n")
     two = source_key(tmp_path)
     (tmp_path / "node" / "deeper").mkdir()
     (tmp_path / "node" / "deeper" / "core.py").write_text("a = 1\n")
     three = source_key(tmp_path)
     (tmp_path / "node" / "deeper" / "core.py").write_text("a = 2\n")
-    assert len({empty, one, two, three, source_key(tmp_path)}) == 5
+    assert len({empty, key, two, three, source_key(tmp_path)}) == 5
 
 
 @pytest.mark.parametrize("flag", ["-O", "-OO"])
@@ -295,9 +295,9 @@ def test_a_damaged_cache_is_told_and_removed(own_kernels, tmp_path, spoil, endin
     for path in (tmp_path / "cache").rglob(f"own.f-*.{ending}"):
         path.write_bytes(spoil(path.read_bytes()))
     code = f"import sys; sys.path.append({str(tmp_path)!r}); import own{SPOILT}"
-    told = run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    assert told.startswith("the compiled code in")
-    assert told.endswith("was damaged and is removed; start again")
+    done = run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert done.startswith("the compiled code in")
+    assert done.endswith("was damaged and is removed; start again")
     assert list((tmp_path / "cache").rglob("*.nb?")) == []
     assert own_kernels() == ("2 -1 0", "")
     assert own_kernels() == ("2 -1 1", "")
@@ -319,17 +319,17 @@ def test_of_several_processes_one_compiles(tmp_path):
         )
         for _ in range(3)
     ]
-    for one in several:  # all have been started when the first begins
-        one.stdin.write("\n")
-        one.stdin.flush()
-    said = sorted(one.communicate(timeout=120)[0].strip() for one in several)
+    for process in several:  # all have been started when the first begins
+        process.stdin.write("\n")
+        process.stdin.flush()
+    said = sorted(process.communicate(timeout=120)[0].strip() for process in several)
     assert said == ["-1 0", "-1 1", "-1 1"]
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_who_waits_for_another_process_says_that_something_is_compiled(tmp_path):
-    told = []
-    on_compiling(lambda: told.append("one"))
+    lines = []
+    on_compiling(lambda: lines.append("one"))
     with alone(tmp_path, "other.entry"):
         code = (
             "from pathlib import Path; from coulombus.kernels.kernel_cache import alone\n"
@@ -340,7 +340,7 @@ def test_who_waits_for_another_process_says_that_something_is_compiled(tmp_path)
         waits = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert waits.stdout.readline() == "waits\n"
     assert waits.communicate(timeout=120)[0] == "goes on\n"
-    assert told == []
+    assert lines == []
     assert kept(tmp_path, "other.entry")
     assert kept(tmp_path, "own.entry")
     assert not kept(tmp_path, "entry")
@@ -395,19 +395,19 @@ def test_ctrl_c_within_the_compiler_is_raised_behind_it(monkeypatch):
         heard.on_end(None)
     heard.on_end(None)
     assert sys.unraisablehook == others.append
-    assert [str(one.exc_value) for one in others] == ["another"]
+    assert [str(record.exc_value) for record in others] == ["another"]
 
 
 def test_who_asked_hears_once_that_something_is_compiled():
-    told = []
-    on_compiling(lambda: told.append("one"))
+    lines = []
+    on_compiling(lambda: lines.append("one"))
     compiling()
     compiling()
-    assert told == ["one"]
+    assert lines == ["one"]
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_compilation_is_told_and_what_is_loaded_is_not(own_kernels):
     ask = "from coulombus.kernels import compile_notice; compile_notice.on_compiling(lambda: print('compiling'))"
-    told = [own_kernels(ask)[0].count("compiling") for _ in range(2)]
-    assert told == [1, 0]
+    counts = [own_kernels(ask)[0].count("compiling") for _ in range(2)]
+    assert counts == [1, 0]

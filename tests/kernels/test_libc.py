@@ -81,10 +81,10 @@ def count_until_told(flags):
 
 def test_clocks_are_pythons():
     before = time.monotonic_ns(), time.time_ns()
-    found = clocks()
+    readings = clocks()
     after = time.monotonic_ns(), time.time_ns()
-    assert before[0] <= found[0] <= after[0]
-    assert before[1] <= found[1] <= after[1]
+    assert before[0] <= readings[0] <= after[0]
+    assert before[1] <= readings[1] <= after[1]
 
 
 def test_sleep_ends_at_its_instant():

@@ -60,20 +60,20 @@ def test_the_dtype_is_what_the_class_declares():
 
 
 @kernel
-def _fill(one: Outer) -> int:
-    one.n = 7
-    one.rows[1].x = 0.5
-    one.words[2] = one.small = 3
-    one.matrix[1, 2] = one.rows[1].x * 2
-    return one.n + one.inner.n
+def _fill(record: Outer) -> int:
+    record.n = 7
+    record.rows[1].x = 0.5
+    record.words[2] = record.small = 3
+    record.matrix[1, 2] = record.rows[1].x * 2
+    return record.n + record.inner.n
 
 
 def test_kernels_write_the_fields():
     records = new_records(Outer, 2)
     records[1].inner.n = 5
     assert _fill(records[1]) == 12
-    found = records[1]
-    assert (found.n, found.rows[1].x, found.words[2], found.small, found.matrix[1, 2]) == (7, 0.5, 3, 3, 1.0)
+    record = records[1]
+    assert (record.n, record.rows[1].x, record.words[2], record.small, record.matrix[1, 2]) == (7, 0.5, 3, 3, 1.0)
     assert records[0].n == 0
 
 
@@ -124,8 +124,8 @@ def test_a_misspelt_field_and_a_wrong_type_are_found_by_mypy(tmp_path):
     path.write_text(PLANTED)
     command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path), str(path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=800)
-    found = dict(re.findall(r":(\d+): error: (.*)  \[", done.stdout))
-    assert found == {
+    messages = dict(re.findall(r":(\d+): error: (.*)  \[", done.stdout))
+    assert messages == {
         "16": '"State" has no attribute "phse"; maybe "phase"?',
         "17": 'Incompatible types in assignment (expression has type "float", variable has type "int")',
         "18": '"State" has no attribute "phse"; maybe "phase"?',
