@@ -34,11 +34,11 @@ def path_text(value: Any, name: str, call: str) -> str:
         It is something else.
     """
     try:
-        found = os.fspath(value)
+        path = os.fspath(value)
     except TypeError:
-        found = None
-    if isinstance(found, str):
-        return found
+        path = None
+    if isinstance(path, str):
+        return path
     has = f"; this one's name is its path: {value.path!r}" if isinstance(getattr(value, "path", None), str) else ""
     raise WrongCall(f"{name} is {value!r}: expected a file's name, as in {call}{has}")
 
@@ -60,13 +60,13 @@ def texts(values: Any, name: str, example: str) -> tuple[str, ...]:
     """
     if isinstance(values, str):
         raise WrongCall(f"{name} is {values!r}: expected a list, as in {name}=[{values!r}]")
-    found = tuple(values) if isinstance(values, Iterable) and not isinstance(values, (bytes, dict)) else None
-    if found is None:
+    entries = tuple(values) if isinstance(values, Iterable) and not isinstance(values, (bytes, dict)) else None
+    if entries is None:
         raise WrongCall(f"{name} is {values!r}: expected a list, as in {name}=[{example!r}]")
-    wrong = next((one for one in found if not isinstance(one, str)), None)
+    wrong = next((entry for entry in entries if not isinstance(entry, str)), None)
     if wrong is not None:
         raise WrongCall(f"{name} has {wrong!r} in it: expected texts alone, as in {name}=[{example!r}]")
-    return found
+    return entries
 
 
 def a_number(value: Any, name: str, example: str, *, whole: bool = False) -> None:

@@ -57,13 +57,15 @@ def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, An
         return {}
     if not 1 <= len(axes) <= MAX_AXES:
         source.say(("axis",), f"got {len(axes)} axes, expected 1 to {MAX_AXES}")
-    found: dict[str, dict[str, Any]] = {}
+    merged: dict[str, dict[str, Any]] = {}
     for name, own in axes.items():
         if not NAME.fullmatch(name) or name in TAKEN:
-            wanted = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(TAKEN)
-            source.say(("axis", name), f"'{name}' names an axis; expected {wanted}")
-        found[name] = _merge(shared, own)
-    return found
+            expected = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(
+                TAKEN
+            )
+            source.say(("axis", name), f"'{name}' names an axis; expected {expected}")
+        merged[name] = _merge(shared, own)
+    return merged
 
 
 def _merge(shared: Table, own: Table) -> dict[str, Any]:
@@ -82,37 +84,37 @@ def device_keys(values: Table) -> list[Key]:
 
 
 def _get(values: Table, key: Key) -> Any:
-    found: Any = values
+    value: Any = values
     for part in key:
-        found = found.get(part) if isinstance(found, Mapping) else None
-    return found
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source]) -> None:
     """Note what the axes must share and do not, and node ids that two of one bus have."""
     for first, second in combinations(axes, 2):
-        one, other, source = axes[first], axes[second], sources[second]
+        earlier, later, source = axes[first], axes[second], sources[second]
         names = {first: second, second: first}
-        same_bus = _get(one, ("bus", "channel")) == _get(other, ("bus", "channel"))
+        same_bus = _get(earlier, ("bus", "channel")) == _get(later, ("bus", "channel"))
         for key, why in SHARED + (ON_ONE_BUS if same_bus else ()):
-            if _get(one, key) != _get(other, key) and not source.is_wrong(key):
+            if _get(earlier, key) != _get(later, key) and not source.is_wrong(key):
                 odd = next((name for name in (second, first) if sources[name].full(key) != key), second)
                 sources[odd].say(key, f"differs from that of axis {names[odd]}; expected the same, because {why}")
-        modes = [set(_get(axis, ("mode",)) or ()) for axis in (one, other)]
+        modes = [set(_get(axis, ("mode",)) or ()) for axis in (earlier, later)]
         if modes[0] != modes[1]:
             source.say(("mode",), f"the modes are not those of axis {first}; expected {', '.join(sorted(modes[0]))}")
         if same_bus:
-            for key, taken in _ids(one, other):
+            for key, device in _ids(earlier, later):
                 if not source.is_wrong(key):
                     source.stands(
-                        key, _get(other, key), f"another id than the {taken}'s of axis {first}, on the same bus"
+                        key, _get(later, key), f"another id than the {device}'s of axis {first}, on the same bus"
                     )
 
 
-def _ids(one: Table, other: Table) -> Iterator[tuple[Key, str]]:
-    taken = {_get(one, (*device, "node_id")): device[-1] for device in reversed(device_keys(one))}
-    for device in device_keys(other):
+def _ids(earlier: Table, later: Table) -> Iterator[tuple[Key, str]]:
+    node_ids = {_get(earlier, (*device, "node_id")): device[-1] for device in reversed(device_keys(earlier))}
+    for device in device_keys(later):
         key: Key = (*device, "node_id")
-        node_id = _get(other, key)
-        if node_id is not None and node_id in taken:
-            yield key, str(taken[node_id])
+        node_id = _get(later, key)
+        if node_id is not None and node_id in node_ids:
+            yield key, str(node_ids[node_id])

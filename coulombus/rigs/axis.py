@@ -151,7 +151,7 @@ class Axis(Sections):
         names = Sections.model_fields.keys() - NO_DEVICES
         return all(getattr(sections, name) == getattr(self, name) for name in names) and [
             descriptions[node].text for node in sections.devices
-        ] == [one.text for one in self.descriptions]
+        ] == [description.text for description in self.descriptions]
 
     def without(self, *roles: str) -> Axis:
         """Return the axis as it were if the rig file took these roles out (object = "none")."""
@@ -234,7 +234,7 @@ class Axis(Sections):
 
     def _identity(self) -> tuple[Any, ...]:
         values = tuple(getattr(self, key) for key in Sections.model_fields)
-        return self.name, *(one.text for one in self.descriptions), *values
+        return self.name, *(description.text for description in self.descriptions), *values
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Axis) and self._identity() == other._identity()
@@ -243,7 +243,7 @@ class Axis(Sections):
         return hash(self._identity())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        texts = tuple((one.path, one.text) for one in self.descriptions)
+        texts = tuple((description.path, description.text) for description in self.descriptions)
         return _reload, (self.model_dump(by_alias=True), self.name, texts, self.origin)
 
 

@@ -29,8 +29,8 @@ def bus_addresses(rig: Rig, given: Sequence[str] = (), channel: str | None = Non
         raise AddressError(f"--channel {channel}: the rig has {_names(rig)}")
     if channel is not None:
         given = [text if "=" in text else f"{channel}={text}" for text in given]
-    found = _all_addresses(rig, given)
-    return found if channel is None else {channel: found[channel]}
+    addresses = _all_addresses(rig, given)
+    return addresses if channel is None else {channel: addresses[channel]}
 
 
 def one_bus(rig: Rig, given: str | None, channel: str | None) -> tuple[Rig, BusAddress]:
@@ -56,7 +56,7 @@ def _names(rig: Rig) -> str:
 def _all_addresses(rig: Rig, given: Sequence[str]) -> dict[str, BusAddress]:
     name, channels = default_address(rig.name).name, rig.channels
     several = len(channels) > 1
-    found: dict[str, BusAddress] = {}
+    addresses: dict[str, BusAddress] = {}
     for text in given:
         channel, equals, address = text.rpartition("=")
         if several and not equals:
@@ -64,20 +64,20 @@ def _all_addresses(rig: Rig, given: Sequence[str]) -> dict[str, BusAddress]:
         if channel not in channels and (equals or several):
             raise AddressError(f"--bus {text}: the rig has no bus '{channel}'; it has {_names(rig)}")
         channel = channel if several else channels[0]
-        if channel in found:
-            raise AddressError(f"--bus {text}: there is an address for this bus already, {found[channel]}")
-        found[channel] = parse_address(address)
+        if channel in addresses:
+            raise AddressError(f"--bus {text}: there is an address for this bus already, {addresses[channel]}")
+        addresses[channel] = parse_address(address)
     usual = {channel: BusAddress("coulombus", f"{name}.{channel}" if several else name) for channel in channels}
-    found = usual | found
-    if len(set(found.values())) < len(found):
+    addresses = usual | addresses
+    if len(set(addresses.values())) < len(addresses):
         raise AddressError(
-            f"two of the rig's buses have one address: {', '.join(f'{c}={a}' for c, a in found.items())}"
+            f"two of the rig's buses have one address: {', '.join(f'{c}={a}' for c, a in addresses.items())}"
         )
     start = f"coulombus sim --rig {shell(_given_name(rig))}"
     for channel in channels:
-        if found[channel] != usual[channel]:
-            start += f" --bus {channel}={found[channel]}" if several else f" --bus {found[channel]}"
-    return {channel: replace(found[channel], start=start) for channel in channels}
+        if addresses[channel] != usual[channel]:
+            start += f" --bus {channel}={addresses[channel]}" if several else f" --bus {addresses[channel]}"
+    return {channel: replace(addresses[channel], start=start) for channel in channels}
 
 
 def _given_name(rig: Rig) -> str:

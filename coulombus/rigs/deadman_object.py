@@ -46,7 +46,7 @@ def bind_switch(parts: Parts, bindings: Sequence[Binding]) -> Binding | None:
         if not description.has(index, subindex):
             continue
         entry = checked_entry(description, index, subindex, "tpdo")
-        if any(one.place == (node, index, subindex) for one in bindings):
+        if any(binding.place == (node, index, subindex) for binding in bindings):
             raise ValueError(f"{index:04X}h:{subindex} of the {node} is mapped already; it is no switch")
         _check_mask(deadman, node, entry)
         return Binding(Kind("deadman", f"{node}.deadman", "tpdo", "", True), node, entry)

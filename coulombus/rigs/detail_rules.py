@@ -78,9 +78,9 @@ def _check_bodies(plant: Table, source: Source) -> None:
     inner = whole - math.fsum(ends.values())
     if inner <= 0:
         name, key = next((name, key) for name, key in COUPLINGS if name in ends)
-        together = " + ".join(f"plant.{one}.{own}" for one, own in COUPLINGS if one in ends)
-        wanted = f"less: the drum has what {together} leaves of plant.inertia_kg_m2, which is {shown(whole)}"
-        source.stands(("plant", name, key), ends[name], wanted)
+        together = " + ".join(f"plant.{body}.{own}" for body, own in COUPLINGS if body in ends)
+        expected = f"less: the drum has what {together} leaves of plant.inertia_kg_m2, which is {shown(whole)}"
+        source.stands(("plant", name, key), ends[name], expected)
         return
     for name, end in ends.items():
         both = 1 / end + 1 / inner
@@ -90,11 +90,11 @@ def _check_bodies(plant: Table, source: Source) -> None:
         ):
             value = _number(source, plant, name, key)
             if value is not None and value > most:
-                wanted = (
+                expected = (
                     f"at most {most:.4g} with plant.step_s = {shown(step)} and the inertias {end:.4g} and {inner:.4g} kg m2 "
                     f"beside it ({why}); take a shorter step, or leave the section out: then it is rigid"
                 )
-                source.stands(("plant", name, key), value, wanted)
+                source.stands(("plant", name, key), value, expected)
 
 
 def _check_iron(section: str, values: Any, source: Source) -> None:
@@ -107,7 +107,7 @@ def _check_iron(section: str, values: Any, source: Source) -> None:
     key = (section, "iron", "weights")
     if source.is_wrong(key) or source.is_wrong((section, "iron", "play_Nm")):
         return
-    if any(type(one) not in (int, float) for one in weights):
+    if any(type(weight) not in (int, float) for weight in weights):
         return
     if len(weights) != len(plays):
         source.say(key, f"got {len(weights)} values where play_Nm has {len(plays)}, expected as many")

@@ -83,7 +83,7 @@ class Source:
 
     def said(self, text: str) -> str:
         """Return `text` with each of the rig file's keys in it as the user wrote it."""
-        return _KEY.sub(lambda found: self.spelled(tuple(found[0].split("."))), text) if self.axis else text
+        return _KEY.sub(lambda match: self.spelled(tuple(match[0].split("."))), text) if self.axis else text
 
     def where(self, key: Key) -> tuple[float, str]:
         """Return the place of `key` for sorting, and as text: ``file:line`` or ``--set
@@ -108,15 +108,15 @@ class Source:
         self.wrong.add(key)
         self.found.append((place, f"{where}: {self.spelled(key)}: {self.said(text)}"))
 
-    def stands(self, key: Key, value: Any, wanted: str, known: Iterable[str] = ()) -> None:
-        """Note that `value` is not what is `wanted`."""
+    def stands(self, key: Key, value: Any, expected: str, known: Iterable[str] = ()) -> None:
+        """Note that `value` is not what is `expected`."""
         hint = nearest(value, known) if isinstance(value, str) else ""
-        self.say(key, f"got '{shown(value)}', expected {wanted}{hint}")
+        self.say(key, f"got '{shown(value)}', expected {expected}{hint}")
 
-    def lacks(self, key: Key, wanted: str) -> None:
+    def lacks(self, key: Key, expected: str) -> None:
         """Note that `key` is missing in a section that is there."""
         self.lacking.append(self.spelled(key))
-        self.say(key, f"missing in [{dotted(key[:-1])}]; expected {wanted}")
+        self.say(key, f"missing in [{dotted(key[:-1])}]; expected {expected}")
 
     def is_wrong(self, key: Key) -> bool:
         """Tell whether the value of `key`, or one that holds it, is known to be wrong."""
@@ -171,9 +171,9 @@ def shown(value: Any) -> str:
 def nearest(given: str, known: Iterable[str]) -> str:
     """Return "; did you mean ...?" for the known word nearest to `given`, or nothing."""
     by_small, small = {word.lower(): word for word in known}, given.lower()
-    found = difflib.get_close_matches(small, by_small, 1, 0.6)
-    found = found or [word for word in by_small if len(small) > 2 and word.startswith(small)]  # a name without its unit
-    return f"; did you mean '{by_small[found[0]]}'?" if found else ""
+    words = difflib.get_close_matches(small, by_small, 1, 0.6)
+    words = words or [word for word in by_small if len(small) > 2 and word.startswith(small)]  # a name without its unit
+    return f"; did you mean '{by_small[words[0]]}'?" if words else ""
 
 
 def number_hint(given: str, unit: str) -> str:
@@ -188,10 +188,10 @@ def number_hint(given: str, unit: str) -> str:
     text = given.strip()
     if _WITH_COMMA.fullmatch(text):
         return f"; write {text.replace(',', '.')}, with a decimal point"
-    found = _WITH_UNIT.fullmatch(text)
-    if found is None:
+    match = _WITH_UNIT.fullmatch(text)
+    if match is None:
         return ""
-    number, own = found[1], found[2].strip()
+    number, own = match[1], match[2].strip()
     prefix = own if own in ("k", "M") else own.removesuffix(unit)
     if prefix in PREFIXES and (unit or prefix):
         return (

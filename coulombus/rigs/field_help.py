@@ -54,7 +54,7 @@ def unit_of(name: str) -> str:
 
 def without_unit(name: str) -> str:
     """Return a key's name without the unit in it: ``F_s`` of ``F_s_Nm``."""
-    return next((name.removesuffix(one) for one in UNITS if one[0] == "_" and name.endswith(one)), name)
+    return next((name.removesuffix(suffix) for suffix in UNITS if suffix[0] == "_" and name.endswith(suffix)), name)
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
@@ -68,24 +68,24 @@ def named_in(info: FieldInfo | None) -> type[BaseModel] | None:
     """
     if info is None or get_origin(info.annotation) is not FrozenMap:
         return None
-    found: type[BaseModel] = get_args(info.annotation)[0]
-    return found
+    model: type[BaseModel] = get_args(info.annotation)[0]
+    return model
 
 
 def kinds_of(info: FieldInfo | None) -> dict[str, type[BaseModel]]:
     """Return the models of an array of tables by their kinds; a plain section stands under ""."""
-    found: dict[str, type[BaseModel]] = {}
+    kinds: dict[str, type[BaseModel]] = {}
     if named_in(info) is not None:
-        return found
+        return kinds
     pending: list[Any] = [info.annotation] if info is not None else []
     while pending:
         candidate = pending.pop(0)
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             kind = candidate.model_fields.get("kind")
-            found.update((word, candidate) for word in (get_args(kind.annotation) if kind else ("",)))
+            kinds.update((word, candidate) for word in (get_args(kind.annotation) if kind else ("",)))
         else:
             pending = [*get_args(candidate), *pending]
-    return found
+    return kinds
 
 
 def _extra(info: FieldInfo) -> Mapping[str, Any]:
@@ -157,16 +157,16 @@ def explain(error: ValidationError, values: Table, schema: type[BaseModel], sour
             _unknown(key, holder, schema, source)
         elif detail["type"].startswith("union_tag"):
             known = kinds_of(info)
-            wanted = "one of " + ", ".join(f'"{kind}"' for kind in known)
+            kinds_text = "one of " + ", ".join(f'"{kind}"' for kind in known)
             if "kind" in detail["input"]:
-                source.stands((*key, "kind"), detail["input"]["kind"], wanted, known)
+                source.stands((*key, "kind"), detail["input"]["kind"], kinds_text, known)
             elif not source.is_wrong((*key, "kind")):
-                source.say((*key, "kind"), f"missing in [[{name}]]; expected {wanted}")
+                source.say((*key, "kind"), f"missing in [[{name}]]; expected {kinds_text}")
         else:
-            given, wanted = _value(values, key), expected(name, info)
+            given, kinds_text = _value(values, key), expected(name, info)
             if info.annotation in (int, float) and isinstance(given, str):
-                wanted += number_hint(given, unit_of(name))
-            source.stands(key, given, wanted, _choices(info))
+                kinds_text += number_hint(given, unit_of(name))
+            source.stands(key, given, kinds_text, _choices(info))
 
 
 def _value(values: Any, key: Key) -> Any:
@@ -213,9 +213,9 @@ def _unknown(key: Key, holder: type[BaseModel], schema: type[BaseModel], source:
     known = list(fields_of(holder))
     homes = [path for path in _paths(schema) if path.rpartition(".")[2] == name]
     hint = "; did you mean " + " or ".join(f"'{home}'" for home in homes[:2]) + "?" if homes else nearest(name, known)
-    wanted = f"one of the keys of [{section}]" if section else "one of the sections"
+    expected = f"one of the keys of [{section}]" if section else "one of the sections"
     kind = "key" if section else "section"
-    source.say(key, f"unknown {kind}; expected {wanted}: {', '.join(known)}{hint}")
+    source.say(key, f"unknown {kind}; expected {expected}: {', '.join(known)}{hint}")
 
 
 def _paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:

@@ -37,7 +37,7 @@ def read_descriptions(values: Table, source: Source, eds_texts: Mapping[str, str
 
     Mistakes are noted in `source`.
     """
-    found: dict[Node, Description] = {}
+    descriptions: dict[Node, Description] = {}
     for key in device_keys(values):
         section: Any = values
         for part in key:
@@ -46,10 +46,12 @@ def read_descriptions(values: Table, source: Source, eds_texts: Mapping[str, str
         if not isinstance(name, str) or source.is_wrong((*key, "eds")):
             continue
         try:
-            found[str(key[-1])] = _from_file(name, source.path) if eds_texts is None else _from_text(name, eds_texts)
+            descriptions[str(key[-1])] = (
+                _from_file(name, source.path) if eds_texts is None else _from_text(name, eds_texts)
+            )
         except EdsError as error:
             source.say((*key, "eds"), f"got '{name}', but {error}")
-    return found
+    return descriptions
 
 
 def _from_text(name: str, eds_texts: Mapping[str, str]) -> Description:
@@ -86,8 +88,8 @@ def read_schedules(values: Table, source: Source, *, attached: bool = False) -> 
             continue
         names = COLUMNS[kind]
         if not phase.keys() & set(names) and attached:
-            wanted = " and ".join(names)
-            source.say(("phase", i, "path"), f"the schedule's values are not attached; expected {wanted}")
+            expected = " and ".join(names)
+            source.say(("phase", i, "path"), f"the schedule's values are not attached; expected {expected}")
             source.wrong.update(("phase", i, column) for column in (*names, *({"duration_s"} - phase.keys())))
         elif not phase.keys() & set(names):
             _read_schedule(phase, ("phase", i), source)

@@ -57,7 +57,7 @@ class FrozenMap(Mapping[str, Value], Generic[Value]):
             return value if isinstance(value, cls) else cls(tuple(validate(value).items()))
 
         def plain(value: FrozenMap[Any]) -> dict[str, Any]:
-            return {name: one.model_dump(by_alias=True) for name, one in value.items()}
+            return {name: model.model_dump(by_alias=True) for name, model in value.items()}
 
         return core_schema.no_info_wrap_validator_function(
             frozen,

@@ -57,25 +57,25 @@ def allocate(parts: Parts, prefix: str = "") -> AxisPdos:
     prefix : what stands before the names of the axis' nodes and signals
     """
     bound = bind(parts)
-    problems, losses, wanted = [*bound.problems], [*bound.losses], [*bound.bindings]
+    problems, losses, bindings = [*bound.problems], [*bound.losses], [*bound.bindings]
     try:
-        switch = bind_switch(parts, wanted)
+        switch = bind_switch(parts, bindings)
     except ValueError as error:
         problems.append(Problem("deadman", "host", "", f"an input that a device can send, but {error}", ""))
     else:
-        wanted += [switch] if switch is not None else []
+        bindings += [switch] if switch is not None else []
     pdos: list[RigPdo] = []
     absent: set[str] = set()
     for node in parts.devices:
         for direction in ("rpdo", "tpdo"):
-            own = [one for one in wanted if one.node == node and one.kind.direction == direction]
+            own = [binding for binding in bindings if binding.node == node and binding.kind.direction == direction]
             device = _Device(parts, node, direction, prefix)
             pdos += device.fill(own)
             absent |= device.absent
             problems += device.problems
             losses += device.losses
     problems += [*_shared(pdos), *_too_many(pdos), *_ambiguous(parts, bound)]
-    kept = tuple(one for one in bound.bindings if one.kind.name not in absent)
+    kept = tuple(binding for binding in bound.bindings if binding.kind.name not in absent)
     return AxisPdos(replace(bound, bindings=kept), tuple(pdos), tuple(losses), tuple(problems))
 
 
@@ -92,9 +92,9 @@ def _too_many(pdos: Sequence[RigPdo]) -> Iterator[Problem]:
 
 
 def _shared(pdos: Sequence[RigPdo]) -> Iterator[Problem]:
-    taken: dict[int, RigPdo] = {}
+    owners: dict[int, RigPdo] = {}
     for pdo in pdos:
-        first = taken.setdefault(pdo.layout.cob_id, pdo)
+        first = owners.setdefault(pdo.layout.cob_id, pdo)
         if first is not pdo and first.node_id != pdo.node_id:  # equal ids are told as such
             text = (
                 f"{pdo.name} of {pdo.node} has the identifier {pdo.layout.cob_id:03X}h of {first.name} of {first.node}"
@@ -127,57 +127,57 @@ class _Device:
         self.absent: set[str] = set()
         """Roles that find no place, and that the host can do without."""
 
-    def fill(self, wanted: Sequence[Binding]) -> list[RigPdo]:
-        """Return the PDOs that carry `wanted`, by their numbers.
+    def fill(self, bindings: Sequence[Binding]) -> list[RigPdo]:
+        """Return the PDOs that carry `bindings`, by their numbers.
 
         What finds no place is noted in `problems`.
         """
-        if not wanted:
+        if not bindings:
             return []
         transmission = ON_SYNC if self.direction == "tpdo" else self.parts.bus.transmission
         period_ns = self.parts.bus.period_ns
         records = records_of(self.description, self.part.node_id, self.direction, period_ns, transmission)
         standing = [record for record in records if record.entries and not (record.room and record.settable)]
-        left = {one.place[1:]: one for one in wanted}
-        found: dict[int, tuple[PdoParameters, tuple[Entry, ...]]] = {}
+        left = {binding.place[1:]: binding for binding in bindings}
+        filled: dict[int, tuple[PdoParameters, tuple[Entry, ...]]] = {}
 
         def take(record: PdoParameters, entries: Iterable[Entry]) -> None:
-            found[record.number] = record, tuple(entries)
-            for entry in found[record.number][1]:
+            filled[record.number] = record, tuple(entries)
+            for entry in filled[record.number][1]:
                 left.pop((entry.index, entry.subindex), None)
 
         for record in standing:
             if all(_carries(entry, left) for entry in record.entries):
                 take(record, record.entries)
-        free = [record for record in records if record.room and record.number not in found]
+        free = [record for record in records if record.room and record.number not in filled]
         free.sort(key=lambda record: not record.settable)
         for record, entries in _first_fit(free, _groups(left.values())):
             take(record, entries)
-        others = [record for record in standing if not record.room and record.number not in found]
+        others = [record for record in standing if not record.room and record.number not in filled]
         while left and others:
             best = max(others, key=lambda record: sum(_carries(entry, left) for entry in record.entries))
             others.remove(best)
             if any(_carries(entry, left) for entry in best.entries):
                 take(best, best.entries)
-        for one in left.values():
-            self._no_place(one, bool(records))
-        roles = {one.place[1:]: one for one in wanted}
-        return [self._pdo(*found[number], roles) for number in sorted(found)]
+        for binding in left.values():
+            self._no_place(binding, bool(records))
+        roles = {binding.place[1:]: binding for binding in bindings}
+        return [self._pdo(*filled[number], roles) for number in sorted(filled)]
 
-    def _no_place(self, one: Binding, any_pdo: bool) -> None:
+    def _no_place(self, binding: Binding, any_pdo: bool) -> None:
         way = "an RPDO" if self.direction == "rpdo" else "a TPDO"
-        label = f"{one.entry.index:04X}h:{one.entry.subindex:X}"
-        reason = f"no PDO can be mapped with it, and none has it by default, in {one.entry.bits} bits"
+        label = f"{binding.entry.index:04X}h:{binding.entry.subindex:X}"
+        reason = f"no PDO can be mapped with it, and none has it by default, in {binding.entry.bits} bits"
         if not any_pdo:
             reason = f"the file describes no {self.direction.upper()} that can be used"
-        if not one.kind.needed and getattr(self.parts.role, one.kind.name, None) is None:
-            self.absent.add(one.kind.name)
-            self.losses.append(f"{one.kind.lost} ({label} of {self.prefix}{self.node} finds no place in {way})")
+        if not binding.kind.needed and getattr(self.parts.role, binding.kind.name, None) is None:
+            self.absent.add(binding.kind.name)
+            self.losses.append(f"{binding.kind.lost} ({label} of {self.prefix}{self.node} finds no place in {way})")
             return
         text = f"{self.description.path}: {label} finds no place in {way}: {reason}"
-        optional = "" if one.kind.needed else f', or leave the role out: [role.{one.kind.name}] object = "none"'
+        optional = "" if binding.kind.needed else f', or leave the role out: [role.{binding.kind.name}] object = "none"'
         self.problems.append(
-            Problem(one.kind.name, self.node, label, text, f"take a device that can send it{optional}")
+            Problem(binding.kind.name, self.node, label, text, f"take a device that can send it{optional}")
         )
 
     def _pdo(
@@ -255,21 +255,21 @@ class _Device:
 
     def _standing(self, index: int, subindex: int) -> tuple[int, str]:
         """Return the value that an object of an RPDO is sent with, and why."""
-        said = [one.value for one in self.part.sdo if (one.index, one.sub) == (index, subindex)]
+        said = [write.value for write in self.part.sdo if (write.index, write.sub) == (index, subindex)]
         if said:
             return said[-1], f"[[{self.node}.sdo]]"
         if (index, subindex) == (0x6060, 0) and isinstance(self.part, Motor | Brake):
             return mode_of(self.part, self.description), "the mode of operation"
-        told = self.description.default(index, subindex, self.part.node_id)
-        return (told, "the EDS file's default") if isinstance(told, int) else (0, "the EDS file has no default")
+        default = self.description.default(index, subindex, self.part.node_id)
+        return (default, "the EDS file's default") if isinstance(default, int) else (0, "the EDS file has no default")
 
     def _signal(self, entry: Entry, place: int, roles: Mapping[tuple[int, int], Binding]) -> Signal:
-        one = roles.get((entry.index, entry.subindex))
-        if one is None:
+        binding = roles.get((entry.index, entry.subindex))
+        if binding is None:
             label = f"gap{place}" if entry.dummy else f"{entry.index:04X}h_{entry.subindex}"
             return Signal(f"{self.prefix}{self.node}.{label}", entry.index, entry.subindex, 1.0, 0.0, "")
-        signal = self.prefix + one.kind.signal
-        return Signal(signal, entry.index, entry.subindex, one.scale, one.offset, one.kind.unit)
+        signal = self.prefix + binding.kind.signal
+        return Signal(signal, entry.index, entry.subindex, binding.scale, binding.offset, binding.kind.unit)
 
 
 def mode_of(part: Motor | Brake, description: Description) -> int:
@@ -285,8 +285,8 @@ def mode_of(part: Motor | Brake, description: Description) -> int:
 
 
 def _carries(entry: Entry, left: Mapping[tuple[int, int], Binding]) -> bool:
-    one = left.get((entry.index, entry.subindex))
-    return one is not None and one.entry.bits == entry.bits
+    binding = left.get((entry.index, entry.subindex))
+    return binding is not None and binding.entry.bits == entry.bits
 
 
 def _groups(left: Iterable[Binding]) -> list[list[Entry]]:
@@ -296,13 +296,13 @@ def _groups(left: Iterable[Binding]) -> list[list[Entry]]:
     """
     groups: list[list[Entry]] = []
     names: list[str] = []
-    for one in left:
-        partner = next((pair for pair in TOGETHER if one.kind.name in pair), ())
+    for binding in left:
+        partner = next((pair for pair in TOGETHER if binding.kind.name in pair), ())
         if groups and names[-1] in partner:
-            groups[-1].append(one.entry)
+            groups[-1].append(binding.entry)
         else:
-            groups.append([one.entry])
-        names.append(one.kind.name)
+            groups.append([binding.entry])
+        names.append(binding.kind.name)
     return groups
 
 

@@ -59,24 +59,24 @@ class PdoParameters:
 
 
 def records_of(
-    description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
+    description: Description, node_id: int, direction: Direction, period_ns: int, transmission: int
 ) -> tuple[PdoParameters, ...]:
     """Return the PDOs of a device that can carry something: found once for a description.
 
     Parameters
     ----------
-    wanted : the transmission type that they are to have, where they can
+    transmission : the type that they are to have, where they can
     """
-    found = description.derived.setdefault(records_of, {})
-    key = node_id, direction, period_ns, wanted
-    if key not in found:
-        found[key] = tuple(_records_of(description, *key))
-    records: tuple[PdoParameters, ...] = found[key]
+    known = description.derived.setdefault(records_of, {})
+    key = node_id, direction, period_ns, transmission
+    if key not in known:
+        known[key] = tuple(_records_of(description, *key))
+    records: tuple[PdoParameters, ...] = known[key]
     return records
 
 
 def _records_of(
-    description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
+    description: Description, node_id: int, direction: Direction, period_ns: int, preferred: int
 ) -> Iterator[PdoParameters]:
     first = COMMUNICATION[direction]
     for index in sorted(index for index in description.objects if first <= index < first + PDO_COUNT):
@@ -84,8 +84,8 @@ def _records_of(
         if not (description.has(index, 1) and description.has(mapping, 0)):
             continue
         identity = description.variable(index, 1)
-        told = description.default(index, 1, node_id)
-        word = told if isinstance(told, int) else 0
+        default = description.default(index, 1, node_id)
+        word = default if isinstance(default, int) else 0
         identifier = word & 0x1FFFFFFF
         if writable(identity):
             if number <= PREDEFINED:
@@ -94,7 +94,7 @@ def _records_of(
             continue
         if not 0 < identifier <= 0x7FF:
             continue
-        transmission = _transmission(description, index, wanted, direction)
+        transmission = _transmission(description, index, preferred, direction)
         if transmission is None:
             continue
         event_ns = _event_ns(description, index, node_id, period_ns) if direction == "tpdo" else 0
@@ -112,13 +112,15 @@ def _records_of(
         )
 
 
-def _transmission(description: Description, index: int, wanted: int, direction: Direction) -> int | None:
+def _transmission(description: Description, index: int, preferred: int, direction: Direction) -> int | None:
     """Return the transmission type that a PDO will have; None where it is sent on request only."""
     if not description.has(index, 2):
         return 255
     variable = description.variable(index, 2)
     if writable(variable):
-        choices = (wanted, ON_EVENT, ON_EVENT - 1) if direction == "tpdo" else (wanted, ON_EVENT, ON_EVENT - 1, ON_SYNC)
+        choices = (
+            (preferred, ON_EVENT, ON_EVENT - 1) if direction == "tpdo" else (preferred, ON_EVENT, ON_EVENT - 1, ON_SYNC)
+        )
         return next((kind for kind in choices if variable.admits(kind)), None)
     kind = variable.default if isinstance(variable.default, int) else ON_EVENT
     return None if kind in (252, 253) else kind

@@ -68,17 +68,17 @@ def rewritten(text: str, values: Mapping[Key, NewValue], mark: str, path: str) -
 
 def _replace(lines: list[str], at: int, new: NewValue, mark: str) -> None:
     """Put the new value into the statement that begins in a line."""
-    found = _ASSIGNMENT.fullmatch(lines[at])
-    if found is None:
+    match = _ASSIGNMENT.fullmatch(lines[at])
+    if match is None:
         return  # `_check` tells
     indent = lines[at][: len(lines[at]) - len(lines[at].lstrip())]
     last = _last_line(lines, at)
-    old = found["rest"] if last == at else lines[last]
+    old = match["rest"] if last == at else lines[last]
     comment = _comment(old)
     value = toml_value(new.value)
     if comment and last == at:
         comment = _in_its_column(comment, len(value) - (len(old) - len(comment)))
-    lines[at : last + 1] = [f"{found['head']}{value}{comment}"]
+    lines[at : last + 1] = [f"{match['head']}{value}{comment}"]
     first = at
     while first > 0 and lines[first - 1].lstrip().startswith("#"):
         first -= 1
@@ -97,7 +97,7 @@ def _in_its_column(comment: str, longer: int) -> str:
 
 def _comment(text: str) -> str:
     """Return the comment at the end of a line, with the blanks before it."""
-    return next((found["comment"] for found in _TEXT_OR_COMMENT.finditer(text) if found["comment"]), "")
+    return next((match["comment"] for match in _TEXT_OR_COMMENT.finditer(text) if match["comment"]), "")
 
 
 def _last_line(lines: list[str], at: int) -> int:
@@ -146,8 +146,8 @@ def _check(text: str, key: Key, value: Any, path: str) -> None:
     here: Any = document.values
     for part in key:
         here = here.get(part) if isinstance(here, Mapping) else None
-    wanted = [list(row) if isinstance(row, tuple) else row for row in value] if isinstance(value, tuple) else value
-    if document.problems or here != wanted:
+    expected = [list(row) if isinstance(row, tuple) else row for row in value] if isinstance(value, tuple) else value
+    if document.problems or here != expected:
         name = dotted(key)
         raise RigError([f"{path}: {name} cannot be changed alone as it stands; write it by hand: {name} = {value}"])
 

@@ -258,15 +258,15 @@ class Rig:
 
     def variant(self, *overrides: str) -> Rig:
         """Return the rig with further overrides, as ``--set`` takes them."""
-        wrong = next((one for one in overrides if not isinstance(one, str)), None)
+        wrong = next((override for override in overrides if not isinstance(override, str)), None)
         if wrong is not None:
             raise WrongCall(f"{wrong!r} is no override: expected texts, as in variant('mode.active.F_s_Nm=1.0')")
         if not overrides:
             return self
         attached = self.origin.attached
-        found = _load(self.effective(), self.path, self.eds_texts, overrides, [], attached, self.axes)
+        changed = _load(self.effective(), self.path, self.eds_texts, overrides, [], attached, self.axes)
         both = (*self.overrides, *overrides)  # of the text as it is: `Axis.mistake` says where a value came from
-        return self._as_said(_from(found, replace(found.origin, text=self.text, overrides=both)))
+        return self._as_said(_from(changed, replace(changed.origin, text=self.text, overrides=both)))
 
     def with_law(self, name: str) -> Rig:
         """Return the rig with another law, for all its axes."""
@@ -395,10 +395,10 @@ def _load(
     ]
     if named is not None:
         check_axes(named, sources)
-        for one in sources.values():
-            source.found += one.found
-            source.lacking += one.lacking
-            source.problems += one.problems
+        for part_source in sources.values():
+            source.found += part_source.found
+            source.lacking += part_source.lacking
+            source.problems += part_source.problems
     source.raise_all()
     law_named = any(override.partition("=")[0].strip().endswith("law.function") for override in overrides)
     origin = Origin(path, text, tuple(overrides), attached, law_named)

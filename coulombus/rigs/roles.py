@@ -168,13 +168,13 @@ class Bound:
 
     def get(self, role: str) -> Binding | None:
         """Return the binding of a role; None where it is absent."""
-        return next((one for one in self.bindings if one.kind.name == role), None)
+        return next((binding for binding in self.bindings if binding.kind.name == role), None)
 
     def __getitem__(self, role: str) -> Binding:
-        found = self.get(role)
-        if found is None:
+        binding = self.get(role)
+        if binding is None:
             raise KeyError(role)
-        return found
+        return binding
 
 
 class _Refused(Exception):
@@ -188,8 +188,8 @@ def profile_of(description: Description, node: Node) -> int:
     """
     if node == "motor":
         return CIA402
-    told = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
-    known = told & 0xFFFF if isinstance(told, int) else 0
+    device_type = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
+    known = device_type & 0xFFFF if isinstance(device_type, int) else 0
     if known in BRAKE_OBJECTS:
         return known
     signs = ((0x7300, CIA404), (0x7130, CIA404), (0x6411, CIA401), (0x6071, CIA402), (0x6040, CIA402))
@@ -198,37 +198,37 @@ def profile_of(description: Description, node: Node) -> int:
 
 def bind(parts: Parts) -> Bound:
     """Bind every role of an axis, by its rig file and by the profiles of its devices."""
-    found: list[Binding] = []
+    bindings: list[Binding] = []
     losses: list[str] = []
     problems: list[Problem] = []
     for kind in ROLES:
         try:
-            one = _bind(parts, kind, found)
+            binding = _bind(parts, kind, bindings)
         except _Refused as refused:
             problems.append(refused.problem)
             continue
-        if one is not None:
-            found.append(one)
+        if binding is not None:
+            bindings.append(binding)
         elif kind.lost:
             losses.append(kind.lost)
-    found_names = {one.kind.name for one in found}
-    if len(found_names & {"brake_controlword", "brake_statusword"}) == 1 and not problems:
+    bound_names = {binding.kind.name for binding in bindings}
+    if len(bound_names & {"brake_controlword", "brake_statusword"}) == 1 and not problems:
         text = "a brake that is a CiA 402 drive has a statusword and a controlword"
         problems.append(Problem("brake_statusword", "brake", "", text, "bind both of them, or none"))
-    return Bound(tuple(found), tuple(losses), (*problems, *_twice(found)))
+    return Bound(tuple(bindings), tuple(losses), (*problems, *_twice(bindings)))
 
 
-def _twice(found: list[Binding]) -> Iterator[Problem]:
-    taken: dict[tuple[Node, int, int], str] = {}
-    for one in found:
-        before = taken.setdefault(one.place, one.kind.name)
-        if before != one.kind.name:
-            label = f"{one.entry.index:04X}h:{one.entry.subindex:X}"
-            text = f"{label} of {one.node} is the {before} already"
-            yield Problem(one.kind.name, one.node, label, text, "bind another object")
+def _twice(bindings: list[Binding]) -> Iterator[Problem]:
+    owners: dict[tuple[Node, int, int], str] = {}
+    for binding in bindings:
+        before = owners.setdefault(binding.place, binding.kind.name)
+        if before != binding.kind.name:
+            label = f"{binding.entry.index:04X}h:{binding.entry.subindex:X}"
+            text = f"{label} of {binding.node} is the {before} already"
+            yield Problem(binding.kind.name, binding.node, label, text, "bind another object")
 
 
-def _bind(parts: Parts, kind: Kind, found: list[Binding]) -> Binding | None:
+def _bind(parts: Parts, kind: Kind, bindings: list[Binding]) -> Binding | None:
     """Return what a role is bound to, None where no device has it."""
     said: Role = getattr(parts.role, kind.name) or Role(node="", object="")
     node = said.node or kind.home
@@ -256,7 +256,7 @@ def _bind(parts: Parts, kind: Kind, found: list[Binding]) -> Binding | None:
         remedy = lack.remedy if not said.object else "name another one"
         raise _Refused(Problem(kind.name, node, place, lack.text, remedy))
     entry = checked_entry(description, *chosen, kind.direction)
-    scaled = _scaled(parts, Binding(kind, node, entry), said, found)
+    scaled = _scaled(parts, Binding(kind, node, entry), said, bindings)
     if kind.unit and entry.bits > WIDEST:
         text = f"{description.path} describes {entry.index:04X}h:{entry.subindex:X} in {entry.bits} bits"
         raise _Refused(
@@ -320,9 +320,9 @@ def checked_entry(description: Description, index: int, subindex: int, direction
 # scales
 
 
-def _scaled(parts: Parts, one: Binding, said: Role, found: list[Binding]) -> Binding:
+def _scaled(parts: Parts, binding: Binding, said: Role, bindings: list[Binding]) -> Binding:
     """Return the binding with its scale at the handle, and what decided it."""
-    m, name = parts.mechanics, one.kind.name
+    m, name = parts.mechanics, binding.kind.name
     turned = {
         "position": m.encoder_polarity,
         "velocity": m.encoder_polarity,
@@ -331,45 +331,45 @@ def _scaled(parts: Parts, one: Binding, said: Role, found: list[Binding]) -> Bin
         "handle_torque": m.transducer_polarity,
     }.get(name, 1)
     at_motor = {"torque_setpoint": m.ratio, "torque": m.ratio, "velocity": 1 / m.ratio}.get(name, 1.0)
-    if not one.kind.unit:
-        return one
+    if not binding.kind.unit:
+        return binding
     if isinstance(said, BrakeRole) and said.table:
         (raw_0, Nm_0), (raw_1, Nm_1) = said.table[-2:]
         step = (Nm_1 - Nm_0) / (raw_1 - raw_0)
-        return _with(one, step, 0.0, "role.brake_setpoint.table", said.table)
-    key = f"scale_{one.kind.unit.replace('/', '_')}"
+        return _with(binding, step, 0.0, "role.brake_setpoint.table", said.table)
+    key = f"scale_{binding.kind.unit.replace('/', '_')}"
     given = getattr(said, key, None)
-    offset = getattr(said, f"offset_{one.kind.unit}", 0.0) * turned
+    offset = getattr(said, f"offset_{binding.kind.unit}", 0.0) * turned
     if given is not None:
-        return _with(one, given * at_motor * turned, offset, f"role.{name}.{key}")
+        return _with(binding, given * at_motor * turned, offset, f"role.{name}.{key}")
     if name == "position":
         angle = m.encoder_polarity * 2 * math.pi / (parts.motor.encoder_counts_rev * m.ratio)
-        return _with(one, angle, 0.0, "motor.encoder_counts_rev and mechanics.ratio")
-    if name in ("torque_setpoint", "torque") and one.node == "motor" and one.entry.index in PER_MILLE:
-        setpoint = next((other for other in found if other.kind.name == "torque_setpoint"), None)
+        return _with(binding, angle, 0.0, "motor.encoder_counts_rev and mechanics.ratio")
+    if name in ("torque_setpoint", "torque") and binding.node == "motor" and binding.entry.index in PER_MILLE:
+        setpoint = next((other for other in bindings if other.kind.name == "torque_setpoint"), None)
         if setpoint is not None and setpoint.entry.index in PER_MILLE and setpoint.decided.startswith("role."):
-            return _with(one, setpoint.scale, 0.0, setpoint.decided)
+            return _with(binding, setpoint.scale, 0.0, setpoint.decided)
         torque = parts.motor.rated_torque_Nm * 1e-3 * m.ratio * m.motor_polarity
-        return _with(one, torque, 0.0, "motor.rated_torque_Nm and mechanics.ratio")
-    description = parts.description(one.node)
+        return _with(binding, torque, 0.0, "motor.rated_torque_Nm and mechanics.ratio")
+    description = parts.description(binding.node)
     try:
         if name == "velocity":
             per_count, where = _velocity_unit(description)
         else:
-            per_count, where = _block_scale(description, one.entry.index, one.entry.subindex, one.kind.unit)
+            per_count, where = _block_scale(description, binding.entry.index, binding.entry.subindex, binding.kind.unit)
     except ValueError as error:
-        label = f"{one.entry.index:04X}h:{one.entry.subindex:X}"
+        label = f"{binding.entry.index:04X}h:{binding.entry.subindex:X}"
         choice = " or table" if name == "brake_setpoint" else ""
-        optional = "" if one.kind.needed else ', or take the role out with object = "none"'
+        optional = "" if binding.kind.needed else ', or take the role out with object = "none"'
         remedy = f"give [role.{name}] its {key}{choice}{optional}"
-        raise _Refused(Problem(name, one.node, label, str(error), remedy)) from None
-    return _with(one, per_count * at_motor * turned, offset, where)
+        raise _Refused(Problem(name, binding.node, label, str(error), remedy)) from None
+    return _with(binding, per_count * at_motor * turned, offset, where)
 
 
 def _with(
-    one: Binding, scale: float, offset: float, decided: str, table: tuple[tuple[int, float], ...] = ()
+    binding: Binding, scale: float, offset: float, decided: str, table: tuple[tuple[int, float], ...] = ()
 ) -> Binding:
-    return Binding(one.kind, one.node, one.entry, scale, offset, decided, table)
+    return Binding(binding.kind, binding.node, binding.entry, scale, offset, decided, table)
 
 
 def _velocity_unit(description: Description) -> tuple[float, str]:
@@ -397,12 +397,12 @@ def _block_scale(description: Description, index: int, subindex: int, unit: str)
         raise ValueError(f"no object tells what a count of {index:04X}h:{subindex} is")
     unit_index, digits_index = BLOCK_UNITS[index]
     values = []
-    for wanted in (unit_index, digits_index):
-        place = f"{wanted:04X}h:{subindex}"
-        if not description.has(wanted, subindex):
+    for object_ in (unit_index, digits_index):
+        place = f"{object_:04X}h:{subindex}"
+        if not description.has(object_, subindex):
             raise ValueError(f"{description.path} describes no {place}, so that {index:04X}h:{subindex} has no scale")
-        value = description.variable(wanted, subindex).default
-        line = description.variable(wanted, subindex).line
+        value = description.variable(object_, subindex).default
+        line = description.variable(object_, subindex).line
         if not isinstance(value, int):
             raise ValueError(f"{description.path}:{line}: {place} has no default; expected a number")
         values.append((value, f"{description.path}:{line}: {place}"))

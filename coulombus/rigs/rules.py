@@ -169,26 +169,26 @@ def _rules_of_sensors(values: Table) -> Iterator[Rule]:
     others: list[Key] = [("host",), ("motor",), ("brake",)]
     for key in device_keys(values)[2:]:
         for other in others:
-            told = f"another id than {dotted(other)}.node_id, which is {{1}}"
-            yield Rule(((*key, "node_id"), (*other, "node_id")), lambda a, b: a != b, told)
+            expected = f"another id than {dotted(other)}.node_id, which is {{1}}"
+            yield Rule(((*key, "node_id"), (*other, "node_id")), lambda a, b: a != b, expected)
         others.append(key)
         for beat in (("host",), key):
-            told = f"less than {dotted(key)}.heartbeat_timeout_s, which is {{1}}"
-            yield Rule(((*beat, "heartbeat_s"), (*key, "heartbeat_timeout_s")), _less, told)
+            expected = f"less than {dotted(key)}.heartbeat_timeout_s, which is {{1}}"
+            yield Rule(((*beat, "heartbeat_s"), (*key, "heartbeat_timeout_s")), _less, expected)
 
 
 def _broken_rules(rules: Iterable[Rule], values: Table, source: Source) -> Iterator[tuple[Key, Any, str]]:
     for rule in rules:
         if any(source.is_wrong(key) for key in rule.keys):
             continue
-        found: list[Any] = []
+        operands: list[Any] = []
         for key in rule.keys:
             value: Any = values
             for part in key:
                 value = value.get(part) if isinstance(value, Mapping) else None
-            found.append(value)
-        if None not in found and not rule.holds(*found):
-            yield rule.keys[0], found[0], rule.expected.format(*map(shown, found))
+            operands.append(value)
+        if None not in operands and not rule.holds(*operands):
+            yield rule.keys[0], operands[0], rule.expected.format(*map(shown, operands))
 
 
 def check(values: Table, source: Source) -> None:
@@ -196,25 +196,27 @@ def check(values: Table, source: Source) -> None:
     roles = values.get("role")
     per_mille = not (isinstance(roles, Mapping) and "torque_setpoint" in roles)
     rules = (*RULES, *(PER_MILLE_RULES if per_mille else ()), *_rules_of_sensors(values))
-    for key, value, wanted in list(_broken_rules(rules, values, source)):
-        source.stands(key, value, wanted)
+    for key, value, expected in list(_broken_rules(rules, values, source)):
+        source.stands(key, value, expected)
     check_detail(values, source)
     for key in device_keys(values)[2:]:
         if not re.fullmatch(SENSOR_NAME, str(key[-1])) or key[-1] in TAKEN:
-            wanted = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(TAKEN)
-            source.say(key, f"'{key[-1]}' names a sensor; expected {wanted}")
+            expected = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(
+                TAKEN
+            )
+            source.say(key, f"'{key[-1]}' names a sensor; expected {expected}")
     if len(device_keys(values)) > MOST_DEVICES:
         source.say(("sensor",), f"got {len(device_keys(values)) - 2} sensors, expected at most {MOST_DEVICES - 2}")
-    for one, other in permutations(SIMULATION):
-        if one in values and other not in values:
+    for section, other in permutations(SIMULATION):
+        if section in values and other not in values:
             source.say(
                 (other,),
-                f"the section is missing; expected [{other}] beside [{one}], or none of them: a simulated rig needs both",
+                f"the section is missing; expected [{other}] beside [{section}], or none of them: a simulated rig needs both",
             )
     modes = values.get("mode")
     if isinstance(modes, Mapping) and not modes.keys() & set(MODES) and not source.is_wrong(("mode",)):
-        wanted = ", ".join(f"[mode.{mode}]" for mode in MODES)
-        source.say(("mode",), f"no mode is given; expected at least one of {wanted}")
+        expected = ", ".join(f"[mode.{mode}]" for mode in MODES)
+        source.say(("mode",), f"no mode is given; expected at least one of {expected}")
     phases = values.get("phase")
     for i, phase in enumerate(phases if isinstance(phases, list) else ()):
         kind = phase.get("kind") if isinstance(phase, dict) else None
@@ -244,7 +246,7 @@ def _check_columns(phase: Table, key: Key, column: str, source: Source) -> None:
     if (
         not isinstance(times, list)
         or not isinstance(torques, list)
-        or any(source.is_wrong((*key, one)) for one in ("t_s", column))
+        or any(source.is_wrong((*key, name)) for name in ("t_s", column))
     ):
         return
     if len(times) != len(torques) or len(times) < 2:
@@ -258,14 +260,14 @@ def _check_columns(phase: Table, key: Key, column: str, source: Source) -> None:
 
 def remarks(values: Table, source: Source) -> tuple[str, ...]:
     """Return what is allowed and yet may not be meant, with file:line."""
-    found = [
-        f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.said(wanted)}"
-        for key, value, wanted in _broken_rules(REMARKS, values, source)
+    texts = [
+        f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.said(expected)}"
+        for key, value, expected in _broken_rules(REMARKS, values, source)
     ]
     for i, phase in enumerate(values.get("phase", ())):
         for tap in phase.get("taps_s", ()) if phase["kind"] == "hold" else ():
             if tap >= phase["duration_s"]:
                 key = ("phase", i, "taps_s")
                 text = f"the tap at {shown(tap)} comes after the phase's end ({shown(phase['duration_s'])} s)"
-                found.append(f"{source.where(key)[1]}: {source.spelled(key)}: {text}; expected a tap within the phase")
-    return tuple(found)
+                texts.append(f"{source.where(key)[1]}: {source.spelled(key)}: {text}; expected a tap within the phase")
+    return tuple(texts)

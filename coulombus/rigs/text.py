@@ -53,9 +53,9 @@ def apply_override(values: dict[str, Any], override: str, source: Source) -> Non
 
 
 def _no_entry(key: Key, part: str, entries: list[Any], override: str, source: Source) -> None:
-    wanted = f"{dotted(key)}.0 to {dotted(key)}.{len(entries) - 1}" if entries else "no further key"
+    expected = f"{dotted(key)}.0 to {dotted(key)}.{len(entries) - 1}" if entries else "no further key"
     source.overrides[(*key, part)] = override
-    source.say((*key, part), f"there are {len(entries)} entries in {dotted(key)}; expected {wanted}")
+    source.say((*key, part), f"there are {len(entries)} entries in {dotted(key)}; expected {expected}")
 
 
 def _read(value: str) -> Any:

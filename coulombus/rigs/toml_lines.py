@@ -108,19 +108,19 @@ def _excess(text: str) -> tuple[int, str] | None:
     if text.count("\n") > MOST_LINES:
         return MOST_LINES + 1, f"{text.count(chr(10))} lines; expected at most {MOST_LINES}"
     depth = 0
-    for found in _TOKENS.finditer(text):
-        what = found.lastgroup
+    for token in _TOKENS.finditer(text):
+        what = token.lastgroup
         if what is None:  # a text or a comment
             continue
         depth += (what == "opening") - (what == "closing" and depth > 0)
         if what in ("word", "dotted") or depth > MOST_NESTED:
-            line = text.count("\n", 0, found.start()) + 1
-            told = {
+            line = text.count("\n", 0, token.start()) + 1
+            reasons = {
                 "word": f"a number or a name of more than {MOST_LETTERS} characters; expected a shorter one",
                 "dotted": f"a key of more than {MOST_PARTS} parts; expected SECTION.KEY",
             }
             nested = f"more than {MOST_NESTED} brackets within each other; expected a list of values"
-            return line, f"'{_short(found[0])}' begins {told[what]}" if what in told else nested
+            return line, f"'{_short(token[0])}' begins {reasons[what]}" if what in reasons else nested
     return None
 
 
@@ -137,8 +137,8 @@ def read_toml(text: str) -> Document:
 def _copied(value: Any) -> Any:
     """Return TOML's values in tables and lists of their own; their leaves are immutable."""
     if isinstance(value, dict):
-        return {key: _copied(one) for key, one in value.items()}
-    return [_copied(one) for one in value] if isinstance(value, list) else value
+        return {key: _copied(entry) for key, entry in value.items()}
+    return [_copied(entry) for entry in value] if isinstance(value, list) else value
 
 
 @lru_cache(maxsize=4)
@@ -203,8 +203,8 @@ def _blame_line(
     text = lines[number].strip()
     names = tuple(re.findall(r"[\w-]+", text))
     if not (text.startswith("[") or re.match(r"[\w.-]+\]", text)):
-        wanted = "key = value, [section] or a comment after #"
-        document.problems.append((number + 1, f"'{_short(text)}' cannot be read; expected {wanted}"))
+        expected = "key = value, [section] or a comment after #"
+        document.problems.append((number + 1, f"'{_short(text)}' cannot be read; expected {expected}"))
         document.broken.add((*_section(known, number), *names[:1]))
         _blank(lines, number, number)
         return
@@ -249,7 +249,7 @@ def _statements(lines: list[str]) -> list[_Statement]:
     """Find keys and headers; a value reaches to the line where its brackets and quotes are
     closed.
     """
-    found: list[_Statement] = []
+    statements: list[_Statement] = []
     section: Key = ()
     tables: dict[Key, int] = {}  # arrays of tables and the index of their last one
     number = 0
@@ -265,7 +265,7 @@ def _statements(lines: list[str]) -> list[_Statement]:
                     tables[section] = tables.get(section, -1) + 1
                 if section in tables:
                     section = (*section, tables[section])
-            found.append(_Statement(first, first, section, True, lines[first].strip()))
+            statements.append(_Statement(first, first, section, True, lines[first].strip()))
         elif key:
             depth, quote = _scan(key[2], 0, "")
             while (depth > 0 or quote) and number + 1 < len(lines):
@@ -273,11 +273,13 @@ def _statements(lines: list[str]) -> list[_Statement]:
                 depth, quote = _scan(lines[number], depth, quote)
             path = (*section, *(split_key(key[1]) or []))
             closed = depth <= 0 and not quote
-            found.append(_Statement(first, number if closed else first, path, False, _without_comment(key[2]), closed))
+            statements.append(
+                _Statement(first, number if closed else first, path, False, _without_comment(key[2]), closed)
+            )
             if not closed:  # do not hide what follows
                 number = first
         number += 1
-    return found
+    return statements
 
 
 def _scan(text: str, depth: int, quote: str) -> tuple[int, str]:

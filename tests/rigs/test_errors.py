@@ -314,8 +314,8 @@ def test_all_mistakes_at_once_in_the_order_of_the_lines() -> None:
         ("net_work_J = 0.15", "net_work_J = 0.15 J"),
         ("dwell_s = 1.0", ""),
     )
-    found = errors(text, "plant.coulomb_Nm=-1", "operator.inerta_kg_m2=1")
-    assert [error.split(": ")[1] for error in found] == [
+    mistakes = errors(text, "plant.coulomb_Nm=-1", "operator.inerta_kg_m2=1")
+    assert [error.split(": ")[1] for error in mistakes] == [
         "rig.name",
         "bus.bitrate_bit_s",
         "bus.bitrat_bit_s",
@@ -327,14 +327,14 @@ def test_all_mistakes_at_once_in_the_order_of_the_lines() -> None:
         "plant.coulomb_Nm",
         "operator.inerta_kg_m2",
     ]
-    assert found[-1].startswith("--set operator.inerta_kg_m2=1: operator.inerta_kg_m2: unknown key; ")
+    assert mistakes[-1].startswith("--set operator.inerta_kg_m2=1: operator.inerta_kg_m2: unknown key; ")
 
 
 def test_an_empty_file_misses_every_section() -> None:
-    found = errors("")
-    assert len(found) == 9
-    assert not any(name in text for text in found for name in ("plant", "operator"))  # the host needs none of them
-    assert found[0] == "r.toml:1: rig: the section is missing; expected [rig] (what the rig is called)"
+    mistakes = errors("")
+    assert len(mistakes) == 9
+    assert not any(name in text for text in mistakes for name in ("plant", "operator"))  # the host needs none of them
+    assert mistakes[0] == "r.toml:1: rig: the section is missing; expected [rig] (what the rig is called)"
 
 
 def test_sections_of_the_wrong_shape() -> None:
@@ -360,8 +360,8 @@ def test_names_and_paths(tmp_path: Path) -> None:
     assert {"bench", "paper"} <= set(known_rigs())
     with pytest.raises(RigError) as caught:
         load_rig("benhc")
-    wanted = f"expected one of {', '.join(known_rigs())}, or a path such as ./benhc.toml; did you mean 'bench'?"
-    assert str(caught.value) == f"--rig benhc: no rig of this name; {wanted}"
+    expected = f"expected one of {', '.join(known_rigs())}, or a path such as ./benhc.toml; did you mean 'bench'?"
+    assert str(caught.value) == f"--rig benhc: no rig of this name; {expected}"
     with pytest.raises(
         RigError, match=r"nowhere\.toml: cannot be read \(No such file or directory\); expected a rig file"
     ):

@@ -172,7 +172,7 @@ def test_the_file_is_replaced_as_a_whole_and_the_old_one_kept(tmp_path):
     assert load_rig(str(path)).one_axis().motor.response_us == 150.0
     second = replace_file(path, load_rig(str(path)).text, BENCH)
     assert second == tmp_path / "my.toml.bak2"  # no backup is lost
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["link.toml", "my.toml", "my.toml.bak", "my.toml.bak2"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.toml", "my.toml", "my.toml.bak", "my.toml.bak2"]
 
 
 def test_a_file_that_was_changed_meanwhile_stays(tmp_path):
@@ -181,7 +181,7 @@ def test_a_file_that_was_changed_meanwhile_stays(tmp_path):
     with pytest.raises(RigError, match="was changed meanwhile"):
         replace_file(path, BENCH, changed(BENCH, {MOTOR: 150.0}))
     assert path.read_text() == BENCH + "# somebody's\n"
-    assert [one.name for one in tmp_path.iterdir()] == ["my.toml"]
+    assert [path.name for path in tmp_path.iterdir()] == ["my.toml"]
 
 
 def test_a_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
@@ -194,5 +194,5 @@ def test_a_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space"):
         replace_file(path, "a = 1\n", "a = 2\n", tmp_path / "old.toml")
-    assert [one.name for one in tmp_path.iterdir()] == ["my.toml"]
+    assert [path.name for path in tmp_path.iterdir()] == ["my.toml"]
     assert path.read_text() == "a = 1\n"

@@ -127,7 +127,7 @@ def mutable(value: object, where: str) -> Iterator[str]:
         parts = [(key, getattr(value, key)) for key in type(value).model_fields]
         changeable = not value.model_config.get("frozen")
     elif is_dataclass(value):
-        parts = [(one.name, getattr(value, one.name)) for one in fields(value)]
+        parts = [(attribute.name, getattr(value, attribute.name)) for attribute in fields(value)]
         changeable = not type(value).__dataclass_params__.frozen  # type: ignore[attr-defined]
     elif isinstance(value, FrozenMap):
         with pytest.raises(AttributeError, match="cannot be changed"):
@@ -135,7 +135,7 @@ def mutable(value: object, where: str) -> Iterator[str]:
         parts, changeable = list(value.items()), False
     elif isinstance(value, tuple | MappingProxyType):
         items = value if isinstance(value, tuple) else [*value.values(), *value]
-        parts, changeable = [(str(n), one) for n, one in enumerate(items)], False
+        parts, changeable = [(str(n), item) for n, item in enumerate(items)], False
     else:
         parts = []
         array = isinstance(value, np.ndarray) and not value.flags.writeable
@@ -451,8 +451,8 @@ def test_what_is_allowed_but_may_not_be_meant() -> None:
         "phase.1.duration_s=2",
         "mode.hybrid.F_d_Nm=4",
     ]
-    found = load_rig("bench", given).warnings
-    assert [re.sub(r"^.*?bench\.toml:\d+", "FILE", text).split(": ")[:2] for text in found] == [
+    warnings = load_rig("bench", given).warnings
+    assert [re.sub(r"^.*?bench\.toml:\d+", "FILE", text).split(": ")[:2] for text in warnings] == [
         ["--set bus.bitrate_bit_s=2000000", "bus.bitrate_bit_s"],
         ["--set plant.motor_polarity=-1", "plant.motor_polarity"],
         ["--set mode.hybrid.F_d_Nm=4", "mode.hybrid.F_d_Nm"],
@@ -480,15 +480,15 @@ def _tables() -> dict[str, dict[str, list[str]]]:
 def _sections() -> list[tuple[str, type[BaseModel]]]:
     fields = fields_of(Sections)
     others = ("mode", "phase", "sensor", "role")
-    found = [(f"`[{name}]`", kinds_of(info)[""]) for name, info in fields.items() if name not in others]
-    found += [("`[sensor.NAME]`", Sensor), ("`[[motor.sdo]]`", Sdo)]
+    kinds = [(f"`[{name}]`", kinds_of(info)[""]) for name, info in fields.items() if name not in others]
+    kinds += [("`[sensor.NAME]`", Sensor), ("`[[motor.sdo]]`", Sdo)]
     roles = {kinds_of(info)[""]: name for name, info in reversed(Roles.model_fields.items())}
-    found += [(f"`[role.{name}]`", model) for model, name in roles.items()]
+    kinds += [(f"`[role.{name}]`", model) for model, name in roles.items()]
     plant = kinds_of(fields["plant"])[""]
-    found += [(f"`[plant.{name}]`", kinds_of(info)[""]) for name, info in fields_of(plant).items() if kinds_of(info)]
+    kinds += [(f"`[plant.{name}]`", kinds_of(info)[""]) for name, info in fields_of(plant).items() if kinds_of(info)]
     modes = kinds_of(fields["mode"])[""]
-    found.append(("`[mode.active]`", kinds_of(fields_of(modes)["active"])[""]))
-    return found + [(f'`kind = "{kind}"`', model) for kind, model in kinds_of(fields["phase"]).items()]
+    kinds.append(("`[mode.active]`", kinds_of(fields_of(modes)["active"])[""]))
+    return kinds + [(f'`kind = "{kind}"`', model) for kind, model in kinds_of(fields["phase"]).items()]
 
 
 @pytest.mark.parametrize(("heading", "model"), _sections(), ids=lambda value: value if isinstance(value, str) else "")

@@ -43,10 +43,10 @@ def test_the_rig_file_says_which_object_a_role_is():
     text = '\n[role.position]\nobject = "6063"\nscale_rad = 0.001\n[role.torque]\nobject = "6078"\nscale_Nm = 0.002\n'
     motor = edit(MOTOR, "606B", ParameterName="another")  # any mappable object of 32 bits
     rig = rig_of(motor, BRAKE, "mechanics.encoder_polarity=-1", text=text.replace("6063", "606B"))
-    found = signals(rig)
-    assert (found["motor.position_rad"].index, found["motor.position_rad"].scale) == (0x606B, -0.001)
-    assert found["motor.torque_Nm"].index == 0x6078
-    assert found["motor.torque_Nm"].scale == pytest.approx(0.002 * 9.587)
+    by_name = signals(rig)
+    assert (by_name["motor.position_rad"].index, by_name["motor.position_rad"].scale) == (0x606B, -0.001)
+    assert by_name["motor.torque_Nm"].index == 0x6078
+    assert by_name["motor.torque_Nm"].scale == pytest.approx(0.002 * 9.587)
     assert rig.one_axis().allocation.bound["torque"].decided == "role.torque.scale_Nm"
 
 
@@ -54,8 +54,8 @@ def test_the_rig_file_says_which_object_a_role_is():
 def test_a_velocity_is_mapped_only_where_it_is_asked_for(polarity):
     assert "motor.velocity_rad_s" not in signals(rig_of())
     text = '\n[role.velocity]\nobject = "606C"\nscale_rad_s = 0.5\n'
-    found = signals(rig_of(MOTOR, BRAKE, f"mechanics.encoder_polarity={polarity}", text=text))
-    assert found["motor.velocity_rad_s"].scale == pytest.approx(polarity * 0.5 / 9.587)
+    by_name = signals(rig_of(MOTOR, BRAKE, f"mechanics.encoder_polarity={polarity}", text=text))
+    assert by_name["motor.velocity_rad_s"].scale == pytest.approx(polarity * 0.5 / 9.587)
     text = '\n[role.velocity]\nobject = "606C"\n'
     (error,) = errors(text=text).errors
     assert "does not tell the unit of a velocity (60A9h); give [role.velocity] its scale_rad_s" in error
@@ -66,8 +66,8 @@ def test_a_velocity_is_mapped_only_where_it_is_asked_for(polarity):
         rpm,
     )
     rpm += "\n[60A9]\nParameterName=Unit\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\nDefaultValue=0xFFB44700\n"
-    found = signals(rig_of(rpm, BRAKE, text=text))
-    assert found["motor.velocity_rad_s"].scale == pytest.approx(0.1 * 2 * math.pi / 60 / 9.587)
+    by_name = signals(rig_of(rpm, BRAKE, text=text))
+    assert by_name["motor.velocity_rad_s"].scale == pytest.approx(0.1 * 2 * math.pi / 60 / 9.587)
 
 
 def test_an_object_of_no_known_scale_needs_one():
@@ -83,9 +83,9 @@ def test_an_object_of_no_known_scale_needs_one():
 
 def test_a_table_is_monotone_and_begins_at_0():
     good = "\n[role.brake_setpoint]\ntable = [[0, 0.0], [100, 0.5], [300, 5.0]]\n"
-    one = rig_of(text=good).one_axis().allocation.bound["brake_setpoint"]
-    assert one.table == ((0, 0.0), (100, 0.5), (300, 5.0))
-    assert one.scale == pytest.approx(4.5 / 200)
+    binding = rig_of(text=good).one_axis().allocation.bound["brake_setpoint"]
+    assert binding.table == ((0, 0.0), (100, 0.5), (300, 5.0))
+    assert binding.scale == pytest.approx(4.5 / 200)
     falling = "\n[role.brake_setpoint]\ntable = [[-10, 0.0], [-100, 0.5]]\n"
     assert rig_of(text=falling).one_axis().allocation.bound["brake_setpoint"].scale < 0
     for wrong in ("[[0, 0.0]]", "[[0, 0.1], [1, 1.0]]", "[[0, 0.0], [1, 1.0], [1, 2.0]]", "[[0, 0.0], [5, 2.0], [9, 1.0]]",
@@ -146,9 +146,9 @@ def test_a_sensor_has_a_node_of_its_own_and_the_role_keeps_its_name():
     ],
 )  # fmt: skip
 def test_mistakes_of_sensors_and_roles_have_their_line(change, expected):
-    found = errors(MOTOR, BRAKE, text=SENSOR.replace(*change), **{"cell.eds": BRAKE}).errors
-    assert any(expected in text for text in found), found
-    assert all(text.startswith("r.toml:") for text in found)
+    mistakes = errors(MOTOR, BRAKE, text=SENSOR.replace(*change), **{"cell.eds": BRAKE}).errors
+    assert any(expected in text for text in mistakes), mistakes
+    assert all(text.startswith("r.toml:") for text in mistakes)
 
 
 # PDOs

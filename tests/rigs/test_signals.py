@@ -20,11 +20,11 @@ def signals(pdos: tuple[RigPdo, ...]) -> dict[str, Signal]:
 
 
 def test_the_four_pdos_of_the_bench() -> None:
-    found = [
+    pdos = [
         (pdo.node, pdo.node_id, pdo.layout.direction, pdo.layout.number, pdo.layout.cob_id, pdo.layout.length)
         for pdo in load_rig("bench").pdos()
     ]
-    assert found == [
+    assert pdos == [
         ("motor", 1, "rpdo", 1, 0x201, 4),
         ("motor", 1, "tpdo", 1, 0x181, 8),
         ("brake", 2, "rpdo", 1, 0x202, 2),
@@ -33,11 +33,11 @@ def test_the_four_pdos_of_the_bench() -> None:
 
 
 def test_entries_are_what_cia_402_and_404_say() -> None:
-    found = [
+    entries = [
         [(entry.index, entry.subindex, entry.bits, entry.signed) for entry in pdo.layout.entries]
         for pdo in load_rig("bench").pdos()
     ]
-    assert found == [
+    assert entries == [
         [(0x6040, 0, 16, False), (0x6071, 0, 16, True)],
         [(0x6041, 0, 16, False), (0x6064, 0, 32, True), (0x6077, 0, 16, True)],
         [(0x7300, 1, 16, True)],
@@ -52,13 +52,13 @@ def test_transmission_identifiers_and_deadlines_follow_the_rig() -> None:
     rig = load_rig(
         "bench", ["bus.actuation=on_reception", "motor.node_id=5", "brake.node_id=126", "motor.setpoint_fault_s=0.05"]
     )
-    found = [(pdo.layout.cob_id, pdo.layout.transmission, pdo.layout.event_ns) for pdo in rig.pdos()]
-    assert found == [(0x205, 255, 50_000_000), (0x185, 1, 0), (0x27E, 255, 10_000_000), (0x1FE, 1, 0)]
+    pdos = [(pdo.layout.cob_id, pdo.layout.transmission, pdo.layout.event_ns) for pdo in rig.pdos()]
+    assert pdos == [(0x205, 255, 50_000_000), (0x185, 1, 0), (0x27E, 255, 10_000_000), (0x1FE, 1, 0)]
     assert [pdo.layout.transmission for pdo in load_rig("bench").pdos()] == [1, 1, 1, 1]
 
 
 def test_scales_of_the_bench() -> None:
-    found = signals(load_rig("bench").pdos())
+    by_name = signals(load_rig("bench").pdos())
     count = 2 * math.pi / (8192 * 9.587)
     expected = {
         "motor.controlword": (1, ""),
@@ -71,15 +71,15 @@ def test_scales_of_the_bench() -> None:
         "brake.coil_current_A": (0.001, "A"),
         "brake.coil_temperature_degC": (0.1, "degC"),
     }
-    assert list(found) == list(expected)
+    assert list(by_name) == list(expected)
     for name, (scale, unit) in expected.items():
-        assert found[name].scale == pytest.approx(scale, rel=1e-12)
-        assert found[name].offset == 0
-        assert found[name].unit == unit
-    two_counts_a_cycle = 2 * found["motor.position_rad"].si(1) / 1e-3
+        assert by_name[name].scale == pytest.approx(scale, rel=1e-12)
+        assert by_name[name].offset == 0
+        assert by_name[name].unit == unit
+    two_counts_a_cycle = 2 * by_name["motor.position_rad"].si(1) / 1e-3
     assert two_counts_a_cycle == pytest.approx(0.160006, abs=1e-6), "the paper's velocity band"
-    assert found["motor.target_torque_Nm"].raw(1.5) == 869
-    assert found["brake.setpoint_Nm"].si(3500) == pytest.approx(3.5)
+    assert by_name["motor.target_torque_Nm"].raw(1.5) == 869
+    assert by_name["brake.setpoint_Nm"].si(3500) == pytest.approx(3.5)
 
 
 def test_polarities_turn_what_they_belong_to() -> None:

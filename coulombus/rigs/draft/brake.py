@@ -61,10 +61,10 @@ def describe_brake(text: RigText, device: DraftDevice) -> None:
 
 
 def _no_output(device: DraftDevice, places: Sequence[Place]) -> RigError:
-    wanted = " or ".join(map(label, places))
-    told = f"{device.description.path}: no analogue output that a PDO can carry: {wanted} is not described, or not mappable"
+    objects = " or ".join(map(label, places))
+    text = f"{device.description.path}: no analogue output that a PDO can carry: {objects} is not described, or not mappable"
     remedy = "take a driver with one (CiA 404, CiA 401), or a CiA 402 drive with a torque or current set-point"
-    problem = Problem("brake_setpoint", device.node, label(places[0]), told, remedy)
+    problem = Problem("brake_setpoint", device.node, label(places[0]), text, remedy)
     return RigError([f"{device.node}: {problem}"], [problem])
 
 
@@ -75,7 +75,7 @@ def _drive(text: RigText, device: DraftDevice) -> None:
     coil_A_Nm, rated_Nm = text.get("brake.coil_A_Nm"), text.get("brake.rated_torque_Nm")
     if command.maker is not None and command.maker.unit == "mA":
         scale, why = 1e-3 / coil_A_Nm, "the set-point is in mA: 0.001 / brake.coil_A_Nm"
-    elif command.maker is None and (rated_mA := device.told(0x6075)):
+    elif command.maker is None and (rated_mA := device.value(0x6075)):
         scale, why = rated_mA * 1e-6 / coil_A_Nm, f"per mille of 6075h = {rated_mA} mA, over brake.coil_A_Nm"
     else:
         scale, why = (
@@ -111,8 +111,8 @@ def describe_sensors(text: RigText, devices: Sequence[DraftDevice]) -> None:
         if unit == UNITS["Nm"]:
             full = text.get("brake.rated_torque_Nm") / step
         scale = float(f"{text.get('brake.rated_torque_Nm') / full:.4g}")
-        told = f"{FULL_SCALE_V:g} V" if unit == VOLT else f"{full:g} counts"
-        why = f"Nm for one count of {label(place)}: {told} taken for brake.rated_torque_Nm; see the transducer's data sheet"
+        range_ = f"{FULL_SCALE_V:g} V" if unit == VOLT else f"{full:g} counts"
+        why = f"Nm for one count of {label(place)}: {range_} taken for brake.rated_torque_Nm; see the transducer's data sheet"
         text.put("role.handle_torque.scale_Nm", scale, why)
 
 
@@ -123,7 +123,7 @@ def _unit(device: DraftDevice, place: Place) -> tuple[int, float]:
     index, subindex = place
     if index not in BLOCK_UNITS:
         return 0, 1.0
-    code, digits = (device.told(object_, subindex) for object_ in BLOCK_UNITS[index])
+    code, digits = (device.value(object_, subindex) for object_ in BLOCK_UNITS[index])
     if code is None or code >> 8 & 0xFF:  # with a denominator
         return 0, 1.0
     prefix = (code >> 24 & 0xFF) - (0x100 if code >> 31 & 1 else 0)

@@ -47,7 +47,7 @@ class DraftDevice:
         """Whether it is this project's own device."""
         return is_own(self.node, told_identity(self.description))
 
-    def told(self, index: int, subindex: int = 0) -> int | None:
+    def value(self, index: int, subindex: int = 0) -> int | None:
         """Return what an object holds: the device's answer, else the EDS file's default; None where
         neither tells.
         """
@@ -58,7 +58,7 @@ class DraftDevice:
         return default if isinstance(default, int) else None
 
     def source(self, index: int, subindex: int = 0) -> str:
-        """Return who says what `told` returns."""
+        """Return who says what `value` returns."""
         return "the device" if (index, subindex) in self.answers else "the EDS file"
 
     def entry(self, place: Place, direction: Direction) -> Entry | None:
@@ -76,9 +76,9 @@ class DraftDevice:
         """
         if not self.description.has(0x1018, subindex):
             return None, ""
-        told = self.told(0x1018, subindex)
-        if told:
-            return told, ""
+        identity_number = self.value(0x1018, subindex)
+        if identity_number:
+            return identity_number, ""
         key = ("vendornumber", "productnumber")[subindex - 1]
         number = number_of({name.lower(): text for name, text in self.description.info.items()}.get(key, ""))
         where = f"the EDS file does not tell 1018h:{subindex}"

@@ -54,25 +54,25 @@ class _Gathering:
     folder: Path | None
     left: dict[int, Mapping[Place, int]]
     files: Sequence[Description]
-    taken: set[int] = field(default_factory=set)
+    node_ids: set[int] = field(default_factory=set)
 
-    def named(self, wanted: DeviceChoice) -> DraftDevice:
+    def named(self, choice: DeviceChoice) -> DraftDevice:
         """Return a device whose EDS file is named."""
-        name, description = self._read(wanted)
-        node_id = wanted.node_id or self._live_id(description) or description.node_id
-        if not node_id or (wanted.node_id is None and node_id in self.taken):
-            first = {"motor": 1, "brake": 2}.get(wanted.node, 3)
-            node_id = next(number for number in (*range(first, LAST), *range(1, first)) if number not in self.taken)
-        self.taken.add(node_id)
-        return DraftDevice(wanted.node, description, name, node_id, self.left.pop(node_id, {}))
+        name, description = self._read(choice)
+        node_id = choice.node_id or self._live_id(description) or description.node_id
+        if not node_id or (choice.node_id is None and node_id in self.node_ids):
+            first = {"motor": 1, "brake": 2}.get(choice.node, 3)
+            node_id = next(number for number in (*range(first, LAST), *range(1, first)) if number not in self.node_ids)
+        self.node_ids.add(node_id)
+        return DraftDevice(choice.node, description, name, node_id, self.left.pop(node_id, {}))
 
-    def _read(self, wanted: DeviceChoice) -> tuple[str, Description]:
-        if wanted.eds == OWN and wanted.node in OWN_FILES:
-            name = OWN_FILES[wanted.node]
+    def _read(self, choice: DeviceChoice) -> tuple[str, Description]:
+        if choice.eds == OWN and choice.node in OWN_FILES:
+            name = OWN_FILES[choice.node]
             packaged = Path(str(resources.files("coulombus.eds") / name))
             beside = self.folder is not None and (self.folder / name).exists()  # it would be read instead
             return str(packaged) if beside else name, read_eds(packaged)
-        return self._name(Path(wanted.eds)), read_eds(wanted.eds)
+        return self._name(Path(choice.eds)), read_eds(choice.eds)
 
     def _name(self, path: Path) -> str:
         """Return how the rig file names a file: from its own folder on, unless nothing but the root
@@ -101,7 +101,7 @@ class _Gathering:
             else:
                 text += " there is no EDS file for it; put its maker's file into a folder, give it with --eds-folder"
             raise RigError([f"{text}, or name it with --drive, --brake or --sensor"])
-        self.taken.add(node_id)
+        self.node_ids.add(node_id)
         return DraftDevice(node, description, self._name_of(description), node_id, answers)
 
     def _name_of(self, description: Description) -> str:
@@ -119,10 +119,10 @@ class _Gathering:
 
     def with_objects(self, indices: Sequence[int]) -> list[int]:
         """Return the live nodes of CiA 404 and 401 whose EDS file has one of these arrays."""
-        found = {node_id: self.file_of(answers) for node_id, answers in self.left.items()}
+        descriptions = {node_id: self.file_of(answers) for node_id, answers in self.left.items()}
         return [
             node_id
-            for node_id, description in found.items()
+            for node_id, description in descriptions.items()
             if _profile(self.left[node_id]) in (CIA404, CIA401)
             and description is not None
             and any(description.has(index, 1) for index in indices)
@@ -149,7 +149,7 @@ class _Gathering:
 
 
 def gather(
-    wanted: Sequence[DeviceChoice],
+    choices: Sequence[DeviceChoice],
     folder: Path | None,
     answered: Answered | None = None,
     eds_folder: Path | None = None,
@@ -158,7 +158,7 @@ def gather(
 
     Parameters
     ----------
-    wanted : motor, brake, sensors; a motor or brake without a file is looked for among the live
+    choices : motor, brake, sensors; a motor or brake without a file is looked for among the live
         nodes
     folder : where the rig file is to stand, None where that is not known
     answered : what live nodes said
@@ -173,17 +173,17 @@ def gather(
     """
     all_files = () if eds_folder is None else tuple(read_folder(eds_folder)[0])
     here = _Gathering(folder, dict(answered or {}), all_files)
-    here.taken |= {one.node_id for one in wanted if one.node_id is not None}
-    found = {one.node: here.named(one) for one in wanted if one.eds}
-    for one in wanted:
-        if not one.eds:
-            node_id = one.node_id or (here.motor() if one.node == "motor" else here.brake())
+    here.node_ids |= {choice.node_id for choice in choices if choice.node_id is not None}
+    devices = {choice.node: here.named(choice) for choice in choices if choice.eds}
+    for choice in choices:
+        if not choice.eds:
+            node_id = choice.node_id or (here.motor() if choice.node == "motor" else here.brake())
             if node_id not in here.left:
-                raise RigError([f"node {node_id}, which is to be the {one.node}, did not answer on the bus"])
-            found[one.node] = here.live(one.node, node_id)
+                raise RigError([f"node {node_id}, which is to be the {choice.node}, did not answer on the bus"])
+            devices[choice.node] = here.live(choice.node, node_id)
     for node_id in here.with_objects(INPUTS):
-        found[f"sensor{node_id}"] = here.live(f"sensor{node_id}", node_id)
-    return (found.pop("motor"), found.pop("brake"), *found.values())
+        devices[f"sensor{node_id}"] = here.live(f"sensor{node_id}", node_id)
+    return (devices.pop("motor"), devices.pop("brake"), *devices.values())
 
 
 def _identity(answers: Mapping[Place, int]) -> tuple[int, int]:

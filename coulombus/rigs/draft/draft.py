@@ -75,9 +75,9 @@ class Draft:
             values.pop(name, None)
         for key in ("accept", "deadman"):  # of the other rig's devices
             values["host"].pop(key, None)
-        taken = {device.node_id for device in self.devices}
+        node_ids = {device.node_id for device in self.devices}
         values["host"]["node_id"] = next(
-            number for number in (like.host.node_id, *range(127, 0, -1)) if number not in taken
+            number for number in (like.host.node_id, *range(127, 0, -1)) if number not in node_ids
         )
         values["law"]["function"] = _law_from_anywhere(like)
         self.text = RigText(values)
@@ -100,11 +100,11 @@ class Draft:
 
     def acknowledge(self, sentences: Iterable[str]) -> None:
         """Write acknowledgements of a rehearsal in (``host.accept``)."""
-        told = list(dict.fromkeys((*(self.text.get("host.accept") or ()), *sentences)))
-        if not told:
+        accepted = list(dict.fromkeys((*(self.text.get("host.accept") or ()), *sentences)))
+        if not accepted:
             return
         why = "the simulated devices are accepted as they are. Decide on each sentence for the real ones"
-        self.text.put("host.accept", told, why, REHEARSAL)
+        self.text.put("host.accept", accepted, why, REHEARSAL)
         self.rig = self._loaded()
 
     def _about(self) -> None:
@@ -178,9 +178,9 @@ class Draft:
         ):
             cycles = 1 if path == "limits.sign_check_counts" else longer
             most = half // like.limits.missed_tpdo_cycles if path == "limits.encoder_jump_counts" else half
-            told = f"{value} in the rig {like.rig.name}, of an encoder with other counts at the handle"
+            whence = f"{value} in the rig {like.rig.name}, of an encoder with other counts at the handle"
             text.put(path, min(max(least, round(value * finer * cycles)), most))
-            text.note(path, told)
+            text.note(path, whence)
 
     def _truth(self) -> None:
         """Set the simulated rig: as the file believes it to be."""
@@ -224,8 +224,8 @@ class Draft:
         problems = {problem.role: str(problem) for problem in error.problems}
         refused = {role for role in problems if role not in OPTIONAL}
         if refused or not problems:
-            told = [f"{problem.node}: {problem}" for problem in error.problems if problem.role in refused]
-            raise RigError(told or error.errors, error.problems) from None
+            texts = [f"{problem.node}: {problem}" for problem in error.problems if problem.role in refused]
+            raise RigError(texts or error.errors, error.problems) from None
         for role, why in problems.items():
             if self.text.get(f"role.{role}.object") == "none":
                 raise error

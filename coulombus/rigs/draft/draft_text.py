@@ -93,17 +93,17 @@ class RigText:
         elif value:
             model = None if named else models[""]
             fields = {} if model is None else fields_of(model)
-            nested = {part for part, one in value.items() if named or _is_section(one)}
-            own = {part: one for part, one in value.items() if part not in nested and one is not None}
+            nested = {part for part, entry in value.items() if named or _is_section(entry)}
+            own = {part: entry for part, entry in value.items() if part not in nested and entry is not None}
             about = info.description if info and len(key) == 1 else ""
             head = (*(_comment(f"{about[0].upper()}{about[1:]}.") if about else ()), *notes)
             if own and model is not None:
                 yield from ("", *head, f"[{name}]", *self._keys(key, own, model))
             elif head:
                 yield from ("", *head)
-            for part, one in value.items():
+            for part, entry in value.items():
                 if part in nested:
-                    yield from self._section((*key, part), one, info_of(named) if named else fields[part])
+                    yield from self._section((*key, part), entry, info_of(named) if named else fields[part])
 
     def _keys(self, key: Key, own: Mapping[str, Any], model: type[BaseModel]) -> Iterator[str]:
         fields = fields_of(model)
@@ -111,8 +111,8 @@ class RigText:
             for text in self.notes.get((*key, name), ()):
                 yield from _comment(text)
             plain = value.tolist() if isinstance(value, np.ndarray) else value  # a phase's columns
-            told = f"0x{plain:X}" if name in NUMBERS else toml_value(plain)
-            line = f"{name} = {told}"
+            spelled = f"0x{plain:X}" if name in NUMBERS else toml_value(plain)
+            line = f"{name} = {spelled}"
             description = fields[name].description
             yield f"{line:<{WIDTH}}  # {description}" if description else line
 
@@ -125,7 +125,7 @@ def info_of(model: type[BaseModel]) -> FieldInfo:
 def _is_section(value: Any) -> bool:
     if isinstance(value, Mapping):
         return True
-    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(one, Mapping) for one in value)
+    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(entry, Mapping) for entry in value)
 
 
 def _comment(text: str) -> list[str]:

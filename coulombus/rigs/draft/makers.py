@@ -71,7 +71,7 @@ def maker_mode(device: DraftDevice) -> MakerMode | None:
     named = next(_named(device), None)
     if named is None:
         return None
-    modes = device.told(0x6502) or 0
+    modes = device.value(0x6502) or 0
     mode = next((15 - bit for bit in range(16, 32) if modes >> bit & 1), -1)  # bit 16 is mode -1
     return MakerMode(vendor or 0, "the maker's own mode", mode, named, "unit", sure=False)
 
@@ -82,6 +82,6 @@ def _named(device: DraftDevice) -> Iterator[Place]:
         for subindex, variable in entry.variables.items() if index in MANUFACTURER else ():
             name = f"{entry.name} {variable.name}"
             called = QUANTITY.search(name) and COMMANDED.search(name) and not SOMETHING_ELSE.search(name)
-            found = device.entry((index, subindex), "rpdo") if called else None
-            if found is not None and 16 <= found.bits <= 32 and found.signed:
+            mapped = device.entry((index, subindex), "rpdo") if called else None
+            if mapped is not None and 16 <= mapped.bits <= 32 and mapped.signed:
                 yield index, subindex

@@ -45,7 +45,7 @@ def command_of(device: DraftDevice) -> TorqueCommand:
     RigError
         no PDO can carry a torque or current set-point, or no mode follows one
     """
-    offered = device.told(0x6502)
+    offered = device.value(0x6502)
     says = f"6502h = 0x{offered:X} of {device.source(0x6502)}" if offered else "6502h tells nothing"
     if device.entry(TARGET_TORQUE, "rpdo"):
         if not offered:
@@ -121,12 +121,12 @@ def _ratio(text: RigText, device: DraftDevice, rated_Nm: float) -> None:
 
 def _rated_torque(text: RigText, device: DraftDevice) -> float:
     """Set what 1000 per mille are; return it [Nm]."""
-    told, like_Nm = device.told(0x6076), float(text.get("motor.rated_torque_Nm"))
+    rated, like_Nm = device.value(0x6076), float(text.get("motor.rated_torque_Nm"))
     readings = "drives count the set-point in per mille of 6076h in mNm, of 6076h in uNm, or of the rated current"
     for unit, name in ((1e-3, "mNm"), (1e-6, "uNm")):
-        if told and LEAST_TORQUE_Nm <= told * unit <= MOST_TORQUE_Nm:
-            rated_Nm = float(f"{told * unit:.6g}")
-            why = f"{device.source(0x6076)} has 6076h = {told}, taken for {name}; {readings}"
+        if rated and LEAST_TORQUE_Nm <= rated * unit <= MOST_TORQUE_Nm:
+            rated_Nm = float(f"{rated * unit:.6g}")
+            why = f"{device.source(0x6076)} has 6076h = {rated}, taken for {name}; {readings}"
             text.put("motor.rated_torque_Nm", rated_Nm, why)
             return rated_Nm
     text.put("motor.rated_torque_Nm", like_Nm, f"6076h tells nothing, see the motor's data sheet; {readings}")
@@ -134,7 +134,7 @@ def _rated_torque(text: RigText, device: DraftDevice) -> float:
 
 
 def _position(text: RigText, device: DraftDevice) -> None:
-    counts, turns = device.told(0x608F, 1), device.told(0x608F, 2) or 1
+    counts, turns = device.value(0x608F, 1), device.value(0x608F, 2) or 1
     like = text.get("motor.encoder_counts_rev")
     if counts and counts // turns >= LEAST_COUNTS:
         text.put(
@@ -158,10 +158,12 @@ def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: f
     assert setpoint is not None
     text.put("role.torque_setpoint.object", _spelled(maker.setpoint))
     if maker.unit == "mA":
-        told = device.told(*maker.continuous_mA) if maker.continuous_mA else None
-        rated_mA = told or 5000
+        current_mA = device.value(*maker.continuous_mA) if maker.continuous_mA else None
+        rated_mA = current_mA or 5000
         whence = (
-            f"{label(maker.continuous_mA)} says {told} mA" if maker.continuous_mA and told else "5000 mA is a guess"
+            f"{label(maker.continuous_mA)} says {current_mA} mA"
+            if maker.continuous_mA and current_mA
+            else "5000 mA is a guess"
         )
         scale = float(f"{rated_Nm / rated_mA:.4g}")
         why = f"Nm for 1 mA is the motor's torque constant / 1000, see its data sheet; here the rated torque at the continuous current ({whence})"
@@ -172,8 +174,8 @@ def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: f
     if maker.actual is not None and device.entry(maker.actual, "tpdo"):
         text.put("role.torque.object", _spelled(maker.actual))
         text.put("role.torque.scale_Nm", scale, "it counts as the set-point does")
-    elif found := next((at for at in ((0x6077, 0), (0x6078, 0)) if device.entry(at, "tpdo")), None):
-        text.put("role.torque.object", _spelled(found))
+    elif place := next((at for at in ((0x6077, 0), (0x6078, 0)) if device.entry(at, "tpdo")), None):
+        text.put("role.torque.object", _spelled(place))
         text.put(
             "role.torque.scale_Nm", float(f"{rated_Nm / 1000:.4g}"), "per mille of the rated torque, as CiA 402 has it"
         )

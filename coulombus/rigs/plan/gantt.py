@@ -124,9 +124,9 @@ def draw_cycle(axes: Axes, plan: Plan) -> None:
     patches = [Patch(color=COLOURS[kind], label=text) for kind, text in LEGEND.items() if kind in kinds]
     axes.legend(handles=patches, loc="lower left", fontsize=8, framealpha=1.0, edgecolor="0.85", handlelength=1.2)
     slack_us = period - latest
-    told = f"{slack_us:.0f} us to spare before" if slack_us >= 0 else f"{-slack_us:.0f} us beyond"
+    margin = f"{slack_us:.0f} us to spare before" if slack_us >= 0 else f"{-slack_us:.0f} us beyond"
     axes.set_title(
-        f"Worst cycle at {plan.timing.bitrate_bit_s / 1e3:g} kbit/s: {told} the next SYNC"
+        f"Worst cycle at {plan.timing.bitrate_bit_s / 1e3:g} kbit/s: {margin} the next SYNC"
         + ("" if plan.fits else " (late: red)"),
         loc="left",
         fontsize=10.5,
@@ -135,10 +135,10 @@ def draw_cycle(axes: Axes, plan: Plan) -> None:
 
 def draw_interference(axes: Axes, plan: Plan) -> None:
     """Draw by when the last RPDO is through with more and more of the bus's traffic."""
-    found = plan.interference_ns
+    waits_ns = plan.interference_ns
     period, end = plan.timing.period_ns / 1e3, _end_us(plan)
     for row, (key, (_, colour)) in enumerate(INTERFERENCE.items()):
-        value = found[key] / 1e3
+        value = waits_ns[key] / 1e3
         axes.barh(row, value, height=0.55, color=colour, zorder=3)
         axes.text(value - 0.008 * end, row, f"{value:.0f}", ha="right", va="center_baseline", fontsize=8, zorder=4)
     axes.axvline(period, color="black", lw=1.1, ls="--", zorder=3.5)

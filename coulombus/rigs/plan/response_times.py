@@ -117,11 +117,11 @@ class Errors:
         """
         if text.strip() == "0":
             return cls()
-        found = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+(?:\.\d+)?)?\s*(us|ms|s)\s*", text)
-        interval = round(float(found[2] or 1) * {"us": 1e3, "ms": 1e6, "s": 1e9}[found[3]]) if found else 0
-        if found is None or interval < 1:
+        match = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+(?:\.\d+)?)?\s*(us|ms|s)\s*", text)
+        interval = round(float(match[2] or 1) * {"us": 1e3, "ms": 1e6, "s": 1e9}[match[3]]) if match else 0
+        if match is None or interval < 1:
             raise ValueError(f"{text!r}: expected N/INTERVAL in us, ms or s, as in 1/10ms (one in any 10 ms), or 0")
-        return cls(int(found[1]), interval)
+        return cls(int(match[1]), interval)
 
     def cost_ns(self, window_ns: int, each_ns: int) -> int:
         """Return E: what the errors in `window_ns` cost when one costs `each_ns`."""
@@ -172,35 +172,37 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
         Two messages of one identifier, or `follows` names none of them.
     """
     order = sorted(messages, key=lambda message: message.key)
-    for one, other in pairwise(order):
-        if one.can_id == other.can_id:
-            raise ValueError(f"{one.name} and {other.name} both have the identifier {one.can_id:X}h: give each its own")
+    for first, second in pairwise(order):
+        if first.can_id == second.can_id:
+            raise ValueError(
+                f"{first.name} and {second.name} both have the identifier {first.can_id:X}h: give each its own"
+            )
     names = {message.name for message in order}
     for message in order:
         if message.follows and message.follows not in names:
             raise ValueError(f"{message.name} follows {message.follows!r}, which is not among the messages")
     frames = [bit_ns(message.bits, bitrate_bit_s) for message in order]
     late = list(order)  # with the jitter that they inherit
-    found: list[Response] = []
+    responses: list[Response] = []
     for _ in range(MAX_ROUNDS):
-        by_name = {response.message.name: response for response in found}
+        by_name = {response.message.name: response for response in responses}
         grown = len(order)  # the first rank whose response is to be computed anew
         for rank, message in enumerate(order):
             if message.follows in by_name:
                 jitter = message.jitter_ns + by_name[message.follows].response_ns
                 if jitter != late[rank].jitter_ns:
                     late[rank], grown = replace(message, jitter_ns=jitter), min(grown, rank)
-            if rank >= min(grown, len(found)):
+            if rank >= min(grown, len(responses)):
                 response = replace(_response(rank, late, frames, bitrate_bit_s, errors), message=message)
                 by_name[message.name] = response
-                found[rank : rank + 1] = [response]
+                responses[rank : rank + 1] = [response]
         if grown == len(order) or any(m.jitter_ns > max(m.deadline_ns, MAX_JITTER_PERIODS * m.period_ns) for m in late):
             break
-    lost = {response.message.name for response in found if not response.bounded}
-    for rank, response in enumerate(found):
+    lost = {response.message.name for response in responses if not response.bounded}
+    for rank, response in enumerate(responses):
         if rank >= grown or response.message.follows in lost:
-            found[rank] = replace(response, bounded=False)
-    return tuple(found)
+            responses[rank] = replace(response, bounded=False)
+    return tuple(responses)
 
 
 def _response(

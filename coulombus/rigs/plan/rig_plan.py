@@ -143,9 +143,9 @@ def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[Devic
         )
     ]
     count = len(rig.axes) if axes is None else axes
-    taken = {rig.host.node_id, *(device.node_id for device in own)}
-    free = (node_id for node_id in range(1, LAST_NODE_ID + 1) if node_id not in taken)
-    found = [device for device in own if device.axis < count]
+    node_ids = {rig.host.node_id, *(device.node_id for device in own)}
+    free = (node_id for node_id in range(1, LAST_NODE_ID + 1) if node_id not in node_ids)
+    devices = [device for device in own if device.axis < count]
     for number in range(len(rig.axes), count):
         for device in own:
             if device.axis == number % len(rig.axes):
@@ -153,8 +153,8 @@ def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[Devic
                 if node_id is None:
                     raise ValueError(f"{count} axes need more node ids than the {LAST_NODE_ID} that there are")
                 role = device.name.rpartition(".")[2]
-                found.append(device.moved(number, node_id, f"axis{number + 1}.{role}"))
-    return tuple(found)
+                devices.append(device.moved(number, node_id, f"axis{number + 1}.{role}"))
+    return tuple(devices)
 
 
 def messages_of(
@@ -286,19 +286,19 @@ class Plan:
         ends = [frame for frame in self.cycle.frames if not frame.fits and frame.message.name in slow]
         for frame in ends:
             del slow[frame.message.name]
-        found = [
+        texts = [
             f"{_label(frame.message)} is through {frame.end_ns / 1e3:.0f} us after SYNC's release and due at {frame.deadline_ns / 1e3:g} us"
             for frame in ends
         ]
-        found += [
+        texts += [
             f"{_label(r.message)} takes {r.response_ns / 1e3:.0f} us, its deadline is {r.message.deadline_ns / 1e3:g} us"
             for r in slow.values()
             if r.bounded
         ]
         endless = [_label(r.message) for r in slow.values() if not r.bounded]
         if endless:
-            found.append(f"the bus is full, so that nothing bounds {_some(endless, ', ')}")
-        return tuple(found)
+            texts.append(f"the bus is full, so that nothing bounds {_some(endless, ', ')}")
+        return tuple(texts)
 
     def verdict(self) -> str:
         """Say in one text whether it fits, and what to do if not."""
@@ -367,31 +367,31 @@ def plans(rig: Rig, **options: Any) -> dict[str, Plan]:
     return {channel: plan(rig.on(channel), **options) for channel in rig.channels}
 
 
-def plan_again(rig: Rig, found: Plan, **changed: Any) -> Plan:
-    """Return the plan of `rig` with all that `found` was made with, but for what is `changed`."""
+def plan_again(rig: Rig, plan_before: Plan, **changed: Any) -> Plan:
+    """Return the plan of `rig` with all that `plan_before` was made with, but for what is `changed`."""
     same: dict[str, Any] = {
-        "bitrate_bit_s": found.timing.bitrate_bit_s,
-        "period_ns": found.timing.period_ns,
-        "axes": found.axes,
-        "assumptions": found.assumptions,
+        "bitrate_bit_s": plan_before.timing.bitrate_bit_s,
+        "period_ns": plan_before.timing.period_ns,
+        "axes": plan_before.axes,
+        "assumptions": plan_before.assumptions,
     }
     return plan(rig, **{**same, **changed})
 
 
-def bitrates_that_fit(rig: Rig, found: Plan) -> tuple[int, ...]:
-    """Return the bit rates of CiA 301 at which the plan `found` of `rig` would fit."""
-    return tuple(rate for rate in CIA_301_BIT_RATES if plan_again(rig, found, bitrate_bit_s=rate).fits)
+def bitrates_that_fit(rig: Rig, plan_before: Plan) -> tuple[int, ...]:
+    """Return the bit rates of CiA 301 at which the plan `plan_before` of `rig` would fit."""
+    return tuple(rate for rate in CIA_301_BIT_RATES if plan_again(rig, plan_before, bitrate_bit_s=rate).fits)
 
 
-def shortest_period_ns(rig: Rig, found: Plan) -> int | None:
+def shortest_period_ns(rig: Rig, plan_before: Plan) -> int | None:
     """Return the shortest period, in whole microseconds, at which the plan would fit; None when
     none up to 1 s does.
     """
     steps = range(SHORTEST_NS // STEP_NS, LONGEST_NS // STEP_NS + 1)
-    at = bisect_left(steps, True, key=lambda step: plan_again(rig, found, period_ns=step * STEP_NS).fits)
+    at = bisect_left(steps, True, key=lambda step: plan_again(rig, plan_before, period_ns=step * STEP_NS).fits)
     return steps[at] * STEP_NS if at < len(steps) else None
 
 
-def largest_axes(rig: Rig, found: Plan) -> int:
+def largest_axes(rig: Rig, plan_before: Plan) -> int:
     """Return how many axes like this rig's the bus carries, 16 at most."""
-    return bisect_left(range(1, MAX_AXES + 1), True, key=lambda axes: not plan_again(rig, found, axes=axes).fits)
+    return bisect_left(range(1, MAX_AXES + 1), True, key=lambda axes: not plan_again(rig, plan_before, axes=axes).fits)

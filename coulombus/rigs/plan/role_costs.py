@@ -113,7 +113,7 @@ def _saved_ns(axis: Axis, role: str, whole_ns: int, rate: int) -> int | None:
     return None if other.allocation.problems else whole_ns - _busy_ns(other.pdos(), rate)
 
 
-def longer_period(rig: Rig, found: Plan, shortest: int | None) -> Remedy | None:
+def longer_period(rig: Rig, plan: Plan, shortest: int | None) -> Remedy | None:
     """Return the shortest period of the raster at which the plan would fit, the TPDO window's share
     of it kept and nothing else changed; None where there is none.
 
@@ -127,33 +127,33 @@ def longer_period(rig: Rig, found: Plan, shortest: int | None) -> Remedy | None:
     for period_ns in (number * raster for number in range(first, first + MOST_PERIODS)):
         window_s = rig.bus.tpdo_window_s * period_ns / to_ns(rig.bus.period_s)
         overrides = (f"bus.period_s={period_ns * 1e-9:.9g}", f"bus.tpdo_window_s={window_s:.6g}")
-        if _fits(rig, found, overrides, period_ns):
+        if _fits(rig, plan, overrides, period_ns):
             return Remedy(overrides, period_ns)
     return None
 
 
-def without_roles(rig: Rig, found: Plan) -> Remedy | None:
+def without_roles(rig: Rig, plan: Plan) -> Remedy | None:
     """Return which optional roles to leave out so that the plan fits as it is, those first that the
     host needs least; None where that is not enough.
     """
     left: list[tuple[Axis, Kind]] = []
     for name in SPARED:
         left += [(axis, KINDS[name]) for axis in rig.axes if axis.allocation.bound.get(name) is not None]
-        if left and plan_again(_lean(rig, left), found).fits:
+        if left and plan_again(_lean(rig, left), plan).fits:
             break
     else:
         return None
-    for one in reversed(tuple(left)):  # not all of them may be needed for it: what is worth most stays first
-        fewer = [other for other in left if other is not one]
-        if fewer and plan_again(_lean(rig, fewer), found).fits:
+    for role in reversed(tuple(left)):  # not all of them may be needed for it: what is worth most stays first
+        fewer = [other for other in left if other is not role]
+        if fewer and plan_again(_lean(rig, fewer), plan).fits:
             left = fewer
     overrides = tuple(
         f'{f"axis.{axis.name}." if axis.name else ""}role.{kind.name}.object="none"' for axis, kind in left
     )
-    if not _fits(rig, found, overrides, found.timing.period_ns):
+    if not _fits(rig, plan, overrides, plan.timing.period_ns):
         return None
     lost = tuple(dict.fromkeys(kind.lost for _, kind in left if kind.lost))
-    return Remedy(overrides, found.timing.period_ns, tuple(axis.prefix + kind.name for axis, kind in left), lost)
+    return Remedy(overrides, plan.timing.period_ns, tuple(axis.prefix + kind.name for axis, kind in left), lost)
 
 
 def _lean(rig: Rig, left: Sequence[tuple[Axis, Kind]]) -> Rig:
@@ -162,10 +162,10 @@ def _lean(rig: Rig, left: Sequence[tuple[Axis, Kind]]) -> Rig:
     return replace(rig, axes=tuple(gone))
 
 
-def _fits(rig: Rig, found: Plan, overrides: tuple[str, ...], period_ns: int) -> bool:
+def _fits(rig: Rig, plan: Plan, overrides: tuple[str, ...], period_ns: int) -> bool:
     """Tell whether the rig file, so changed, is accepted, and fits."""
     try:
         changed = rig.variant(*overrides)
     except RigError:
         return False
-    return plan_again(changed, found, period_ns=period_ns).fits
+    return plan_again(changed, plan, period_ns=period_ns).fits

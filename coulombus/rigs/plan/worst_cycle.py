@@ -113,9 +113,9 @@ def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO
     order = sorted(messages, key=lambda message: message.key)
     chain = _in_order([m for m in order if m.stage])
     others = [m for m in order if not m.stage]
-    found = [_Case(m, chain, others, timing, errors) for m in chain]
-    frames = tuple(CycleFrame(case.m, case.end_ns, _due_ns(case, found[0])) for case in found)
-    last = max(found, key=lambda case: case.end_ns, default=None)
+    cases = [_Case(m, chain, others, timing, errors) for m in chain]
+    frames = tuple(CycleFrame(case.m, case.end_ns, _due_ns(case, cases[0])) for case in cases)
+    last = max(cases, key=lambda case: case.end_ns, default=None)
     return Cycle(frames, tuple(last.bars()) if last else ())
 
 

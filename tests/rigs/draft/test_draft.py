@@ -203,7 +203,7 @@ def test_objects_that_a_makers_mode_needs_are_listed(draft):
     text = edit(text.replace("0x60710010", "0x201C0020"), "6502", DefaultValue="0x1F0065")
     axis = draft(text).rig.one_axis()
     assert axis.motor.mode == -5
-    assert [(one.index, one.type, one.value) for one in axis.motor.sdo] == [(0x201D, "UNSIGNED16", 1)]
+    assert [(write.index, write.type, write.value) for write in axis.motor.sdo] == [(0x201D, "UNSIGNED16", 1)]
     assert axis.allocation.bound["torque_setpoint"].entry.bits == 32
 
 
@@ -366,8 +366,8 @@ def test_marks_of_a_rehearsal_stand_in_comments_only():
 
 
 def answers_of(path):
-    found = parse_eds(path.read_bytes(), str(path))
-    return {(index, sub): found.default(index, sub, 1) for index, sub in ((0x1000, 0), (0x1018, 1), (0x1018, 2))}
+    description = parse_eds(path.read_bytes(), str(path))
+    return {(index, sub): description.default(index, sub, 1) for index, sub in ((0x1000, 0), (0x1018, 1), (0x1018, 2))}
 
 
 @pytest.fixture
@@ -385,7 +385,7 @@ def test_live_devices_are_found_by_their_identity(folder):
         7: answers_of(folder / "driver.eds"),
     }
     devices = gather((DeviceChoice("motor"), DeviceChoice("brake")), folder, live, folder)
-    assert [(one.node, one.eds, one.node_id) for one in devices] == [
+    assert [(device.node, device.eds, device.node_id) for device in devices] == [
         ("motor", "drive.eds", 5),
         ("brake", "driver.eds", 9),
         ("sensor7", "driver.eds", 7),
@@ -398,7 +398,7 @@ def test_a_named_file_finds_its_live_device(folder):
     devices = gather(
         (DeviceChoice("motor", str(folder / "drive.eds")), DeviceChoice("brake", "", 9)), None, live, folder
     )
-    assert [(one.node, one.eds, one.node_id) for one in devices] == [
+    assert [(device.node, device.eds, device.node_id) for device in devices] == [
         ("motor", str(folder / "drive.eds"), 5),
         ("brake", str(folder / "driver.eds"), 9),
     ]
@@ -418,19 +418,19 @@ def test_no_live_device_of_a_kind_is_told(folder):
 def test_files_are_named_from_the_rig_files_folder_on(folder):
     rigs = folder / "rigs"
     rigs.mkdir()
-    wanted = (
+    choices = (
         DeviceChoice("motor", str(folder / "drive.eds")),
         DeviceChoice("brake", "bench", 1),
         DeviceChoice("transducer", str(folder / "driver.eds")),
     )
-    devices = gather(wanted, rigs)
-    assert [(one.eds, one.node_id) for one in devices] == [
+    devices = gather(choices, rigs)
+    assert [(device.eds, device.node_id) for device in devices] == [
         ("../drive.eds", 2),
         ("mr_brake.eds", 1),
         ("../driver.eds", 3),
     ]
     (rigs / "mr_brake.eds").write_text("another", encoding="utf-8")
-    assert Path(gather(wanted, rigs)[1].eds).is_absolute()
+    assert Path(gather(choices, rigs)[1].eds).is_absolute()
 
 
 @pytest.mark.skipif(not CORPUS.is_dir(), reason="the corpus of vendors' EDS files is not at ../shared/eds-corpus")
@@ -439,7 +439,7 @@ def test_drives_of_the_corpus_are_drafted_or_refused_with_a_reason(node):
     refused = {}
     for path in sorted(CORPUS.glob("*.eds")) + sorted(CORPUS.glob("*.dcf")):
         other = DeviceChoice("brake" if node == "motor" else "motor", "bench")
-        both = sorted((DeviceChoice(node, str(path)), other), key=lambda one: one.node, reverse=True)
+        both = sorted((DeviceChoice(node, str(path)), other), key=lambda choice: choice.node, reverse=True)
         for rehearse in (False, True):
             try:
                 made = Draft(gather(both, None), load_rig("bench").one_axis(), "rig.toml", rehearse=rehearse)

@@ -71,10 +71,10 @@ def carry(releases, first=None):
 
 
 def worst(done):
-    found = {}
+    worst_ns = {}
     for m, nominal, free in done:
-        found[m.name] = max(found.get(m.name, 0), free - nominal)
-    return found
+        worst_ns[m.name] = max(worst_ns.get(m.name, 0), free - nominal)
+    return worst_ns
 
 
 def random_set(rng, count, load):
@@ -103,9 +103,9 @@ def test_the_example_of_davis_et_al():
     """
     times = ((1, 2.5, 2.5), (2, 3.5, 3.25), (3, 3.5, 3.25))
     messages = [Bits("ABC"[i - 1], i, 8, int(t * MS), int(d * MS), given=125) for i, t, d in times]
-    found = response_times(messages, 125_000)
-    assert [r.response_ns for r in found] == [2 * MS, 3 * MS, 3_500_000]
-    assert [r.fits for r in found] == [True, True, False]
+    responses = response_times(messages, 125_000)
+    assert [r.response_ns for r in responses] == [2 * MS, 3 * MS, 3_500_000]
+    assert [r.fits for r in responses] == [True, True, False]
 
 
 def test_longest_frames_and_blocking():
@@ -282,19 +282,19 @@ def run_cycle(messages, node_ns=0, host_ns=0, intruder=True):
 @pytest.mark.parametrize("axes", [1, 2, 3])
 def test_the_worst_cycle_is_reached_when_nobody_computes(axes):
     messages = chain(axes)
-    found = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS))
-    assert {f.message.name: f.end_ns for f in found.frames} == run_cycle(messages)
-    assert [f.message.name for f in found.frames] == sorted(run_cycle(messages), key=run_cycle(messages).get)
+    cycle = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS))
+    assert {f.message.name: f.end_ns for f in cycle.frames} == run_cycle(messages)
+    assert [f.message.name for f in cycle.frames] == sorted(run_cycle(messages), key=run_cycle(messages).get)
 
 
 @pytest.mark.parametrize(("node_us", "host_us"), [(20, 0), (0, 60), (20, 60), (3, 3), (4, 4)])
 def test_the_worst_cycle_of_one_axis_is_reached_with_computing(node_us, host_us):
     messages = chain()
-    found = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS, node_us * 1000, host_us * 1000))
+    cycle = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS, node_us * 1000, host_us * 1000))
     ends = run_cycle(messages, node_us * 1000, host_us * 1000)
-    last = max(found.frames, key=lambda f: f.end_ns)
+    last = max(cycle.frames, key=lambda f: f.end_ns)
     assert last.end_ns == ends[last.message.name]
-    assert all(f.end_ns >= ends[f.message.name] for f in found.frames)
+    assert all(f.end_ns >= ends[f.message.name] for f in cycle.frames)
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -303,16 +303,16 @@ def test_no_cycle_with_computing_is_beyond_the_worst(axes, intruder):
     messages = chain(axes)
     for node_us in (0, 5, 40, 200):
         for host_us in (0, 5, 40, 200):
-            found = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS, node_us * 1000, host_us * 1000))
+            cycle = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS, node_us * 1000, host_us * 1000))
             ends = run_cycle(messages, node_us * 1000, host_us * 1000, intruder)
-            assert all(f.end_ns >= ends[f.message.name] for f in found.frames)
+            assert all(f.end_ns >= ends[f.message.name] for f in cycle.frames)
 
 
 def test_the_bars_are_the_latest_frame():
-    found = worst_cycle(chain(2), Timing(RATE, 4 * MS, 3 * MS, 20_000, 60_000), Errors(1, 10 * MS))
-    assert found.bars[0].begin_ns == 0
-    assert all(a.end_ns == b.begin_ns for a, b in zip(found.bars, found.bars[1:], strict=False))
-    assert found.bars[-1].end_ns == max(f.end_ns for f in found.frames)
+    cycle = worst_cycle(chain(2), Timing(RATE, 4 * MS, 3 * MS, 20_000, 60_000), Errors(1, 10 * MS))
+    assert cycle.bars[0].begin_ns == 0
+    assert all(a.end_ns == b.begin_ns for a, b in zip(cycle.bars, cycle.bars[1:], strict=False))
+    assert cycle.bars[-1].end_ns == max(f.end_ns for f in cycle.frames)
 
 
 def test_durations_are_rounded_up():

@@ -44,8 +44,8 @@ def recomputed(rows, rank, bitrate, errors=0, errors_interval_us=1):
         return blocking, None
 
     def least(start, after):
-        while (found := after(start)) != start:
-            start = found
+        while (following := after(start)) != start:
+            start = following
         return start
 
     def fault(window):
@@ -100,10 +100,10 @@ def rigs(draw):
 @given(rigs(), st.sampled_from([Errors(), Errors(), Errors(1, 10_000_000)]))
 def test_the_columns_are_enough_to_compute_them_anew(chosen, errors):
     rig = load_rig(*chosen)
-    found = plan(rig, assumptions=Assumptions(errors=errors))
-    rows, rate = message_rows(found), rig.bus.bitrate_bit_s
+    first = plan(rig, assumptions=Assumptions(errors=errors))
+    rows, rate = message_rows(first), rig.bus.bitrate_bit_s
     assert [row["can_id"] for row in rows] == sorted(row["can_id"] for row in rows)
-    assert found.utilisation == pytest.approx(sum(row["bits"] * 1e6 / rate / row["period_us"] for row in rows))
+    assert first.utilisation == pytest.approx(sum(row["bits"] * 1e6 / rate / row["period_us"] for row in rows))
     for rank, row in enumerate(rows):
         data_bytes = next((n for name, n in DATA_BYTES.items() if row["name"].endswith(name)), None)
         assert data_bytes is None or row["bits"] == longest_bits(data_bytes)
@@ -119,16 +119,16 @@ def test_the_columns_are_enough_to_compute_them_anew(chosen, errors):
 @settings(deadline=None, max_examples=100)
 @given(rigs())
 def test_a_plan_fits_when_every_response_meets_its_deadline_and_else_names_the_frame(chosen):
-    found = plan(load_rig(*chosen))
-    rows = message_rows(found)
+    rig_plan = plan(load_rig(*chosen))
+    rows = message_rows(rig_plan)
     late = [row for row in rows if row["response_us"] > row["deadline_us"]]
-    assert found.fits == (not late)
-    assert found.fits == (found.reasons == ())
+    assert rig_plan.fits == (not late)
+    assert rig_plan.fits == (rig_plan.reasons == ())
     for row in late:
-        assert f"{row['name']} ({row['can_id']:03X}h)" in found.verdict()
+        assert f"{row['name']} ({row['can_id']:03X}h)" in rig_plan.verdict()
     for row in rows:
         in_cycle = row["cycle_end_us"] is None or row["cycle_end_us"] <= row["cycle_deadline_us"]
-        assert row["fits"] or not found.fits
+        assert row["fits"] or not rig_plan.fits
         assert in_cycle or row["deadline_us"] <= row["cycle_deadline_us"]
 
 
@@ -136,9 +136,9 @@ def test_a_frame_that_may_miss_its_cycle_is_held_against_its_cycle():
     """At 800 kbit/s no watch of the bench rig trips, and yet its TPDOs may come after a window of
     550 us.
     """
-    found = plan(load_rig("bench", ["bus.tpdo_window_s=550e-6"]), bitrate_bit_s=800_000)
-    rows = {row["name"]: row for row in message_rows(found)}
-    assert not found.fits
+    rig_plan = plan(load_rig("bench", ["bus.tpdo_window_s=550e-6"]), bitrate_bit_s=800_000)
+    rows = {row["name"]: row for row in message_rows(rig_plan)}
+    assert not rig_plan.fits
     assert rows["brake TPDO1"]["deadline_us"] == rows["brake TPDO1"]["cycle_deadline_us"] == 550.0
     assert rows["brake TPDO1"]["response_us"] > rows["brake TPDO1"]["cycle_end_us"] > 550.0
     assert rows["motor RPDO1"]["deadline_us"] == 3000.0  # in time for its cycle: its watch

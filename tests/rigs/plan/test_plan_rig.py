@@ -116,9 +116,9 @@ def test_a_rig_of_two_axes_is_two_of_one():
 
 def test_axes_on_two_buses_are_two_plans():
     rig = load_rig("two_axes", ["axis.left.bus.channel=l", "axis.right.bus.channel=r"])
-    found = plans(rig)
-    assert list(found) == ["l", "r"]
-    assert [p.busy_ns for p in found.values()] == [475_000, 475_000]
+    by_bus = plans(rig)
+    assert list(by_bus) == ["l", "r"]
+    assert [p.busy_ns for p in by_bus.values()] == [475_000, 475_000]
     with pytest.raises(ValueError, match="l, r"):
         plan(rig)
     document = json.loads(
@@ -126,7 +126,7 @@ def test_axes_on_two_buses_are_two_plans():
             "--rig", "two_axes", "--set", "axis.left.bus.channel=l", "--set", "axis.right.bus.channel=r", "--json"
         ).stdout
     )
-    assert [one["bus"] for one in document["buses"]] == ["l", "r"]
+    assert [bus["bus"] for bus in document["buses"]] == ["l", "r"]
 
 
 def test_time_to_compute_and_errors_cost_what_they_cost():
@@ -141,10 +141,10 @@ def test_time_to_compute_and_errors_cost_what_they_cost():
 
 def test_the_bench_fits_with_devices_of_150_us_and_a_host_of_50_us():
     slow = ["motor.response_us=150", "brake.response_us=150", "host.compute_s=50e-6"]
-    found = plan(load_rig("bench", slow))
-    assert found.fits
-    assert found.timing.period_ns == 1_000_000
-    ends = {f.message.name: f.end_ns // 1000 for f in found.cycle.frames}
+    bench_plan = plan(load_rig("bench", slow))
+    assert bench_plan.fits
+    assert bench_plan.timing.period_ns == 1_000_000
+    ends = {f.message.name: f.end_ns // 1000 for f in bench_plan.cycle.frames}
     # an SDO frame, SYNC, 150 us less the inter-frame space and an SDO frame that began in it, the
     # TPDOs; the same of 50 us; the RPDOs
     tpdos = 135 + 55 + (147 + 135) + 135 + 115
@@ -154,21 +154,23 @@ def test_the_bench_fits_with_devices_of_150_us_and_a_host_of_50_us():
 
 
 def test_each_device_has_its_own_response_time():
-    found = plan(load_rig("bench", ["motor.response_us=150", "brake.response_us=40"]))
-    jitter = {m.name: m.jitter_ns for m in found.messages}
+    bench_plan = plan(load_rig("bench", ["motor.response_us=150", "brake.response_us=40"]))
+    jitter = {m.name: m.jitter_ns for m in bench_plan.messages}
     assert (jitter["motor TPDO1"], jitter["brake TPDO1"]) == (150_000, 40_000)
-    assert found.timing.node_ns == 150_000
+    assert bench_plan.timing.node_ns == 150_000
 
 
 def test_an_rpdo_that_is_on_the_wire_when_sync_is_released_is_in_time():
     """An RPDO is due to have begun then: SYNC waits for it as for any frame from outside, and not
     longer.
     """
-    found = plan(load_rig("bench"), assumptions=AT_ONCE)
-    due = {f.message.name: f.deadline_ns for f in found.cycle.frames}
+    bench_plan = plan(load_rig("bench"), assumptions=AT_ONCE)
+    due = {f.message.name: f.deadline_ns for f in bench_plan.cycle.frames}
     assert due["motor RPDO1"] == 1_000_000 + 94_000
     assert due["brake RPDO1"] == 1_000_000 + 74_000
-    alone = found.cycle_under(lambda message: False)  # nothing from outside: nothing that SYNC is reckoned to wait for
+    alone = bench_plan.cycle_under(
+        lambda message: False
+    )  # nothing from outside: nothing that SYNC is reckoned to wait for
     assert {f.deadline_ns for f in alone.frames if f.message.stage == "rpdo"} == {1_000_000}
 
 
@@ -260,9 +262,9 @@ def test_no_frame_of_a_rig_is_later_than_its_bound(name):
         world.send(0x601, b"\x40\x64\x60\x00\x00\x00\x00\x00")
     world.flush()
     log = np.concatenate(batches)
-    found = plan(rig)
-    period, bit = found.timing.period_ns, 1_000_000_000 // found.timing.bitrate_bit_s
-    due = {f.message.can_id: f.end_ns for f in found.cycle.frames}
+    bounds = plan(rig)
+    period, bit = bounds.timing.period_ns, 1_000_000_000 // bounds.timing.bitrate_bit_s
+    due = {f.message.can_id: f.end_ns for f in bounds.cycle.frames}
     worst = dict.fromkeys(due, 0)
     release = None
     for frame in log:

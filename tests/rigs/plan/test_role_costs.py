@@ -25,9 +25,9 @@ def costs_of(rig):
 @pytest.mark.parametrize("name", ["bench", "paper", "two_axes"])
 def test_the_roles_together_are_the_frames_of_the_cycle(name):
     rig = load_rig(name)
-    found = plan(rig)
+    rig_plan = plan(rig)
     sync_ns = 55 * 1_000_000_000 // rig.bus.bitrate_bit_s
-    assert sum(cost.wire_ns for cost in costs_of(rig).values()) == pytest.approx(found.busy_ns - sync_ns, abs=10)
+    assert sum(cost.wire_ns for cost in costs_of(rig).values()) == pytest.approx(rig_plan.busy_ns - sync_ns, abs=10)
 
 
 @pytest.mark.parametrize("role", ["torque", "handle_torque", "coil_current", "coil_temperature"])
@@ -61,9 +61,9 @@ def test_a_role_of_a_fixed_map_saves_nothing_and_its_other_entries_are_told():
 def test_a_period_is_proposed_that_the_rig_file_takes_and_that_fits():
     slow = ["motor.response_us=250", "brake.response_us=250", "host.compute_s=50e-6"]
     rig = load_rig("bench", slow)
-    found = plan(rig)
-    assert not found.fits
-    change = longer_period(rig, found, shortest_period_ns(rig, found))
+    rig_plan = plan(rig)
+    assert not rig_plan.fits
+    change = longer_period(rig, rig_plan, shortest_period_ns(rig, rig_plan))
     assert change is not None
     changed = rig.variant(*change.overrides)
     assert plan(changed).fits
@@ -72,8 +72,8 @@ def test_a_period_is_proposed_that_the_rig_file_takes_and_that_fits():
     shorter = change.period_ns - 50_000
     assert not plan(rig, period_ns=shorter).fits
     grid = load_rig("bench", [*slow, "plant.step_s=2e-4", "bus.period_s=1e-3"])
-    found = plan(grid)
-    change = longer_period(grid, found, shortest_period_ns(grid, found))
+    rig_plan = plan(grid)
+    change = longer_period(grid, rig_plan, shortest_period_ns(grid, rig_plan))
     assert change is not None
     assert change.period_ns % 200_000 == 0
 
@@ -81,9 +81,9 @@ def test_a_period_is_proposed_that_the_rig_file_takes_and_that_fits():
 @pytest.mark.parametrize(("period_us", "roles"), [(750, ("coil_temperature", "torque")), (600, None)])
 def test_the_roles_are_proposed_without_which_the_period_fits(period_us, roles):
     rig = load_rig("bench", ["role.velocity.object=606C", "role.velocity.scale_rad_s=0.01"])
-    found = plan(rig, period_ns=period_us * 1000, assumptions=Assumptions(host_ns=0))
-    assert not found.fits
-    change = without_roles(rig, found)
+    rig_plan = plan(rig, period_ns=period_us * 1000, assumptions=Assumptions(host_ns=0))
+    assert not rig_plan.fits
+    change = without_roles(rig, rig_plan)
     if roles is None:
         assert change is None
         return
@@ -97,19 +97,19 @@ def test_the_roles_are_proposed_without_which_the_period_fits(period_us, roles):
 def test_a_role_that_does_not_help_stays():
     """The torque is given up early, and what fits with what is given up later keeps it."""
     rig = load_rig("bench")
-    found = plan(rig, period_ns=700_000)
-    change = without_roles(rig, found)
+    rig_plan = plan(rig, period_ns=700_000)
+    change = without_roles(rig, rig_plan)
     assert change is not None
     assert change.roles == ("coil_temperature", "coil_current", "handle_torque")
     for role in change.roles:
-        others = [f'role.{one}.object="none"' for one in change.roles if one != role]
+        others = [f'role.{other}.object="none"' for other in change.roles if other != role]
         assert not plan(rig.variant(*others), period_ns=700_000).fits
 
 
 def test_axes_are_named():
     rig = load_rig("two_axes")
-    found = plan(rig, period_ns=1_250_000)
-    change = without_roles(rig, found)
+    rig_plan = plan(rig, period_ns=1_250_000)
+    change = without_roles(rig, rig_plan)
     assert change is not None
     assert change.roles == ("left.coil_temperature", "right.coil_temperature", "left.torque")
     assert change.overrides[0] == 'axis.left.role.coil_temperature.object="none"'
