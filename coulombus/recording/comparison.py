@@ -76,7 +76,7 @@ def compare(
     coulombus.rigs.arguments.WrongCall
         An argument is of a type that is not taken.
     """
-    a, b = (path_text(one, name, 'compare("a.pcapng", "b.pcapng")') for name, one in (("a", a), ("b", b)))
+    a, b = (path_text(path, name, 'compare("a.pcapng", "b.pcapng")') for name, path in (("a", a), ("b", b)))
     _check_types(tolerances)
     first, second = read(a, rig), read(b, rig)
     common = [name for name in first.signals if name in second.signals]
@@ -85,27 +85,32 @@ def compare(
     _check_tolerances(first, tolerances, units)
     texts = (*first.remarks, *second.remarks)
     same = not Path(a).is_dir() and not Path(b).is_dir() and filecmp.cmp(a, b, shallow=False)
-    spans, told, lengths = _spans(first, second, exact=not tolerances)
+    spans, phase_remarks, lengths = _spans(first, second, exact=not tolerances)
     wanting = _only_in(first, second) + _only_in(second, first)
     if bool(first.inside) != bool(second.inside):
         lengths = [*lengths, f"only {(first if first.inside else second).path} has what the host told of itself"]
-    found, pairs = [], {}
+    differences, pairs = [], {}
     for name in common:
         pair, labels, whole = _pair(first.signals[name], second.signals[name], spans)
         tolerance = _tolerance(name, "" if name in inside else units[name], tolerances)
         pairs[name] = pair
         if tolerances:  # runs that last differently long are compared as long as both do
             whole = bool(len(pair.t_s)) or not len(first.signals[name]) + len(second.signals[name])
-        found.append(_difference(name, units[name], pair, labels, tolerance, whole))
-    equal = same or (all(one.equal for one in found) and not told and not wanting and not (lengths and not tolerances))
-    remarks = (*texts, *_different(first, second), *wanting, *told, *lengths)
-    return Comparison(str(a), str(b), same, equal, tuple(found), remarks, MappingProxyType(pairs))
+        differences.append(_difference(name, units[name], pair, labels, tolerance, whole))
+    equal = same or (
+        all(difference.equal for difference in differences)
+        and not phase_remarks
+        and not wanting
+        and not (lengths and not tolerances)
+    )
+    remarks = (*texts, *_different(first, second), *wanting, *phase_remarks, *lengths)
+    return Comparison(str(a), str(b), same, equal, tuple(differences), remarks, MappingProxyType(pairs))
 
 
 def _check_types(tolerances: Mapping[str, float]) -> None:
     """Refuse what is no mapping of names to numbers."""
     if isinstance(tolerances, Mapping):
-        wrong = next(((key, one) for key, one in tolerances.items() if not _is_number(one)), None)
+        wrong = next(((key, value) for key, value in tolerances.items() if not _is_number(value)), None)
         if wrong is None:
             return
         raise WrongCall(f'tolerances[{wrong[0]!r}] is {wrong[1]!r}: expected a number, as in tolerances={{"Nm": 0.1}}')
@@ -116,8 +121,8 @@ def _check_types(tolerances: Mapping[str, float]) -> None:
     )
 
 
-def _is_number(one: object) -> bool:
-    return isinstance(one, Real) and not isinstance(one, bool)
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _check_tolerances(recording: Recording, tolerances: Mapping[str, float], units: Mapping[str, str]) -> None:
@@ -137,10 +142,10 @@ def _tolerance(name: str, unit: str, tolerances: Mapping[str, float]) -> float |
     return next((tolerances[key] for key in keys if key in tolerances), None)
 
 
-def _only_in(one: Recording, other: Recording) -> list[str]:
-    inside = {signal.name for pdo in one.inside if not other.inside for signal in pdo.signals}
-    names = [name for name in one.signals if name not in other.signals and name not in inside]
-    return [only_in(str(one.path), names)] if names else []
+def _only_in(recording: Recording, other: Recording) -> list[str]:
+    inside = {signal.name for pdo in recording.inside if not other.inside for signal in pdo.signals}
+    names = [name for name in recording.signals if name not in other.signals and name not in inside]
+    return [only_in(str(recording.path), names)] if names else []
 
 
 def only_in(path: str, names: Sequence[str]) -> str:
@@ -151,15 +156,15 @@ def only_in(path: str, names: Sequence[str]) -> str:
 
 def _different(first: Recording, second: Recording) -> list[str]:
     """Say in what else the recordings differ: rig, mode."""
-    found = []
+    remarks = []
     if first.rig.name != second.rig.name:
-        found.append(f"recordings of different rigs: {first.rig.name} and {second.rig.name}")
+        remarks.append(f"recordings of different rigs: {first.rig.name} and {second.rig.name}")
     elif first.rig.effective() != second.rig.effective():
-        found.append(f"the rig {first.rig.name} has other values in the second recording")
+        remarks.append(f"the rig {first.rig.name} has other values in the second recording")
     modes = [recording.capture.attachments.get("mode", b"").decode(errors="replace") for recording in (first, second)]
     if modes[0] != modes[1] and all(modes):
-        found.append(f"recordings of different modes: {modes[0]} and {modes[1]}")
-    return found
+        remarks.append(f"recordings of different modes: {modes[0]} and {modes[1]}")
+    return remarks
 
 
 def _phases(recording: Recording) -> list[tuple[float, str]]:
@@ -181,29 +186,29 @@ def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_S
         return [], [f"{path}: there is no frame in it" for path in empty], []
     if not marks[0] or not marks[1]:
         lengths = [end - start for end, start in zip(ends, starts, strict=True)]
-        told = [] if marks[0] == marks[1] else ["only one of the recordings has phases"]
-        return [_Span("whole", (starts[0], starts[1]), 0.0, min(lengths))], told, []
-    names = [[text for _, text in one] for one in marks]
+        remarks = [] if marks[0] == marks[1] else ["only one of the recordings has phases"]
+        return [_Span("whole", (starts[0], starts[1]), 0.0, min(lengths))], remarks, []
+    names = [[text for _, text in phases] for phases in marks]
     count = next((k for k, (x, y) in enumerate(zip(*names, strict=False)) if x != y), min(map(len, names)))
-    told = []
+    remarks = []
     if names[0] != names[1]:
-        there = [one[count] if count < len(one) else "none" for one in names]
-        told = [
+        there = [texts[count] if count < len(texts) else "none" for texts in names]
+        remarks = [
             f"the phases differ from number {count + 1} on: {there[0]!r} and {there[1]!r}; nothing behind is compared"
         ]
-    spans, lengths_told = [], []
+    spans, length_remarks = [], []
     if exact:
         zeros = marks[0][0][0], marks[1][0][0]
         spans.append(_Span("before", zeros, -min(z - s for z, s in zip(zeros, starts, strict=True)), 0.0))
     for k in range(count):
         zeros, name = (marks[0][k][0], marks[1][k][0]), marks[0][k][1].replace("phase ", "")
-        after = [one[k + 1][0] if k + 1 < len(one) else end for one, end in zip(marks, ends, strict=True)]
+        after = [phases[k + 1][0] if k + 1 < len(phases) else end for phases, end in zip(marks, ends, strict=True)]
         lengths = [end - zero for end, zero in zip(after, zeros, strict=True)]
         if abs(lengths[0] - lengths[1]) > 0.5 * first.rig.bus.period_s:
-            lengths_told.append(f"phase {name}: {lengths[0]:.4f} s and {lengths[1]:.4f} s")
+            length_remarks.append(f"phase {name}: {lengths[0]:.4f} s and {lengths[1]:.4f} s")
         if exact or name != "end":
             spans.append(_Span(name, zeros, 0.0, min(lengths)))
-    return spans, told, lengths_told
+    return spans, remarks, length_remarks
 
 
 def _pair(a: Series, b: Series, spans: list[_Span]) -> tuple[Pair, list[tuple[int, str]], bool]:
@@ -213,7 +218,7 @@ def _pair(a: Series, b: Series, spans: list[_Span]) -> tuple[Pair, list[tuple[in
     parts, labels, whole, at = [], [], True, 0
     for span in spans:
         # in whole ns, so that the same sample has the same time in both
-        times = [np.rint((one.t_s - zero) * 1e9) for one, zero in zip((a, b), span.zero, strict=True)]
+        times = [np.rint((signal.t_s - zero) * 1e9) for signal, zero in zip((a, b), span.zero, strict=True)]
         begin, end = np.rint((span.begin_s * 1e9, span.end_s * 1e9))
         inside = [(t >= begin) & (t < end) for t in times]
         whole = whole and int(inside[0].sum()) == int(inside[1].sum())

@@ -61,5 +61,5 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values, without the samples."""
-        told = {"a": self.a, "b": self.b, "same_bytes": self.same_bytes, "equal": self.equal}
-        return {**told, "signals": [asdict(one) for one in self.signals], "remarks": list(self.remarks)}
+        values = {"a": self.a, "b": self.b, "same_bytes": self.same_bytes, "equal": self.equal}
+        return {**values, "signals": [asdict(signal) for signal in self.signals], "remarks": list(self.remarks)}

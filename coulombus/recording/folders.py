@@ -15,7 +15,7 @@ SEGMENT = re.compile(r"\d{6}\.pcapng")
 def runs(folder: Path) -> list[Path]:
     """Return the folders of the runs in a folder, the oldest first."""
     try:
-        return sorted(one for one in folder.iterdir() if RUN.fullmatch(one.name) and one.is_dir())
+        return sorted(path for path in folder.iterdir() if RUN.fullmatch(path.name) and path.is_dir())
     except OSError:
         return []
 
@@ -25,15 +25,15 @@ def segments(folder: Path) -> list[Path]:
     none where there are none.
     """
     for run in (folder, *reversed(runs(folder))):
-        found = segments_of(run)
-        if found:
-            return found
+        paths = segments_of(run)
+        if paths:
+            return paths
     return []
 
 
 def segments_of(run: Path) -> list[Path]:
     """Return the segments of a run in their order."""
     try:
-        return sorted(one for one in run.iterdir() if SEGMENT.fullmatch(one.name))
+        return sorted(path for path in run.iterdir() if SEGMENT.fullmatch(path.name))
     except OSError:
         return []

@@ -31,7 +31,7 @@ def _gathered(
         raise ValueError(f"grid_s is {grid_s}: expected at least 1e-6 s, as in grid_s=0.001")
     groups = groups_of(source, signals, grid_ns)
     parts = [stretch.rows for stretch in stretches(source, groups, grid_ns)]
-    found = []
+    gathered = []
     for k, group in enumerate(groups):
         places = []
         for rows in parts:
@@ -39,8 +39,8 @@ def _gathered(
         order = np.concatenate([np.zeros(0, np.int64), *places])
         t_s = np.concatenate([np.zeros(0), *(rows[k].t_s for rows in parts)])
         values = [np.concatenate([rows[k].values[c] for rows in parts]) for c in range(len(group.columns))]
-        found.append((group, order, t_s, values))
-    return found
+        gathered.append((group, order, t_s, values))
+    return gathered
 
 
 def to_pandas(source: Readable, signals: Sequence[str] | None = None, grid_s: float | None = None) -> pandas.DataFrame:

@@ -108,7 +108,7 @@ def inside_attachment(law_state: Sequence[tuple[str, int]]) -> dict[str, bytes]:
 
 def _numbered(name: str, k: int) -> str:
     """Return ``F_2_Nm`` of ``F_Nm``: the unit stays at the name's end."""
-    suffix = next((one for one in UNITS if name.endswith(one)), "")
+    suffix = next((unit for unit in UNITS if name.endswith(unit)), "")
     return f"{name.removesuffix(suffix)}_{k}{suffix}"
 
 
@@ -140,11 +140,12 @@ def _pdo(rig: Rig, prefix: str, first: int, number: int, fields: tuple[_Field, .
         sync_start=0,
         rtr_allowed=False,
         entries=tuple(
-            Entry(0, k, one.bits, False, "real" if one.real else "int", one.name) for k, one in enumerate(fields)
+            Entry(0, k, field.bits, False, "real" if field.real else "int", field.name)
+            for k, field in enumerate(fields)
         ),
     )
     signals = tuple(
-        Signal(f"{prefix}{NODE}.{one.name}", 0, k, one.scale, 0.0, one.unit) for k, one in enumerate(fields)
+        Signal(f"{prefix}{NODE}.{field.name}", 0, k, field.scale, 0.0, field.unit) for k, field in enumerate(fields)
     )
     return RigPdo(f"{prefix}{NODE}", rig.host.node_id, layout, signals)
 
@@ -156,7 +157,7 @@ def of_axis(pdos: Sequence[RigPdo], axis: str) -> tuple[RigPdo, ...]:
         replace(
             pdo,
             node=pdo.node.removeprefix(before),
-            signals=tuple(replace(one, name=one.name.removeprefix(before)) for one in pdo.signals),
+            signals=tuple(replace(signal, name=signal.name.removeprefix(before)) for signal in pdo.signals),
         )
         for pdo in pdos
         if pdo.node.startswith(before)

@@ -33,7 +33,9 @@ class MeasuredFrames:
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._came: dict[int, tuple[RigPdo, list[Integers], list[Integers]]] = {
-            pdo.layout.cob_id: (pdo, [], []) for pdo in rig.pdos() if any(one.key in MEASURED for one in pdo.signals)
+            pdo.layout.cob_id: (pdo, [], [])
+            for pdo in rig.pdos()
+            if any(signal.key in MEASURED for signal in pdo.signals)
         }
         """By identifier: the PDO, and of each batch the stamps and the data words of its frames."""
         self._waiting = Markers()
@@ -68,7 +70,7 @@ class MeasuredFrames:
         for pdo in rig.pdos():
             if pdo.layout.cob_id in self._came:
                 _, *parts = self._came[pdo.layout.cob_id]
-                t_ns, words = (np.concatenate([np.zeros(0, np.int64), *one]) for one in parts)
+                t_ns, words = (np.concatenate([np.zeros(0, np.int64), *arrays]) for arrays in parts)
                 t_s = t_ns / 1e9
                 for signal, values in signals_of(pdo, words, t_ns, rig, {}, MEASURED)[0]:
                     signals[signal.name] = Series(t_s, values, signal.unit)

@@ -57,8 +57,8 @@ class Packets:
 
 def column(words: Words, at: Integers, order: str) -> Integers:
     """Return the words at `at`, in the section's byte order ("<" or ">")."""
-    found = words[at]
-    return (found.byteswap() if order == ">" else found).astype(np.int64)
+    chosen = words[at]
+    return (chosen.byteswap() if order == ">" else chosen).astype(np.int64)
 
 
 def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[Interface], earlier: int) -> Packets:
@@ -83,7 +83,7 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     flags = words[np.minimum(at + 8, last)].astype(np.int64)  # bytes: length, FD flags, two reserved
     length = flags & 0xFF
     sent = np.where(can_id & CAN_RTR_FLAG, 0, length)
-    good = np.array([one.linktype == LINKTYPE_CAN_SOCKETCAN for one in interfaces])[interface]
+    good = np.array([description.linktype == LINKTYPE_CAN_SOCKETCAN for description in interfaces])[interface]
     good &= (captured >= 8 + sent) & (length <= 8) & (flags & (CANFD_FDF << 8) == 0)
 
     frames = np.zeros(int(good.sum()), FRAME)
@@ -94,10 +94,10 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     low, high = words[np.minimum(at + 9, last)], words[np.minimum(at + 10, last)]
     masks = np.array([(1 << (8 * n)) - 1 for n in range(8)] + [-1])
     frames["word"] = (low.astype(np.uint64) | high.astype(np.uint64) << np.uint64(32)).view(np.int64) & masks[sent]
-    for number, one in enumerate(interfaces):
+    for number, description in enumerate(interfaces):
         rows = np.flatnonzero(interface[good] == number)
         if len(rows):
-            frames["t_ns"][rows] = _stamps_ns(words, at[rows], order, one)
+            frames["t_ns"][rows] = _stamps_ns(words, at[rows], order, description)
 
     options = HEAD + captured[good] + (-captured[good] % 4)
     ends = total[good] - 4
@@ -106,13 +106,13 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     return Packets(frames, list(zip(rows.tolist(), begin.tolist(), end.tolist(), strict=True)))
 
 
-def _stamps_ns(words: Words, at: Integers, order: str, one: Interface) -> Integers:
+def _stamps_ns(words: Words, at: Integers, order: str, description: Interface) -> Integers:
     high, low = column(words, at + 3, order), column(words, at + 4, order)
-    base_ns = one.offset_s * NS
-    scale = {9: 1, 6: 1000, 3: 1_000_000}.get(one.resolution)
+    base_ns = description.offset_s * NS
+    scale = {9: 1, 6: 1000, 3: 1_000_000}.get(description.resolution)
     if scale is not None and abs(base_ns) < 1 << 62 and (int(high.max()) + 1) << 32 < (1 << 62) // scale:
         return (high << 32 | low) * scale + base_ns
-    ticks_s = 2 ** (one.resolution & 0x7F) if one.resolution & 0x80 else int(10**one.resolution)
+    ticks_s = 2 ** (description.resolution & 0x7F) if description.resolution & 0x80 else int(10**description.resolution)
     stamps = np.zeros(len(at), np.int64)
     for row, (upper, lower) in enumerate(zip(high.tolist(), low.tolist(), strict=True)):
         stamp = (upper << 32 | lower) * NS // ticks_s + base_ns

@@ -130,7 +130,7 @@ class _Reader:
 
     def take(self, torn: int = 0) -> Capture:
         """Return the stretch that was read, and begin the next one."""
-        found = Capture(
+        capture = Capture(
             path=self.path,
             frames=np.concatenate(self.parts) if self.parts else np.zeros(0, FRAME),
             comments=self.comments,
@@ -146,7 +146,7 @@ class _Reader:
         )
         self.inside = []
         self.parts, self.comments, self.attachments, self.warnings, self.skipped = [], [], {}, [], 0
-        return found
+        return capture
 
 
 def iter_pcapng(path: str | Path) -> Iterator[Capture]:
@@ -195,12 +195,12 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
 
 def _segments(path: str | Path) -> list[Path]:
     """Return the segments in a folder, at least one."""
-    found = segments(Path(path))
-    if not found:
+    paths = segments(Path(path))
+    if not paths:
         raise PcapngError(
             f"{path}: there is no recording in this folder; expected a run's segments, as in 000001.pcapng"
         )
-    return found
+    return paths
 
 
 def read_pcapng(path: str | Path) -> Capture:
@@ -369,18 +369,18 @@ def _take(reader: _Reader, offsets: Integers) -> None:
     if not len(packets):
         return
     try:
-        found = decode_packets(reader.words, packets, reader.order, reader.interfaces, reader.earlier)
+        decoded = decode_packets(reader.words, packets, reader.order, reader.interfaces, reader.earlier)
     except BadPacketError as error:
         raise _damaged(reader, error.offset, error.what) from None
     done = sum(len(part) for part in reader.parts)
-    frames, rows = found.frames, np.arange(len(found.frames) + 1)
-    if any(one.inside for one in reader.interfaces):
-        inside = np.array([one.inside for one in reader.interfaces])[frames["source"] - reader.earlier]
+    frames, rows = decoded.frames, np.arange(len(decoded.frames) + 1)
+    if any(interface.inside for interface in reader.interfaces):
+        inside = np.array([interface.inside for interface in reader.interfaces])[frames["source"] - reader.earlier]
         frames, rows = frames[~inside], np.concatenate(([0], np.cumsum(~inside)))
-        reader.inside.append(found.frames[inside])
+        reader.inside.append(decoded.frames[inside])
     reader.parts.append(frames)
-    reader.skipped += len(packets) - len(found.frames)
-    for number, begin, end in found.options:
+    reader.skipped += len(packets) - len(decoded.frames)
+    for number, begin, end in decoded.options:
         row = min(int(rows[number]), len(frames) - 1)  # a comment on what was on no bus goes to the frame behind it
         if row < 0:
             continue

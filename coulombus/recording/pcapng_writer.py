@@ -268,10 +268,10 @@ def _section(texts: SectionTexts) -> bytes:
 
 
 def _interface(name: str, offset_s: int) -> bytes:
-    one = struct.pack("<HHI", LINKTYPE_CAN_SOCKETCAN, 0, CAN_FRAME_BYTES)
-    one += (option(IF_NAME, name.encode()) if name else b"") + option(IF_TSRESOL, b"\x09")
-    one += option(IF_TSOFFSET, struct.pack("<q", offset_s)) if offset_s else b""
-    return block(INTERFACE, one + option(OPT_END, b""))
+    content = struct.pack("<HHI", LINKTYPE_CAN_SOCKETCAN, 0, CAN_FRAME_BYTES)
+    content += (option(IF_NAME, name.encode()) if name else b"") + option(IF_TSRESOL, b"\x09")
+    content += option(IF_TSOFFSET, struct.pack("<q", offset_s)) if offset_s else b""
+    return block(INTERFACE, content + option(OPT_END, b""))
 
 
 def _commented(blocks: Records, comments: Mapping[int, str]) -> bytes:

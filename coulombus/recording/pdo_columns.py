@@ -63,7 +63,7 @@ def signals_of(
     """Return a PDO's signals, of these `keys` alone where they are given, with their values in the data
     words that came at `t_ns`, and where its position was last.
     """
-    found, turns = [], {}
+    columns, turns = [], {}
     for entry, start, signal in zip(pdo.layout.entries, pdo.layout.starts, pdo.signals, strict=True):
         if keys is not None and signal.key not in keys:
             continue
@@ -72,8 +72,8 @@ def signals_of(
             raw, last = follow(raw, t_ns, entry, before.get(name), fastest(rig, name))
             if last is not None:
                 turns[name] = last
-        found.append((signal, _si(raw, signal)))
-    return found, turns
+        columns.append((signal, _si(raw, signal)))
+    return columns, turns
 
 
 def behind(table: PdoTable, bus_ns: Integers) -> PdoTable:

@@ -115,11 +115,11 @@ def stretches(source: Readable, groups: tuple[Group, ...], grid_ns: int | None) 
 
 def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
     tables = {table.name: table for table in block.tables}
-    found = []
+    rows = []
     for group in groups:
         table = tables[group.name]
         columns = dict(zip((s.name for s in table.pdo.signals), table.columns, strict=True))
-        found.append(
+        rows.append(
             Rows(table.order, table.t_ns - block.epoch_ns, tuple(columns[column.name] for column in group.columns))
         )
     placed = tuple(
@@ -127,7 +127,7 @@ def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
         for row, text in block.capture.comments
         for line in text.splitlines()
     )
-    return Stretch(tuple(found), placed, float(block.t_s[-1]) if len(block.frames) else 0.0)
+    return Stretch(tuple(rows), placed, float(block.t_s[-1]) if len(block.frames) else 0.0)
 
 
 class _Held:
@@ -147,10 +147,10 @@ class _Held:
         later instant needs.
         """
         last = np.searchsorted(self.t_ns, instants, "right") - 1
-        found = np.append(self.values, np.nan)[last]
+        values = np.append(self.values, np.nan)[last]
         if len(last) and last[-1] > 0:
             self.t_ns, self.values = self.t_ns[last[-1] :], self.values[last[-1] :]
-        return found
+        return values
 
 
 def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:

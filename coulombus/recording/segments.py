@@ -72,8 +72,8 @@ class Rotation:
 
 def parse_size(text: str) -> int:
     """Return the bytes of ``20GB``; ValueError for anything else."""
-    found = _SIZE.fullmatch(text.strip())
-    size = round(float(found[1]) * UNITS[found[2]]) if found else 0
+    match = _SIZE.fullmatch(text.strip())
+    size = round(float(match[1]) * UNITS[match[2]]) if match else 0
     if size < SMALLEST:
         raise ValueError(f"got {text!r}, expected a size of at least 100kB, as in 100MB or 20GB")
     return size
@@ -81,12 +81,12 @@ def parse_size(text: str) -> int:
 
 def parse_rotation(text: str) -> Rotation:
     """Return the rotation of ``100MB`` or ``1h``; ValueError for anything else."""
-    found = _TIME.fullmatch(text.strip())
-    if found is None:
+    match = _TIME.fullmatch(text.strip())
+    if match is None:
         with suppress(ValueError):
             return Rotation(most_bytes=parse_size(text))
-    elif float(found[1]) * TIMES[found[2]] >= 1.0:
-        return Rotation(most_bytes=None, most_s=float(found[1]) * TIMES[found[2]])
+    elif float(match[1]) * TIMES[match[2]] >= 1.0:
+        return Rotation(most_bytes=None, most_s=float(match[1]) * TIMES[match[2]])
     raise ValueError(f"got {text!r}, expected a size of at least 100kB or a time of at least 1s, as in 100MB or 1h")
 
 
@@ -185,9 +185,9 @@ class SegmentedRecorder(Recorder):
         """Remove the folder of a run that could not begin."""
         if self._index >= 0:
             os.close(self._index)
-        for one in (self.run / INDEX, *segments_of(self.run)):
+        for path in (self.run / INDEX, *segments_of(self.run)):
             with suppress(OSError):
-                one.unlink()
+                path.unlink()
         with suppress(OSError):
             self.run.rmdir()
 
@@ -262,20 +262,20 @@ class SegmentedRecorder(Recorder):
         keep = self.rotation.keep_bytes
         if keep is None:
             return False
-        old = [one for run in runs(self.folder) for one in segments_of(run) if one not in self._present(run)]
-        sizes = [_size(one) for one in old]
-        wanted = max(sum(sizes) + (self.rotation.most_bytes or max(sizes, default=0)) - keep, more)
+        old = [path for run in runs(self.folder) for path in segments_of(run) if path not in self._present(run)]
+        sizes = [_size(path) for path in old]
+        surplus = max(sum(sizes) + (self.rotation.most_bytes or max(sizes, default=0)) - keep, more)
         freed = 0
-        for one, size in zip(old, sizes, strict=True):
-            if freed >= wanted:
+        for path, size in zip(old, sizes, strict=True):
+            if freed >= surplus:
                 break
             with suppress(OSError):
-                one.unlink()
+                path.unlink()
                 freed += size
-                self._note("removed", segment=str(one.relative_to(self.folder)), bytes=size)
-                if one.parent != self.run and not segments_of(one.parent):
-                    (one.parent / INDEX).unlink(missing_ok=True)
-                    one.parent.rmdir()
+                self._note("removed", segment=str(path.relative_to(self.folder)), bytes=size)
+                if path.parent != self.run and not segments_of(path.parent):
+                    (path.parent / INDEX).unlink(missing_ok=True)
+                    path.parent.rmdir()
         return freed > 0
 
     def _present(self, run: Path) -> list[Path]:

@@ -239,21 +239,21 @@ class Recording(Source):
 
     def __repr__(self) -> str:
         """Return it in one line."""
-        return f"<recording {self.path} of rig {self.rig.name}: {self._told()}>"
+        return f"<recording {self.path} of rig {self.rig.name}: {self._summary()}>"
 
     def _repr_html_(self) -> str:
         """Return the signals as a table, for notebooks."""
-        head = f"<p>{escape(self.path)}: rig {escape(self.rig.name)}, {self._told()}</p>"
+        head = f"<p>{escape(self.path)}: rig {escape(self.rig.name)}, {self._summary()}</p>"
         rows = "".join(
-            f"<tr><td>{escape(name)}</td><td>{escape(one.unit)}</td><td>{len(one)}</td>"
-            + "".join(f"<td>{value:.6g}</td>" for value in _range(one.values))
+            f"<tr><td>{escape(name)}</td><td>{escape(signal.unit)}</td><td>{len(signal)}</td>"
+            + "".join(f"<td>{value:.6g}</td>" for value in _range(signal.values))
             + "</tr>"
-            for name, one in self.signals.items()
+            for name, signal in self.signals.items()
         )
         columns = "".join(f"<th>{text}</th>" for text in ("signal", "unit", "samples", "least", "largest"))
         return f"{head}<table><tr>{columns}</tr>{rows}</table>"
 
-    def _told(self) -> str:
+    def _summary(self) -> str:
         """Say how long it is, and what is in it."""
         seconds = float(np.ptp(self.t_s)) if len(self.frames) else 0.0
         return f"{seconds:.3f} s, {len(self.frames)} frames, {len(self.signals)} signals, {len(self.markers)} markers"
@@ -344,12 +344,12 @@ def series(source: Source, *names: str) -> tuple[Series, ...]:
         listed = names[0] if len(names) == 1 and are_texts(names[0]) else ("motor.position_rad",)
         call = ", ".join(map(repr, listed))
         raise WrongCall(f"the names are {names!r}: expected one text each, as in series(recording, {call})")
-    found = [[block[name] for name in names] for block in source]
+    gathered = [[block[name] for name in names] for block in source]
     return tuple(
         Series(
             np.concatenate([part.t_s for part in parts]), np.concatenate([part.values for part in parts]), parts[0].unit
         )
-        for parts in zip(*found, strict=True)
+        for parts in zip(*gathered, strict=True)
     )
 
 
@@ -375,8 +375,8 @@ def decode(
     tables = tuple(table_of(pdo, frames, can_ids, rig, before) for pdo in rig.pdos())
     if inside:
         ids = np.ascontiguousarray(capture.inside["can_id"])
-        told = (table_of(pdo, capture.inside, ids, rig, before) for pdo in inside)
-        tables += tuple(behind(table, frames["t_ns"]) for table in told)
+        telemetry = (table_of(pdo, capture.inside, ids, rig, before) for pdo in inside)
+        tables += tuple(behind(table, frames["t_ns"]) for table in telemetry)
 
     def at_s(row: int) -> float:
         return float((frames["t_ns"][row] - epoch_ns) / 1e9)

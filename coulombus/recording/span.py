@@ -28,13 +28,13 @@ def parse_span(text: str) -> tuple[float | None, float | None]:
     """
     begin, colon, end = text.partition(":")
     try:
-        found = float(begin) if begin else None, float(end) if end else None
-        right = bool(colon) and (found[0] is None or found[1] is None or found[0] < found[1])
+        span = float(begin) if begin else None, float(end) if end else None
+        right = bool(colon) and (span[0] is None or span[1] is None or span[0] < span[1])
     except ValueError:
         right = False
     if not right:
         raise ValueError(f"{text!r}: expected A:B in s, as in 3:5, 2.5: or :10, and B after A")
-    return found
+    return span
 
 
 def checked_span(span: Any) -> tuple[float | None, float | None]:
@@ -46,8 +46,8 @@ def checked_span(span: Any) -> tuple[float | None, float | None]:
     coulombus.rigs.arguments.WrongCall
         It is something else.
     """
-    if isinstance(span, (tuple, list)) and len(span) == 2 and all(one is None or _is_time(one) for one in span):
-        begin, end = (None if one is None else float(one) for one in span)
+    if isinstance(span, (tuple, list)) and len(span) == 2 and all(time is None or _is_time(time) for time in span):
+        begin, end = (None if time is None else float(time) for time in span)
         return begin, end
     meant: tuple[float | None, float | None] = (3.0, 5.0)
     if isinstance(span, str):
@@ -56,5 +56,5 @@ def checked_span(span: Any) -> tuple[float | None, float | None]:
     raise WrongCall(f"span is {span!r}: expected begin and end in s, as in span={meant!r}; None leaves an end open")
 
 
-def _is_time(one: Any) -> bool:
-    return isinstance(one, Real) and not isinstance(one, bool)
+def _is_time(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)

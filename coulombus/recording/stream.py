@@ -76,7 +76,7 @@ def stream(
 
 
 def _copy(client: Client, writer: PcapngWriter, stop: StopSignals, end: float | None) -> None:
-    asked = time.monotonic()
+    last_question_s = time.monotonic()
     poll = select.poll()
     poll.register(stop, select.POLLIN)
     poll.register(client, select.POLLIN)
@@ -85,18 +85,18 @@ def _copy(client: Client, writer: PcapngWriter, stop: StopSignals, end: float | 
         if end is not None and now >= end:
             return
         poll.poll(1e3 * min(ASK_S, ASK_S if end is None else end - now))
-        found: list[Received] = []
+        frames: list[Received] = []
         try:
             while part := client.receive():
-                found += part
-            if now - asked > ASK_S:
-                asked = now
+                frames += part
+            if now - last_question_s > ASK_S:
+                last_question_s = now
                 client.ask()
         except (BusDown, BusFull):
             pass
         finally:  # also when the bus is gone behind the last frames
-            if found:
-                writer.write(_records(found))
+            if frames:
+                writer.write(_records(frames))
 
 
 def _records(received: list[Received]) -> Records:

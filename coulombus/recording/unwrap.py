@@ -49,7 +49,7 @@ class Unwrapped(NamedTuple):
 
 def fastest(rig: Rig, name: str) -> float:
     """Return the counts a ns that the host lets pass of a position; `name`: the signal's."""
-    axis = next(one for one in rig.axes if one.prefix + POSITION == name)
+    axis = next(candidate for candidate in rig.axes if candidate.prefix + POSITION == name)
     return axis.limits.encoder_jump_counts / axis.bus.period_ns
 
 

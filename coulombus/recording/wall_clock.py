@@ -45,20 +45,20 @@ def clock_state() -> dict[str, Any]:
     """Return whether NTP (or what steers the clock as it does: phc2sys) keeps the clock right, its
     errors [us], and the PTP clocks of this machine; None where that is not told.
     """
-    found: dict[str, Any] = {"synchronised": None, "max_error_us": None, "estimated_error_us": None}
+    state_of_clock: dict[str, Any] = {"synchronised": None, "max_error_us": None, "estimated_error_us": None}
     try:
-        told = _Timex()
-        state = c_library().adjtimex(ctypes.byref(told))
+        timex = _Timex()
+        state = c_library().adjtimex(ctypes.byref(timex))
     except (AttributeError, OSError):
         state = -1
     if state >= 0:
-        found["synchronised"] = state != TIME_ERROR and not told.status & STA_UNSYNC
-        found["max_error_us"], found["estimated_error_us"] = int(told.maxerror), int(told.esterror)
+        state_of_clock["synchronised"] = state != TIME_ERROR and not timex.status & STA_UNSYNC
+        state_of_clock["max_error_us"], state_of_clock["estimated_error_us"] = int(timex.maxerror), int(timex.esterror)
     try:
-        found["ptp_clocks"] = sorted(os.listdir(PTP))
+        state_of_clock["ptp_clocks"] = sorted(os.listdir(PTP))
     except OSError:
-        found["ptp_clocks"] = []
-    return found
+        state_of_clock["ptp_clocks"] = []
+    return state_of_clock
 
 
 def wall_clock(zero_ns: int) -> tuple[int, dict[str, bytes], str]:
@@ -92,7 +92,7 @@ def meta_attachment(meta: Mapping[str, str]) -> dict[str, bytes]:
 def attached_object(content: bytes | None) -> dict[str, Any]:
     """Return the object of an attachment; empty where there is none that can be read."""
     try:
-        found = json.loads(content or b"{}")
+        values = json.loads(content or b"{}")
     except (ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return values if isinstance(values, dict) else {}

@@ -72,14 +72,14 @@ def whole_figures(recording):
     handle = recording["brake.handle_torque_Nm"]
     between = np.maximum(np.rint(np.diff(angle.t_s) / period), 1.0)
     t, v = angle.t_s[1:], np.diff(angle.values) / (between * period)
-    windows = [(one.begin_s + 0.8, one.end_s - 0.02) for one in spans if one.kind == "hold"]
+    windows = [(span.begin_s + 0.8, span.end_s - 0.02) for span in spans if span.kind == "hold"]
     dwells = []
-    for one in spans:
-        if one.kind == "stroke":
-            stroke = recording.rig.one_axis().phases[one.index]
-            dwell = one.begin_s + stroke.move_s
-            while dwell < one.end_s:
-                dwells.append((dwell + 0.35, min(dwell + min(0.95, stroke.dwell_s), one.end_s)))
+    for span in spans:
+        if span.kind == "stroke":
+            stroke = recording.rig.one_axis().phases[span.index]
+            dwell = span.begin_s + stroke.move_s
+            while dwell < span.end_s:
+                dwells.append((dwell + 0.35, min(dwell + min(0.95, stroke.dwell_s), span.end_s)))
                 dwell += stroke.move_s + stroke.dwell_s
 
     def inside(t, windows):
@@ -108,10 +108,10 @@ def recorded(tmp_path):
 @pytest.mark.slow
 def test_figures_are_those_of_the_whole(recorded):
     assert len(list(blocks(recorded))) > 40
-    found, expected = vars(measure(blocks(recorded))), whole_figures(read(recorded))
+    figures, expected = vars(measure(blocks(recorded))), whole_figures(read(recorded))
     for name in ("hold_velocity_rms_rad_s", "stick_velocity_rms_rad_s"):  # summed block by block
-        assert found.pop(name) == pytest.approx(expected.pop(name), rel=1e-12)
-    assert found == expected
+        assert figures.pop(name) == pytest.approx(expected.pop(name), rel=1e-12)
+    assert figures == expected
     assert phases(blocks(recorded)) == phases(read(recorded))
     # in one block even the sums are the same
     assert vars(measure(read(recorded))) == whole_figures(read(recorded))
@@ -149,10 +149,10 @@ def test_rows_and_remarks_are_those_of_the_whole(recorded):
 
 def test_signals_gathered_are_those_of_the_whole(recorded):
     whole = read(recorded)
-    for name, one in zip(whole.signals, series(blocks(recorded), *whole.signals), strict=True):
-        assert one.unit == whole[name].unit
-        np.testing.assert_array_equal(one.t_s, whole[name].t_s)
-        np.testing.assert_array_equal(one.values, whole[name].values)
+    for name, signal in zip(whole.signals, series(blocks(recorded), *whole.signals), strict=True):
+        assert signal.unit == whole[name].unit
+        np.testing.assert_array_equal(signal.t_s, whole[name].t_s)
+        np.testing.assert_array_equal(signal.values, whole[name].values)
 
 
 def test_a_transfer_that_goes_across_blocks_is_decoded(tmp_path, monkeypatch):
@@ -164,8 +164,8 @@ def test_a_transfer_that_goes_across_blocks_is_decoded(tmp_path, monkeypatch):
     with PcapngWriter(tmp_path / "a.pcapng", attachments={}) as writer:
         writer.write(frames)
     monkeypatch.setattr(coulombus.recording.pcapng_reader, "CHUNK", 256)
-    found = list(rows(blocks(tmp_path / "a.pcapng", "bench")))
-    assert [(row["index"], row["sdo"]) for row in found[1:]] == [(0x1008, "upload segment")] * 39
+    decoded = list(rows(blocks(tmp_path / "a.pcapng", "bench")))
+    assert [(row["index"], row["sdo"]) for row in decoded[1:]] == [(0x1008, "upload segment")] * 39
 
 
 def test_times_of_a_clock_count_from_the_first_frame_of_all(tmp_path, monkeypatch):
@@ -207,16 +207,16 @@ def test_the_memory_does_not_grow_with_the_recording(tmp_path, monkeypatch, work
 
 
 def test_only_the_beginning_is_read_for_the_rig(recorded, monkeypatch):
-    taken = []
+    counts = []
 
     def counted(path):
         for part in iter_pcapng(path):
-            taken.append(len(part.frames))
+            counts.append(len(part.frames))
             yield part
 
     monkeypatch.setattr("coulombus.recording.reading.iter_pcapng", counted)
     assert blocks(recorded).rig.name == "bench"
-    assert len(taken) == 1
+    assert len(counts) == 1
 
 
 @pytest.mark.parametrize(("count", "samples"), [(1, 1), (2, 2), (101, 101), (511, 511), (512, 512), (1300, 512)])

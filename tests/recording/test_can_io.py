@@ -22,11 +22,11 @@ def test_written_and_read_through_python_can(tmp_path):
         for message in MESSAGES:
             writer(message)
     with can.LogReader(path) as reader:
-        found = list(reader)
-    assert len(found) == len(MESSAGES)
-    for one, other in zip(found, MESSAGES, strict=True):
-        assert one.equals(other, timestamp_delta=1e-6, check_channel=False, check_direction=False)
-    assert [one.is_error_frame for one in found] == [False, False, False, True]
+        messages = list(reader)
+    assert len(messages) == len(MESSAGES)
+    for back, other in zip(messages, MESSAGES, strict=True):
+        assert back.equals(other, timestamp_delta=1e-6, check_channel=False, check_direction=False)
+    assert [message.is_error_frame for message in messages] == [False, False, False, True]
 
 
 def test_our_own_reader_takes_it(tmp_path):

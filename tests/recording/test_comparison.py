@@ -30,21 +30,21 @@ def recording(tmp_path_factory) -> Recording:
 
 
 def test_same_bytes_are_equal(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng"))
-    assert (found.same_bytes, found.equal, found.remarks) == (True, True, ())
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng"))
+    assert (comparison.same_bytes, comparison.equal, comparison.remarks) == (True, True, ())
 
 
 def test_the_same_run_at_another_time_is_equal(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", late=64 * MS))
-    assert (found.same_bytes, found.equal) == (False, True)
-    assert {one.max for one in found.signals} == {0.0}
-    assert {one.samples for one in found.signals} == {400}
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", late=64 * MS))
+    assert (comparison.same_bytes, comparison.equal) == (False, True)
+    assert {signal.max for signal in comparison.signals} == {0.0}
+    assert {signal.samples for signal in comparison.signals} == {400}
 
 
 def test_one_sample_that_differs_is_found_with_its_time(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", push=50))
-    assert not found.equal
-    (other,) = (one for one in found.signals if not one.equal)
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", push=50))
+    assert not comparison.equal
+    (other,) = (signal for signal in comparison.signals if not signal.equal)
     assert other.name == "brake.setpoint_Nm"
     assert other.max == pytest.approx(0.05)
     assert other.rms == pytest.approx(0.05 / np.sqrt(400))
@@ -65,37 +65,37 @@ def test_one_sample_that_differs_is_found_with_its_time(tmp_path):
     ],
 )
 def test_signals_are_judged_by_their_tolerance(tmp_path, tolerances, equal):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", push=50), tolerances=tolerances)
-    assert found.equal == equal
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", push=50), tolerances=tolerances)
+    assert comparison.equal == equal
 
 
 def test_a_run_that_is_shorter_is_not_equal_and_that_is_told(tmp_path):
     paths = record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", 300)
-    found = compare(*paths)
-    assert not found.equal
-    assert any("phase hold: 0.39" in text and "0.29" in text for text in found.remarks)
+    comparison = compare(*paths)
+    assert not comparison.equal
+    assert any("phase hold: 0.39" in text and "0.29" in text for text in comparison.remarks)
     assert compare(*paths, tolerances={"Nm": 1e-9}).equal
 
 
 def test_a_run_without_its_phases_is_told(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", 1), tolerances={"": 9.0})
-    assert not found.equal
-    assert "only one of the recordings has phases" in found.remarks
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", 1), tolerances={"": 9.0})
+    assert not comparison.equal
+    assert "only one of the recordings has phases" in comparison.remarks
 
 
 def test_a_signal_that_has_no_time_in_common_is_not_equal(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", 2), tolerances={"Nm": 9.0})
-    assert not found.equal
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", 2), tolerances={"Nm": 9.0})
+    assert not comparison.equal
 
 
 def test_another_mode_is_told(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", mode="active"))
-    assert "recordings of different modes: hybrid and active" in found.remarks
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", mode="active"))
+    assert "recordings of different modes: hybrid and active" in comparison.remarks
 
 
 def test_another_rig_is_told(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", rig="paper"))
-    assert "recordings of different rigs: bench and paper" in found.remarks
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", rig="paper"))
+    assert "recordings of different rigs: bench and paper" in comparison.remarks
 
 
 def test_of_many_signals_that_one_has_alone_a_few_are_named():
@@ -104,9 +104,9 @@ def test_of_many_signals_that_one_has_alone_a_few_are_named():
 
 
 def test_an_empty_recording_is_not_equal_to_another(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", 0))
-    assert not found.equal
-    assert any("there is no frame in it" in text for text in found.remarks)
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", 0))
+    assert not comparison.equal
+    assert any("there is no frame in it" in text for text in comparison.remarks)
 
 
 def test_a_tolerance_of_nothing_is_told(tmp_path):
@@ -116,8 +116,8 @@ def test_a_tolerance_of_nothing_is_told(tmp_path):
 
 
 def test_the_differences_as_a_picture(tmp_path):
-    found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", push=50), tolerances={"Nm": 0.01})
-    made = draw_differences(found)
+    comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", push=50), tolerances={"Nm": 0.01})
+    made = draw_differences(comparison)
     assert "A: a.pcapng" in made.axes[0].get_title(loc="left")
     row = [axes.get_ylabel() for axes in made.axes].index("brake.setpoint_Nm\n[Nm]")
     assert made.axes[row + 1].lines[0].get_ydata().min() == pytest.approx(-0.05)
@@ -168,9 +168,9 @@ def test_a_plot_has_a_panel_for_each_unit_and_the_same_bytes_again(recording, tm
 def test_axes_of_a_rig_have_shades_of_a_quantitys_colour():
     names = [f"{axis}.motor.{name}" for axis in ("left", "right", "middle") for name in ("position_rad", "torque_Nm")]
     t_s = np.linspace(0.0, 1.0, 3)
-    found = [colour for colour, _ in _manners([Trace(name, "", t_s, t_s, t_s, 3) for name in names])]
-    assert found[:2] == [QUANTITIES["position_rad"], QUANTITIES["torque_Nm"]]
-    assert len(set(found)) == len(names)
+    colours = [colour for colour, _ in _manners([Trace(name, "", t_s, t_s, t_s, 3) for name in names])]
+    assert colours[:2] == [QUANTITIES["position_rad"], QUANTITIES["torque_Nm"]]
+    assert len(set(colours)) == len(names)
 
 
 def test_what_cannot_be_plotted_is_told(recording, tmp_path):

@@ -94,9 +94,9 @@ def test_the_frames_of_the_bus_are_those_without_it(simulated):
 def test_blocks_have_the_same_signals(simulated):
     whole = read(simulated)
     for name in NAMES:
-        (one,) = series(blocks(simulated), name)
-        assert np.array_equal(one.values, whole[name].values)
-        assert np.array_equal(one.t_s, whole[name].t_s)
+        (signal,) = series(blocks(simulated), name)
+        assert np.array_equal(signal.values, whole[name].values)
+        assert np.array_equal(signal.t_s, whole[name].t_s)
 
 
 def test_exports_and_plots_know_them(simulated, tmp_path):
@@ -125,8 +125,8 @@ def test_runs_that_differ_inside_alone_differ(simulated, tmp_path):
     merged["word"][changed] ^= 1 << 62
     with PcapngWriter(tmp_path / "b.pcapng", attachments=capture.attachments, second=HOST_INTERFACE) as writer:
         writer.write(merged)
-    found = compare(simulated, tmp_path / "b.pcapng")
-    assert [one.name for one in found.signals if not one.equal] == ["host.law_brake_Nm"]
+    comparison = compare(simulated, tmp_path / "b.pcapng")
+    assert [signal.name for signal in comparison.signals if not signal.equal] == ["host.law_brake_Nm"]
     assert compare(simulated, tmp_path / "b.pcapng", tolerances={"rad": 0.0}).equal is False  # no phases are in it
 
 
@@ -142,9 +142,9 @@ def test_a_recording_without_them_is_compared_by_the_others(simulated, tmp_path)
     with PcapngWriter(bare, attachments=others) as writer:
         writer.write(capture.frames, comments)
     assert compare(simulated, bare, tolerances={"": 0.0}).equal
-    found = compare(simulated, bare)
-    assert not found.equal
-    assert any("what the host told of itself" in text for text in found.remarks)
+    comparison = compare(simulated, bare)
+    assert not comparison.equal
+    assert any("what the host told of itself" in text for text in comparison.remarks)
 
 
 def test_markers_stand_at_frames_of_the_bus(tmp_path):
@@ -188,8 +188,8 @@ def test_the_dissector_has_the_numbers_of_read(simulated, tmp_path):
     recording = read(simulated)
     names = ["host.phase", "host.gain", "host.law_brake_Nm", "host.x_stuck_rad"]
     for name, column in zip(names, columns, strict=True):
-        found = [float(text) for text in column if text]
-        np.testing.assert_allclose(found, recording[name].values, rtol=1e-12, atol=1e-12)
+        values = [float(text) for text in column if text]
+        np.testing.assert_allclose(values, recording[name].values, rtol=1e-12, atol=1e-12)
     least = [*command, "-Y", "coulombus.host.phase == 5", "-T", "fields", "-e", "frame.number"]
     run = subprocess.run(least, capture_output=True, text=True, check=True).stdout.splitlines()
     assert len(run) == np.count_nonzero(recording["host.phase"].values == Phase.RUN)

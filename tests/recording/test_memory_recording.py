@@ -22,10 +22,10 @@ def test_the_figures_are_those_of_the_recording(tmp_path, rig, mode, seconds):
     both = simulate(rig, mode, seconds, seed=2, measured=True, record=tmp_path / "both.pcapng")
     own = {"recording", "recording_sha256"}
     for result in (measured, both):
-        found, wanted = asdict(result), asdict(recorded)
-        for name in found.keys() - own:
-            exact = not isinstance(wanted[name], float)
-            assert found[name] == (wanted[name] if exact else pytest.approx(wanted[name], rel=1e-12)), name
+        figures, expected = asdict(result), asdict(recorded)
+        for name in figures.keys() - own:
+            exact = not isinstance(expected[name], float)
+            assert figures[name] == (expected[name] if exact else pytest.approx(expected[name], rel=1e-12)), name
     assert recorded.hold_counts_p2p is not None
     assert recorded.axes is None or recorded.axes["left"]["hold_counts_p2p"] is not None
     assert (tmp_path / "run.pcapng").read_bytes() == (tmp_path / "both.pcapng").read_bytes()
@@ -33,7 +33,7 @@ def test_the_figures_are_those_of_the_recording(tmp_path, rig, mode, seconds):
 
 def test_without_it_nothing_is_measured():
     result = asdict(simulate("bench", "hybrid", 0.1))
-    assert all(result[one.name] is None for one in fields(Measures))
+    assert all(result[field.name] is None for field in fields(Measures))
 
 
 def test_a_run_that_is_never_armed_has_no_figures():
@@ -60,4 +60,4 @@ def test_a_marker_has_the_time_of_its_frame_and_a_torn_pdo_is_left_out():
     (recording,) = kept.recordings()
     assert recording["motor.position_rad"].t_s.tolist() == [20e-9, 50e-9]
     assert recording.markers == [(30e-9, "phase rest"), (60e-9, "phase hold")]
-    assert [one.kind for one in phases(recording)] == ["rest", "hold"]
+    assert [phase.kind for phase in phases(recording)] == ["rest", "hold"]

@@ -397,9 +397,9 @@ def test_attachments_that_unpack_to_gigabytes_are_left_out_and_said(tmp_path: Pa
     """60 attachments of 64 MB, 3.8 MB in the file."""
     path, zeros = tmp_path / "bomb.pcapng", bytes(64 << 20)
     with PcapngWriter(path, attachments={"small": b"kept"}) as writer:
-        one = attachment_block("zeros", zeros)
+        attachment = attachment_block("zeros", zeros)
         for n in range(60):
-            os.write(writer._fd, one.replace(b"zeros", b"zer%02d" % n))
+            os.write(writer._fd, attachment.replace(b"zeros", b"zer%02d" % n))
         writer.write(records([(0, 1, b"")]))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     capture = read_pcapng(path)
@@ -407,8 +407,8 @@ def test_attachments_that_unpack_to_gigabytes_are_left_out_and_said(tmp_path: Pa
     assert grown < 400 << 10  # KiB
     assert capture.attachments["small"] == b"kept"
     assert sum(map(len, capture.attachments.values())) <= (128 << 20) + 4 * path.stat().st_size
-    (told,) = capture.warnings
-    assert "left out from here on" in told
+    (warning,) = capture.warnings
+    assert "left out from here on" in warning
     assert len(capture.frames) == 1
 
 
@@ -462,9 +462,9 @@ def test_a_disk_that_is_full_and_lets_nothing_be_cut(tmp_path: Path, monkeypatch
     def write(fd: int, data: memoryview) -> int:
         if not left[0]:
             raise OSError(errno.ENOSPC, "No space left on device")
-        taken = min(left[0], len(data))
-        left[0] -= taken
-        return real_write(fd, data[:taken])
+        count = min(left[0], len(data))
+        left[0] -= count
+        return real_write(fd, data[:count])
 
     def refuse(fd: int, size: int) -> None:
         raise OSError(errno.EPERM, "Operation not permitted")

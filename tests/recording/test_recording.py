@@ -173,8 +173,8 @@ def test_a_recording_that_is_still_being_written(tmp_path: Path, rig: Rig):
     whole = path.read_bytes()
     path.write_bytes(whole[: -19 * 8 * 48 - 20])
     source = blocks(path)
-    found = iter(source)
-    assert sum(len(block.frames) for block in found) == 7
+    stretches = iter(source)
+    assert sum(len(block.frames) for block in stretches) == 7
     assert source.remarks == (f"{path}: the last block is unfinished: 28 bytes were left out",)
     path.write_bytes(whole)
     assert sum(len(block.frames) for block in source) == 160
@@ -185,8 +185,8 @@ def test_a_file_without_attachments_asks_for_a_rig(tmp_path: Path, rig: Rig):
     path = save(tmp_path / "a.pcapng", CYCLE, {})
     with pytest.raises(RigError, match=r"a\.pcapng: no rig\.toml is attached.*read\(path, rig=\.\.\.\), or --rig"):
         read(path)
-    for one in (rig, "bench"):
-        recording = read(path, rig=one)
+    for chosen in (rig, "bench"):
+        recording = read(path, rig=chosen)
         assert recording["brake.setpoint_Nm"].values.tolist() == [3.5]
 
 
@@ -243,9 +243,9 @@ def field_by_hand(data: bytes, start: int, bits: int, signed: bool) -> int:
 @settings(deadline=None)
 def test_any_integer_field(data: list[bytes], place: tuple[int, int], signed: bool):
     bits, start = place
-    words = np.array([data_word(one) for one in data], np.int64)
+    words = np.array([data_word(content) for content in data], np.int64)
     entry = Entry(0x2000, 0, bits, signed, "int", "any")
-    expected = [field_by_hand(one, start, bits, signed) for one in data]
+    expected = [field_by_hand(content, start, bits, signed) for content in data]
     assert decode_field(words, start, entry).tolist() == expected
 
 
@@ -283,10 +283,10 @@ def test_a_log_of_another_tool_is_decoded_as_the_recording_is(tmp_path: Path, ri
         for n in range(3):
             data = struct.pack("<Hih", 0x0237, 1000 * n, -7)
             logger(can.Message(timestamp=1.7e9 + n / 1000, arbitration_id=0x181, is_extended_id=False, data=data))
-    for found in (read(path, rig), next(iter(blocks(path, rig)))):
-        angle = found["motor.position_rad"]
+    for recording in (read(path, rig), next(iter(blocks(path, rig)))):
+        angle = recording["motor.position_rad"]
         assert angle.t_s == pytest.approx([0, 0.001, 0.002], abs=2e-6)
-        assert angle.values == pytest.approx(1000 * np.arange(3) * found.scale("motor.position_rad"))
+        assert angle.values == pytest.approx(1000 * np.arange(3) * recording.scale("motor.position_rad"))
     with pytest.raises(RigError, match="--rig on the command line"):
         read(path)
 

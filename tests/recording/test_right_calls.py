@@ -88,7 +88,7 @@ def test_several_signals_are_asked_for_by_series(recording):
     told(lambda: recording[names], right)
     told(lambda: series(recording, names), right)
     told(lambda: series("run.pcapng", *names), "series(read('run.pcapng'), ")
-    assert [len(one) for one in series(recording, *names)] == [400, 400]
+    assert [len(signal) for signal in series(recording, *names)] == [400, 400]
 
 
 @pytest.mark.parametrize("method", ["plot", "to_pandas", "to_xarray"])
@@ -156,9 +156,9 @@ def test_a_simulation_writes_files_by_their_names():
 def test_any_path_like_names_a_file(source, recording, tmp_path):
     rig = Place(tmp_path / "own.toml")
     (tmp_path / "own.toml").write_text(recording.rig.effective())
-    one = read(Place(source), rig)
-    assert one.path == str(source)
-    assert len(one["motor.position_rad"]) == 400
+    by_place = read(Place(source), rig)
+    assert by_place.path == str(source)
+    assert len(by_place["motor.position_rad"]) == 400
     assert next(iter(blocks(Place(source), Path(rig)))).rig.name == "bench"
     assert compare(Place(source), Place(source), rig=rig).equal
     assert export(Place(source), Place(tmp_path / "a.csv"), "csv", rig=rig).path == tmp_path / "a.csv"

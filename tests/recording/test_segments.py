@@ -67,24 +67,24 @@ def test_segments_open_alone_and_together_they_are_the_run(tmp_path):
     assert [path.name for path in files] == [f"{n:06d}.pcapng" for n in range(1, len(files) + 1)]
     assert len(files) >= 3
     each = [read(path) for path in files]
-    assert all(one.rig.name == "bench" for one in each)
+    assert all(block.rig.name == "bench" for block in each)
     assert all(len(path.read_bytes()) == path.stat().st_size < 250_000 for path in files)
     for place in (tmp_path, run):
         whole = read(place)
         assert whole.frames["t_ns"].tolist() == [n * 1_000_000 for n in range(12 * BATCH)]
         assert whole.markers == [(3.5, "phase hold")]
         assert sum(len(block.frames) for block in blocks(place)) == 12 * BATCH
-    assert sum(len(one.frames) for one in each) == 12 * BATCH
+    assert sum(len(block.frames) for block in each) == 12 * BATCH
     assert not whole.remarks
 
 
 def test_the_index_tells_of_each_segment(tmp_path):
-    told = events(record(tmp_path, SMALL).run)
-    begun, ended = ([one for one in told if one["event"] == kind] for kind in ("begun", "ended"))
-    assert [one["segment"] for one in begun] == [one["segment"] for one in ended]
-    assert [one["segment"] for one in ended] == [path.name for path in segments(tmp_path)]
-    assert sum(one["frames"] for one in ended) == 12 * BATCH
-    assert [one["bytes"] for one in ended] == [path.stat().st_size for path in segments(tmp_path)]
+    lines = events(record(tmp_path, SMALL).run)
+    begun, ended = ([line for line in lines if line["event"] == kind] for kind in ("begun", "ended"))
+    assert [line["segment"] for line in begun] == [line["segment"] for line in ended]
+    assert [line["segment"] for line in ended] == [path.name for path in segments(tmp_path)]
+    assert sum(line["frames"] for line in ended) == 12 * BATCH
+    assert [line["bytes"] for line in ended] == [path.stat().st_size for path in segments(tmp_path)]
     assert ended[-1]["last_ns"] == (12 * BATCH - 1) * 1_000_000
     assert begun[0]["utc"] == utc(STARTED_NS)
 
@@ -106,7 +106,7 @@ def test_the_oldest_segments_of_all_runs_are_removed_and_nothing_else(tmp_path):
     assert sum(path.stat().st_size for path in kept) <= 300_000
     assert kept[-1].name > "000001.pcapng"
     assert read(second).frames["t_ns"][-1] == (12 * BATCH - 1) * 1_000_000
-    removed = [one["segment"] for one in events(second) if one["event"] == "removed"]
+    removed = [line["segment"] for line in events(second) if line["event"] == "removed"]
     assert removed[0] == f"{first.name}/000001.pcapng"
 
 
@@ -119,10 +119,10 @@ def test_a_clock_that_is_set_back_changes_no_order(tmp_path):
 
 
 def test_two_hosts_that_record_into_one_folder_have_a_run_each(tmp_path):
-    with recorder(tmp_path, SMALL) as one, recorder(tmp_path, SMALL) as other:
-        one.write(batch(0, 3))
+    with recorder(tmp_path, SMALL) as first, recorder(tmp_path, SMALL) as other:
+        first.write(batch(0, 3))
         other.write(batch(0, 4))
-    assert one.run != other.run
+    assert first.run != other.run
     assert [len(read(run).frames) for run in runs(tmp_path)] == [3, 4]
 
 
@@ -311,11 +311,11 @@ def test_time_zero_is_told_in_utc(monkeypatch):
     monkeypatch.setattr("time.time_ns", lambda: STARTED_NS + 5_000_000_000)
     monkeypatch.setattr("time.monotonic_ns", lambda: 7_000_000_000)
     started, attachments, comment = wall_clock(2_000_000_000)
-    told = attached_object(attachments["clock.json"])
-    assert started == told["start_ns"] == STARTED_NS
-    assert told["start_utc"] == utc(STARTED_NS) == "2026-11-18T11:06:40.000000Z"
-    assert told["start_utc"] in comment
-    assert told["synchronised"] in (True, False, None)
+    clock = attached_object(attachments["clock.json"])
+    assert started == clock["start_ns"] == STARTED_NS
+    assert clock["start_utc"] == utc(STARTED_NS) == "2026-11-18T11:06:40.000000Z"
+    assert clock["start_utc"] in comment
+    assert clock["synchronised"] in (True, False, None)
 
 
 def test_the_state_of_the_clock_is_told_or_not_known(monkeypatch):

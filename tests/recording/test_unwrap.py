@@ -140,7 +140,7 @@ def test_a_recording_of_16_bits_has_the_handles_angle(tmp_path, monkeypatch, sig
 
 
 def told_by(*arguments):
-    result = CliRunner().invoke(main, [str(one) for one in arguments])
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert result.exit_code == 0, result.output
     return result.stdout
 

@@ -145,8 +145,8 @@ def _check_place(path: Path, out: Path, kind: str) -> None:
     if suffix in others:
         other = others[suffix]
         remedy = f", or --to {other}" if other else ""
-        wanted = out.with_suffix(KINDS[kind]).name
-        raise ExportError(f"{out}: {suffix} is the ending of {other or 'a recording'}; expected {wanted}{remedy}")
+        expected = out.with_suffix(KINDS[kind]).name
+        raise ExportError(f"{out}: {suffix} is the ending of {other or 'a recording'}; expected {expected}{remedy}")
 
 
 @contextmanager

@@ -45,8 +45,8 @@ class _Place(io.RawIOBase):
         """Read what was written, whether the disk took it or not."""
         view = memoryview(buffer).cast("B")
         view = view[: max(self._end - self._at, 0)]
-        found = os.pread(self._fd, len(view), self._at)
-        view[:] = found + bytes(len(view) - len(found))
+        content = os.pread(self._fd, len(view), self._at)
+        view[:] = content + bytes(len(view) - len(content))
         for at, data in self._kept:
             begin, end = max(at, self._at), min(at + len(data), self._at + len(view))
             if begin < end:
@@ -105,14 +105,14 @@ class Hdf5Writer:
         for group in groups:
             own = [self._file.create_group(column.name) for column in group.columns]
             times = self._dataset(own[0], "t_s", "f8", "s")
-            for one in own[1:]:
-                one["t_s"] = times
+            for child in own[1:]:
+                child["t_s"] = times
             word = "f8" if len(groups) == 1 and group.name == GRID else "i8"
             self._times.append(times)
             self._values.append(
                 [
-                    self._dataset(one, "values", word if column.word else "f8", column.unit)
-                    for one, column in zip(own, group.columns, strict=True)
+                    self._dataset(child, "values", word if column.word else "f8", column.unit)
+                    for child, column in zip(own, group.columns, strict=True)
                 ]
             )
 

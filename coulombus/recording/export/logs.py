@@ -37,25 +37,25 @@ class _Lines:
     def text(self, text: str, kept: Any = True) -> None:
         """Add the same text to the lines that are `kept`."""
         for character in text.encode():
-            self._one(np.full(self._count, character, np.uint8), kept)
+            self._append(np.full(self._count, character, np.uint8), kept)
 
     def decimal(self, values: Integers, digits: int, least: int = 1) -> None:
         """Add numbers, of `least` digits or more."""
         for place in range(digits - 1, -1, -1):
             rest = values // 10**place
-            self._one((rest % 10 + ord("0")).astype(np.uint8), (rest > 0) | (place < least))
+            self._append((rest % 10 + ord("0")).astype(np.uint8), (rest > 0) | (place < least))
 
     def hexadecimal(self, values: Integers, digits: int, kept: Any = True) -> None:
         """Add numbers of so many digits."""
         for place in range(digits - 1, -1, -1):
-            self._one(HEX[values >> 4 * place & 15], kept)
+            self._append(HEX[values >> 4 * place & 15], kept)
 
     def padded(self, values: Integers, width: int) -> None:
         """Add hexadecimal numbers without leading zeros, one digit at least."""
         for place in range(width - 1, -1, -1):
-            self._one(HEX[values >> 4 * place & 15], (values >> 4 * place > 0) | (place == 0))
+            self._append(HEX[values >> 4 * place & 15], (values >> 4 * place > 0) | (place == 0))
 
-    def _one(self, column: Array, kept: Any) -> None:
+    def _append(self, column: Array, kept: Any) -> None:
         self._columns.append(column)
         self._kept.append(np.broadcast_to(np.asarray(kept, bool), self._count))
 
@@ -66,8 +66,8 @@ class _Lines:
 
 
 def _byte(frames: Records, k: int) -> Integers:
-    found: Integers = frames["word"] >> 8 * k & 0xFF
-    return found
+    byte: Integers = frames["word"] >> 8 * k & 0xFF
+    return byte
 
 
 class CandumpWriter:
@@ -221,8 +221,8 @@ class BlfWriter:
         size = self._file.tell()
         self._file.seek(0)
         times = (*_system_time(self._first_ns or 0), *_system_time(self._last_ns))
-        told = (b"LOGG", FILE_HEADER.size, 5, 0, 0, 0, 2, 6, 8, 1, size, self._bytes, self._objects, 0)
-        self._file.write(FILE_HEADER.pack(*told, *times))
+        fields = (b"LOGG", FILE_HEADER.size, 5, 0, 0, 0, 2, 6, 8, 1, size, self._bytes, self._objects, 0)
+        self._file.write(FILE_HEADER.pack(*fields, *times))
         self._file.close()
 
 

@@ -49,8 +49,8 @@ class MatWriter:
             for group, spools in zip(self._groups, self._spools, strict=True):
                 t_s, *values = map(self._array, spools)
                 for column, samples in zip(group.columns, values, strict=True):
-                    one = {"t_s": t_s, "values": samples, "unit": column.unit}
-                    savemat(file, {column.name.replace(".", "_"): one}, oned_as="column", long_field_names=True)
+                    structure = {"t_s": t_s, "values": samples, "unit": column.unit}
+                    savemat(file, {column.name.replace(".", "_"): structure}, oned_as="column", long_field_names=True)
             times = np.array([t_s for t_s, _ in self._markers])
             texts = np.array([text for _, text in self._markers], object)
             rest = {"markers": {"t_s": times, "text": texts}, "about": dict(self._about)}

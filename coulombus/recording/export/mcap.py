@@ -53,14 +53,14 @@ def _map(pairs: Mapping[str, str]) -> bytes:
 
 def _nested(columns: Iterable[Column], leaf: Any) -> dict[str, Any]:
     """Return ``{"motor": {"position_rad": leaf(column)}}``."""
-    found: dict[str, Any] = {}
+    tree: dict[str, Any] = {}
     for column in columns:
         *path, last = column.name.split(".")
-        place = found
+        place = tree
         for part in path:
             place = place.setdefault(part, {})
         place[last] = leaf(column)
-    return found
+    return tree
 
 
 def _schema(tree: dict[str, Any]) -> dict[str, Any]:
@@ -193,6 +193,6 @@ class McapWriter:
 
 
 def _channel(number: int, name: str, topic: str, schema: str, metadata: Mapping[str, str]) -> list[bytes]:
-    told = struct.pack("<H", number) + _text(name) + _text("jsonschema") + _text(schema)
+    schema_record = struct.pack("<H", number) + _text(name) + _text("jsonschema") + _text(schema)
     channel = struct.pack("<HH", number, number) + _text(topic) + _text("json") + _map(metadata)
-    return [_record(SCHEMA, told), _record(CHANNEL, channel)]
+    return [_record(SCHEMA, schema_record), _record(CHANNEL, channel)]

@@ -23,8 +23,8 @@ def texts_of(values: Array, word: bool, absent: str = "") -> list[str]:
 
     A signal takes few values, so each is written once.
     """
-    found, inverse = np.unique(values, return_inverse=True)
-    texts = [absent if v != v else str(int(v)) if word else repr(v) for v in found.tolist()]
+    distinct, inverse = np.unique(values, return_inverse=True)
+    texts = [absent if v != v else str(int(v)) if word else repr(v) for v in distinct.tolist()]
     return np.array(texts, object)[inverse].tolist()  # type: ignore[no-any-return]
 
 

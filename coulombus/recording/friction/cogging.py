@@ -79,7 +79,7 @@ def find_cogging(slides: Sliding, ratio: float) -> Cogging | None:
     best: tuple[float, int, Any, Any] | None = None
     for periods in range(1, MOST_PERIODS + 1):
         turned = [periods * ratio * slide.x_rad for slide in used]
-        waves = [rows.smooth([function(one) for one in turned]) for function in (np.sin, np.cos)]
+        waves = [rows.smooth([function(angle) for angle in turned]) for function in (np.sin, np.cos)]
         matrix = np.stack([*waves, *common], 1)
         solution, *_ = np.linalg.lstsq(matrix, torque, rcond=None)
         left = float(np.sum((torque - matrix @ solution) ** 2))

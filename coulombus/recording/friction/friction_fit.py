@@ -89,12 +89,12 @@ class Fit:
 
     def as_dict(self) -> dict[str, Any]:
         """Return value and interval of each parameter."""
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for name in ("coulomb_Nm", "viscous_Nms_rad", "inertia_kg_m2", "offset_Nm", "stribeck_Nm"):
             estimate = getattr(self, name)
-            found[name] = None if estimate is None else estimate.value
-            found[f"{name}_ci95"] = None if estimate is None else [estimate.low, estimate.high]
-        return found | {"stribeck_rad_s": self.stribeck_rad_s, "residual_rms_Nm": self.residual_rms_Nm}
+            values[name] = None if estimate is None else estimate.value
+            values[f"{name}_ci95"] = None if estimate is None else [estimate.low, estimate.high]
+        return values | {"stribeck_rad_s": self.stribeck_rad_s, "residual_rms_Nm": self.residual_rms_Nm}
 
 
 @dataclass(frozen=True)
@@ -134,10 +134,10 @@ def _solve(X: Floats, y: Floats, variances: Floats) -> _Solution:
 def _clusters(slide: Integers) -> list[Integers]:
     """Return the rows of each cluster: a slide, cut in equal parts where it is long."""
     long = min(max(len(slide) // (2 * LEAST_CLUSTERS), LEAST_EQUATIONS), CLUSTER_EQUATIONS)  # of few data, shorter ones
-    found: list[Integers] = []
+    clusters: list[Integers] = []
     for rows in np.split(np.arange(len(slide)), np.flatnonzero(np.diff(slide)) + 1):
-        found += np.array_split(rows, max(round(len(rows) / long), 1))
-    return found
+        clusters += np.array_split(rows, max(round(len(rows) / long), 1))
+    return clusters
 
 
 def _errors(s: _Solution, clusters: list[Integers]) -> tuple[Floats, Floats]:

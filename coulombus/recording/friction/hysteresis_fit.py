@@ -99,8 +99,8 @@ def _lagged(values: Floats, lag_s: float, period_s: float) -> Floats:
     share = 1.0 - np.exp(-period_s / lag_s) if lag_s > 0 else 1.0
     from scipy.signal import lfilter  # takes a second to load
 
-    found: Floats = np.asarray(lfilter([share], [1.0, share - 1.0], values), np.float64)
-    return found
+    lagged: Floats = np.asarray(lfilter([share], [1.0, share - 1.0], values), np.float64)
+    return lagged
 
 
 @dataclass(frozen=True)
@@ -121,14 +121,14 @@ class _Data:
     def solve(self, plays: Floats, lag_s: float) -> tuple[Floats, Floats]:
         """Return the linear unknowns (direct, one for each play, F_c, b, J, f_0) and the residual."""
         courses = [self.coil_Nm, *(play(self.coil_Nm, float(r)) for r in plays)]
-        columns = [self.column(_lagged(one, lag_s, self.period_s)) for one in courses]
+        columns = [self.column(_lagged(course, lag_s, self.period_s)) for course in courses]
         columns += [self.column(np.ones(len(self.coil_Nm))), self.rows.v, self.rows.a, np.ones(len(self.y))]
         X = np.column_stack(columns)
         sizes = np.maximum(np.linalg.norm(X, axis=0), 1e-12)
         low = np.zeros(X.shape[1])
         low[-1] = -np.inf
-        found = lsq_linear(X / sizes, self.y, (low, np.inf), method="bvls")
-        return found.x / sizes, X @ (found.x / sizes) - self.y
+        solution = lsq_linear(X / sizes, self.y, (low, np.inf), method="bvls")
+        return solution.x / sizes, X @ (solution.x / sizes) - self.y
 
 
 def _data(recording: Source) -> _Data:
@@ -177,8 +177,8 @@ def identify_iron(recording: Source) -> IronFit:
 
     plain = best(np.zeros(0), lag)
     grid = np.array(GRID) * float(data.coil_Nm.max())
-    found, _ = data.solve(grid, float(np.exp(plain.x[0])))
-    share = found[1 : 1 + len(grid)] / max(float(np.sum(found[: 1 + len(grid)])), 1e-12)
+    unknowns, _ = data.solve(grid, float(np.exp(plain.x[0])))
+    share = unknowns[1 : 1 + len(grid)] / max(float(np.sum(unknowns[: 1 + len(grid)])), 1e-12)
     groups: list[list[int]] = []
     for k in np.flatnonzero(share > LEAST_WEIGHT).tolist():  # neighbours on the grid are one operator
         if groups and k == groups[-1][-1] + 1 and len(groups[-1]) < 2:
@@ -188,34 +188,34 @@ def identify_iron(recording: Source) -> IronFit:
     plays = np.array([np.exp(np.average(np.log(grid[g]), weights=share[g])) for g in groups])
     fit = best(plays, float(np.exp(plain.x[0])))
     plays, lag = np.exp(fit.x[1:]), float(np.exp(fit.x[0]))
-    found, rest = data.solve(plays, lag)
-    gain = float(np.sum(found[: 1 + len(plays)]))
-    order = [int(k) for k in np.argsort(plays) if found[1 + k] > LEAST_WEIGHT * gain]
+    unknowns, rest = data.solve(plays, lag)
+    gain = float(np.sum(unknowns[: 1 + len(plays)]))
+    order = [int(k) for k in np.argsort(plays) if unknowns[1 + k] > LEAST_WEIGHT * gain]
     without = float(np.sqrt(np.mean(plain.fun**2)))
     residual = float(np.sqrt(np.mean(rest**2)))
     if without - residual < NOTHING * float(np.sqrt(np.mean(data.y**2))) or gain <= 0.0:
         order = []
-    weights = [float(found[1 + k]) / gain for k in order]
+    weights = [float(unknowns[1 + k]) / gain for k in order]
     return IronFit(
         play_Nm=tuple(float(f"{plays[k]:.4g}") for k in order),
-        weights=tuple(float(f"{one:.4g}") for one in weights),
+        weights=tuple(float(f"{weight:.4g}") for weight in weights),
         gain=gain,
         fluid_lag_s=lag,
-        coulomb_Nm=float(found[-4]),
-        viscous_Nms_rad=float(found[-3]),
+        coulomb_Nm=float(unknowns[-4]),
+        viscous_Nms_rad=float(unknowns[-3]),
         residual_rms_Nm=residual,
         residual_without_Nm=without,
         samples=sum(b - a for a, b in data.spans),
     )
 
 
-def iron_lines(found: IronFit) -> list[str]:
+def iron_lines(fit: IronFit) -> list[str]:
     """Return a fit as text, with the section as a rig file has it."""
-    text = [f"{found.samples} samples slide; residual, RMS: {found.residual_rms_Nm:.3g} Nm with hysteresis, "
-            f"{found.residual_without_Nm:.3g} Nm without"]  # fmt: skip
-    text.append(f"torque for each Nm of the set-point {found.gain:.4g}, fluid's lag {found.fluid_lag_s * 1e3:.3g} ms")
-    text.append(f"Coulomb {found.coulomb_Nm:.4g} Nm, viscous {found.viscous_Nms_rad:.3g} Nm s/rad")
-    if not found.play_Nm:
+    text = [f"{fit.samples} samples slide; residual, RMS: {fit.residual_rms_Nm:.3g} Nm with hysteresis, "
+            f"{fit.residual_without_Nm:.3g} Nm without"]  # fmt: skip
+    text.append(f"torque for each Nm of the set-point {fit.gain:.4g}, fluid's lag {fit.fluid_lag_s * 1e3:.3g} ms")
+    text.append(f"Coulomb {fit.coulomb_Nm:.4g} Nm, viscous {fit.viscous_Nms_rad:.3g} Nm s/rad")
+    if not fit.play_Nm:
         return [*text, "no hysteresis is seen: no [brake.iron] is needed"]
-    plays, weights = (", ".join(map(str, one)) for one in (found.play_Nm, found.weights))
+    plays, weights = (", ".join(map(str, values)) for values in (fit.play_Nm, fit.weights))
     return [*text, "", "[brake.iron]", f"play_Nm = [{plays}]", f"weights = [{weights}]"]

@@ -75,9 +75,9 @@ def identify(recording: Source | str | Path, *, window_s: float = WINDOW_S) -> I
     """
     if isinstance(recording, str | Path):
         recording = blocks(recording)
-    found = sliding(recording, window_s)
-    rows = equations(found.slides, found.period_s, found.count_rad, window_s)
-    notes = list(found.remarks)
+    samples_sliding = sliding(recording, window_s)
+    rows = equations(samples_sliding.slides, samples_sliding.period_s, samples_sliding.count_rad, window_s)
+    notes = list(samples_sliding.remarks)
     try:
         felt = fit_friction(rows, rows.hand_Nm, notes)
         device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm)
@@ -92,16 +92,16 @@ def identify(recording: Source | str | Path, *, window_s: float = WINDOW_S) -> I
         path=recording.path,
         felt=felt,
         device=device,
-        samples=found.samples,
-        coil_off=found.coil_off,
-        left_out=found.left_out,
+        samples=samples_sliding.samples,
+        coil_off=samples_sliding.coil_off,
+        left_out=samples_sliding.left_out,
         remarks=tuple(notes),
         v_rad_s=rows.v,
         felt_Nm=rest,
     )
 
 
-def lines(found: Identification) -> list[str]:
+def lines(identification: Identification) -> list[str]:
     """Return an identification as text: each parameter with its 95 % confidence interval."""
     names = (
         ("Coulomb", "coulomb_Nm", "Nm"),
@@ -110,9 +110,14 @@ def lines(found: Identification) -> list[str]:
         ("inertia", "inertia_kg_m2", "kg m2"),
         ("transducer's bias", "offset_Nm", "Nm"),
     )
-    text = [f"{found.samples} samples slide, {'coil off' if found.coil_off else 'brake on'}; 95 % confidence intervals"]
-    text += [f"  left out {n:>8}: {reason}" for reason, n in found.left_out.items() if n]
-    for title, fit in (("felt at the handle", found.felt), ("the device's own (motor's torque added)", found.device)):
+    text = [
+        f"{identification.samples} samples slide, {'coil off' if identification.coil_off else 'brake on'}; 95 % confidence intervals"
+    ]
+    text += [f"  left out {n:>8}: {reason}" for reason, n in identification.left_out.items() if n]
+    for title, fit in (
+        ("felt at the handle", identification.felt),
+        ("the device's own (motor's torque added)", identification.device),
+    ):
         text.append(f"\n{title}:")
         for name, attribute, unit in names:
             estimate = getattr(fit, attribute)
@@ -120,4 +125,4 @@ def lines(found: Identification) -> list[str]:
                 speed = f" at {fit.stribeck_rad_s:.3g} rad/s" if attribute == "stribeck_Nm" else ""
                 text.append(f"  {name:<18} {estimate} {unit}{speed}")
         text.append(f"  {'residual, RMS':<18} {fit.residual_rms_Nm:.3g} Nm")
-    return text + [f"\nnote: {remark}" for remark in found.remarks]
+    return text + [f"\nnote: {remark}" for remark in identification.remarks]

@@ -158,7 +158,7 @@ def _armed(counts: Floats, target: Floats, settle: int) -> int | None:
     return None
 
 
-def _told(recording: Source, t: Floats) -> Flags:
+def _at_full_gain(recording: Source, t: Floats) -> Flags:
     """Tell in which samples the host says that it displays the law at full gain."""
     phase, gain = series(recording, "host.phase", "host.gain")
     return np.asarray((phase.held(t, 0.0) == PHASE_RUN) & (gain.held(t, 0.0) >= 1.0 - 1e-9))
@@ -167,7 +167,7 @@ def _told(recording: Source, t: Floats) -> Flags:
 def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tuple[str, ...]]:
     """Tell which samples are in the host's phase RUN at full gain, and what had to be assumed."""
     if recording.has("host.phase"):  # a law that moves the handle by itself leaves no rest behind the sign check
-        return _told(recording, t), ()
+        return _at_full_gain(recording, t), ()
     axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     statusword, target = series(recording, "motor.statusword", "motor.target_torque_Nm")
     ends = sorted(
@@ -247,15 +247,17 @@ def signals(recording: Source) -> Signals:
             f"{recording.path}: the rig {recording.rig.name!r} does not measure the hand's torque, and without it what is felt at the "
             "handle is not known; give the rig a transducer ([role.handle_torque])"
         )
-    told = recording.has("motor.torque_Nm")
-    found = series(recording, *names, "motor.torque_Nm" if told else "motor.target_torque_Nm", "brake.setpoint_Nm")
-    angle, transducer, drive_torque, setpoint = found
-    for name, one in zip(names, found, strict=False):
-        if not len(one):
+    measured = recording.has("motor.torque_Nm")
+    gathered = series(
+        recording, *names, "motor.torque_Nm" if measured else "motor.target_torque_Nm", "brake.setpoint_Nm"
+    )
+    angle, transducer, drive_torque, setpoint = gathered
+    for name, signal in zip(names, gathered, strict=False):
+        if not len(signal):
             raise IdentifyError(
                 f"{recording.path}: no sample of {name}; record a run of the rig {recording.rig.name!r} with strokes, or give --rig"
             )
-    if any(np.any(np.diff(one.t_s) < 0.0) for one in found):
+    if any(np.any(np.diff(signal.t_s) < 0.0) for signal in gathered):
         raise IdentifyError(
             f"{recording.path}: its stamps go back, as in a file joined from several; sort it with 'reordercap IN OUT', or take one run"
         )
@@ -266,7 +268,7 @@ def signals(recording: Source) -> Signals:
     hand, motor = _nearest(transducer, t, 0.5 * period), _nearest(drive_torque, t, 0.5 * period)
     brake = setpoint.held(t, 0.0)
     shown, notes = _displayed(recording, t, counts)
-    if not told:
+    if not measured:
         motor = drive_torque.held(t, 0.0)
         notes += ("the motor's torque is not measured: the device's own friction is with the torque that it was told",)
     return Signals(t, x, moved, hand, motor, brake, shown, notes, count)
@@ -284,15 +286,15 @@ def stretches(recording: Source) -> tuple[Slide, ...]:
     good = seen.shown & np.isfinite(seen.x) & np.isfinite(seen.hand) & np.isfinite(seen.motor)
     gaps = np.abs(np.diff(seen.t, prepend=seen.t[:1] - period) - period) >= 0.5 * period
     edges = [(a, b) for first, end in runs(good) for a, b in _apart(first, end, gaps)]
-    found = tuple(
+    slides = tuple(
         Slide(seen.t[a:b], seen.x[a:b], seen.hand[a:b], seen.motor[a:b]) for a, b in edges if b - a >= LEAST_SAMPLES
     )
-    if not found:
+    if not slides:
         raise IdentifyError(
             f"{recording.path}: {int(good.sum())} samples are in the display at full gain; expected at least {LEAST_SAMPLES} in a row: "
             "record strokes, to and fro"
         )
-    return found
+    return slides
 
 
 def _apart(first: int, end: int, gaps: Flags) -> list[tuple[int, int]]:
@@ -386,7 +388,7 @@ class Equations:
 
 
 def _filtered(samples: list[Floats], weight: Floats, hop: int) -> Floats:
-    return np.concatenate([np.correlate(one, weight, "valid")[::hop] for one in samples])
+    return np.concatenate([np.correlate(values, weight, "valid")[::hop] for values in samples])
 
 
 def weights(size: int, period_s: float) -> tuple[Floats, Floats, Floats]:

@@ -19,16 +19,16 @@ __all__ = ["draw_differences"]
 MOST_ROWS = 8
 
 
-def draw_differences(found: Comparison) -> Figure:
+def draw_differences(comparison: Comparison) -> Figure:
     """Return a figure with a row for each signal: those with a unit first, at most `MOST_ROWS`; what
     the host told of itself only where it differs.
     """
-    there = [one for one in found.signals if one.samples and not (_inside(one.name) and one.equal)]
-    shown = sorted(there, key=lambda one: (not one.unit, _inside(one.name)))[:MOST_ROWS]
+    there = [signal for signal in comparison.signals if signal.samples and not (_inside(signal.name) and signal.equal)]
+    shown = sorted(there, key=lambda signal: (not signal.unit, _inside(signal.name)))[:MOST_ROWS]
     with figure(11, 1.2 + 1.6 * max(len(shown), 1), max(len(shown), 1), 2, squeeze=False, sharex=True) as (made, axes):
-        for row, one in zip(axes, shown, strict=False):
-            _draw_row(row, one, found.pairs[one.name])
-        axes[0, 0].set_title(f"A: {Path(found.a).name}   B: {Path(found.b).name}")
+        for row, signal in zip(axes, shown, strict=False):
+            _draw_row(row, signal, comparison.pairs[signal.name])
+        axes[0, 0].set_title(f"A: {Path(comparison.a).name}   B: {Path(comparison.b).name}")
         axes[0, 1].set_title("A less B")
         if shown:
             axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=2)
@@ -41,7 +41,7 @@ def _inside(name: str) -> bool:
     return f".{name}".rfind(f".{NODE}.") >= 0
 
 
-def _draw_row(row: tuple[Axes, Axes], one: Difference, pair: Pair) -> None:
+def _draw_row(row: tuple[Axes, Axes], signal: Difference, pair: Pair) -> None:
     both, apart = row
     for values, colour, name, width in ((pair.a, BLUE, "A", 1.6), (pair.b, VERMILION, "B", 0.8)):
         gathered = Envelope(float(pair.t_s[0]), float(pair.t_s[-1]) + 1e-9)
@@ -50,12 +50,12 @@ def _draw_row(row: tuple[Axes, Axes], one: Difference, pair: Pair) -> None:
     gathered = Envelope(float(pair.t_s[0]), float(pair.t_s[-1]) + 1e-9)
     gathered.add(pair.t_s, pair.difference)
     _line(apart, gathered, BLUE, 0.8, "A less B")
-    if one.tolerance:
+    if signal.tolerance:
         for sign in (-1, 1):
-            apart.axhline(sign * one.tolerance, color=GREY, lw=0.8, ls="--")
-    both.set_ylabel(f"{one.name}\n[{one.unit or 'bits'}]", fontsize=7)
+            apart.axhline(sign * signal.tolerance, color=GREY, lw=0.8, ls="--")
+    both.set_ylabel(f"{signal.name}\n[{signal.unit or 'bits'}]", fontsize=7)
     apart.annotate(
-        f"max {one.max:.3g}, rms {one.rms:.3g} {one.unit}",
+        f"max {signal.max:.3g}, rms {signal.rms:.3g} {signal.unit}",
         (1.0, 1.0),
         xycoords="axes fraction",
         xytext=(-2, 3),

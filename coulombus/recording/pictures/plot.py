@@ -126,8 +126,8 @@ def traces_of(
         The recording has no frame in the span.
     """
     signals, span = None if signals is None else texts(signals, "signals", EXAMPLE), checked_span(span)
-    found = {signal.name: signal for pdo in source.rig.pdos() for signal in pdo.signals}
-    names = [name for name, signal in found.items() if signal.unit] if signals is None else list(signals)
+    known = {signal.name: signal for pdo in source.rig.pdos() for signal in pdo.signals}
+    names = [name for name, signal in known.items() if signal.unit] if signals is None else list(signals)
     units = {name: source.signal(name).unit for name in names}
     first, last = _extent(source)
     begin = first if span[0] is None else max(span[0], first)
@@ -159,15 +159,15 @@ def draw(made: Figure, data: Plot) -> None:
     for trace in data.traces:
         panels.setdefault(trace.unit or trace.name, []).append(trace)
     axes = made.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for one, traces in zip(axes, panels.values(), strict=True):
+    for panel, traces in zip(axes, panels.values(), strict=True):
         for trace, (colour, dashes) in zip(traces, _manners(traces), strict=True):
-            _draw_trace(one, trace, colour, dashes)
+            _draw_trace(panel, trace, colour, dashes)
         unit = traces[0].unit
-        one.set_ylabel(f"{WORDS.get(unit, '')} [{unit}]".strip() if unit else traces[0].name.rpartition(".")[2])
-        one.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-        one.margins(x=0)
+        panel.set_ylabel(f"{WORDS.get(unit, '')} [{unit}]".strip() if unit else traces[0].name.rpartition(".")[2])
+        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        panel.margins(x=0)
         for t_s, _ in data.markers:
-            one.axvline(t_s, color="0.5", lw=0.6, ls=":")
+            panel.axvline(t_s, color="0.5", lw=0.6, ls=":")
     axes[0].set_title(data.title, pad=16 if data.markers else None)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(data.begin_s, data.end_s)
@@ -205,13 +205,13 @@ def _write_markers(axes: Axes, data: Plot) -> None:
     other.
     """
     width_s = (data.end_s - data.begin_s) * 0.011
-    taken: list[tuple[float, float]] = []
+    places: list[tuple[float, float]] = []
     for t_s, text in sorted(data.markers, key=lambda marker: "phase " not in marker[1])[:MOST_MARKERS]:
         shown = text.removeprefix("phase ").replace(".phase ", " ")[:24]
         end_s = t_s + width_s * (len(shown) + 1)
-        if any(t_s < end and begin < end_s for begin, end in taken):
+        if any(t_s < end and begin < end_s for begin, end in places):
             continue
-        taken.append((t_s, end_s))
+        places.append((t_s, end_s))
         place: Any = {"xycoords": ("data", "axes fraction"), "xytext": (1, 3), "textcoords": "offset points"}
         axes.annotate(shown, (t_s, 1.0), fontsize=7, **place)
 

@@ -64,12 +64,12 @@ def read_csv(path: Path):
 
 def read_parquet(path: Path):
     table = pytest.importorskip("pyarrow.parquet").read_table(path)
-    found = {}
+    columns = {}
     for field in list(table.schema)[1:]:
         there = table.column(field.name).is_valid()
         t_s, values = (table.column(name).filter(there).to_numpy() for name in ("t_s", field.name))
-        found[field.name] = t_s, values, field.metadata[b"unit"].decode()
-    return found
+        columns[field.name] = t_s, values, field.metadata[b"unit"].decode()
+    return columns
 
 
 def read_mf4(path: Path):
@@ -125,9 +125,9 @@ READERS = {
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the libraries' own
 @pytest.mark.parametrize("kind", SIGNALS)
 def test_what_another_library_reads_is_what_read_has(source, recording, tmp_path, kind):
-    found = READERS[kind](exported(source, tmp_path, kind))
-    assert set(found) == set(recording.signals)
-    for name, (t_s, values, unit) in found.items():
+    exported_signals = READERS[kind](exported(source, tmp_path, kind))
+    assert set(exported_signals) == set(recording.signals)
+    for name, (t_s, values, unit) in exported_signals.items():
         assert np.array_equal(t_s, recording[name].t_s), name
         assert np.array_equal(values, recording[name].values), name
         assert unit == recording[name].unit
@@ -137,10 +137,10 @@ def test_what_another_library_reads_is_what_read_has(source, recording, tmp_path
 @pytest.mark.parametrize("kind", SIGNALS)
 def test_on_a_grid_each_instant_has_the_last_value(source, recording, tmp_path, kind):
     names = ["brake.setpoint_Nm", "motor.statusword"]
-    found = READERS[kind](exported(source, tmp_path, kind, signals=names, grid_ns=500_000))
-    assert set(found) == set(names)
+    exported_signals = READERS[kind](exported(source, tmp_path, kind, signals=names, grid_ns=500_000))
+    assert set(exported_signals) == set(names)
     instants = np.arange(6, 806) * 0.0005  # from the first frame at 3 ms to the last one at 402.4 ms
-    for name, (t_s, values, _) in found.items():
+    for name, (t_s, values, _) in exported_signals.items():
         expected = held(recording, name, instants)
         there = np.isfinite(np.asarray(values, float))
         assert np.allclose(np.asarray(t_s)[there], instants[np.isfinite(expected)][: there.sum()], rtol=0, atol=1e-12)
@@ -174,8 +174,8 @@ def test_markers_are_in_every_kind_of_table(source, tmp_path):
     with pytest.importorskip("asammdf").MDF(exported(source, tmp_path, "mf4")) as mdf:
         assert [text.rstrip(b"\0").decode() for text in mdf.get("markers").samples] == texts
     with exported(source, tmp_path, "mcap").open("rb") as file:
-        found = pytest.importorskip("mcap.reader").make_reader(file).iter_messages(topics=["/markers"])
-        assert [json.loads(message.data)["text"] for _, _, message in found] == texts
+        messages = pytest.importorskip("mcap.reader").make_reader(file).iter_messages(topics=["/markers"])
+        assert [json.loads(message.data)["text"] for _, _, message in messages] == texts
 
 
 @pytest.mark.parametrize("kind", FRAMES)
@@ -215,10 +215,10 @@ def test_tshark_reads_candump_logs(source, recording, tmp_path):
     path = exported(source, tmp_path, "candump")
     words = ["tshark", "-r", str(path), "-T", "fields", "-e", "can.id", "-e", "can.len"]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
-    found = [line.split("\t")[:2] for line in done.stdout.splitlines()]
+    rows = [line.split("\t")[:2] for line in done.stdout.splitlines()]
     frames = [f for f in recording.frames if not int(f["can_id"]) & CAN_ERR_FLAG]
     expected = [[str(int(f["can_id"]) & 0x1FFFFFFF), str(int(f["length"]))] for f in frames]
-    assert [row for row in found if row[0]] == expected
+    assert [row for row in rows if row[0]] == expected
 
 
 def test_stamps_are_the_wall_clocks_where_the_recording_knows_it(tmp_path):
@@ -236,8 +236,8 @@ def test_a_torn_recording_is_exported_to_its_end_and_that_is_said(source, tmp_pa
     torn = tmp_path / "torn.pcapng"
     torn.write_bytes(source.read_bytes()[:-20])
     for kind in ("csv", "candump"):
-        found = export(torn, tmp_path / kind, kind)
-        assert "the last block is unfinished" in found.remarks[0]
+        result = export(torn, tmp_path / kind, kind)
+        assert "the last block is unfinished" in result.remarks[0]
     assert len((tmp_path / "candump").read_text().splitlines()) == 5 * CYCLES + len(STRANGE) - 1
 
 
@@ -363,10 +363,10 @@ def test_what_a_killed_export_leaves_the_next_one_removes(source, tmp_path):
     (tmp_path / left.name.replace(".x-", ".folder-")).mkdir()
     (tmp_path / left.name.replace(".x-", ".link-")).symlink_to("nowhere")
     export(source, tmp_path / "z.csv", "csv")
-    found = {path.name for path in tmp_path.iterdir()}
-    assert left.name not in found
-    assert found > {*kept, "z.csv"}
-    assert len(found) == len(kept) + 3
+    names = {path.name for path in tmp_path.iterdir()}
+    assert left.name not in names
+    assert names > {*kept, "z.csv"}
+    assert len(names) == len(kept) + 3
 
 
 def test_a_library_that_is_absent_is_named_with_its_extra(source, tmp_path, monkeypatch):

@@ -26,21 +26,21 @@ ENABLED_WORD, SWITCHED_ON_WORD = 0x1637, 0x1633
 
 def stroke_speeds(rng, strokes=12):
     """Return the speed of each stroke, sample by sample: up, along with a tremor, and down."""
-    found = []
+    speeds = []
     for k in range(strokes):
         top = (0.5, 1.5, 3.0)[k % 3] * rng.uniform(0.8, 1.2)
         t = np.arange(int(rng.uniform(400, 900))) * PERIOD
         rise = np.minimum(1 - np.exp(-t / 0.03), 1 - np.exp(-(t[-1] - t) / 0.03))
         phase = rng.uniform(0, 2 * np.pi)
-        found.append((-1) ** k * (top * rise * (1 + 0.1 * np.sin(2 * np.pi * 9 * t + phase)) + 0.25))
-    return found
+        speeds.append((-1) ** k * (top * rise * (1 + 0.1 * np.sin(2 * np.pi * 9 * t + phase)) + 0.25))
+    return speeds
 
 
 def strokes(rng, truth, strokes=12):
     """Return slides of a handle with the friction `truth`: exact motion, then encoder and
     transducer.
     """
-    found = []
+    samples = []
     for v in stroke_speeds(rng, strokes):
         fine = np.interp(np.arange(len(v) * 20) / 20, np.arange(len(v)), v)  # 50 us, so that x is its integral
         x = (np.cumsum(fine) - 0.5 * fine)[::20] * PERIOD / 20 + rng.uniform(0, COUNT)
@@ -50,8 +50,8 @@ def strokes(rng, truth, strokes=12):
         f = truth["J"] * a + np.sign(v) * level + truth["offset"] + rng.normal(0, truth["noise"], len(v))
         inner = slice(2, -2)  # the gradient is one-sided at the ends
         hand, x = np.round(f[inner], 3), np.rint(x[inner] / COUNT) * COUNT
-        found.append(Slide(np.arange(len(x)) * PERIOD, x, hand, np.zeros(len(x))))
-    return tuple(found)
+        samples.append(Slide(np.arange(len(x)) * PERIOD, x, hand, np.zeros(len(x))))
+    return tuple(samples)
 
 
 def random_truth(rng, stribeck=0.0):
@@ -77,11 +77,11 @@ def test_the_intervals_of_all_parameters_hold_the_truth_in_95_of_100():
         rng = np.random.default_rng([1, seed])
         truth = random_truth(rng, stribeck=0.06)
         fit = fitted(rng, truth)
-        for (name, found), key in zip(held.items(), ("c", "b", "J", "offset", "stribeck"), strict=True):
+        for (name, intervals), key in zip(held.items(), ("c", "b", "J", "offset", "stribeck"), strict=True):
             estimate = getattr(fit, name)
-            found.append(estimate.low <= truth[key] <= estimate.high)
-    for name, found in held.items():
-        assert 0.90 <= np.mean(found) <= 1.0, name
+            intervals.append(estimate.low <= truth[key] <= estimate.high)
+    for name, intervals in held.items():
+        assert 0.90 <= np.mean(intervals) <= 1.0, name
 
 
 def test_stribeck_is_not_seen_where_there_is_none():
@@ -123,8 +123,13 @@ def test_what_the_data_do_not_carry_is_told():
     rows = equations(slides, PERIOD, COUNT)
     fit = fit_friction(rows, rows.hand_Nm, notes)
     assert (fit.viscous_Nms_rad, fit.inertia_kg_m2, fit.offset_Nm, fit.stribeck_Nm) == (None,) * 4
-    told = ["one speed only", "the speed hardly changes", "one direction only", "the data do not carry Stribeck's term"]
-    assert [note.split(":")[0] for note in notes] == told
+    remarks = [
+        "one speed only",
+        "the speed hardly changes",
+        "one direction only",
+        "the data do not carry Stribeck's term",
+    ]
+    assert [note.split(":")[0] for note in notes] == remarks
     few = equations((Slide(*(values[:150] for values in vars(slides[0]).values())),), PERIOD, COUNT)
     with pytest.raises(IdentifyError, match="separate pieces; expected at least 6"):
         fit_friction(few, few.hand_Nm)
@@ -160,10 +165,10 @@ def made_run(rng, *, markers=True, sign_check=True, **changes):
         target[300:500] = np.round(0.25 / scale) * scale
     f = np.zeros(len(v))
     f[300 : 300 + 200 * sign_check] = 0.2 - 0.25  # the hand feels the motor, too
-    for one in stroke_speeds(rng):
-        a = np.gradient(one, PERIOD)
-        f = np.concatenate([f, truth["J"] * a + np.sign(one) * (0.2 + truth["b"] * np.abs(one)), np.zeros(100)])
-        v = np.concatenate([v, one, np.zeros(100)])
+    for stroke in stroke_speeds(rng):
+        a = np.gradient(stroke, PERIOD)
+        f = np.concatenate([f, truth["J"] * a + np.sign(stroke) * (0.2 + truth["b"] * np.abs(stroke)), np.zeros(100)])
+        v = np.concatenate([v, stroke, np.zeros(100)])
     tail = 600
     begin, end = 300, len(v)
     v, f = np.concatenate([v, np.full(tail, 0.5)]), np.concatenate([f, np.full(tail, 0.7)])  # the safe state's brake
@@ -195,15 +200,15 @@ def test_sign_check_and_safe_state_are_left_out_and_counted(markers):
     that is still.
     """
     recording = made_run(np.random.default_rng(0), markers=markers)
-    found = identify(recording)
-    assert found.felt.coulomb_Nm.value == pytest.approx(0.2, abs=5e-4)
-    assert found.felt.stribeck_Nm is None
-    display = next(n for reason, n in found.left_out.items() if reason.startswith("not in the display"))
+    identification = identify(recording)
+    assert identification.felt.coulomb_Nm.value == pytest.approx(0.2, abs=5e-4)
+    assert identification.felt.stribeck_Nm is None
+    display = next(n for reason, n in identification.left_out.items() if reason.startswith("not in the display"))
     # not enabled, sign check, still, the gain's ramp; and the end
     assert display >= 300 + 200 + 50 + 500 + 600
-    assert found.samples + sum(found.left_out.values()) == len(recording["motor.position_rad"])
-    assert f"left out {display:>8}: not in the display" in "\n".join(lines(found))
-    assert found.as_dict()["left_out"] == found.left_out
+    assert identification.samples + sum(identification.left_out.values()) == len(recording["motor.position_rad"])
+    assert f"left out {display:>8}: not in the display" in "\n".join(lines(identification))
+    assert identification.as_dict()["left_out"] == identification.left_out
 
 
 def test_without_a_motor_there_is_no_sign_check_to_wait_for():
@@ -220,10 +225,10 @@ def test_not_a_number_and_missing_cycles_are_left_out():
         broken = values.copy()
         broken[3000:3050] = np.nan
         recording.signals[name] = Series(recording[name].t_s, broken, "")
-        found = identify(recording)
-        assert found.left_out["a signal is missing in the cycle, or no number"] >= 50
-        assert np.isfinite(found.felt.coulomb_Nm.value)
-        assert found.felt.coulomb_Nm.value == pytest.approx(clean.felt.coulomb_Nm.value, abs=1e-3)
+        identification = identify(recording)
+        assert identification.left_out["a signal is missing in the cycle, or no number"] >= 50
+        assert np.isfinite(identification.felt.coulomb_Nm.value)
+        assert identification.felt.coulomb_Nm.value == pytest.approx(clean.felt.coulomb_Nm.value, abs=1e-3)
         recording.signals[name] = Series(recording[name].t_s, values, "")
 
 

@@ -25,7 +25,7 @@ def strokes(seconds=8.0, *more):
     rng, t = np.random.default_rng(0), np.linspace(0.0, seconds, round(100 * seconds) + 1)
     size = np.interp(t, np.arange(0.0, seconds + 0.5, 0.5), rng.uniform(0.15, 1.0, round(2 * seconds) + 1))
     x = size * np.sin(2 * np.pi * 0.8 * t)
-    course = f"t_s={[round(float(one), 4) for one in t]}, x_rad={[round(float(one), 6) for one in x]}"
+    course = f"t_s={[round(float(value), 4) for value in t]}, x_rad={[round(float(value), 6) for value in x]}"
     return load_rig("bench").variant(
         f'phase=[{{kind="rest", duration_s=1.0}}, {{kind="motion", duration_s={seconds}, {course}}}]',
         'law.function="viscous"',
@@ -52,38 +52,36 @@ def test_a_play_follows_at_its_distance_and_remembers():
 
 
 def test_plays_weights_and_lag_are_found(recording):
-    found = identify_iron(blocks(recording).one_axis(None))
-    assert found.play_Nm == pytest.approx(IRON[0], rel=0.1)
-    assert found.weights == pytest.approx(IRON[1], rel=0.1)
-    assert found.fluid_lag_s == pytest.approx(
-        0.0155, abs=1e-3
-    )  # half a cycle more: the set-point acts on the next SYNC
-    assert found.gain == pytest.approx(1.0, abs=0.02)
-    assert found.residual_rms_Nm < 0.1 * found.residual_without_Nm
+    fit = identify_iron(blocks(recording).one_axis(None))
+    assert fit.play_Nm == pytest.approx(IRON[0], rel=0.1)
+    assert fit.weights == pytest.approx(IRON[1], rel=0.1)
+    assert fit.fluid_lag_s == pytest.approx(0.0155, abs=1e-3)  # half a cycle more: the set-point acts on the next SYNC
+    assert fit.gain == pytest.approx(1.0, abs=0.02)
+    assert fit.residual_rms_Nm < 0.1 * fit.residual_without_Nm
 
 
 def test_with_what_was_found_the_handle_breaks_away_at_F_s(recording):
-    found = identify_iron(blocks(recording).one_axis(None))
+    fit = identify_iron(blocks(recording).one_axis(None))
     known = felt_control(load_rig("bench").variant(*iron_of("plant", *IRON))).variant(
-        *iron_of("brake", found.play_Nm, found.weights)
+        *iron_of("brake", fit.play_Nm, fit.weights)
     )
     assert broke_away(known, 1.0, -30.0, mode="passive") == pytest.approx(1.0, rel=0.02)
 
 
 def test_no_hysteresis_is_found_where_there_is_none(tmp_path):
     simulate(strokes(4.0), "passive", 5.0, record=tmp_path / "plain.pcapng")
-    found = identify_iron(blocks(tmp_path / "plain.pcapng").one_axis(None))
-    assert found.play_Nm == ()
-    assert iron_lines(found)[-1] == "no hysteresis is seen: no [brake.iron] is needed"
+    fit = identify_iron(blocks(tmp_path / "plain.pcapng").one_axis(None))
+    assert fit.play_Nm == ()
+    assert iron_lines(fit)[-1] == "no hysteresis is seen: no [brake.iron] is needed"
 
 
 def test_the_verb_prints_the_section_and_its_json(recording):
-    told = CliRunner().invoke(main, ["identify", str(recording), "--iron"])
-    assert told.exit_code == 0
-    section = told.stdout.partition("[brake.iron]")[2].split("\n")
+    result = CliRunner().invoke(main, ["identify", str(recording), "--iron"])
+    assert result.exit_code == 0
+    section = result.stdout.partition("[brake.iron]")[2].split("\n")
     assert section[1].startswith("play_Nm = [0.1")
-    found = json.loads(CliRunner().invoke(main, ["identify", str(recording), "--iron", "--json"]).stdout)
-    load_rig("bench", [f"brake.iron.{key}={value}" for key, value in found["iron"].items()])
+    document = json.loads(CliRunner().invoke(main, ["identify", str(recording), "--iron", "--json"]).stdout)
+    load_rig("bench", [f"brake.iron.{key}={value}" for key, value in document["iron"].items()])
 
 
 def test_a_recording_without_changing_set_points_is_refused_with_what_to_record(tmp_path):
@@ -96,6 +94,6 @@ def test_a_recording_without_changing_set_points_is_refused_with_what_to_record(
 
 @pytest.mark.parametrize("more", [["--law", "lugre"], ["--set", "a=1"], ["--figure", "a.png"]])
 def test_the_fit_of_the_iron_goes_alone(recording, more):
-    told = CliRunner().invoke(main, ["identify", str(recording), "--iron", *more])
-    assert told.exit_code == 2
-    assert "--iron goes with none of" in told.stderr
+    result = CliRunner().invoke(main, ["identify", str(recording), "--iron", *more])
+    assert result.exit_code == 2
+    assert "--iron goes with none of" in result.stderr
