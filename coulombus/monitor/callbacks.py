@@ -47,9 +47,9 @@ class Callback:
         self._ended = True
 
     def _take(self, t_s: float, values: dict[str, float]) -> None:
-        found = {name: values[name] for name in self.names if name in values}
-        self._newest.update(found)
-        if self._ended or not found or len(self._newest) < len(set(self.names)):
+        own = {name: values[name] for name in self.names if name in values}
+        self._newest.update(own)
+        if self._ended or not own or len(self._newest) < len(set(self.names)):
             return
         self.calls += 1
         try:
@@ -111,7 +111,7 @@ class LiveBus:
             signal_of(self.rig.pdos(), name, f"rig {self.rig.name}")
         callback = Callback(names, function)
         with self._lock:
-            self._callbacks = (*(one for one in self._callbacks if not one._ended), callback)
+            self._callbacks = (*(other for other in self._callbacks if not other._ended), callback)
         return callback
 
     @property
@@ -142,17 +142,17 @@ class LiveBus:
 
     def _run(self) -> None:
         with self._client as client:
-            asked = time.monotonic()
+            last_question_s = time.monotonic()
             while not self._stop.is_set():
                 try:
                     client.wait(WAIT_S)
-                    while not self._stop.is_set() and (found := client.receive()):
-                        for t_ns, can_id, length, data in found:
+                    while not self._stop.is_set() and (frames := client.receive()):
+                        for t_ns, can_id, length, data in frames:
                             self._take(t_ns, can_id, length, data)
-                        if time.monotonic() - asked > ASK_S:
+                        if time.monotonic() - last_question_s > ASK_S:
                             break
-                    if time.monotonic() - asked > ASK_S:
-                        asked = time.monotonic()
+                    if time.monotonic() - last_question_s > ASK_S:
+                        last_question_s = time.monotonic()
                         client.ask()
                     self._tell_lost()
                 except (BusDown, BusFull):
@@ -181,9 +181,9 @@ class LiveBus:
         if pdo.layout.length != length:
             self._tell_malformed(pdo, length)
             return
-        wanting = [one for one in self._callbacks if not self._carried[can_id].isdisjoint(one.names)]
-        told = values_of(pdo, data) if wanting else {}
-        values = {name: math.nan if value is None else value for name, value in told.items()}
+        wanting = [candidate for candidate in self._callbacks if not self._carried[can_id].isdisjoint(candidate.names)]
+        newest = values_of(pdo, data) if wanting else {}
+        values = {name: math.nan if value is None else value for name, value in newest.items()}
         for callback in wanting:
             if self._stop.is_set():
                 return
@@ -211,5 +211,5 @@ def live(bus: str = "bench", rig: str | os.PathLike[str] = "bench", channel: str
     """
     if not isinstance(bus, str):
         raise WrongCall(f'bus is {bus!r}: expected a bus\' name or address, as in live("socketcan:can0")')
-    found, address = one_bus(load_rig(rig), bus if ":" in bus else f"coulombus:{bus}", channel)
-    return LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), found)
+    rig_on_bus, address = one_bus(load_rig(rig), bus if ":" in bus else f"coulombus:{bus}", channel)
+    return LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), rig_on_bus)

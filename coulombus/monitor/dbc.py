@@ -72,9 +72,9 @@ def _pdo(pdo: RigPdo, period_ms: int, bits: bool) -> Message:
         name=f"{node}_{pdo.name}",
         length=layout.length,
         signals=[
-            one
+            part
             for signal, entry, start in fields(pdo)
-            for one in _signals(signal, entry, start, receiver, word_fields(entry.index) if bits else ())
+            for part in _signals(signal, entry, start, receiver, word_fields(entry.index) if bits else ())
         ],
         senders=[sender],
         cycle_time=period_ms or None,
@@ -88,9 +88,9 @@ def _signals(
     name = identifier(signal)
     comment = dbc(f"{entry.index:04X}h:{entry.subindex} {entry.name}")
     for field in parts:
-        one = _field(f"{name}_{field.name}", start + field.start, field.bits, [receiver], field.values or None)
-        one.comment = f"{comment}, bits {field.start} to {field.start + field.bits - 1}"
-        yield one
+        part = _field(f"{name}_{field.name}", start + field.start, field.bits, [receiver], field.values or None)
+        part.comment = f"{comment}, bits {field.start} to {field.start + field.bits - 1}"
+        yield part
     if parts:
         return
     scale, offset = _whole(signal.scale), _whole(signal.offset)

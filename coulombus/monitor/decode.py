@@ -30,7 +30,7 @@ __all__ = ["Row", "as_json", "as_text", "fitted", "rows"]
 
 NODE_ID = 0x7F
 FUNCTION = 0x780
-PDO_NAMES = {int(one): one.name for one in CobId if one.name.startswith(("TPDO", "RPDO"))}
+PDO_NAMES = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
 """The predefined connection set (CiA 301, section 7.3.5)."""
 
 COMMON = ("t_s", "can_id", "node", "pdo", "extended", "remote", "service", "data", "marker", "code")
@@ -64,13 +64,13 @@ def _block_rows(block: Recording, services: _Services) -> Iterator[Row]:
     columns = (block.t_s, frames["can_id"], frames["length"], frames["word"], table_of)
     for i, (t_s, can_id, length, word, number) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
         if number >= 0:
-            found: Row = {"t_s": t_s, "can_id": can_id}
-            found.update(next(pdos[number]))
+            row_of_frame: Row = {"t_s": t_s, "can_id": can_id}
+            row_of_frame.update(next(pdos[number]))
         else:
-            found = services.row(t_s, can_id, length, word)
+            row_of_frame = services.row(t_s, can_id, length, word)
         if i in comments:
-            found["marker"] = comments[i].replace("\n", "; ")
-        yield found
+            row_of_frame["marker"] = comments[i].replace("\n", "; ")
+        yield row_of_frame
 
 
 def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
@@ -199,10 +199,10 @@ def fitted(line: str, width: int) -> str:
         else:
             lines.append(" " * INDENT + item)
     return "\n".join(
-        textwrap.fill(one, width, subsequent_indent=" " * INDENT, break_long_words=False, break_on_hyphens=False)
-        if len(one) > width > 2 * INDENT
-        else one
-        for one in lines
+        textwrap.fill(line, width, subsequent_indent=" " * INDENT, break_long_words=False, break_on_hyphens=False)
+        if len(line) > width > 2 * INDENT
+        else line
+        for line in lines
     )
 
 

@@ -137,8 +137,8 @@ def forward(
 
         def send(t_s: float, *values: float) -> None:
             nonlocal sent
-            found = {name: value if math.isfinite(value) else None for name, value in zip(names, values, strict=True)}
-            sink.send(pdo, round(t_s * 1e9), found)
+            finite = {name: value if math.isfinite(value) else None for name, value in zip(names, values, strict=True)}
+            sink.send(pdo, round(t_s * 1e9), finite)
             sent += 1
 
         return send
@@ -149,7 +149,7 @@ def forward(
         end = math.inf if seconds is None else time.monotonic() + seconds
         while not stop.wait(min(LOOK_S, max(0.0, end - time.monotonic()))) and time.monotonic() < end:
             bus.wait(0)  # BusUnavailable
-    error = next((one.error for one in called if one.error is not None), None)
+    error = next((callback.error for callback in called if callback.error is not None), None)
     if error is not None:
         raise error
     return {
@@ -162,14 +162,14 @@ def forward(
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return values by the parts of their names, as Foxglove's message paths have them."""
-    found: dict[str, Any] = {}
+    tree: dict[str, Any] = {}
     for name, value in values.items():
         *path, last = name.split(".")
-        place = found
+        place = tree
         for part in path:
             place = place.setdefault(part, {})
         place[last] = value
-    return found
+    return tree
 
 
 def _schema(pdo: RigPdo) -> dict[str, Any]:

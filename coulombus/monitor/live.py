@@ -255,7 +255,7 @@ class Live:
         node = self._by_id[node_id] = _Node(str(node_id), node_id, timeout_ns=0, known=False)
         self._sends[node_id] = []
         self._nodes.append(node)
-        self._nodes.sort(key=lambda one: (not one.known, one.node_id if not one.known else 0))
+        self._nodes.sort(key=lambda entry: (not entry.known, entry.node_id if not entry.known else 0))
         return node
 
     def _heartbeat(self, t_ns: int, node: _Node, state: int) -> None:
@@ -352,12 +352,12 @@ def values_of(pdo: RigPdo, data: bytes) -> dict[str, int | float | None]:
     no finite number.
     """
     layout, word = pdo.layout, np.frombuffer(data, "<i8").astype(np.int64)
-    found: dict[str, int | float | None] = {}
+    value_of: dict[str, int | float | None] = {}
     for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):
         raw = decode_field(word, start, entry)[0].item()
         value = raw if not signal.unit and signal.scale == 1 else signal.si(raw)
-        found[signal.name] = value if math.isfinite(value) else None
-    return found
+        value_of[signal.name] = value if math.isfinite(value) else None
+    return value_of
 
 
 def _node_row(node: _Node, t_ns: int, frames: int, rate_per_s: float) -> NodeRow:

@@ -32,9 +32,9 @@ def as_lines(pdo: RigPdo, now: PdoRow | None = None) -> Iterator[str]:
     yield f"     {'bits':>5}  {'object':<9} {'signal':<32} {'unit':<7} {last}"
     for signal, entry, start in fields(pdo):
         bits = f"{start}-{start + entry.bits - 1}" if entry.bits > 1 else str(start)
-        place, one = f"{entry.index:04X}h:{entry.subindex}", f"{signal.scale:.6g}" if signal.unit else ""
+        place, scale = f"{entry.index:04X}h:{entry.subindex}", f"{signal.scale:.6g}" if signal.unit else ""
         offset = f"{signal.offset:+.6g}" if signal.offset else ""
-        said = f"{one}{offset}" if now is None else _value(values.get(signal.name))
+        said = f"{scale}{offset}" if now is None else _value(values.get(signal.name))
         yield f"     {bits:>5}  {place:<9} {signal.name:<32} {signal.unit:<7} {said}".rstrip()
         for part in word_fields(entry.index):
             first = start + part.start
@@ -61,7 +61,7 @@ def _when(pdo: RigPdo) -> str:
 def as_dict(pdo: RigPdo, now: PdoRow | None = None) -> dict[str, Any]:
     """Return a PDO for ``--json``, with what a bus carries `now` under the key ``now``."""
     layout = pdo.layout
-    found: dict[str, Any] = {
+    document: dict[str, Any] = {
         "node": pdo.node,
         "node_id": pdo.node_id,
         "pdo": pdo.name,
@@ -87,10 +87,10 @@ def as_dict(pdo: RigPdo, now: PdoRow | None = None) -> dict[str, Any]:
         ],
     }
     if now is not None:
-        found["now"] = {
+        document["now"] = {
             "data": now.data.hex() if now.age_s is not None else None,
             "age_s": now.age_s,
             "rate_per_s": now.rate_per_s,
             "signals": {value.name: value.value for value in now.values},
         }
-    return found
+    return document

@@ -168,9 +168,9 @@ def _scope(trace: Trace, width: int, height: int) -> list[Text]:
     lines, least, most = drawn(trace.low, trace.high, width, height)
     seen = next((k for k in range(len(trace.low) - 1, -1, -1) if trace.low[k] == trace.low[k]), None)
     unit = f" {trace.unit}" if trace.unit else ""
-    told = "none came" if seen is None else f"{least:+.5g} to {most:+.5g}{unit}"
+    range_ = "none came" if seen is None else f"{least:+.5g} to {most:+.5g}{unit}"
     return [
-        Text(f"{trace.name}  {told}  ({WINDOW_S:g} s)", style="bold"),
+        Text(f"{trace.name}  {range_}  ({WINDOW_S:g} s)", style="bold"),
         *(Text(line, style="green") for line in lines),
     ]
 
@@ -233,8 +233,8 @@ def _table(columns: Sequence[_Column], rows: list[tuple[tuple[str | Text, ...], 
         text.rstrip()
         return text
 
-    found = [line([cells[c.key] for c in shown], style) for cells, style in rows]
-    return [line([c.title for c in shown], "bold"), *found] if rows else []
+    body = [line([cells[c.key] for c in shown], style) for cells, style in rows]
+    return [line([c.title for c in shown], "bold"), *body] if rows else []
 
 
 def _node_row(node: NodeRow) -> tuple[tuple[str | Text, ...], str]:

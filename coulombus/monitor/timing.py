@@ -28,7 +28,7 @@ __all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recor
 Integers = npt.NDArray[np.int64]
 FLAGS = CAN_ERR_FLAG | CAN_RTR_FLAG
 WAIT_S = 0.1
-NAMES = {int(one): one.name for one in CobId}
+NAMES = {int(service): service.name for service in CobId}
 NODE_SERVICES = {
     int(CobId.EMCY): "EMCY",
     int(CobId.SDO_TX): "SDO tx",
@@ -108,12 +108,12 @@ def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0 and not stop.wait(0):
             client.wait(min(left, WAIT_S))
-            while found := client.receive():
-                stamps.take(found)
+            while frames := client.receive():
+                stamps.take(frames)
         client.ask()
         client.wait(WAIT_S)
-        while found := client.receive():
-            stamps.take(found)
+        while frames := client.receive():
+            stamps.take(frames)
         return stamps, client.lost
 
 
@@ -130,13 +130,13 @@ def timing(rig: Rig, stamps: Stamps) -> tuple[Timing, ...]:
     syncs = np.array(stamps.of.get(int(CobId.SYNC), ()), np.int64)
     pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in rig.pdos()}
     nodes = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
-    found = []
+    timings = []
     for can_id, line in sorted(stamps.of.items()):
         t_ns = np.array(line, np.int64)
         gaps = np.diff(t_ns)
         period = float(np.median(gaps)) if len(gaps) else None
         span_s = (t_ns[-1] - t_ns[0]) / 1e9
-        found.append(
+        timings.append(
             Timing(
                 can_id=can_id & ~CAN_EFF_FLAG,
                 name=pdos.get(can_id) or _name(can_id, nodes),
@@ -147,7 +147,7 @@ def timing(rig: Rig, stamps: Stamps) -> tuple[Timing, ...]:
                 from_sync=Spread.of(_delays(t_ns, syncs)) if can_id in pdos else None,
             )
         )
-    return tuple(found)
+    return tuple(timings)
 
 
 def _name(can_id: int, nodes: dict[int, str]) -> str:
@@ -169,8 +169,12 @@ def _delays(t_ns: Integers, syncs: Integers) -> Integers:
 def as_dict(row: Timing) -> dict[str, object]:
     """Return a row for ``--json``."""
 
-    def spread(one: Spread | None) -> dict[str, float] | None:
-        return None if one is None else {"p50_us": one.p50_us, "p99_us": one.p99_us, "max_us": one.max_us}
+    def spread(quantiles: Spread | None) -> dict[str, float] | None:
+        return (
+            None
+            if quantiles is None
+            else {"p50_us": quantiles.p50_us, "p99_us": quantiles.p99_us, "max_us": quantiles.max_us}
+        )
 
     return {
         "can_id": row.can_id,

@@ -63,15 +63,15 @@ class Traces:
                 self._decode(can_id, frames)
                 self._waiting[can_id] = []
         newest = t_ns // BIN_NS
-        found = []
+        traces = []
         for name, envelope in self._envelopes.items():
             low, high = np.full(ENVELOPE_BINS, np.nan), np.full(ENVELOPE_BINS, np.nan)
             first, lows, highs = envelope.since(newest - ENVELOPE_BINS + 1)
             at = first - (newest - ENVELOPE_BINS + 1)
             end = min(ENVELOPE_BINS, at + len(lows))
             low[at:end], high[at:end] = lows[: end - at], highs[: end - at]
-            found.append(Trace(name, self._units[name], low, high))
-        return tuple(found)
+            traces.append(Trace(name, self._units[name], low, high))
+        return tuple(traces)
 
     def _decode(self, can_id: int, frames: list[tuple[int, bytes]]) -> None:
         pdo = self._pdos[can_id]

@@ -119,8 +119,8 @@ def watch(
                 running = not stop.wait(wait_s) and reader.failure is None and not keys.ended
                 running = running and (end is None or time.monotonic() < end)
                 snapshot, facts = look()
-                asked = {"paused": keys.paused, "raw": keys.raw, "words": keys.words, "host": asker.told}
-                draw(snapshot, facts | asked if terminal else facts)
+                options = {"paused": keys.paused, "raw": keys.raw, "words": keys.words, "host": asker.told}
+                draw(snapshot, facts | options if terminal else facts)
         if reader.failure is not None:
             raise reader.failure
 
@@ -210,11 +210,11 @@ class _Reader:
         while not self._stop.is_set():
             try:
                 self._client.wait(WAIT_S)
-                while found := self._client.receive():
+                while frames := self._client.receive():
                     with self.lock:
-                        self._live.take(found)
+                        self._live.take(frames)
                         if self._traces is not None and self._traces.names:
-                            self._traces.take(found)
+                            self._traces.take(frames)
                 if time.monotonic_ns() - asked_ns > ASK_NS:
                     asked_ns = time.monotonic_ns()
                     self._client.ask()

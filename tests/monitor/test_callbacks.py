@@ -32,11 +32,11 @@ def frames_of(heard):
 
 def test_each_frame_calls_and_an_error_is_counted(bus):
     done = threading.Event()
-    told = []
+    calls = []
 
     def good(t_s, value):
-        told.append((t_s, value, threading.current_thread().name))
-        if len(told) == 3:
+        calls.append((t_s, value, threading.current_thread().name))
+        if len(calls) == 3:
             done.set()
 
     def bad(t_s, value):
@@ -51,7 +51,7 @@ def test_each_frame_calls_and_an_error_is_counted(bus):
         assert done.wait(5)
     assert (right.calls, right.errors, ended.calls) == (3, 0, 0)
     assert (wrong.calls, wrong.errors, str(wrong.error)) == (3, 3, "mine")
-    assert {(value, name) for _, value, name in told} == {(0.0, "bus call-backs")}
+    assert {(value, name) for _, value, name in calls} == {(0.0, "bus call-backs")}
     assert heard.wait(0)
 
 

@@ -29,10 +29,10 @@ def test_scales_units_and_signs_are_the_rigs_bit_for_bit(rig):
         assert message.length == pdo.layout.length
         assert message.senders == (["host"] if pdo.layout.direction == "rpdo" else [pdo.node])
         for signal, entry, start in zip(pdo.signals, pdo.layout.entries, pdo.layout.starts, strict=True):
-            found = message.get_signal_by_name(signal.name.partition(".")[2])
-            assert (found.start, found.length, found.is_signed) == (start, entry.bits, entry.signed)
-            assert (found.scale, found.offset, found.unit or "") == (signal.scale, signal.offset, signal.unit)
-            assert found.byte_order == "little_endian"
+            field = message.get_signal_by_name(signal.name.partition(".")[2])
+            assert (field.start, field.length, field.is_signed) == (start, entry.bits, entry.signed)
+            assert (field.scale, field.offset, field.unit or "") == (signal.scale, signal.offset, signal.unit)
+            assert field.byte_order == "little_endian"
 
 
 def test_a_frame_decoded_by_cantools():

@@ -44,25 +44,25 @@ def said(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_pdos_carry_their_signals_by_name(decoded):
-    found = decoded(
+    rows = decoded(
         (0x182, struct.pack("<hhh", -1250, 640, 221)),
         (0x201, struct.pack("<Hh", 0x000F, 0)),
         (0x202, struct.pack("<h", 3500)),
         (0x182, struct.pack("<hhh", 1, 0, 0)),
         comments={2: "phase hold\nsecond line"},
     )
-    assert found[0] == {
+    assert rows[0] == {
         "t_s": 0.0, "can_id": 0x182, "node": "brake", "pdo": "TPDO1", "brake.handle_torque_Nm": pytest.approx(-1.25),
         "brake.coil_current_A": pytest.approx(0.64), "brake.coil_temperature_degC": pytest.approx(22.1),
     }  # fmt: skip
-    assert found[1] == {
+    assert rows[1] == {
         "t_s": 0.001, "can_id": 0x201, "node": "motor", "pdo": "RPDO1",
         "motor.controlword": 15, "motor.target_torque_Nm": 0.0,
     }  # fmt: skip
-    assert said(found[2]) == {
+    assert said(rows[2]) == {
         "node": "brake", "pdo": "RPDO1", "brake.setpoint_Nm": pytest.approx(3.5), "marker": "phase hold; second line",
     }  # fmt: skip
-    assert found[3]["brake.handle_torque_Nm"] == pytest.approx(0.001)
+    assert rows[3]["brake.handle_torque_Nm"] == pytest.approx(0.001)
 
 
 def test_every_row_is_json_and_has_the_four_keys(decoded):
@@ -188,7 +188,7 @@ def sdo(text: str) -> bytes:
 
 
 def test_sdo_transfers(decoded):
-    found = decoded(
+    rows = decoded(
         (0x601, sdo("40 41 60 00")),  # read the status word
         (0x581, sdo("4B 41 60 00 37 02")),
         (0x601, sdo("2B 71 60 00 FE FF")),  # target torque, INTEGER16: -2
@@ -196,22 +196,22 @@ def test_sdo_transfers(decoded):
         (0x602, sdo("40 34 12 05")),
         (0x582, sdo("80 34 12 05 00 00 02 06")),
     )
-    assert all((row["service"], row["pdo"]) == ("sdo", None) for row in found)
-    assert [row["node"] for row in found] == ["motor"] * 4 + ["brake"] * 2
-    assert [row["sdo"] for row in found] == [
+    assert all((row["service"], row["pdo"]) == ("sdo", None) for row in rows)
+    assert [row["node"] for row in rows] == ["motor"] * 4 + ["brake"] * 2
+    assert [row["sdo"] for row in rows] == [
         "upload request", "upload response", "download request", "download response", "upload request", "abort",
     ]  # fmt: skip
-    assert {(row["index"], row["subindex"]) for row in found[:2]} == {(0x6041, 0)}
-    assert [row.get("value") for row in found] == [None, 0x0237, -2, None, None, None]
-    assert (found[4]["index"], found[4]["subindex"]) == (0x1234, 5)
-    assert found[5]["code"] == 0x06020000
-    assert found[5]["text"] == "0x06020000: object does not exist in the object dictionary"
-    assert "tatus" in found[0]["name"]
-    assert "name" not in found[4]
+    assert {(row["index"], row["subindex"]) for row in rows[:2]} == {(0x6041, 0)}
+    assert [row.get("value") for row in rows] == [None, 0x0237, -2, None, None, None]
+    assert (rows[4]["index"], rows[4]["subindex"]) == (0x1234, 5)
+    assert rows[5]["code"] == 0x06020000
+    assert rows[5]["text"] == "0x06020000: object does not exist in the object dictionary"
+    assert "tatus" in rows[0]["name"]
+    assert "name" not in rows[4]
 
 
 def test_segments_belong_to_the_transfer_that_was_begun(decoded):
-    found = decoded(
+    rows = decoded(
         (0x582, sdo("00 11")),  # nobody saw its beginning
         (0x601, sdo("40 08 10 00")),
         (0x581, sdo("41 08 10 00 0A")),
@@ -223,21 +223,21 @@ def test_segments_belong_to_the_transfer_that_was_begun(decoded):
         (0x605, sdo("00 01 02 03 04 05 06 07")),
         (0x585, sdo("20")),
     )
-    assert found[0]["sdo"] == "upload segment"
-    assert "index" not in found[0]
-    assert found[2]["size"] == 10
-    assert [row["sdo"] for row in found[4:]] == [
+    assert rows[0]["sdo"] == "upload segment"
+    assert "index" not in rows[0]
+    assert rows[2]["size"] == 10
+    assert [row["sdo"] for row in rows[4:]] == [
         "upload segment request", "upload segment", "upload segment request", "upload segment",
         "download segment", "download segment response",
     ]  # fmt: skip
-    assert {row["index"] for row in found[4:8]} == {0x1008}
-    assert {(row["index"], row["subindex"]) for row in found[8:]} == {(0x2000, 1)}
-    assert (found[5]["segment"], found[5]["last"]) == ("41424344454647", False)
-    assert (found[7]["segment"], found[7]["last"]) == ("48494a", True)
+    assert {row["index"] for row in rows[4:8]} == {0x1008}
+    assert {(row["index"], row["subindex"]) for row in rows[8:]} == {(0x2000, 1)}
+    assert (rows[5]["segment"], rows[5]["last"]) == ("41424344454647", False)
+    assert (rows[7]["segment"], rows[7]["last"]) == ("48494a", True)
 
 
 def test_sdo_oddities(decoded):
-    found = decoded(
+    rows = decoded(
         (0x605, sdo("E0")),
         (0x605, b"\x40"),
         (0x605, sdo("A4 00 20 00 7F")),  # block upload
@@ -247,11 +247,11 @@ def test_sdo_oddities(decoded):
         (0x585, sdo("A2 7F 7F")),  # acknowledges a block
         (0x605, sdo("22 00 20 00 01 02 03 04")),  # size not given: all four bytes
     )
-    assert found[0]["sdo"] == "unknown command 0xe0"
-    assert found[1]["malformed"] == "1 bytes, expected 8"
-    assert [row["sdo"] for row in found[2:7]] == ["block upload"] * 2 + ["block download"] * 3
-    assert ["index" in row for row in found[2:7]] == [True, False, True, True, False]
-    assert found[7]["value"] == 0x04030201
+    assert rows[0]["sdo"] == "unknown command 0xe0"
+    assert rows[1]["malformed"] == "1 bytes, expected 8"
+    assert [row["sdo"] for row in rows[2:7]] == ["block upload"] * 2 + ["block download"] * 3
+    assert ["index" in row for row in rows[2:7]] == [True, False, True, True, False]
+    assert rows[7]["value"] == 0x04030201
 
 
 def test_sdo_values_by_their_data_type():

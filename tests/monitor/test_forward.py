@@ -46,8 +46,8 @@ class Fed:
 
     url = "test:"
 
-    def __init__(self, inner: Any, bus: Any, wanted: int) -> None:
-        self.inner, self.bus, self.left = inner, bus, wanted
+    def __init__(self, inner: Any, bus: Any, count: int) -> None:
+        self.inner, self.bus, self.left = inner, bus, count
 
     def send(self, pdo, t_ns, values):
         self.inner.send(pdo, t_ns, values)
@@ -68,11 +68,11 @@ def test_plotjuggler_gets_a_datagram_for_each_pdo(bus, rig):
             forward(
                 rig, BENCH, Fed(sink, bus, 2), seconds=60, ready=lambda url: bus.deliver((0x181, DATA), (0x181, DATA))
             )
-        told = [json.loads(theirs.recv(4096)) for _ in range(2)]
-    assert [sorted(one) for one in told] == [
+        datagrams = [json.loads(theirs.recv(4096)) for _ in range(2)]
+    assert [sorted(datagram) for datagram in datagrams] == [
         sorted(("timestamp", "motor.position_rad", "motor.statusword", "motor.torque_Nm"))
     ] * 2
-    assert told[0]["motor.position_rad"] == pytest.approx(position(rig))
+    assert datagrams[0]["motor.position_rad"] == pytest.approx(position(rig))
     assert sink.unheard == 0
     sink.close()
 
@@ -98,10 +98,10 @@ def test_foxglove_serves_each_pdo_as_a_topic(rig):
         connection = await websocket.websocket_connect(sink.url, subprotocols=["foxglove.sdk.v1"])
         channel: dict[str, Any] = {}
         while not channel:
-            told = await connection.read_message()
-            assert told is not None
-            if isinstance(told, str) and json.loads(told)["op"] == "advertise":
-                channel = next((c for c in json.loads(told)["channels"] if c["topic"] == "/motor/TPDO1"), {})
+            message = await connection.read_message()
+            assert message is not None
+            if isinstance(message, str) and json.loads(message)["op"] == "advertise":
+                channel = next((c for c in json.loads(message)["channels"] if c["topic"] == "/motor/TPDO1"), {})
         await connection.write_message(
             json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": channel["id"]}]})
         )
@@ -111,29 +111,29 @@ def test_foxglove_serves_each_pdo_as_a_topic(rig):
                 read = asyncio.ensure_future(connection.read_message())
             sink.send(pdo, 123, {"motor.position_rad": 0.5, "motor.statusword": None})  # unheard until it subscribed
             await asyncio.wait({read}, timeout=0.2)
-        found = read.result()
+        messages = read.result()
         connection.close()
-        return channel, found
+        return channel, messages
 
     try:
-        channel, found = asyncio.run(asyncio.wait_for(client(), 60))
+        channel, messages = asyncio.run(asyncio.wait_for(client(), 60))
     finally:
         sink.close()
     assert channel["encoding"] == "json"
     schema = json.loads(channel["schema"])["properties"]["motor"]["properties"]
     assert schema["position_rad"] == {"type": "number", "description": "[rad]"}
-    op, subscription, stamp = struct.unpack_from("<BIQ", found)
+    op, subscription, stamp = struct.unpack_from("<BIQ", messages)
     assert (op, subscription, stamp) == (1, 7, 123)
-    assert json.loads(found[13:]) == {"motor": {"position_rad": 0.5, "statusword": None}}
+    assert json.loads(messages[13:]) == {"motor": {"position_rad": 0.5, "statusword": None}}
 
 
 def test_a_port_that_is_taken_is_told(rig):
     pytest.importorskip("foxglove")
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
         with pytest.raises(PortError, match="cannot be served"):
-            Foxglove(rig, taken.getsockname()[1])
+            Foxglove(rig, server.getsockname()[1])
 
 
 def test_the_verb_says_where_and_how_much(bus):

@@ -250,8 +250,8 @@ def test_without_a_rig_given_only_what_was_heard_is_shown(rig):
     whole = "\n".join(shown(snapshot, 80, 24, all_nodes=False))
     assert "motor" not in whole
     assert "operational" in whole
-    told, line = as_lines(snapshot, FACTS, T0, all_nodes=False)
-    assert "5: a node that the rig does not have" in told
+    head, line = as_lines(snapshot, FACTS, T0, all_nodes=False)
+    assert "5: a node that the rig does not have" in head
     assert line.endswith("lost 0  5 operational")
     assert "motor" in "\n".join(shown(snapshot, 80, 24))
 
@@ -361,16 +361,16 @@ def test_the_table_of_a_pdo_is_filled_with_what_came(rig):
 
 
 def test_whatever_the_host_answers_the_view_goes_on():
-    asked = threading.Event()
+    question = threading.Event()
 
     def ask():
-        if asked.is_set():
+        if question.is_set():
             return
-        asked.set()
+        question.set()
         raise KeyError("mode")
 
     with _Asker(ask) as asker:
-        assert asked.wait(20)
+        assert question.wait(20)
     assert asker.told == "host: 'mode'"
 
 
@@ -398,7 +398,7 @@ def test_a_block_is_as_its_frames_one_by_one(seed, monkeypatch):
     ]
     ids += [0x555, 0x80000181, 0x40000181, 0x20000044, 0x20000001]
     lengths = {0x80: 0, 0x181: 8, 0x182: 6, 0x201: 4, 0x202: 2, 0x701: 1, 0x702: 1, 0x77F: 1, 0x705: 1}
-    one, many = (Live(load_rig("bench")) for _ in range(2))
+    by_frames, many = (Live(load_rig("bench")) for _ in range(2))
     t_ns = T0
     for n in (0, 1, 3, 200, 40, 500):
         received = []
@@ -414,7 +414,7 @@ def test_a_block_is_as_its_frames_one_by_one(seed, monkeypatch):
         with monkeypatch.context() as alone:
             alone.setattr("coulombus.monitor.live.TOGETHER", 1)
             for single in received:
-                one.take([single])
-        assert one.snapshot(t_ns) == many.snapshot(t_ns)
-    assert min(one.error_frames, one.unknown) > 10
-    assert any(row.malformed for row in one.snapshot(t_ns).pdos)
+                by_frames.take([single])
+        assert by_frames.snapshot(t_ns) == many.snapshot(t_ns)
+    assert min(by_frames.error_frames, by_frames.unknown) > 10
+    assert any(row.malformed for row in by_frames.snapshot(t_ns).pdos)

@@ -81,9 +81,9 @@ def test_command_reads_a_recording(tmp_path):
     with PcapngWriter(tmp_path / "a.pcapng", attachments={}) as writer:
         writer.write(frames)
     call = ["hz", str(tmp_path / "a.pcapng"), "--rig", "bench"]
-    found = json.loads(CliRunner().invoke(main, [*call, "--json"]).stdout)
-    assert (found["lost"], found["stamps"]) == (None, "the recording's")
-    assert found["identifiers"][0]["rate_per_s"] == pytest.approx(1000)
+    rows = json.loads(CliRunner().invoke(main, [*call, "--json"]).stdout)
+    assert (rows["lost"], rows["stamps"]) == (None, "the recording's")
+    assert rows["identifiers"][0]["rate_per_s"] == pytest.approx(1000)
     lines = CliRunner().invoke(main, call).stdout.splitlines()
     assert lines[-1].split()[:5] == ["080", "SYNC", "300", "1000.0", "1.000"]
     assert CliRunner().invoke(main, [*call, "--bus", "coulombus:x"]).exit_code == 2
@@ -96,8 +96,8 @@ def test_pdo_table_has_objects_scales_and_bits():
     assert ["0-15", "6041h:0", "motor.statusword"] in lines
     assert ["9", ".remote"] in lines
     assert ["16-47", "6064h:0", "motor.position_rad", "rad", "8.00032e-05"] in lines
-    found = json.loads(CliRunner().invoke(main, ["pdo", "--json"]).stdout)
-    status = next(e for one in found for e in one["entries"] if e["signal"] == "motor.statusword")
+    pdos = json.loads(CliRunner().invoke(main, ["pdo", "--json"]).stdout)
+    status = next(e for pdo in pdos for e in pdo["entries"] if e["signal"] == "motor.statusword")
     assert (status["object"], status["start"], status["fields"]["state"]) == ("6041:00", 0, [0, 7])
 
 

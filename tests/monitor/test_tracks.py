@@ -85,7 +85,7 @@ def test_signals_together_are_as_each_by_itself():
             for a, b in zip(ring.last(60, k), rings[k].last(60), strict=True):
                 np.testing.assert_array_equal(a, b)
     assert ring.count == rings[0].count > 5000
-    np.testing.assert_array_equal(ring.all_since(0)[1], [one.since(0)[1] for one in rings])
+    np.testing.assert_array_equal(ring.all_since(0)[1], [single.since(0)[1] for single in rings])
 
 
 def test_an_envelope_is_that_of_all_samples_whatever_the_batches():

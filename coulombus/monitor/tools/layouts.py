@@ -23,10 +23,10 @@ COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf")
 
 def _by_unit(rig: Rig) -> dict[str, list[tuple[RigPdo, Signal]]]:
     """Return the signals that are drawn, by unit; words of bits stand behind the quantities."""
-    found: dict[str, list[tuple[RigPdo, Signal]]] = {}
-    for pdo, signal in sorted(signals(rig), key=lambda one: bool(word_fields(one[1].index))):
-        found.setdefault(signal.unit, []).append((pdo, signal))
-    return found
+    groups: dict[str, list[tuple[RigPdo, Signal]]] = {}
+    for pdo, signal in sorted(signals(rig), key=lambda pair: bool(word_fields(pair[1].index))):
+        groups.setdefault(signal.unit, []).append((pdo, signal))
+    return groups
 
 
 def plotjuggler(rig: Rig) -> str:
@@ -38,10 +38,10 @@ def plotjuggler(rig: Rig) -> str:
     groups = _by_unit(rig)
     sizes = ";".join(f"{1 / len(groups):.6f}" for _ in groups)
     splitter = ElementTree.SubElement(container, "DockSplitter", orientation="-", sizes=sizes, count=str(len(groups)))
-    for unit, found in groups.items():
+    for unit, group in groups.items():
         area = ElementTree.SubElement(splitter, "DockArea", name=f"[{unit or '1'}]")
         plot = ElementTree.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
-        for number, (_, signal) in enumerate(found):
+        for number, (_, signal) in enumerate(group):
             ElementTree.SubElement(plot, "curve", name=xml(signal.name), color=COLOURS[number % len(COLOURS)])
     ElementTree.SubElement(widget, "currentTabIndex", index="0")
     ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
@@ -52,7 +52,7 @@ def plotjuggler(rig: Rig) -> str:
 def foxglove(rig: Rig) -> str:
     """Return a Foxglove layout: the plots above each other, and the markers' log beside them."""
     panels: dict[str, Any] = {}
-    for number, (unit, found) in enumerate(_by_unit(rig).items()):
+    for number, (unit, group) in enumerate(_by_unit(rig).items()):
         panels[f"Plot!coulombus{number}"] = {
             "title": f"{rig.name} [{unit or '1'}]",
             "paths": [
@@ -63,7 +63,7 @@ def foxglove(rig: Rig) -> str:
                     "timestampMethod": "receiveTime",
                     "color": COLOURS[k % len(COLOURS)],
                 }
-                for k, (pdo, signal) in enumerate(found)
+                for k, (pdo, signal) in enumerate(group)
             ],
             "xAxisVal": "timestamp",
             "showLegend": True,

@@ -63,7 +63,7 @@ def dissector(rig: Rig) -> str:
         f"local NODES = {_table(nodes)}",
         f"local EMCY = {_table({int(code): text for code, text in EMCY_TEXT.items()})}",
         f"local STATES = {_table(STATES)}",
-        f"local COMMANDS = {_table({one.value: one.name.lower().replace('_', ' ') for one in NmtCommand})}",
+        f"local COMMANDS = {_table({command.value: command.name.lower().replace('_', ' ') for command in NmtCommand})}",
         "local SERVICES = {",
         *rows,
         "}",
@@ -136,8 +136,8 @@ def profile(rig: Rig) -> dict[str, str]:
 
 
 def _graphs(rig: Rig) -> list[tuple[str, str]]:
-    found = [(s.name, f"coulombus.{plain(s)}") for _, s in signals(rig) if not word_fields(s.index)]
-    return [*found, ("time since SYNC [s]", "coulombus.sync_delay")]
+    quantities = [(s.name, f"coulombus.{plain(s)}") for _, s in signals(rig) if not word_fields(s.index)]
+    return [*quantities, ("time since SYNC [s]", "coulombus.sync_delay")]
 
 
 def _row(enabled: str, *cells: str) -> str:

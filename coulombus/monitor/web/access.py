@@ -34,9 +34,9 @@ def kept_token(path: Path) -> str:
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     with os.fdopen(os.open(path, flags, 0o600), "r+", encoding="ascii", errors="replace") as file:
-        found = os.fstat(file.fileno())
+        status = os.fstat(file.fileno())
         text = file.read(100).strip()
-        private = found.st_uid == os.getuid() and stat.S_IMODE(found.st_mode) & 0o077 == 0
+        private = status.st_uid == os.getuid() and stat.S_IMODE(status.st_mode) & 0o077 == 0
         if private and TOKEN.fullmatch(text):
             return text
         os.fchmod(file.fileno(), 0o600)
@@ -77,7 +77,7 @@ def served_as(host: str | None, address: str, port: int, name: str = "") -> bool
     if here.is_loopback:
         names |= {"localhost", "127.0.0.1", "[::1]"}
     given = (host or "").lower()
-    return given in {f"{one}:{port}" for one in names} or (port == HTTP_PORT and given in names)
+    return given in {f"{name}:{port}" for name in names} or (port == HTTP_PORT and given in names)
 
 
 class ControlLock:

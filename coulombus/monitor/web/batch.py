@@ -79,10 +79,10 @@ def batch(capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any]) ->
         times, rows = pieces[track.samples]
         parts.append({"k": "raw", "s": name, "n": len(times)})
         numbers += [times, rows[track.signal]]
-    found = capture.friction(axis)
-    if found is not None:
-        parts.append({"k": "friction", "n": len(found[0])})
-        numbers += [*found]
+    friction = capture.friction(axis)
+    if friction is not None:
+        parts.append({"k": "friction", "n": len(friction[0])})
+        numbers += [*friction]
     head = {"n": flow.sent, "now_bin": capture.newest_ns / BIN_NS, "parts": parts, **more}
     text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)  # the numbers begin at a multiple of four

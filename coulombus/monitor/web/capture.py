@@ -127,7 +127,7 @@ class LiveCapture:
         period_ns = rig.bus.period_ns
         self._capacity = max(64, 2 * FADE_NS // period_ns)
         self._pdos = {pdo.layout.cob_id: _Pdo(pdo, self._capacity) for pdo in rig.pdos()}
-        self._tracks = {name: one for pdo in self._pdos.values() for name, one in pdo.tracks.items()}
+        self._tracks = {name: track for pdo in self._pdos.values() for name, track in pdo.tracks.items()}
         self._differences: list[tuple[Track, Track]] = []
         for axis in rig.axes:
             position = self._tracks.get(axis.prefix + POSITION)
@@ -140,7 +140,7 @@ class LiveCapture:
             }
             for axis in rig.axes
         }
-        self._taken = [0] * len(self._differences)
+        self._counted = [0] * len(self._differences)
         self._bits: deque[tuple[int, int]] = deque()
         self._bits_sum = self._bits_ns = 0
         self._counts: dict[int, int] = {}
@@ -181,8 +181,8 @@ class LiveCapture:
     def _difference(self, k: int) -> None:
         """Add the velocity of the positions that are new."""
         made, position = self._differences[k]
-        t_ns, angle = position.last(position.samples.count - self._taken[k] + VELOCITY_CYCLES)
-        self._taken[k] = position.samples.count
+        t_ns, angle = position.last(position.samples.count - self._counted[k] + VELOCITY_CYCLES)
+        self._counted[k] = position.samples.count
         times, speeds = velocity(t_ns, angle, self.rig.bus.period_ns, VELOCITY_CYCLES)
         made.samples.add(times, speeds)
         made.bins.add(times, speeds)
@@ -196,8 +196,8 @@ class LiveCapture:
             remote = bool(can_id & CAN_RTR_FLAG)
             extended = bool(can_id & CAN_EFF_FLAG)
             number = can_id & (0x1FFFFFFF if extended else 0x7FF)
-            one = frame_bits(number, length if remote else data[:length], extended=extended, remote=remote)
-            self._bits_sum += one * count
+            bits = frame_bits(number, length if remote else data[:length], extended=extended, remote=remote)
+            self._bits_sum += bits * count
         self._counts.clear()
         self._last.clear()
         self._bits_ns = self.newest_ns
@@ -221,9 +221,9 @@ class LiveCapture:
 
     def snapshot(self, now_ns: int) -> Snapshot:
         """Return what is known now, and keep the new events."""
-        found = self.live.snapshot(now_ns)
-        self.events.extend(found.events)
-        return found
+        snapshot = self.live.snapshot(now_ns)
+        self.events.extend(snapshot.events)
+        return snapshot
 
     def last_data(self, can_id: int) -> bytes | None:
         """Return the data of the last right frame of a PDO."""

@@ -145,8 +145,8 @@ class Page:
             return
         self.asking += 1
         try:
-            told = await asyncio.get_running_loop().run_in_executor(self.questions, question)
-            session.answers.append(str(told.get("marker", what)).partition(" [")[0])
+            answer = await asyncio.get_running_loop().run_in_executor(self.questions, question)
+            session.answers.append(str(answer.get("marker", what)).partition(" [")[0])
         except Exception as error:
             session.answers.append(f"{what}: {error}")
         finally:
@@ -340,12 +340,12 @@ def order_of(message: str, axis: str) -> dict[str, Any] | None:
     """
     verb, _, content = message.partition(" ")
     try:
-        found = json.loads(content) if verb == "set" else None
+        order = json.loads(content) if verb == "set" else None
     except (ValueError, RecursionError):
         return None
-    if not isinstance(found, dict) or not found.keys() <= {"values", "undo", "key"}:
+    if not isinstance(order, dict) or not order.keys() <= {"values", "undo", "key"}:
         return None
-    return {**found, "axis": axis}
+    return {**order, "axis": axis}
 
 
 def application(page: Page) -> tornado.web.Application:

@@ -86,10 +86,10 @@ class HostView:
             self._trip = trip
 
     def _axes(self) -> list[Mapping[str, Any]]:
-        return [one for one in _list((self._status or {}).get("axes")) if isinstance(one, Mapping)]
+        return [entry for entry in _list((self._status or {}).get("axes")) if isinstance(entry, Mapping)]
 
     def _parameters(self) -> list[dict[str, Any]]:
-        return [row for one in self._axes() for row in map(_parameter, _list(one.get("parameters"))) if row]
+        return [row for entry in self._axes() for row in map(_parameter, _list(entry.get("parameters"))) if row]
 
     def live(self, axis: str) -> dict[str, float]:
         """Return the live parameters of an axis as they are now, by their names."""
@@ -99,7 +99,7 @@ class HostView:
         """Return what the page shows of the host."""
         status, axes = self._status or {}, self._axes()
         said, counted = _map(status.get("meta")), _map(status.get("histograms_us"))
-        words = [(text(one.get("axis")), text(one.get("phase"))) for one in axes]
+        words = [(text(entry.get("axis")), text(entry.get("phase"))) for entry in axes]
         phases = [f"{axis} {PHASES.get(phase, phase)}".strip() for axis, phase in words]
         return {
             "runs": self._status is not None,
@@ -181,24 +181,24 @@ def _parameter(row: object) -> dict[str, Any] | None:
     """Return a live parameter as the page takes it; None for what is none."""
     if not isinstance(row, Mapping):
         return None
-    found = {name: text(row.get(name)) for name in ("axis", "name", "unit")}
+    names = {name: text(row.get(name)) for name in ("axis", "name", "unit")}
     numbers = {name: _number(row.get(name)) for name in ("value", "now", "low", "high")}
     more = {"step": _number(row.get("step")), "above_low": row.get("above_low") is True}
-    return {**found, **numbers, **more} if found["name"] and None not in numbers.values() else None
+    return {**names, **numbers, **more} if names["name"] and None not in numbers.values() else None
 
 
-def _histogram(told: object) -> dict[str, list[float]] | None:
+def _histogram(histogram: object) -> dict[str, list[float]] | None:
     """Return edges [us] and counts of a histogram; None where they are not told, or are no such."""
-    found = _map(told)
-    edges, counts = _list(found.get("edges"))[: BINS_SHOWN + 1], _list(found.get("counts"))[:BINS_SHOWN]
+    table = _map(histogram)
+    edges, counts = _list(table.get("edges"))[: BINS_SHOWN + 1], _list(table.get("counts"))[:BINS_SHOWN]
     right = len(edges) == len(counts) + 1 and None not in map(_number, [*edges, *counts])
     return {"edges": edges, "counts": counts} if right else None
 
 
 def _spread(spread: object) -> list[float] | None:
     """Return median, 99th percentile and maximum of a time [us]; None where they are not told."""
-    found = [_number(spread.get(name)) for name in ("p50", "p99", "max")] if isinstance(spread, Mapping) else [None]
-    return None if None in found else found  # type: ignore[return-value]  # mypy does not see that none is None
+    quantiles = [_number(spread.get(name)) for name in ("p50", "p99", "max")] if isinstance(spread, Mapping) else [None]
+    return None if None in quantiles else quantiles  # type: ignore[return-value]  # mypy does not see that none is None
 
 
 def _pdo(capture: LiveCapture, row: PdoRow, now_ns: int) -> dict[str, Any]:
@@ -218,8 +218,8 @@ def _pdo(capture: LiveCapture, row: PdoRow, now_ns: int) -> dict[str, Any]:
 def _signal(value: Value, place: str) -> dict[str, Any]:
     word = not value.unit and value.name.rpartition(".")[2] in WORDS
     shown = value.value if value.value is None or not word else f"{int(value.value):04X}h"
-    told = "; ".join(filter(None, (meaning(value), bits_set(value))))
-    return {"name": value.name, "value": shown, "unit": value.unit, "bits": place, "meaning": told}
+    words = "; ".join(filter(None, (meaning(value), bits_set(value))))
+    return {"name": value.name, "value": shown, "unit": value.unit, "bits": place, "meaning": words}
 
 
 def _node(row: NodeRow) -> dict[str, Any]:

@@ -67,16 +67,16 @@ class BusReader(_Worker):
         return {"bus": c.address, "bitrate_bit_s": c.bitrate_bit_s, "lost": c.lost, "malformed": c.malformed}
 
     def _run(self) -> None:
-        asked = taken = time.monotonic()
+        last_question_s = last_batch_s = time.monotonic()
         blocks: list[Block] = []
         pause_s = BATCH_S if self._client.address.packs_frames else COLLECT_S
         while not self.stop.wait(pause_s):
             now, now_ns = time.monotonic(), time.time_ns()
             try:
-                if len(found := self._reader.receive()):
-                    blocks.append(found)
-                if now - asked > ASK_S:
-                    asked = now
+                if len(block := self._reader.receive()):
+                    blocks.append(block)
+                if now - last_question_s > ASK_S:
+                    last_question_s = now
                     self._client.ask()
             except BusDown as error:
                 with self._lock:
@@ -86,8 +86,8 @@ class BusReader(_Worker):
                 pass  # it does not read: told by the silence of all nodes
             except OSError as error:
                 self.failure = error
-            if now - taken >= BATCH_S or self.failure is not None:
-                taken = max(taken + BATCH_S, now - pause_s)  # so that batches are of BATCH_S on average
+            if now - last_batch_s >= BATCH_S or self.failure is not None:
+                last_batch_s = max(last_batch_s + BATCH_S, now - pause_s)  # so that batches are of BATCH_S on average
                 with self._lock:
                     self._capture.take_block(Block.joined(blocks))
                     self.until_ns = now_ns
@@ -134,12 +134,12 @@ class CurveReader(_Worker):
 
     def make(self, axis: Axis, mode: str, live: dict[str, float]) -> None:
         """Make a curve where it is not that of the last time."""
-        wanted = (mode, tuple(live.items()))
-        if self._made.get(axis.name) == wanted or mode not in axis.mode or has_plain_curve(axis):
+        key = (mode, tuple(live.items()))
+        if self._made.get(axis.name) == key or mode not in axis.mode or has_plain_curve(axis):
             return
-        self._made[axis.name] = wanted
+        self._made[axis.name] = key
         try:
-            found = self._door.curve(axis, mode, live)
+            curve = self._door.curve(axis, mode, live)
         except Exception:  # a law of somebody's own: the host says what is wrong with it
-            found = None
-        self.curves[axis.name] = None if found is None else Curve(*found)
+            curve = None
+        self.curves[axis.name] = None if curve is None else Curve(*curve)

@@ -57,7 +57,7 @@ class Server(tornado.httpserver.HTTPServer):
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
         """Serve a connection; where there are too many, the oldest that is no page's ends."""
         kept = self._page.sockets
-        self._streams = deque(one for one in self._streams if not one.closed() and one not in kept)
+        self._streams = deque(stream for stream in self._streams if not stream.closed() and stream not in kept)
         while len(self._streams) >= CONNECTIONS:
             self._streams.popleft().close()
         self._streams.append(stream)
@@ -147,8 +147,8 @@ def serve(
         if parent is None:
             raise
     finally:
-        for one in sockets:
-            one.close()
+        for socket_ in sockets:
+            socket_.close()
 
 
 async def _serve(

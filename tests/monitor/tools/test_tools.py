@@ -104,12 +104,12 @@ def test_cantools_decodes_what_read_decodes(rig, folder, recording, form):
             name, values = identifier(signal), seen[signal.name].values
             for raw, value in zip(raws, values, strict=True):
                 data = raw[: pdo.layout.length]
-                found = split.decode_message(pdo.layout.cob_id, data, decode_choices=False)
+                decoded = split.decode_message(pdo.layout.cob_id, data, decode_choices=False)
                 if not word_fields(entry.index):
-                    assert found[name] == pytest.approx(value, rel=1e-9, abs=1e-12)
+                    assert decoded[name] == pytest.approx(value, rel=1e-9, abs=1e-12)
                     continue
                 parts = word_fields(entry.index)
-                assert sum(found[f"{name}_{part.name}"] << part.start for part in parts) == value & sum(
+                assert sum(decoded[f"{name}_{part.name}"] << part.start for part in parts) == value & sum(
                     p.mask for p in parts
                 )
             if form == "dbc":
@@ -127,9 +127,9 @@ def test_states_bits_and_emergencies_have_names():
     rig = load_rig("bench")
     text = tool_files(rig)["bench-bits.dbc"]
     database = cantools.database.load_string(text, "dbc")
-    found = database.decode_message("motor_TPDO1", bytes.fromhex("371200000000 0000"))
-    assert found["statusword_state"] == "operation enabled"
-    assert (found["statusword_remote"], found["statusword_mode_12"], found["statusword_warning"]) == (1, 1, 0)
+    values = database.decode_message("motor_TPDO1", bytes.fromhex("371200000000 0000"))
+    assert values["statusword_state"] == "operation enabled"
+    assert (values["statusword_remote"], values["statusword_mode_12"], values["statusword_warning"]) == (1, 1, 0)
     assert (
         database.decode_message("motor_RPDO1", bytes.fromhex("0f000000"))["controlword_command"] == "enable operation"
     )
@@ -140,9 +140,9 @@ def test_canmatrix_reads_the_dbc(rig, folder):
     canmatrix = pytest.importorskip("canmatrix.formats")
     matrix = canmatrix.loadp_flat(str(folder / f"{rig.name}.dbc"))
     for pdo, signal in signals(rig):
-        frame = next(one for one in matrix.frames if one.arbitration_id.id == pdo.layout.cob_id)
-        found = frame.signal_by_name(identifier(signal))
-        assert (float(found.factor), float(found.offset), found.unit) == (signal.scale, signal.offset, signal.unit)
+        frame = next(candidate for candidate in matrix.frames if candidate.arbitration_id.id == pdo.layout.cob_id)
+        field = frame.signal_by_name(identifier(signal))
+        assert (float(field.factor), float(field.offset), field.unit) == (signal.scale, signal.offset, signal.unit)
 
 
 def test_asammdf_with_the_dbc_has_the_numbers_of_read(rig, folder, recording, tmp_path):
@@ -154,11 +154,11 @@ def test_asammdf_with_the_dbc_has_the_numbers_of_read(rig, folder, recording, tm
         with can.LogReader(recording) as reader, can.Logger(str(path)) as writer:
             for message in reader:
                 writer(message)
-        found = asammdf.MDF(path).extract_bus_logging({"CAN": [(str(folder / f"{rig.name}.dbc"), 0)]})
+        measurement = asammdf.MDF(path).extract_bus_logging({"CAN": [(str(folder / f"{rig.name}.dbc"), 0)]})
         seen = read(recording, rig)
         for pdo, signal in signals(rig):
             message = f"{pdo.node.replace('.', '_')}_{pdo.name}"
-            samples = found.get(f"{message}.{identifier(signal)}").samples
+            samples = measurement.get(f"{message}.{identifier(signal)}").samples
             np.testing.assert_allclose(samples.astype(float), seen[signal.name].values, rtol=1e-12, atol=1e-12)
 
 
@@ -183,8 +183,8 @@ def test_tshark_with_the_dissector_has_the_numbers_of_read(rig, folder, recordin
     )  # fmt: skip
     columns = list(zip(*csv.reader(out.splitlines()), strict=True))
     for name, column in zip(keys, columns, strict=True):
-        found = [float(int(text, 0)) if text.startswith("0x") else float(text) for text in column if text]
-        np.testing.assert_allclose(found, seen[name].values, rtol=1e-12, atol=1e-12)
+        values = [float(int(text, 0)) if text.startswith("0x") else float(text) for text in column if text]
+        np.testing.assert_allclose(values, seen[name].values, rtol=1e-12, atol=1e-12)
 
 
 @needs_tshark

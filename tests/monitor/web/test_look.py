@@ -87,9 +87,9 @@ def test_all_text_has_the_contrast_of_wcag_aa(tmp_path, dark):
         )
         for change in ("0", "document.querySelectorAll('button, input').forEach((e) => e.disabled = true)", "freeze()"):
             await browser.evaluate(f"{change}, 0")
-            found = await browser.evaluate(CONTRAST)
-            assert len(found) > 80
-            wrong = [row for row in found if row[1] < row[2] or row[3] < 11 or row[4] < 1]
+            contrasts = await browser.evaluate(CONTRAST)
+            assert len(contrasts) > 80
+            wrong = [row for row in contrasts if row[1] < row[2] or row[3] < 11 or row[4] < 1]
             assert wrong == []
         await browser.evaluate("document.body.className = 'cut', 0")
         assert [row for row in await browser.evaluate(CONTRAST) if row[1] < row[2] or row[4] < 1] == []
@@ -140,13 +140,13 @@ def test_the_keyboard_alone_reaches_and_does_everything(tmp_path):
     door = Door()
 
     async def use(browser, shown):
-        wanted = await browser.evaluate(
+        actions = await browser.evaluate(
             "[...document.querySelectorAll('button, input')].filter((e) => e.checkVisibility() && !e.disabled)"
             ".map((e) => e.dataset.action)"
         )
-        assert {"stop", "freeze", "zoom-in", "undo", "mark:9", "set:F_s_Nm", "value:K_p_Nm_rad"} <= set(wanted)
+        assert {"stop", "freeze", "zoom-in", "undo", "mark:9", "set:F_s_Nm", "value:K_p_Nm_rad"} <= set(actions)
         reached = []
-        for _ in range(len(wanted) + 8):
+        for _ in range(len(actions) + 8):
             await browser.press("Tab", 9)
             name, ring = await browser.evaluate(
                 "[document.activeElement.dataset.action || document.activeElement.ariaLabel,"
@@ -154,7 +154,7 @@ def test_the_keyboard_alone_reaches_and_does_everything(tmp_path):
             )
             reached.append(name)
             assert ring == "solid" or name is None, name  # None: it has left the page
-        assert set(wanted) <= set(reached)
+        assert set(actions) <= set(reached)
         await browser.evaluate("action('set:F_s_Nm').focus()")
         await browser.press("ArrowLeft", 37)
         await browser.until("one('said').textContent === 'set F_s_Nm 3.5 -> 3.48 Nm in 0.5 s'")
@@ -233,11 +233,11 @@ def test_each_parameter_and_each_signal_has_its_element(tmp_path, law):
         assert {"karnopp": "K_p_Nm_rad", "lugre": "sigma_0_Nm_rad"}[law] in [row["name"] for row in rows]
         for row in rows:
             name = row["name"]
-            told = await browser.evaluate(
+            bounds = await browser.evaluate(
                 f"(({{min, max, step, type}}) => [Number(min), Number(max), Number(step), type])(action('set:{name}'))"
             )
             likely = 10 * row["value"] if row["high"] > 20 * row["value"] > 0 else row["high"]
-            assert told == [row["low"], pytest.approx(likely), row["step"], "range"], name
+            assert bounds == [row["low"], pytest.approx(likely), row["step"], "range"], name
             assert (likely - row["low"]) / row["step"] >= 100
             assert await browser.evaluate(f"Number(action('value:{name}').max)") == row["high"]
             assert float(await browser.text(f"set:{name}")) == pytest.approx(row["now"], rel=1e-3)

@@ -15,11 +15,11 @@ from web_bench import BEGIN_NS, FACTS, MS, STATUS, cycles
 
 @pytest.fixture
 def capture():
-    found = LiveCapture(load_rig("bench"))
-    found.snapshot(BEGIN_NS)
+    live_capture = LiveCapture(load_rig("bench"))
+    live_capture.snapshot(BEGIN_NS)
     for first in range(0, 2000, 33):
-        found.take(cycles(first, min(33, 2000 - first)))
-    return found
+        live_capture.take(cycles(first, min(33, 2000 - first)))
+    return live_capture
 
 
 def view():
@@ -55,11 +55,11 @@ def test_the_state_says_what_the_bus_carries(capture):
     now = BEGIN_NS + 2000 * MS
     host = view()
     host.tell(STATUS)
-    found = document(capture, capture.snapshot(now), FACTS, host)
-    assert found["arm"] == "armed"
-    assert found["host"]["phase"] == "running"
-    assert 30 < found["load_percent"] < 60  # 5 frames and 22 bytes of data a millisecond
-    row = next(row for row in found["pdos"] if row["name"] == "motor.TPDO1")
+    state = document(capture, capture.snapshot(now), FACTS, host)
+    assert state["arm"] == "armed"
+    assert state["host"]["phase"] == "running"
+    assert 30 < state["load_percent"] < 60  # 5 frames and 22 bytes of data a millisecond
+    row = next(row for row in state["pdos"] if row["name"] == "motor.TPDO1")
     assert row["raw"] == "37 02 2F E8 FF FF EC FF"
     assert row["jitter_ms"] == pytest.approx(0, abs=1e-6)
     assert [s["value"] for s in row["signals"]][:1] == ["0237h"]
@@ -81,8 +81,8 @@ def test_a_trip_stays_with_the_runbooks_line_until_the_next_run():
     host = view()
     host.tell({**STATUS, "trip": "SPEED: too fast"})
     host.tell(None)
-    found = host.as_dict()
-    assert (found["runs"], found["trip"], found["advice"]) == (False, "SPEED: too fast", "docs/runbook.md#speed")
+    state = host.as_dict()
+    assert (state["runs"], state["trip"], state["advice"]) == (False, "SPEED: too fast", "docs/runbook.md#speed")
     host.tell(STATUS)
     assert host.as_dict()["trip"] == ""
 
@@ -97,8 +97,8 @@ def test_a_hosts_rubbish_is_as_if_not_told(rubbish):
 
 
 def test_a_drive_that_is_not_heard_is_neither_armed_nor_disarmed():
-    found = LiveCapture(load_rig("bench"))
-    assert arm_state(found.snapshot(BEGIN_NS)) == "unknown"
+    live_capture = LiveCapture(load_rig("bench"))
+    assert arm_state(live_capture.snapshot(BEGIN_NS)) == "unknown"
 
 
 def test_batches_bring_each_bin_and_wait_for_the_page(capture):

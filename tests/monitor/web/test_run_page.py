@@ -58,10 +58,10 @@ class Page:
 
     async def stop(self):
         """Press STOP; return what the server says."""
-        told = await AsyncHTTPClient().fetch(
+        response = await AsyncHTTPClient().fetch(
             self.url + "stop", method="POST", body="", headers={"Origin": self.origin}, request_timeout=PATIENCE_S
         )
-        return json.loads(told.body)
+        return json.loads(response.body)
 
 
 def parameter(head, name):
@@ -83,13 +83,13 @@ def test_a_page_changes_the_law_of_a_run_marks_it_and_stops_it(tmp_path):
     record = tmp_path / "r.pcapng"
     arguments = ("--web", "--web-port", 0, "--record", record)
     with simulation(BUS, overrides=OVERRIDES), host(BUS, *arguments, seconds=PATIENCE_S, overrides=OVERRIDES) as run:
-        told = []
+        lines = []
         for line in run.stderr:
-            told.append(line)
-            if found := re.match(r"page: (http://127\.0\.0\.1:\d+/[\w-]{32,}/)$", line):
+            lines.append(line)
+            if match := re.match(r"page: (http://127\.0\.0\.1:\d+/[\w-]{32,}/)$", line):
                 break
-        assert found, told
-        asyncio.run(asyncio.wait_for(course(found[1]), PATIENCE_S))
+        assert match, lines
+        asyncio.run(asyncio.wait_for(course(match[1]), PATIENCE_S))
         status, data, err = result(run)
     assert status == 0, err
     assert data["trip"] is None

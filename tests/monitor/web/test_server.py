@@ -99,11 +99,11 @@ def test_a_request_for_another_host_is_refused_with_the_reason(place):
                 headers = {"Host": host, "Origin": f"http://{host}"}
                 how = {"method": "POST", "body": ""} if place == "stop" else {}
                 if place == "data":
-                    asked = socket_of(url, **headers)
+                    request = socket_of(url, **headers)
                 else:
-                    asked = AsyncHTTPClient().fetch(HTTPRequest(url + place, headers=headers, **how))
+                    request = AsyncHTTPClient().fetch(HTTPRequest(url + place, headers=headers, **how))
                 with pytest.raises(HTTPClientError) as refused:
-                    await asked
+                    await request
                 assert refused.value.code == 421
                 if place != "data":
                     assert b"open the URL that the command printed" in refused.value.response.body
@@ -207,8 +207,8 @@ def test_only_the_page_that_controls_changes_parameters_and_marks():
             first = await socket_of(url)
             order = 'set {"values": {"F_s_Nm": 3.2}}'
             assert await answer_of(shown, first, order, 1) == "set F_s_Nm 3.5 -> 3.2 Nm in 0.5 s"
-            told = await answer_of(shown, first, 'set {"values": {"F_s_Nm": 9}}', 2)
-            assert told.startswith("not changed: F_s_Nm=9: expected from 0 to 4.5 Nm")
+            answer = await answer_of(shown, first, 'set {"values": {"F_s_Nm": 9}}', 2)
+            assert answer.startswith("not changed: F_s_Nm=9: expected from 0 to 4.5 Nm")
             assert await answer_of(shown, first, "mark 7", 3) == "mark 7"
             assert [order["axis"] for order in door.orders] == ["", ""]
             first.close()
@@ -232,7 +232,7 @@ def test_what_the_host_answered_within_one_state_is_told_answer_by_answer():
     door = Door()
 
     async def run():
-        shown, told = page(door=door), []
+        shown, answers = page(door=door), []
         async with served(shown) as url:
             first = await socket_of(url)
             for message in ('set {"values": {"F_s_Nm": 9}}', "mark 7"):
@@ -243,13 +243,13 @@ def test_what_the_host_answered_within_one_state_is_told_answer_by_answer():
                 shown.tick(BEGIN_NS + 1000 * (k + 1) * MS)
                 head, _ = unpacked(await first.read_message())
                 await first.write_message(f"took {head['n']}")
-                told.append(head["answer"])
+                answers.append(head["answer"])
                 while not all(session.flow.free for session in shown.sessions):
                     await asyncio.sleep(0)
             first.close()
-        refused, marked = sorted(told[:2], key=lambda words: words == "mark 7")
+        refused, marked = sorted(answers[:2], key=lambda words: words == "mark 7")
         assert refused.startswith("not changed: F_s_Nm=9")
-        assert (marked, told[2]) == ("mark 7", "")
+        assert (marked, answers[2]) == ("mark 7", "")
 
     asyncio.run(run())
 
@@ -332,15 +332,15 @@ def test_the_pages_have_the_tries_of_the_arm_key_together_and_are_told_of_the_lo
         shown = page(door=door)
         async with served(shown) as url:
             for k in range(TRIES):  # a page each
-                one = await socket_of(url)
-                assert "the arm key is wrong" in await answer_of(shown, one, set_to("123456"), k)
-                one.close()
+                connection = await socket_of(url)
+                assert "the arm key is wrong" in await answer_of(shown, connection, set_to("123456"), k)
+                connection.close()
                 while shown.sessions:
                     await asyncio.sleep(0)
-            one = await socket_of(url)
+            connection = await socket_of(url)
             door.now_ns = LOCK_NS - 1
-            assert "none is taken for another 1 s" in await answer_of(shown, one, set_to("004711"), TRIES)
-            one.close()
+            assert "none is taken for another 1 s" in await answer_of(shown, connection, set_to("004711"), TRIES)
+            connection.close()
 
     asyncio.run(run())
 
@@ -351,8 +351,8 @@ def set_to(key):
 
 def test_an_arm_key_of_half_a_character_is_wrong():
     door = Door(arm_key="1234")
-    told = door.changes.answer('{"values": {"F_s_Nm": 3.2}, "key": "\\ud800"}', 0)
-    assert told["error"].startswith("the arm key is wrong")
+    answer = door.changes.answer('{"values": {"F_s_Nm": 3.2}, "key": "\\ud800"}', 0)
+    assert answer["error"].startswith("the arm key is wrong")
 
 
 def test_a_hundred_thousand_mutilated_orders_change_nothing_beyond_bounds():
@@ -395,10 +395,10 @@ def test_a_hundred_thousand_mutilated_orders_change_nothing_beyond_bounds():
 
 
 def test_a_port_in_use_is_told():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        port = server.getsockname()[1]
         with pytest.raises(WebError, match=f"port {port} of 127.0.0.1 is in use: choose another with --web-port"):
             listening("127.0.0.1", port)
     with pytest.raises(WebError, match="--web-host names an address of this machine"):
