@@ -27,21 +27,21 @@ def as_dict(report: Report) -> dict[str, Any]:
         "complete": report.ended_by is None,
         "cases": [
             {
-                "id": one.case.id,
-                "name": one.case.name,
-                "result": one.result,
-                "reason": one.reason,
-                **({"frames": list(one.frames)} if one.result in _SHOWN else {}),
+                "id": outcome.case.id,
+                "name": outcome.case.name,
+                "result": outcome.result,
+                "reason": outcome.reason,
+                **({"frames": list(outcome.frames)} if outcome.result in _SHOWN else {}),
             }
-            for one in report.outcomes
+            for outcome in report.outcomes
         ],
     }
 
 
 def summary(report: Report) -> str:
     """Return one line: how many cases passed, failed, do not apply."""
-    listed = [one for one in report.outcomes if not one.case.own]
-    passed = sum(one.result == "pass" for one in listed)
+    listed = [outcome for outcome in report.outcomes if not outcome.case.own]
+    passed = sum(outcome.result == "pass" for outcome in listed)
     counts = (
         f"{report.count('pass')} passed, {report.count('fail')} failed, {report.count('not_applicable')} not applicable"
     )
@@ -60,17 +60,19 @@ def junit(report: Report) -> ElementTree.Element:
         failures=str(report.count("fail")),
         skipped=str(report.count("not_applicable")),
         errors=str(report.count("error")),
-        time=f"{sum(one.seconds for one in report.outcomes):.3f}",
+        time=f"{sum(outcome.seconds for outcome in report.outcomes):.3f}",
     )
-    for one in report.outcomes:
-        name = f"{one.case.id} {one.case.name}"
-        test = ElementTree.SubElement(suite, "testcase", classname="conformance", name=name, time=f"{one.seconds:.3f}")
-        if one.result in _SHOWN:
-            kind = "failure" if one.result == "fail" else "error"
-            failure = ElementTree.SubElement(test, kind, message=xml(one.reason))
-            failure.text = xml("\n".join((one.reason, *one.frames)))
-        elif one.result == "not_applicable":
-            ElementTree.SubElement(test, "skipped", message=xml(one.reason))
+    for outcome in report.outcomes:
+        name = f"{outcome.case.id} {outcome.case.name}"
+        test = ElementTree.SubElement(
+            suite, "testcase", classname="conformance", name=name, time=f"{outcome.seconds:.3f}"
+        )
+        if outcome.result in _SHOWN:
+            kind = "failure" if outcome.result == "fail" else "error"
+            failure = ElementTree.SubElement(test, kind, message=xml(outcome.reason))
+            failure.text = xml("\n".join((outcome.reason, *outcome.frames)))
+        elif outcome.result == "not_applicable":
+            ElementTree.SubElement(test, "skipped", message=xml(outcome.reason))
     suites = ElementTree.Element("testsuites")
     suites.append(suite)
     return suites
@@ -93,12 +95,20 @@ def markdown(report: Report) -> str:
     ]
     lines += ["| case | | result | reason |", "|---|---|---|---|"]
     lines += [
-        f"| {one.case.id} | {_cell(one.case.name)} | {WORDS[one.result]} | {_cell(one.reason)} |"
-        for one in report.outcomes
+        f"| {outcome.case.id} | {_cell(outcome.case.name)} | {WORDS[outcome.result]} | {_cell(outcome.reason)} |"
+        for outcome in report.outcomes
     ]
-    for one in _failures(report):
-        lines += ["", f"## {one.case.id} {one.case.name}", "", one.case.objective, "", _cell(one.reason), ""]
-        lines += ["```", *one.frames, "```"]
+    for outcome in _failures(report):
+        lines += [
+            "",
+            f"## {outcome.case.id} {outcome.case.name}",
+            "",
+            outcome.case.objective,
+            "",
+            _cell(outcome.reason),
+            "",
+        ]
+        lines += ["```", *outcome.frames, "```"]
     return "\n".join(lines) + "\n"
 
 
@@ -106,14 +116,14 @@ def page(report: Report) -> str:
     """Return the report as an HTML page of its own."""
     text = html.escape
     rows = "".join(
-        f'<tr class="{one.result}"><td>{text(one.case.id)}<td>{text(one.case.name)}'
-        f"<td>{WORDS[one.result]}<td>{text(one.reason)}</tr>\n"
-        for one in report.outcomes
+        f'<tr class="{outcome.result}"><td>{text(outcome.case.id)}<td>{text(outcome.case.name)}'
+        f"<td>{WORDS[outcome.result]}<td>{text(outcome.reason)}</tr>\n"
+        for outcome in report.outcomes
     )
     details = "".join(
-        f"<h2>{text(one.case.id)} {text(one.case.name)}</h2><p>{text(one.case.objective)}</p><p>{text(one.reason)}</p>"
-        f"<pre>{text(chr(10).join(one.frames))}</pre>\n"
-        for one in _failures(report)
+        f"<h2>{text(outcome.case.id)} {text(outcome.case.name)}</h2><p>{text(outcome.case.objective)}</p><p>{text(outcome.reason)}</p>"
+        f"<pre>{text(chr(10).join(outcome.frames))}</pre>\n"
+        for outcome in _failures(report)
     )
     title = text(f"Conformance of {report.device}, node {report.node_id}")
     style = (
@@ -134,7 +144,7 @@ def write_report(report: Report, path: Path) -> None:
 
 
 def _failures(report: Report) -> list[Outcome]:
-    return [one for one in report.outcomes if one.result in _SHOWN]
+    return [outcome for outcome in report.outcomes if outcome.result in _SHOWN]
 
 
 def _cell(text: str) -> str:

@@ -208,7 +208,7 @@ def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None]
             if silent >= _GIVE_UP:
                 outcomes.append(Outcome(case, "fail", "not run: the device does not answer any more"))
                 continue
-            outcomes.append(_one(unit, case))
+            outcomes.append(_outcome(unit, case))
             silent = silent + 1 if outcomes[-1].result == "fail" and not _alive(unit) else 0
     except (KeyboardInterrupt, SystemExit, BusUnavailable) as why:
         ended_by = why
@@ -219,7 +219,7 @@ def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None]
     return Report(unit.description.path, unit.node_id, device, tuple(outcomes), ended_by)
 
 
-def _one(unit: Unit, case: Case) -> Outcome:
+def _outcome(unit: Unit, case: Case) -> Outcome:
     start_ns = unit.link.now_ns()
     result: Result = "pass"
     try:

@@ -45,9 +45,9 @@ def sound(name):
 
 @pytest.mark.parametrize("name", ["motor", "mr_brake"])
 def test_our_nodes_pass(name):
-    failed = {one.case.id: one.reason for one in sound(name).outcomes if one.result == "fail"}
+    failed = {outcome.case.id: outcome.reason for outcome in sound(name).outcomes if outcome.result == "fail"}
     assert not failed
-    assert sum(one.result == "pass" for one in sound(name).outcomes if not one.case.own) == 127
+    assert sum(outcome.result == "pass" for outcome in sound(name).outcomes if not outcome.case.own) == 127
 
 
 def test_a_device_that_produces_sync_from_the_start_may_refuse_1019():
@@ -59,12 +59,12 @@ def test_a_device_that_produces_sync_from_the_start_may_refuse_1019():
     )
     assert (eds.default(0x1005, 0, 1), eds.default(0x1006, 0, 1)) == (0x40000080, 100000)
     report = run_cases(Unit(VirtualLink(eds, 1, BRAKE404), eds, 1, Timing()))
-    assert {one.case.id: one.reason for one in report.outcomes if one.result == "fail"} == {}
+    assert {outcome.case.id: outcome.reason for outcome in report.outcomes if outcome.result == "fail"} == {}
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_a_mutant_is_caught(mutant):
-    assert next(one for one in sound(mutant.device).outcomes if one.case.id == mutant.case).result == "pass"
+    assert next(outcome for outcome in sound(mutant.device).outcomes if outcome.case.id == mutant.case).result == "pass"
     link_type = type("Link", (MutantLink,), {"mutant": mutant})
     outcome = run_cases(new_unit(mutant.device, link_type), mutant.case).outcomes[0]
     assert outcome.result == "fail", outcome.reason

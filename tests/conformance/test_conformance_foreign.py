@@ -18,5 +18,5 @@ def test_what_is_allowed_does_not_fail(other):
     eds = other.description()
     unit = Unit(link_type(eds, 1, KIND_OF[other.device]), eds, 1, Timing())
     check_before(unit)
-    found = {one.case.id: (one.result, one.reason) for one in run(unit, select(other.cases)).outcomes}
-    assert {number: why for number, why in found.items() if why[0] not in other.expected} == {}
+    results = {outcome.case.id: (outcome.result, outcome.reason) for outcome in run(unit, select(other.cases)).outcomes}
+    assert {number: why for number, why in results.items() if why[0] not in other.expected} == {}

@@ -59,8 +59,8 @@ def no_fault(unit: Unit) -> None:
 
 def power_state(unit: Unit) -> PowerState | None:
     """Return the state that the statusword tells; None when it tells none."""
-    found = int(STATE_OF_STATUSWORD[unit.number(0x6041) & 0x7F])
-    return None if found < 0 else PowerState(found)
+    number = int(STATE_OF_STATUSWORD[unit.number(0x6041) & 0x7F])
+    return None if number < 0 else PowerState(number)
 
 
 def give(unit: Unit, command: Command) -> None:
@@ -68,13 +68,15 @@ def give(unit: Unit, command: Command) -> None:
     unit.put(0x6040, 0, CONTROLWORD[command].to_bytes(2, "little"))
 
 
-def expect_state(unit: Unit, wanted: PowerState, what: str) -> None:
+def expect_state(unit: Unit, expected: PowerState, what: str) -> None:
     """Fail unless the drive gets there within the answer's time-out."""
     until_ns = unit.link.now_ns() + unit.timing.answer_ns
     state = power_state(unit)
-    while state != wanted:
+    while state != expected:
         if unit.link.now_ns() > until_ns:
-            raise CaseFailed(f"{state.name if state is not None else 'no state'} after {what}, expected {wanted.name}")
+            raise CaseFailed(
+                f"{state.name if state is not None else 'no state'} after {what}, expected {expected.name}"
+            )
         unit.pause(2 * MS)
         state = power_state(unit)
 
@@ -169,13 +171,13 @@ def switched_on(unit: Unit) -> str:
         raise NotApplicable("the statusword's bit 4 tells that there is no supply")
     give(unit, C.SWITCH_ON)
     expect_state(unit, P.SWITCHED_ON, "SWITCH_ON (transition 3)")
-    for command, wanted, number in (
+    for command, target, number in (
         (C.SHUTDOWN, P.READY_TO_SWITCH_ON, 6),
         (C.DISABLE_VOLTAGE, P.SWITCH_ON_DISABLED, 10),
     ):
         lead(unit, P.SWITCHED_ON)
         give(unit, command)
-        expect_state(unit, wanted, f"{command.name} in SWITCHED_ON (transition {number})")
+        expect_state(unit, target, f"{command.name} in SWITCHED_ON (transition {number})")
     return "transitions 3, 6, 10"
 
 
@@ -281,14 +283,14 @@ def modes(unit: Unit) -> str:
     for index in (0x6060, 0x6061, 0x6502):
         unit.need(index)
     supported = unit.number(0x6502)
-    taken = []
+    accepted = []
     for mode in range(1, 12):
         if supported >> mode - 1 & 1:
             unit.put(0x6060, 0, bytes((mode,)))
             unit.pause(5 * MS)
             if unit.number(0x6061) != mode:
                 raise CaseFailed(f"6061h is {unit.number(0x6061)} after mode {mode} was written to 6060h")
-            taken.append(str(mode))
+            accepted.append(str(mode))
             continue
         try:
             unit.put(0x6060, 0, bytes((mode,)))
@@ -298,7 +300,7 @@ def modes(unit: Unit) -> str:
         unit.pause(5 * MS)
         if unit.number(0x6061) == mode:
             raise CaseFailed(f"6061h shows mode {mode}, which 6502h does not have")
-    return f"modes {', '.join(taken)}"
+    return f"modes {', '.join(accepted)}"
 
 
 @case("P.9")

@@ -22,9 +22,9 @@ COMMUNICATION = 0x10
 def identifier(unit: Unit) -> None:
     """Read 1014h and compare it with the EDS, or with 80h + node-id where that gives no default."""
     said = unit.default(unit.need(0x1014))
-    value, wanted = unit.number(0x1014), said if isinstance(said, int) else CobId.EMCY + unit.node_id
-    if value != wanted:
-        raise CaseFailed(f"1014h is {value:08X}h, expected {wanted:08X}h")
+    value, expected = unit.number(0x1014), said if isinstance(said, int) else CobId.EMCY + unit.node_id
+    if value != expected:
+        raise CaseFailed(f"1014h is {value:08X}h, expected {expected:08X}h")
 
 
 @case("5.2")
@@ -238,9 +238,9 @@ def newest_first(unit: Unit) -> str:
     codes = [int.from_bytes(frame.data[:2], "little") for frame in (second, first)]
     if codes[0] == codes[1]:
         raise NotApplicable(f"both errors have the code {codes[0]:04X}h")
-    count, found = unit.number(0x1003, 0), [unit.number(0x1003, sub) & 0xFFFF for sub in (1, 2)]
-    if found != codes or count < 2:
-        told_codes = " and ".join(f"{code:04X}h" for code in found)
+    count, entries = unit.number(0x1003, 0), [unit.number(0x1003, sub) & 0xFFFF for sub in (1, 2)]
+    if entries != codes or count < 2:
+        told_codes = " and ".join(f"{code:04X}h" for code in entries)
         raise CaseFailed(
             f"1003h:00 is {count}, with {told_codes}; the EMCYs were, newest first, {codes[0]:04X}h and {codes[1]:04X}h"
         )

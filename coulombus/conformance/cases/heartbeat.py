@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from coulombus.conformance.cases.nmt import produce_heartbeats, told
+from coulombus.conformance.cases.nmt import nmt_state, produce_heartbeats
 from coulombus.conformance.cases.node_guarding import alternating, error_id, guard, need_guarding
 from coulombus.conformance.tester.pdo_setup import HeartbeatOfTester
 from coulombus.conformance.tester.provoke import GUARD_MS, emcy_id
@@ -82,10 +82,10 @@ def heartbeat_off(unit: Unit) -> None:
 def consumer_subs(unit: Unit) -> list[int]:
     """Return the sub-indices of 1016h that can be written."""
     unit.need(0x1016, 1)
-    found = [s for s, v in unit.description.objects[0x1016].variables.items() if 0 < s < 0xFF and v.access != "ro"]
-    if not found:
+    subs = [s for s, v in unit.description.objects[0x1016].variables.items() if 0 < s < 0xFF and v.access != "ro"]
+    if not subs:
         raise NotApplicable("1016h cannot be written")
-    return found
+    return subs
 
 
 @case("7.104")
@@ -329,7 +329,7 @@ def error_behaviour(unit: Unit) -> str:
     """
     unit.need_writable(0x1029, 1)
     states = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED)
-    for value, wanted in enumerate(states):
+    for value, expected in enumerate(states):
         produce_heartbeats(unit)
         heartbeat = HeartbeatOfTester(unit)
         try:
@@ -338,12 +338,12 @@ def error_behaviour(unit: Unit) -> str:
             raise NotApplicable(f"{where(0x1029, 1)}: {abort}") from None
         unit.start()
         heartbeat.lose()
-        state = told(unit)
+        state = nmt_state(unit)
         if state is None:
             raise NotApplicable("the device tells its state neither by heartbeat nor by guarding")
-        if state != wanted:
+        if state != expected:
             raise CaseFailed(
-                f"NMT state {state} after a lost heartbeat with 1029h:01 at {value}, expected {wanted.name}"
+                f"NMT state {state} after a lost heartbeat with 1029h:01 at {value}, expected {expected.name}"
             )
         unit.restore()
         unit.reset()

@@ -101,18 +101,18 @@ def wait_state(unit: Unit) -> None:
 
 def configure(unit: Unit) -> list[int]:
     """Switch this slave alone to LSS configuration, and return its address."""
-    found = address(unit)
+    own_address = address(unit)
     wait_state(unit)
     unit.flush()
-    words(unit, SELECTIVE, found)
+    words(unit, SELECTIVE, own_address)
     answer(unit, S.SWITCH_ANSWER, "switch state selective")
-    return found
+    return own_address
 
 
-def give_back(unit: Unit, found: list[int]) -> None:
+def give_back(unit: Unit, own_address: list[int]) -> None:
     """Give the slave of this address the node-id that it had, whatever state it is in."""
     wait_state(unit)
-    words(unit, SELECTIVE, found)
+    words(unit, SELECTIVE, own_address)
     unit.pause(unit.timing.quiet_ns)
     send(unit, S.CONFIGURE_NODE_ID, bytes((unit.node_id,)))
     unit.pause(unit.timing.quiet_ns)
@@ -122,20 +122,20 @@ def give_back(unit: Unit, found: list[int]) -> None:
 @case("L.1")
 def inquiry(unit: Unit) -> str:
     """Switch the slave by its address, and inquire each part of it and the node-id."""
-    found = configure(unit)
+    own_address = configure(unit)
     try:
-        for service, value in zip(INQUIRE, found, strict=True):
+        for service, value in zip(INQUIRE, own_address, strict=True):
             send(unit, service)
-            told = int.from_bytes(optional(unit, service, f"inquiry {service:02X}h")[:4], "little")
-            if told != value:
-                raise CaseFailed(f"inquiry {service:02X}h tells {told:08X}h; 1018h has {value:08X}h")
+            number = int.from_bytes(optional(unit, service, f"inquiry {service:02X}h")[:4], "little")
+            if number != value:
+                raise CaseFailed(f"inquiry {service:02X}h tells {number:08X}h; 1018h has {value:08X}h")
         send(unit, S.INQUIRE_NODE_ID)
-        told = optional(unit, S.INQUIRE_NODE_ID, "inquire node-id")[0]
-        if told != unit.node_id:
-            raise CaseFailed(f"inquire node-id tells {told}, expected {unit.node_id}")
+        number = optional(unit, S.INQUIRE_NODE_ID, "inquire node-id")[0]
+        if number != unit.node_id:
+            raise CaseFailed(f"inquire node-id tells {number}, expected {unit.node_id}")
     finally:
         wait_state(unit)
-    return " ".join(f"{value:08X}h" for value in found)
+    return " ".join(f"{value:08X}h" for value in own_address)
 
 
 @case("L.2")
@@ -143,18 +143,18 @@ def another_address(unit: Unit) -> None:
     """Switch selectively with another serial number, revision, product and vendor, then inquire:
     silence each time.
     """
-    found = address(unit)
+    own_address = address(unit)
     for part in reversed(range(4)):
         wait_state(unit)
         unit.flush()
-        words(unit, SELECTIVE, [value ^ 0x5A5A5A5A if k == part else value for k, value in enumerate(found)])
+        words(unit, SELECTIVE, [value ^ 0x5A5A5A5A if k == part else value for k, value in enumerate(own_address)])
         silence(unit, f"switch state selective for another {PARTS[part]}")
         send(unit, S.INQUIRE_NODE_ID)
         silence(unit, "inquire node-id in the waiting state")
     wait_state(unit)
-    words(unit, SELECTIVE[:3], found[:3])
-    words(unit, SELECTIVE[:1], [found[0] ^ 0x5A5A5A5A])
-    words(unit, SELECTIVE[3:], found[3:])
+    words(unit, SELECTIVE[:3], own_address[:3])
+    words(unit, SELECTIVE[:1], [own_address[0] ^ 0x5A5A5A5A])
+    words(unit, SELECTIVE[3:], own_address[3:])
     silence(unit, "switch state selective whose last vendor is another")
 
 
@@ -173,10 +173,10 @@ def identify(unit: Unit) -> None:
         ask(unit, S.IDENTIFY_ANSWER, "identify remote slave")
     for part, value in ((4, serial), (2, revision)):  # beside the device's own, on either side
         for wrong in {min(value + 1, 0xFFFFFFFF), max(value - 1, 0)} - {value}:
-            wanted = [vendor, product, revision, revision, serial, serial]
-            wanted[part : part + 2] = wrong, wrong
+            limits = [vendor, product, revision, revision, serial, serial]
+            limits[part : part + 2] = wrong, wrong
             unit.flush()
-            words(unit, IDENTIFY, wanted)
+            words(unit, IDENTIFY, limits)
             silence(unit, f"identify remote slave for another {PARTS[3 if part == 4 else 2]}")
     unit.flush()
     words(unit, IDENTIFY, [vendor ^ 1, product, 0, 0xFFFFFFFF, 0, 0xFFFFFFFF])
@@ -198,11 +198,11 @@ def node_id(unit: Unit) -> None:
     """
     configure(unit)
     try:
-        for value, wanted in ((0, REFUSALS), (128, REFUSALS), (unit.node_id, (0,))):
+        for value, codes in ((0, REFUSALS), (128, REFUSALS), (unit.node_id, (0,))):
             send(unit, S.CONFIGURE_NODE_ID, bytes((value,)))
             error = answer(unit, S.CONFIGURE_NODE_ID, f"configure node-id {value}")[0]
-            if error not in wanted:
-                raise CaseFailed(f"configure node-id {value}: error code {error}, expected {_one_of(wanted)}")
+            if error not in codes:
+                raise CaseFailed(f"configure node-id {value}: error code {error}, expected {_one_of(codes)}")
     finally:
         wait_state(unit)
     unit.read(0x1000, 0)
@@ -231,12 +231,12 @@ def fastscan(unit: Unit) -> str:
     """Go through a fastscan with the device's own address: a device that has a node-id is silent,
     though others may answer.
     """
-    found = address(unit)
+    own_address = address(unit)
     wait_state(unit)
     unit.flush()
     send(unit, S.FASTSCAN, bytes(4) + bytes((FASTSCAN_START, 0, 0)))
     unit.pause(unit.timing.quiet_ns)
-    for part, value in enumerate(found):
+    for part, value in enumerate(own_address):
         unit.flush()
         send(unit, S.FASTSCAN, value.to_bytes(4, "little") + bytes((0, part, (part + 1) % 4)))
         unit.pause(unit.timing.quiet_ns)
@@ -269,7 +269,7 @@ def pending(unit: Unit) -> str:
     It is set back before.
     """
     other = unit.node_id ^ 0x01 or 2
-    found = configure(unit)
+    own_address = configure(unit)
     try:
         send(unit, S.CONFIGURE_NODE_ID, bytes((other,)))
         error = answer(unit, S.CONFIGURE_NODE_ID, f"configure node-id {other}")[0]
@@ -278,7 +278,7 @@ def pending(unit: Unit) -> str:
         wait_state(unit)
         unit.read(0x1000, 0)
     finally:  # also when it is interrupted: the next reset would let it take effect
-        give_back(unit, found)
+        give_back(unit, own_address)
     unit.reset(NmtCommand.RESET_COMMUNICATION, must=True)
     unit.read(0x1000, 0)
     return f"node-id {other}"
@@ -290,7 +290,7 @@ def without_node_id(unit: Unit) -> None:
 
     The old node-id brings both back.
     """
-    found = configure(unit)
+    own_address = configure(unit)
     try:
         send(unit, S.CONFIGURE_NODE_ID, bytes((UNCONFIGURED,)))
         error = answer(unit, S.CONFIGURE_NODE_ID, "configure node-id 255")[0]
@@ -306,6 +306,6 @@ def without_node_id(unit: Unit) -> None:
             if unit.take(can_id):
                 raise CaseFailed(f"the device {what} although it has no node-id")
     finally:
-        give_back(unit, found)
+        give_back(unit, own_address)
     unit.reset(NmtCommand.RESET_COMMUNICATION, must=True)
     unit.read(0x1000, 0)

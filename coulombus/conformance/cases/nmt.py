@@ -34,7 +34,7 @@ def produce_heartbeats(unit: Unit) -> None:
         unit.write(0x1017, 0, HEARTBEAT_MS)
 
 
-def told(unit: Unit) -> int | None:
+def nmt_state(unit: Unit) -> int | None:
     """Return the state as heartbeat or guarding tell it, None without either."""
     identifier = CobId.HEARTBEAT + unit.node_id
     if unit.has(0x1017) and unit.variable(0x1017).access == "rw":
@@ -78,7 +78,7 @@ def sends_pdo(unit: Unit, can_id: int, *, patient: bool) -> bool:
 
 def check_state(unit: Unit, state: NmtState, can_id: int | None = None) -> None:
     """Fail unless the device behaves as in `state`: what it tells, SDO, and a TPDO."""
-    value = told(unit)
+    value = nmt_state(unit)
     if value is not None and value != state:
         raise CaseFailed(f"the device tells NMT state {value}, expected {int(state)} ({state.name})")
     if state == STOPPED:
@@ -194,7 +194,7 @@ def reserved_commands(unit: Unit) -> None:
         unit.pause(unit.timing.quiet_ns)
         if any(frame.data == b"\0" for frame in unit.take(CobId.HEARTBEAT + unit.node_id)):
             raise CaseFailed(f"NMT command {command} resets the device")
-        state = told(unit)
+        state = nmt_state(unit)
         if state not in (None, NmtState.PRE_OPERATIONAL):
             raise CaseFailed(f"NMT command {command} leads to state {state}")
 

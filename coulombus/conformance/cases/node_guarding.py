@@ -46,10 +46,10 @@ def guard(unit: Unit) -> BusFrame:
 def alternating(unit: Unit, state: NmtState, count: int = 6, toggle: int = 0) -> None:
     """Guard so many times: the state is told, and the toggle bit alternates from `toggle` on."""
     for k in range(count):
-        wanted = state | 0x80 * (toggle ^ (k & 1))
+        expected = state | 0x80 * (toggle ^ (k & 1))
         value = guard(unit).data[0]
-        if value != wanted:
-            raise CaseFailed(f"guarding answer {k + 1} is {value:02X}h, expected {wanted:02X}h")
+        if value != expected:
+            raise CaseFailed(f"guarding answer {k + 1} is {value:02X}h, expected {expected:02X}h")
 
 
 @case("7.1")
@@ -57,8 +57,8 @@ def guarding_objects(unit: Unit) -> str:
     """Read 100Ch and 100Dh and compare them with the EDS."""
     need_guarding(unit)
     values = [unit.number(0x100C), unit.number(0x100D)]
-    wanted = [unit.default(unit.variable(index)) for index in (0x100C, 0x100D)]
-    for index, value, default in zip((0x100C, 0x100D), values, wanted, strict=True):
+    defaults = [unit.default(unit.variable(index)) for index in (0x100C, 0x100D)]
+    for index, value, default in zip((0x100C, 0x100D), values, defaults, strict=True):
         if isinstance(default, int) and value != default:
             raise CaseFailed(f"{index:04X}h is {value}; the EDS says {default}")
     return f"{values[0]} ms, factor {values[1]}"

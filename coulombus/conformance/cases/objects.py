@@ -20,7 +20,7 @@ NO_WRITE, NO_SCAN = 0x1, 0x2
 @case("1.0")
 def file(unit: Unit) -> str:
     """Look at the diagnoses of the description: errors, and the mandatory objects."""
-    problems = [str(one) for one in unit.description.diagnoses if one.severity == "error"]
+    problems = [str(diagnosis) for diagnosis in unit.description.diagnoses if diagnosis.severity == "error"]
     problems += [
         f"{where(index, subindex)} is missing, which is mandatory"
         for index, subindex in ((0x1000, 0), (0x1001, 0), (0x1018, 0), (0x1018, 1))
@@ -65,13 +65,13 @@ def different(unit: Unit, v: Variable) -> str | None:
         return None if abort.code in (*ABSENT_NOW, *NOT_NOW) else str(abort)
     if data is None:
         return None
-    wanted = encode(v, default)
+    expected = encode(v, default)
     if not v.bits:
-        data, wanted = data.rstrip(b"\0"), wanted.rstrip(b"\0")
-        same = data == wanted or not wanted
+        data, expected = data.rstrip(b"\0"), expected.rstrip(b"\0")
+        same = data == expected or not expected
     else:
-        same = data == wanted
-    return None if same else f"{where(v.index, v.subindex)} is {_shown(v, data)}; the EDS says {_shown(v, wanted)}"
+        same = data == expected
+    return None if same else f"{where(v.index, v.subindex)} is {_shown(v, data)}; the EDS says {_shown(v, expected)}"
 
 
 def _shown(v: Variable, data: bytes) -> str:
@@ -126,17 +126,17 @@ def write_read_only(unit: Unit) -> str:
 @case("4.4")
 def read_write_only(unit: Unit) -> str:
     """Read every write-only object: refused."""
-    found = [v for v in unit.variables() if v.access == "wo"]
-    if not found:
+    variables = [v for v in unit.variables() if v.access == "wo"]
+    if not variables:
         raise NotApplicable("the EDS has no write-only object")
-    for v in found:
+    for v in variables:
         try:
             unit.read(v.index, v.subindex)
         except TransferAborted as abort:
             unit.judge(abort)
         else:
             raise CaseFailed(f"{where(v.index, v.subindex)} is write-only and can be read")
-    return ", ".join(where(v.index, v.subindex) for v in found)
+    return ", ".join(where(v.index, v.subindex) for v in variables)
 
 
 @case("4.5")

@@ -35,10 +35,10 @@ DUMMY = 0x0005
 
 def first(unit: Unit, direction: int) -> int:
     """Return the first PDO whose map can be written."""
-    found = remappable(unit, direction)
-    if not found:
+    pdo_numbers = remappable(unit, direction)
+    if not pdo_numbers:
         raise NotApplicable(f"the EDS has no {_NAME[direction]} whose map and COB-ID can be written")
-    return found[0]
+    return pdo_numbers[0]
 
 
 def either(unit: Unit) -> tuple[int, int]:
@@ -249,16 +249,16 @@ def too_long(unit: Unit) -> str:
     raise NotApplicable("no PDO whose map can be written has entries for more than 64 bits")
 
 
-@case("3.27", direction=RPDO, access=_OUTPUT, taken=True)
-@case("3.28", direction=RPDO, access=_INPUT, taken=False)
-@case("3.30", direction=TPDO, access=_INPUT, taken=True)
-@case("3.31", direction=TPDO, access=_OUTPUT, taken=False)
-def map_one(unit: Unit, direction: int, access: tuple[str, ...], taken: bool) -> str:
+@case("3.27", direction=RPDO, access=_OUTPUT, accepted=True)
+@case("3.28", direction=RPDO, access=_INPUT, accepted=False)
+@case("3.30", direction=TPDO, access=_INPUT, accepted=True)
+@case("3.31", direction=TPDO, access=_OUTPUT, accepted=False)
+def map_one(unit: Unit, direction: int, access: tuple[str, ...], accepted: bool) -> str:
     """Map an object of this access type, alone: taken, or refused at the entry or at the count."""
-    found = [v for v in unit.variables() if v.pdo_mappable and v.access in access and fits(unit, v.bits)]
-    if not found:
+    variables = [v for v in unit.variables() if v.pdo_mappable and v.access in access and fits(unit, v.bits)]
+    if not variables:
         raise NotApplicable(f"the EDS has no mappable object of access {' or '.join(access)}")
-    return _map_one(unit, direction, found, taken=taken)
+    return _map_one(unit, direction, variables, accepted=accepted)
 
 
 @case("3.29", direction=RPDO)
@@ -266,13 +266,13 @@ def map_one(unit: Unit, direction: int, access: tuple[str, ...], taken: bool) ->
 def map_unmappable(unit: Unit, direction: int) -> str:
     """Map an object without PDOMapping, whose access type would fit: it is refused."""
     access = WRITABLE if direction == RPDO else READABLE
-    found = [v for v in unit.variables() if not v.pdo_mappable and v.access in access and 0 < v.bits <= 64]
-    if not found:
+    variables = [v for v in unit.variables() if not v.pdo_mappable and v.access in access and 0 < v.bits <= 64]
+    if not variables:
         raise NotApplicable("the EDS has no such object without PDOMapping")
-    return _map_one(unit, direction, found, taken=False)
+    return _map_one(unit, direction, variables, accepted=False)
 
 
-def _map_one(unit: Unit, direction: int, variables: list[Variable], *, taken: bool) -> str:
+def _map_one(unit: Unit, direction: int, variables: list[Variable], *, accepted: bool) -> str:
     k = first(unit, direction)
     index = direction + 0x200 + k
     disable(unit, direction, k)
@@ -284,11 +284,11 @@ def _map_one(unit: Unit, direction: int, variables: list[Variable], *, taken: bo
             unit.write(index, 1, mapped(variable))
             unit.put(index, 0, b"\1")
         except TransferAborted as abort:
-            if taken:
+            if accepted:
                 raise CaseFailed(f"{where(variable.index, variable.subindex)} cannot be mapped: {abort}") from None
             continue
         name = f"{where(variable.index, variable.subindex)} (AccessType={variable.access})"
-        if not taken:
+        if not accepted:
             raise CaseFailed(f"{name} was mapped into {_NAME[direction]} {k + 1}")
         if words_of(unit, direction, k) != [mapped(variable)]:
             raise CaseFailed(f"{name}: the map does not read back")
@@ -320,10 +320,10 @@ def dummies(unit: Unit) -> str:
 
 
 def _widths(unit: Unit, direction: int) -> Variable:
-    found = [v for v in mappable(unit, direction) if v.bits >= 16]
-    if not found:
+    variables = [v for v in mappable(unit, direction) if v.bits >= 16]
+    if not variables:
         raise NotApplicable("the EDS has no mappable object of two bytes or more")
-    return found[0]
+    return variables[0]
 
 
 @case("M.1")

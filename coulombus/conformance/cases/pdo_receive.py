@@ -43,12 +43,12 @@ def harmless(unit: Unit, transmission: int) -> tuple[int, int, int, bytes]:
 
     Return identifier, object, another value, and its bytes.
     """
-    found = [unit.variable(i) for i in HARMLESS if unit.is_drive and unit.has(i) and unit.variable(i).pdo_mappable]
-    if not found:
+    variables = [unit.variable(i) for i in HARMLESS if unit.is_drive and unit.has(i) and unit.variable(i).pdo_mappable]
+    if not variables:
         raise NotApplicable("the EDS has no object that an RPDO may carry and that certainly moves nothing")
     if not remappable(unit, RPDO):
         raise NotApplicable("the EDS has no RPDO whose map can be written")
-    variable = found[0]
+    variable = variables[0]
     unit.undo_later(variable.index, 0, unit.read(variable.index, 0))
     k = remappable(unit, RPDO)[-1]
     try:
@@ -131,10 +131,12 @@ class Harmless:
     def __init__(
         self, unit: Unit, transmission: int, *, deadline_ms: int = 0, gap: Sequence[int] = (), k: int = -1
     ) -> None:
-        found = [unit.variable(i) for i in HARMLESS if unit.is_drive and unit.has(i) and unit.variable(i).pdo_mappable]
-        if not found or not remappable(unit, RPDO):
+        variables = [
+            unit.variable(i) for i in HARMLESS if unit.is_drive and unit.has(i) and unit.variable(i).pdo_mappable
+        ]
+        if not variables or not remappable(unit, RPDO):
             raise NotApplicable("the EDS has no object that an RPDO may carry and that certainly moves nothing")
-        self.unit, self.variable = unit, found[0]
+        self.unit, self.variable = unit, variables[0]
         unit.undo_later(self.variable.index, 0, unit.read(self.variable.index, 0))
         words = [*gap, mapped(self.variable)]
         number = remappable(unit, RPDO)[k]

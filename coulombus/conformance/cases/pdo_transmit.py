@@ -133,8 +133,8 @@ def only_on_request(unit: Unit, transmission: int) -> str:
     unit.pause(unit.timing.quiet_ns)
     if unit.take(can_id):
         raise CaseFailed(f"TPDO {k + 1} of type {transmission} comes with an event")
-    asked = ask(unit, can_id)
-    if (asked == before) != (transmission == 252):
+    sample = ask(unit, can_id)
+    if (sample == before) != (transmission == 252):
         text = "the SYNC's sample has changed without a SYNC" if transmission == 252 else "an old value"
         raise CaseFailed(f"TPDO {k + 1} of type {transmission}: {text}")
     unit.flush()

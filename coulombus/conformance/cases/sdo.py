@@ -27,14 +27,14 @@ def short(unit: Unit, sizes: tuple[int, ...]) -> Variable:
     """Return a harmless writable object of so many bytes, of the communication profile where there
     is one.
     """
-    found = [
+    variables = [
         v
         for v in unit.variables()
         if v.access in RW and v.bits // 8 in sizes and v.bits % 8 == 0 and not is_command(v) and not is_output(v)
     ]
-    if not found:
+    if not variables:
         raise NotApplicable(f"the EDS has no writable object of {' or '.join(str(size) for size in sizes)} bytes")
-    return found[0]
+    return variables[0]
 
 
 @case("2.1")
@@ -56,10 +56,10 @@ def write_back(unit: Unit) -> str:
     """Choose up to 12 writable entries of 1000h to 1FFFh at random, write each with its own value
     and read it again.
     """
-    found = [v for v in unit.variables(0x1000, 0x1FFF) if keeps(v)]
-    if not found:
+    variables = [v for v in unit.variables(0x1000, 0x1FFF) if keeps(v)]
+    if not variables:
         raise NotApplicable("the EDS has no such entry")
-    chosen = unit.random.sample(found, min(12, len(found)))
+    chosen = unit.random.sample(variables, min(12, len(variables)))
     for v in chosen:
         try:
             value = unit.read(v.index, v.subindex)
@@ -83,10 +83,10 @@ def write_read_only(unit: Unit) -> str:
 @case("2.4")
 def read_write_only(unit: Unit) -> str:
     """Read the first write-only object."""
-    found = [v for v in unit.variables() if v.access == "wo"]
-    if not found:
+    variables = [v for v in unit.variables() if v.access == "wo"]
+    if not variables:
         raise NotApplicable("the EDS has no write-only object")
-    return _unreadable(unit, found[0].index, found[0].subindex)
+    return _unreadable(unit, variables[0].index, variables[0].subindex)
 
 
 @case("2.5", index=0x1000, subindex=1)
@@ -155,13 +155,13 @@ def beyond(variable: Variable, *, above: bool) -> int | None:
 @case("2.11", above=False)
 def beyond_limit(unit: Unit, above: bool) -> str:
     """Write up to three objects with the value next to their limit; they keep their values."""
-    found = [v for v in unit.variables() if v.access in RW and beyond(v, above=above) is not None]
-    found = [v for v in found if not is_command(v) and not is_output(v)][:3]
-    if not found:
+    variables = [v for v in unit.variables() if v.access in RW and beyond(v, above=above) is not None]
+    variables = [v for v in variables if not is_command(v) and not is_output(v)][:3]
+    if not variables:
         limit = "HighLimit" if above else "LowLimit"
         raise NotApplicable(f"the EDS gives no harmless writable object a {limit} inside its type")
     done = []
-    for v in found:
+    for v in variables:
         before = unit.read(v.index, v.subindex)
         code = unit.refused(v.index, v.subindex, beyond(v, above=above))
         if unit.read(v.index, v.subindex) != before:
@@ -198,11 +198,11 @@ def channels(unit: Unit, first: int, last: int) -> list[tuple[int, dict[int, byt
 
     What is not in the EDS must be refused with an accepted code.
     """
-    found = []
+    described = []
     for index in range(first, last + 1):
         if unit.has(index):
             subs = [s for s, v in unit.description.objects[index].variables.items() if s < 4 and v.access != "wo"]
-            found.append((index, {subindex: unit.read(index, subindex) for subindex in subs}))
+            described.append((index, {subindex: unit.read(index, subindex) for subindex in subs}))
             continue
         try:
             unit.read(index, 1)
@@ -210,19 +210,19 @@ def channels(unit: Unit, first: int, last: int) -> list[tuple[int, dict[int, byt
             unit.judge(abort)
         else:
             raise CaseFailed(f"{where(index, 1)} answers but is not in the EDS")
-    return found
+    return described
 
 
 @case("2.28")
 def further_servers(unit: Unit) -> str:
     """Read 1201h to 127Fh: there with sensible identifiers, or refused."""
-    found = channels(unit, 0x1201, 0x127F)
-    for index, values in found:
+    servers = channels(unit, 0x1201, 0x127F)
+    for index, values in servers:
         for subindex in {1, 2} & values.keys():
             cob_id = int.from_bytes(values[subindex], "little")
             if not cob_id & 1 << 31 and not cob_id & 0x1FFFFFFF:
                 raise CaseFailed(f"{where(index, subindex)} is valid with identifier 0")
-    return f"{len(found)} further servers"
+    return f"{len(servers)} further servers"
 
 
 @case("2.29")
@@ -294,12 +294,12 @@ def two_servers(unit: Unit) -> str:
 
     Before that a restricted identifier is refused, and then another one, as the server is valid.
     """
-    found = [index for index in range(0x1201, 0x1280) if unit.has(index, 1) and unit.has(index, 2)]
-    found = [i for i in found if all(unit.variable(i, sub).access not in ("ro", "const") for sub in (1, 2))]
-    found = [i for i in found if unit.number(i, 1) & INVALID]
-    if not found:
+    indices = [index for index in range(0x1201, 0x1280) if unit.has(index, 1) and unit.has(index, 2)]
+    indices = [i for i in indices if all(unit.variable(i, sub).access not in ("ro", "const") for sub in (1, 2))]
+    indices = [i for i in indices if unit.number(i, 1) & INVALID]
+    if not indices:
         raise NotApplicable("the EDS has no further SDO server whose identifiers can be written")
-    index, (request_id, response_id) = found[0], IDENTIFIERS
+    index, (request_id, response_id) = indices[0], IDENTIFIERS
     unit.refused(index, 1, RESTRICTED_ID, REFUSED)
     unit.write(index, 2, response_id)
     unit.write(index, 1, request_id)

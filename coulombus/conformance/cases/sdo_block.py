@@ -57,9 +57,9 @@ def short_download(unit: Unit, index: int, crc: bool) -> str | None:
 def long_upload(unit: Unit, crc: bool) -> str:
     """Read the shortest and the longest long object by block transfer and by segments: the same."""
     need_block(unit)
-    found = sorted(long_objects(unit), key=lambda one: len(one[1]))
+    objects = sorted(long_objects(unit), key=lambda pair: len(pair[1]))
     remark = ""
-    for variable, content in (found[0], found[-1]):
+    for variable, content in (objects[0], objects[-1]):
         data, agreed = unit.sdo.block_upload(variable.index, variable.subindex, crc=crc)
         if data != content:
             raise CaseFailed(f"{where(variable.index, variable.subindex)} differs between block transfer and segments")

@@ -93,15 +93,15 @@ def all_long_objects(unit: Unit) -> str:
     """Read every object of more than four bytes, twice, and compare it with itself and with a
     default of the EDS.
     """
-    found = long_objects(unit)
-    for v, content in found:
+    objects = long_objects(unit)
+    for v, content in objects:
         if unit.read(v.index, v.subindex) != content:
             raise CaseFailed(f"{where(v.index, v.subindex)} reads differently the second time")
         default = unit.default(v)
-        wanted = encode(v, default) if isinstance(default, str | bytes) else b""
-        if wanted and v.access == "const" and content.rstrip(b"\0") != wanted.rstrip(b"\0"):
-            raise CaseFailed(f"{where(v.index, v.subindex)} is {content!r}; the EDS says {wanted!r}")
-    return ", ".join(f"{where(v.index, v.subindex)} ({len(content)} bytes)" for v, content in found)
+        expected = encode(v, default) if isinstance(default, str | bytes) else b""
+        if expected and v.access == "const" and content.rstrip(b"\0") != expected.rstrip(b"\0"):
+            raise CaseFailed(f"{where(v.index, v.subindex)} is {content!r}; the EDS says {expected!r}")
+    return ", ".join(f"{where(v.index, v.subindex)} ({len(content)} bytes)" for v, content in objects)
 
 
 @case("S.1")
@@ -215,12 +215,12 @@ def _four_bytes(unit: Unit) -> str:
 
 def segments(text: bytes) -> list[bytes]:
     """Return the segment requests that write a text."""
-    found = []
+    requests = []
     for start in range(0, len(text), 7):
         part = text[start : start + 7]
         command = (start // 7 & 1) << 4 | (7 - len(part)) << 1 | (start + 7 >= len(text))
-        found.append(bytes((command,)) + part.ljust(7, b"\0"))
-    return found
+        requests.append(bytes((command,)) + part.ljust(7, b"\0"))
+    return requests
 
 
 @case("S.8")

@@ -39,16 +39,16 @@ def command(unit: Unit, index: int, subindex: int) -> None:
     unit.sdo.download(index, subindex, SAVE if index == STORE else LOAD)
 
 
-def is_now(unit: Unit, index: int, subindex: int, wanted: bytes, when: str) -> None:
+def is_now(unit: Unit, index: int, subindex: int, expected: bytes, when: str) -> None:
     """Fail unless an object has a value."""
     data = unit.read(index, subindex)
-    if data != wanted:
-        raise CaseFailed(f"{where(index, subindex)} is {data.hex()} {when}, expected {wanted.hex()}")
+    if data != expected:
+        raise CaseFailed(f"{where(index, subindex)} is {data.hex()} {when}, expected {expected.hex()}")
 
 
 @case("8.1", index=STORE)
 @case("8.3", index=RESTORE)
-def taken(unit: Unit, index: int) -> None:
+def signature(unit: Unit, index: int) -> None:
     """Read the ability, and write the signature; the ability reads as before."""
     unit.need_ability(index)
     command(unit, index, 1)
@@ -140,14 +140,14 @@ def verify_configuration(unit: Unit) -> None:
     """Write date and time to 1020h, store, write others, reset: the stored ones are there."""
     unit.need_ability(STORE)
     unit.need_writable(0x1020, 1)
-    wanted = {1: (14_000).to_bytes(4, "little"), 2: (43_200_000).to_bytes(4, "little")}
-    for subindex, data in wanted.items():
+    expected = {1: (14_000).to_bytes(4, "little"), 2: (43_200_000).to_bytes(4, "little")}
+    for subindex, data in expected.items():
         unit.put(0x1020, subindex, data)
     command(unit, STORE, 1)
-    for subindex in wanted:
+    for subindex in expected:
         unit.put(0x1020, subindex, b"\1\0\0\0")
     unit.reset()
-    for subindex, data in wanted.items():
+    for subindex, data in expected.items():
         is_now(unit, 0x1020, subindex, data, "after store and reset")
 
 
@@ -188,7 +188,7 @@ def verification_is_lost(unit: Unit) -> str:
     configuration, and both are 0.
     """
 
-    def told() -> list[int]:
+    def date_and_time() -> list[int]:
         return [unit.number(0x1020, sub) for sub in (1, 2)]
 
     def tell() -> None:
@@ -200,7 +200,7 @@ def verification_is_lost(unit: Unit) -> str:
     tell()
     index, subindex, value = volatile(unit)
     unit.put(index, subindex, encode(unit.variable(index, subindex), value))
-    if not any(told()):
+    if not any(date_and_time()):
         return f"0 after {where(index, subindex)} was changed"
     for index in (0x1010, 0x1011):
         unit.need_ability(index)
@@ -209,7 +209,7 @@ def verification_is_lost(unit: Unit) -> str:
     unit.sdo.download(0x1010, 1, b"save")
     unit.sdo.download(0x1011, 1, b"load")
     unit.reset()
-    left = told()
+    left = date_and_time()
     if any(left):
         raise CaseFailed(f"1020h is {left[0]} and {left[1]} after the defaults were loaded, expected 0")
     return "0 after the defaults were loaded"

@@ -172,11 +172,11 @@ def check_counter(frames: list[BusFrame], overflow: int, first: int | None = Non
     if any(frame.length != 1 for frame in frames):
         raise CaseFailed("a SYNC has not one byte although 1019h is set")
     values = [frame.data[0] for frame in frames]
-    wanted = first or values[0]
+    expected = first or values[0]
     for value in values:
-        if value != wanted:
-            raise CaseFailed(f"SYNC counter {' '.join(map(str, values))}; expected {wanted} (overflow {overflow})")
-        wanted = wanted % overflow + 1
+        if value != expected:
+            raise CaseFailed(f"SYNC counter {' '.join(map(str, values))}; expected {expected} (overflow {overflow})")
+        expected = expected % overflow + 1
 
 
 def store(unit: Unit) -> None:
@@ -218,13 +218,13 @@ def sync_stored(unit: Unit) -> None:
     for index in (0x1005, 0x1006, 0x1019):
         unit.need_writable(index)
     produce(unit, OVERFLOW)
-    wanted = {index: unit.number(index) for index in (0x1005, 0x1006, 0x1019)}
+    expected = {index: unit.number(index) for index in (0x1005, 0x1006, 0x1019)}
     store(unit)
     unit.put(0x1006, 0, bytes(4))
-    unit.put(0x1005, 0, encode(unit.variable(0x1005), wanted[0x1005] & ~PRODUCER))
+    unit.put(0x1005, 0, encode(unit.variable(0x1005), expected[0x1005] & ~PRODUCER))
     unit.put(0x1019, 0, b"\0")
     unit.reset()
-    for index, value in wanted.items():
+    for index, value in expected.items():
         if unit.number(index) != value:
             raise CaseFailed(f"{index:04X}h is {unit.number(index)} after store and reset, expected {value}")
     check_counter(unit.collect(unit.sync_id, (2 * OVERFLOW + 2) * PERIOD_MS * MS), OVERFLOW)

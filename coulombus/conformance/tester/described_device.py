@@ -62,13 +62,13 @@ class DescribedDevice:
         """ObjFlags of the EDS: bit 0 refuses a write on download, bit 1 a read on scan (CiA
         306-1).
         """
-        found = {}
+        flags = {}
         for index, subindex, _, value in _OBJ_FLAGS.findall(self.description.text):
             try:
-                found[int(index, 16), int(subindex or "0", 16)] = int(value, 0)
+                flags[int(index, 16), int(subindex or "0", 16)] = int(value, 0)
             except ValueError:  # the reader has told it
                 continue
-        return found
+        return flags
 
     @cached_property
     def granularity(self) -> int:

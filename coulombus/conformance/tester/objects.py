@@ -88,7 +88,7 @@ def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
     """Return the objects whose content has more than four bytes (and at most `LONGEST`),
     with it.
     """
-    found, aborted = [], []
+    objects, aborted = [], []
     for variable in unit.variables():
         if variable.access == "wo" or 0 < variable.bits <= 32:
             continue
@@ -98,25 +98,25 @@ def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
             aborted.append(abort)
             continue
         if content is not None and len(content) > 4:
-            found.append((variable, content))
-    if not found and any(abort.code not in NOT_NOW for abort in aborted):
+            objects.append((variable, content))
+    if not objects and any(abort.code not in NOT_NOW for abort in aborted):
         raise next(abort for abort in aborted if abort.code not in NOT_NOW)
-    if not found:
+    if not objects:
         raise NotApplicable("the device has no object of more than four bytes")
-    return found
+    return objects
 
 
 def long_object(unit: Unit, at_least: int = 5) -> tuple[Variable, bytes]:
     """Return the shortest constant object of at least so many bytes."""
-    found = [one for one in long_objects(unit) if len(one[1]) >= at_least]
-    if not found:
+    objects = [pair for pair in long_objects(unit) if len(pair[1]) >= at_least]
+    if not objects:
         raise NotApplicable(f"the device has no object of {at_least} bytes")
-    return min(found, key=lambda one: len(one[1]))
+    return min(objects, key=lambda pair: len(pair[1]))
 
 
 def long_texts(unit: Unit) -> list[Variable]:
     """Return the writable strings of the manufacturer."""
-    found = [v for v in unit.variables(0x2000) if v.access == "rw" and v.data_type in (0x0009, 0x000A)]
-    if not found:
+    variables = [v for v in unit.variables(0x2000) if v.access == "rw" and v.data_type in (0x0009, 0x000A)]
+    if not variables:
         raise NotApplicable("the EDS has no writable string from 2000h on")
-    return found
+    return variables

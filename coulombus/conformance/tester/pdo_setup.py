@@ -63,8 +63,8 @@ class Unsupported(Exception):
 
 def numbers(unit: Unit, direction: int) -> list[int]:
     """Return the numbers (from 0) of the EDS's PDOs that have a map, at most `MOST`."""
-    found = [i - direction for i in unit.description.objects if direction <= i < direction + 0x200]
-    return sorted(k for k in found if unit.has(direction + k, 1) and unit.has(direction + 0x200 + k, 0))[:MOST]
+    pdo_numbers = [i - direction for i in unit.description.objects if direction <= i < direction + 0x200]
+    return sorted(k for k in pdo_numbers if unit.has(direction + k, 1) and unit.has(direction + 0x200 + k, 0))[:MOST]
 
 
 def words_of(unit: Unit, direction: int, k: int) -> list[int]:
@@ -178,7 +178,7 @@ def arm(
     still(unit)
     index = direction + k
     untimed = {INHIBIT_TIME: 0, EVENT_TIMER: 0} if direction == TPDO else {EVENT_TIMER: 0}
-    wanted = {TRANSMISSION: transmission, **untimed, **entries}
+    parameters = {TRANSMISSION: transmission, **untimed, **entries}
     fixed = unit.variable(index, 1).access in ("ro", "const")
     cob_id = unit.number(index, 1) if fixed else disable(unit, direction, k)
     can_id = can_id_of(unit, direction, k, cob_id)
@@ -186,7 +186,7 @@ def arm(
         raise Unsupported(f"{where(index, 1)} is fixed at {cob_id:08X}h")
     if words and words_of(unit, direction, k) != list(words):
         remap(unit, direction, k, words)
-    for subindex, value in wanted.items():
+    for subindex, value in parameters.items():
         if value is None or (not unit.has(index, subindex) and not value):
             continue
         if not unit.has(index, subindex):

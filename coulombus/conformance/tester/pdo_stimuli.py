@@ -73,14 +73,14 @@ class Stimulus(ABC):
 
     def syncs(self, count: int, first: int | None = None) -> list[BusFrame]:
         """Send SYNCs, and return the TPDOs that came with each of them."""
-        found: list[BusFrame] = []
+        frames: list[BusFrame] = []
         for number in range(count):
             sync(self.unit, None if first is None else first + number)
             self.unit.pause(_CALM_NS)
         self.unit.pause(self.unit.timing.quiet_ns)
-        found = self.unit.take(self.can_id)
-        self.of_length(found)
-        return found
+        frames = self.unit.take(self.can_id)
+        self.of_length(frames)
+        return frames
 
 
 class ByRequest(Stimulus):
@@ -269,7 +269,7 @@ def candidates(unit: Unit) -> list[int]:
     NotApplicable
         There is none.
     """
-    found = numbers(unit, TPDO)
-    if not found:
+    pdo_numbers = numbers(unit, TPDO)
+    if not pdo_numbers:
         raise NotApplicable("the EDS has no TPDO")
-    return found
+    return pdo_numbers

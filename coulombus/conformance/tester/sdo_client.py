@@ -139,8 +139,8 @@ class SdoClient:
 
         CiA 301 does not say what the bytes without data are.
         """
-        told = 4 - (answer[0] >> 2 & 3) if answer[0] & 0x01 else 0
-        return answer[4 : 4 + (told or min(self._width(index, subindex) or 4, 4))]
+        length = 4 - (answer[0] >> 2 & 3) if answer[0] & 0x01 else 0
+        return answer[4 : 4 + (length or min(self._width(index, subindex) or 4, 4))]
 
     def initiate_upload(self, index: int, subindex: int) -> bytes:
         """Initiate an upload and return the checked response."""

@@ -104,9 +104,9 @@ class Unit(DescribedDevice):
 
     def take(self, can_id: int) -> list[BusFrame]:
         """Take the frames with this identifier that have come."""
-        taken = [frame for frame in self._inbox if frame.can_id == can_id]
+        frames = [frame for frame in self._inbox if frame.can_id == can_id]
         self._inbox = [frame for frame in self._inbox if frame.can_id != can_id]
-        return taken
+        return frames
 
     def flush(self) -> None:
         """Forget all that has come."""
