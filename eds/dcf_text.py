@@ -26,7 +26,7 @@ def configured(description: Description) -> tuple[Place, ...]:
     places: list[Place] = []
     for name, lines in _sections(description.text):
         if (place := _place(description, name)) is not None:
-            if any((found := VALUE.match(line)) and found[1] for line in lines):
+            if any((match := VALUE.match(line)) and match[1] for line in lines):
                 places.append(place)
         elif compact := COMPACT.fullmatch(name):
             values = (COMPACT_VALUE.match(line) for line in lines)

@@ -119,7 +119,7 @@ def watch(
                 running = not stop.wait(wait_s) and reader.failure is None and not keys.ended
                 running = running and (end is None or time.monotonic() < end)
                 snapshot, facts = look()
-                options = {"paused": keys.paused, "raw": keys.raw, "words": keys.words, "host": asker.told}
+                options = {"paused": keys.paused, "raw": keys.raw, "words": keys.words, "host": asker.answer}
                 draw(snapshot, facts | options if terminal else facts)
         if reader.failure is not None:
             raise reader.failure
@@ -160,10 +160,10 @@ class ViewKeys:
 
 
 class _Asker:
-    """Asks again and again in a thread of its own; `told` is the last answer."""
+    """Asks again and again in a thread of its own; `answer` is the last answer."""
 
     def __init__(self, ask: Callable[[], str | None] | None) -> None:
-        self.told: str | None = None
+        self.answer: str | None = None
         self._ask = ask
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="host asker", daemon=True)
@@ -181,9 +181,9 @@ class _Asker:
     def _run(self) -> None:
         while self._ask is not None and not self._stop.is_set():
             try:
-                self.told = self._ask()
+                self.answer = self._ask()
             except Exception as error:  # whatever is wrong with the host's answer, the view goes on
-                self.told = f"host: {error}"
+                self.answer = f"host: {error}"
             self._stop.wait(HOST_S)
 
 

@@ -26,7 +26,7 @@ def parse(text, head=HEAD):
     return parse_eds((head + text).encode(), "quirk.dcf")
 
 
-def told(description):
+def diagnosed(description):
     return [f"{d.severity}: {d.text}; assumed {d.assumed}" for d in description.diagnoses]
 
 
@@ -74,7 +74,7 @@ def compact(values, kind="0x8", index="2000", code=5):
 )
 def test_the_device_starts_with_the_configured_value(code, written, value):
     d = parse(variable(DataType=code, DefaultValue=None, ParameterValue=written))
-    assert told(d) == [dcf()]
+    assert diagnosed(d) == [dcf()]
     assert d.default(0x2000, 0, NODE) == value
 
 
@@ -94,7 +94,7 @@ def test_an_empty_value_configures_nothing():
 )
 def test_a_value_that_an_sdo_could_not_write_is_told_and_not_loaded(written, complaint):
     d = parse(variable(DefaultValue="5", LowLimit="0", HighLimit="10", ParameterValue=written))
-    assert set(told(d)) == {dcf(), f"error: [2000] ParameterValue={written} {complaint}; assumed the default"}
+    assert set(diagnosed(d)) == {dcf(), f"error: [2000] ParameterValue={written} {complaint}; assumed the default"}
     assert {x.line for x in d.diagnoses} == {HEAD.count("\n") + 8}
     assert d.variable(0x2000, 0).default == 5
     assert not d.variable(0x2000, 0).unreadable
@@ -102,7 +102,7 @@ def test_a_value_that_an_sdo_could_not_write_is_told_and_not_loaded(written, com
 
 def test_values_of_compact_sub_objects():
     d = parse(compact("01=7\n3=0x1FF\n"))
-    assert told(d) == [dcf(2), "error: [2000Value] 3=0x1FF does not fit into UNSIGNED8; assumed the default"]
+    assert diagnosed(d) == [dcf(2), "error: [2000Value] 3=0x1FF does not fit into UNSIGNED8; assumed the default"]
     assert [d.variable(0x2000, k).default for k in range(4)] == [3, 7, 1, 1]
 
 
@@ -112,12 +112,12 @@ def test_a_value_for_an_object_as_a_whole_belongs_nowhere():
             "Number=2", "Number=2\nParameterValue=2"
         )
     )
-    assert told(d) == ["warning: [2000] ParameterValue belongs to no sub-index; assumed a comment"]
+    assert diagnosed(d) == ["warning: [2000] ParameterValue belongs to no sub-index; assumed a comment"]
 
 
 def test_files_beside_a_dcf_are_told():
     d = parse(variable(DataType="0x000F", DownloadFile="firmware.bin"))
-    assert told(d) == ["warning: [2000] DownloadFile=firmware.bin is another file; assumed no value"]
+    assert diagnosed(d) == ["warning: [2000] DownloadFile=firmware.bin is another file; assumed no value"]
 
 
 GOES = (
@@ -144,7 +144,7 @@ def stays(value, default="0x200", where="for the node id 17"):
 def test_what_goes_with_the_node_id_goes_with_another_one_too(access, written, at_9, complaint):
     body = variable(DataType="7", AccessType=access, DefaultValue="$NODEID+0x200", ParameterValue=written)
     d = parse(COMMISSIONED + body)
-    assert set(told(d)) == {dcf(), *complaint}
+    assert set(diagnosed(d)) == {dcf(), *complaint}
     assert d.default(0x2000, 0, NODE) == at_9
 
 
@@ -265,7 +265,7 @@ def test_a_compact_map_of_two_readings_is_refused():
 def test_node_id_and_bit_rate(section, node_id, bit_rate, complaint):
     d = parse(section + variable())
     assert (d.node_id, d.bit_rate) == (node_id, bit_rate)
-    assert told(d) == [f"warning: {text}" for text in complaint]
+    assert diagnosed(d) == [f"warning: {text}" for text in complaint]
 
 
 def live(tmp_path, *texts):

@@ -125,7 +125,7 @@ def test_odd_defaults_are_told(read, code, written, expected, complaint):
 
 
 @pytest.mark.parametrize(
-    ("written", "constant", "told"),
+    ("written", "constant", "default"),
     [
         ("$NODEID+0x180", 0x180, False),
         ("$NODEID + 384", 0x180, False),
@@ -137,12 +137,12 @@ def test_odd_defaults_are_told(read, code, written, expected, complaint):
         ("$NODEID+0x40000000+0x180", 0x40000180, False),
     ],
 )
-def test_the_node_id_is_added(read, written, constant, told):
+def test_the_node_id_is_added(read, written, constant, default):
     d = read(variable(DataType="0x0007", DefaultValue=written))
     x = d.variable(0x2000, 0)
     assert (x.default, x.node_relative) == (constant, True)
     assert d.default(0x2000, 0, 5) == constant + 5
-    assert bool(complaints(d)) == told
+    assert bool(complaints(d)) == default
 
 
 @pytest.mark.parametrize(

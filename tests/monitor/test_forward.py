@@ -149,7 +149,7 @@ def test_the_verb_says_where_and_how_much(bus):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "mistake"),
     [
         ("--foxglove --plotjuggler", "--foxglove and --plotjuggler: choose one of them"),
         ("--web --foxglove", "--web and --foxglove: choose one of them"),
@@ -158,10 +158,10 @@ def test_the_verb_says_where_and_how_much(bus):
         ("--foxglove 99999", "99999 is not in the range"),
     ],
 )
-def test_ways_that_exclude_each_other(words, told):
+def test_ways_that_exclude_each_other(words, mistake):
     result = CliRunner().invoke(main, ["watch", "--bus", "coulombus:bench", *words.split()])
     assert result.exit_code == 2
-    assert told in " ".join(result.output.split())
+    assert mistake in " ".join(result.output.split())
 
 
 def test_a_listener_tells_what_it_lost(bus, rig):

@@ -40,7 +40,7 @@ def recording(source):
     return read(source)
 
 
-def told(call, *right):
+def assert_wrong_call(call, *right):
     with pytest.raises(WrongCall) as error:
         call()
     assert isinstance(error.value, TypeError)
@@ -52,42 +52,44 @@ def told(call, *right):
 @pytest.mark.parametrize("wrong", [3, None, b"run.pcapng", ["run.pcapng"]])
 @pytest.mark.parametrize("call", [read, blocks])
 def test_a_recording_is_named_by_its_path(call, wrong):
-    told(lambda: call(wrong), f"path is {wrong!r}", f'as in {call.__name__}("run.pcapng")')
+    assert_wrong_call(lambda: call(wrong), f"path is {wrong!r}", f'as in {call.__name__}("run.pcapng")')
 
 
 @pytest.mark.parametrize("wrong", [3, {"name": "bench"}, b"bench"])
 def test_a_rig_is_one_or_its_name(source, wrong):
-    told(lambda: read(source, wrong), f"the rig is {wrong!r}", 'load_rig("bench")')
-    told(lambda: load_rig(wrong), f"the rig is {wrong!r}", 'load_rig("bench")')
+    assert_wrong_call(lambda: read(source, wrong), f"the rig is {wrong!r}", 'load_rig("bench")')
+    assert_wrong_call(lambda: load_rig(wrong), f"the rig is {wrong!r}", 'load_rig("bench")')
 
 
 def test_a_rig_is_not_loaded_twice():
-    told(lambda: load_rig(load_rig("bench")), "the rig bench, which is loaded already")
+    assert_wrong_call(lambda: load_rig(load_rig("bench")), "the rig bench, which is loaded already")
 
 
 @pytest.mark.parametrize("call", [load_rig, lambda rig, overrides: simulate(rig, overrides=overrides)])
 def test_overrides_are_a_list(call):
-    told(lambda: call("bench", "limits.still_s=1.0"), "expected a list, as in overrides=['limits.still_s=1.0']")
-    told(lambda: call("bench", ["limits.still_s=1.0", 3]), "overrides has 3 in it")
+    assert_wrong_call(
+        lambda: call("bench", "limits.still_s=1.0"), "expected a list, as in overrides=['limits.still_s=1.0']"
+    )
+    assert_wrong_call(lambda: call("bench", ["limits.still_s=1.0", 3]), "overrides has 3 in it")
 
 
 def test_overrides_of_a_loaded_rig_are_texts():
     rig = load_rig("bench")
-    told(lambda: simulate(rig, overrides="limits.still_s=1.0"), "overrides=['limits.still_s=1.0']")
-    told(lambda: rig.variant(["limits.still_s=1.0"]), "as in variant('mode.active.F_s_Nm=1.0')")
+    assert_wrong_call(lambda: simulate(rig, overrides="limits.still_s=1.0"), "overrides=['limits.still_s=1.0']")
+    assert_wrong_call(lambda: rig.variant(["limits.still_s=1.0"]), "as in variant('mode.active.F_s_Nm=1.0')")
 
 
 @pytest.mark.parametrize("wrong", [3, ["motor.position_rad"], slice(None), None])
 def test_a_signal_is_asked_for_by_its_name(recording, wrong):
-    told(lambda: recording[wrong], f"recording[{wrong!r}]", "recording['motor.position_rad']")
+    assert_wrong_call(lambda: recording[wrong], f"recording[{wrong!r}]", "recording['motor.position_rad']")
 
 
 def test_several_signals_are_asked_for_by_series(recording):
     names = ["motor.position_rad", "brake.setpoint_Nm"]
     right = "series(recording, 'motor.position_rad', 'brake.setpoint_Nm')"
-    told(lambda: recording[names], right)
-    told(lambda: series(recording, names), right)
-    told(lambda: series("run.pcapng", *names), "series(read('run.pcapng'), ")
+    assert_wrong_call(lambda: recording[names], right)
+    assert_wrong_call(lambda: series(recording, names), right)
+    assert_wrong_call(lambda: series("run.pcapng", *names), "series(read('run.pcapng'), ")
     assert [len(signal) for signal in series(recording, *names)] == [400, 400]
 
 
@@ -95,14 +97,14 @@ def test_several_signals_are_asked_for_by_series(recording):
 def test_signals_are_a_list_of_names(recording, method):
     pytest.importorskip({"to_pandas": "pandas", "to_xarray": "xarray", "plot": "matplotlib"}[method])
     call = getattr(recording, method)
-    told(lambda: call("brake.setpoint_Nm"), "expected a list, as in signals=['brake.setpoint_Nm']")
-    told(lambda: call(3), "signals is 3: expected a list")
-    told(lambda: call(["brake.setpoint_Nm", 3]), "signals has 3 in it: expected texts alone")
+    assert_wrong_call(lambda: call("brake.setpoint_Nm"), "expected a list, as in signals=['brake.setpoint_Nm']")
+    assert_wrong_call(lambda: call(3), "signals is 3: expected a list")
+    assert_wrong_call(lambda: call(["brake.setpoint_Nm", 3]), "signals has 3 in it: expected texts alone")
 
 
 def test_a_grid_is_a_number(recording):
     pytest.importorskip("pandas")
-    told(lambda: recording.to_pandas(grid_s="1 ms"), "grid_s is '1 ms'", "as in grid_s=0.001")
+    assert_wrong_call(lambda: recording.to_pandas(grid_s="1 ms"), "grid_s is '1 ms'", "as in grid_s=0.001")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +119,9 @@ def test_a_grid_is_a_number(recording):
     ],
 )
 def test_a_span_is_two_times(recording, wrong, right):
-    told(lambda: recording.plot(span=wrong), f"span is {wrong!r}", f"as in {right}; None leaves an end open")
+    assert_wrong_call(
+        lambda: recording.plot(span=wrong), f"span is {wrong!r}", f"as in {right}; None leaves an end open"
+    )
 
 
 def test_a_span_may_be_a_list_of_whole_numbers(recording):
@@ -127,30 +131,32 @@ def test_a_span_may_be_a_list_of_whole_numbers(recording):
 @pytest.mark.parametrize("wrong", [0.1, "Nm=0.1", [("Nm", 0.1)]])
 def test_tolerances_are_of_signals_or_units(source, wrong):
     number = wrong if isinstance(wrong, float) else 0.1
-    told(lambda: compare(source, source, tolerances=wrong), f'tolerances={{"Nm": {number}}}', f'{{"": {number}}}')
+    assert_wrong_call(
+        lambda: compare(source, source, tolerances=wrong), f'tolerances={{"Nm": {number}}}', f'{{"": {number}}}'
+    )
 
 
 def test_a_tolerance_is_a_number(source):
-    told(lambda: compare(source, source, tolerances={"Nm": "0.1"}), "tolerances['Nm'] is '0.1'")
+    assert_wrong_call(lambda: compare(source, source, tolerances={"Nm": "0.1"}), "tolerances['Nm'] is '0.1'")
 
 
 def test_recordings_are_compared_by_their_paths(recording):
-    told(lambda: compare(recording, recording), f"this one's name is its path: {recording.path!r}")
+    assert_wrong_call(lambda: compare(recording, recording), f"this one's name is its path: {recording.path!r}")
 
 
 def test_a_recording_is_exported_by_its_path(recording, tmp_path):
-    told(lambda: export(recording, tmp_path / "a.csv", "csv"), "path is <recording", 'export("run.pcapng"')
-    told(lambda: export(recording.path, 3, "csv"), "out is 3")
+    assert_wrong_call(lambda: export(recording, tmp_path / "a.csv", "csv"), "path is <recording", 'export("run.pcapng"')
+    assert_wrong_call(lambda: export(recording.path, 3, "csv"), "out is 3")
 
 
 def test_a_bus_is_named():
-    told(lambda: live(3), 'live("socketcan:can0")')
+    assert_wrong_call(lambda: live(3), 'live("socketcan:can0")')
 
 
 def test_a_simulation_writes_files_by_their_names():
-    told(lambda: simulate(record=3), "record is 3")
-    told(lambda: simulate(truth=3), "truth is 3")
-    told(lambda: simulate(faults=3), "faults is 3")
+    assert_wrong_call(lambda: simulate(record=3), "record is 3")
+    assert_wrong_call(lambda: simulate(truth=3), "truth is 3")
+    assert_wrong_call(lambda: simulate(faults=3), "faults is 3")
 
 
 def test_any_path_like_names_a_file(source, recording, tmp_path):
@@ -193,12 +199,12 @@ def test_the_picture_of_a_comparison_is_looked_at_before_it_is_made(source, tmp_
 
 def test_numbers_of_a_simulation_and_of_a_device_are_numbers():
     eds = ROOT / "eds" / "motor.eds"
-    told(lambda: simulate("bench", "hybrid", "1s"), "seconds is '1s'", "seconds=13.0")
-    told(lambda: simulate("bench", "hybrid", 1.0, seed="x"), "seed is 'x': expected an integer", "seed=7")
-    told(lambda: simulate("bench", "hybrid", True), "seconds is True")
-    told(lambda: Device(eds, "five"), "node_id is 'five': expected an integer", "node_id=5")
-    told(lambda: Device(3, 5), "eds is 3", "Device(")
-    told(lambda: VirtualNetwork("fast"), "bitrate_bit_s is 'fast'", "bitrate_bit_s=500_000")
-    told(lambda: VirtualNetwork().add(eds, "five"), "node_id is 'five'")
+    assert_wrong_call(lambda: simulate("bench", "hybrid", "1s"), "seconds is '1s'", "seconds=13.0")
+    assert_wrong_call(lambda: simulate("bench", "hybrid", 1.0, seed="x"), "seed is 'x': expected an integer", "seed=7")
+    assert_wrong_call(lambda: simulate("bench", "hybrid", True), "seconds is True")
+    assert_wrong_call(lambda: Device(eds, "five"), "node_id is 'five': expected an integer", "node_id=5")
+    assert_wrong_call(lambda: Device(3, 5), "eds is 3", "Device(")
+    assert_wrong_call(lambda: VirtualNetwork("fast"), "bitrate_bit_s is 'fast'", "bitrate_bit_s=500_000")
+    assert_wrong_call(lambda: VirtualNetwork().add(eds, "five"), "node_id is 'five'")
     with pytest.raises(ValueError, match="bitrate_bit_s -1; expected bit/s"):
         VirtualNetwork(-1)

@@ -35,7 +35,7 @@ def entry(bits, signed=True):
     return Entry(0x6064, 0, bits, signed=signed, kind="int", name="position")
 
 
-def told(true, bits, signed=True):
+def counter(true, bits, signed=True):
     """What a counter of so many bits tells."""
     half = 1 << bits - 1
     return (true + half) % (2 * half) - half if signed else true % (2 * half)
@@ -46,7 +46,7 @@ def told(true, bits, signed=True):
 @pytest.mark.parametrize("bits", [16, 32])
 def test_it_goes_on_where_the_counter_begins_anew(sign, signed, bits):
     true = sign * ((1 << bits - 1) - 30_000 + np.cumsum(np.full(1000, 97)))
-    raw, t_ns = told(true, bits, signed), np.arange(1000) * MS
+    raw, t_ns = counter(true, bits, signed), np.arange(1000) * MS
     counts, last = follow(raw, t_ns, entry(bits, signed), None, EVERY)
     assert np.array_equal(np.diff(counts), np.diff(true))
     assert counts[0] == raw[0]
@@ -58,11 +58,11 @@ def test_lost_samples_are_bridged_and_a_gap_that_is_too_long_is_counted(sign):
     true, t_ns = sign * 300 * np.arange(1000), np.arange(1000) * MS
     kept = np.ones(1000, bool)
     kept[100:160] = False  # 61 cycles: 18,300 counts, and at most 30,500
-    counts, last = follow(told(true, 16)[kept], t_ns[kept], entry(16), None, EVERY)
+    counts, last = follow(counter(true, 16)[kept], t_ns[kept], entry(16), None, EVERY)
     assert np.array_equal(counts, true[kept])
     assert last.doubts == 0
     kept[500:566] = False  # 67 cycles: up to 33,500 counts, more than half the counter
-    assert follow(told(true, 16)[kept], t_ns[kept], entry(16), None, EVERY).last.doubts == 1
+    assert follow(counter(true, 16)[kept], t_ns[kept], entry(16), None, EVERY).last.doubts == 1
 
 
 def test_a_jump_that_no_handle_makes_is_no_wrap():
@@ -73,7 +73,7 @@ def test_a_jump_that_no_handle_makes_is_no_wrap():
 @BOTH
 def test_parts_come_to_the_same_as_the_whole(sign):
     true, t_ns = sign * 450 * np.arange(700), np.arange(700) * MS
-    raw, last, parts = told(true, 16), None, []
+    raw, last, parts = counter(true, 16), None, []
     for at in (0, 1, 1, 300, 301):
         stop = {0: 1, 1: 300, 300: 301, 301: 700}[at] if len(parts) != 1 else 1
         counts, last = follow(raw[at:stop], t_ns[at:stop], entry(16), last, EVERY)

@@ -67,7 +67,7 @@ def test_a_damaged_file_is_read_or_refused_with_lines(data: st.DataObject) -> No
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "mistake"),
     [
         ("x = " + "[" * 100_000 + "]" * 100_000, "more than 32 brackets within each other"),
         ("x = " + "{a=" * 100_000, "more than 32 brackets within each other"),
@@ -80,10 +80,10 @@ def test_a_damaged_file_is_read_or_refused_with_lines(data: st.DataObject) -> No
     ],
     ids=["nested", "inline", "digits", "key", "parts", "header", "lines", "long"],
 )
-def test_what_would_keep_a_reader_busy_for_minutes_is_refused_at_once(text: str, told: str) -> None:
+def test_what_would_keep_a_reader_busy_for_minutes_is_refused_at_once(text: str, mistake: str) -> None:
     document = read_toml("a = 1\n" + text)
     ((line, problem),) = document.problems
-    assert told in problem
+    assert mistake in problem
     assert line in (1, 2, 10_001)
     assert document.is_broken(("a",))
 

@@ -162,6 +162,6 @@ def test_what_is_printed_has_no_control_characters_and_nothing_else_is_changed(t
     assert not CONTROL.search(shown)
     assert printable(shown) == shown
     assert [character for character in text if not CONTROL.match(character)] == [
-        one for one in text if one in shown and not CONTROL.match(one)
+        character for character in text if character in shown and not CONTROL.match(character)
     ]
     assert bool(first_control(text)) == bool(CONTROL.search(text) or set("\t\n") & set(text))

@@ -233,19 +233,19 @@ def test_not_a_number_and_missing_cycles_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "mistake"),
     [
         ({"motor.position_rad": 0.0}, "the handle does not slide"),
         ({"motor.statusword": SWITCHED_ON_WORD}, "not in the display"),
         ({"brake.handle_torque_Nm": np.nan}, "a signal is missing"),
     ],
 )
-def test_a_recording_that_shows_no_friction_is_refused_with_what_was_left_out(changes, told):
+def test_a_recording_that_shows_no_friction_is_refused_with_what_was_left_out(changes, mistake):
     recording = made_run(np.random.default_rng(0))
     for name, value in changes.items():
         series = recording[name]
         recording.signals[name] = Series(series.t_s, np.full(len(series), value), "")
-    with pytest.raises(IdentifyError, match=r"0 of \d+ samples slide as friction is fitted; .* Left out: .*" + told):
+    with pytest.raises(IdentifyError, match=r"0 of \d+ samples slide as friction is fitted; .* Left out: .*" + mistake):
         identify(recording)
 
 
@@ -263,7 +263,7 @@ def test_a_recording_without_a_signal_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "arguments", "status", "told"),
+    ("name", "content", "arguments", "status", "mistake"),
     [
         ("garbage.pcapng", b"no recording", (), 2, "not a pcapng file"),
         ("empty.pcapng", b"", (), 2, "empty"),
@@ -272,10 +272,10 @@ def test_a_recording_without_a_signal_is_refused():
         ("axis.log", b"(1.0) can0 080#\n", ("--rig", "bench", "--axis", "left"), 3, "one axis, without a name"),
     ],
 )
-def test_what_cannot_be_identified_is_refused_with_a_status(tmp_path, name, content, arguments, status, told):
+def test_what_cannot_be_identified_is_refused_with_a_status(tmp_path, name, content, arguments, status, mistake):
     path = tmp_path / name
     path.write_bytes(content)
     refused = CliRunner().invoke(main, ["identify", str(path), *arguments])
     assert refused.exit_code == status
     assert isinstance(refused.exception, SystemExit)  # no traceback
-    assert told in refused.stderr
+    assert mistake in refused.stderr

@@ -52,7 +52,7 @@ def random_rig(seed):
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory):
+def fitted(tmp_path_factory):
     path = tmp_path_factory.mktemp("coverage") / "run.pcapng"
     rows = []
     for seed in range(RIGS):
@@ -69,10 +69,10 @@ def found(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ["coulomb_Nm", "viscous_Nms_rad", "inertia_kg_m2", "offset_Nm"])
-def test_the_interval_of_each_parameter_holds_the_truth(found, name):
+def test_the_interval_of_each_parameter_holds_the_truth(fitted, name):
     for of in ("felt", "device"):
         held, off = [], []
-        for estimate, true in ((getattr(fit, name), truth[name]) for which, fit, truth in found if which == of):
+        for estimate, true in ((getattr(fit, name), truth[name]) for which, fit, truth in fitted if which == of):
             held.append(estimate.low <= true <= estimate.high)
             off.append(2 * (estimate.value - true) / (estimate.high - estimate.low))
         print(f"{of} {name}: {sum(held)} of {len(held)}, RMS {np.sqrt(np.mean(np.square(off))):.2f} half widths")
@@ -81,5 +81,5 @@ def test_the_interval_of_each_parameter_holds_the_truth(found, name):
         assert 0.3 < np.sqrt(np.mean(np.square(off))) < 0.7  # 0.48 of 95 %: not so by being too wide
 
 
-def test_no_stribeck_term_is_seen_in_a_rig_that_has_none(found):
-    assert [fit.stribeck_Nm for _, fit, _ in found] == [None] * (2 * RIGS)
+def test_no_stribeck_term_is_seen_in_a_rig_that_has_none(fitted):
+    assert [fit.stribeck_Nm for _, fit, _ in fitted] == [None] * (2 * RIGS)

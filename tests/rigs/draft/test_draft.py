@@ -93,11 +93,11 @@ def test_devices_of_ours_are_as_the_packages_rig_has_them(draft):
 
 
 @pytest.mark.parametrize(
-    ("told", "rated", "mark"),
+    ("torque", "rated", "mark"),
     [(310, 0.31, "310"), (310_000, 0.31, "310000"), (0, 0.18, "nothing"), (2_000_000_000, 0.18, "nothing")],
 )
-def test_the_rated_torque_is_read_in_mNm_or_in_uNm(draft, told, rated, mark):
-    text = edit(FOREIGN, "6076", DefaultValue=told)
+def test_the_rated_torque_is_read_in_mNm_or_in_uNm(draft, torque, rated, mark):
+    text = edit(FOREIGN, "6076", DefaultValue=torque)
     made = draft(text)
     assert made.rig.one_axis().motor.rated_torque_Nm == pytest.approx(rated)
     assert mark in marks(made, "motor.rated_torque_Nm")
