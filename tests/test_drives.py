@@ -4,7 +4,7 @@ import importlib.util
 
 import pytest
 
-from places import CORPUS, ROOT
+from places import CORPUS, ROOT, beside
 
 FILES = sorted(path for path in CORPUS.glob("*") if path.suffix.lower() in (".eds", ".dcf"))
 PAGE = (ROOT / "docs" / "drives.md").read_text()
@@ -14,7 +14,7 @@ drives = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(drives)
 
 
-@pytest.mark.skipif(not FILES, reason=f"{CORPUS} is absent: EDS files of other makers are not copied into the project")
+@beside(CORPUS)
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 @pytest.mark.parametrize("role", ["drive", "brake"])
 def test_the_page_says_what_init_check_and_simulate_make_of_a_file(tmp_path, path, role):

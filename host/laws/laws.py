@@ -365,12 +365,14 @@ def _function(name: str, place: str, attribute: str, directory: Path | None, *, 
         raise LawError(
             f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({given})"
         )
-    return plain
+    law: LawFunction = plain
+    return law
 
 
 def _compiled(name: str, plain: Any, *, own_law: bool) -> LawFunction:
     try:
-        return compile_law(plain, cache=own_law)
+        law: LawFunction = compile_law(plain, cache=own_law)
+        return law
     except Exception as error:  # numba raises many kinds
         if isinstance(error, (CoulombusError, MemoryError)):
             raise

@@ -248,7 +248,7 @@ def _all_done(axes: AxisRecords) -> bool:
     done = 0
     for k in range(axes.shape[0]):
         done += 1 if axes[k].host.phase == Phase.DONE else 0
-    return done == axes.shape[0]
+    return done == len(axes)
 
 
 @kernel

@@ -28,7 +28,7 @@ from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.wire.address import BusAddress, socket_path
 from coulombus.wire.handshake import Flags, connect
-from places import CORPUS, ROOT
+from places import CORPUS, ROOT, beside
 
 pytestmark = [pytest.mark.real_time, pytest.mark.patient, pytest.mark.usefixtures("private_sockets")]
 
@@ -216,7 +216,7 @@ def test_mistakes_are_told(tmp_path):
     assert f"{empty}:1:" in done.stderr
 
 
-@pytest.mark.skipif(not CORPUS.is_dir(), reason="the vendors' EDS files are not here")
+@beside(CORPUS)
 @pytest.mark.parametrize("path", sorted(CORPUS.glob("**/*.eds")) if CORPUS.is_dir() else [], ids=lambda path: path.name)
 def test_every_object_of_a_vendors_file_is_served(path):
     """Every SDO read is answered.

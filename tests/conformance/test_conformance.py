@@ -14,9 +14,7 @@ from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.eds.reader import parse_eds
 from coulombus.node.brake404 import BRAKE404
-from places import CASES
-
-LIST = CASES
+from places import CASES, beside
 
 
 def test_every_case_has_a_function_and_a_text():
@@ -27,10 +25,9 @@ def test_every_case_has_a_function_and_a_text():
     assert sum(not case.own for case in catalogue()) == 127
 
 
+@beside(CASES)
 def test_the_catalogue_is_the_list_with_its_abort_codes():
-    if not LIST.exists():
-        pytest.skip("the list of cases is not beside the project")
-    rows = list(csv.DictReader(LIST.read_text().splitlines()))
+    rows = list(csv.DictReader(CASES.read_text().splitlines()))
     ours = [case for case in catalogue() if not case.own]
     assert [case.id for case in ours] == [row["case"] for row in rows]
     for case, row in zip(ours, rows, strict=True):

@@ -16,7 +16,7 @@ from coulombus.eds.cia301 import ABORT_TEXT, DATA_TYPES, EMCY_TEXT, Abort, Emcy,
 from coulombus.eds.pdo import layouts
 from coulombus.eds.reader import EdsError, read_eds
 from eds_text import HEAD, complaints, record, variable
-from places import CORPUS, ROOT
+from places import CORPUS, ROOT, beside
 
 CORPUS_FILES = sorted(CORPUS.glob("*.eds")) + sorted(CORPUS.glob("*.dcf"))
 
@@ -497,7 +497,7 @@ def test_every_code_has_a_text():
 
 # The corpus of real files
 
-corpus = pytest.mark.skipif(not CORPUS_FILES, reason="the corpus of vendors' EDS files is not at ../shared/eds-corpus")
+corpus = beside(CORPUS)
 each_file = pytest.mark.parametrize("path", CORPUS_FILES, ids=lambda path: path.stem)
 
 

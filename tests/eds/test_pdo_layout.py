@@ -8,7 +8,7 @@ import pytest
 from coulombus.eds.codec import MAX_FIELDS, PDO, pack, real_bits, real_value, unpack
 from coulombus.eds.pdo import Entry, PdoLayout, entry_of, fill, layouts, read_layout
 from coulombus.eds.reader import EdsError, read_eds
-from places import CORPUS, ROOT
+from places import CORPUS, ROOT, beside
 
 TYPES = {"BOOLEAN": 1, "INTEGER8": 2, "INTEGER16": 3, "INTEGER32": 4, "UNSIGNED8": 5, "UNSIGNED16": 6, "UNSIGNED32": 7}
 TYPES |= {"REAL32": 8, "VISIBLE_STRING": 9, "INTEGER24": 0x10, "INTEGER40": 0x12, "INTEGER56": 0x14, "UNSIGNED64": 0x1B}
@@ -304,9 +304,7 @@ def test_a_wide_diagram_is_folded(describe):
     assert [int(number) for number in heads.split()] == list(range(63, -1, -1))
 
 
-corpus = pytest.mark.skipif(
-    not CORPUS.is_dir(), reason="the corpus of vendors' EDS files is not at ../shared/eds-corpus"
-)
+corpus = beside(CORPUS)
 
 
 @pytest.mark.slow

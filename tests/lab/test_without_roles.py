@@ -28,7 +28,7 @@ from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import data_bytes
 from eds_edit import SENSOR
 from foreign_rigs import brake, drive, rig_of
-from places import CORPUS
+from places import CORPUS, beside
 
 HOLD_AND_STROKE = """phase=[{kind="rest", duration_s=0.6},
 {kind="hold", duration_s=1.2, push_F_s=0.6, frequency_Hz=1.0, taps_s=[0.3], tap_Nm=0.6, tap_s=0.01},
@@ -125,9 +125,7 @@ def test_the_hold_study_and_the_limit_cycle(tmp_path):
     assert np.all(np.isfinite(cycle.force_N))
 
 
-@pytest.mark.skipif(
-    not CORPUS.is_dir(), reason=f"{CORPUS} is absent: EDS files of other makers are not copied into the project"
-)
+@beside(CORPUS)
 @pytest.mark.parametrize("file", ["systec_IO-X6_8AO.eds", "canopennode_demoDevice.eds"])
 def test_verbs_on_a_rehearsed_rig_of_another_makers_brake(tmp_path, file):
     def verb(*arguments):

@@ -19,7 +19,7 @@ from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 from node_bench import MS, US, Bench, SdoAborted, cycle, description, motor, setpoint
-from places import CORPUS
+from places import CORPUS, beside
 
 
 def test_powered_off_nothing_goes_in_and_nothing_comes_out():
@@ -318,7 +318,7 @@ def test_a_device_refuses_what_it_cannot_be():
         Bench("motor").device[0x5555, 0]
 
 
-@pytest.mark.skipif(not CORPUS.is_dir(), reason="the corpus of vendors' EDS files is not here")
+@beside(CORPUS)
 def test_any_readable_eds_becomes_a_live_node():
     lived = 0
     for path in sorted(CORPUS.glob("**/*.[ed][dc][sf]")):

@@ -15,7 +15,7 @@ from coulombus.node.relaxed_eds import opened
 from coulombus.wire.frame import CAN_RTR_FLAG
 from foreign_eds import BRAKE, I16, I32, MOTOR, U8, U16, another, edited, with_array, with_variable, without
 from node_bench import MS, Bench, SdoAborted
-from places import CORPUS
+from places import CORPUS, beside
 
 FILES = sorted(path for kind in ("*.eds", "*.dcf") for path in CORPUS.glob(kind))
 
@@ -334,9 +334,7 @@ def test_6007h_is_for_a_lost_host_and_for_nothing_else(bit, code, option):
 
 
 def corpus(test):
-    if not FILES:
-        return pytest.mark.skip(reason="the corpus of vendors' files is not beside this checkout")(test)
-    return pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)(test)
+    return beside(CORPUS)(pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)(test))
 
 
 @corpus

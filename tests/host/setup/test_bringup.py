@@ -27,7 +27,7 @@ from coulombus.rigs.rig import RigError, load_rig_text
 from coulombus.sim_bus.network.virtual_rig import BOOT_NS, VirtualRig
 from coulombus.wire.frame import CAN_RTR_FLAG, data_bytes
 from eds_edit import edit, gone
-from places import CORPUS, RIGS, ROOT
+from places import CORPUS, RIGS, ROOT, beside
 
 MOTOR, BRAKE = ((ROOT / "eds" / name).read_text() for name in ("motor.eds", "mr_brake.eds"))
 BENCH = (RIGS / "bench.toml").read_text()
@@ -612,7 +612,7 @@ def test_the_motors_limit_is_never_wider_than_its_set_point():
         Controller(rig_of(edit(MOTOR, "6071", DataType=I8, LowLimit="", HighLimit="")).one_axis(), "active")
 
 
-@pytest.mark.skipif(not CORPUS.is_dir(), reason="the vendors' files are not part of this project")
+@beside(CORPUS)
 @pytest.mark.parametrize("own", ["motor.eds", "mr_brake.eds"])
 def test_no_vendors_file_ends_in_a_traceback(own, tmp_path):
     files = sorted(path for path in CORPUS.iterdir() if path.suffix in (".eds", ".dcf"))

@@ -15,7 +15,7 @@ from coulombus.rigs.draft.draft import Draft
 from coulombus.rigs.draft.draft_text import rehearsal_marks
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from eds_edit import edit, fixed, gone
-from places import CORPUS, RIGS, ROOT
+from places import CORPUS, RIGS, ROOT, beside
 
 MOTOR, BRAKE = ((ROOT / "eds" / name).read_text(encoding="utf-8") for name in ("motor.eds", "mr_brake.eds"))
 FOREIGN = edit(MOTOR, "1018sub1", DefaultValue="0x00000077")
@@ -433,7 +433,7 @@ def test_files_are_named_from_the_rig_files_folder_on(folder):
     assert Path(gather(choices, rigs)[1].eds).is_absolute()
 
 
-@pytest.mark.skipif(not CORPUS.is_dir(), reason="the corpus of vendors' EDS files is not at ../shared/eds-corpus")
+@beside(CORPUS)
 @pytest.mark.parametrize("node", ["motor", "brake"])
 def test_drives_of_the_corpus_are_drafted_or_refused_with_a_reason(node):
     refused = {}
