@@ -128,35 +128,35 @@ if JIT_DISABLED:
         ever); return how many are ready.
         """
         spec = (ctypes.c_int64 * 2)(timeout_ns // SECOND_NS, timeout_ns % SECOND_NS) if timeout_ns >= 0 else None
-        return int(_c["ppoll"](ctypes.c_void_p(address), ctypes.c_ulong(count), spec, None))
+        return int(_c["ppoll"](ctypes.c_void_p(int(address)), ctypes.c_ulong(int(count)), spec, None))
 
     def read(fd: int, address: int, size: int) -> int:
         """read(2)."""
-        return int(_c["read"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size)))
+        return int(_c["read"](int(fd), ctypes.c_void_p(int(address)), ctypes.c_size_t(int(size))))
 
     def write(fd: int, address: int, size: int) -> int:
         """write(2)."""
-        return int(_c["write"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size)))
+        return int(_c["write"](int(fd), ctypes.c_void_p(int(address)), ctypes.c_size_t(int(size))))
 
     def send(fd: int, address: int, size: int, flags: int) -> int:
         """send(2)."""
-        return int(_c["send"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size), flags))
+        return int(_c["send"](int(fd), ctypes.c_void_p(int(address)), ctypes.c_size_t(int(size)), int(flags)))
 
     def recv(fd: int, address: int, size: int, flags: int) -> int:
         """recv(2)."""
-        return int(_c["recv"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size), flags))
+        return int(_c["recv"](int(fd), ctypes.c_void_p(int(address)), ctypes.c_size_t(int(size)), int(flags)))
 
     def recvmsg(fd: int, address: int, flags: int) -> int:
         """recvmsg(2) into the struct msghdr at `address` (see `wire.recvmsg`)."""
-        return int(_c["recvmsg"](fd, ctypes.c_void_p(address), flags))
+        return int(_c["recvmsg"](int(fd), ctypes.c_void_p(int(address)), int(flags)))
 
     def epoll_wait(fd: int, address: int, count: int, timeout_ms: int) -> int:
         """epoll_wait(2)."""
-        return int(_c["epoll_wait"](fd, ctypes.c_void_p(address), count, timeout_ms))
+        return int(_c["epoll_wait"](int(fd), ctypes.c_void_p(int(address)), int(count), int(timeout_ms)))
 
     def epoll_ctl(fd: int, operation: int, target: int, address: int) -> int:
         """epoll_ctl(2)."""
-        return int(_c["epoll_ctl"](fd, operation, target, ctypes.c_void_p(address)))
+        return int(_c["epoll_ctl"](int(fd), int(operation), int(target), ctypes.c_void_p(int(address))))
 
 else:
     from llvmlite import ir

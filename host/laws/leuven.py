@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Annotated
 
 from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.stribeck import stribeck_level
 from coulombus.kernels.records import FloatField
 
 __all__ = ["leuven"]
@@ -65,8 +66,7 @@ def leuven(motion: MotionRecord, law: LeuvenParameters, state: LeuvenState) -> f
     2002, doi:10.1109/9.995050; their exponent n is 1 here.
     """
     v = motion.v_rad_s
-    ratio = v / law.v_s_rad_s
-    g = law.F_c_Nm + (law.F_s_Nm - law.F_c_Nm) * math.exp(-ratio * ratio)
+    g = stribeck_level(v, law.F_c_Nm, law.F_s_Nm, law.v_s_rad_s)
     state.brake_Nm = g + law.sigma_2_Nms_rad * abs(v)
     shares = (law.w_1, law.w_2, law.w_3, law.w_4)
     stiffness = (law.k_1_Nm_rad, law.k_2_Nm_rad, law.k_3_Nm_rad, law.k_4_Nm_rad)

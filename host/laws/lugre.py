@@ -6,6 +6,7 @@ import math
 from types import MappingProxyType
 
 from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.host.laws.stribeck import stribeck_level
 
 __all__ = ["lugre"]
 
@@ -48,8 +49,7 @@ def lugre(motion: MotionRecord, law: LuGreParameters, state: LuGreState) -> floa
     systems with friction, IEEE Trans. Automat. Control 40(3), 1995, doi:10.1109/9.376053.
     """
     v = motion.v_rad_s
-    ratio = v / law.v_s_rad_s
-    g = law.F_c_Nm + (law.F_s_Nm - law.F_c_Nm) * math.exp(-ratio * ratio)
+    g = stribeck_level(v, law.F_c_Nm, law.F_s_Nm, law.v_s_rad_s)
     state.brake_Nm = g + law.sigma_2_Nms_rad * abs(v)
     if v == 0.0:
         return float(law.sigma_0_Nm_rad * state.z_rad)

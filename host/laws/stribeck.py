@@ -7,8 +7,9 @@ from types import MappingProxyType
 from typing import Literal
 
 from coulombus.host.laws.law import Field, LawStateRecord, MotionRecord, Parameters, friction_law
+from coulombus.kernels.decorator import inlined
 
-__all__ = ["stribeck"]
+__all__ = ["stribeck", "stribeck_level"]
 
 
 class StribeckParameters(Parameters):
@@ -21,6 +22,13 @@ class StribeckParameters(Parameters):
     v_s_rad_s: float = Field(0.5, gt=0, le=1e4, description="Stribeck speed")
     sigma_2_Nms_rad: float = Field(0.0, ge=0, le=1e6, description="viscous friction")
     form: Literal["gauss", "tustin", "lorentz"] = Field("gauss", description="how the level falls with the speed")
+
+
+@inlined
+def stribeck_level(v: float, F_c_Nm: float, F_s_Nm: float, v_s_rad_s: float) -> float:
+    r"""Return the Stribeck curve :math:`g(v) = F_c + (F_s - F_c)\,e^{-(v/v_s)^2}` [Nm]."""
+    ratio = v / v_s_rad_s
+    return F_c_Nm + (F_s_Nm - F_c_Nm) * math.exp(-ratio * ratio)
 
 
 @friction_law(StribeckParameters, extremes=("F_s_Nm",))
@@ -43,12 +51,11 @@ def stribeck(motion: MotionRecord, law: StribeckParameters, state: LawStateRecor
     v = motion.v_rad_s
     ratio = abs(v) / law.v_s_rad_s
     if law.form == 0.0:  # type: ignore[comparison-overlap]  # a choice is its place
-        share = math.exp(-ratio * ratio)
-    elif law.form == 1.0:  # type: ignore[comparison-overlap]  # a choice is its place
-        share = math.exp(-ratio)
+        level = stribeck_level(v, law.F_c_Nm, law.F_s_Nm, law.v_s_rad_s)
     else:
-        share = 1.0 / (1.0 + ratio * ratio)
-    level = law.F_c_Nm + (law.F_s_Nm - law.F_c_Nm) * share + law.sigma_2_Nms_rad * abs(v)
+        share = math.exp(-ratio) if law.form == 1.0 else 1.0 / (1.0 + ratio * ratio)  # type: ignore[comparison-overlap]
+        level = law.F_c_Nm + (law.F_s_Nm - law.F_c_Nm) * share
+    level += law.sigma_2_Nms_rad * abs(v)
     state.brake_Nm = level
     if v == 0.0:
         return 0.0

@@ -107,6 +107,10 @@ def test_messages_go_through_and_errors_have_their_numbers():
         a.send(b"a")
         assert copy(b.fileno(), c.fileno(), buffer) == 1
         assert d.recv(100) == b"a"
+        a.send(b"a")
+        of_a_record = np.array([b.fileno(), c.fileno()])  # as the loops have them: in plain Python no int
+        assert pass_on(of_a_record[0], of_a_record[1], buffer) == 1
+        assert d.recv(100) == b"a"
     assert copy(-1, -1, buffer) == -EBADF
 
 
