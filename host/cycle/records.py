@@ -24,8 +24,6 @@ __all__ = [
     "DRIVE_PDOS",
     "HOST",
     "KINETIC_CYCLES",
-    "LIVE",
-    "ORDER",
     "SLOTS",
     "TRACK",
     "AxisRecord",
@@ -375,9 +373,6 @@ class OrderRecord(Record):
     cycles: int  # in which the axis goes there
 
 
-ORDER = dtype_of(OrderRecord)
-
-
 class LiveRecord(Record):
     """The live parameters of an axis."""
 
@@ -388,9 +383,6 @@ class LiveRecord(Record):
     cycles: int  # that the way takes
     first: Annotated[FloatField, SLOTS]  # where it began
     last: Annotated[FloatField, SLOTS]  # where it ends
-
-
-LIVE = dtype_of(LiveRecord)
 
 
 class AxisRecord(Record):

@@ -8,8 +8,9 @@ import pytest
 
 from coulombus.host.cycle.live_parameters import follow, offer
 from coulombus.host.cycle.parameter_changes import ChangeRefused, LiveParameters, NotTaken
-from coulombus.host.cycle.records import LIVE, ORDER, SLOTS, Phase, Slot
+from coulombus.host.cycle.records import SLOTS, LiveRecord, OrderRecord, Phase, Slot
 from coulombus.kernels.decorator import Entry
+from coulombus.kernels.records import dtype_of
 from host_bench import HostBench
 
 
@@ -301,9 +302,10 @@ def ordered(bench, number, cycles, *values):
 
 
 def test_compiled_code_reads_two_orders_aligned():
-    assert LIVE.isalignedstruct
-    assert ORDER.isalignedstruct
-    assert LIVE["offered"].shape == (2,)
+    live, order = dtype_of(LiveRecord), dtype_of(OrderRecord)
+    assert live.isalignedstruct
+    assert order.isalignedstruct
+    assert live["offered"].shape == (2,)
 
 
 def test_every_value_begins_where_it_stands(bench):
