@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.errors import nearest, shown
 from coulombus.rigs.rig import Rig, RigError, load_rig
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key
+from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 from coulombus.sim_bus.faults.error_text import WANTED
 
-__all__ = ["FileMistakes", "rig_beside", "text_of"]
+__all__ = ["FileMistakes", "read_checked", "rig_beside"]
+
+M = TypeVar("M", bound=BaseModel)
 
 
 class FileMistakes:
@@ -67,7 +70,7 @@ def _one_line(text: str) -> str:
     return text.replace("\r", "\\r").replace("\n", "\\n")
 
 
-def text_of(path: Path, what: str, error: type[Exception]) -> str:
+def _text_of(path: Path, what: str, error: type[Exception]) -> str:
     """Return the text of the file `path`; `error` says why it cannot be read."""
     try:
         raw = read_regular(path, MOST_CHARACTERS)
@@ -78,6 +81,23 @@ def text_of(path: Path, what: str, error: type[Exception]) -> str:
     except UnicodeDecodeError as reason:
         line = raw.count(b"\n", 0, reason.start) + 1
         raise error(f"{path}:{line}: byte {raw[reason.start]:02X}h is not UTF-8; save the file as UTF-8") from None
+
+
+def read_checked(path: Path, what: str, model: type[M], error: type[Exception]) -> tuple[str, M, FileMistakes]:
+    """Return the text of the file `path`, its values as `model` has them, and room for further
+    mistakes; `error` has a line for each that there is.
+    """
+    text = _text_of(path, what, error)
+    document = read_toml(text)
+    if document.problems:
+        raise error("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
+    mistakes = FileMistakes(str(path), document, error)
+    try:
+        return text, model.model_validate(document.values), mistakes
+    except ValidationError as refused:
+        mistakes.explain(refused, (), model)
+        mistakes.raise_all()
+        raise AssertionError("what pydantic refuses has a mistake") from None
 
 
 def rig_beside(path: Path, name: str, mistakes: FileMistakes) -> Rig:

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, ConfigDict, Field
 
-from coulombus.kernels.records import FloatField
 from coulombus.rigs.hysteresis import Iron
 from coulombus.rigs.model import NS, SAYS_POLARITY, Nanoseconds, Polarity, Section, to_ns
 from coulombus.rigs.plant_detail import Cable, Fluid, Friction, Handle, Heat, Ripple
@@ -205,10 +204,10 @@ class FilePhase(Section):
     duration_s: float = Field(
         gt=0, le=86400, description="length of the phase; the file's last t_s where it is not given"
     )
-    t_s: Annotated[FloatField, BeforeValidator(_column)] = Field(
+    t_s: Annotated[Floats, BeforeValidator(_column)] = Field(
         description="times instead of a file", json_schema_extra={"expected": "a list of numbers that grow, from 0 on"}
     )
-    torque_Nm: Annotated[FloatField, BeforeValidator(_column)] = Field(
+    torque_Nm: Annotated[Floats, BeforeValidator(_column)] = Field(
         description="torques at these times", json_schema_extra={"expected": "a list of as many numbers as t_s has"}
     )
 
@@ -237,10 +236,10 @@ class MotionPhase(Section):
     duration_s: float = Field(
         gt=0, le=86400, description="length of the phase; the file's last t_s where it is not given"
     )
-    t_s: Annotated[FloatField, BeforeValidator(_column)] = Field(
+    t_s: Annotated[Floats, BeforeValidator(_column)] = Field(
         description="times instead of a file", json_schema_extra={"expected": "a list of numbers that grow, from 0 on"}
     )
-    x_rad: Annotated[FloatField, BeforeValidator(_column)] = Field(
+    x_rad: Annotated[Floats, BeforeValidator(_column)] = Field(
         description="angles at these times", json_schema_extra={"expected": "a list of as many numbers as t_s has"}
     )
 

@@ -39,11 +39,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.host.setup.law_demand import cut_off
-from coulombus.lab.file_mistakes import FileMistakes, rig_beside, text_of
+from coulombus.lab.file_mistakes import FileMistakes, read_checked, rig_beside
 from coulombus.lab.study.change_bounds import widened
 from coulombus.rigs.errors import nearest, toml_value
 from coulombus.rigs.rig import Rig, RigError
-from coulombus.rigs.toml_lines import Key, read_toml, split_key
+from coulombus.rigs.toml_lines import Key, split_key
 from coulombus.system.errors import CoulombusError
 
 __all__ = [
@@ -206,17 +206,7 @@ def read_study(path: Path) -> Study:
     coulombus.rigs.rig.RigError
         the rig file has a mistake
     """
-    text = text_of(path, "study", StudyError)
-    document = read_toml(text)
-    if document.problems:
-        raise StudyError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
-    mistakes = FileMistakes(str(path), document, StudyError)
-    try:
-        file = StudyFile.model_validate(document.values)
-    except ValidationError as error:
-        mistakes.explain(error, (), StudyFile)
-        mistakes.raise_all()
-        raise AssertionError("what pydantic refuses has a mistake") from None
+    text, file, mistakes = read_checked(path, "study", StudyFile, StudyError)
     method = _method(file, mistakes)
     conditions = _conditions(file, mistakes)
     mistakes.raise_all()

@@ -31,7 +31,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from coulombus.host.laws.law_source import law_attachments
-from coulombus.lab.file_mistakes import FileMistakes, rig_beside, text_of
+from coulombus.lab.file_mistakes import FileMistakes, read_checked, rig_beside
 from coulombus.lab.sweep.expressions import Condition, ConditionError
 from coulombus.lab.sweep.figures import known_figures
 from coulombus.lab.sweep.points import points
@@ -151,17 +151,7 @@ def read_sweep(path: Path) -> Sweep:
     coulombus.rigs.rig.RigError
         the rig file has a mistake
     """
-    text = text_of(path, "sweep", SweepError)
-    document = read_toml(text)
-    if document.problems:
-        raise SweepError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
-    mistakes = FileMistakes(str(path), document, SweepError)
-    try:
-        file = _File.model_validate(document.values)
-    except ValidationError as error:
-        mistakes.explain(error, (), _File)
-        mistakes.raise_all()
-        raise AssertionError("what pydantic refuses has a mistake") from None
+    text, file, mistakes = read_checked(path, "sweep", _File, SweepError)
     vary = _vary(file, mistakes)
     _check_design(file, vary, mistakes)
     mistakes.raise_all()
