@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.cli.common import json_option, load, rig_option, set_option, verdict
+from coulombus.cli.common import json_option, load_with_law, rig_option, set_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.tables import PROSE, echo, on_terminal
 from coulombus.system.wrap_text import columns_of
@@ -47,7 +47,7 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool)
         from coulombus.rigs.errors import RigError
 
         try:
-            findings = _Findings(load(rig_name, overrides))
+            findings = _Findings(load_with_law(rig_name, overrides))
         except RigError as error:
             if as_json:
                 failure = {"event": "error", "error": str(error), "exit_status": error.exit_status}

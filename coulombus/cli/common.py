@@ -28,6 +28,7 @@ __all__ = [
     "json_option",
     "listed",
     "load",
+    "load_with_law",
     "mode_option",
     "printed",
     "record_option",
@@ -51,6 +52,16 @@ def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
 
     rig = load_rig(rig_name, overrides)
     for warning in rig.warnings:
+        say(f"warning: {warning}")
+    return rig
+
+
+def load_with_law(rig_name: str, overrides: tuple[str, ...]) -> Rig:
+    """Load a rig whose law is asked, and say on stderr what of both may not be meant."""
+    from coulombus.host.setup.law_demand import remarks
+
+    rig = load(rig_name, overrides)
+    for warning in remarks(rig):
         say(f"warning: {warning}")
     return rig
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import bus_option, buses_option, channel_option, load, rig_option, set_option
+from coulombus.cli.common import bus_option, buses_option, channel_option, load_with_law, rig_option, set_option
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
@@ -39,7 +39,7 @@ class RigOptions:
         ----------
         before : SECTION.KEY=V, set before what the options set
         """
-        return load(self.rig_name, (*before, *self.overrides))
+        return load_with_law(self.rig_name, (*before, *self.overrides))
 
 
 @dataclass(frozen=True)

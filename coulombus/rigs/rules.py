@@ -21,8 +21,6 @@ from coulombus.rigs.toml_lines import Key, Table
 __all__ = ["check", "check_roles", "remarks"]
 
 INT16_MAX = 32767
-WITH_F_S = "karnopp"
-"""The project's law that uses the mode's F_s; a user's own law (FILE:NAME) may."""
 NODES = ("host", "motor", "brake")
 SIMULATION = ("plant", "operator")
 """Sections of a rig that is simulated; the host needs none of them."""
@@ -54,10 +52,6 @@ def _less(first: float, second: float) -> bool:
 
 def _at_most(first: float, second: float) -> bool:
     return first <= second
-
-
-def _at_most_of_law(first: float, second: float, law: str) -> bool:
-    return (law.strip() != WITH_F_S and ":" not in law) or first <= second
 
 
 def _zero(value: float) -> bool:
@@ -141,18 +135,6 @@ REMARKS = (
           "the same as motor.encoder_counts_rev ({1}), unless a wrong rig is to be simulated"),
     _rule("plant.motor_rated_torque_Nm motor.rated_torque_Nm", lambda truth, belief: truth == belief,
           "the same as motor.rated_torque_Nm ({1}), unless a wrong rig is to be simulated"),
-    *(
-        _rule(f"mode.{mode}.F_d_Nm mode.{mode}.F_s_Nm law.function", _at_most_of_law,
-              "at most F_s_Nm ({1}): this friction grows when it slips")
-        for mode in MODES
-    ),
-    _rule("mode.active.F_s_Nm mode.active.motor_limit_Nm law.function", _at_most_of_law,
-          "at most motor_limit_Nm ({1}), which cuts it off"),
-    *(
-        _rule(f"mode.{mode}.F_s_Nm limits.brake_torque_Nm law.function", _at_most_of_law,
-              "at most limits.brake_torque_Nm ({1}), which cuts it off")
-        for mode in ("passive", "hybrid")
-    ),
     *(
         _rule(f"mode.{mode}.motor_limit_Nm mode.{mode}.compensation mechanics.friction_Nm",
               lambda limit, share, friction: share * friction <= limit,

@@ -134,13 +134,14 @@ class Controller:
             raise axis.mistake("law.function", f"a friction law; {error}") from error
         self.law_function: LawFunction = loaded.pointer
         self.declaration = loaded.declaration
-        self.parameters = parameters = axis_parameters(axis, loaded.declaration)
+        self.parameters = parameters = axis_parameters(axis, loaded.declaration, mode)
         self.law_state = () if loaded.declaration is None else loaded.declaration.state
         self.records = new_records(AxisRecord)
         self.motion["dt_s"] = axis.bus.period_s
         self.law[:] = self._new_law()
         if loaded.declaration is not None and parameters is not None:
             loaded.declaration.fill(self.law[0], parameters)
+        self.law["velocity_band_counts"] /= axis.law.velocity_window_cycles
         pdos = axis.pdos()
         self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
         self.tpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
@@ -210,7 +211,7 @@ class Controller:
         record = new_records(LawRecord)
         r = record[0]
         r["K_p"], r["F_s"], r["F_d"] = mode.K_p_Nm_rad, mode.F_s_Nm, mode.F_d_Nm
-        r["velocity_band_counts"] = law.velocity_band_counts / law.velocity_window_cycles
+        r["velocity_band_counts"] = law.velocity_band_counts
         r["paper_entry"] = law.stick_entry == "paper"
         r["brake_spring"] = law.brake_stick == "spring"
         r["user"][: len(law.user)] = law.user

@@ -1,4 +1,6 @@
-"""The tables [law.NAME] of a rig file, held against what the laws declare."""
+"""A law's parameters as a rig file gives them: in its table [law.NAME], held against what the law
+declares, or in [mode.NAME] and [law].
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ from coulombus.rigs.toml_lines import read_toml
 __all__ = ["axis_parameters", "law_parameters", "set_parameters"]
 
 
-def axis_parameters(axis: Axis, law: Declaration | None) -> Parameters | None:
-    """Return the parameters of an axis' law; None of a law that names none.
+def axis_parameters(axis: Axis, law: Declaration | None, mode: str) -> Parameters | None:
+    """Return the parameters of an axis' law in a mode; None of a law that names none.
 
     The tables of the project's other laws are looked at, too. A table of another law of the user's
     own is left alone: what it may hold is not known while that law is not loaded.
@@ -32,7 +34,17 @@ def axis_parameters(axis: Axis, law: Declaration | None) -> Parameters | None:
         with every mistake that was found, with ``file:line``
     """
     sections = law_parameters(axis.law.tables, law, axis.origin.source(axis.name))
-    return None if law is None or law.uses_mode_keys else sections[law.name]
+    if law is None:
+        return None
+    return _of_mode(axis, law, mode) if law.uses_mode_keys else sections[law.name]
+
+
+def _of_mode(axis: Axis, law: Declaration, mode: str) -> Parameters:
+    """Return the parameters of a law that takes those of the mode."""
+    section = axis.mode[mode]
+    return law.parameters(
+        **{name: getattr(section if name in type(section).model_fields else axis.law, name) for name in law.names}
+    )
 
 
 def law_parameters(

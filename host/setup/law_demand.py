@@ -18,7 +18,7 @@ from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, RigError
 
-__all__ = ["check_demand", "cut_off"]
+__all__ = ["check_demand", "cut_off", "remarks"]
 
 
 class Demand(NamedTuple):
@@ -63,8 +63,8 @@ def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
     own = BUILTIN_LAWS.get(axis.law.function.strip())
     if own is None:
         return ()
-    values, place = axis_parameters(axis, own), f"mode.{mode}" if own.uses_mode_keys else f"law.{own.name}"
-    return tuple(Demand(f"{place}.{key}", getattr(values or axis.mode[mode], key)) for key in own.extremes)
+    values, place = axis_parameters(axis, own, mode), f"mode.{mode}" if own.uses_mode_keys else f"law.{own.name}"
+    return tuple(Demand(f"{place}.{key}", getattr(values, key)) for key in own.extremes)
 
 
 def _expected(limit_Nm: float, torque_Nm: float, whose: str) -> str:
@@ -76,6 +76,21 @@ def cut_off(rig: Rig, mode: str) -> list[str]:
     ``file:line``, key and remedy.
     """
     errors = (error for axis in rig.axes for part in (_motor, _brake) for error in part(axis, mode))
+    return list(dict.fromkeys(text for error in errors for text in error.errors))
+
+
+def remarks(rig: Rig) -> list[str]:
+    """Return what is allowed and yet may not be meant, with ``file:line``: a friction that grows when
+    it slips.
+    """
+    errors = []
+    for axis in rig.axes:
+        for mode in axis.mode:
+            displayed = {demand.key: demand.torque_Nm for demand in _law(axis, mode)}
+            static, dynamic = f"mode.{mode}.F_s_Nm", f"mode.{mode}.F_d_Nm"
+            if {static, dynamic} <= displayed.keys() and displayed[dynamic] > displayed[static]:
+                expected = f"at most F_s_Nm ({displayed[static]:g}): this friction grows when it slips"
+                errors.append(axis.mistake(dynamic, expected))
     return list(dict.fromkeys(text for error in errors for text in error.errors))
 
 

@@ -386,20 +386,3 @@ def test_what_is_no_regular_file_is_refused_at_once_and_not_waited_for(tmp_path:
     rig.write_text(BENCH + '\n[[phase]]\nkind = "file"\npath = "fifo.csv"\n')
     with pytest.raises(RigError, match=r"fifo\.csv:1: cannot be read \(is a FIFO, not a regular file\)"):
         load_rig(str(rig))
-
-
-@pytest.mark.parametrize(
-    ("override", "law", "remark"),
-    [
-        ("mode.passive.F_s_Nm=40", "coulomb", False),  # it does not use F_s
-        ("mode.passive.F_s_Nm=1e-3", "coulomb", False),
-        ("mode.active.F_s_Nm=1e4", "coulomb", False),
-        ("mode.passive.F_s_Nm=40", "karnopp", True),
-        ("mode.passive.F_s_Nm=1e-3", "karnopp", True),
-        ("mode.active.F_s_Nm=1e4", "karnopp", True),
-    ],
-)
-def test_a_remark_on_F_s_is_made_of_a_law_that_uses_it(override: str, law: str, remark: bool) -> None:
-    before = load_rig("paper", (f"law.function={law}",)).warnings
-    more = set(load_rig("paper", (f"law.function={law}", override)).warnings) - set(before)
-    assert any("F_s_Nm" in text for text in more) is remark

@@ -447,16 +447,12 @@ def test_what_is_allowed_but_may_not_be_meant() -> None:
     given = [
         "plant.motor_polarity=-1",
         "bus.bitrate_bit_s=2000000",
-        "mode.active.F_s_Nm=2",
         "phase.1.duration_s=2",
-        "mode.hybrid.F_d_Nm=4",
     ]
     warnings = load_rig("bench", given).warnings
     assert [re.sub(r"^.*?bench\.toml:\d+", "FILE", text).split(": ")[:2] for text in warnings] == [
         ["--set bus.bitrate_bit_s=2000000", "bus.bitrate_bit_s"],
         ["--set plant.motor_polarity=-1", "plant.motor_polarity"],
-        ["--set mode.hybrid.F_d_Nm=4", "mode.hybrid.F_d_Nm"],
-        ["--set mode.active.F_s_Nm=2", "mode.active.F_s_Nm"],
         ["FILE", "phase.1.taps_s"],
     ]
 

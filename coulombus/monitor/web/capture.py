@@ -8,7 +8,7 @@ stamps. Nothing that the bus carries raises.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
 from coulombus.wire.frame_batches import Block
 
-__all__ = ["ROWS", "VELOCITY", "Curve", "LiveCapture", "Period", "has_plain_curve"]
+__all__ = ["ROWS", "VELOCITY", "Curve", "LiveCapture", "Period"]
 
 WINDOW_NS = 1_000_000_000
 RAW_NS = 200_000_000
@@ -70,13 +70,6 @@ class Curve:
 
     velocity_rad_s: tuple[float, ...]
     friction_Nm: tuple[float, ...]
-
-
-def has_plain_curve(axis: Axis) -> bool:
-    """Tell whether the curve of an axis' law is F_s at rest and F_d in motion: then nobody is asked
-    for it.
-    """
-    return axis.law.function in ("karnopp", "coulomb")
 
 
 class _Pdo:
@@ -257,17 +250,3 @@ class LiveCapture:
         if not len(t_f):
             return None
         return v, f[np.clip(np.searchsorted(t_f, t_v), 0, len(t_f) - 1)]
-
-    def law_curve(self, axis: Axis, mode: str, live: Mapping[str, float] | None = None) -> Curve | None:
-        """Return what a law with a plain curve displays in a mode: F_s at rest, F_d in motion; the
-        values that are `live`, else those of the rig file.
-
-        None of another law, and of an unknown mode.
-        """
-        if not has_plain_curve(axis) or mode not in axis.mode:
-            return None
-        said = axis.mode[mode]
-        F_d = (live or {}).get("F_d_Nm", said.F_d_Nm)
-        F_s = (live or {}).get("F_s_Nm", said.F_s_Nm) if axis.law.function == "karnopp" else F_d
-        far = axis.limits.speed_rad_s
-        return Curve((-far, 0.0, 0.0, 0.0, 0.0, far), (-F_d, -F_d, -F_s, F_s, F_d, F_d))

@@ -86,7 +86,7 @@ class Page:
         """By which a browser asks for it, beside the address itself."""
         self.host = HostView(door.advice)
         self.curves: Mapping[str, Curve | None] = {}
-        """Of the laws that have no plain one, by the axis' name."""
+        """Of each axis' law, by the axis' name."""
         self.control = ControlLock()
         self.sessions: set[Data] = set()
         self.sockets: WeakSet[IOStream] = WeakSet()
@@ -328,9 +328,7 @@ class Data(_Guarded, tornado.websocket.WebSocketHandler):
             pass
 
     def _law(self) -> dict[str, Any] | None:
-        host, axis = self.page.host, self.axis
-        plain = self.page.capture.law_curve(axis, host.mode, host.live(axis.name))
-        curve = plain or self.page.curves.get(axis.name)
+        curve = self.page.curves.get(self.axis.name)
         return None if curve is None else {"v": curve.velocity_rad_s, "f": curve.friction_Nm}
 
 

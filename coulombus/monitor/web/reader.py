@@ -10,7 +10,7 @@ import threading
 import time
 from typing import Any
 
-from coulombus.monitor.web.capture import Curve, LiveCapture, has_plain_curve
+from coulombus.monitor.web.capture import Curve, LiveCapture
 from coulombus.monitor.web.page_state import HostDoor, HostView
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -135,7 +135,7 @@ class CurveReader(_Worker):
     def make(self, axis: Axis, mode: str, live: dict[str, float]) -> None:
         """Make a curve where it is not that of the last time."""
         key = (mode, tuple(live.items()))
-        if self._made.get(axis.name) == key or mode not in axis.mode or has_plain_curve(axis):
+        if self._made.get(axis.name) == key or mode not in axis.mode:
             return
         self._made[axis.name] = key
         try:

@@ -10,13 +10,14 @@ import re
 import pytest
 from click.testing import CliRunner
 
+from coulombus.cli.common import load_with_law
 from coulombus.cli.main import main
 from coulombus.host.cycle.axes import safe_setpoints
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.output_limits import brake_limit_raw
 from coulombus.host.cycle.records import Image, Phase
-from coulombus.host.setup.law_demand import check_demand, cut_off
+from coulombus.host.setup.law_demand import check_demand, cut_off, remarks
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
@@ -263,3 +264,12 @@ def test_a_hand_that_begins_before_the_law_is_whole_is_told(rest_s, told):
     if told:
         assert "phase paper began after 1 s" in result.remarks[0]
         assert f"whole after {result.full_gain_s:.3f} s" in result.remarks[0]
+
+
+@pytest.mark.parametrize(("law", "made"), [("karnopp", True), ("coulomb", False), ("lugre", False)])
+def test_a_friction_that_grows_when_it_slips_is_remarked_of_a_law_that_has_both_levels(law, made, capsys):
+    rig = load_rig("paper", (f"law.function={law}", "mode.passive.F_s_Nm=1e-3"))
+    (*texts,) = (text for text in remarks(rig) if "mode.passive.F_d_Nm" in text and "at most F_s_Nm (0.001)" in text)
+    assert len(texts) == made
+    load_with_law("paper", (f"law.function={law}", "mode.passive.F_s_Nm=1e-3"))
+    assert ("this friction grows when it slips" in capsys.readouterr().err) is made

@@ -46,9 +46,6 @@ def test_the_friction_is_paired_by_time_and_lasts_two_seconds(capture):
     assert 150 < len(v) == len(f) <= 201
     assert v.max() < 0
     assert -1.2 <= f.min() <= f.max() <= -1.194
-    curve = capture.law_curve(axis, "hybrid")
-    assert (min(curve.friction_Nm), max(curve.friction_Nm)) == (-3.5, 3.5)
-    assert capture.law_curve(axis, "") is None
 
 
 def test_the_state_says_what_the_bus_carries(capture):
