@@ -273,3 +273,8 @@ def test_a_friction_that_grows_when_it_slips_is_remarked_of_a_law_that_has_both_
     assert len(texts) == made
     load_with_law("paper", (f"law.function={law}", "mode.passive.F_s_Nm=1e-3"))
     assert ("this friction grows when it slips" in capsys.readouterr().err) is made
+
+
+@pytest.mark.parametrize("static_Nm", [10.0, 10.5])
+def test_a_static_friction_of_at_least_the_dynamic_one_is_not_remarked(static_Nm):
+    assert remarks(load_rig("paper", ("law.function=karnopp", f"mode.passive.F_s_Nm={static_Nm}"))) == []
