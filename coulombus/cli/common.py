@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from coulombus.wire.address import BusAddress
 
 __all__ = [
+    "BUS_VARIABLE",
     "MODES",
     "bus_option",
     "buses_option",
@@ -44,6 +45,8 @@ __all__ = [
     "verdict",
 ]
 MODES = ("active", "passive", "hybrid")
+RIG_VARIABLE, BUS_VARIABLE = "COULOMBUS_RIG", "COULOMBUS_BUS"
+"""Variables of the environment that stand for --rig and --bus where these are not given."""
 
 
 def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
@@ -121,6 +124,7 @@ rig_option = click.option(
     "rig_name",
     default="bench",
     show_default=True,
+    envvar=RIG_VARIABLE,
     metavar="R",
     help="A packaged rig (bench, paper, two_axes) or the path of a rig file.",
 )
@@ -144,12 +148,17 @@ seed_option = click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Start of everything random."
 )
 bus_option = click.option(
-    "--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]"
+    "--bus",
+    "bus_name",
+    envvar=BUS_VARIABLE,
+    metavar="B",
+    help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]",
 )
 buses_option = click.option(
     "--bus",
     "bus_names",
     multiple=True,
+    envvar=BUS_VARIABLE,
     metavar="B",
     help="coulombus:NAME or socketcan:IF; CHANNEL=B for each bus of a rig that has several.  [default: coulombus:RIG]",
 )

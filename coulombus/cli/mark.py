@@ -6,6 +6,7 @@ import click
 
 from coulombus.cli.common import buses_option, json_option, rig_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.hosts import host_addresses
 from coulombus.cli.tables import echo
 
 __all__ = ["mark"]
@@ -30,12 +31,8 @@ def mark(text: str, rig_name: str, bus_names: tuple[str, ...], as_json: bool) ->
     """
     with errors():
         from coulombus.host.run.control_socket import ask_mark
-        from coulombus.rigs.buses import bus_addresses
-        from coulombus.rigs.rig import load_rig
-        from coulombus.wire.address import parse_address
 
-        rig = load_rig(rig_name)
-        addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
+        addresses = host_addresses(rig_name, bus_names)
         replies = [ask_mark(address, text) for address in addresses]
         with verdict(0):
             if as_json:

@@ -11,6 +11,7 @@ import click
 from coulombus.cli.bundle import bundle
 from coulombus.cli.common import bus_option, channel_option, json_option, rig_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.hosts import host_addresses
 from coulombus.cli.tables import echo, print_table, table_console
 
 __all__ = ["set_command"]
@@ -111,13 +112,13 @@ def set_command(
     """
     with errors():
         from coulombus.host.run.control_socket import ask_change
-        from coulombus.rigs.buses import one_bus
-        from coulombus.rigs.rig import load_rig
-        from coulombus.wire.address import parse_address
 
         if manner.undo and values:
             raise click.UsageError("--undo takes the last change back: leave the values out")
-        address = parse_address(bus_name) if bus_name else one_bus(load_rig(rig_name), None, channel)[1]
+        address, *others = host_addresses(rig_name, [bus_name] if bus_name else [], channel)
+        if others:
+            names = ", ".join(map(str, (address, *others)))
+            raise click.UsageError(f"the rig has the buses {names}; name one with --channel or --bus")
         reply = ask_change(address, manner.order(values))
         with verdict(0):
             if as_json:

@@ -9,6 +9,7 @@ import click
 
 from coulombus.cli.common import buses_option, rig_option, say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.hosts import host_addresses
 from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
@@ -20,10 +21,12 @@ __all__ = ["stop"]
 @click.command(epilog=EXIT_STATUS)
 @rig_option
 @buses_option
-def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
-    """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled.
+@click.option("--all", "every", is_flag=True, help="Stop every host that runs on this machine.")
+def stop(rig_name: str, bus_names: tuple[str, ...], every: bool) -> None:
+    """Stop the running host safely: motor torque 0, brake ramped off, drive disabled.
 
-    Waits for its end.
+    Waits for its end. Without --bus and --rig it is the one host that runs on this machine, on
+    whatever bus. Where several run, they are listed (2): name one with --bus, or stop --all.
 
     Ends with 0 when each host that was asked has taken the request and ended, tripped or not. Ends
     with 4 when none runs there, or it cannot be reached, refuses, or does not end in time: then the
@@ -33,15 +36,12 @@ def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
     Examples:
       coulombus stop
       coulombus stop --bus socketcan:can0
+      coulombus stop --all
     """
     with errors():
         from coulombus.host.run.control_socket import NoHost, StopRequest
-        from coulombus.rigs.buses import bus_addresses
-        from coulombus.rigs.rig import load_rig
-        from coulombus.wire.address import parse_address
 
-        rig = load_rig(rig_name)
-        addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
+        addresses = host_addresses(rig_name, bus_names, every=every)
         requests = [StopRequest(address) for address in addresses]  # all are asked before one is waited for
         failures, sentences = [], []
         for request in requests:

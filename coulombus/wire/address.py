@@ -29,6 +29,7 @@ __all__ = [
     "default_address",
     "live_bus_names",
     "parse_address",
+    "socket_names",
     "socket_path",
 ]
 
@@ -176,15 +177,21 @@ def socket_path(name: str) -> Path:
     return path
 
 
+def socket_names() -> list[str]:
+    """Return the names of all sockets in this user's directory, dead ones of killed processes among
+    them.
+    """
+    try:
+        return sorted(path.name for path in _directory().iterdir() if path.is_socket())
+    except OSError:
+        return []
+
+
 def bus_names() -> list[str]:
     """Return the names of the virtual buses whose sockets are there,
     dead ones of killed processes among them.
     """
-    try:
-        names = sorted(path.name for path in _directory().iterdir() if path.is_socket())
-    except OSError:
-        return []
-    return [name for name in names if _NAME.fullmatch(name) and not name.endswith(_RESERVED)]
+    return [name for name in socket_names() if _NAME.fullmatch(name) and not name.endswith(_RESERVED)]
 
 
 def live_bus_names() -> list[str]:

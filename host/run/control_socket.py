@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.host.errors import HostError, SafetyTrip
-from coulombus.wire.address import BusAddress, socket_path
+from coulombus.wire.address import BusAddress, socket_names, socket_path
 
 __all__ = [
     "HostSocket",
@@ -34,6 +34,7 @@ __all__ = [
     "ask_status",
     "control_path",
     "host_runs",
+    "hosts_here",
     "stop_host",
 ]
 
@@ -55,6 +56,8 @@ BACKLOG = 8
 TOLD = {"mode": (str,), "cycles": (int,), "trip": (str, type(None))}
 """What a host tells of its end, and of which types it is."""
 RETRY_S = 0.01
+HOST = ".host"
+"""Ends the name of a host's socket."""
 
 
 class NoHost(HostError):
@@ -78,7 +81,7 @@ class NotChanged(HostError):
 def control_path(address: BusAddress) -> Path:
     """Return the path of the control socket of the host on a bus."""
     name = address.name if address.is_virtual else f"{address.kind}-" + re.sub(r"[^A-Za-z0-9_.-]", "_", address.name)
-    return socket_path(f"{name}.host")
+    return socket_path(f"{name}{HOST}")
 
 
 def _new() -> socket.socket:
@@ -104,6 +107,18 @@ def _probe(path: Path) -> bool | None:
 def host_runs(address: BusAddress) -> bool:
     """Tell whether a host of this machine has the bus; nothing is asked of it."""
     return _probe(control_path(address)) is True
+
+
+def hosts_here() -> list[BusAddress]:
+    """Return the buses on which a host of this user and machine runs; nothing is asked of it."""
+    names = (name.removesuffix(HOST) for name in socket_names() if name.endswith(HOST))
+    return [address for address in map(_address_of, names) if host_runs(address)]
+
+
+def _address_of(name: str) -> BusAddress:
+    """Return the address whose `control_path` has this name."""
+    kind, hyphen, rest = name.partition("-")
+    return BusAddress("socketcan", rest) if hyphen and kind == "socketcan" else BusAddress("coulombus", name)
 
 
 class _Client:

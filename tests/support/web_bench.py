@@ -11,6 +11,7 @@ from typing import Any
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import Change, LiveParameters
 from coulombus.host.run.changes import Changes
+from coulombus.host.run.law_curve import law_curve
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page import Page
 from coulombus.monitor.web.page_state import HostDoor
@@ -72,7 +73,7 @@ class Door:
             advice=lambda trip: f"docs/runbook.md#{trip.split(':')[0].lower()}",
             change=self.change,
             mark=self.mark,
-            curve=lambda axis, mode, live: None,
+            curve=law_curve,
         )
 
     def _apply(self, change: Change) -> None:

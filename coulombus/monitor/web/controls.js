@@ -13,6 +13,13 @@ function order(what) {
   tell(`set ${JSON.stringify(key ? {...what, key: key} : what)}`);
 }
 
+// The number that a text spells, with a point or with a decimal comma; null of any other text.
+// A field of type "number" drops a comma: "0,3" became 3.
+function number(text) {
+  const spelled = text.trim();
+  return /^[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?$/i.test(spelled) ? Number(spelled.replace(",", ".")) : null;
+}
+
 // A slider and a field for each live parameter. The host judges every value.
 function sliders(all, axis, controls, needsKey) {
   const shown = all.filter((one) => one.axis === axis), place = document.getElementById("sliders");
@@ -45,16 +52,24 @@ function slider(one) {
   const high = one.high >= 1e5 ? one.high.toExponential() : one.high;
   words.append(` ${one.unit} (${one.above_low ? "above " : ""}${one.low} to ${high})`);
   words.title = words.textContent;
-  const [range, field] = ["range", "number"].map((kind) => {
+  const [range, field] = ["range", "text"].map((type) => {
     const input = made.appendChild(document.createElement("input"));
-    Object.assign(input, {type: kind, step: kind === "range" && one.step || "any", min: one.low, max: one.high});
-    input.setAttribute("aria-label", `${one.name} ${kind === "range" ? "slider" : ""}`.trim());
-    input.addEventListener("change", () => {
-      held = null;
-      const value = kind === "range" ? Number(Number(input.value).toPrecision(6)) : Number(input.value);
-      if (input.value !== "") order({values: {[one.name]: value}});
-    });
+    Object.assign(input, {type});
+    input.setAttribute("aria-label", `${one.name} ${type === "range" ? "slider" : ""}`.trim());
     return input;
+  });
+  Object.assign(range, {step: one.step || "any", min: one.low, max: one.high});
+  range.addEventListener("change", () => {
+    held = null;
+    order({values: {[one.name]: Number(Number(range.value).toPrecision(6))}});
+  });
+  field.inputMode = "decimal";
+  field.addEventListener("input", () => field.setCustomValidity(""));
+  field.addEventListener("change", () => {
+    const value = number(field.value);
+    field.setCustomValidity(value === null ? `${field.value}: expected a number, as 0.3` : "");
+    if (value !== null) order({values: {[one.name]: value}});
+    else if (field.value.trim()) field.reportValidity();
   });
   field.dataset.action = `value:${one.name}`;
   range.dataset.action = `set:${one.name}`;

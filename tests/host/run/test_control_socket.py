@@ -16,7 +16,15 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run import control_socket
-from coulombus.host.run.control_socket import ASKERS, HostSocket, NoHost, StopRequest, control_path, stop_host
+from coulombus.host.run.control_socket import (
+    ASKERS,
+    HostSocket,
+    NoHost,
+    StopRequest,
+    control_path,
+    hosts_here,
+    stop_host,
+)
 from coulombus.wire.address import parse_address
 
 pytestmark = pytest.mark.usefixtures("private_sockets")
@@ -350,3 +358,69 @@ def test_a_host_that_knows_no_markers_is_told():
     door.close()
     assert result.exit_code == 4
     assert "gave no answer that is one" in result.output
+
+
+@contextmanager
+def displaying(*buses):
+    """Hosts of these buses that end when they are asked to."""
+    doors = [HostSocket(parse_address(bus)) for bus in buses]
+    over = threading.Event()
+
+    def serve():
+        waiting = list(doors)
+        while waiting and not over.is_set():
+            for door in [door for door in waiting if door.stop_wanted()]:
+                door.close(RESULT)
+                waiting.remove(door)
+            over.wait(0.001)
+        for door in waiting:
+            door.close(RESULT)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(10)
+
+
+@pytest.mark.parametrize("bus", ["coulombus:elsewhere", "socketcan:can7", "coulombus:two-words"])
+def test_the_one_host_of_this_machine_is_found_on_whatever_bus(bus):
+    """`stop` asked coulombus:bench and ended with 4 while the host went on."""
+    with displaying(bus):
+        assert hosts_here() == [parse_address(bus)]
+        done = CliRunner().invoke(main, ["stop"])
+        assert (done.exit_code, done.stdout) == (
+            0,
+            f"the host on {bus} stopped safely after 7 cycles in mode passive\n",
+        )
+    assert hosts_here() == []
+
+
+@pytest.mark.parametrize("verb", [["stop"], ["status"], ["mark", "x"], ["set"]])
+def test_of_several_hosts_one_has_to_be_named(verb):
+    with displaying("coulombus:a", "socketcan:can0"):
+        done = CliRunner().invoke(main, verb)
+        assert done.exit_code == 2
+        assert "2 hosts run on this machine: coulombus:a, socketcan:can0; name one with --bus" in done.output
+        assert ("--all" in done.output) is (verb == ["stop"])
+
+
+def test_all_hosts_are_stopped_or_the_one_of_the_environment():
+    with displaying("coulombus:a", "coulombus:b", "coulombus:c"):
+        done = CliRunner().invoke(main, ["stop"], env={"COULOMBUS_BUS": "coulombus:b"})
+        assert (done.exit_code, done.stdout.split()[3]) == (0, "coulombus:b")
+        done = CliRunner().invoke(main, ["stop", "--all"])
+        assert (done.exit_code, [line.split()[3] for line in done.stdout.splitlines()]) == (
+            0,
+            ["coulombus:a", "coulombus:c"],
+        )
+
+
+def test_a_rig_that_is_named_is_not_replaced_by_the_host_that_runs():
+    with displaying("coulombus:x"):
+        for words, env in ((["stop", "--rig", "bench"], {}), (["stop"], {"COULOMBUS_RIG": "bench"})):
+            done = CliRunner().invoke(main, words, env=env)
+            assert done.exit_code == 4
+            assert "coulombus:bench" in done.output

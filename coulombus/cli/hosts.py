@@ -1,0 +1,47 @@
+"""Which host ``stop``, ``status``, ``mark`` and ``set`` speak to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+if TYPE_CHECKING:
+    from coulombus.wire.address import BusAddress
+
+__all__ = ["host_addresses"]
+
+
+def host_addresses(
+    rig_name: str, bus_names: Sequence[str] = (), channel: str | None = None, *, every: bool = False
+) -> list[BusAddress]:
+    """Return the buses of the hosts that are meant.
+
+    They are those of ``--bus``, else those of a rig that was named, else that of the host which runs
+    on this machine. Where none runs, they are the buses of the default rig.
+
+    Parameters
+    ----------
+    every : several hosts may run
+
+    Raises
+    ------
+    click.UsageError
+        several hosts run, none was named, and `every` was not given
+    """
+    from coulombus.host.run.control_socket import hosts_here
+    from coulombus.rigs.buses import bus_addresses
+    from coulombus.rigs.rig import load_rig
+    from coulombus.wire.address import parse_address
+
+    if bus_names:
+        return [parse_address(text.rpartition("=")[2]) for text in bus_names]
+    default = click.get_current_context().get_parameter_source("rig_name") is ParameterSource.DEFAULT
+    running = hosts_here() if default and channel is None else []
+    if len(running) > 1 and not every:
+        names = ", ".join(map(str, running))
+        others = ", or stop them with --all" if click.get_current_context().command.name == "stop" else ""
+        raise click.UsageError(f"{len(running)} hosts run on this machine: {names}; name one with --bus{others}")
+    return running or list(bus_addresses(load_rig(rig_name), (), channel).values())
