@@ -130,7 +130,7 @@ def serve_page(
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "tornado":
             raise
-        raise WebError("the page needs Tornado: pip install 'coulombus[web]'") from None
+        raise WebError("the page needs Tornado: pip install '.[web]' in the clone") from None
 
     def ready(url: str) -> None:
         echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")

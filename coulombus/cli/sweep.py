@@ -63,7 +63,7 @@ def sweep_command(
     is searched for and kept as a rig file, and a map is drawn.
 
     The same command, given again, continues where it was interrupted. The table needs pyarrow: pip
-    install 'coulombus[export]'. A cluster needs dask: pip install 'coulombus[cluster]'.
+    install '.[export]' in the clone. A cluster needs dask: pip install '.[cluster]'.
 
     \b
     Examples:

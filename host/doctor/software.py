@@ -68,7 +68,7 @@ def versions(
         needed = requires(NAME) or []
         names = [f"{NAME} {version(NAME)}", f"Python {platform.python_version()}"]
     except metadata.PackageNotFoundError:
-        return Outcome(False, f"{NAME} is not installed, only found", f"{sys.executable} -m pip install {NAME}")
+        return Outcome(False, f"{NAME} is not installed, only found", f"{sys.executable} -m pip install . in the clone")
     wrong = []
     for text in needed:
         match = _REQUIREMENT.match(text)
@@ -83,7 +83,7 @@ def versions(
         if not requirement_met(match[3], have):
             wrong.append(f"{match[1]} is {have}, expected {match[3].strip()}")
     if wrong:
-        return Outcome(False, "; ".join(wrong), f"{sys.executable} -m pip install --upgrade {NAME}")
+        return Outcome(False, "; ".join(wrong), f"{sys.executable} -m pip install --upgrade . in the clone")
     return Outcome(True, ", ".join(names))
 
 

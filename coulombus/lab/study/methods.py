@@ -164,4 +164,4 @@ def _questplus() -> Any:
     try:
         return importlib.import_module("questplus.qp").QuestPlus
     except ImportError:
-        raise QuestMissing("the method \"quest\" needs questplus: pip install 'coulombus[study]'") from None
+        raise QuestMissing("the method \"quest\" needs questplus: pip install '.[study]' in the clone") from None

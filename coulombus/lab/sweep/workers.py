@@ -139,7 +139,7 @@ def on_cluster(job: Job, orders: Sequence[RunRequest], address: str) -> Iterator
     try:
         cluster: Any = importlib.import_module("distributed")
     except ImportError:
-        raise ClusterError("a dask cluster needs dask and distributed: pip install 'coulombus[cluster]'") from None
+        raise ClusterError("a dask cluster needs dask and distributed: pip install '.[cluster]' in the clone") from None
     try:
         client = cluster.Client(address, timeout=CONNECT_S)
     except (OSError, TimeoutError, ValueError) as error:

@@ -90,5 +90,5 @@ def test_quest_shows_the_level_of_least_expected_entropy():
 
 def test_without_questplus_it_is_said_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "questplus.qp", None)
-    with pytest.raises(QuestMissing, match=r"pip install 'coulombus\[study\]'"):
+    with pytest.raises(QuestMissing, match=r"pip install '\.\[study\]'"):
         Quest(2.0, (2.0, 3.2), 10, 0.01)

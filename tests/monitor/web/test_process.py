@@ -17,7 +17,7 @@ from contextlib import contextmanager
 
 import pytest
 
-pytest.importorskip("tornado", reason="the page needs Tornado: pip install 'coulombus[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install '.[web]'")
 
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import websocket_connect
