@@ -19,8 +19,10 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import Description
+from coulombus.eds.sdo_frames import where
 from coulombus.monitor.error_frames import error_frame
-from coulombus.monitor.services import Row, Sdo, emcy, heartbeat, lss, nmt, sync
+from coulombus.monitor.sdo_channel import SdoChannel
+from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync
 from coulombus.recording.pdo_columns import PdoTable
 from coulombus.recording.signals import Recording, Source
 from coulombus.rigs.rig import Rig
@@ -36,6 +38,9 @@ PDO_NAMES = {int(service): service.name for service in CobId if service.name.sta
 COMMON = ("t_s", "can_id", "node", "pdo", "extended", "remote", "service", "data", "marker", "code")
 HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X"}
 WIDTH = 11
+SDO_COLUMN = 57
+TEXT_SHOWN = 64
+"""Characters of an object's text; JSON has all of it."""
 INDENT = 26
 """Where the content that has no room in its line goes on: under the node's name."""
 BETWEEN_ITEMS = re.compile(r"(?<=\S)  (?=\w+=)")
@@ -89,7 +94,7 @@ class _Services:
         self._descriptions: dict[str, Description] = {node.name: node.description for node in rig.nodes}
         self._emergencies = {node.emcy_id: node.name for node in rig.nodes}
         self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
-        self._servers: dict[int, Sdo] = {}
+        self._servers: dict[int, SdoChannel] = {}
 
     def row(self, t_s: float, can_id: int, length: int, word: int) -> Row:
         """Return the row of one frame."""
@@ -136,7 +141,7 @@ class _Services:
             elif function == CobId.HEARTBEAT:
                 row["service"], decoder = "heartbeat", heartbeat
             elif function in (CobId.SDO_TX, CobId.SDO_RX):
-                row["service"], decoder = "sdo", lambda content: self._sdo(node_id, content, function == CobId.SDO_TX)
+                row["service"], decoder = "SDO", lambda content: self._sdo(node_id, content, function == CobId.SDO_TX)
             elif function in PDO_NAMES:
                 row |= {"service": "pdo", "pdo": PDO_NAMES[function]}
             else:
@@ -145,7 +150,7 @@ class _Services:
 
     def _sdo(self, node_id: int, data: bytes, from_server: bool) -> Row:
         if node_id not in self._servers:
-            self._servers[node_id] = Sdo(self._descriptions.get(self._name(node_id)))
+            self._servers[node_id] = SdoChannel(self._descriptions.get(self._name(node_id)))
         return self._servers[node_id].row(data, from_server)
 
 
@@ -175,8 +180,8 @@ def as_text(row: Row) -> str:
         line += f" remote request, {row['length']} bytes"
     elif row.get("service") == "error":
         line += " " + row["text"]
-    elif "sdo" in row:
-        line += " " + _sdo_text(row)
+    elif "phase" in row:
+        line = f"{line:<{SDO_COLUMN}} {_sdo_text(row)}"
     else:
         content = [_item(key, value) for key, value in row.items() if key not in COMMON]
         if row.get("data") and (not content or "malformed" in row):
@@ -218,16 +223,23 @@ def _item(key: str, value: Any) -> str:
 
 
 def _sdo_text(row: Row) -> str:
-    line = f"{row['sdo']:<26}"
+    line = f"{row['phase']:<32}"
     if "index" in row:
-        line += f" {row['index']:04X}:{row['subindex']:02X}"
+        line += f" {where(row['index'], row['subindex'])}"
     if "name" in row:
         line += f" {row['name']}"
     if "value" in row:
         value = row["value"]
-        line += f" = {value}" + (f" (0x{value:X})" if isinstance(value, int) and value > 9 else "")
-    if "size" in row:
-        line += f" ({row['size']} bytes follow)"
+        text = str(value) if len(str(value)) <= TEXT_SHOWN else str(value)[:TEXT_SHOWN] + "..."
+        line += f" = {text}" + (f" (0x{value:X})" if isinstance(value, int) and value > 9 else "")
+    if "number" in row:
+        line += f" {'up to ' if 'segment' not in row else ''}segment {row['number']}"
     if "segment" in row:
         line += f" {row['segment']}" + (" (last)" if row["last"] else "")
-    return line + (f" {row['text']}" if "text" in row else "")
+    if "size" in row:
+        line += f" ({row['size']} bytes follow)" if "bytes" not in row else ""
+    if "bytes" in row:
+        line += f" ({row['bytes']} bytes" + (", complete)" if "content" in row else " so far)")
+    if "text" in row:
+        line += f" {row['text']}"
+    return line + (f": {row['remark']}" if "remark" in row else "")

@@ -17,9 +17,11 @@ from operator import itemgetter
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.cia301 import CobId, NmtState, abort_text
+from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from coulombus.eds.sdo_frames import where
 from coulombus.monitor.error_frames import error_frame
+from coulombus.monitor.sdo_channel import SdoChannel
 from coulombus.monitor.services import STATES, emcy, lss, nmt
 from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
 from coulombus.recording.pdo_columns import decode_field
@@ -77,6 +79,7 @@ class _Node:
     services: int = 0
     """Frames that it sent besides those that have a line."""
     heartbeat: _Line = field(default_factory=_Line)
+    sdo: SdoChannel = field(default_factory=lambda: SdoChannel(None))
 
 
 class Live:
@@ -230,10 +233,10 @@ class Live:
         elif function == CobId.EMCY and node is not None:
             self._emergency(t_ns, node, data)
         elif function in (CobId.SDO_TX, CobId.SDO_RX) and node is not None and len(data) == 8:
-            if data[0] == 0x80:
-                index, subindex = int.from_bytes(data[1:3], "little"), data[3]
-                reason = abort_text(int.from_bytes(data[4:8], "little"))
-                self._note(t_ns, f"{node.name}: SDO abort {index:04X}h:{subindex}: {reason}")
+            row = node.sdo.row(data, function == CobId.SDO_TX)
+            if "code" in row:
+                place = where(row["index"], row["subindex"])
+                self._note(t_ns, f"{node.name}: {row['service']} {place} aborted: {row['text']}")
         elif node is None or node.known or function not in SENT_BY_NODES:
             self.unknown += 1
 

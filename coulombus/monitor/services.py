@@ -1,21 +1,19 @@
-"""What a frame says that is no PDO: NMT, SYNC, EMCY, TIME, SDO, heartbeat, LSS (CiA 301, CiA 305).
+"""What a frame says that is no PDO and no SDO: NMT, SYNC, EMCY, heartbeat, LSS (CiA 301, CiA 305).
 
 Each decoder turns eight bytes into the keys of a row; a frame too short for its service says so
-under "malformed". SDO block transfers are known by their first frames only.
+under "malformed". SDO has a state: `monitor.sdo_channel`.
 """
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from coulombus.eds.cia301 import DATA_TYPES, NmtCommand, NmtState, abort_text, emcy_text
+from coulombus.eds.cia301 import NmtCommand, NmtState, emcy_text
 from coulombus.eds.cia305 import BIT_RATES, LssService, LssState
-from coulombus.eds.reader import Description
 
-__all__ = ["Row", "Sdo", "emcy", "heartbeat", "lss", "nmt", "sync"]
+__all__ = ["Row", "emcy", "heartbeat", "lss", "nmt", "sync"]
 
 Row: TypeAlias = dict[str, Any]
 
@@ -105,88 +103,3 @@ def lss(data: bytes, from_device: bool) -> Row:
     if service == LssService.FASTSCAN:
         return row | {"value": word, "bit": data[5], "sub": data[6], "next": data[7]}
     return row | ({"value": word} if service in LSS_WORDS else {})
-
-
-class Sdo:
-    """The SDO traffic of one server.
-
-    It remembers which object the segments of a transfer belong to.
-
-    Parameters
-    ----------
-    description
-        The server's EDS file, for names and types; None where it is not known.
-    """
-
-    def __init__(self, description: Description | None) -> None:
-        self._description = description
-        self._object: tuple[int, int] | None = None
-
-    def row(self, data: bytes, from_server: bool) -> Row:
-        """Decode one frame from the server or to it (CiA 301, section 7.2.4.3)."""
-        if len(data) != 8:
-            return {"malformed": f"{len(data)} bytes, expected 8"}
-        specifier = data[0] >> 5
-        if specifier == 4:
-            return {"sdo": "abort", **self._multiplexer(data), **_abort(data)}
-        if specifier == (0 if from_server else 3):
-            row: Row = {"sdo": "upload segment" if from_server else "upload segment request"}
-        elif specifier == (1 if from_server else 0):
-            row = {"sdo": "download segment response" if from_server else "download segment"}
-        elif specifier in (2, 3) if from_server else specifier in (1, 2):
-            upload = specifier == 2
-            row = {"sdo": f"{'upload' if upload else 'download'} {'response' if from_server else 'request'}"}
-            row |= self._multiplexer(data)
-            if upload == from_server:
-                row |= self._content(data)
-            return row
-        elif specifier in (5, 6):
-            upload = specifier == (6 if from_server else 5)
-            row = {"sdo": f"block {'upload' if upload else 'download'}"}
-            initiates = data[0] & (3 if specifier == 5 else 1) == 0
-            return row | (self._multiplexer(data) if initiates else {})
-        else:
-            return {"sdo": f"unknown command {data[0]:#04x}"}
-        row |= self._known_object()
-        if row["sdo"] in ("upload segment", "download segment"):
-            size = 7 - (data[0] >> 1 & 7)
-            row |= {"segment": data[1 : 1 + size].hex(), "last": bool(data[0] & 1)}
-        return row
-
-    def _multiplexer(self, data: bytes) -> Row:
-        index, subindex = struct.unpack_from("<HB", data, 1)
-        self._object = index, subindex
-        return self._known_object()
-
-    def _known_object(self) -> Row:
-        if self._object is None:
-            return {}
-        index, subindex = self._object
-        row: Row = {"index": index, "subindex": subindex}
-        if self._description is not None and self._description.has(index, subindex):
-            row["name"] = self._description.variable(index, subindex).name
-        return row
-
-    def _content(self, data: bytes) -> Row:
-        sized = bool(data[0] & 1)
-        if not data[0] & 2:  # segmented: the size stands where the data would
-            return {"size": struct.unpack_from("<I", data, 4)[0]} if sized else {}
-        raw = data[4 : 8 - (data[0] >> 2 & 3)] if sized else data[4:]
-        return {"value": self._value(raw)}
-
-    def _value(self, raw: bytes) -> int | float | str:
-        kind, signed = "int", False
-        if self._description is not None and self._object is not None and self._description.has(*self._object):
-            data_type = DATA_TYPES.get(self._description.variable(*self._object).data_type)
-            kind, signed = (data_type.kind, data_type.signed) if data_type else (kind, signed)
-        if kind == "real" and len(raw) == 4:
-            number: float = struct.unpack("<f", raw)[0]
-            return number if math.isfinite(number) else str(number)  # JSON knows no infinity
-        if kind == "text":
-            return raw.rstrip(b"\0").decode("latin-1")
-        return int.from_bytes(raw, "little", signed=signed and kind == "int")
-
-
-def _abort(data: bytes) -> Row:
-    code = struct.unpack_from("<I", data, 4)[0]
-    return {"code": code, "text": abort_text(code)}
