@@ -30,7 +30,7 @@ WITHIN_BLOCK = "Within a block transfer"
 WITHIN = "Within a segmented or block transfer"
 NO_BEGINNING = "its beginning is not in the recording"
 NO_BLOCK_BEGINNING = "within a block transfer whose beginning is not in the recording"
-NO_REQUEST = "its request is not in the recording"
+NO_REQUEST = "its request is not in the recording, or this is a segment of a block transfer"
 REPEATED = "repeated"
 _BLOCK_UPLOAD = (
     *(forms.BLOCK_UPLOAD_INITIATE, forms.BLOCK_UPLOAD_INITIATED, forms.BLOCK_UPLOAD_START, forms.BLOCK_UPLOAD_ACK),
@@ -172,33 +172,31 @@ class SdoChannel:
         return self._line(transfer, form.phase, says | _size(transfer))
 
     def _response(self, form: Form, data: bytes) -> Row:
-        upload, place, transfer = form in _UPLOAD, named(data), self._transfer
-        remark = ""
+        upload, place, transfer, says = form in _UPLOAD, named(data), self._transfer, Row()
         if transfer is None or (transfer.upload, transfer.place) != (upload, place):
-            if transfer is None:
-                remark = NO_REQUEST
-            elif not transfer.both and transfer.place is not None:  # the answer to an earlier request
-                answer = Transfer(upload, place)
-                return self._line(answer, form.phase, {"remark": f"the request is about {where(*transfer.place)}"})
-            self._transfer = transfer = Transfer(upload, place)
+            if transfer is not None and transfer.place is not None and not transfer.both:  # of an earlier request
+                late = Transfer(upload, place)
+                return self._line(late, form.phase, {"remark": f"the request is about {where(*transfer.place)}"})
+            transfer, says["remark"] = Transfer(upload, place), NO_REQUEST
         elif transfer.both:
             return self._line(transfer, form.phase, {"remark": REPEATED})
         else:
             transfer.both = True
-        says: Row = {"remark": remark} if remark else {}
+        self._transfer = transfer
         size = int.from_bytes(data[4:8], "little")
-        if form in _BLOCK_INITIATED:
-            transfer.kind = "block"
-            blocks = SubBlocks(transfer.joined.size, crc=transfer.crc and bool(data[0] & 0x04))
-            if upload:
-                blocks.size = size if data[0] & 0x02 else None
-            else:
-                blocks.most = says["block_size"] = data[4]
-            transfer.joined = blocks
+        if form is forms.BLOCK_UPLOAD_INITIATED:
+            crc = transfer.crc and bool(data[0] & 0x04)
+            transfer.kind, transfer.joined = "block", SubBlocks(size if data[0] & 0x02 else None, crc=crc)
+        elif form is forms.BLOCK_DOWNLOAD_INITIATED:
+            crc = transfer.crc and bool(data[0] & 0x04)
+            transfer.kind, says["block_size"] = "block", data[4]
+            # without the request nobody knows the size, which would show a loss
+            transfer.joined = SubBlocks(transfer.joined.size, transfer.both, most=data[4], crc=crc)
+            return self._line(transfer, form.phase, says)
         elif upload and data[0] & 0x02:
-            transfer.kind, transfer.joined = "expedited", Joined(whole=transfer.both)
+            transfer.kind, transfer.joined = "expedited", Joined()
             transfer.joined.add(_expedited(data))
-            says |= self._value(transfer) if remark else self._completed(transfer)
+            says |= self._completed(transfer) if transfer.both else self._value(transfer)
             self._transfer = None
         elif upload:
             transfer.kind, transfer.joined = "segmented", Segments(size if data[0] & 0x01 else None)
@@ -275,20 +273,17 @@ class SdoChannel:
         assert isinstance(blocks, SubBlocks)
         transfer.both = True
         says: Row = {}
+        remark = ""
         if form in (forms.BLOCK_UPLOAD_ACK, forms.BLOCK_DOWNLOAD_ACK):
             remark = blocks.acknowledge(data[1], data[2])
             says = {"number": data[1], "block_size": data[2], "bytes": blocks.count_in_order}
         elif form in (forms.BLOCK_UPLOAD_END, forms.BLOCK_DOWNLOAD_END):
             remark = blocks.end(data[0] >> 2 & 7, int.from_bytes(data[1:3], "little"))
             says = {"bytes": blocks.count}
-        elif form in (forms.BLOCK_UPLOAD_ENDED, forms.BLOCK_DOWNLOAD_ENDED):
-            remark = ""
+        elif form is not forms.BLOCK_UPLOAD_START:
+            blocks.whole &= blocks.ended
             says = self._completed(transfer)
-        else:
-            remark = ""
-        if remark:
-            says["remark"] = remark
-        return self._line(transfer, form.phase, says)
+        return self._line(transfer, form.phase, says | ({"remark": remark} if remark else {}))
 
     # words
 
@@ -341,7 +336,7 @@ def _is_segment(transfer: Transfer, data: bytes, form: Form | None) -> bool:
     if not isinstance(blocks, SubBlocks):  # its initiation waits for the response
         return form is None or not form.initiates
     if form in (forms.BLOCK_UPLOAD_END, forms.BLOCK_DOWNLOAD_END):
-        return not (blocks.finished or (blocks.number == 0 and form.exact(data)))
+        return not (blocks.finished or (form.exact(data) and (blocks.number == 0 or blocks.all_sent)))
     if form is not None and form.initiates and not transfer.upload and form.exact(data):
         return not (blocks.ended or blocks.number >= number or number > blocks.most)  # else the client begins anew
     return not blocks.ended

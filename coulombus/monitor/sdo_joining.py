@@ -112,6 +112,11 @@ class SubBlocks(Joined):
     _segments: dict[int, bytes] = field(default_factory=dict)
 
     @property
+    def all_sent(self) -> bool:
+        """The last segment of all came, in its order."""
+        return 0 < self._final == self.in_order
+
+    @property
     def count_in_order(self) -> int:
         """Bytes so far, with those of the present block."""
         count = self.count + _SEGMENT * self.in_order

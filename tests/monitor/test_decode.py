@@ -10,7 +10,8 @@ import pytest
 
 from coulombus.eds.reader import Description, Object, Variable
 from coulombus.monitor.decode import as_json, as_text, rows
-from coulombus.monitor.services import Sdo, lss
+from coulombus.monitor.sdo_channel import SdoChannel
+from coulombus.monitor.services import lss
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import Rig, load_rig
@@ -196,13 +197,16 @@ def test_sdo_transfers(decoded):
         (0x602, sdo("40 34 12 05")),
         (0x582, sdo("80 34 12 05 00 00 02 06")),
     )
-    assert all((row["service"], row["pdo"]) == ("sdo", None) for row in rows)
+    assert [row["service"] for row in rows] == [
+        "SDO upload", "SDO expedited upload", "SDO expedited download", "SDO expedited download", "SDO upload", "SDO upload",
+    ]  # fmt: skip
     assert [row["node"] for row in rows] == ["motor"] * 4 + ["brake"] * 2
-    assert [row["sdo"] for row in rows] == [
-        "upload request", "upload response", "download request", "download response", "upload request", "abort",
+    assert [row["phase"] for row in rows] == [
+        "Initiate upload request", "Initiate upload response", "Initiate download request", "Initiate download response",
+        "Initiate upload request", "Abort transfer",
     ]  # fmt: skip
     assert {(row["index"], row["subindex"]) for row in rows[:2]} == {(0x6041, 0)}
-    assert [row.get("value") for row in rows] == [None, 0x0237, -2, None, None, None]
+    assert [row.get("value") for row in rows] == [None, 0x0237, -2, -2, None, None]
     assert (rows[4]["index"], rows[4]["subindex"]) == (0x1234, 5)
     assert rows[5]["code"] == 0x06020000
     assert rows[5]["text"] == "0x06020000: object does not exist in the object dictionary"
@@ -223,41 +227,63 @@ def test_segments_belong_to_the_transfer_that_was_begun(decoded):
         (0x605, sdo("00 01 02 03 04 05 06 07")),
         (0x585, sdo("20")),
     )
-    assert rows[0]["sdo"] == "upload segment"
+    assert rows[0]["phase"] == "Upload segment response"
     assert "index" not in rows[0]
+    assert rows[0]["remark"] == "its beginning is not in the recording"
     assert rows[2]["size"] == 10
-    assert [row["sdo"] for row in rows[4:]] == [
-        "upload segment request", "upload segment", "upload segment request", "upload segment",
-        "download segment", "download segment response",
+    assert [row["phase"] for row in rows[4:]] == [
+        "Upload segment request", "Upload segment response", "Upload segment request", "Upload segment response",
+        "Download segment request", "Download segment response",
     ]  # fmt: skip
     assert {row["index"] for row in rows[4:8]} == {0x1008}
     assert {(row["index"], row["subindex"]) for row in rows[8:]} == {(0x2000, 1)}
     assert (rows[5]["segment"], rows[5]["last"]) == ("41424344454647", False)
     assert (rows[7]["segment"], rows[7]["last"]) == ("48494a", True)
+    assert (rows[7]["content"], rows[7]["value"]) == (b"ABCDEFGHIJ".hex(), "ABCDEFGHIJ")
 
 
 def test_sdo_oddities(decoded):
     rows = decoded(
-        (0x605, sdo("E0")),
         (0x605, b"\x40"),
-        (0x605, sdo("A4 00 20 00 7F")),  # block upload
-        (0x605, sdo("A3")),  # start of it
-        (0x605, sdo("C2 00 20 00")),  # block download
-        (0x585, sdo("A4 00 20 00 7F")),
-        (0x585, sdo("A2 7F 7F")),  # acknowledges a block
         (0x605, sdo("22 00 20 00 01 02 03 04")),  # size not given: all four bytes
+        (0x585, sdo("60 00 20 00")),
+        (0x605, sdo("E0")),
     )
-    assert rows[0]["sdo"] == "unknown command 0xe0"
-    assert rows[1]["malformed"] == "1 bytes, expected 8"
-    assert [row["sdo"] for row in rows[2:7]] == ["block upload"] * 2 + ["block download"] * 3
-    assert ["index" in row for row in rows[2:7]] == [True, False, True, True, False]
-    assert rows[7]["value"] == 0x04030201
+    assert (rows[0]["service"], rows[0]["malformed"]) == ("SDO", "1 bytes, expected 8")
+    assert rows[1]["value"] == 0x04030201
+    assert (rows[3]["service"], rows[3]["phase"]) == ("SDO", "Unknown command E0h")
+
+
+def test_a_block_transfer_in_lines(decoded):
+    """Each server has its own transfer; a segment may look like an abort or an initiation."""
+    lines = [
+        as_text(row)
+        for row in decoded(
+            (0x601, sdo("A4 08 10 00 7F")),
+            (0x581, sdo("C6 08 10 00 0C")),
+            (0x602, sdo("40 00 10 00")),
+            (0x601, sdo("A3")),
+            (0x581, sdo("01 44 72 69 76 65 20 6F")),
+            (0x581, sdo("82 20 6E 6F 64 65")),
+            (0x582, sdo("43 00 10 00 92 01 02")),
+            (0x601, sdo("A2 02 7F")),
+            (0x581, sdo("C9 9F DA")),
+            (0x601, sdo("A1")),
+        )
+    ]
+    assert sum("SDO block upload" in line for line in lines) == 8
+    assert [line for line in lines if "bort" in line or "nknown" in line] == []
+    assert lines[5].endswith("1008h:00 Manufacturer device name segment 2 206e6f64650000 (last) (12 bytes so far)")
+    assert lines[6].endswith("Device type = 131474 (0x20192) (4 bytes, complete)")
+    assert lines[9].endswith(
+        "End block upload response        1008h:00 Manufacturer device name = Drive o node (12 bytes, complete)"
+    )
 
 
 def test_sdo_values_by_their_data_type():
     types = {0x2000: 0x0008, 0x2001: 0x0009, 0x2002: 0x0003, 0x2003: 0x0006, 0x2004: 0x7777}
     objects = {i: Object(i, "x", 7, {0: variable(i, data_type)}) for i, data_type in types.items()}
-    server = Sdo(Description("x.eds", "", objects, (), {}))
+    server = SdoChannel(Description("x.eds", "", objects, (), {}))
 
     def value(index: int, raw: bytes) -> Any:
         unused = 4 - len(raw)
@@ -297,8 +323,8 @@ def test_lines_for_the_eye(decoded):
     )
     assert lines[1].index("torque_Nm") == lines[2].index("torque_Nm")
     assert "brake  emcy       0x8250: RPDO time-out  register=0x11" in lines[3]
-    assert "upload request             6041:00" in lines[4]
-    assert lines[5].endswith("1234:05 0x06020000: object does not exist in the object dictionary")
+    assert "Initiate upload request          6041h:00" in lines[4]
+    assert lines[5].endswith("1234h:05 0x06020000: object does not exist in the object dictionary")
     assert lines[6].endswith("unknown    dead")
     assert lines[7].endswith("malformed=1 bytes, expected 2  01")
 

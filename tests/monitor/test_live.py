@@ -133,11 +133,21 @@ def test_emergencies_nmt_commands_sdo_aborts_and_error_frames(rig):
         "brake: EMCY error reset or no error (register 00h)",
         "NMT: start, to all",
         "NMT: enter pre-operational, to brake",
-        "motor: SDO abort 6041h:0: 0x06020000: object does not exist in the object dictionary",
+        "motor: SDO 6041h:00 aborted: 0x06020000: object does not exist in the object dictionary",
         "error frame: controller problem, bus off",
     ]
     assert snapshot.error_frames == 3
     assert (snapshot.nodes[0].emergency, snapshot.nodes[1].emergency) == ("0x8250: RPDO time-out", None)
+
+
+def test_segments_of_a_block_transfer_are_no_aborts(rig):
+    live = Live(rig)
+    exchanged = (
+        *((0x601, "a40020017f"), (0x581, "c60020010e"), (0x601, "a3"), (0x581, "0161626364656667")),
+        *((0x581, "8280002001000000"), (0x601, "8000200104000405")),
+    )
+    live.take([frame(0, can_id, bytes.fromhex(data).ljust(8, b"\0")) for can_id, data in exchanged])
+    assert texts(live.snapshot(T0)) == ["motor: SDO block upload 2000h:01 aborted: 0x05040004: CRC error"]
 
 
 def test_malformed_and_unknown_frames_are_counted_and_change_nothing(rig):

@@ -165,7 +165,7 @@ def test_a_transfer_that_goes_across_blocks_is_decoded(tmp_path, monkeypatch):
         writer.write(frames)
     monkeypatch.setattr(coulombus.recording.pcapng_reader, "CHUNK", 256)
     decoded = list(rows(blocks(tmp_path / "a.pcapng", "bench")))
-    assert [(row["index"], row["sdo"]) for row in decoded[1:]] == [(0x1008, "upload segment")] * 39
+    assert [(row["index"], row["phase"]) for row in decoded[1:]] == [(0x1008, "Upload segment response")] * 39
 
 
 def test_times_of_a_clock_count_from_the_first_frame_of_all(tmp_path, monkeypatch):
