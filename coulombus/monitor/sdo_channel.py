@@ -49,6 +49,7 @@ class Transfer:
     place : index and sub-index, None where the initiation is not in the recording
     kind : "expedited", "segmented" or "block"; "" before the server has chosen
     joined : what came so far
+    requested : the client's initiation is there
     both : frames of client and server are there: the first one was no misread segment
     toggle : toggle bit of the segment that the next frame has to answer, None: of none
     crc : the client knows CRCs
@@ -59,6 +60,7 @@ class Transfer:
     place: tuple[int, int] | None
     kind: str = ""
     joined: Joined = field(default_factory=Joined)
+    requested: bool = False
     both: bool = False
     toggle: int | None = None
     crc: bool = False
@@ -110,10 +112,10 @@ class SdoChannel:
             return {key: value for key, value in self._row.items() if key != "content"} | {"remark": REPEATED}
         if again and self._number and data[0] & 0x7F == self._number + 1:
             self._transfer = _unseen(from_server, SubBlocks(number=self._number))
+        earlier = self._transfer
         self._row = self._abort(data) if data[0] == forms.ABORT else self._decode(data, from_server)
-        self._before, transfer = (from_server, data), self._transfer
-        known = transfer is not None and (transfer.both or isinstance(transfer.joined, SubBlocks))
-        self._number = 0 if known else data[0] & 0x7F
+        self._before = (from_server, data)
+        self._number = 0 if _is_known(self._transfer or earlier) else data[0] & 0x7F
         return self._row
 
     def _abort(self, data: bytes) -> Row:
@@ -155,7 +157,7 @@ class SdoChannel:
     # the initiation
 
     def _request(self, form: Form, data: bytes) -> Row:
-        self._transfer = transfer = Transfer(form in _UPLOAD, named(data))
+        self._transfer = transfer = Transfer(form in _UPLOAD, named(data), requested=True)
         says: Row = {}
         size = int.from_bytes(data[4:8], "little")
         if form is forms.BLOCK_UPLOAD_INITIATE:
@@ -173,10 +175,10 @@ class SdoChannel:
 
     def _response(self, form: Form, data: bytes) -> Row:
         upload, place, transfer, says = form in _UPLOAD, named(data), self._transfer, Row()
-        if transfer is None or (transfer.upload, transfer.place) != (upload, place):
-            if transfer is not None and transfer.place is not None and not transfer.both:  # of an earlier request
+        if transfer is None or not transfer.requested or (transfer.upload, transfer.place) != (upload, place):
+            if transfer is not None and transfer.requested and not transfer.both:  # the answer to an earlier one
                 late = Transfer(upload, place)
-                return self._line(late, form.phase, {"remark": f"the request is about {where(*transfer.place)}"})
+                return self._line(late, form.phase, {"remark": f"the request is about {where(*(transfer.place or place))}"})
             transfer, says["remark"] = Transfer(upload, place), NO_REQUEST
         elif transfer.both:
             return self._line(transfer, form.phase, {"remark": REPEATED})
@@ -326,6 +328,11 @@ class SdoChannel:
         if transfer.kind == "expedited" or (kind == "int" and len(raw) <= 8):
             return {"value": int.from_bytes(raw, "little", signed=signed and kind == "int")}
         return {}
+
+
+def _is_known(transfer: Transfer | None) -> bool:
+    """Tell whether it is sure what transfer this is."""
+    return transfer is not None and (transfer.both or isinstance(transfer.joined, SubBlocks))
 
 
 def _is_segment(transfer: Transfer, data: bytes, form: Form | None) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from coulombus.eds.reader import Description, Object, Variable
+from coulombus.host.devices.sdo import SdoClient
 from coulombus.monitor.decode import as_json, as_text, rows
 from coulombus.monitor.sdo_channel import SdoChannel
 from coulombus.monitor.services import lss
@@ -16,6 +17,7 @@ from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
+from devices_bench import EDS, DevicesLink, eds
 
 
 @pytest.fixture(scope="module")
@@ -278,6 +280,40 @@ def test_a_block_transfer_in_lines(decoded):
     assert lines[9].endswith(
         "End block upload response        1008h:00 Manufacturer device name = Drive o node (12 bytes, complete)"
     )
+
+
+class Recorded(DevicesLink):
+    """A link that keeps what went over it."""
+
+    def __init__(self):
+        super().__init__()
+        self.frames = []
+
+    def send(self, can_id, data=b"", length=None):
+        self.frames.append((can_id, bytes(data)))
+        super().send(can_id, data, length)
+
+    def receive(self, until_ns):
+        frame = super().receive(until_ns)
+        if frame is not None:
+            self.frames.append((frame.can_id, frame.data))
+        return frame
+
+
+def test_the_device_s_own_file_read_by_the_products_client(decoded):
+    """1021h has 40 kB: the client reads its length, aborts, and reads it by blocks."""
+    link = Recorded()
+    link.add(eds("motor"), 1)
+    stored = SdoClient(link, 1).upload(0x1021, 0)
+    rows = [row for row in decoded(*link.frames) if row["service"].startswith("SDO")]
+    assert [row["phase"] for row in rows[:5]] == [
+        "Initiate upload request", "Initiate upload response", "Abort transfer", "Initiate block upload request",
+        "Initiate block upload response",
+    ]  # fmt: skip
+    assert {row["service"] for row in rows[3:]} == {"SDO block upload"}
+    assert {row["index"] for row in rows} == {0x1021}
+    assert not any(row["phase"] == "Abort transfer" or "remark" in row for row in rows[3:])
+    assert bytes.fromhex(rows[-1]["content"]) == stored == (EDS / "motor.eds").read_bytes()
 
 
 def test_sdo_values_by_their_data_type():

@@ -377,6 +377,26 @@ def test_a_client_that_begins_anew_within_a_block_download():
     assert rows[4]["content"] == "92010200"
 
 
+def test_the_end_of_a_block_upload_is_no_segment():
+    """A1h and 22h follow each other as the numbers of two segments would."""
+    rows = followed([*UPLOAD, *frames("> 22 17 10 00 64", "< 60 17 10 00")])
+    assert [row["service"] for row in rows[8:]] == ["SDO expedited download"] * 2
+    assert rows[9]["content"] == "64000000"
+
+
+def test_a_gap_from_one_block_transfer_into_another():
+    """The server's segments look like upload responses; two in a row are none."""
+    rows = followed(
+        [
+            *frames("> C6 00 20 01 FF", "< A4 00 20 01 7F", "> 01 0C 0C 0C"),
+            *frames(*(f"< {number:02X} 0C 0C 0C 0C 0C 0C 0C" for number in range(0x41, 0x50))),
+        ]
+    )
+    assert rows[3]["remark"] == "its request is not in the recording, or this is a segment of a block transfer"
+    assert {row["phase"] for row in rows[4:]} == {"Block upload segment"}
+    assert joined(rows) == []
+
+
 def test_a_late_answer_belongs_to_the_request_before():
     rows = followed(frames("> 40 18 10 01", "> 40 18 10 02", "< 43 18 10 01 11", "< 43 18 10 02 22"))
     assert [row.get("content") for row in rows] == [None, None, None, "22000000"]
