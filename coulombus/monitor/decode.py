@@ -242,4 +242,4 @@ def _sdo_text(row: Row) -> str:
         line += f" ({row['bytes']} bytes" + (", complete)" if "content" in row else " so far)")
     if "text" in row:
         line += f" {row['text']}"
-    return line + (f": {row['remark']}" if "remark" in row else "")
+    return f"{line.rstrip()}: {row['remark']}" if "remark" in row else line

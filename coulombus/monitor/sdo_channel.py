@@ -177,8 +177,8 @@ class SdoChannel:
         upload, place, transfer, says = form in _UPLOAD, named(data), self._transfer, Row()
         if transfer is None or not transfer.requested or (transfer.upload, transfer.place) != (upload, place):
             if transfer is not None and transfer.requested and not transfer.both:  # the answer to an earlier one
-                late = Transfer(upload, place)
-                return self._line(late, form.phase, {"remark": f"the request is about {where(*(transfer.place or place))}"})
+                remark = f"the request is about {where(*(transfer.place or place))}"
+                return self._line(Transfer(upload, place), form.phase, {"remark": remark})
             transfer, says["remark"] = Transfer(upload, place), NO_REQUEST
         elif transfer.both:
             return self._line(transfer, form.phase, {"remark": REPEATED})
