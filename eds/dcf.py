@@ -29,6 +29,7 @@ class DcfReader(ValueReader):
     """
 
     node_id = 0
+    kind = "a DCF"
 
     def __init__(self, path: str, raw: bytes) -> None:
         super().__init__(path, raw)
@@ -122,7 +123,7 @@ class DcfReader(ValueReader):
                 elif value and key in ("uploadfile", "downloadfile"):
                     self.say(line, f"{section.what(key)}={cut(value)} is another file", "no value")
         if values:
-            text = f"the file is a DCF, with {len(values)} configured value{'s' * (len(values) > 1)}"
+            text = f"the file is {self.kind}, with {len(values)} configured value{'s' * (len(values) > 1)}"
             self.say(min(values), text, "that the device starts with them")
         if self.going:
             count = len(self.going)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.description import Description, Value, Variable
 from coulombus.eds.sections import OBJECT_SECTION
+from coulombus.eds.xdd import eds_text
 
 __all__ = ["configured", "with_values"]
 
@@ -24,7 +25,7 @@ def configured(description: Description) -> tuple[Place, ...]:
     `Description.default` tells of them is that value.
     """
     places: list[Place] = []
-    for name, lines in _sections(description.text):
+    for name, lines in _sections(eds_text(description)):
         if (place := _place(description, name)) is not None:
             if any((match := VALUE.match(line)) and match[1] for line in lines):
                 places.append(place)
@@ -44,7 +45,7 @@ def with_values(description: Description, values: Mapping[Place, Value], node_id
     end = "\r\n" if "\r\n" in description.text else "\n"
     left = dict(values)
     out: list[str] = []
-    for name, lines in _sections(description.text):
+    for name, lines in _sections(eds_text(description)):
         if COMPACT.fullmatch(name) or name.lower() in COMMISSIONING:
             continue
         place = _place(description, name)

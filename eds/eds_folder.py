@@ -10,11 +10,11 @@ from coulombus.eds.reader import Description, EdsError, read_eds
 
 __all__ = ["fitting", "read_folder"]
 
-SUFFIXES = (".eds", ".dcf")
+SUFFIXES = (".eds", ".dcf", ".xdd", ".xdc")
 
 
 def read_folder(folder: Path) -> tuple[list[Description], list[EdsError]]:
-    """Read the EDS and DCF files of a folder, by name; return those that can be read, and why the
+    """Read the EDS, DCF, XDD and XDC files of a folder, by name; return those that can be read, and why the
     others cannot.
 
     OSError: the folder itself cannot be read.

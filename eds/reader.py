@@ -9,6 +9,7 @@ says why, and `eds.pdo` refuses the map.
 
 The file is read in two steps: lines to sections (`eds.sections`), sections to objects
 (here; values by `eds.values`, a DCF's by `eds.dcf`, the file's other parts by `eds.file_info`).
+XDD and XDC files (CiA 311) are told by their content; their sections are made of XML (`eds.xdd`).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from coulombus.eds.description import Description, Diagnosis, EdsError, Object, 
 from coulombus.eds.file_info import FileReader
 from coulombus.eds.regular_file import NoRegularFile, read_regular
 from coulombus.eds.sections import PDO_PARAMETERS, Section, alike, number_of
+from coulombus.eds.xdd import XddReader, is_xml
 
 __all__ = ["Description", "Diagnosis", "EdsError", "Object", "Value", "Variable", "parse_eds", "read_eds"]
 
@@ -51,7 +53,7 @@ MOST_BYTES = 1 << 26
 
 
 def read_eds(path: str | Path) -> Description:
-    """Read an EDS or DCF file; `Description.diagnoses` tells what was wrong with it.
+    """Read an EDS, DCF, XDD or XDC file; `Description.diagnoses` tells what was wrong with it.
 
     Raises
     ------
@@ -64,22 +66,22 @@ def read_eds(path: str | Path) -> Description:
     except OSError as error:
         why = error.strerror or type(error).__name__
         what = why if isinstance(error, NoRegularFile) else f"cannot be read ({why})"
-        raise EdsError(f"{path}:1: {what}; expected an EDS or DCF file") from error
+        raise EdsError(f"{path}:1: {what}; expected an EDS, DCF, XDD or XDC file") from error
     return parse_eds(raw, str(path))
 
 
 @lru_cache(maxsize=16)
 def parse_eds(raw: bytes, path: str) -> Description:
-    """Read the bytes of an EDS or DCF file; `path` names it in
+    """Read the bytes of an EDS or DCF file, or of an XDD or XDC; `path` names it in
     diagnoses. The same bytes are read once.
 
     Raises
     ------
     EdsError
-        It describes no object at all.
+        It describes no object at all, or is XML and no XDD.
     """
     with _collector_at_rest():
-        return _Reader(path, raw).build()
+        return (_XmlReader if is_xml(raw) else _Reader)(path, raw).build()
 
 
 @contextmanager
@@ -304,3 +306,7 @@ class _Reader(FileReader):
             text = f"[{section.name}] DataType=0x{code:04X} is none of CiA 301"
             self.say(section.at("datatype"), text, "a type of unknown width")
         return code
+
+
+class _XmlReader(XddReader, _Reader):
+    """The sections of an XDD, and the objects that any sections give."""

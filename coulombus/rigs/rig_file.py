@@ -44,7 +44,7 @@ def named_rig(name: str) -> Path:
 
 def _meant(path: Path, known: Sequence[str]) -> str:
     """Return what to do where `path` names no rig file, but something else that there is."""
-    if path.suffix.lower() in (".eds", ".dcf"):
+    if path.suffix.lower() in (".eds", ".dcf", ".xdd", ".xdc"):
         return f"; an EDS file becomes a rig file by coulombus init --drive {shell(str(path))} --brake bench -o my-rig.toml"
     if path.suffix == ".pcapng":
         return "; this is the name of a recording, and its rig is attached to it"

@@ -9,6 +9,7 @@ from functools import cached_property
 from coulombus.conformance.tester.verdict import NotApplicable, where
 from coulombus.eds.cia301 import DATA_TYPES, CobId
 from coulombus.eds.reader import Description, Value, Variable
+from coulombus.eds.xdd import eds_text
 
 __all__ = ["DescribedDevice", "is_signed"]
 
@@ -63,7 +64,7 @@ class DescribedDevice:
         306-1).
         """
         flags = {}
-        for index, subindex, _, value in _OBJ_FLAGS.findall(self.description.text):
+        for index, subindex, _, value in _OBJ_FLAGS.findall(eds_text(self.description)):
             try:
                 flags[int(index, 16), int(subindex or "0", 16)] = int(value, 0)
             except ValueError:  # the reader has told it

@@ -1,0 +1,373 @@
+"""XDD and XDC files (CiA 311, a profile container of ISO 15745) as the sections of an EDS or DCF.
+
+An XDD is to XML what an EDS is to CiA 306: the same objects with the same attributes. So its
+elements become the sections that the EDS reader builds its objects of, each with its line:
+
+    <CANopenObject index="1018" ...>         [1018]
+    <CANopenSubObject subIndex="0A" ...>     [1018subA]
+    defaultValue, actualValue                DefaultValue, ParameterValue
+
+What an object leaves to the application process, `uniqueIDRef` tells where: the parameter has then
+its access, its type in IEC 61131-3's words, its default and its range.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from coulombus.eds.description import Description, EdsError
+from coulombus.eds.sections import Section, SectionReader, cut, number_of
+
+if TYPE_CHECKING:
+    from coulombus.eds.xml_elements import XmlElement
+
+__all__ = ["XddReader", "eds_text", "is_xml"]
+
+CONTAINER = "ISO15745ProfileContainer"
+OTHER_ROOTS: Mapping[str, tuple[str, str]] = {
+    "ethercatinfo": (
+        "an EtherCAT slave information file (ESI)",
+        "its objects are those of the EtherCAT device: ask the maker for the EDS or XDD of the CANopen device",
+    ),
+    "html": ("a web page", "it was saved instead of the file: download the file itself"),
+    "iso15745profile": ("a profile of ISO 15745 without a container", "a GSDML file, as it seems: take the EDS or XDD"),
+    "device": ("an editor's project", "export an EDS or XDD file with that editor"),
+    "iodevice": ("an IO-Link description (IODD)", "expected an EDS, DCF, XDD or XDC file of the CANopen device"),
+    "devicedescription": ("a device description of CODESYS", "expected the EDS or XDD file that it was made from"),
+}
+"""Other files in XML that describe devices, by their root element in small letters: what it is, and
+what to do.
+"""
+
+KEYS: Mapping[str, str] = {
+    "name": "ParameterName",
+    "objectType": "ObjectType",
+    "dataType": "DataType",
+    "accessType": "AccessType",
+    "defaultValue": "DefaultValue",
+    "lowLimit": "LowLimit",
+    "highLimit": "HighLimit",
+    "PDOmapping": "PDOMapping",
+    "actualValue": "ParameterValue",
+    "denotation": "Denotation",
+    "subNumber": "SubNumber",
+    "objFlags": "ObjFlags",
+    "uniqueIDRef": "UniqueIDRef",
+}
+"""Attributes of CANopenObject and CANopenSubObject, and the keys of CiA 306 that say the same."""
+SPELLED = {key.lower(): key for key in KEYS.values()}
+VALUES = ("DefaultValue", "ParameterValue")
+IN_HEXADECIMAL = ("dataType", "objFlags")
+MAPPINGS = {"no": "0", "default": "1", "optional": "1", "tpdo": "1", "rpdo": "1"}
+ONE_WAY = {"tpdo": "rwr", "rpdo": "rww"}
+"""CiA 306's access types of what can be read and written, and mapped in one direction only."""
+ACCESS = {
+    "read": "ro",
+    "write": "wo",
+    "readwrite": "rw",
+    "readwriteinput": "rwr",
+    "readwriteoutput": "rww",
+    "const": "const",
+}
+"""Of a parameter."""
+IEC_TYPES: Mapping[str, int] = {
+    "BOOL": 0x01,
+    "SINT": 0x02,
+    "INT": 0x03,
+    "DINT": 0x04,
+    "LINT": 0x15,
+    "USINT": 0x05,
+    "UINT": 0x06,
+    "UDINT": 0x07,
+    "ULINT": 0x1B,
+    "BYTE": 0x05,
+    "WORD": 0x06,
+    "DWORD": 0x07,
+    "LWORD": 0x1B,
+    "REAL": 0x08,
+    "LREAL": 0x11,
+    "STRING": 0x09,
+    "WSTRING": 0x0B,
+    "BITSTRING": 0x0A,
+}
+IDENTITY = {
+    "vendorName": "VendorName",
+    "vendorID": "VendorNumber",
+    "productName": "ProductName",
+    "productID": "ProductNumber",
+}
+FEATURES = {
+    "granularity": "Granularity",
+    "nrOfRxPDO": "NrOfRXPDO",
+    "nrOfTxPDO": "NrOfTXPDO",
+    "layerSettingServiceSlave": "LSS_Supported",
+    "bootUpSlave": "SimpleBootUpSlave",
+    "groupMessaging": "GroupMessaging",
+}
+TRUTH = {"true": "1", "false": "0"}
+LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
+MANDATORY, MANUFACTURER = (0x1000, 0x1001, 0x1018), range(0x2000, 0x6000)
+
+_START = re.compile(r"\s*<[?!\w]")
+_DECLARED = re.compile(r"(\s*<\?xml\b[^>]*?\bencoding\s*=\s*)([\"'])([\w.-]+)\2")
+_CODE_PAGES = re.compile(r"(iso-?8859|windows|cp|latin|koi8|gb|big|euc|shift)[\w-]*", re.IGNORECASE)
+
+
+def is_xml(raw: bytes | str) -> bool:
+    """Tell whether a file is XML (or HTML) by its first characters: no EDS begins with ``<``."""
+    head = raw[:400].decode("latin-1") if isinstance(raw, bytes) else raw[:400]
+    return _START.match(head.lstrip("\xef\xbb\xbf\xfe\xff\ufeff").replace("\0", "")) is not None
+
+
+def eds_text(description: Description) -> str:
+    """Return a description's text as CiA 306 has it: that of an EDS or DCF as it stands, of an XDD
+    or XDC its objects as sections.
+    """
+    if not is_xml(description.text):
+        return description.text
+    sections = XddReader(description.path, description.text.encode()).sections
+    indices = sorted({section.index for section in sections.values() if section.index >= 0x1000})
+    groups = [
+        [index for index in indices if index in MANDATORY],
+        [index for index in indices if index not in MANDATORY and index not in MANUFACTURER],
+        [index for index in indices if index in MANUFACTURER],
+    ]
+    lines: list[str] = []
+    for name, group in zip(LISTS, groups, strict=True):
+        rows = [f"{number}=0x{index:04X}" for number, index in enumerate(group, 1)]
+        lines += [f"[{name}]", f"SupportedObjects={len(group)}", *rows, ""]
+    for section in sorted(sections.values(), key=lambda section: (section.index, section.subindex)):
+        keys = (f"{SPELLED.get(key, section.spelled[key])}={text}" for key, (text, _) in section.entries.items())
+        lines += [f"[{section.name}]", *keys, ""]
+    return "\n".join(lines)
+
+
+class XddReader(SectionReader):
+    """Reads the sections of an XDD or XDC; what it assumes is said as of an EDS."""
+
+    kind = "an XDC"
+
+    def decode(self, raw: bytes) -> str:
+        """Return the text: UTF-16 by its mark, UTF-8, or as the XML declaration says; else as of an
+        EDS. The declaration that is returned says UTF-8, in which recordings keep it.
+        """
+        declared = _DECLARED.match(raw[:200].decode("latin-1"))
+        page = declared[3] if declared and _CODE_PAGES.fullmatch(declared[3]) else "ascii"
+        wide = raw[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        for name in ("utf-16",) if wide else ("utf-8-sig", page):
+            try:
+                text = raw.decode(name)
+                break
+            except (LookupError, UnicodeError):
+                continue
+        else:
+            text = super().decode(raw)
+        return _DECLARED.sub(r"\1\2UTF-8\2", text, count=1)
+
+    def split(self) -> None:
+        """Make sections of the elements.
+
+        Raises
+        ------
+        EdsError
+            It is no well-formed XML, no XDD, or describes no object.
+        """
+        # not above: this costs 0.1 s, and no EDS needs it
+        from coulombus.eds.xml_elements import read_elements
+
+        if re.match(r"\s*<(!doctype\s+)?html\b", self.text[:400], re.IGNORECASE):
+            raise EdsError(f"{self.path}:1: is {OTHER_ROOTS['html'][0]}; {OTHER_ROOTS['html'][1]}")
+        root = read_elements(self.path, self.text)
+        self.require_container(root)
+        for index, element in self.objects(root):
+            self.enter_object(index, element)
+        if not self.sections:
+            what = "describes no object in a CANopenObjectList"
+            raise EdsError(f"{self.path}:{root.line}: {what}; expected CANopenObject elements, is it an XDD file?")
+        parameters = {
+            element.attributes["uniqueID"]: element
+            for kind in ("parameterTemplate", "parameter")
+            for element in root.all(kind)
+            if "uniqueID" in element.attributes
+        }
+        for section in list(self.sections.values()):
+            self.enter_parameter(section, parameters)
+        for section in self.sections.values():
+            self.direct(section)
+        self.enter_device(root)
+
+    def require_container(self, root: XmlElement) -> None:
+        """Raise EdsError of what is XML and no XDD."""
+        if root.name == CONTAINER and "powerlink" not in root.space.lower():
+            return
+        what, remedy = OTHER_ROOTS.get(
+            root.name.lower(),
+            (
+                f"XML with the root element <{cut(root.name)}>, no device description of CiA 311",
+                f"expected <{CONTAINER}>, or an EDS or DCF file: ask the device's maker for one",
+            ),
+        )
+        if root.name == CONTAINER:
+            what, remedy = "a device description of Ethernet POWERLINK", OTHER_ROOTS["iodevice"][1]
+        raise EdsError(f"{self.path}:{root.line}: is {what}; {remedy}")
+
+    def objects(self, root: XmlElement) -> Iterator[tuple[int, XmlElement]]:
+        """Yield the elements of the device's own objects with their indices; those of its modules
+        depend on what is plugged in.
+        """
+        for layers in root.all("ApplicationLayers"):
+            for listed in layers.of("CANopenObjectList"):
+                for element in listed.of("CANopenObject"):
+                    index = self.hexadecimal(element, "index", 4)
+                    if index is not None:
+                        yield index, element
+        modules = [layers for layers in root.all("moduleManagement") if layers.first("CANopenObject")]
+        if modules:
+            text = "<moduleManagement> describes modules, whose objects depend on the device"
+            self.say(modules[0].line, text, "none")
+
+    def hexadecimal(self, element: XmlElement, name: str, digits: int) -> int | None:
+        """Return an index or sub-index; None (said) where it is none."""
+        text = element.attributes.get(name, "").strip()
+        if re.fullmatch(rf"(?:0[xX])?0*[0-9a-fA-F]{{1,{digits}}}", text):
+            return int(text, 16)
+        shown = f"{name}={cut(text)}" if text else f"no {name}"
+        self.say(element.line, f"<{element.name}> has {shown}", "no such object", "error")
+        return None
+
+    def enter_object(self, index: int, element: XmlElement) -> None:
+        """Make a section of an object, and one of each of its sub-objects."""
+        self.enter(self.section(element, f"{index:04X}", index), element)
+        for sub in element.of("CANopenSubObject"):
+            subindex = self.hexadecimal(sub, "subIndex", 2)
+            if subindex is not None:
+                self.enter(self.section(sub, f"{index:04X}sub{subindex:X}", index, subindex), sub)
+
+    def section(self, element: XmlElement, name: str, index: int, subindex: int = -1) -> Section:
+        """Return a new section, or that of the same object which came before."""
+        known = self.sections.get(name.lower())
+        if known is not None:
+            self.say(
+                element.line, f"the object [{name}] is in line {known.line} already", "one object, the first values"
+            )
+            known.reopened = True
+            return known
+        return self.sections.setdefault(name.lower(), Section(name, element.line, index=index, subindex=subindex))
+
+    def enter(self, section: Section, element: XmlElement) -> None:
+        """Enter an element's attributes; what an XDD spells in its own way, as an EDS does."""
+        for spelled, text in element.attributes.items():
+            key = KEYS.get(spelled)
+            if key is not None:
+                digits = spelled in IN_HEXADECIMAL and re.fullmatch(r"[0-9a-fA-F]{1,8}", text.strip())
+                self.put(section, key, spelled, f"0x{text.strip()}" if digits else text, element.line)
+
+    def put(self, section: Section, key: str, spelled: str, text: str, line: int) -> None:
+        """Enter a key in one line: the first value counts, and another one is said."""
+        text = " ".join(text.splitlines()).strip()
+        if key.lower() in section.entries:
+            self.enter_again(section, key.lower(), spelled, text, line)
+        else:
+            section.entries[key.lower()] = (text, line)
+            section.spelled[key.lower()] = spelled
+
+    def enter_parameter(self, section: Section, parameters: Mapping[str, XmlElement]) -> None:
+        """Enter what the parameter has that an object refers to, and then what its template has."""
+        name, line = section.entries.pop("uniqueidref", ("", section.line))
+        if not name:
+            return
+        parameter = parameters.get(name)
+        if parameter is None:
+            self.say(line, f"[{section.name}] uniqueIDRef={cut(name)} names no parameter", "no more than the object")
+            return
+        template = parameters.get(parameter.attributes.get("templateIDRef", ""))
+        structured = section.subindex < 0 and f"{section.index:04x}sub0" in self.sections
+        for source in (parameter, *((template,) if template is not None else ())):
+            for key, spelled, text, at in _of_parameter(source):
+                if structured and key != "ParameterName":
+                    continue  # an array's or record's own value is that of its sub-indices
+                if not section.get(key.lower()):
+                    section.entries.pop(key.lower(), None)
+                    self.put(section, key, spelled, text, at)
+                elif key in VALUES and source is parameter:
+                    self.enter_again(section, key.lower(), spelled, text, at)
+
+    def direct(self, section: Section) -> None:
+        """Translate PDOmapping, of which CiA 306 keeps the direction in the access type."""
+        said, line = section.entries.get("pdomapping", ("", section.line))
+        if said.lower() not in MAPPINGS:
+            return
+        section.entries["pdomapping"] = (MAPPINGS[said.lower()], line)
+        access, at = section.entries.get("accesstype", ("", line))
+        if access.lower() == "rw" and said.lower() in ONE_WAY:
+            section.entries["accesstype"] = (ONE_WAY[said.lower()], at)
+
+    def enter_device(self, root: XmlElement) -> None:
+        """Enter what the file says of itself, of the device and of its place on a bus."""
+        profile = root.first("ProfileBody")
+        file = self.other("FileInfo", profile or root)
+        for spelled, key in (("fileName", "FileName"), ("fileVersion", "FileVersion"), ("fileCreator", "CreatedBy")):
+            if profile is not None and spelled in profile.attributes:
+                self.put(file, key, key, profile.attributes[spelled], profile.line)
+        identity, features = root.first("DeviceIdentity"), root.first("CANopenGeneralFeatures")
+        device = self.other("DeviceInfo", identity or features or root)
+        for spelled, key in IDENTITY.items():
+            element = identity.first(spelled) if identity is not None else None
+            if element is not None and (not key.endswith("Number") or number_of(element.text.strip())):
+                self.put(device, key, key, element.text, element.line)
+        for spelled, key in FEATURES.items():
+            if features is not None and spelled in features.attributes:
+                text = features.attributes[spelled].strip()
+                self.put(device, key, key, TRUTH.get(text.lower(), text), features.line)
+        rates = root.first("baudRate")
+        for rate in rates.of("supportedBaudRate") if rates is not None else ():
+            if number := re.match(r"\s*(\d{1,4})\b", rate.attributes.get("value", "")):
+                self.put(device, f"BaudRate_{number[1]}", f"BaudRate_{number[1]}", "1", rate.line)
+        for dummy in root.all("dummy"):
+            if entry := re.fullmatch(r"\s*(Dummy[0-9a-fA-F]{4})\s*=\s*(\w+)\s*", dummy.attributes.get("entry", "")):
+                self.put(self.other("DummyUsage", dummy), entry[1], entry[1], entry[2], dummy.line)
+        channels = list(root.all("dynamicChannel"))
+        if channels:
+            section = self.other("DynamicChannels", channels[0])
+            self.put(section, "NrOfSeg", "NrOfSeg", str(len(channels)), section.line)
+        self.enter_commissioning(root)
+
+    def enter_commissioning(self, root: XmlElement) -> None:
+        """Enter node id and bit rate of an XDC; node id 0 is none."""
+        element = root.first("deviceCommissioning")
+        if element is None or element.attributes.get("nodeID", "0").strip() in ("", "0", "0x00", "0x0"):
+            return
+        section = self.other("DeviceComissioning", element)
+        self.put(section, "NodeID", "nodeID", element.attributes["nodeID"], element.line)
+        if rate := re.match(r"\s*(\d{1,4})\b", element.attributes.get("actualBaudRate", "")):
+            self.put(section, "Baudrate", "actualBaudRate", rate[1], element.line)
+
+    def other(self, name: str, element: XmlElement) -> Section:
+        """Return a section that belongs to no object."""
+        return self.sections.setdefault(name.lower(), Section(name, element.line))
+
+    def check_lists(self, objects: object, heads: object) -> None:
+        """An XDD has no lists of objects: the elements themselves are the list."""
+
+
+def _of_parameter(parameter: XmlElement) -> Iterator[tuple[str, str, str, int]]:
+    """Yield key, the XML's name for it, value and line of what a parameter says."""
+    labels = sorted(parameter.of("label"), key=lambda label: not label.attributes.get("lang", "").startswith("en"))
+    for label in labels[:1]:
+        yield "ParameterName", "label", " ".join(label.text.split()), label.line
+    access = parameter.attributes.get("access", "").strip()
+    if access:
+        yield "AccessType", "access", ACCESS.get(access.lower(), access), parameter.line
+    for child in parameter.children:
+        if child.name in IEC_TYPES:
+            yield "DataType", child.name, f"0x{IEC_TYPES[child.name]:04X}", child.line
+        text = child.attributes.get("value", "").strip()
+        if child.name in ("defaultValue", "actualValue") and text:
+            yield KEYS[child.name], child.name, text, child.line
+    for element, key in (("minValue", "LowLimit"), ("maxValue", "HighLimit")):
+        ends = list(parameter.all(element))
+        if len(ends) == 1:  # several ranges are no limits
+            yield key, element, ends[0].attributes.get("value", ""), ends[0].line
