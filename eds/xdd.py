@@ -111,8 +111,13 @@ TRUTH = {"true": "1", "false": "0"}
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 MANDATORY, MANUFACTURER = (0x1000, 0x1001, 0x1018), range(0x2000, 0x6000)
 
+MOST_CHARACTERS = 1 << 24
+"""An XDD has some 2,000 characters an object."""
+MOST_DECLARED = 200
+"""Characters that the XML declaration has at most."""
+
 _START = re.compile(r"\s*<[?!\w]")
-_DECLARED = re.compile(r"(\s*<\?xml\b[^>]*?\bencoding\s*=\s*)([\"'])([\w.-]+)\2")
+_DECLARED = re.compile(r"\A(\s*<\?xml\b[^>]*?\bencoding\s*=\s*)([\"'])([\w.-]+)\2")
 _CODE_PAGES = re.compile(r"(iso-?8859|windows|cp|latin|koi8|gb|big|euc|shift)[\w-]*", re.IGNORECASE)
 
 
@@ -154,7 +159,7 @@ class XddReader(SectionReader):
         """Return the text: UTF-16 by its mark, UTF-8, or as the XML declaration says; else as of an
         EDS. The declaration that is returned says UTF-8, in which recordings keep it.
         """
-        declared = _DECLARED.match(raw[:200].decode("latin-1"))
+        declared = _DECLARED.match(raw[:MOST_DECLARED].decode("latin-1"))
         page = declared[3] if declared and _CODE_PAGES.fullmatch(declared[3]) else "ascii"
         wide = raw[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         for name in ("utf-16",) if wide else ("utf-8-sig", page):
@@ -165,7 +170,7 @@ class XddReader(SectionReader):
                 continue
         else:
             text = super().decode(raw)
-        return _DECLARED.sub(r"\1\2UTF-8\2", text, count=1)
+        return _DECLARED.sub(r"\1\2UTF-8\2", text[:MOST_DECLARED], count=1) + text[MOST_DECLARED:]
 
     def split(self) -> None:
         """Make sections of the elements.
@@ -178,6 +183,8 @@ class XddReader(SectionReader):
         # not above: this costs 0.1 s, and no EDS needs it
         from coulombus.eds.xml_elements import read_elements
 
+        if len(self.text) > MOST_CHARACTERS:
+            raise EdsError(f"{self.path}:1: has more than 16 MiB; expected the XDD or XDC file of one device")
         if re.match(r"\s*<(!doctype\s+)?html\b", self.text[:400], re.IGNORECASE):
             raise EdsError(f"{self.path}:1: is {OTHER_ROOTS['html'][0]}; {OTHER_ROOTS['html'][1]}")
         root = read_elements(self.path, self.text)

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 
 from coulombus.eds.cia301 import ARRAY, RECORD, Abort
+from coulombus.eds.xdd import eds_text
 from coulombus.node.communication_objects import Communication
 from coulombus.node.dictionary import Dictionary, decode, encode
 from coulombus.node.parameters import RESTORE, STORE, Parameters
@@ -67,7 +68,7 @@ class Access:
             if subindex > self._dictionary.number(_HISTORY):
                 raise SdoAbort(Abort.NO_DATA)
         elif index == _STORE_EDS:
-            return self._dictionary.description.text.encode()
+            return eds_text(self._dictionary.description).encode()
         return encode(variable, self._dictionary[index, subindex])
 
     def check_download(self, index: int, subindex: int, size: int | None) -> int:

@@ -115,7 +115,7 @@ def tried(path: Path, role: str, folder: Path) -> Tried | None:
 
 def tables(folder: Path) -> Iterator[str]:
     """Yield the tables of the drives and of the brakes, each after its marker's name."""
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".eds", ".dcf"))
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".eds", ".dcf", ".xdd", ".xdc"))
     with TemporaryDirectory() as place:
         for role, head in (("drive", "class"), ("brake", "set-point")):
             rows = []

@@ -69,7 +69,7 @@ tested_options = bundle(
         required=True,
         type=click.Path(readable=False, path_type=Path),
         metavar="E",
-        help="Its EDS or DCF file.",
+        help="Its EDS, DCF, XDD or XDC file.",
     ),
     click.option("--timeout", default=1.0, show_default=True, metavar="S", help="How long an answer may take."),
     click.option("--seed", default=0, show_default=True, help="Start of everything random."),

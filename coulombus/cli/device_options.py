@@ -51,7 +51,7 @@ eds_option = click.option(
     "eds",
     type=click.Path(readable=False, path_type=Path),
     metavar="E",
-    help="Its EDS or DCF file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
+    help="Its EDS, DCF, XDD or XDC file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
 )
 rig_option = click.option(
     "--rig", "rig_name", metavar="R", help="A rig file that has the node: its EDS file and its SI units."

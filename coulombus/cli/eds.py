@@ -23,7 +23,7 @@ READABLE, REFUSED = 0, 3
 
 @click.group("eds", epilog=EXIT_STATUS)
 def eds() -> None:
-    """Look at electronic data sheets (EDS, DCF), the files that describe CANopen devices."""
+    """Look at electronic data sheets (EDS, DCF, XDD, XDC), the files that describe CANopen devices."""
 
 
 @eds.command("check", epilog=EXIT_STATUS)
@@ -32,7 +32,7 @@ def eds() -> None:
 @click.option("--pdos", is_flag=True, help="Draw every PDO that maps something.")
 @json_option
 def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool) -> None:
-    """Say everything that is wrong with EDS or DCF files, and what is assumed instead.
+    """Say everything that is wrong with EDS, DCF, XDD or XDC files, and what is assumed instead.
 
     A line is FILE:LINE: SEVERITY: what; assumed what. A warning has one sensible reading; after an
     error something is missing; "refused" is what cannot be read right and is never guessed: a PDO,

@@ -70,8 +70,12 @@ class Wishes:
 wishes_options = bundle(
     "wishes",
     Wishes,
-    click.option("--drive", default="", metavar="F.eds", help="EDS file of the motor's drive; `bench`: our own."),
-    click.option("--brake", default="", metavar="G.eds", help="EDS file of the brake's driver; `bench`: our own."),
+    click.option(
+        "--drive", default="", metavar="F.eds", help="EDS or XDD file of the motor's drive; `bench`: our own."
+    ),
+    click.option(
+        "--brake", default="", metavar="G.eds", help="EDS or XDD file of the brake's driver; `bench`: our own."
+    ),
     click.option(
         "--sensor",
         "sensors",

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.conformance.tester.described_device import DescribedDevice
-from coulombus.eds import xml_elements
+from coulombus.eds import xdd, xml_elements
 from coulombus.eds.check import check
 from coulombus.eds.cia301 import ARRAY, DATA_TYPES, DOMAIN, RECORD, VAR
 from coulombus.eds.dcf_text import configured, with_values
@@ -60,10 +60,10 @@ def only(*rows, parameters="", **keys):
 @pytest.mark.parametrize("name", OWN)
 def test_our_devices_are_the_same_as_xdd_and_as_eds(name, referred):
     eds = read_eds(EDS / f"{name}.eds")
-    xdd = read(as_xdd(eds, referred))
-    assert places(xdd) == places(eds)
-    assert (xdd.dummies, xdd.diagnoses) == (eds.dummies, ())
-    assert [pdo.entries for pdo in check(xdd).pdos] == [pdo.entries for pdo in check(eds).pdos]
+    description = read(as_xdd(eds, referred))
+    assert places(description) == places(eds)
+    assert (description.dummies, description.diagnoses) == (eds.dummies, ())
+    assert [pdo.entries for pdo in check(description).pdos] == [pdo.entries for pdo in check(eds).pdos]
 
 
 @beside(CORPUS)
@@ -97,7 +97,9 @@ def variables(draw, index, subindex):
         least, most = (-half, half - 1) if data_type.signed else (0, 2 * half - 1)
         if draw(st.booleans()):
             low, high = sorted(draw(st.lists(st.integers(least, most), min_size=2, max_size=2)))
-        default = draw(st.none() | st.integers(least if low is None else low, most if high is None or high == 0 else high))
+        default = draw(
+            st.none() | st.integers(least if low is None else low, most if high is None or high == 0 else high)
+        )
         relative = code == 0x07 and low is None and default is not None and default < 1 << 31 and draw(st.booleans())
     elif code == 0x01:
         default = draw(st.none() | st.integers(0, 1))
@@ -136,7 +138,12 @@ def as_eds(entries):
             text += section(f"{entry.index:04X}", keys)
         for sub, v in entry.variables.items():
             default = None if v.default is None else number(v.default, v.node_relative)
-            keys = {"ParameterName": v.name, "ObjectType": VAR, "DataType": f"0x{v.data_type:04X}", "AccessType": v.access}
+            keys = {
+                "ParameterName": v.name,
+                "ObjectType": VAR,
+                "DataType": f"0x{v.data_type:04X}",
+                "AccessType": v.access,
+            }
             keys |= {"DefaultValue": default, "LowLimit": v.low, "HighLimit": v.high, "PDOMapping": int(v.pdo_mappable)}
             text += section(f"{entry.index:04X}" + (f"sub{sub:X}" if entry.object_type != VAR else ""), keys)
     return text
@@ -148,14 +155,17 @@ def test_the_same_random_dictionary_is_the_same_as_eds_and_as_xdd(entries, seed)
     written = {(v.index, v.subindex): v for entry in entries for v in entry.variables.values()}
     referred = {place for number, place in enumerate(written) if seed >> number % 30 & 1}
     objects, parameters = elements(entries, lambda v: (v.index, v.subindex) in referred)
-    xdd, eds = read(container(objects, parameters=parameters)), read(as_eds(entries), "f.eds")
-    assert places(xdd) == places(eds)
-    assert places(xdd)[0] == written
-    assert not [d for d in xdd.diagnoses if d.severity == "error"]
+    description, eds = read(container(objects, parameters=parameters)), read(as_eds(entries), "f.eds")
+    assert places(description) == places(eds)
+    assert places(description)[0] == written
+    assert not [d for d in description.diagnoses if d.severity == "error"]
 
 
 def test_the_line_of_an_object_is_that_of_its_element():
-    entries = [f'<CANopenObject index="{index:04X}" name="N" objectType="7"\n dataType="0005" accessType="ro"/>' for index in (0x2000, 0x2001)]
+    entries = [
+        f'<CANopenObject index="{index:04X}" name="N" objectType="7"\n dataType="0005" accessType="ro"/>'
+        for index in (0x2000, 0x2001)
+    ]
     text = container("\n".join(entries))
     description = read(text)
     for index in (0x2000, 0x2001):
@@ -185,7 +195,15 @@ def test_the_direction_of_a_mapping_is_kept_in_the_access_type(pairs, expected):
 
 @pytest.mark.parametrize(
     ("spelled", "code", "value"),
-    [("12", 7, 12), ("0x1F", 7, 31), ("-3", 3, -3), ("0xFFFD", 3, -3), ("2.5", 8, 2.5), ("true", 1, 1), ("a b", 9, "a b")],
+    [
+        ("12", 7, 12),
+        ("0x1F", 7, 31),
+        ("-3", 3, -3),
+        ("0xFFFD", 3, -3),
+        ("2.5", 8, 2.5),
+        ("true", 1, 1),
+        ("a b", 9, "a b"),
+    ],
 )
 def test_numbers_are_decimal_or_hexadecimal(spelled, code, value):
     element = f'<CANopenObject index="2000" name="X" objectType="7" dataType="{code:04X}" accessType="rw" defaultValue="{spelled}"/>'
@@ -206,7 +224,9 @@ def test_a_parameter_gives_what_the_object_leaves_out_and_its_template_the_rest(
         '<parameterTemplate uniqueID="T"><UDINT/><defaultValue value="-7"/><allowedValues><range>'
         '<minValue value="-9"/><maxValue value="0x10"/></range></allowedValues></parameterTemplate>'
     )
-    variable = only('<CANopenObject index="2000" objectType="7" PDOmapping="RPDO" uniqueIDRef="P"/>', parameters=parameters)
+    variable = only(
+        '<CANopenObject index="2000" objectType="7" PDOmapping="RPDO" uniqueIDRef="P"/>', parameters=parameters
+    )
     assert variable == Variable(0x2000, 0, "One", 3, "rww", -7, False, -9, 16, True, variable.line)
 
 
@@ -231,9 +251,8 @@ def test_two_defaults_of_one_object_are_told_and_leave_a_pdo_unreadable():
 
 
 def test_elements_and_attributes_of_other_namespaces_are_passed_over():
-    foreign = (
-        '<v:CANopenObject index="2001"/><v:note><CANopenObject index="2002"/></v:note>'
-        + CAR.replace("/>", ' v:defaultValue="9" v:index="2003" tool="x"><v:more/></CANopenObject>')
+    foreign = '<v:CANopenObject index="2001"/><v:note><CANopenObject index="2002"/></v:note>' + CAR.replace(
+        "/>", ' v:defaultValue="9" v:index="2003" tool="x"><v:more/></CANopenObject>'
     )
     description = read(container(foreign, device='<v:ISO15745Profile/><v:dummy entry="Dummy0005=1"/>'))
     assert list(description.objects) == [0x2000]
@@ -286,7 +305,12 @@ NODE = '<NetworkManagement><deviceCommissioning nodeID="{}" actualBaudRate="{}" 
 
 @pytest.mark.parametrize(
     ("node_id", "rate", "expected"),
-    [("5", "250 Kbps", (5, 250_000)), ("0x0A", "1000", (10, 1_000_000)), ("0", "125", (0, 0)), ("3", "auto-baudRate", (3, 0))],
+    [
+        ("5", "250 Kbps", (5, 250_000)),
+        ("0x0A", "1000", (10, 1_000_000)),
+        ("0", "125", (0, 0)),
+        ("3", "auto-baudRate", (3, 0)),
+    ],
 )
 def test_an_xdc_gives_configured_values_node_id_and_bit_rate(node_id, rate, expected):
     description = read(container(XDC, parameters=P, management=NODE.format(node_id, rate)), "f.xdc")
@@ -308,9 +332,9 @@ def test_an_xdc_is_restored_and_dumped_as_a_dcf_is():
 @pytest.mark.parametrize("referred", REFERRED.values(), ids=list(REFERRED))
 @pytest.mark.parametrize("name", OWN)
 def test_an_xdd_in_cia_306s_words_is_the_same(name, referred):
-    xdd = read(as_xdd(read_eds(EDS / f"{name}.eds"), referred))
-    eds = read(eds_text(xdd), "f.eds")
-    assert places(eds) == places(xdd)
+    description = read(as_xdd(read_eds(EDS / f"{name}.eds"), referred))
+    eds = read(eds_text(description), "f.eds")
+    assert places(eds) == places(description)
     assert eds.diagnoses == ()
 
 
@@ -338,7 +362,7 @@ def test_the_content_decides_and_not_the_name(tmp_path):
 # What is refused.
 
 
-DTD = '<!DOCTYPE ISO15745ProfileContainer {}>\n'
+DTD = "<!DOCTYPE ISO15745ProfileContainer {}>\n"
 HEAD, BODY = container(CAR).split("\n", 1)
 BOMB = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10 if k else "lol"}">' for k in range(10))
 
@@ -368,6 +392,13 @@ def test_a_huge_nesting_is_refused_at_its_line():
         read(container("<v:x>" * 100_000))
 
 
+def test_a_huge_text_is_refused(monkeypatch):
+    monkeypatch.setattr(xdd, "MOST_CHARACTERS", 5000)
+    assert only() is not None
+    with pytest.raises(EdsError, match=r"f\.xdd:1: has more than 16 MiB; expected the XDD or XDC file of one device"):
+        read(container(CAR + "<!--" + "x" * 5000 + "-->"))
+
+
 def test_more_elements_than_a_description_has_are_refused(monkeypatch):
     monkeypatch.setattr(xml_elements, "MOST_ELEMENTS", 1000)
     with pytest.raises(EdsError, match="has more than 1000 elements"):
@@ -394,14 +425,23 @@ def test_a_torn_file_is_refused_at_every_place():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('<?xml version="1.0"?>\n<EtherCATInfo Version="1.2"><Vendor/></EtherCATInfo>', "f.xdd:2: is an EtherCAT slave"),
+        (
+            '<?xml version="1.0"?>\n<EtherCATInfo Version="1.2"><Vendor/></EtherCATInfo>',
+            "f.xdd:2: is an EtherCAT slave",
+        ),
         ("<!DOCTYPE html>\n<html><body><br></body></html>", "f.xdd:1: is a web page; it was saved instead"),
         ("<html><p>404", "f.xdd:1: is a web page"),
-        (container(CAR, space="http://www.ethernet-powerlink.org"), "f.xdd:2: is a device description of Ethernet POWERLINK"),
+        (
+            container(CAR, space="http://www.ethernet-powerlink.org"),
+            "f.xdd:2: is a device description of Ethernet POWERLINK",
+        ),
         ("<ISO15745Profile/>", "f.xdd:1: is a profile of ISO 15745 without a container"),
         ("<device><CANopenObjectList/></device>", "f.xdd:1: is an editor's project; export an EDS or XDD"),
         ("<IODevice/>", "IO-Link"),
-        ("<DriveParameters/>", "f.xdd:1: is XML with the root element <DriveParameters>, no device description of CiA 311"),
+        (
+            "<DriveParameters/>",
+            "f.xdd:1: is XML with the root element <DriveParameters>, no device description of CiA 311",
+        ),
         (container(), "f.xdd:2: describes no object in a CANopenObjectList; expected CANopenObject elements"),
     ],
 )
@@ -413,7 +453,22 @@ def test_other_xml_is_refused_as_what_it_is(text, words):
 
 PIECES = st.sampled_from(
     (
-        *("<", ">", "/>", '"', "&", "&amp;", "&#10;", "&#x2028;[3000]=", "<!--", "]]>", "<x>", "</CANopenObject>", "\n", "\ud7ff"),
+        *(
+            "<",
+            ">",
+            "/>",
+            '"',
+            "&",
+            "&amp;",
+            "&#10;",
+            "&#x2028;[3000]=",
+            "<!--",
+            "]]>",
+            "<x>",
+            "</CANopenObject>",
+            "\n",
+            "\ud7ff",
+        ),
         *('index="2000"', 'subIndex="01"', 'actualValue="7"', 'uniqueIDRef="P"', 'PDOmapping="TPDO"', 'objectType="9"'),
         *('dataType="0001"', 'defaultValue="$NODEID+0x200"', 'defaultValue=""', CAR, P, "<dummy entry='Dummy0005=1'/>"),
     )
@@ -427,10 +482,13 @@ def test_whatever_the_text_it_is_read_or_refused(edits):
     for at, length, piece in edits:
         start = int(at * len(text))
         text = text[:start] + piece + text[start + length :]
+    description, refusal = None, ""
     try:
         description = read(text)
     except EdsError as error:
-        assert re.fullmatch(REFUSAL, str(error), re.DOTALL)
+        refusal = str(error)
+    if description is None:
+        assert re.fullmatch(REFUSAL, refusal, re.DOTALL)
         return
     lines = len(re.split(r"\r*\n|\r", description.text))
     assert all(1 <= diagnosis.line <= lines for diagnosis in check(description, 127).diagnoses)

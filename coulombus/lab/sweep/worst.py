@@ -137,7 +137,7 @@ def rig_files(rig: Rig, folder: Path, name: str) -> dict[str, str]:
             eds = section.get("eds")
             if eds is None or descriptions.get(eds) == rig.eds_texts.get(eds):
                 continue
-            there = f"{Path(name).stem}-{len(files) + 1}.eds"
+            there = f"{Path(name).stem}-{len(files) + 1}{Path(eds).suffix or '.eds'}"
             files[there] = rig.eds_texts[eds]
             changes.append(f"{dotted((*above, *key, 'eds'))}={toml_value(there)}")
         law = own.get("law", {}).get("function", "")
