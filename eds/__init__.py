@@ -1,1 +1,1 @@
-"""What a device says of itself: the reader of EDS, DCF, XDD and XDC, CiA's tables, PDO layout and codec."""
+"""What a device says of itself: readers of EDS, DCF, XDD, XDC; CiA's tables, PDO layout, codec."""

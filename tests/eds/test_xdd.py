@@ -410,7 +410,9 @@ def test_a_file_of_100_mb_is_refused(tmp_path):
     path.write_text(container(CAR))
     with path.open("r+b") as file:
         file.truncate(100_000_000)
-    with pytest.raises(EdsError, match=r"large\.xdd:1: has more than 64 MiB; expected an EDS, DCF, XDD or XDC file"):
+    with pytest.raises(
+        EdsError, match=r"large\.xdd:1: has more than 64 MiB; expected an EDS or DCF file, or an XDD or XDC"
+    ):
         read_eds(path)
 
 
