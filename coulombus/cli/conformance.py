@@ -115,8 +115,9 @@ def conformance(
     """Test a CANopen device against its EDS and CiA 301, 305 and 402, over its bus alone.
 
     127 cases of a conformance test plan and cases of our own (ids that begin with a letter): pass,
-    fail, or not applicable with the reason. The run resets the device, changes its objects, stores
-    and restores them; at the end it has its defaults. Nothing is moved: target torque stays 0.
+    fail, or not applicable with the reason. The run resets the device and changes its objects. It
+    begins from the device's defaults, stores parameters and ends with the defaults; a device that
+    cannot load them (no 1011h) is not stored to. Nothing is moved: target torque stays 0.
     Ends with 1 when a case fails, or the tester itself fails in one. An interrupted run writes the
     results that it has.
 
@@ -129,6 +130,7 @@ def conformance(
     with errors():
         from coulombus.conformance.report import as_dict
         from coulombus.conformance.runner import check_before, run, select
+        from coulombus.conformance.tester.storage import intention
         from coulombus.conformance.tester.unit import Timing, Unit
         from coulombus.eds.reader import read_eds
         from coulombus.wire.address import parse_address
@@ -144,7 +146,9 @@ def conformance(
         with BusLink(address) as link:
             unit = Unit(link, description, tested.node_id, Timing.of(tested.timeout), tested.seed)
             check_before(unit, force=tested.force)
-            say(f"node {tested.node_id} on {address} is reset and changed now, and has its defaults at the end")
+            unit.learn_abilities()
+            text = intention(unit, {case.id for case in cases})
+            say(f"node {tested.node_id} on {address} is reset and changed now; {text}")
             with _progress(len(cases), not as_json) as progress:
                 report = run(unit, cases, progress)
         failed = bool(report.count("fail") + report.count("error"))
@@ -188,10 +192,22 @@ def _print(report: Report) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from coulombus.conformance.report import WORDS, summary
+    from coulombus.conformance.causes import causes
+    from coulombus.conformance.report import WORDS, heading, summary
     from coulombus.system.printable_console import PrintableConsole
 
     console = PrintableConsole()
+    blocks = [(heading(cause), cause.frames) for cause in causes(report)]
+    blocks += [
+        (f"{outcome.case.id} {outcome.reason}", outcome.frames)
+        for outcome in report.outcomes
+        if outcome.result == "error"
+    ]
+    for head, frames in blocks:
+        console.print(f"[bold]{escape(head)}[/]", highlight=False)
+        for line in frames:
+            console.print(f"  {escape(line)}", highlight=False)
+        console.print()
     table = Table(box=None, pad_edge=False)
     for head in ("case", "", "result", "reason"):
         table.add_column(head, overflow="fold")
@@ -200,11 +216,6 @@ def _print(report: Report) -> None:
         result = f"[{colour[outcome.result]}]{WORDS[outcome.result]}[/]"
         table.add_row(outcome.case.id, escape(outcome.case.name), result, escape(outcome.reason))
     console.print(table)
-    for outcome in report.outcomes:
-        if outcome.result in ("fail", "error"):
-            console.print(
-                f"\n[bold]{outcome.case.id} {escape(outcome.case.name)}[/]: {escape(outcome.case.objective)}\n{escape(outcome.reason)}"
-            )
-            for line in outcome.frames:
-                console.print(f"  {escape(line)}", highlight=False)
+    for remark in report.remarks:
+        console.print(f"\n{escape(remark)}", highlight=False)
     console.print(f"\n{summary(report)}")

@@ -145,16 +145,21 @@ def set_command(
       coulombus sdo set 5 2000h:03 7 --type UNSIGNED8 --bus socketcan:can0
     """
     with errors():
+        from coulombus.host.devices.configuration import COMMANDS
+
         with reached.open(node_id, to_write=True) as (_, device), LiveLine() as show:
             variable = device.find(name)
             data = device.parse(variable, value, type_name=type_name)
             back = device.write(variable, data, lambda done, total: show(f"{done} of {total} bytes"))
-        kept = back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
+        commands = variable.index in COMMANDS and back is not None  # what is read is a state, not what was written
+        kept = commands or back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
         with verdict(0 if kept else CHECK_FAILED):
             if as_json:
                 print_json(None if back is None else back.as_dict(node_id))
             else:
                 echo("written; it can only be written" if back is None else str(back))
+                if commands:
+                    say(f"coulombus: {data.hex(' ')} was taken; a write of this object is a command")
             if not kept:
                 say(f"coulombus: {data.hex(' ')} was written, and the device holds another value")
 

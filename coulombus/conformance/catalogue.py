@@ -12,8 +12,8 @@ __all__ = ["Case", "catalogue"]
 
 @dataclass(frozen=True)
 class Case:
-    """One case: its number as text ("2.10" is not "2.1"), what it is about, and the abort codes
-    that it accepts.
+    """One case: its number as text ("2.10" is not "2.1"), what it is about, the abort codes that
+    it accepts, and the clause of the standard that demands it.
 
     Numbers that begin with a letter are this project's own. Without `codes` any abort code is
     accepted where one is due.
@@ -23,6 +23,7 @@ class Case:
     name: str
     objective: str
     codes: tuple[int, ...]
+    clause: str
 
     @property
     def own(self) -> bool:
@@ -35,6 +36,10 @@ def catalogue() -> tuple[Case, ...]:
     """Return all cases."""
     with files("coulombus.conformance").joinpath("catalogue.csv").open(encoding="utf-8") as file:
         return tuple(
-            Case(row["id"], row["name"], row["objective"], tuple(int(code, 16) for code in row["abort_codes"].split()))
+            Case(row["id"], row["name"], row["objective"], _codes(row["abort_codes"]), row["clause"])
             for row in csv.DictReader(file)
         )
+
+
+def _codes(text: str) -> tuple[int, ...]:
+    return tuple(int(code, 16) for code in text.split())

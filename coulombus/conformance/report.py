@@ -1,4 +1,4 @@
-"""The report of a run as JSON, JUnit XML, Markdown and HTML."""
+"""The report of a run as JSON, JUnit XML, Markdown and HTML: causes first, then the cases."""
 
 from __future__ import annotations
 
@@ -7,14 +7,21 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from coulombus.conformance.causes import Cause, causes
 from coulombus.conformance.runner import Outcome, Report
 from coulombus.system.foreign_text import one_line, printable
 from coulombus.system.quoting import xml
 
-__all__ = ["WORDS", "as_dict", "junit", "markdown", "summary", "write_junit", "write_report"]
+__all__ = ["WORDS", "as_dict", "heading", "junit", "markdown", "summary", "write_junit", "write_report"]
 
 WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable", "error": "ERROR of the tester"}
 _SHOWN = ("fail", "error")
+
+
+def heading(cause: Cause) -> str:
+    """Return the line above a cause's frames: what it is, the clause, and the cases that it fails."""
+    cases = f"{len(cause.cases)} cases: " if len(cause.cases) > 1 else "case "
+    return f"{cause.text} ({cause.clause}; {cases}{', '.join(cause.cases)})"
 
 
 def as_dict(report: Report) -> dict[str, Any]:
@@ -25,12 +32,18 @@ def as_dict(report: Report) -> dict[str, Any]:
         "not_applicable": report.count("not_applicable"),
         "errors": report.count("error"),
         "complete": report.ended_by is None,
+        "remarks": list(report.remarks),
+        "causes": [
+            {"cause": cause.text, "clause": cause.clause, "cases": list(cause.cases), "frames": list(cause.frames)}
+            for cause in causes(report)
+        ],
         "cases": [
             {
                 "id": outcome.case.id,
                 "name": outcome.case.name,
                 "result": outcome.result,
                 "reason": outcome.reason,
+                **({"cause": outcome.cause, "clause": outcome.clause} if outcome.result == "fail" else {}),
                 **({"frames": list(outcome.frames)} if outcome.result in _SHOWN else {}),
             }
             for outcome in report.outcomes
@@ -86,29 +99,25 @@ def write_junit(report: Report, path: Path) -> None:
 
 
 def markdown(report: Report) -> str:
-    """Return the report as Markdown: the count, a table, and the frames of each failure."""
+    """Return the report as Markdown: the count, each cause with its frames, and a table."""
     lines = [
         f"# Conformance of {_cell(report.device)}, node {report.node_id}",
         "",
         f"EDS: `{report.eds}`. {summary(report)}.",
         "",
+        *(f"- {_cell(remark)}" for remark in report.remarks),
+        "",
     ]
+    for cause in causes(report):
+        lines += [f"## {_cell(heading(cause))}", "", "```", *cause.frames, "```", ""]
+    for outcome in _errors(report):
+        lines += [f"## {outcome.case.id} {_cell(outcome.case.name)}", "", _cell(outcome.reason), ""]
+        lines += ["```", *outcome.frames, "```", ""]
     lines += ["| case | | result | reason |", "|---|---|---|---|"]
     lines += [
         f"| {outcome.case.id} | {_cell(outcome.case.name)} | {WORDS[outcome.result]} | {_cell(outcome.reason)} |"
         for outcome in report.outcomes
     ]
-    for outcome in _failures(report):
-        lines += [
-            "",
-            f"## {outcome.case.id} {outcome.case.name}",
-            "",
-            outcome.case.objective,
-            "",
-            _cell(outcome.reason),
-            "",
-        ]
-        lines += ["```", *outcome.frames, "```"]
     return "\n".join(lines) + "\n"
 
 
@@ -120,10 +129,13 @@ def page(report: Report) -> str:
         f"<td>{WORDS[outcome.result]}<td>{text(outcome.reason)}</tr>\n"
         for outcome in report.outcomes
     )
+    remarks = "".join(f"<li>{text(remark)}\n" for remark in report.remarks)
     details = "".join(
-        f"<h2>{text(outcome.case.id)} {text(outcome.case.name)}</h2><p>{text(outcome.case.objective)}</p><p>{text(outcome.reason)}</p>"
-        f"<pre>{text(chr(10).join(outcome.frames))}</pre>\n"
-        for outcome in _failures(report)
+        f"<h2>{text(head)}</h2><pre>{text(chr(10).join(frames))}</pre>\n"
+        for head, frames in (
+            *((heading(cause), cause.frames) for cause in causes(report)),
+            *((f"{outcome.case.id} {outcome.reason}", outcome.frames) for outcome in _errors(report)),
+        )
     )
     title = text(f"Conformance of {report.device}, node {report.node_id}")
     style = (
@@ -133,7 +145,8 @@ def page(report: Report) -> str:
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{style}</style>\n'
         f"<h1>{title}</h1><p>EDS: {text(report.eds)}. {summary(report)}.</p>\n"
-        f"<table><tr><th>case<th><th>result<th>reason</tr>\n{rows}</table>\n{details}</html>\n"
+        f"<ul>{remarks}</ul>{details}"
+        f"<table><tr><th>case<th><th>result<th>reason</tr>\n{rows}</table></html>\n"
     )
 
 
@@ -143,8 +156,8 @@ def write_report(report: Report, path: Path) -> None:
     path.write_text(printable(content), encoding="utf-8")
 
 
-def _failures(report: Report) -> list[Outcome]:
-    return [outcome for outcome in report.outcomes if outcome.result in _SHOWN]
+def _errors(report: Report) -> list[Outcome]:
+    return [outcome for outcome in report.outcomes if outcome.result == "error"]
 
 
 def _cell(text: str) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -27,6 +27,7 @@ from coulombus.conformance.cases import (
     sync,
 )
 from coulombus.conformance.catalogue import Case, catalogue
+from coulombus.conformance.tester import storage
 from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, where
@@ -34,6 +35,7 @@ from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import PowerState
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.address import BusUnavailable
+from coulombus.wire.bus_link import BusFrame
 
 __all__ = [
     "MODULES",
@@ -56,6 +58,7 @@ MODULES = (
 Result = Literal["pass", "fail", "not_applicable", "error"]
 FRAMES = 40
 _GIVE_UP = 3
+SILENT = "not run: the device does not answer any more"
 
 
 class DeviceSilent(CoulombusError):
@@ -95,6 +98,10 @@ class Outcome:
     reason: str
     frames: tuple[str, ...] = ()
     seconds: float = 0.0
+    cause: str = ""
+    """The fault behind a failure, alike in every case that meets it."""
+    clause: str = ""
+    """Where the standard demands what has failed."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,8 @@ class Report:
     outcomes: tuple[Outcome, ...]
     ended_by: BaseException | None = None
     """What ended the run before its last case: an interrupt, or a bus that went away."""
+    remarks: tuple[str, ...] = ()
+    """With which parameters the run began, and with which the device ends."""
 
     def count(self, result: Result) -> int:
         """Return how many cases have this result."""
@@ -192,6 +201,9 @@ def _check_identity(unit: Unit) -> None:
 def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None] = lambda n, case: None) -> Report:
     """Run the cases, and leave the device reset, with its defaults where something was stored.
 
+    Cases that compare with defaults begin from them, where the device has 1011h; else the remarks
+    say that they do not.
+
     A case that raises what it should not is an error of the tester in that case, never the end of
     the run; when the device does not answer any more, the cases that follow fail at once. An
     interrupt and a bus that goes away end the run; what came of the cases before is returned, with
@@ -201,12 +213,17 @@ def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None]
     outcomes: list[Outcome] = []
     silent = 0
     ended_by: BaseException | None = None
+    remarks: list[str] = []
+    held: storage.Parameters = {}
+    numbers = [case.id for case in cases]
     try:
         unit.learn_abilities()
+        began, held = storage.begin(unit, numbers)
+        remarks.append(began)
         for number, case in enumerate(cases):
             progress(number, case)
             if silent >= _GIVE_UP:
-                outcomes.append(Outcome(case, "fail", "not run: the device does not answer any more"))
+                outcomes.append(Outcome(case, "fail", SILENT, cause=SILENT, clause=case.clause))
                 continue
             outcomes.append(_outcome(unit, case))
             silent = silent + 1 if outcomes[-1].result == "fail" and not _alive(unit) else 0
@@ -214,14 +231,16 @@ def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None]
         ended_by = why
     try:  # also when it is interrupted: a drive must not stay enabled
         _leave(unit)
+        remarks.append(storage.end(unit, held))
     except (KeyboardInterrupt, SystemExit, BusUnavailable) as why:
         ended_by = ended_by or why
-    return Report(unit.description.path, unit.node_id, device, tuple(outcomes), ended_by)
+    return Report(unit.description.path, unit.node_id, device, tuple(outcomes), ended_by, tuple(remarks))
 
 
 def _outcome(unit: Unit, case: Case) -> Outcome:
     start_ns = unit.link.now_ns()
     result: Result = "pass"
+    cause = clause = ""
     try:
         unit.begin(case.codes)
         start_ns = unit.link.now_ns()
@@ -229,23 +248,38 @@ def _outcome(unit: Unit, case: Case) -> Outcome:
     except NotApplicable as why:
         result, reason = "not_applicable", str(why)
     except CaseFailed as why:
-        result, reason = "fail", str(why)
+        result, reason, cause, clause = "fail", str(why), why.cause, why.clause
     except BusUnavailable:
         raise
     except Exception as why:  # whatever a device sends, a case has to judge it by itself
         result, reason = "error", _own_error(why)
     seconds = (unit.link.now_ns() - start_ns) / 1e9
     shown = result in ("fail", "error")
-    frames = tuple(frame.line(start_ns) for frame in list(unit.trace)[-FRAMES:]) if shown else ()
+    frames = tuple(_lines(list(unit.trace)[-FRAMES:], start_ns)) if shown else ()
     try:
         unit.restore()
     except CaseFailed as why:
         result, reason = "fail", f"what the case changed cannot be restored: {why}"
+        cause, clause = why.cause, why.clause
     except BusUnavailable:
         raise
     except Exception as why:
         result, reason = "error", _own_error(why)
-    return Outcome(case, result, reason, frames, seconds)
+    if result == "fail":
+        cause, clause = cause or reason, clause or case.clause
+    return Outcome(case, result, reason, frames, seconds, cause, clause)
+
+
+def _lines(frames: Sequence[BusFrame], start_ns: int) -> Iterator[str]:
+    """Yield a line for each frame, in the order of the trace.
+
+    What came is stamped by the bus and what was sent by the tester, and their clocks differ a
+    little: no frame is shown before the one that it follows.
+    """
+    t_ns = min((frame.t_ns for frame in frames), default=0)
+    for frame in frames:
+        t_ns = max(t_ns, frame.t_ns)
+        yield replace(frame, t_ns=t_ns).line(start_ns)
 
 
 def _own_error(why: Exception) -> str:

@@ -6,11 +6,18 @@ from __future__ import annotations
 
 from coulombus.conformance.cases.nmt import nmt_state, produce_heartbeats
 from coulombus.conformance.cases.node_guarding import alternating, error_id, guard, need_guarding
+from coulombus.conformance.tester.objects import READ_ONLY
 from coulombus.conformance.tester.pdo_setup import HeartbeatOfTester
-from coulombus.conformance.tester.provoke import GUARD_MS, emcy_id
+from coulombus.conformance.tester.provoke import (
+    EMCY_IS_OPTIONAL,
+    GUARD_MS,
+    after_lost_heartbeat,
+    emcy_id,
+    must_be_noticed,
+)
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, LeftOpen, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.wire.bus_link import RTR, BusFrame
 
@@ -38,7 +45,8 @@ def check_heartbeats(unit: Unit, period_ms: int, *, ask: bool = False) -> int:
             if frame.length != 1 or frame.data[0] not in _STATES:
                 raise CaseFailed(f"a heartbeat is {frame.data.hex(' ')!r}, expected one byte 04h, 05h or 7Fh")
         if len(frames) < 2:
-            raise CaseFailed(f"{len(frames)} heartbeats in {12 * period_ms} ms; 1017h is {period_ms} ms")
+            text = f"{len(frames)} heartbeats in {12 * period_ms} ms; 1017h is {period_ms} ms"
+            raise CaseFailed(text, cause="" if frames else "no heartbeat", clause="CiA 301, 7.5.2.20")
         mean_ms = (frames[-1].t_ns - frames[0].t_ns) / (len(frames) - 1) / 1e6
         if abs(mean_ms - period_ms) <= 0.1 * period_ms:
             return len(frames)
@@ -74,17 +82,23 @@ def heartbeat_off(unit: Unit) -> None:
     unit.take(error_id(unit))
     unit.expect(error_id(unit), "heartbeat")
     unit.write(0x1017, 0, 0)
+    no_more_heartbeats(unit)
+
+
+def no_more_heartbeats(unit: Unit) -> None:
+    """Fail unless the heartbeat that was just switched off stops in time."""
     unit.pause(unit.timing.quiet_ns)
-    if unit.collect(error_id(unit), 6 * HEARTBEAT_MS * MS):
-        raise CaseFailed("heartbeats come although 1017h is 0")
+    if not unit.until(lambda: not unit.collect(error_id(unit), 6 * HEARTBEAT_MS * MS)):
+        raise CaseFailed("heartbeats come although 1017h is 0", clause="CiA 301, 7.5.2.20")
 
 
 def consumer_subs(unit: Unit) -> list[int]:
     """Return the sub-indices of 1016h that can be written."""
     unit.need(0x1016, 1)
-    subs = [s for s, v in unit.description.objects[0x1016].variables.items() if 0 < s < 0xFF and v.access != "ro"]
+    entries = unit.description.objects[0x1016].variables
+    subs = [s for s, v in entries.items() if 0 < s < 0xFF and v.access not in (*READ_ONLY, "wo")]
     if not subs:
-        raise NotApplicable("1016h cannot be written")
+        raise NotApplicable("no entry of 1016h can be written, by the EDS")
     return subs
 
 
@@ -120,13 +134,12 @@ def heartbeat_consumer(unit: Unit, producer_ms: int, consumer_ms: int, lost: boo
         unit.pause(producer_ms * MS)
         late_ns = max(late_ns, unit.link.now_ns() - sent_ns)
         sent_ns = unit.link.now_ns()
-    frames = unit.take(can_id)
     if lost:
-        if not frames:
-            raise CaseFailed(
-                f"no EMCY although the heartbeats come every {producer_ms} ms and 1016h allows {consumer_ms}"
-            )
-        return f"{int.from_bytes(frames[0].data[:2], 'little'):04X}h"
+        frame = unit.wait(can_id)
+        if frame is None:
+            must_be_noticed(unit, "a lost heartbeat", heartbeat.lose)
+        return f"{int.from_bytes(frame.data[:2], 'little'):04X}h" if frame else None
+    frames = unit.take(can_id)
     if frames and late_ns < consumer_ms * MS:
         raise CaseFailed(f"an EMCY although heartbeats come every {producer_ms} ms and 1016h allows {consumer_ms}")
     return None
@@ -173,9 +186,7 @@ def both_heartbeat_off(unit: Unit) -> None:
     unit.expect(error_id(unit), "heartbeat")
     _guarding_on(unit)
     unit.write(0x1017, 0, 0)
-    unit.pause(unit.timing.quiet_ns)
-    if unit.collect(error_id(unit), 6 * HEARTBEAT_MS * MS):
-        raise CaseFailed("heartbeats come although 1017h is 0")
+    no_more_heartbeats(unit)
 
 
 def _guarding_on(unit: Unit) -> None:
@@ -230,8 +241,12 @@ def second_entry(unit: Unit) -> str:
     for _ in range(5):
         first.beat()
         unit.pause(WATCH_MS * MS)
-    frame = unit.wait(can_id, unit.timing.quiet_ns)
+    until_ns, frame = unit.link.now_ns() + unit.timing.answer_ns, None
+    while frame is None and unit.link.now_ns() < until_ns:
+        first.beat()
+        frame = unit.wait(can_id, WATCH_MS * MS)
     if frame is None:
+        after_lost_heartbeat(unit, can_id)  # of the first entry, whose heartbeat has ended, too
         raise CaseFailed(f"no EMCY although node {other} of {where(0x1016, subs[1])} is lost")
     return f"{int.from_bytes(frame.data[:2], 'little'):04X}h"
 
@@ -281,8 +296,10 @@ def unused_entries(unit: Unit) -> str:
 
 @case("H.4")
 def in_time(unit: Unit) -> str:
-    """Lose a heartbeat watched for 100 ms, and a guarding of 2 x 100 ms: the EMCY comes after that
-    time, before half of it more.
+    """Lose a heartbeat watched for 100 ms, then for 300 ms, and a guarding of 2 x 100 ms: the EMCY
+    comes after that time.
+
+    How long after, CiA 301 does not say; but it comes 200 ms later the second time, within 90 ms.
     """
     can_id = emcy_id(unit)
     done = []
@@ -291,14 +308,11 @@ def in_time(unit: Unit) -> str:
     except NotApplicable:
         pass
     else:
-        heartbeat = HeartbeatOfTester(unit, WATCH_MS)
-        unit.flush()
-        start_ns = unit.link.now_ns()
-        heartbeat.beat()
-        frame = unit.expect(can_id, "EMCY after a lost heartbeat")
-        done.append(_between("heartbeat", frame, start_ns, WATCH_MS))
-        unit.restore()
-        unit.reset()
+        short, long = (_heartbeat_ms(unit, can_id, watch_ms) for watch_ms in (WATCH_MS, 3 * WATCH_MS))
+        if abs(long - short - 2 * WATCH_MS) > 0.9 * WATCH_MS:
+            text = f"after {short:.0f} ms with {WATCH_MS} ms in 1016h, and after {long:.0f} ms with {3 * WATCH_MS} ms"
+            raise CaseFailed(f"the EMCY for a lost heartbeat comes {text}")
+        done.append(f"heartbeat {short:.0f} ms")
     try:
         _guarding(unit)
     except NotApplicable:
@@ -308,18 +322,42 @@ def in_time(unit: Unit) -> str:
     unit.flush()
     start_ns = unit.link.now_ns()
     guard(unit)
-    frame = unit.expect(can_id, "EMCY after the life time")
-    done.append(_between("guarding", frame, start_ns, 2 * GUARD_MS))
+    frame = unit.wait(can_id, 2 * GUARD_MS * MS + unit.timing.answer_ns)
+    if frame is None:
+        raise LeftOpen("no EMCY after the life time", EMCY_IS_OPTIONAL)
+    done.append(f"guarding {_not_early('guarding', frame, start_ns, 2 * GUARD_MS):.0f} ms")
     return ", ".join(done)
 
 
-def _between(what: str, frame: BusFrame, start_ns: int, limit_ms: int) -> str:
+def _heartbeat_ms(unit: Unit, can_id: int, watch_ms: int) -> float:
+    """Return after how many ms the EMCY for a lost heartbeat comes."""
+    heartbeat = HeartbeatOfTester(unit, watch_ms)
+    unit.flush()
+    start_ns = unit.link.now_ns()
+    heartbeat.beat()
+    unit.pause(watch_ms * MS)
+    frame = after_lost_heartbeat(unit, can_id)
+    unit.restore()
+    unit.reset()
+    return _not_early("heartbeat", frame, start_ns, watch_ms)
+
+
+def _not_early(what: str, frame: BusFrame, start_ns: int, limit_ms: int) -> float:
+    """Return after how many ms an EMCY came; fail where that is before its time, or its code is
+    another.
+    """
     if frame.data[:2] != b"\x30\x81":
         raise CaseFailed(f"EMCY {frame.data[:8].hex(' ')} after the lost {what}, expected 8130h")
     after_ms = (frame.t_ns - start_ns) / 1e6
-    if not 0.95 * limit_ms <= after_ms <= 1.5 * limit_ms:
+    if after_ms < 0.95 * limit_ms:
         raise CaseFailed(f"the EMCY for the lost {what} comes after {after_ms:.0f} ms; its time is {limit_ms} ms")
-    return f"{what} {after_ms:.0f} ms"
+    return after_ms
+
+
+def _reached(unit: Unit, expected: NmtState) -> int | None:
+    """Return the NMT state as soon as it is the expected one, else the one after the time-out."""
+    unit.until(lambda: nmt_state(unit) == expected)
+    return nmt_state(unit)
 
 
 @case("H.5")
@@ -337,11 +375,10 @@ def error_behaviour(unit: Unit) -> str:
         except TransferAborted as abort:
             raise NotApplicable(f"{where(0x1029, 1)}: {abort}") from None
         unit.start()
-        heartbeat.lose()
-        state = nmt_state(unit)
-        if state is None:
+        if nmt_state(unit) is None:
             raise NotApplicable("the device tells its state neither by heartbeat nor by guarding")
-        if state != expected:
+        heartbeat.lose()
+        if (state := _reached(unit, expected)) != expected:
             raise CaseFailed(
                 f"NMT state {state} after a lost heartbeat with 1029h:01 at {value}, expected {expected.name}"
             )

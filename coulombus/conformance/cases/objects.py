@@ -5,15 +5,23 @@
 from __future__ import annotations
 
 from coulombus.conformance.cases.sdo import RW, beyond
-from coulombus.conformance.tester.described_device import is_signed
-from coulombus.conformance.tester.objects import LONGEST, NOT_NOW, READ_ONLY, is_command, is_output, is_parameter
+from coulombus.conformance.tester.deviations import deviation, judge_deviations
+from coulombus.conformance.tester.objects import (
+    ABSENT_NOW,
+    LONGEST,
+    NOT_NOW,
+    READ_ONLY,
+    is_command,
+    is_output,
+    is_parameter,
+)
 from coulombus.conformance.tester.registry import case
-from coulombus.conformance.tester.unit import Unit, encode
+from coulombus.conformance.tester.running import keeps_own_value, unchanged
+from coulombus.conformance.tester.unit import Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
-from coulombus.eds.cia301 import ARRAY, VAR, Abort, NmtCommand
+from coulombus.eds.cia301 import ARRAY, VAR, NmtCommand
 from coulombus.eds.reader import Variable
 
-ABSENT_NOW = (Abort.NO_DATA, Abort.NO_SUBINDEX)
 NO_WRITE, NO_SCAN = 0x1, 0x2
 
 
@@ -47,47 +55,21 @@ def readable(unit: Unit, operational: bool) -> str:
         except TransferAborted as abort:
             if abort.code in NOT_NOW or (v.index == 0x1003 and abort.code in ABSENT_NOW):
                 continue
-            raise CaseFailed(f"AccessType={v.access}, but {abort}") from None
+            raise CaseFailed(f"AccessType={v.access}, but {abort}", cause=abort.cause) from None
         if data is not None and v.bits and len(data) != (v.bits + 7) // 8:
             raise CaseFailed(f"{name} has {len(data)} bytes; its type has {v.bits} bits")
         count += 1
     return f"{count} objects"
 
 
-def different(unit: Unit, v: Variable) -> str | None:
-    """Return what an object is instead of its default, if it is something else."""
-    default = unit.default(v)
-    if default is None or v.access == "wo" or v.unreadable:
-        return None
-    try:
-        data = unit.sdo.upload_up_to(v.index, v.subindex, LONGEST)
-    except TransferAborted as abort:
-        return None if abort.code in (*ABSENT_NOW, *NOT_NOW) else str(abort)
-    if data is None:
-        return None
-    expected = encode(v, default)
-    if not v.bits:
-        data, expected = data.rstrip(b"\0"), expected.rstrip(b"\0")
-        same = data == expected or not expected
-    else:
-        same = data == expected
-    return None if same else f"{where(v.index, v.subindex)} is {_shown(v, data)}; the EDS says {_shown(v, expected)}"
-
-
-def _shown(v: Variable, data: bytes) -> str:
-    if not v.bits:
-        return repr(data)
-    return f"{int.from_bytes(data, 'little', signed=is_signed(v))} ({data[::-1].hex().upper()}h)"
-
-
-@case("4.2")
+@case("4.2", defaults=True)
 def defaults(unit: Unit) -> str:
     """Reset the node and compare every parameter with its default."""
     unit.reset()
     return _compare(unit, [v for v in unit.variables() if is_parameter(v)])
 
 
-@case("4.8")
+@case("4.8", defaults=True)
 def defaults_by_flags(unit: Unit) -> str:
     """The same after reset communication, for [rw] and [ro] objects whose ObjFlags do not refuse a
     read on scan.
@@ -99,10 +81,9 @@ def defaults_by_flags(unit: Unit) -> str:
 
 def _compare(unit: Unit, variables: list[Variable]) -> str:
     variables = [v for v in variables if unit.default(v) is not None]
-    wrong = [text for text in (different(unit, v) for v in variables) if text]
-    if wrong:
-        raise CaseFailed("; ".join(wrong[:5]) + (f"; and {len(wrong) - 5} more" if len(wrong) > 5 else ""))
-    return f"{len(variables)} objects"
+    texts = {(v.index, v.subindex): text for v in variables if (text := deviation(unit, v))}
+    remark = judge_deviations(unit, texts)
+    return f"{len(variables)} objects" + (f"; {remark}" if remark else "")
 
 
 @case("4.3")
@@ -182,8 +163,7 @@ def limits(unit: Unit) -> str:
                 continue
             before = unit.read(v.index, v.subindex)
             unit.refused(v.index, v.subindex, value)
-            if unit.read(v.index, v.subindex) != before:
-                raise CaseFailed(f"{where(v.index, v.subindex)} has changed although it was refused")
+            unchanged(unit, v, before)
             count += 1
     if not count:
         raise NotApplicable("the EDS gives no harmless writable object a limit inside its type")
@@ -196,6 +176,7 @@ def write_back(unit: Unit) -> str:
     exempts too.
     """
     count, refused = 0, 0
+    runs: list[str] = []
     for v in unit.variables(0x1000):
         exempt = unit.flags.get((v.index, v.subindex), 0) & NO_WRITE
         if v.access != "rw" or is_command(v) or is_output(v) or exempt:
@@ -207,12 +188,13 @@ def write_back(unit: Unit) -> str:
             unit.put(v.index, v.subindex, data)
         except TransferAborted as abort:
             if abort.code not in NOT_NOW:
-                raise CaseFailed(f"AccessType={v.access}, but {abort}") from None
+                raise CaseFailed(f"AccessType={v.access}, but {abort}", cause=abort.cause) from None
             refused += 1
             continue
-        if unit.read(v.index, v.subindex) != data:
-            raise CaseFailed(f"{where(v.index, v.subindex)} has another value after its own was written")
+        if remark := keeps_own_value(unit, v, data):
+            runs.append(remark)
         count += 1
     if not count:
         raise NotApplicable("the EDS has no such object")
-    return f"{count} objects" + (f"; {refused} refused for the device's state" if refused else "")
+    state = (f"{refused} refused for the device's state",) if refused else ()
+    return "; ".join((f"{count} objects", *runs, *state))

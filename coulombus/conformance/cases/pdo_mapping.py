@@ -24,7 +24,7 @@ from coulombus.conformance.tester.pdo_setup import (
 )
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, left_open, where
 from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, Abort
 from coulombus.eds.reader import Variable
 
@@ -211,8 +211,19 @@ def too_many(unit: Unit) -> str:
     try:
         unit.put(index, 0, bytes((count,)))
     except TransferAborted as abort:
-        return f"count {count}: {unit.judge(abort):08X}h"
+        return f"count {count}: {_judge_count(unit, abort, index, count)}"
     raise CaseFailed(f"{where(index, 0)} took {count}; it has {entries} entries")
+
+
+def _judge_count(unit: Unit, abort: TransferAborted, index: int, count: int) -> str:
+    """Return the code of a count that was refused, with a remark where it says "not this value": the
+    EDS's limit of the count is exceeded, too, and CiA 301 does not say which code goes first.
+    """
+    limits = unit.range_codes(index, 0, bytes((count,)))
+    code = f"{unit.judge(abort, (*unit.codes, *limits)):08X}h"
+    if abort.code in limits and abort.subindex == 0:
+        return f"{code}; {left_open('which code refuses a count above its HighLimit', 'CiA 301, table 22')}"
+    return code
 
 
 def clear(unit: Unit, index: int) -> None:
@@ -244,7 +255,7 @@ def too_long(unit: Unit) -> str:
                 unit.write(index, sub, mapped(widest))
             unit.put(index, 0, bytes((count,)))
         except TransferAborted as abort:
-            return f"{count} times {widest.bits} bits: {unit.judge(abort):08X}h"
+            return f"{count} times {widest.bits} bits: {_judge_count(unit, abort, index, count)}"
         raise CaseFailed(f"{where(index, 0)} took a map of {count * widest.bits} bits")
     raise NotApplicable("no PDO whose map can be written has entries for more than 64 bits")
 

@@ -69,20 +69,18 @@ def rpdo_data(unit: Unit) -> str:
     can_id, index, value, data = harmless(unit, 255)
     unit.start()
     unit.send(can_id, data)
-    unit.pause(10 * MS)
-    if unit.number(index) != value:
+    if not unit.until(lambda: unit.number(index) == value):
         raise CaseFailed(f"{where(index, 0)} is {unit.number(index)} after an RPDO with {value}")
     unit.restore()
     unit.reset()
     can_id, index, value, data = harmless(unit, 1)
     unit.start()
     unit.send(can_id, data)
-    unit.pause(10 * MS)
+    unit.pause(unit.timing.quiet_ns)
     if unit.number(index) == value:
         raise CaseFailed(f"{where(index, 0)}: a synchronous RPDO acts before the SYNC")
     sync(unit)
-    unit.pause(10 * MS)
-    if unit.number(index) != value:
+    if not unit.until(lambda: unit.number(index) == value):
         raise CaseFailed(f"{where(index, 0)} is {unit.number(index)} after a synchronous RPDO with {value} and a SYNC")
     return where(index, 0)
 
@@ -93,9 +91,9 @@ def rpdo_pre_operational(unit: Unit) -> str:
     can_id, index, _, data = harmless(unit, 255)
     before = unit.number(index)
     unit.send(can_id, data)
-    unit.pause(10 * MS)
+    unit.pause(unit.timing.quiet_ns)
     unit.start()
-    unit.pause(10 * MS)
+    unit.pause(unit.timing.quiet_ns)
     if unit.number(index) != before:
         raise CaseFailed(f"{where(index, 0)} has changed by an RPDO in PRE-OPERATIONAL")
     return where(index, 0)
@@ -160,7 +158,8 @@ class Harmless:
         return self.unit.number(self.variable.index)
 
     def expect(self, value: int, when: str) -> None:
-        if self.value() != value:
+        """Fail unless the object gets this value in time."""
+        if not self.unit.until(lambda: self.value() == value):
             raise CaseFailed(f"{self.name} is {self.value()} {when}, expected {value}")
 
 
@@ -175,6 +174,7 @@ def too_long(unit: Unit) -> str:
     unit.start()
     unit.flush()
     rpdo.send(rpdo.data(11) + b"\xff")
+    unit.pause(unit.timing.quiet_ns)
     frames = unit.take(can_id)
     rpdo.expect(11, "after an RPDO with 11 and one byte more")
     if frames and frames[0].data[:2] != b"\x20\x82":
@@ -188,6 +188,7 @@ def too_short(unit: Unit) -> None:
     rpdo = Harmless(unit, 255)
     unit.start()
     rpdo.send(rpdo.data(rpdo.before ^ 1)[:-1])
+    unit.pause(unit.timing.quiet_ns)
     rpdo.expect(rpdo.before, "after an RPDO that is too short")
 
 
@@ -204,15 +205,15 @@ def synchronous_types(unit: Unit) -> str:
         unit.start()
         rpdo.send(rpdo.data(21))
         rpdo.send(rpdo.data(22))
+        unit.pause(unit.timing.quiet_ns)
         rpdo.expect(rpdo.before, f"after RPDOs of type {transmission} without a SYNC")
         sync(unit)
-        unit.pause(CALM_NS)
         rpdo.expect(22, f"after RPDOs of type {transmission} with 21 and 22 and a SYNC")
         rpdo.send(rpdo.data(23))
         unit.nmt(2)
         unit.start()
         sync(unit)
-        unit.pause(CALM_NS)
+        unit.pause(unit.timing.quiet_ns)
         if rpdo.value() != 23:
             rpdo.expect(22, "with a SYNC after STOPPED, by an RPDO from before it")
         outlives |= rpdo.value() == 23
@@ -274,14 +275,13 @@ def window(unit: Unit) -> str:
     unit.pause(3 * WINDOW_MS * MS)
     rpdo.send(rpdo.data(41))
     sync(unit)
-    unit.pause(CALM_NS)
+    unit.pause(unit.timing.quiet_ns)
     rpdo.expect(rpdo.before, f"though the RPDO came {3 * WINDOW_MS} ms after its SYNC")
     for _ in range(3):  # the tester may be late itself
         sync(unit)
         unit.send(rpdo.can_id, rpdo.data(42))
         sync(unit)
-        unit.pause(CALM_NS)
-        if rpdo.value() == 42:
+        if unit.until(lambda: rpdo.value() == 42):
             return f"{WINDOW_MS} ms"
     raise CaseFailed(f"{rpdo.name} is {rpdo.value()}: an RPDO within the window does not act")
 

@@ -62,7 +62,7 @@ def reserved_types(unit: Unit) -> str:
     """Write 241 and 251 to a TPDO's transmission type, made invalid first: refused."""
     for k in candidates(unit):
         index = 0x1800 + k
-        if unit.variable(index, 2).access not in ("ro", "const") and unit.variable(index, 1).access == "rw":
+        if unit.variable(index, 2).access not in READ_ONLY and unit.variable(index, 1).access == "rw":
             cob_id = unit.number(index, 1)
             if not cob_id & 1 << 31:
                 unit.write(index, 1, cob_id | 1 << 31)
@@ -90,11 +90,11 @@ def armed(unit: Unit, transmission: int, *, rtr: bool = False) -> tuple[int, int
     raise NotApplicable(reasons[0])
 
 
-def ask(unit: Unit, can_id: int) -> bytes | None:
+def ask(unit: Unit, can_id: int, timeout_ns: int | None = None) -> bytes | None:
     """Ask for a TPDO by a remote frame; return what comes."""
     unit.flush()
     unit.send(can_id | RTR, length=8)
-    frame = unit.wait(can_id, unit.timing.quiet_ns)
+    frame = unit.wait(can_id, timeout_ns)
     return None if frame is None else frame.data
 
 
@@ -109,7 +109,7 @@ def no_remote_frames(unit: Unit) -> str:
     unit.write(TPDO + k, 1, disable(unit, TPDO, k) | INVALID)
     unit.write(TPDO + k, 1, can_id | NO_RTR)
     unit.start()
-    if ask(unit, can_id) is not None:
+    if ask(unit, can_id, unit.timing.quiet_ns) is not None:
         raise CaseFailed(f"TPDO {k + 1} answers a remote frame; bit 30 of {where(TPDO + k, 1)} forbids it")
     return f"TPDO {k + 1}"
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 from coulombus.conformance.tester.objects import volatile
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.sdo_checks import shown, text_object
-from coulombus.conformance.tester.unit import ON_COMMAND, Unit, encode
+from coulombus.conformance.tester.unit import Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 
 __all__: list[str] = []
 
-SAVE, LOAD = b"save", b"load"
+LOAD = b"load"
 STORE, RESTORE = 0x1010, 0x1011
 
 RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x77F, 0x780, 0x7FF)
@@ -35,8 +35,11 @@ def change(unit: Unit) -> tuple[int, int, bytes, bytes]:
 
 def command(unit: Unit, index: int, subindex: int) -> None:
     """Give the signature."""
+    if index == STORE:
+        unit.save(subindex)
+        return
     unit.stored = unit.dirty = True
-    unit.sdo.download(index, subindex, SAVE if index == STORE else LOAD)
+    unit.sdo.download(index, subindex, LOAD)
 
 
 def is_now(unit: Unit, index: int, subindex: int, expected: bytes, when: str) -> None:
@@ -46,8 +49,8 @@ def is_now(unit: Unit, index: int, subindex: int, expected: bytes, when: str) ->
         raise CaseFailed(f"{where(index, subindex)} is {data.hex()} {when}, expected {expected.hex()}")
 
 
-@case("8.1", index=STORE)
-@case("8.3", index=RESTORE)
+@case("8.1", defaults=True, index=STORE)
+@case("8.3", defaults=True, index=RESTORE)
 def signature(unit: Unit, index: int) -> None:
     """Read the ability, and write the signature; the ability reads as before."""
     unit.need_ability(index)
@@ -61,8 +64,8 @@ def signature(unit: Unit, index: int) -> None:
     unit.read(0x1000, 0)
 
 
-@case("8.2", index=STORE)
-@case("8.4", index=RESTORE)
+@case("8.2", defaults=True, index=STORE)
+@case("8.4", defaults=True, index=RESTORE)
 def wrong_signature(unit: Unit, index: int) -> str:
     """Write signatures that are none: refused, and nothing is stored."""
     unit.need_ability(index)
@@ -76,7 +79,7 @@ def wrong_signature(unit: Unit, index: int) -> str:
     return ", ".join(dict.fromkeys(codes))
 
 
-@case("8.5")
+@case("8.5", defaults=True)
 def store(unit: Unit) -> str:
     """Change a parameter, store, change it again, reset: what was stored is there."""
     unit.need_ability(STORE)
@@ -88,7 +91,7 @@ def store(unit: Unit) -> str:
     return where(index, subindex)
 
 
-@case("8.6")
+@case("8.6", defaults=True)
 def store_groups(unit: Unit) -> str:
     """The communication group, 1010h:02, in the same way.
 
@@ -104,7 +107,7 @@ def store_groups(unit: Unit) -> str:
     unit.reset()
     is_now(unit, index, subindex, data, "after a reset without a further store")
     for subindex in sorted(unit.description.objects[STORE].variables):
-        if 2 < subindex < 0xFF and unit.number(STORE, subindex) & ON_COMMAND:
+        if 2 < subindex < 0xFF and unit.able(STORE, subindex):
             command(unit, STORE, subindex)
     return "the communication group"
 
@@ -123,19 +126,19 @@ def _restore(unit: Unit, group: int) -> str:
     return where(index, subindex)
 
 
-@case("8.7")
+@case("8.7", defaults=True)
 def restore(unit: Unit) -> str:
     """Change and store a parameter, restore: it stays until the reset, and then has its default."""
     return _restore(unit, 1)
 
 
-@case("8.8")
+@case("8.8", defaults=True)
 def restore_groups(unit: Unit) -> str:
     """The communication group, 1011h:02, in the same way."""
     return _restore(unit, 2)
 
 
-@case("8.9")
+@case("8.9", defaults=True)
 def verify_configuration(unit: Unit) -> None:
     """Write date and time to 1020h, store, write others, reset: the stored ones are there."""
     unit.need_ability(STORE)
@@ -179,7 +182,7 @@ def restricted(unit: Unit) -> str:
     return ", ".join(done)
 
 
-@case("K.1")
+@case("K.1", defaults=True)
 def verification_is_lost(unit: Unit) -> str:
     """Write date and time to 1020h, and change a parameter: both are 0, or stay, as the boot-up
     configuration has not changed yet.
@@ -205,8 +208,7 @@ def verification_is_lost(unit: Unit) -> str:
     for index in (0x1010, 0x1011):
         unit.need_ability(index)
     tell()
-    unit.stored = True
-    unit.sdo.download(0x1010, 1, b"save")
+    unit.save()
     unit.sdo.download(0x1011, 1, b"load")
     unit.reset()
     left = date_and_time()
@@ -215,7 +217,7 @@ def verification_is_lost(unit: Unit) -> str:
     return "0 after the defaults were loaded"
 
 
-@case("K.2")
+@case("K.2", defaults=True)
 def only_the_group(unit: Unit) -> str:
     """Change a text of the manufacturer's, and store the communication group alone: the text is
     lost with a reset.
@@ -223,8 +225,7 @@ def only_the_group(unit: Unit) -> str:
     unit.need_ability(0x1010, 2)
     index, subindex, before, text = text_object(unit)
     unit.put(index, subindex, text)
-    unit.stored = True
-    unit.sdo.download(0x1010, 2, b"save")
+    unit.save(2)
     unit.reset()
     if shown(unit.read(index, subindex)) != shown(before):
         raise CaseFailed(f"{where(index, subindex)} has been stored with the communication group")

@@ -8,6 +8,7 @@ from functools import cached_property
 
 from coulombus.conformance.tester.verdict import NotApplicable, where
 from coulombus.eds.cia301 import DATA_TYPES, CobId
+from coulombus.eds.data import READ_ONLY
 from coulombus.eds.reader import Description, Value, Variable
 from coulombus.eds.xdd import eds_text
 
@@ -33,12 +34,15 @@ class DescribedDevice:
         return self.description.variable(index, subindex)
 
     def need_writable(self, index: int, subindex: int = 0) -> Variable:
-        """Return the description of an object that can be written.
+        """Return the description of an object that can be written, and a communication parameter
+        read back.
 
         Without one the case does not apply.
         """
         variable = self.need(index, subindex)
-        if variable.access in ("ro", "const"):
+        if variable.access == "wo" and index < 0x2000:
+            raise NotApplicable(f"{where(index, subindex)} is wo in the EDS: it cannot be read back")
+        if variable.access in READ_ONLY:
             raise NotApplicable(f"{where(index, subindex)} is {variable.access} in the EDS")
         return variable
 

@@ -11,6 +11,7 @@ from coulombus.eds.data import READ_ONLY, is_output
 from coulombus.eds.reader import Variable
 
 __all__ = [
+    "ABSENT_NOW",
     "LONGEST",
     "NOT_NOW",
     "OTHER_ID",
@@ -44,11 +45,16 @@ code.
 NOT_NOW = (Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE, Abort.NO_DATA)
 """An object may refuse an access for the state that the device is in."""
 
+ABSENT_NOW = (Abort.NO_DATA, Abort.NO_SUBINDEX)
+"""An entry of a list that has none now."""
+
 OTHER_ID = 0x6DA
 """Of no service in the pre-defined connection set, and not restricted."""
 
 _COMMANDS = (0x1003, 0x1010, 0x1011, 0x1023, 0x1F50, 0x1F51, 0x1F80)
 """A write of these does something; the cases that test them do it."""
+
+_TEXTS = (0x0009, 0x000B)
 
 _CHANGING = (0x1001, 0x1002, 0x1003, 0x1010, 0x1011, 0x1013, 0x1020, 0x1023, 0x1024, 0x1025, 0x1026)
 
@@ -107,11 +113,15 @@ def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
 
 
 def long_object(unit: Unit, at_least: int = 5) -> tuple[Variable, bytes]:
-    """Return the shortest constant object of at least so many bytes."""
+    """Return the shortest object of at least so many bytes that holds still: a constant or a text,
+    where there is one; else one that reads alike twice.
+    """
     objects = [pair for pair in long_objects(unit) if len(pair[1]) >= at_least]
-    if not objects:
-        raise NotApplicable(f"the device has no object of {at_least} bytes")
-    return min(objects, key=lambda pair: len(pair[1]))
+    still = [pair for pair in objects if pair[0].access == "const" or pair[0].data_type in _TEXTS]
+    still = still or [pair for pair in objects if unit.read(pair[0].index, pair[0].subindex) == pair[1]]
+    if not still:
+        raise NotApplicable(f"the device has no object of {at_least} bytes that holds still")
+    return min(still, key=lambda pair: len(pair[1]))
 
 
 def long_texts(unit: Unit) -> list[Variable]:

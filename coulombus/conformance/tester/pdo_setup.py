@@ -10,6 +10,7 @@ from types import MappingProxyType
 from coulombus.conformance.tester.unit import MS, OPERATIONAL, STOPPED, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.data import READ_ONLY
 from coulombus.eds.reader import Variable
 
 __all__ = [
@@ -102,8 +103,12 @@ def remappable(unit: Unit, direction: int) -> list[int]:
         k
         for k in numbers(unit, direction)
         if unit.has(direction + 0x200 + k, 1)
-        and all(unit.variable(direction + 0x200 + k, sub).access not in ("ro", "const") for sub in (0, 1))
-        and unit.variable(direction + k, 1).access not in ("ro", "const")
+        and all(
+            v.access not in READ_ONLY
+            for sub, v in unit.description.objects[direction + 0x200 + k].variables.items()
+            if sub < 0xFF
+        )
+        and unit.variable(direction + k, 1).access not in READ_ONLY
     ]
 
 
@@ -143,7 +148,7 @@ def can_id_of(unit: Unit, direction: int, k: int, cob_id: int) -> int:
 
 def still(unit: Unit) -> None:
     """Let the device produce no SYNC of its own: the tester's are counted."""
-    if unit.has(0x1006) and unit.variable(0x1006).access not in ("ro", "const") and unit.number(0x1006):
+    if unit.has(0x1006) and unit.variable(0x1006).access not in READ_ONLY and unit.number(0x1006):
         unit.write(0x1006, 0, 0)
 
 
@@ -179,7 +184,7 @@ def arm(
     index = direction + k
     untimed = {INHIBIT_TIME: 0, EVENT_TIMER: 0} if direction == TPDO else {EVENT_TIMER: 0}
     parameters = {TRANSMISSION: transmission, **untimed, **entries}
-    fixed = unit.variable(index, 1).access in ("ro", "const")
+    fixed = unit.variable(index, 1).access in READ_ONLY
     cob_id = unit.number(index, 1) if fixed else disable(unit, direction, k)
     can_id = can_id_of(unit, direction, k, cob_id)
     if fixed and (cob_id & INVALID or (rtr and cob_id & NO_RTR)):
@@ -193,7 +198,7 @@ def arm(
             raise Unsupported(f"the EDS has no {where(index, subindex)}")
         if unit.number(index, subindex) == value:
             continue
-        if unit.variable(index, subindex).access in ("ro", "const"):
+        if unit.variable(index, subindex).access in READ_ONLY:
             raise Unsupported(f"{where(index, subindex)} is fixed in the EDS")
         try:
             unit.write(index, subindex, value)
@@ -243,7 +248,7 @@ class HeartbeatOfTester:
 
     def __init__(self, unit: Unit, consumer_ms: int = CONSUMER_MS) -> None:
         subs = unit.description.objects[0x1016].variables if 0x1016 in unit.description.objects else {}
-        free = [s for s, v in subs.items() if 0 < s < 0xFF and v.access not in ("ro", "const")]
+        free = [s for s, v in subs.items() if 0 < s < 0xFF and v.access not in (*READ_ONLY, "wo")]
         if not free:
             raise NotApplicable("the EDS has no 1016h that can be written: no error can be caused over the bus")
         self.unit, self.consumer_ms = unit, consumer_ms
@@ -321,7 +326,7 @@ class Event:
         index, subindex = self.word >> 16, self.word >> 8 & 0xFF
         before = self.unit.read(index, subindex)
         self.fire()
-        if self.unit.read(index, subindex) == before:
+        if not self.unit.until(lambda: self.unit.read(index, subindex) != before):
             raise NotApplicable(f"no event can be caused over the bus: {where(index, subindex)} does not change")
 
     def need_frame(self, came: bool, what: str) -> None:

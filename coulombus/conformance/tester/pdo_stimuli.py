@@ -71,14 +71,12 @@ class Stimulus(ABC):
             if frame.length != self.length or frame.can_id & RTR:
                 raise CaseFailed(f"{self.name} has {frame.length} bytes; its map has {self.length}")
 
-    def syncs(self, count: int, first: int | None = None) -> list[BusFrame]:
-        """Send SYNCs, and return the TPDOs that came with each of them."""
-        frames: list[BusFrame] = []
+    def syncs(self, count: int, first: int | None = None, *, expected: int = 0) -> list[BusFrame]:
+        """Send SYNCs, and return the TPDOs that came with them; `expected` are waited for."""
         for number in range(count):
             sync(self.unit, None if first is None else first + number)
             self.unit.pause(_CALM_NS)
-        self.unit.pause(self.unit.timing.quiet_ns)
-        frames = self.unit.take(self.can_id)
+        frames = self.unit.gather(self.can_id, expected)
         self.of_length(frames)
         return frames
 
@@ -176,7 +174,7 @@ class BySync(Stimulus):
 
     def check(self) -> str | None:
         self.unit.flush()
-        frames = self.syncs(4)
+        frames = self.syncs(4, expected=4)
         if len(frames) != 4:
             raise CaseFailed(f"{self.name} of type 1: {len(frames)} frames after 4 SYNCs")
         for n in (3, 240):
@@ -189,7 +187,7 @@ class BySync(Stimulus):
             if n == 240:
                 continue
             self.unit.flush()
-            frames = self.syncs(9)
+            frames = self.syncs(9, expected=3)
             if len(frames) != 3:
                 raise CaseFailed(f"{self.name} of type 3: {len(frames)} frames after 9 SYNCs, expected 3")
         return None
@@ -221,7 +219,7 @@ class BySyncAfterEvent(Stimulus):
             self.unit.pause(self.unit.timing.quiet_ns)
             if self.unit.take(self.can_id):
                 raise CaseFailed(f"{self.name} of type 0 comes with the event, before the SYNC")
-            frames = self.syncs(2)
+            frames = self.syncs(2, expected=1)
             self.event.need_frame(bool(frames), f"{self.name} of type 0 with 2 SYNCs after an event")
             if len(frames) != 1:
                 raise CaseFailed(f"{self.name} of type 0: {len(frames)} frames with 2 SYNCs after an event, expected 1")
@@ -241,18 +239,19 @@ class ByStartValue(Stimulus):
 
     def control(self) -> bool:
         self.unit.flush()
-        return bool(self.syncs(OVERFLOW, 1))
+        return bool(self.syncs(OVERFLOW, 1, expected=1))
 
     def check(self) -> str | None:
         self.unit.flush()
         early = self.syncs(START_VALUE - 1, 1)
         if early:
             raise CaseFailed(f"{self.name} comes before the SYNC with its start value {START_VALUE}")
-        frames = self.syncs(OVERFLOW - START_VALUE + 1, START_VALUE)
-        if len(frames) != OVERFLOW - START_VALUE + 1:
+        expected = OVERFLOW - START_VALUE + 1
+        frames = self.syncs(expected, START_VALUE, expected=expected)
+        if len(frames) != expected:
             text = f"{len(frames)} frames with the SYNCs {START_VALUE} to {OVERFLOW}"
             raise CaseFailed(f"{self.name} with start value {START_VALUE}: {text}")
-        if len(self.syncs(3, 1)) != 3:
+        if len(self.syncs(3, 1, expected=3)) != 3:
             raise CaseFailed(f"{self.name} waits for its start value again after the counter's overflow")
         return None
 

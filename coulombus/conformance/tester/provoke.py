@@ -18,13 +18,24 @@ from coulombus.conformance.tester.pdo_setup import (
     numbers,
 )
 from coulombus.conformance.tester.unit import MS, Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable
-from coulombus.eds.cia301 import CobId
+from coulombus.conformance.tester.verdict import CaseFailed, LeftOpen, NotApplicable
+from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.wire.bus_link import RTR, BusFrame
 
-__all__ = ["GUARD_MS", "cause_error", "check_emcy", "emcy_id", "short_rpdo"]
+__all__ = [
+    "EMCY_IS_OPTIONAL",
+    "GUARD_MS",
+    "after_lost_heartbeat",
+    "cause_error",
+    "check_emcy",
+    "emcy_id",
+    "must_be_noticed",
+    "short_rpdo",
+]
 
 GUARD_MS = 100
+EMCY_IS_OPTIONAL = "CiA 301, 7.2.7 and 7.2.8.2.2: a heartbeat or life guarding event need not be an EMCY"
+_SHORT_RPDO = "a short RPDO"
 
 
 def emcy_id(unit: Unit) -> int:
@@ -76,7 +87,7 @@ def short_rpdo(unit: Unit) -> Callable[[], None]:
     raise NotApplicable("the EDS has no RPDO that can be used")
 
 
-_WAYS = (("a lost heartbeat", _by_heartbeat), ("life guarding", _by_life_guarding), ("a short RPDO", short_rpdo))
+_WAYS = (("a lost heartbeat", _by_heartbeat), ("life guarding", _by_life_guarding), (_SHORT_RPDO, short_rpdo))
 
 
 def _ways(unit: Unit) -> Iterator[tuple[str, Callable[[], None]]]:
@@ -87,6 +98,40 @@ def _ways(unit: Unit) -> Iterator[tuple[str, Callable[[], None]]]:
             continue
 
 
+def after_lost_heartbeat(unit: Unit, can_id: int) -> BusFrame:
+    """Return the EMCY that comes after a lost heartbeat; where none does, the case is left open."""
+    frame = unit.wait(can_id)
+    if frame is None:
+        limit_ms = unit.timing.answer_ns / 1e6
+        raise LeftOpen(f"no EMCY ({can_id:03X}h) within {limit_ms:.0f} ms after a lost heartbeat", EMCY_IS_OPTIONAL)
+    return frame
+
+
+def must_be_noticed(unit: Unit, event: str, cause: Callable[[], None]) -> None:
+    """Judge a device that sends no EMCY after a communication error.
+
+    1029h:01 = 0 has to lead it out of OPERATIONAL then.
+
+    Raises
+    ------
+    LeftOpen
+        It does, or there is no 1029h to tell.
+    CaseFailed
+        It does not: the error is not noticed at all.
+    """
+    text = f"no EMCY after {event}"
+    if unit.has(0x1029, 1) and unit.variable(0x1029, 1).access == "rw":
+        unit.write(0x1029, 1, 0)
+        unit.start()
+        cause()
+        if unit.until(lambda: unit.state() != NmtState.OPERATIONAL):
+            text += ", which the device notices: it leaves OPERATIONAL"
+        else:
+            text = f"neither an EMCY after {event}, nor does the device leave OPERATIONAL though 1029h:01 is 0"
+            raise CaseFailed(text, clause="CiA 301, 7.5.2.32")
+    raise LeftOpen(text, EMCY_IS_OPTIONAL)
+
+
 def cause_error(unit: Unit) -> tuple[str, BusFrame]:
     """Cause an error; return how, and the EMCY that came.
 
@@ -94,8 +139,10 @@ def cause_error(unit: Unit) -> tuple[str, BusFrame]:
     ------
     NotApplicable
         The EDS has nothing by which an error could be caused.
+    LeftOpen
+        No EMCY came after a lost heartbeat or life guarding, and no RPDO can be sent too short.
     CaseFailed
-        No EMCY came.
+        No EMCY came, though an RPDO was too short.
     """
     can_id = emcy_id(unit)
     tried = []
@@ -110,7 +157,10 @@ def cause_error(unit: Unit) -> tuple[str, BusFrame]:
         unit.restore()
     if not tried:
         raise NotApplicable("the EDS has neither 1016h nor guarding nor RPDOs: no error can be caused over the bus")
-    raise CaseFailed(f"no EMCY ({can_id:03X}h) after {', '.join(tried)}")
+    text = f"no EMCY ({can_id:03X}h) after {', '.join(tried)}"
+    if _SHORT_RPDO not in tried:
+        raise LeftOpen(text, EMCY_IS_OPTIONAL)
+    raise CaseFailed(text, cause="no EMCY after an RPDO that is too short", clause="CiA 301, 7.2.2 and 7.2.7")
 
 
 def check_emcy(unit: Unit, frame: BusFrame) -> None:

@@ -10,21 +10,28 @@ from typing import Any, TypeAlias
 
 from coulombus.conformance.tester.unit import Unit
 
-__all__ = ["FUNCTIONS", "Test", "case"]
+__all__ = ["FROM_DEFAULTS", "FUNCTIONS", "Test", "case"]
 
 Test: TypeAlias = Callable[[Unit], str | None]
 """A case: raises when the device fails or the case does not apply; returns a remark, or nothing."""
 
 FUNCTIONS: dict[str, Test] = {}
 
+FROM_DEFAULTS: set[str] = set()
+"""Cases that compare with defaults, or store: they begin from the device's defaults."""
 
-def case(number: str, **parameters: Any) -> Callable[[Callable[..., str | None]], Callable[..., str | None]]:
-    """Register the function below as the case `number`."""
+
+def case(
+    number: str, *, defaults: bool = False, **parameters: Any
+) -> Callable[[Callable[..., str | None]], Callable[..., str | None]]:
+    """Register the function below as the case `number`; with `defaults` it begins from them."""
 
     def register(function: Callable[..., str | None]) -> Callable[..., str | None]:
         if number in FUNCTIONS:
             raise ValueError(f"case {number} has two functions")
         FUNCTIONS[number] = partial(function, **parameters)
+        if defaults:
+            FROM_DEFAULTS.add(number)
         return function
 
     return register

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from coulombus.conformance.tester.objects import NOT_NOW, long_texts
 from coulombus.conformance.tester.unit import Unit
-from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, left_open, where
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.reader import Variable
 
-__all__ = ["LENGTHS", "must_abort", "reads_back", "refused", "shown", "text_object", "untouched"]
+__all__ = ["LENGTHS", "judge_out_of_turn", "must_abort", "reads_back", "refused", "shown", "text_object", "untouched"]
 
 TEXT = b"Coulombus writes a text of more than one segment, and of a length that is not theirs."
 
@@ -108,6 +108,21 @@ def reads_back(unit: Unit, index: int, subindex: int, text: bytes, after: str = 
         raise CaseFailed(f"{where(index, subindex)} does not read back{after}")
 
 
+OUT_OF_TURN = (Abort.TOGGLE, Abort.TIMEOUT, Abort.COMMAND, Abort.BLOCK_SIZE, Abort.SEQUENCE, Abort.GENERAL)
+"""How a request out of turn is refused."""
+
+
+def judge_out_of_turn(unit: Unit, abort: TransferAborted) -> str:
+    """Return how a request out of turn is refused.
+
+    CiA 301 names no code for it, so any of the protocol's is right; a code that its table 22 defines
+    for something else is said.
+    """
+    named = not unit.codes or abort.code in unit.codes
+    code = f"{unit.judge(abort, OUT_OF_TURN):08X}h"
+    return code if named else left_open(f"{code} for a request out of turn", "CiA 301, 7.2.4.2 and table 22")
+
+
 def must_abort(unit: Unit, request: bytes, what: str, place: tuple[int, int] = (0x1000, 0)) -> str:
     """Send a request that has no place here: it is aborted or ignored; return which.
 
@@ -117,7 +132,7 @@ def must_abort(unit: Unit, request: bytes, what: str, place: tuple[int, int] = (
     try:
         answer = unit.sdo.request(request, 0, 0, "unknown command")
     except TransferAborted as abort:
-        return "ignored" if abort.code == Abort.TIMEOUT else f"{unit.judge(abort):08X}h"
+        return "ignored" if abort.code == Abort.TIMEOUT else judge_out_of_turn(unit, abort)
     except NoAnswer:
         unit.sdo.abort(*place)
         unit.read(0x1000, 0)

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
-from coulombus.eds.cia301 import Abort
 from coulombus.eds.sdo_frames import crc16, head
 
 __all__ = ["SdoClient"]
 
 _LONGEST = 1 << 24  # an upload that is longer never ends
 BLOCK = 127
+_SDO, _BLOCKS = "CiA 301, 7.2.4", "CiA 301, 7.2.4.2.9"
 
 
 class SdoClient:
@@ -58,7 +58,7 @@ class SdoClient:
         """
         data = self._wait()
         if data is None:
-            raise NoAnswer(f"no SDO response to {what}")
+            raise NoAnswer(f"no SDO response to {what}", cause="no SDO response", clause=_SDO)
         if len(data) != 8:
             raise CaseFailed(f"SDO response to {what} has {len(data)} bytes, expected 8")
         return data
@@ -74,7 +74,8 @@ class SdoClient:
         if answer[0] == 0x80:
             place = (int.from_bytes(answer[1:3], "little"), answer[3])
             if place not in ((index, subindex), self._other) and what != "unknown command":
-                raise CaseFailed(f"abort of {what} {where(index, subindex)} names {where(*place)}")
+                text = f"abort of {what} {where(index, subindex)} names {where(*place)}"
+                raise CaseFailed(text, cause="an SDO abort names another object", clause=_SDO)
             if place == self._other:
                 index, subindex = place
             raise TransferAborted(index, subindex, int.from_bytes(answer[4:], "little"), what)
@@ -146,7 +147,7 @@ class SdoClient:
         """Initiate an upload and return the checked response."""
         answer = self.request(head(0x40, index, subindex), index, subindex, "upload of")
         if answer[0] >> 5 != 2 or answer[0] & 0x10:
-            raise CaseFailed(f"upload of {where(index, subindex)}: command {answer[0]:02X}h is no upload response")
+            raise _wrong("upload of", index, subindex, f"command {answer[0]:02X}h is no upload response")
         self._same(answer, index, subindex, "upload of")
         return answer
 
@@ -154,9 +155,9 @@ class SdoClient:
         """Read one segment; return its bytes and whether it is the last."""
         answer = self.request(bytes((0x60 | toggle,)) + bytes(7), index, subindex, "upload segment of")
         if answer[0] >> 5 != 0:
-            raise CaseFailed(f"upload segment of {where(index, subindex)}: command {answer[0]:02X}h is no segment")
+            raise _wrong("upload segment of", index, subindex, f"command {answer[0]:02X}h is no segment")
         if answer[0] & 0x10 != toggle:
-            raise CaseFailed(f"upload segment of {where(index, subindex)}: the toggle bit is not that of the request")
+            raise _wrong("upload segment of", index, subindex, "the toggle bit is not that of the request")
         return answer[1 : 8 - (answer[0] >> 1 & 7)], bool(answer[0] & 0x01)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
@@ -182,17 +183,18 @@ class SdoClient:
             answer = self.request(segment, index, subindex, "download segment to")
             if answer[0] != 0x20 | toggle:
                 text = f"command {answer[0]:02X}h, expected {0x20 | toggle:02X}h"
-                raise CaseFailed(f"download segment to {where(index, subindex)}: {text} (toggle bit {toggle >> 4})")
+                raise _wrong("download segment to", index, subindex, f"{text} (toggle bit {toggle >> 4})")
             toggle ^= 0x10
 
     def _downloaded(self, answer: bytes, index: int, subindex: int) -> None:
         if answer[0] != 0x60:
-            raise CaseFailed(f"download to {where(index, subindex)}: command {answer[0]:02X}h, expected 60h")
+            raise _wrong("download to", index, subindex, f"command {answer[0]:02X}h, expected 60h")
         self._same(answer, index, subindex, "download to")
 
     def _same(self, answer: bytes, index: int, subindex: int, what: str) -> None:
         if answer[1:4] != head(0, index, subindex)[1:4]:
-            raise CaseFailed(f"{what} {where(index, subindex)}: the response names {_named(answer)}")
+            text = f"{what} {where(index, subindex)}: the response names {_named(answer)}"
+            raise CaseFailed(text, cause="an SDO response names another object", clause=_SDO)
 
     # block transfer
 
@@ -206,7 +208,7 @@ class SdoClient:
         request = head(0xA0 | 0x04 * crc, index, subindex, bytes((size, 0)))
         answer = self.request(request, index, subindex, "block upload of")
         if answer[0] >> 5 != 6 or answer[0] & 0x01:
-            raise CaseFailed(f"block upload of {where(index, subindex)}: command {answer[0]:02X}h, expected C0h to C6h")
+            raise _wrong("block upload of", index, subindex, f"command {answer[0]:02X}h, expected C0h to C6h")
         self._same(answer, index, subindex, "block upload of")
         return bool(answer[0] & 0x04), int.from_bytes(answer[4:], "little") if answer[0] & 0x02 else None
 
@@ -272,7 +274,9 @@ class SdoClient:
         agreed = crc and has_crc
         return self.end_block_upload(index, subindex, segments, crc=agreed, said=said), agreed
 
-    def initiate_block_download(self, index: int, subindex: int, size: int, *, crc: bool) -> tuple[bool, int]:
+    def initiate_block_download(
+        self, index: int, subindex: int, size: int, *, crc: bool, optional: tuple[int, ...] = ()
+    ) -> tuple[bool, int]:
         """Initiate a block download of `size` bytes.
 
         Return whether the server has a CRC, and its block size.
@@ -280,19 +284,18 @@ class SdoClient:
         Raises
         ------
         NotApplicable
-            The server refuses the command: it has no block downloads, which is allowed.
+            The server aborts it (with `optional`: with one of these codes): it has no block
+            downloads, which is allowed.
         """
         request = head(0xC2 | 0x04 * crc, index, subindex, size.to_bytes(4, "little"))
         try:
             answer = self.request(request, index, subindex, "block download to")
         except TransferAborted as abort:
-            if abort.code != Abort.COMMAND:
+            if optional and abort.code not in optional:
                 raise
-            raise NotApplicable("the server refuses block downloads (05040001h)") from None
+            raise NotApplicable(f"the server refuses block downloads ({abort.code:08X}h)") from None
         if answer[0] & 0xFB != 0xA0:
-            raise CaseFailed(
-                f"block download to {where(index, subindex)}: command {answer[0]:02X}h, expected A0h or A4h"
-            )
+            raise _wrong("block download to", index, subindex, f"command {answer[0]:02X}h, expected A0h or A4h")
         self._same(answer, index, subindex, "block download to")
         if not 1 <= answer[4] <= BLOCK:
             raise CaseFailed(f"block download to {where(index, subindex)}: block size {answer[4]}, expected 1 to 127")
@@ -315,9 +318,21 @@ class SdoClient:
         if answer[0] != 0xA1:
             raise CaseFailed(f"block download to {where(index, subindex)}: command {answer[0]:02X}h, expected A1h")
 
-    def block_download(self, index: int, subindex: int, data: bytes, *, crc: bool, wrong_crc: bool = False) -> bool:
-        """Write an object by block transfer; return whether a CRC was agreed."""
-        has_crc, size = self.initiate_block_download(index, subindex, len(data), crc=crc)
+    def block_download(
+        self,
+        index: int,
+        subindex: int,
+        data: bytes,
+        *,
+        crc: bool,
+        wrong_crc: bool = False,
+        optional: tuple[int, ...] = (),
+    ) -> bool:
+        """Write an object by block transfer; return whether a CRC was agreed.
+
+        Raises as `initiate_block_download`.
+        """
+        has_crc, size = self.initiate_block_download(index, subindex, len(data), crc=crc, optional=optional)
         agreed = crc and has_crc
         segments = [data[start : start + 7].ljust(7, b"\0") for start in range(0, max(len(data), 1), 7)]
         position = repeated = 0
@@ -337,6 +352,12 @@ class SdoClient:
         checksum = crc16(data) if agreed else 0
         self.end_block_download(index, subindex, len(data), checksum ^ 0x5555 if wrong_crc else checksum)
         return agreed
+
+
+def _wrong(what: str, index: int, subindex: int, text: str) -> CaseFailed:
+    """Return the failure of a response, whose cause does not depend on the object."""
+    clause = _BLOCKS if what.startswith("block") else _SDO
+    return CaseFailed(f"{what} {where(index, subindex)}: {text}", cause=f"{what} an object: {text}", clause=clause)
 
 
 def _named(answer: bytes) -> str:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from coulombus.conformance.tester.described_device import DescribedDevice, is_signed
 from coulombus.conformance.tester.sdo_client import SdoClient
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, TransferAborted, where
-from coulombus.eds.cia301 import CobId, NmtCommand, NmtState, abort_text
+from coulombus.eds.cia301 import Abort, CobId, NmtCommand, NmtState, abort_text
 from coulombus.eds.data import encode
 from coulombus.eds.reader import Description, Value
-from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bus_link import RTR, BusFrame, FrameLink
 
 __all__ = ["MS", "Timing", "Unit", "encode"]
@@ -71,6 +70,11 @@ class Unit(DescribedDevice):
         self.rooms: dict[tuple[int, int], int] = {}
         """How many bytes a writable text was found to hold."""
         self.abilities: dict[tuple[int, int], int] = {}
+        self.running: set[tuple[int, int]] = set()
+        """Objects that were seen to change by themselves."""
+        self.from_defaults = self.ever_stored = False
+        self.stays_stored = ""
+        """Why the device keeps what the run stored in it."""
         self.channel(self.default_sdo_id(1, CobId.SDO_RX), self.default_sdo_id(2, CobId.SDO_TX))
 
     def channel(self, request_id: int, response_id: int) -> None:
@@ -81,7 +85,9 @@ class Unit(DescribedDevice):
     # frames
 
     def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
-        """Send a frame."""
+        """Send a frame, behind all that has come: the trace is in the order of time."""
+        while self._next(self.link.now_ns()) is not None:
+            pass
         size = len(data) if length is None else length
         self.trace.append(BusFrame(self.link.now_ns(), can_id, data, size, sent=True))
         self.link.send(can_id, data, length)
@@ -120,6 +126,25 @@ class Unit(DescribedDevice):
         self.pause(duration_ns)
         return self.take(can_id)
 
+    def until(self, done: Callable[[], bool]) -> bool:
+        """Ask `done` again and again until it is true, at most for the time-out of an answer; return
+        what it said last.
+        """
+        until_ns = self.link.now_ns() + self.timing.answer_ns
+        while not (result := done()) and self.link.now_ns() < until_ns:
+            self.pause(2 * MS)
+        return result
+
+    def gather(self, can_id: int, count: int) -> list[BusFrame]:
+        """Return the frames with this identifier: `count`, as soon as they come in time, and what
+        comes in the quiet time behind them.
+        """
+        until_ns = self.link.now_ns() + self.timing.answer_ns
+        while sum(frame.can_id == can_id for frame in self._inbox) < count and self.link.now_ns() < until_ns:
+            self._next(until_ns)
+        self.pause(self.timing.quiet_ns)
+        return self.take(can_id)
+
     def wait(self, can_id: int, timeout_ns: int | None = None) -> BusFrame | None:
         """Return the first frame with this identifier that has come or comes in time."""
         until_ns = self.link.now_ns() + (self.timing.answer_ns if timeout_ns is None else timeout_ns)
@@ -135,7 +160,8 @@ class Unit(DescribedDevice):
         frame = self.wait(can_id, timeout_ns)
         if frame is None:
             limit_ns = self.timing.answer_ns if timeout_ns is None else timeout_ns
-            raise NoAnswer(f"no {what} ({can_id & 0x7FF:03X}h) within {limit_ns / 1e6:.0f} ms")
+            text = f"no {what} ({can_id & 0x7FF:03X}h) within {limit_ns / 1e6:.0f} ms"
+            raise NoAnswer(text, cause=f"no {what}")
         return frame
 
     # SDO
@@ -196,14 +222,30 @@ class Unit(DescribedDevice):
     def refused(self, index: int, subindex: int, value: Value | bytes, codes: Sequence[int] | None = None) -> int:
         """Write what the device must refuse.
 
-        Return its abort code, which must be one of `codes` (none: any).
+        Return its abort code, which must be one of `codes` (none: any), or say that a limit of the
+        EDS is exceeded where one is.
         """
         data = value if isinstance(value, bytes) else encode(self.variable(index, subindex), value)
         try:
             self.write_raw(index, subindex, data)
         except TransferAborted as abort:
-            return self.judge(abort, codes)
+            accepted = self.codes if codes is None else tuple(codes)
+            return self.judge(abort, accepted and (*accepted, *self.range_codes(index, subindex, data)))
         raise CaseFailed(f"{where(index, subindex)} took {data.hex(' ').upper()}, which it has to refuse")
+
+    def range_codes(self, index: int, subindex: int, data: bytes) -> tuple[int, ...]:
+        """Return the abort codes that refuse bytes because they exceed a limit of the EDS; none
+        where they do not.
+        """
+        if not self.has(index, subindex):
+            return ()
+        variable = self.variable(index, subindex)
+        number = int.from_bytes(data, "little", signed=is_signed(variable))
+        if isinstance(variable.high, int) and number > variable.high:
+            return Abort.VALUE, Abort.VALUE_HIGH
+        if isinstance(variable.low, int) and number < variable.low:
+            return Abort.VALUE, Abort.VALUE_LOW
+        return ()
 
     def write_raw(self, index: int, subindex: int, data: bytes) -> None:
         """Write bytes; when they are taken, what was there before is kept for `restore`."""
@@ -223,7 +265,8 @@ class Unit(DescribedDevice):
         accepted = self.codes if codes is None else tuple(codes)
         if accepted and abort.code not in accepted:
             expected = ", ".join(f"{code:08X}h" for code in accepted)
-            raise CaseFailed(f"{where(abort.index, abort.subindex)}: {abort_text(abort.code)}; expected {expected}")
+            text = f"{where(abort.index, abort.subindex)}: {abort_text(abort.code)}; expected {expected}"
+            raise CaseFailed(text, clause="CiA 301, table 22")
         return abort.code
 
     # NMT
@@ -254,7 +297,8 @@ class Unit(DescribedDevice):
         boot = self._boot_up(wait_ns)
         self.boots = boot is not None
         if boot is None and must:
-            raise NoAnswer(f"no boot-up message ({CobId.HEARTBEAT + self.node_id:03X}h) after NMT command {command}")
+            text = f"no boot-up message ({CobId.HEARTBEAT + self.node_id:03X}h) after NMT command {command}"
+            raise NoAnswer(text, cause="no boot-up message", clause="CiA 301, 7.2.8.3.3")
         self.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)  # 1F80h may have started it
         self.dirty = False
         return boot
@@ -294,20 +338,64 @@ class Unit(DescribedDevice):
             return frame.data[0] & 0x7F if frame and frame.data else None
         return None
 
+    # storing
+
+    def learn_abilities(self) -> None:
+        """Read what 1010h and 1011h can do, before a signature is written: a simple device keeps
+        that as its value.
+        """
+        for index in (0x1010, 0x1011):
+            for subindex in self.description.objects[index].variables if index in self.description.objects else ():
+                if 0 < subindex < 0xFF:
+                    try:
+                        self.abilities[index, subindex] = self.number(index, subindex)
+                    except NoAnswer:
+                        return
+                    except CaseFailed:
+                        continue
+
+    def able(self, index: int, subindex: int = 1) -> bool:
+        """Tell whether 1010h or 1011h works on command (bit 0 of what it can do)."""
+        return bool(self.abilities.get((index, subindex), 0) & ON_COMMAND)
+
     def need_ability(self, index: int, subindex: int = 1) -> None:
-        """Make sure that 1010h or 1011h works on command (bit 0 of what it can do).
+        """Make sure that 1010h or 1011h works on command, and that what is stored can be undone.
 
         Raises
         ------
         NotApplicable
-            It does not, or is not in the EDS.
+            It does not, or is not in the EDS; or 1011h:01 does not: what is stored would stay.
         """
         self.need(index, subindex)
         if (index, subindex) not in self.abilities:
             raise CaseFailed(f"{where(index, subindex)} cannot be read")
-        value = self.abilities[index, subindex]
-        if not value & ON_COMMAND:
-            raise NotApplicable(f"{where(index, subindex)} is {value:08X}h: not on command")
+        if not self.able(index, subindex):
+            raise NotApplicable(f"{where(index, subindex)} is {self.abilities[index, subindex]:08X}h: not on command")
+        if not self.able(0x1011):
+            raise NotApplicable("without 1011h:01 on command what is stored would stay: nothing is stored")
+
+    def save(self, subindex: int = 1) -> None:
+        """Store parameters (1010h); `restore` loads the defaults again.
+
+        Raises
+        ------
+        NotApplicable
+            The device does not store on command, or cannot undo it.
+        """
+        self.need_ability(0x1010, subindex)
+        self.stored = self.dirty = True
+        self.sdo.download(0x1010, subindex, b"save")
+
+    def forget_stored(self) -> None:
+        """Let the device load its defaults (1011h) and reset."""
+        self.stored, self.ever_stored = False, True
+        try:
+            self.sdo.download(0x1011, 1, b"load")
+        except CaseFailed as why:
+            self.stays_stored = str(why)
+            return
+        self.stays_stored = ""
+        self.dirty = True
 
     # life of a case
 
@@ -344,31 +432,6 @@ class Unit(DescribedDevice):
             self._undo.clear()
             if self.stored:
                 self.forget_stored()
-
-    def learn_abilities(self) -> None:
-        """Read what 1010h and 1011h can do, before a signature is written: a simple device keeps
-        that as its value.
-        """
-        for index in (0x1010, 0x1011):
-            for subindex in self.description.objects[index].variables if index in self.description.objects else ():
-                if 0 < subindex < 0xFF:
-                    try:
-                        self.abilities[index, subindex] = self.number(index, subindex)
-                    except NoAnswer:
-                        return
-                    except CaseFailed:
-                        continue
-
-    def forget_stored(self) -> None:
-        """Let the device load its defaults (1011h) and reset."""
-        self.stored = False
-        try:
-            self.sdo.download(0x1011, 1, b"load")
-        except BusUnavailable:
-            raise
-        except CaseFailed:
-            return
-        self.dirty = True
 
 
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED

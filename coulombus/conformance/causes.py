@@ -1,0 +1,35 @@
+"""The causes of a run's failures: a fault that many cases meet is told once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from coulombus.conformance.runner import Report
+
+__all__ = ["Cause", "causes"]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A fault of the device: in words, where the standard forbids it, the cases that it fails, and
+    the frames of the first of them.
+    """
+
+    text: str
+    clause: str
+    cases: tuple[str, ...]
+    frames: tuple[str, ...]
+
+
+def causes(report: Report) -> list[Cause]:
+    """Return the causes of the failures, those that fail the most cases first."""
+    outcomes: dict[str, list[int]] = {}
+    for number, outcome in enumerate(report.outcomes):
+        if outcome.result == "fail":
+            outcomes.setdefault(outcome.cause, []).append(number)
+    listed = []
+    for text, numbers in outcomes.items():
+        first = report.outcomes[numbers[0]]
+        cases = tuple(report.outcomes[number].case.id for number in numbers)
+        listed.append(Cause(text if len(cases) > 1 else first.reason, first.clause, cases, first.frames))
+    return sorted(listed, key=lambda cause: -len(cause.cases))
