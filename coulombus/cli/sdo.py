@@ -31,6 +31,8 @@ __all__ = ["sdo"]
 
 WIDTH = 80
 CHECK_FAILED, ABORTED = 1, 6
+STATE_BEHIND_COMMAND = (0x1010, 0x1011, 0x1023, 0x1024, 0x1F50, 0x1F51)
+"""A write of these is a command (CiA 301, 7.5.2.13); a read tells a state, never what was written."""
 
 node_argument = click.argument("node_id", type=click.IntRange(1, 127), metavar="NODE")
 object_argument = click.argument("name", metavar="OBJECT")
@@ -145,13 +147,11 @@ def set_command(
       coulombus sdo set 5 2000h:03 7 --type UNSIGNED8 --bus socketcan:can0
     """
     with errors():
-        from coulombus.host.devices.configuration import COMMANDS
-
         with reached.open(node_id, to_write=True) as (_, device), LiveLine() as show:
             variable = device.find(name)
             data = device.parse(variable, value, type_name=type_name)
             back = device.write(variable, data, lambda done, total: show(f"{done} of {total} bytes"))
-        commands = variable.index in COMMANDS and back is not None  # what is read is a state, not what was written
+        commands = variable.index in STATE_BEHIND_COMMAND and back is not None
         kept = commands or back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
         with verdict(0 if kept else CHECK_FAILED):
             if as_json:

@@ -43,7 +43,6 @@ def as_dict(report: Report) -> dict[str, Any]:
                 "name": outcome.case.name,
                 "result": outcome.result,
                 "reason": outcome.reason,
-                **({"cause": outcome.cause, "clause": outcome.clause} if outcome.result == "fail" else {}),
                 **({"frames": list(outcome.frames)} if outcome.result in _SHOWN else {}),
             }
             for outcome in report.outcomes

@@ -68,7 +68,7 @@ def mixed_report():
 
 def test_json_has_the_agreed_keys():
     report = as_dict(mixed_report())
-    assert report.keys() == {"passed", "failed", "not_applicable", "errors", "complete", "cases"}
+    assert report.keys() == {"passed", "failed", "not_applicable", "errors", "complete", "remarks", "causes", "cases"}
     assert (report["errors"], report["complete"]) == (0, True)
     results = {one["id"]: one["result"] for one in report["cases"]}
     assert results["2.1"] == "fail"

@@ -444,9 +444,9 @@ def answers_to_every_guarding(link, can_id, data, length):
     return 0x701 | RTR if can_id & RTR and can_id & 0x780 == 0x700 else can_id, data, length
 
 
-@sends("7.6")
-def life_guarding_without_event(link, frame):
-    return None if frame.can_id == 0x81 else frame
+@takes("7.6")
+def life_guarding_without_event(link, can_id, data, length):
+    return ok(data) if can_id == 0x601 and written(data) == (0x100D, 0) else (can_id, data, length)
 
 
 @sends("7.102")

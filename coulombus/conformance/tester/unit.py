@@ -327,7 +327,9 @@ class Unit(DescribedDevice):
                 period_ms = self.number(0x1017)
                 if period_ms:
                     self.flush()
-                    frame = self.wait(identifier, self.timing.answer_ns + 2 * period_ms * MS)
+                    wait_ns = self.timing.answer_ns + 2 * period_ms * MS
+                    self._deadline_ns = max(self._deadline_ns, self.link.now_ns() + wait_ns)
+                    frame = self.wait(identifier, wait_ns)
                     return frame.data[0] & 0x7F if frame and frame.data else None
             except (CaseFailed, TransferAborted):
                 pass  # STOPPED: no SDO
