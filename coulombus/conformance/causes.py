@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from coulombus.conformance.runner import Report
 
-__all__ = ["Cause", "causes"]
+__all__ = ["FailureCause", "causes"]
 
 
 @dataclass(frozen=True)
-class Cause:
+class FailureCause:
     """A fault of the device: in words, where the standard forbids it, the cases that it fails, and
     the frames of the first of them.
     """
@@ -21,7 +21,7 @@ class Cause:
     frames: tuple[str, ...]
 
 
-def causes(report: Report) -> list[Cause]:
+def causes(report: Report) -> list[FailureCause]:
     """Return the causes of the failures, those that fail the most cases first."""
     outcomes: dict[str, list[int]] = {}
     for number, outcome in enumerate(report.outcomes):
@@ -31,5 +31,5 @@ def causes(report: Report) -> list[Cause]:
     for text, numbers in outcomes.items():
         first = report.outcomes[numbers[0]]
         cases = tuple(report.outcomes[number].case.id for number in numbers)
-        listed.append(Cause(text if len(cases) > 1 else first.reason, first.clause, cases, first.frames))
+        listed.append(FailureCause(text if len(cases) > 1 else first.reason, first.clause, cases, first.frames))
     return sorted(listed, key=lambda cause: -len(cause.cases))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from coulombus.conformance.causes import Cause, causes
+from coulombus.conformance.causes import FailureCause, causes
 from coulombus.conformance.runner import Outcome, Report
 from coulombus.system.foreign_text import one_line, printable
 from coulombus.system.quoting import xml
@@ -18,7 +18,7 @@ WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable", "er
 _SHOWN = ("fail", "error")
 
 
-def heading(cause: Cause) -> str:
+def heading(cause: FailureCause) -> str:
     """Return the line above a cause's frames: what it is, the clause, and the cases that it fails."""
     cases = f"{len(cause.cases)} cases: " if len(cause.cases) > 1 else "case "
     return f"{cause.text} ({cause.clause}; {cases}{', '.join(cause.cases)})"

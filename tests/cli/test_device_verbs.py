@@ -248,6 +248,16 @@ def test_get_and_set(desk):
     assert call("sdo", "get", 3, "1000h", *BUS, "--rig", "bench").exit_code == 3
 
 
+@pytest.mark.parametrize(("index", "signature"), [("1010h:01", "0x65766173"), ("1011h:01", "0x64616F6C")])
+def test_a_command_is_not_read_back(desk, index, signature):
+    """1010h and 1011h tell what they can do, never the signature that was written."""
+    result = call("sdo", "set", 1, index, signature, *BUS)
+    assert result.exit_code == 0
+    assert result.stdout == "1 (00000001h)\n"
+    assert "holds another value" not in result.stderr
+    assert call("sdo", "set", 1, index, "5", *BUS).exit_code == 6
+
+
 @pytest.mark.parametrize(
     ("words", "status", "text"),
     [

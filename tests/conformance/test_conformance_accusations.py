@@ -163,6 +163,13 @@ def test_an_nmt_command_may_take_effect_late(delay_ms):
     only(outcomes(Slave(takes=late(delay_ms * MS, NMT)), *commands), "pass")
 
 
+@few
+@given(st.integers(0, 70))
+def test_pdos_and_sync_may_be_looked_at_late_after_a_start(delay_ms):
+    cases = ("3.3", "3.5", "3.6", "3.7", "3.8", "6.3", "6.4", "R.1", "R.4", "T.4", "T.6", "H.5", "P.4")
+    only(outcomes(Slave(takes=late(delay_ms * MS, NMT)), *cases), "pass")
+
+
 @pytest.mark.parametrize("timeout_s", [0.1, 1.0])
 def test_what_takes_longer_than_the_time_out_fails(timeout_s):
     slave = Slave(takes=late_mode_display(int(3e9 * timeout_s)))

@@ -71,14 +71,14 @@ def history(unit: Unit) -> str | None:
 
 @case("5.4")
 def emergency(unit: Unit) -> str:
-    """Cause an error, and look at the EMCY's identifier, length, code and register."""
+    """FailureCause an error, and look at the EMCY's identifier, length, code and register."""
     how, frame = cause_error(unit)
     return f"{int.from_bytes(frame.data[:2], 'little'):04X}h after {how}"
 
 
 @case("5.5")
 def register_with_error(unit: Unit) -> str:
-    """Cause an error, and compare 1001h with the EMCY."""
+    """FailureCause an error, and compare 1001h with the EMCY."""
     _, frame = cause_error(unit)
     value = unit.number(0x1001)
     if value != frame.data[2] or not value & 0x01:
@@ -88,7 +88,7 @@ def register_with_error(unit: Unit) -> str:
 
 @case("5.6")
 def history_with_error(unit: Unit) -> str:
-    """Cause an error, and compare the newest entry of 1003h with the EMCY."""
+    """FailureCause an error, and compare the newest entry of 1003h with the EMCY."""
     unit.need(0x1003, 1)
     _, frame = cause_error(unit)
     count, entry = unit.number(0x1003, 0), unit.number(0x1003, 1)
@@ -141,7 +141,7 @@ def error_reset(unit: Unit) -> str:
 
 @case("E.2")
 def history_cleared(unit: Unit) -> None:
-    """Cause an error; 1003h:00 refuses 1 and takes 0, which clears the list."""
+    """FailureCause an error; 1003h:00 refuses 1 and takes 0, which clears the list."""
     unit.need_writable(0x1003, 0)
     cause_error(unit)
     unit.refused(0x1003, 0, b"\1", REFUSED)
@@ -260,7 +260,7 @@ def newest_first(unit: Unit) -> str:
 
 @case("E.8")
 def after_reset(unit: Unit) -> None:
-    """Cause an error, and reset the node: nothing is watched any more, and 1001h is at most what it
+    """FailureCause an error, and reset the node: nothing is watched any more, and 1001h is at most what it
     was before.
 
     An error of the device may be present all the time; an error of communication is not, behind a

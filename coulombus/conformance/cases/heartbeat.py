@@ -33,7 +33,7 @@ def check_heartbeats(unit: Unit, period_ms: int, *, ask: bool = False) -> int:
 
     With `ask`, remote frames go out.
     """
-    text = ""
+    text = cause = ""
     for _ in range(3):  # the tester may be late itself
         unit.flush()
         for _ in range(12):
@@ -46,12 +46,13 @@ def check_heartbeats(unit: Unit, period_ms: int, *, ask: bool = False) -> int:
                 raise CaseFailed(f"a heartbeat is {frame.data.hex(' ')!r}, expected one byte 04h, 05h or 7Fh")
         if len(frames) < 2:
             text = f"{len(frames)} heartbeats in {12 * period_ms} ms; 1017h is {period_ms} ms"
-            raise CaseFailed(text, cause="" if frames else "no heartbeat", clause="CiA 301, 7.5.2.20")
+            cause = "" if frames else "no heartbeat"
+            continue
         mean_ms = (frames[-1].t_ns - frames[0].t_ns) / (len(frames) - 1) / 1e6
         if abs(mean_ms - period_ms) <= 0.1 * period_ms:
             return len(frames)
         text = f"heartbeats come every {mean_ms:.1f} ms; 1017h is {period_ms} ms"
-    raise CaseFailed(text)
+    raise CaseFailed(text, cause=cause, clause="CiA 301, 7.5.2.20")
 
 
 @case("7.101")

@@ -124,7 +124,7 @@ def only_on_request(unit: Unit, transmission: int) -> str:
     k, can_id, event = armed(unit, transmission, rtr=True)
     unit.start()
     sync(unit)
-    unit.pause(CALM_NS)
+    unit.pause(unit.timing.quiet_ns)
     before = ask(unit, can_id)
     if before is None:
         raise NoAnswer(f"TPDO {k + 1} of type {transmission} does not answer a remote frame")
@@ -142,7 +142,7 @@ def only_on_request(unit: Unit, transmission: int) -> str:
     unit.pause(unit.timing.quiet_ns)
     if unit.take(can_id):
         raise CaseFailed(f"TPDO {k + 1} of type {transmission} comes with a SYNC")
-    if ask(unit, can_id) == before:
+    if not unit.until(lambda: ask(unit, can_id) != before):
         raise CaseFailed(f"TPDO {k + 1} of type {transmission}: an old value after a SYNC")
     return f"TPDO {k + 1}"
 

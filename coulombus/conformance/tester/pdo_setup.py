@@ -316,7 +316,7 @@ class Event:
         return (self.word,) if self.k in remappable(self.unit, TPDO) and fits(self.unit, self.word & 0xFF) else ()
 
     def fire_and_see(self) -> None:
-        """Cause one change in OPERATIONAL.
+        """FailureCause one change in OPERATIONAL.
 
         Raises
         ------
@@ -344,7 +344,7 @@ class Event:
         raise NotApplicable(f"no {what}: a change of {place} is no event here, which is left to the device")
 
     def fire(self, state: NmtState = OPERATIONAL) -> None:
-        """Cause one change."""
+        """FailureCause one change."""
         if not self.possible:
             return
         if self.unit.is_drive and state != STOPPED:

@@ -133,7 +133,7 @@ def must_be_noticed(unit: Unit, event: str, cause: Callable[[], None]) -> None:
 
 
 def cause_error(unit: Unit) -> tuple[str, BusFrame]:
-    """Cause an error; return how, and the EMCY that came.
+    """FailureCause an error; return how, and the EMCY that came.
 
     Raises
     ------

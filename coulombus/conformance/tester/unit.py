@@ -282,8 +282,9 @@ class Unit(DescribedDevice):
         self.pause(self.timing.settle_ns)
 
     def start(self) -> None:
-        """Make it OPERATIONAL."""
+        """Make it OPERATIONAL, and give it the time to look at PDOs and SYNC."""
         self.nmt(NmtCommand.START)
+        self.pause(self.timing.quiet_ns)
 
     def reset(self, command: int = NmtCommand.RESET_NODE, *, must: bool = False) -> BusFrame | None:
         """Reset the device and return its boot-up message; PRE-OPERATIONAL follows.
