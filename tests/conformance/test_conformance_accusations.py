@@ -18,6 +18,7 @@ from conformance_slaves import (
     OPERATING_TIME,
     REQUEST,
     RESPONSE,
+    SYNC,
     Slave,
     distorting_object,
     kept_object,
@@ -39,6 +40,7 @@ from conformance_slaves import (
     without_restore,
     wrong_default,
 )
+from coulombus.conformance.catalogue import catalogue
 from coulombus.conformance.causes import causes
 from coulombus.conformance.report import as_dict, heading, markdown, page
 from coulombus.conformance.tester.storage import intention
@@ -413,3 +415,44 @@ def test_a_sound_run_has_no_cause():
     report = run_on(new_unit("motor"), "2.1", "4.2")
     assert causes(report) == []
     assert as_dict(report)["causes"] == []
+
+
+def _no_sync(link, can_id, data, length):
+    return None if can_id == SYNC else (can_id, data, length)
+
+
+def _no_lss(link, can_id, data, length):
+    return None if can_id == 0x7E5 else (can_id, data, length)
+
+
+@pytest.mark.parametrize(
+    ("takes", "numbers", "text"),
+    [
+        (_no_sync, ("3.6", "3.8", "3.22", "6.3", "6.4", "Y.1", "9.3", "10.3"), "no TPDO comes with a SYNC"),
+        (_no_lss, ("L.1", "L.4", "L.5", "L.7", "L.8", "L.9"), "no LSS slave answers"),
+        (late(10**12, 0x201, 0x301, 0x401, 0x501), ("R.1", "R.4", "R.6", "R.7"), "an RPDO does not act on its object"),
+        (late_mode_display(10**12), ("P.8",), "6061h is "),
+    ],
+)
+def test_one_fault_is_one_cause(takes, numbers, text):
+    report = run_on(unit_of(Slave(takes=takes)), *numbers)
+    (cause,) = causes(report)
+    assert set(cause.cases) == set(numbers)
+    assert cause.text.startswith(text)
+    assert cause.clause.startswith("CiA ")
+
+
+def test_every_case_has_its_clause():
+    assert all(case.clause.startswith("CiA ") for case in catalogue())
+
+
+def test_what_cannot_tell_its_state_is_left_open():
+    """Neither heartbeat nor guarding: that 1029h acts cannot be seen."""
+
+    def eds(text):
+        return with_key("1017", "AccessType=const", without(0x100C, without(0x100D, text)))
+
+    slave = Slave(sends=no_emcy_of_error_control, eds=eds)
+    result, reason = outcomes(slave, "7.106")["7.106"]
+    assert result == "not_applicable"
+    assert "leaves OPERATIONAL" not in reason

@@ -72,7 +72,8 @@ def expect_state(unit: Unit, expected: PowerState, what: str) -> None:
     """Fail unless the drive gets there within the answer's time-out."""
     if not unit.until(lambda: power_state(unit) == expected):
         state = power_state(unit)
-        raise CaseFailed(f"{state.name if state is not None else 'no state'} after {what}, expected {expected.name}")
+        text = f"{state.name if state is not None else 'no state'} after {what}, expected {expected.name}"
+        raise CaseFailed(text, cause=f"the drive does not get to {expected.name}")
 
 
 def no_torque(unit: Unit) -> None:

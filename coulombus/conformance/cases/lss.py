@@ -62,7 +62,7 @@ def words(unit: Unit, services: tuple[int, ...], values: list[int]) -> None:
 
 def answer(unit: Unit, service: int, what: str) -> bytes:
     """Return the slave's answer, of this service."""
-    frame = unit.expect(CobId.LSS_TX, f"LSS answer to {what}")
+    frame = unit.expect(CobId.LSS_TX, f"LSS answer to {what}", cause="no LSS slave answers")
     if frame.length != 8 or frame.data[0] != service:
         raise CaseFailed(f"the LSS answer to {what} is {frame.data.hex(' ')}, expected service {service:02X}h")
     return frame.data[1:]

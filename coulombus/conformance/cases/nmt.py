@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from coulombus.conformance.tester.objects import READ_ONLY, volatile
-from coulombus.conformance.tester.pdo_setup import TPDO, Unsupported, arm, enter, sync
+from coulombus.conformance.tester.pdo_setup import NO_SYNC_TPDO, TPDO, Unsupported, arm, enter, sync
 from coulombus.conformance.tester.pdo_stimuli import candidates
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.sdo_checks import reads_back, text_object
@@ -94,7 +94,7 @@ def check_state(unit: Unit, state: NmtState, can_id: int | None = None) -> None:
         return
     if state == OPERATIONAL:
         if not sends_pdo(unit, can_id, patient=True):
-            raise CaseFailed("no PDO in OPERATIONAL")
+            raise CaseFailed("no PDO in OPERATIONAL", cause=NO_SYNC_TPDO)
     elif not unit.until(lambda: not sends_pdo(unit, can_id, patient=False)):
         raise CaseFailed(f"a PDO in {state.name}")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from coulombus.conformance.tester.objects import NOT_NOW
 from coulombus.conformance.tester.pdo_setup import (
     INVALID,
+    NO_SYNC_TPDO,
     READABLE,
     RPDO,
     TPDO,
@@ -142,7 +143,7 @@ def _send_once(unit: Unit, k: int) -> None:
     unit.start()
     unit.flush()
     sync(unit)
-    frame = unit.expect(can_id, f"TPDO {k + 1} with its new map after a SYNC")
+    frame = unit.expect(can_id, f"TPDO {k + 1} with its new map after a SYNC", cause=NO_SYNC_TPDO)
     if frame.length != length:
         raise CaseFailed(f"TPDO {k + 1} has {frame.length} bytes; its new map has {length}")
 

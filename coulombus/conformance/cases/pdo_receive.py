@@ -34,6 +34,7 @@ HARMLESS = (0x6087, 0x60E0, 0x60E1, 0x6072)
 """Objects of a drive that a PDO may carry and that move nothing while its power stage is off."""
 
 CALM_NS = 10 * MS
+NO_EFFECT = "an RPDO does not act on its object"
 DEADLINE_MS = 50
 WINDOW_MS = 20
 
@@ -70,7 +71,7 @@ def rpdo_data(unit: Unit) -> str:
     unit.start()
     unit.send(can_id, data)
     if not unit.until(lambda: unit.number(index) == value):
-        raise CaseFailed(f"{where(index, 0)} is {unit.number(index)} after an RPDO with {value}")
+        raise CaseFailed(f"{where(index, 0)} is {unit.number(index)} after an RPDO with {value}", cause=NO_EFFECT)
     unit.restore()
     unit.reset()
     can_id, index, value, data = harmless(unit, 1)
@@ -160,7 +161,8 @@ class Harmless:
     def expect(self, value: int, when: str) -> None:
         """Fail unless the object gets this value in time."""
         if not self.unit.until(lambda: self.value() == value):
-            raise CaseFailed(f"{self.name} is {self.value()} {when}, expected {value}")
+            cause = NO_EFFECT if self.value() == self.before else ""
+            raise CaseFailed(f"{self.name} is {self.value()} {when}, expected {value}", cause=cause)
 
 
 @case("R.4")

@@ -7,12 +7,13 @@ from __future__ import annotations
 from coulombus.conformance.tester.objects import volatile
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.sdo_checks import shown, text_object
-from coulombus.conformance.tester.unit import Unit, encode
+from coulombus.conformance.tester.unit import STORE_IS_LOST, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 
 __all__: list[str] = []
 
 LOAD = b"load"
+_STORED = "after store and reset"
 STORE, RESTORE = 0x1010, 0x1011
 
 RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x77F, 0x780, 0x7FF)
@@ -46,7 +47,8 @@ def is_now(unit: Unit, index: int, subindex: int, expected: bytes, when: str) ->
     """Fail unless an object has a value."""
     data = unit.read(index, subindex)
     if data != expected:
-        raise CaseFailed(f"{where(index, subindex)} is {data.hex()} {when}, expected {expected.hex()}")
+        cause = STORE_IS_LOST if when == _STORED else ""
+        raise CaseFailed(f"{where(index, subindex)} is {data.hex()} {when}, expected {expected.hex()}", cause=cause)
 
 
 @case("8.1", defaults=True, index=STORE)
@@ -87,7 +89,7 @@ def store(unit: Unit) -> str:
     command(unit, STORE, 1)
     unit.put(index, subindex, before)
     unit.reset()
-    is_now(unit, index, subindex, data, "after store and reset")
+    is_now(unit, index, subindex, data, _STORED)
     return where(index, subindex)
 
 
@@ -118,7 +120,7 @@ def _restore(unit: Unit, group: int) -> str:
     index, subindex, before, data = change(unit)
     command(unit, STORE, 1)
     unit.reset()
-    is_now(unit, index, subindex, data, "after store and reset")
+    is_now(unit, index, subindex, data, _STORED)
     command(unit, RESTORE, group)
     is_now(unit, index, subindex, data, "after restore, before the reset")
     unit.reset()
@@ -151,7 +153,7 @@ def verify_configuration(unit: Unit) -> None:
         unit.put(0x1020, subindex, b"\1\0\0\0")
     unit.reset()
     for subindex, data in expected.items():
-        is_now(unit, 0x1020, subindex, data, "after store and reset")
+        is_now(unit, 0x1020, subindex, data, _STORED)
 
 
 @case("8.10")

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from coulombus.conformance.tester.deviations import judge_deviations
 from coulombus.conformance.tester.objects import OTHER_ID, READ_ONLY, REFUSED
-from coulombus.conformance.tester.pdo_setup import INVALID, Unsupported, arm, write_overflow
+from coulombus.conformance.tester.pdo_setup import INVALID, NO_SYNC_TPDO, Unsupported, arm, write_overflow
 from coulombus.conformance.tester.pdo_setup import sync as send_sync
 from coulombus.conformance.tester.pdo_stimuli import candidates
 from coulombus.conformance.tester.provoke import emcy_id
 from coulombus.conformance.tester.registry import case
-from coulombus.conformance.tester.unit import MS, Unit, encode
+from coulombus.conformance.tester.unit import MS, STORE_IS_LOST, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, TransferAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.wire.bus_link import BusFrame
@@ -21,6 +21,7 @@ __all__: list[str] = []
 PRODUCER = 1 << 30
 PERIOD_MS = 20
 OVERFLOW = 5
+NO_SYNC = "the device produces no SYNC"
 
 
 def produce(unit: Unit, overflow: int | None = None) -> None:
@@ -48,17 +49,18 @@ def syncs(unit: Unit, count: int) -> list[BusFrame]:
     """Return so many SYNCs of the device, at their period (measured up to three times: the tester
     may be late).
     """
-    text = ""
+    text = cause = ""
     for _ in range(3):
         frames = unit.collect(unit.sync_id, count * PERIOD_MS * MS + PERIOD_MS * MS // 2)
         if len(frames) < 3:
             text = f"{len(frames)} SYNCs in {count * PERIOD_MS} ms; 1006h is {PERIOD_MS} ms"
+            cause = "" if frames else NO_SYNC
             continue
         mean_ms = (frames[-1].t_ns - frames[0].t_ns) / (len(frames) - 1) / 1e6
         if abs(mean_ms - PERIOD_MS) <= 0.1 * PERIOD_MS:
             return frames
         text = f"SYNC comes every {mean_ms:.2f} ms; 1006h is {PERIOD_MS} ms"
-    raise CaseFailed(text)
+    raise CaseFailed(text, cause=cause)
 
 
 @case("6.1", defaults=True)
@@ -91,7 +93,8 @@ def tpdos(unit: Unit) -> str:
         unit.pause(5 * MS)
     count = len(unit.gather(can_id, 10))
     if count != 10:
-        raise CaseFailed(f"{count} TPDOs after 10 SYNCs of the tester")
+        cause = "" if count else NO_SYNC_TPDO
+        raise CaseFailed(f"{count} TPDOs after 10 SYNCs of the tester", cause=cause)
     try:
         produce(unit)
     except (NotApplicable, TransferAborted):
@@ -132,7 +135,7 @@ def consumer(unit: Unit) -> None:
     if not unit.until(lambda: not unit.collect(unit.sync_id, 5 * PERIOD_MS * MS)):
         raise CaseFailed("the device sends SYNC although 1006h is 0")
     send_sync(unit)
-    unit.expect(can_id, "TPDO of type 1 after a SYNC")
+    unit.expect(can_id, "TPDO of type 1 after a SYNC", cause=NO_SYNC_TPDO)
 
 
 @case("6.5")
@@ -169,7 +172,8 @@ def counter(unit: Unit) -> str:
 def check_counter(frames: list[BusFrame], overflow: int, first: int | None = None) -> None:
     """Fail unless the SYNCs' counter goes up by one and begins with 1 again after `overflow`."""
     if len(frames) < overflow:
-        raise CaseFailed(f"{len(frames)} SYNCs, too few to see the counter's overflow at {overflow}")
+        text = f"{len(frames)} SYNCs, too few to see the counter's overflow at {overflow}"
+        raise CaseFailed(text, cause="" if frames else NO_SYNC)
     if any(frame.length != 1 for frame in frames):
         raise CaseFailed("a SYNC has not one byte although 1019h is set")
     values = [frame.data[0] for frame in frames]
@@ -191,7 +195,7 @@ def counter_stored(unit: Unit) -> None:
     unit.reset()
     value = unit.number(0x1019)
     if value != 10:
-        raise CaseFailed(f"1019h is {value} after store and reset, expected 10")
+        raise CaseFailed(f"1019h is {value} after store and reset, expected 10", cause=STORE_IS_LOST)
 
 
 @case("6.9")
@@ -220,7 +224,8 @@ def sync_stored(unit: Unit) -> None:
     unit.reset()
     for index, value in expected.items():
         if unit.number(index) != value:
-            raise CaseFailed(f"{index:04X}h is {unit.number(index)} after store and reset, expected {value}")
+            text = f"{index:04X}h is {unit.number(index)} after store and reset, expected {value}"
+            raise CaseFailed(text, cause=STORE_IS_LOST)
     check_counter(unit.collect(unit.sync_id, (2 * OVERFLOW + 2) * PERIOD_MS * MS), OVERFLOW)
 
 
@@ -239,7 +244,7 @@ def wrong_length(unit: Unit) -> str:
     frames = unit.take(emcy)
     unit.flush()
     send_sync(unit)
-    unit.expect(can_id, "TPDO of type 1 after a SYNC")
+    unit.expect(can_id, "TPDO of type 1 after a SYNC", cause=NO_SYNC_TPDO)
     if frames and frames[0].data[:2] != b"\x40\x82":
         raise CaseFailed(f"EMCY {frames[0].data[:8].hex(' ')} after a SYNC of an unexpected length, expected 8240h")
     return "EMCY 8240h" if frames else "no EMCY"

@@ -18,6 +18,7 @@ __all__ = [
     "EVENT_TIMER",
     "INHIBIT_TIME",
     "INVALID",
+    "NO_SYNC_TPDO",
     "READABLE",
     "RPDO",
     "SYNC_START",
@@ -45,6 +46,8 @@ RPDO, TPDO = 0x1400, 0x1800
 """First communication parameter of each direction; its map stands 200h further."""
 TRANSMISSION, INHIBIT_TIME, EVENT_TIMER, SYNC_START = 2, 3, 5, 6
 """Sub-indices of a communication parameter: type, 100 us, ms, value of the SYNC counter."""
+NO_SYNC_TPDO = "no TPDO comes with a SYNC"
+"""The cause of many failures of a device that looks at no SYNC."""
 DEFAULTS: Mapping[int, int] = MappingProxyType({})
 
 MOST = 4

@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from coulombus.conformance.tester.pdo_setup import (
     EVENT_TIMER,
     NO_RTR,
+    NO_SYNC_TPDO,
     SYNC_START,
     TPDO,
     Event,
@@ -176,7 +177,8 @@ class BySync(Stimulus):
         self.unit.flush()
         frames = self.syncs(4, expected=4)
         if len(frames) != 4:
-            raise CaseFailed(f"{self.name} of type 1: {len(frames)} frames after 4 SYNCs")
+            cause = "" if frames else NO_SYNC_TPDO
+            raise CaseFailed(f"{self.name} of type 1: {len(frames)} frames after 4 SYNCs", cause=cause)
         for n in (3, 240):
             self.unit.nmt(128)
             try:
@@ -250,7 +252,8 @@ class ByStartValue(Stimulus):
         frames = self.syncs(expected, START_VALUE, expected=expected)
         if len(frames) != expected:
             text = f"{len(frames)} frames with the SYNCs {START_VALUE} to {OVERFLOW}"
-            raise CaseFailed(f"{self.name} with start value {START_VALUE}: {text}")
+            cause = "" if frames else NO_SYNC_TPDO
+            raise CaseFailed(f"{self.name} with start value {START_VALUE}: {text}", cause=cause)
         if len(self.syncs(3, 1, expected=3)) != 3:
             raise CaseFailed(f"{self.name} waits for its start value again after the counter's overflow")
         return None

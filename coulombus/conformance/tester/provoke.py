@@ -34,6 +34,7 @@ __all__ = [
 ]
 
 GUARD_MS = 100
+_HEARTBEAT_MS = 20
 EMCY_IS_OPTIONAL = "CiA 301, 7.2.7 and 7.2.8.2.2: a heartbeat or life guarding event need not be an EMCY"
 _SHORT_RPDO = "a short RPDO"
 
@@ -123,6 +124,10 @@ def must_be_noticed(unit: Unit, event: str, cause: Callable[[], None]) -> None:
     if unit.has(0x1029, 1) and unit.variable(0x1029, 1).access == "rw":
         unit.write(0x1029, 1, 0)
         unit.start()
+        if unit.state() is None and unit.has(0x1017) and unit.variable(0x1017).access == "rw":
+            unit.write(0x1017, 0, _HEARTBEAT_MS)
+        if unit.state() is None:
+            raise LeftOpen(text, EMCY_IS_OPTIONAL)
         cause()
         if unit.until(lambda: unit.state() != NmtState.OPERATIONAL):
             text += ", which the device notices: it leaves OPERATIONAL"

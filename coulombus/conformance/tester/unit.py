@@ -15,11 +15,12 @@ from coulombus.eds.data import encode
 from coulombus.eds.reader import Description, Value
 from coulombus.wire.bus_link import RTR, BusFrame, FrameLink
 
-__all__ = ["MS", "Timing", "Unit", "encode"]
+__all__ = ["MS", "STORE_IS_LOST", "Timing", "Unit", "encode"]
 
 MS = 1_000_000
 _INBOX = 20_000
 _TRACE = 400
+STORE_IS_LOST = "what was stored is not there after a reset"
 ON_COMMAND = 0x1
 """Bit of 1010h and 1011h."""
 
@@ -155,13 +156,13 @@ class Unit(DescribedDevice):
             if self._next(until_ns) is None and self.link.now_ns() >= until_ns:
                 return None
 
-    def expect(self, can_id: int, what: str, timeout_ns: int | None = None) -> BusFrame:
-        """Return the frame that has to come."""
+    def expect(self, can_id: int, what: str, timeout_ns: int | None = None, *, cause: str = "") -> BusFrame:
+        """Return the frame that has to come; `cause` names the fault where none does."""
         frame = self.wait(can_id, timeout_ns)
         if frame is None:
             limit_ns = self.timing.answer_ns if timeout_ns is None else timeout_ns
             text = f"no {what} ({can_id & 0x7FF:03X}h) within {limit_ns / 1e6:.0f} ms"
-            raise NoAnswer(text, cause=f"no {what}")
+            raise NoAnswer(text, cause=cause or f"no {what}")
         return frame
 
     # SDO
@@ -231,7 +232,9 @@ class Unit(DescribedDevice):
         except TransferAborted as abort:
             accepted = self.codes if codes is None else tuple(codes)
             return self.judge(abort, accepted and (*accepted, *self.range_codes(index, subindex, data)))
-        raise CaseFailed(f"{where(index, subindex)} took {data.hex(' ').upper()}, which it has to refuse")
+        cause = "a value outside of the EDS's limits is taken" if self.range_codes(index, subindex, data) else ""
+        text = f"{where(index, subindex)} took {data.hex(' ').upper()}, which it has to refuse"
+        raise CaseFailed(text, cause=cause)
 
     def range_codes(self, index: int, subindex: int, data: bytes) -> tuple[int, ...]:
         """Return the abort codes that refuse bytes because they exceed a limit of the EDS; none
