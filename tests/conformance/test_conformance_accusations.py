@@ -275,6 +275,25 @@ def run_on_forced(unit, *numbers):
     return run(unit, select(numbers))
 
 
+def _slow_flash(link, can_id, data, length):
+    if (
+        can_id == REQUEST
+        and written(data) in ((0x1010, 1), (0x1010, 2), (0x1011, 1))
+        and data[4:] in (b"save", b"load")
+    ):
+        link.later(link.memory.get("flash_ns", 0), can_id, data, length)
+        return None
+    return can_id, data, length
+
+
+@few
+@given(st.integers(0, 4500))
+def test_a_flash_memory_may_take_as_long_as_a_boot_up(flash_ms):
+    unit = unit_of(Slave(takes=_slow_flash))
+    unit.link.memory["flash_ns"] = flash_ms * MS
+    only(results(run_on(unit, "8.1", "8.3", "8.5", "8.6", "8.7", "8.9", "6.8")), "pass")
+
+
 def _restore_refused(link, can_id, data, length):
     refused = can_id == REQUEST and written(data) == (0x1011, 1) and link.memory.get("saved")
     if can_id == REQUEST and written(data) == (0x1010, 1):

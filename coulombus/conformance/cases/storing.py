@@ -39,8 +39,7 @@ def command(unit: Unit, index: int, subindex: int) -> None:
     if index == STORE:
         unit.save(subindex)
         return
-    unit.stored = unit.dirty = True
-    unit.sdo.download(index, subindex, LOAD)
+    unit.sign(index, subindex, LOAD)
 
 
 def is_now(unit: Unit, index: int, subindex: int, expected: bytes, when: str) -> None:
@@ -211,7 +210,7 @@ def verification_is_lost(unit: Unit) -> str:
         unit.need_ability(index)
     tell()
     unit.save()
-    unit.sdo.download(0x1011, 1, b"load")
+    unit.sign(0x1011, 1, LOAD)
     unit.reset()
     left = date_and_time()
     if any(left):

@@ -40,11 +40,12 @@ def begin(unit: Unit, numbers: Collection[str]) -> tuple[str, Parameters]:
     text = "the run began with the parameters that the device held"
     if _from_defaults(unit, numbers):
         try:
-            unit.sdo.download(0x1011, 1, b"load")
+            unit.sign(0x1011, 1, b"load")
             unit.from_defaults = True
             text = "the run began from the device's defaults (1011h:01)"
         except CaseFailed as why:
             text = f"{text}, for it did not load its defaults: {why}"
+        unit.stored = False
         unit.reset()
     elif not FROM_DEFAULTS.isdisjoint(numbers):
         text += ", for it has no 1011h:01 on command"

@@ -66,7 +66,7 @@ class Unit(DescribedDevice):
         self._undo: list[tuple[int, int, bytes]] = []
         self._deadline_ns = link.now_ns() + timing.case_ns
         self.dirty = True
-        self.stored = self._late = self._changed_state = False
+        self.stored = self._late = self._changed_state = self._patient = False
         self._again: bytes | None = None
         self.rooms: dict[tuple[int, int], int] = {}
         """How many bytes a writable text was found to hold."""
@@ -186,7 +186,7 @@ class Unit(DescribedDevice):
         self._late = True
 
     def _wait_sdo(self) -> bytes | None:
-        frame = self.wait(self.sdo_tx)
+        frame = self.wait(self.sdo_tx, self.timing.boot_ns if self._patient else None)
         if frame is None and self._again is not None:  # the first request after a change of the NMT state
             again, self._again, self._late = self._again, None, True
             self._send_sdo(again)
@@ -389,19 +389,24 @@ class Unit(DescribedDevice):
             The device does not store on command, or cannot undo it.
         """
         self.need_ability(0x1010, subindex)
-        self.stored = self.dirty = True
-        self.sdo.download(0x1010, subindex, b"save")
+        self.sign(0x1010, subindex, b"save")
+
+    def sign(self, index: int, subindex: int, signature: bytes) -> None:
+        """Write a signature to 1010h or 1011h; a flash memory may take as long as a boot-up."""
+        self.stored = self.dirty = self._patient = True
+        try:
+            self.sdo.download(index, subindex, signature)
+        finally:
+            self._patient = False
 
     def forget_stored(self) -> None:
         """Let the device load its defaults (1011h) and reset."""
-        self.stored, self.ever_stored = False, True
+        self.ever_stored, self.stays_stored = True, ""
         try:
-            self.sdo.download(0x1011, 1, b"load")
+            self.sign(0x1011, 1, b"load")
         except CaseFailed as why:
             self.stays_stored = str(why)
-            return
-        self.stays_stored = ""
-        self.dirty = True
+        self.stored = False
 
     # life of a case
 
