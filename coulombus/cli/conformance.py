@@ -192,12 +192,12 @@ def _print(report: Report) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from coulombus.conformance.causes import causes
+    from coulombus.conformance.causes import causes, reasons
     from coulombus.conformance.report import WORDS, heading, summary
     from coulombus.system.printable_console import PrintableConsole
 
     console = PrintableConsole()
-    blocks = [(heading(cause), cause.frames) for cause in causes(report)]
+    blocks = [(heading(number, cause), cause.frames) for number, cause in enumerate(causes(report), 1)]
     blocks += [
         (f"{outcome.case.id} {outcome.reason}", outcome.frames)
         for outcome in report.outcomes
@@ -212,9 +212,9 @@ def _print(report: Report) -> None:
     for head in ("case", "", "result", "reason"):
         table.add_column(head, overflow="fold")
     colour = {"pass": "green", "fail": "bold red", "not_applicable": "dim", "error": "bold magenta"}
-    for outcome in report.outcomes:
+    for outcome, reason in zip(report.outcomes, reasons(report), strict=True):
         result = f"[{colour[outcome.result]}]{WORDS[outcome.result]}[/]"
-        table.add_row(outcome.case.id, escape(outcome.case.name), result, escape(outcome.reason))
+        table.add_row(outcome.case.id, escape(outcome.case.name), result, escape(reason))
     console.print(table)
     for remark in report.remarks:
         console.print(f"\n{escape(remark)}", highlight=False)

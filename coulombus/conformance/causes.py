@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from coulombus.conformance.runner import Report
 
-__all__ = ["FailureCause", "causes"]
+__all__ = ["FailureCause", "causes", "reasons"]
 
 
 @dataclass(frozen=True)
@@ -33,3 +33,22 @@ def causes(report: Report) -> list[FailureCause]:
         cases = tuple(report.outcomes[number].case.id for number in numbers)
         listed.append(FailureCause(text if len(cases) > 1 else first.reason, first.clause, cases, first.frames))
     return sorted(listed, key=lambda cause: -len(cause.cases))
+
+
+def reasons(report: Report) -> list[str]:
+    """Return what the list of cases says of each: the reason, or the number of the cause that other
+    cases meet, too.
+
+    A reason that the cause's first case has said is not said again.
+    """
+    numbers = {case: number for number, cause in enumerate(causes(report), 1) for case in cause.cases}
+    shared = {case for cause in causes(report) if len(cause.cases) > 1 for case in cause.cases}
+    said: set[str] = set()
+    texts = []
+    for outcome in report.outcomes:
+        text = outcome.reason
+        if outcome.case.id in shared:
+            text = f"cause {numbers[outcome.case.id]}" + ("" if text in said else f": {text}")
+            said.add(outcome.reason)
+        texts.append(text)
+    return texts

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from coulombus.conformance.causes import FailureCause, causes
+from coulombus.conformance.causes import FailureCause, causes, reasons
 from coulombus.conformance.runner import Outcome, Report
 from coulombus.system.foreign_text import one_line, printable
 from coulombus.system.quoting import xml
@@ -18,10 +18,10 @@ WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable", "er
 _SHOWN = ("fail", "error")
 
 
-def heading(cause: FailureCause) -> str:
+def heading(number: int, cause: FailureCause) -> str:
     """Return the line above a cause's frames: what it is, the clause, and the cases that it fails."""
     cases = f"{len(cause.cases)} cases: " if len(cause.cases) > 1 else "case "
-    return f"{cause.text} ({cause.clause}; {cases}{', '.join(cause.cases)})"
+    return f"cause {number}: {cause.text} ({cause.clause}; {cases}{', '.join(cause.cases)})"
 
 
 def as_dict(report: Report) -> dict[str, Any]:
@@ -107,15 +107,15 @@ def markdown(report: Report) -> str:
         *(f"- {_cell(remark)}" for remark in report.remarks),
         "",
     ]
-    for cause in causes(report):
-        lines += [f"## {_cell(heading(cause))}", "", "```", *cause.frames, "```", ""]
+    for number, cause in enumerate(causes(report), 1):
+        lines += [f"## {_cell(heading(number, cause))}", "", "```", *cause.frames, "```", ""]
     for outcome in _errors(report):
         lines += [f"## {outcome.case.id} {_cell(outcome.case.name)}", "", _cell(outcome.reason), ""]
         lines += ["```", *outcome.frames, "```", ""]
     lines += ["| case | | result | reason |", "|---|---|---|---|"]
     lines += [
-        f"| {outcome.case.id} | {_cell(outcome.case.name)} | {WORDS[outcome.result]} | {_cell(outcome.reason)} |"
-        for outcome in report.outcomes
+        f"| {outcome.case.id} | {_cell(outcome.case.name)} | {WORDS[outcome.result]} | {_cell(reason)} |"
+        for outcome, reason in zip(report.outcomes, reasons(report), strict=True)
     ]
     return "\n".join(lines) + "\n"
 
@@ -125,14 +125,14 @@ def page(report: Report) -> str:
     text = html.escape
     rows = "".join(
         f'<tr class="{outcome.result}"><td>{text(outcome.case.id)}<td>{text(outcome.case.name)}'
-        f"<td>{WORDS[outcome.result]}<td>{text(outcome.reason)}</tr>\n"
-        for outcome in report.outcomes
+        f"<td>{WORDS[outcome.result]}<td>{text(reason)}</tr>\n"
+        for outcome, reason in zip(report.outcomes, reasons(report), strict=True)
     )
     remarks = "".join(f"<li>{text(remark)}\n" for remark in report.remarks)
     details = "".join(
         f"<h2>{text(head)}</h2><pre>{text(chr(10).join(frames))}</pre>\n"
         for head, frames in (
-            *((heading(cause), cause.frames) for cause in causes(report)),
+            *((heading(number, cause), cause.frames) for number, cause in enumerate(causes(report), 1)),
             *((f"{outcome.case.id} {outcome.reason}", outcome.frames) for outcome in _errors(report)),
         )
     )

@@ -394,8 +394,9 @@ def test_a_wrong_block_upload_is_one_cause():
     assert cause.clause.startswith("CiA 301, 7.2.4")
     assert cause.frames
     for text in (markdown(report), page(report)):
-        assert text.count("no block upload") + text.count(heading(cause)) == 1
-        assert text.index(heading(cause)) < text.index("2.27")
+        assert text.count(heading(1, cause)) == 1
+        assert text.index(heading(1, cause)) < text.index("SDO block upload")
+        assert text.count("command 43h") == 2  # above the frames, and with the first case
         assert text.count(cause.frames[-1]) == 1
     (entry,) = as_dict(report)["causes"]
     assert entry["cases"] == list(cause.cases)
