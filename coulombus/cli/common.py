@@ -25,6 +25,7 @@ __all__ = [
     "check_shared_machine",
     "display_s",
     "faults_option",
+    "file_channel_option",
     "force_option",
     "json_option",
     "listed",
@@ -172,6 +173,13 @@ script_option = click.option(
     type=click.Path(readable=False, path_type=Path),
     metavar="F.toml",
     help="Switch nodes off and on, reset them, let device faults come and go at given times.",
+)
+file_channel_option = click.option(
+    "--channel",
+    "channels",
+    multiple=True,
+    metavar="NAME",
+    help="Which bus of a file that has several; RIG_BUS=NAME for a rig that has several.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON to stdout.")
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from coulombus.cli.common import file_channel_option
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import InputPath
 from coulombus.system.foreign_text import printable
@@ -19,16 +20,18 @@ __all__ = ["decode"]
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@file_channel_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
-def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
+def decode(file: Path, rig_name: str | None, channels: tuple[str, ...], as_json: bool) -> None:
     """Print a recording frame by frame, PDOs by name in SI units.
 
-    Takes pcapng and, with --rig, what python-can reads: candump's .log, .asc, .blf, .trc, .csv.
+    Takes pcapng and, with --rig, other tools' logs: candump's .log, .asc, .blf, .trc, .csv, .mf4.
 
     \b
     Examples:
       coulombus decode out/demo/hybrid.pcapng | less
       coulombus decode candump.log --rig bench
+      coulombus decode both.log --rig bench --channel can1
       coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
     """
     with errors():
@@ -37,7 +40,7 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
         from coulombus.recording.reading import blocks
         from coulombus.rigs.rig import load_rig
 
-        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name), channel=channels)
         out = sys.stdout
         width = columns_of(out)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.cli.common import force_option, json_option, verdict
+from coulombus.cli.common import file_channel_option, force_option, json_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import PICTURE, InputPath
 from coulombus.cli.tables import echo, print_table, table_console
@@ -47,6 +47,7 @@ def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
 )
 @click.option("-o", "--out", type=PICTURE, metavar="F.png", help="Draw both and their difference there.")
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached ones.")
+@file_channel_option
 @force_option
 @json_option
 def diff(
@@ -55,6 +56,7 @@ def diff(
     tolerances: dict[str, float],
     out: Path | None,
     rig_name: str | None,
+    channels: tuple[str, ...],
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -77,7 +79,7 @@ def diff(
         reason = None if out is None else reason_against(out, force=overwrite, remedy=remedy)
         if reason is not None:  # before two long recordings are read
             raise click.UsageError(reason)
-        comparison = compare(a, b, tolerances=tolerances, rig=rig_name)
+        comparison = compare(a, b, tolerances=tolerances, rig=rig_name, channel=channels)
         if out is not None:
             from coulombus.recording.pictures.differences import draw_differences
             from coulombus.recording.pictures.plot import save_picture

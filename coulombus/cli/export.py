@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from coulombus.cli.common import force_option, recording_argument, say, signals_option, verdict
+from coulombus.cli.common import file_channel_option, force_option, recording_argument, say, signals_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import OutputFile
 from coulombus.cli.tables import progress
@@ -48,6 +48,7 @@ class _Time(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
 )
 @click.option("-o", "--out", type=OutputFile(), metavar="F", help="Write there.  [default: FILE, with another ending]")
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@file_channel_option
 @force_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON to stdout.")
 def export_command(
@@ -57,6 +58,7 @@ def export_command(
     grid_ns: int | None,
     out: Path | None,
     rig_name: str | None,
+    channels: tuple[str, ...],
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -92,6 +94,7 @@ def export_command(
                 signals=signals,
                 grid_ns=grid_ns,
                 rig=rig_name,
+                channel=channels,
                 force=overwrite,
                 progress=lambda t_s: report(kind, t_s, None),
             )

@@ -48,8 +48,9 @@ def hz(
             from coulombus.recording.reading import blocks
 
             given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
-            recording = blocks(file, rig=chosen.load() if given or chosen.overrides else None)
-            rig, stamps, lost = recording.rig, recorded(recording), None
+            recording = blocks(file, chosen.load() if given or chosen.overrides else None, chosen.channel)
+            rig, lost = recording.rig, None
+            by_bus = {channel: (rig.on(channel), stamps) for channel, stamps in recorded(recording).items()}
             where, source = str(file), "the recording's"
             remark(recording.remarks)
         else:
@@ -57,12 +58,21 @@ def hz(
             if sys.stderr.isatty():
                 say(f"coulombus: listening to {address} for {seconds:g} s")
             stamps, lost = listen(address, seconds)
+            by_bus = {"": (rig, stamps)}
             where, source = str(address), address.stamps
-        rows = timing(rig, stamps)
+        rows = {bus: timing(*of_bus) for bus, of_bus in by_bus.items()}
         if as_json:
-            print_json({"of": where, "stamps": source, "lost": lost, "identifiers": [as_dict(row) for row in rows]})
+            identifiers = [
+                as_dict(row) | ({"bus": bus} if len(rows) > 1 else {})
+                for bus, timings in rows.items()
+                for row in timings
+            ]
+            print_json({"of": where, "stamps": source, "lost": lost, "identifiers": identifiers})
             return
         with printed():
             echo(f"{where}\nstamps: {source}" + ("" if lost is None else f"\nlost {lost}"))
-            for line in as_lines(rows):
-                echo(line)
+            for bus, timings in rows.items():
+                if len(rows) > 1:
+                    echo(f"\nbus {bus}")
+                for line in as_lines(timings):
+                    echo(line)

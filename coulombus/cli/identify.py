@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from coulombus.cli.common import force_option, json_option, printed, say
+from coulombus.cli.common import file_channel_option, force_option, json_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import PICTURE, InputPath
 from coulombus.cli.tables import echo, on_terminal
@@ -20,6 +20,7 @@ __all__ = ["identify"]
 @click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @click.option("--figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf).")
+@file_channel_option
 @force_option
 @click.option("--axis", metavar="A", help="Which axis of a rig that has several.")
 @click.option("--law", "law", metavar="NAME", help="Fit this law's parameters instead.")
@@ -55,7 +56,7 @@ def identify(
         if figure is not None or options["law"] is not None or options["overrides"]:
             raise click.UsageError("--iron goes with none of --figure, --law and --set")
         with errors():
-            _identify_iron(file, rig_name, axis, as_json=as_json)
+            _identify_iron(file, rig_name, axis, options["channels"], as_json=as_json)
         return
     if options["law"] is not None:
         if figure is not None:
@@ -71,7 +72,7 @@ def identify(
         from coulombus.recording.reading import blocks
         from coulombus.rigs.rig import load_rig
 
-        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        recording = blocks(file, None if rig_name is None else load_rig(rig_name), options["channels"])
         seen = recording.one_axis(axis)
         try:
             fit = friction.identify(seen)
@@ -95,12 +96,14 @@ def _print(lines: Iterable[str]) -> None:
         echo(on_terminal(line, 6 if line.startswith("note: ") else 23))
 
 
-def _identify_iron(file: Path, rig_name: str | None, axis: str | None, *, as_json: bool) -> None:
+def _identify_iron(
+    file: Path, rig_name: str | None, axis: str | None, channels: tuple[str, ...], *, as_json: bool
+) -> None:
     from coulombus.recording.friction.hysteresis_fit import identify_iron, iron_lines
     from coulombus.recording.reading import blocks
     from coulombus.rigs.rig import load_rig
 
-    seen = blocks(file, rig=None if rig_name is None else load_rig(rig_name)).one_axis(axis)
+    seen = blocks(file, None if rig_name is None else load_rig(rig_name), channels).one_axis(axis)
     try:
         fit = identify_iron(seen)
     finally:
@@ -124,7 +127,7 @@ def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: d
     if table:
         data = (Stretch(*read_columns(file, ("t_s", "x_rad", "torque_Nm"))),)
     else:
-        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        recording = blocks(file, None if rig_name is None else load_rig(rig_name), options["channels"])
         seen = recording.one_axis(axis)
         try:
             data = stretches_of(seen)

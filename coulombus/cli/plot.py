@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from coulombus.cli.common import force_option, recording_argument, say, signals_option, verdict
+from coulombus.cli.common import file_channel_option, force_option, recording_argument, say, signals_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import PICTURE
 
@@ -28,6 +28,7 @@ def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple
 @click.option("--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]")
 @click.option("-o", "--out", type=PICTURE, metavar="F.png", help="A .png, .svg or .pdf.  [default: FILE, as .png]")
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@file_channel_option
 @force_option
 def plot_command(
     file: Path,
@@ -35,6 +36,7 @@ def plot_command(
     span: tuple[float | None, float | None],
     out: Path | None,
     rig_name: str | None,
+    channels: tuple[str, ...],
     overwrite: bool,
 ) -> None:
     """Draw a recording's signals over time, a panel for each unit, with the markers.
@@ -56,7 +58,7 @@ def plot_command(
         reason = reason_against(place, force=overwrite, remedy="choose another name by -o, or replace it with --force")
         if reason is not None:
             raise click.UsageError(reason)
-        source = blocks(file, rig_name)
+        source = blocks(file, rig_name, channels)
         made = plot(source, signals, span)
         with new_file(place, force=overwrite) as path:
             save_picture(made, path)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import json_option, printed, verdict
+from coulombus.cli.common import file_channel_option, json_option, printed, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import InputPath
 from coulombus.cli.tables import echo, progress
@@ -40,6 +40,7 @@ class Choice:
     ids_text: str | None
     nodes: tuple[int, ...]
     only_host: bool
+    channels: tuple[str, ...]
 
     def of(self, tape: Tape, rig_name: str | None) -> Tape:
         """Return the frames that are left."""
@@ -57,8 +58,16 @@ class Choice:
             chosen &= among(tape.frames["can_id"], parse_identifiers(self.ids_text))
         if self.nodes or self.only_host:
             nodes = (*self.nodes, HOST) if self.only_host else self.nodes
-            chosen &= np.isin(senders(tape.frames["can_id"], rig_of(tape.path, rig_name)), nodes)
+            rig = rig_of(tape.path, rig_name)
+            if rig is not None and len(rig.channels) > 1:
+                rig = self._on_bus(rig)
+            chosen &= np.isin(senders(tape.frames["can_id"], rig), nodes)
         return tape.take(chosen)
+
+    def _on_bus(self, rig: Rig) -> Rig:
+        """Return the rig as it is on the bus that is played, where --channel has its name."""
+        names = {name for text in self.channels for name in text.split("=")}
+        return next((rig.on(channel) for channel in rig.channels if channel in names), rig)
 
 
 choice_options = bundle(
@@ -71,6 +80,7 @@ choice_options = bundle(
     ),
     click.option("--node", "nodes", type=click.IntRange(1, 127), multiple=True, help="Only what this node sent."),
     click.option("--only-host", is_flag=True, help="Only what the host sent: SYNC, NMT, RPDOs, SDO requests."),
+    file_channel_option,
 )
 
 
@@ -156,8 +166,8 @@ def replay(
     """Play a recording onto a bus, or check the host (--host) or the bus model (--virtual) against
     it.
 
-    Plays pcapng and what python-can reads: candump's .log, .asc, .blf, .trc, .csv. A torn file
-    plays to its last whole block. With --host and --virtual it ends with 1 when an
+    Plays pcapng and other tools' logs: candump's .log, .asc, .blf, .trc, .csv, .mf4; of a file
+    with several buses the one that --channel names. A torn file plays to its last whole block. With --host and --virtual it ends with 1 when an
     output differs, and shows the first difference.
 
     \b
@@ -173,6 +183,8 @@ def replay(
             raise click.UsageError("give one of --bus B (play it there), --host and --virtual (check it)")
         if (otherwise.overrides or otherwise.law) and not as_host:
             raise click.UsageError("--law and --set go with --host")
+        if choice.channels and bus_name is None:
+            raise click.UsageError("--channel goes with --bus")
         if bus_name is not None:
             _play(file, bus_name, otherwise.rig_name, playing, choice, as_json)
         else:
@@ -247,7 +259,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, cho
     from coulombus.wire.socketcan import is_virtual
 
     address = parse_address(bus_name)
-    tape = choice.of(load_tape(file), rig_name)
+    tape = choice.of(load_tape(file, choice.channels), rig_name)
     remark(tape.remarks)
     if not len(tape.frames):
         raise click.UsageError(f"{file}: no frame is left to be played")

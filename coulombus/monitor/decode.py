@@ -12,7 +12,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -51,13 +51,16 @@ def rows(recording: Source) -> Iterator[Row]:
 
     The PDOs of a block are decoded beforehand, as whole columns.
     """
-    services = _Services(recording.rig)
+    rig = recording.rig
+    services = {channel: _Services(rig.on(channel)) for channel in rig.channels}
     for block in recording:
         yield from _block_rows(block, services)
 
 
-def _block_rows(block: Recording, services: _Services) -> Iterator[Row]:
+def _block_rows(block: Recording, services: Mapping[str, _Services]) -> Iterator[Row]:
     frames = block.frames
+    first, *_ = services.values()
+    of_source = [services.get(channel, first) for channel in block.capture.channels or ()]
     table_of = np.full(len(frames), -1, np.int64)
     tables = [table for table in block.tables if not table.inside]
     for number, table in enumerate(tables):
@@ -66,13 +69,14 @@ def _block_rows(block: Recording, services: _Services) -> Iterator[Row]:
     comments: dict[int, str] = {}
     for row, text in block.capture.comments:
         comments[row] = f"{comments[row]}; {text}" if row in comments else text
-    columns = (block.t_s, frames["can_id"], frames["length"], frames["word"], table_of)
-    for i, (t_s, can_id, length, word, number) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
+    columns = (block.t_s, frames["can_id"], frames["length"], frames["word"], frames["source"], table_of)
+    for i, (t_s, can_id, length, word, source, number) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
         if number >= 0:
             row_of_frame: Row = {"t_s": t_s, "can_id": can_id}
             row_of_frame.update(next(pdos[number]))
         else:
-            row_of_frame = services.row(t_s, can_id, length, word)
+            services_there = of_source[source] if of_source else first
+            row_of_frame = services_there.row(t_s, can_id, length, word)
         if i in comments:
             row_of_frame["marker"] = comments[i].replace("\n", "; ")
         yield row_of_frame

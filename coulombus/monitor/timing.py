@@ -117,11 +117,15 @@ def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
         return stamps, client.lost
 
 
-def recorded(source: Source) -> Stamps:
-    """Return the stamps of a recording."""
-    stamps = Stamps()
+def recorded(source: Source) -> dict[str, Stamps]:
+    """Return the stamps of a recording by the rig's buses."""
+    channels = source.rig.channels
+    stamps = {channel: Stamps() for channel in channels}
     for block in source:
-        stamps.take_all(block.frames["t_ns"].astype(np.int64), block.frames["can_id"].astype(np.int64))
+        t_ns, can_ids = block.frames["t_ns"].astype(np.int64), block.frames["can_id"].astype(np.int64)
+        for channel in channels:
+            there = block.capture.frames_on(channel)
+            stamps[channel].take_all(t_ns[there], can_ids[there])
     return stamps
 
 

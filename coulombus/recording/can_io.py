@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 class PcapngMessageReader(MessageReader):
     """The frames of a pcapng file (link type SocketCAN) as python-can's messages; `channel` is the
-    interface's number.
+    interface's name where all end in a number, as python-can's writers take them, else its number.
 
     Raises
     ------
@@ -44,11 +44,12 @@ class PcapngMessageReader(MessageReader):
         self._capture = read_pcapng(_path(file))
 
     def __iter__(self) -> Iterator[can.Message]:
-        frames = self._capture.frames
+        frames, buses = self._capture.frames, self._capture.buses
+        numbered = all(name[-1:].isdigit() for name in buses if name)
         columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "word", "source"))
         for t_ns, can_id, length, word, source in zip(*columns, strict=True):
             data = int(word).to_bytes(8, "little", signed=True)
-            yield message_of(t_ns / 1e9, can_id, length, data, channel=source)
+            yield message_of(t_ns / 1e9, can_id, length, data, channel=buses[source] if numbered else source)
 
     def stop(self) -> None:
         """Nothing to do: the file was read as a whole."""
@@ -76,10 +77,12 @@ class PcapngMessageWriter(SizedMessageWriter):
         from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
         from coulombus.wire.frame import frames
 
-        name = str(channel) if channel else "can0"
         self._writer = PcapngWriter(
-            _path(file), attachments={}, texts=SectionTexts(application="python-can"), interface=name, force=True
+            _path(file), attachments={}, texts=SectionTexts(application="python-can"), interface=None, force=True
         )
+        self._default = str(channel) if channel else "can0"
+        self._numbers: dict[str, int] = {}
+        """Name of a bus -> number of its interface."""
         self._batch: Records = frames(BATCH)
         self._count = 0
         self._stopped = False
@@ -93,8 +96,15 @@ class PcapngMessageWriter(SizedMessageWriter):
         t_ns = max(0, round(msg.timestamp * 1e9))
         if self._count and (self._count == BATCH or t_ns - int(self._batch[0].t_ns) >= BATCH_NS):
             self._flush()
-        self._batch[self._count] = (t_ns, can_id_of(msg), msg.dlc, word_of(msg), 0)
+        self._batch[self._count] = (t_ns, can_id_of(msg), msg.dlc, word_of(msg), self._number(msg.channel))
         self._count += 1
+
+    def _number(self, channel: Any) -> int:
+        """Return the number of a bus' interface, which is added for the first message of the bus."""
+        name = self._default if channel is None else f"can{channel}" if str(channel).isdigit() else str(channel)
+        if name not in self._numbers:
+            self._numbers[name] = self._writer.add_interface(name)
+        return self._numbers[name]
 
     def _flush(self) -> None:
         count, self._count = self._count, 0
@@ -112,6 +122,8 @@ class PcapngMessageWriter(SizedMessageWriter):
         try:
             if self._count:
                 self._flush()
+            if not self._numbers:
+                self._number(None)
         finally:
             self._writer.close()
         if self.skipped:

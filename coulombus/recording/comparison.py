@@ -21,6 +21,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.bus_match import Channel
 from coulombus.recording.difference import Comparison, Difference, Pair
 from coulombus.recording.reading import read
 from coulombus.recording.signal_names import UnknownSignal
@@ -54,6 +55,7 @@ def compare(
     *,
     tolerances: Mapping[str, float] = NO_TOLERANCES,
     rig: Rig | str | os.PathLike[str] | None = None,
+    channel: Channel = None,
 ) -> Comparison:
     """Compare two recordings.
 
@@ -66,6 +68,8 @@ def compare(
         that has a unit. Empty: everything must be equal.
     rig
         Decode with this rig and not with the attached ones.
+    channel
+        Which of the files' buses, as `read` takes it.
 
     Raises
     ------
@@ -78,7 +82,7 @@ def compare(
     """
     a, b = (path_text(path, name, 'compare("a.pcapng", "b.pcapng")') for name, path in (("a", a), ("b", b)))
     _check_types(tolerances)
-    first, second = read(a, rig), read(b, rig)
+    first, second = read(a, rig, channel), read(b, rig, channel)
     common = [name for name in first.signals if name in second.signals]
     units = {name: first.signals[name].unit for name in common}
     inside = {signal.name for pdo in first.inside for signal in pdo.signals}

@@ -1,30 +1,54 @@
-"""Logs of other tools, as python-can reads them by their names: candump's .log, .asc, .blf, .trc,
-.csv, .mf4, .db, each also .gz.
+"""Logs of other tools: which format a file has, and its frames.
+
+A format is known by its content, and else by the file's name. candump's, .asc, .trc, .csv and .blf
+are read here (`recording.logs`), .mf4 with asammdf, and what is left by python-can's registry, in
+which plug-ins have their place. Each may be compressed with gzip.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
-from coulombus.recording import blf_log, mf4_log
+from coulombus.recording.logs import blf, mf4, python_can
+from coulombus.recording.logs.asc import AscRows
+from coulombus.recording.logs.can_csv import HEAD, CsvRows
+from coulombus.recording.logs.candump import CandumpRows
+from coulombus.recording.logs.content import Content
+from coulombus.recording.logs.log import MALFORMED, Log, Rows, read_rows
+from coulombus.recording.logs.trc import TrcRows
 from coulombus.system.errors import CoulombusError
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.frame import Records
 
-__all__ = ["WALL_CLOCK_NS", "LogError", "is_log", "is_pcapng", "read_log"]
+__all__ = ["EXPECTED", "WALL_CLOCK_NS", "LogContent", "LogError", "is_log", "is_pcapng", "read_log"]
 
-LOGS = (".log", ".asc", ".blf", ".trc", ".csv", ".mf4", ".db")
-LINES = (".log", ".asc", ".csv", ".trc")
+TEXTS: dict[str, Callable[[], Rows]] = {".log": CandumpRows, ".asc": AscRows, ".trc": TrcRows, ".csv": CsvRows}
+"""Formats of lines, by the ending of their names."""
+LOGS = (*TEXTS, ".blf", ".mf4", ".db")
+EXPECTED = "a pcapng file, or another tool's log: candump's .log, .asc, .blf, .trc, .csv, .mf4, .db"
+SNIFFED, SNIFFED_LINES = 1 << 13, 40
+ASC_HEADS = ("date ", "base hex", "base dec")
 WALL_CLOCK_NS = 10**17
 """Stamps beyond this (1973) are a clock's; smaller ones count from the run's start."""
-LATEST_S = 2**63 / 1e9 - 1
-"""Stamps beyond this are more nanoseconds than an int64 holds."""
 
 
 class LogError(CoulombusError):
     """The file cannot be read; the text says where and why."""
 
     exit_status = 2
+
+
+@dataclass(frozen=True)
+class LogContent:
+    """What a log holds: frames, whose `source` is a number in `buses`, the names of the buses in the
+    order of their first frames, and sentences on what was left out.
+    """
+
+    frames: Records
+    buses: tuple[str, ...]
+    remarks: tuple[str, ...]
 
 
 def is_pcapng(path: str | Path) -> bool:
@@ -37,56 +61,95 @@ def is_pcapng(path: str | Path) -> bool:
 
 
 def is_log(path: str | Path) -> bool:
-    """Tell whether a file is one for `read_log`, by its name, and by its content no pcapng file."""
-    return Path(path).name.lower().removesuffix(".gz").endswith(LOGS) and not is_pcapng(path)
+    """Tell whether a file is one for `read_log`, by its content or else by its name, and no pcapng
+    file.
+    """
+    return not Path(path).is_dir() and not is_pcapng(path) and bool(_kind(path))
 
 
-def read_log(path: str | Path) -> tuple[Records, list[str]]:
-    """Return the frames of a file that python-can reads, and sentences on what was left out.
+def read_log(path: str | Path) -> LogContent:
+    """Return the frames of another tool's log.
+
+    Frames, and the rows (objects, bytes) that the remarks tell, are together what the file has.
 
     Raises
     ------
     LogError
-        The file is of another kind or damaged.
+        The file is empty or of another kind.
     """
-    import can
-
-    from coulombus.wire.python_can_messages import can_id_of, is_classical, word_of  # imports python-can
-
-    name = Path(path).name.lower().removesuffix(".gz")
-    if name.endswith(".mf4"):
-        mf4_log.ready()
-    rows: list[tuple[int, int, int, int, int]] = []
-    skipped = 0
+    if Path(path).stat().st_size == 0:
+        raise LogError(f"{path}: the file is empty: nothing was recorded; take another file")
+    kind = _kind(path)
     try:
-        if name.endswith(".blf"):
-            blf_log.check(path)
-        with can.LogReader(path) as reader:
-            for message in reader:
-                if not is_classical(message):
-                    skipped += 1
-                    continue
-                rows.append((_stamp_ns(message.timestamp), can_id_of(message), message.dlc, word_of(message), 0))
-    except Exception as error:  # each of python-can's readers raises what its parsing happens to raise
-        where = f"after frame {len(rows) + skipped}" if rows or skipped else "at its beginning"
-        raise LogError(
-            f"{path}: {where}: it cannot be read ({type(error).__name__}: {error}); expected a pcapng file, or what "
-            "python-can reads by its name: candump's .log, .asc, .blf, .trc, .csv, .mf4, .db"
-        ) from error
-    if not rows and not skipped:
-        raise LogError(f"{path}: there is no frame in it: is it of the kind that its name tells?")
-    frames = new_records(Frame, len(rows))
-    frames[:] = rows
-    remarks = [f"{path}: {skipped} CAN FD frames were left out"] if skipped else []
-    if Path(path).suffix in LINES and not Path(path).read_bytes().endswith(b"\n"):
-        remarks.append(f"{path}: it ends in the midst of a line: its last frame may be cut short; --to-s leaves it out")
-    return frames, remarks
+        log, broken = _read(path, kind)
+    except (ValueError, ImportError, NotImplementedError) as error:
+        raise LogError(f"{path}: it cannot be read: {error}; expected {EXPECTED}") from error
+    if not log.rows and set(log.losses) == {MALFORMED}:
+        raise LogError(f"{path}: there is no frame in it: is it of the kind that its name tells? Expected {EXPECTED}")
+    remarks = log.all_remarks(str(path))
+    if broken:
+        remarks.append(f"{path}: its compressed data are damaged or end too early: what stood behind is not known")
+    return LogContent(log.frames(), tuple(log.buses), tuple(remarks))
 
 
-def _stamp_ns(timestamp: float) -> int:
-    """Return python-can's stamp [s]: a clock's in whole us, which is what files have and as much as
-    its float still tells.
-    """
-    if not abs(timestamp) < LATEST_S:
-        raise ValueError(f"got the stamp {timestamp:g} s, expected one before the year 2262")
-    return round(timestamp * 1e6) * 1000 if timestamp * 1e9 >= WALL_CLOCK_NS else round(timestamp * 1e9)
+def _read(path: str | Path, kind: str) -> tuple[Log, bool]:
+    if kind == ".mf4" and not _packed(path):
+        return mf4.read(path), False
+    if kind in TEXTS or kind == ".blf":
+        with Content(path) as content:
+            if kind == ".blf":
+                log = blf.read(content)
+            else:
+                rows = TEXTS[kind]()
+                log = read_rows(content, rows)
+                if isinstance(rows, CandumpRows) and rows.without_time:
+                    log.remarks.append(
+                        f"{rows.without_time} frames have no time stamp and got the time 0: log with candump -L"
+                    )
+            return log, content.broken
+    log = Log()
+    error = python_can.take(path, log)
+    if error and not log.rows:
+        raise ValueError(error)
+    if error:
+        log.remarks.append(f"what stands behind frame {len(log.rows)} was left out: it cannot be read ({error})")
+    return log, False
+
+
+def _packed(path: str | Path) -> bool:
+    with Path(path).open("rb") as file:
+        return file.read(2) == b"\x1f\x8b"
+
+
+def _kind(path: str | Path) -> str:
+    """Return a format as the ending of its names; "" of a file that is none."""
+    with Content(path) as content:
+        start = content.read(SNIFFED)
+    if start.startswith(blf.MAGIC):
+        return ".blf"
+    if start.startswith(mf4.MAGICS):
+        return ".mf4"
+    lines = start.decode("utf-8", "replace").splitlines()[:SNIFFED_LINES]
+    for kind, is_of in MARKS.items():
+        if any(is_of(line) for line in lines):
+            return kind
+    name = Path(path).name.lower().removesuffix(".gz")
+    return next((ending for ending in LOGS if name.endswith(ending)), "")
+
+
+def _is_frame_of_candump(line: str) -> bool:
+    try:
+        return isinstance(CandumpRows().row(line, ended=True), tuple)
+    except ValueError:
+        return False
+
+
+MARKS: dict[str, Callable[[str], bool]] = {
+    ".trc": lambda line: line.startswith(
+        (";$FILEVERSION", ";   Generated by PCAN", ";    Generated by python-can TRC")
+    ),
+    ".asc": lambda line: line.lower().startswith(ASC_HEADS),
+    ".csv": lambda line: line == HEAD,
+    ".log": _is_frame_of_candump,
+}
+"""Formats of lines -> whether a line among the first shows it."""

@@ -43,6 +43,7 @@ class Interface:
     offset_s: int = 0
     inside: bool = False
     """Its frames were on no bus."""
+    name: str = ""
 
 
 @dataclass(frozen=True)

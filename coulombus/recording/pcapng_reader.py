@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.eds.regular_file import naming, require_regular
 from coulombus.kernels.decorator import kernel
@@ -91,6 +92,17 @@ class Capture:
     """Damaged attachments, which are left out."""
     inside: Records = field(default_factory=lambda: np.zeros(0, FRAME))
     """Frames that were on no bus: what the host tells of itself (`recording.host_telemetry`)."""
+    buses: tuple[str, ...] = ("",)
+    """Name of the bus of each `source`, as the file has it; "" where an interface is none."""
+    channels: tuple[str, ...] | None = None
+    """The rig's bus of each `source` (`recording.bus_match`); None: the rig's only one."""
+
+    def frames_on(self, channel: str) -> npt.NDArray[np.bool_]:
+        """Tell of each frame whether it was on a bus of the rig."""
+        if self.channels is None:
+            return np.ones(len(self.frames), bool)
+        numbers = [number for number, name in enumerate(self.channels) if name == channel]
+        return np.isin(self.frames["source"], numbers)
 
 
 @dataclass
@@ -106,6 +118,8 @@ class _Reader:
     """Whether the section is a recording of ours, whose times count from its own time 0."""
     interfaces: list[Interface] = field(default_factory=list)
     earlier: int = 0
+    buses: list[str] = field(default_factory=list)
+    """Name of the bus of each interface, of all sections so far; "" where it is none."""
     linktypes: set[int] = field(default_factory=set)
     texts: dict[int, str] = field(default_factory=dict)
     # of this stretch
@@ -143,6 +157,7 @@ class _Reader:
             skipped=self.skipped,
             warnings=tuple(self.warnings),
             inside=np.concatenate([np.zeros(0, FRAME), *self.inside]),
+            buses=tuple(self.buses),
         )
         self.inside = []
         self.parts, self.comments, self.attachments, self.warnings, self.skipped = [], [], {}, [], 0
@@ -270,8 +285,8 @@ def _check_start(reader: _Reader) -> None:
         what = (
             f"it is {known}"
             if known
-            else f"it begins with {start.hex(' ')}, a pcapng file with 0a 0d 0d 0a; a log that python-can reads (candump's .log, .asc, .blf) "
-            f"becomes one with 'can_logconvert {reader.path} OUT.pcapng'"
+            else f"it begins with {start.hex(' ')}, a pcapng file with 0a 0d 0d 0a; and it is no log that is known by its "
+            "content or its name: candump's .log, .asc, .blf, .trc, .csv, .mf4"
         )
         raise PcapngError(f"{reader.path}: offset 0: not a pcapng file: {what}")
 
@@ -349,7 +364,10 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         length = struct.unpack_from(reader.order + "I", reader.data, 4 * at + 4)[0]
         body = reader.data[4 * at + 8 : 4 * at + length - 4]
         if kind == INTERFACE:
-            reader.interfaces.append(_interface(reader, 4 * at, body))
+            interface = _interface(reader, 4 * at, body)
+            is_bus = interface.linktype == LINKTYPE_CAN_SOCKETCAN and not interface.inside
+            reader.buses.append((interface.name or str(len(reader.interfaces))) if is_bus else "")
+            reader.interfaces.append(interface)
         elif kind == ATTACHMENT:
             most = MOST_ATTACHED + ATTACHED_SHARE * (reader.base + 4 * at) - reader.attached
             attached = read_attachment(body, most)
@@ -393,16 +411,16 @@ def _interface(reader: _Reader, start: int, body: bytes) -> Interface:
     if len(body) < 8:
         raise _damaged(reader, start, f"an interface block of {len(body)} bytes, expected at least 8")
     linktype, resolution, offset_s = struct.unpack_from(reader.order + "H", body)[0], 6, 0
-    inside = False
+    name = ""
     for code, value in iter_options(body[8:], reader.order):
         if code == IF_TSRESOL and len(value) == 1:
             resolution = value[0]
         elif code == IF_TSOFFSET and len(value) == 8:
             offset_s = 0 if reader.own else struct.unpack(reader.order + "q", value)[0]
         elif code == IF_NAME:
-            inside = value == HOST_INTERFACE.encode()
+            name = value.decode(errors="replace")
     reader.linktypes.add(linktype)
-    return Interface(linktype, resolution, offset_s, inside)
+    return Interface(linktype, resolution, offset_s, name == HOST_INTERFACE, name)
 
 
 def _check_linktypes(reader: _Reader) -> None:

@@ -99,7 +99,7 @@ class PcapngWriter:
     texts
         What the section says of the recording and of who made it.
     interface
-        Name of the interface; an empty one is left out.
+        Name of the interface; an empty one is left out. None: all are added later (`add_interface`).
     second
         Name of a second interface, for frames whose `source` is `SOURCE_INSIDE`.
 
@@ -118,7 +118,7 @@ class PcapngWriter:
         started_ns: int = 0,
         force: bool = False,
         texts: SectionTexts = OWN_TEXTS,
-        interface: str = "can0",
+        interface: str | None = "can0",
         second: str = "",
     ) -> None:
         self.path = str(path)
@@ -128,8 +128,11 @@ class PcapngWriter:
         self._failure: str | None = None
         self._buffer = _template(0)
         head = _section(texts)
-        head += _interface(interface, started_ns // 1_000_000_000)
+        if interface is not None:
+            head += _interface(interface, started_ns // 1_000_000_000)
         self._second = bool(second)
+        self._interfaces = 0 if interface is None else 1
+        self._started_s = started_ns // 1_000_000_000
         if second:
             head += _interface(second, started_ns // 1_000_000_000)
         head += b"".join(attachment_block(name, content) for name, content in attachments.items())
@@ -180,8 +183,26 @@ class PcapngWriter:
             if self._second:
                 blocks["interface"] = frames["source"] == SOURCE_INSIDE
                 count -= int(np.count_nonzero(blocks["interface"]))
+            elif self._interfaces != 1:
+                blocks["interface"] = frames["source"]
         self._write(_commented(blocks, comments) if comments else blocks.tobytes())
         self.frames += count
+
+    def add_interface(self, name: str) -> int:
+        """Add an interface; return its number, which frames of it have as their `source`.
+
+        Raises
+        ------
+        RecordingError
+            As from `write`.
+        ValueError
+            The file has a `second` interface.
+        """
+        if self._second:
+            raise ValueError(f"{self.path}: it has an interface of the host, and no more than two")
+        self._write(_interface(name, self._started_s))
+        self._interfaces += 1
+        return self._interfaces - 1
 
     def attach(self, name: str, content: bytes) -> None:
         """Add an attachment between the frames: what is known only now; RecordingError as from

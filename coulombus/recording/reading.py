@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
+from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, recorded_channel
 from coulombus.recording.host_telemetry import NAME as INSIDE
 from coulombus.recording.host_telemetry import inside_pdos, of_axis
 from coulombus.recording.log_files import LogError, is_log, read_log
@@ -50,13 +51,19 @@ class Blocks(Source):
     """
 
     inside: tuple[RigPdo, ...] = ()
+    channel: tuple[str, ...] = ()
+    """Which of the file's buses, as `read` takes it."""
+
+    recorded: str = ""
+    """The rig's bus of which the recording says that it is."""
 
     def __post_init__(self) -> None:
         self._whole, self.rig = self.rig, self.rig.alone(self.axis) if self.axis else self.rig
 
     def __iter__(self) -> Iterator[Recording]:
         epoch_ns, left_out, warnings, turns = None, Counter[str](), list[str](), dict[str, Turns]()
-        for capture in captures(self.path):
+        match = BusMatch(self.path, self._whole.channels, self.channel, self.recorded)
+        for capture in map(match.take, captures(self.path)):
             if epoch_ns is None and len(capture.frames):
                 epoch_ns = epoch_of(capture.frames)
             block = decode(capture, self.rig, epoch_ns, turns, self.inside)
@@ -66,27 +73,34 @@ class Blocks(Source):
             left_out.update(left_out_of(block))
             warnings += capture.warnings
             yield block
-        self.remarks = remarks_on(self.path, warnings, left_out)
+        self.remarks = remarks_on(self.path, [*warnings, *match.remarks()], left_out)
 
     def seen_by(self, axis: str) -> Blocks:
         """Return the recording as the axis of this name sees it, with the signals' plain names.
 
         Markers of other axes are left out.
         """
-        return Blocks(self.path, self.rig, axis, of_axis(self.inside, axis)) if axis else self
+        if not axis:
+            return self
+        return Blocks(self.path, self.rig, axis, of_axis(self.inside, axis), self.channel, self.recorded)
 
 
-def read(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None) -> Recording:
+def read(
+    path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None, channel: Channel = None
+) -> Recording:
     """Read a recording whole.
 
     Parameters
     ----------
     path
-        A pcapng file of SocketCAN frames, a folder of segments (the newest run in it), or a log
-        that python-can reads (.log, .asc, .blf, .trc, .csv), which has no rig.
+        A pcapng file of SocketCAN frames, a folder of segments (the newest run in it), or another
+        tool's log (`recording.log_files`), which has no rig.
     rig
         Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the
         attached one.
+    channel
+        Which bus of a file that has more of them than the rig: its name in the file, as ``"can0"``.
+        Of a rig with several buses ``"a=can0"``, or several of these (`recording.bus_match`).
 
     Raises
     ------
@@ -94,16 +108,24 @@ def read(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None 
         No rig is attached and none is given, or the attached one cannot be read.
     coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
         The file is damaged, or is of another kind.
+    coulombus.recording.bus_match.ChannelError
+        The file has other buses than the rig, and `channel` does not say which are meant.
     coulombus.rigs.arguments.WrongCall
         `path` is no file's name, or `rig` is neither a rig nor its name.
     """
     path = path_text(path, "path", 'read("run.pcapng")')
     capture = next(captures(path)) if is_log(path) else read_pcapng(path)
     known = _attached_rig((capture,)) if rig is None else _rig(rig)
-    return decode(capture, known, inside=inside_pdos(known, capture.attachments.get(INSIDE)))
+    recorded = recorded_channel(capture.attachments)
+    match = BusMatch(path, known.channels, channel_texts(channel), recorded)
+    capture = match.take(capture)
+    capture = replace(capture, warnings=(*capture.warnings, *match.remarks()))
+    return decode(capture, known, inside=_inside(known, recorded, capture.attachments.get(INSIDE)))
 
 
-def blocks(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None) -> Blocks:
+def blocks(
+    path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None, channel: Channel = None
+) -> Blocks:
     """Return a recording to go through, as often as needed, in a memory that does not grow with it.
 
     Parameters and errors as `read`.
@@ -114,20 +136,34 @@ def blocks(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | Non
     path = path_text(path, "path", 'blocks("run.pcapng")')
     if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
+    texts = channel_texts(channel)
     if is_log(path):
-        return Blocks(str(path), _attached_rig(captures(path)) if rig is None else _rig(rig))
+        return Blocks(str(path), _attached_rig(captures(path)) if rig is None else _rig(rig), channel=texts)
     stretches = captures(path)
     first = next(stretches)  # what the host tells of is attached in front
     known = _attached_rig(chain([first], stretches)) if rig is None else _rig(rig)
-    return Blocks(str(path), known, inside=inside_pdos(known, first.attachments.get(INSIDE)))
+    recorded = recorded_channel(first.attachments)
+    inside = _inside(known, recorded, first.attachments.get(INSIDE))
+    return Blocks(str(path), known, inside=inside, channel=texts, recorded=recorded)
 
 
 def captures(path: str | Path) -> Iterator[Capture]:
     """Yield a pcapng file's stretches; a log of another tool is one."""
     if is_log(path):
-        frames, remarks = read_log(path)
-        return iter([Capture(str(path), frames, comments=[], attachments={}, warnings=tuple(remarks))])
+        log = read_log(path)
+        return iter(
+            [
+                Capture(
+                    str(path), log.frames, comments=[], attachments={}, warnings=log.remarks, buses=log.buses or ("",)
+                )
+            ]
+        )
     return iter_pcapng(path)
+
+
+def _inside(rig: Rig, recorded: str, attached: bytes | None) -> tuple[RigPdo, ...]:
+    """Return what the host of the recorded bus tells: it counts the axes on this bus."""
+    return inside_pdos(rig.on(recorded) if recorded in rig.channels else rig, attached)
 
 
 def _rig(rig: Rig | str | os.PathLike[str]) -> Rig:

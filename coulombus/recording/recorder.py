@@ -128,6 +128,7 @@ class Recorder:
             attachments |= inside_attachment(about.law_state)
         self._attachments, self._texts = {**attachments, **about.more}, SectionTexts(about.comment)
         self._started_ns = about.started_ns
+        self._interface = rig.channels[0] or "can0" if len(rig.channels) == 1 else "can0"
         self._open(path, force=force)
         self._markers = Markers()
         self._traces = self._sents = 0
@@ -143,6 +144,7 @@ class Recorder:
             texts=self._texts,
             started_ns=self._started_ns,
             force=force,
+            interface=self._interface,
             second=HOST_INTERFACE if self._inside else "",
         )
 

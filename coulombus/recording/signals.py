@@ -372,7 +372,12 @@ def decode(
     frames = capture.frames
     epoch_ns = epoch_of(frames) if epoch_ns is None else epoch_ns
     can_ids = np.ascontiguousarray(frames["can_id"])
-    tables = tuple(table_of(pdo, frames, can_ids, rig, before) for pdo in rig.pdos())
+    ids_on = dict.fromkeys(rig.channels, can_ids)
+    if capture.channels is not None:
+        ids_on = {channel: np.where(capture.frames_on(channel), can_ids, -1) for channel in rig.channels}
+    tables = tuple(
+        table_of(pdo, frames, ids_on[axis.bus.channel], rig, before) for axis in rig.axes for pdo in axis.pdos()
+    )
     if inside:
         ids = np.ascontiguousarray(capture.inside["can_id"])
         telemetry = (table_of(pdo, capture.inside, ids, rig, before) for pdo in inside)

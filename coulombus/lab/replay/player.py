@@ -8,6 +8,7 @@ length earlier, so that on an idle bus it ends when it ended then.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.log_files import WALL_CLOCK_NS, is_pcapng, read_log
+from coulombus.recording.bus_match import Channel, channel_texts, one_bus
+from coulombus.recording.log_files import EXPECTED, WALL_CLOCK_NS, LogError, is_log, is_pcapng
+from coulombus.recording.pcapng_reader import read_pcapng
+from coulombus.recording.reading import captures
+from coulombus.recording.remarks import remarks_on
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.client import BusFull, Client, pack_frame
 from coulombus.wire.frame import CAN_ERR_FLAG, CAN_RTR_FLAG, Records, data_bytes
@@ -73,28 +78,28 @@ class Stop(Protocol):
         """Sleep for so long; tell whether to stop."""
 
 
-def load_tape(path: str | Path) -> Tape:
-    """Read what can be played: pcapng, and what python-can reads (candump's .log, .asc, .blf, .trc,
-    .csv, .mf4, .db, each also .gz).
+def load_tape(path: str | Path, channel: Channel = None) -> Tape:
+    """Read what can be played of one bus, `channel` where the file has several: pcapng, and other
+    tools' logs (candump's .log, .asc, .blf, .trc, .csv, .mf4, .db, each also .gz).
 
     Error frames and CAN FD frames are left out, with a remark.
 
     Raises
     ------
+    coulombus.recording.bus_match.ChannelError
+        The file has several buses, and none is named.
     coulombus.recording.log_files.LogError, coulombus.recording.pcapng_blocks.PcapngError
         The file is of another kind or damaged.
     """
-    if Path(path).suffix == ".pcapng" or Path(path).is_dir() or is_pcapng(path):
-        from coulombus.recording.pcapng_reader import read_pcapng
-
+    if is_log(path):
+        capture = next(captures(path))
+    elif Path(path).suffix == ".pcapng" or Path(path).is_dir() or is_pcapng(path):
         capture = read_pcapng(path)
-        frames, remarks = capture.frames, list(capture.warnings)
-        if capture.torn:
-            remarks.append(f"{path}: the last block is unfinished: {capture.torn} bytes were left out")
-        if capture.skipped:
-            remarks.append(f"{path}: {capture.skipped} packets are no classical CAN frames and were left out")
     else:
-        frames, remarks = read_log(path)
+        raise LogError(f"{path}: it cannot be read: expected {EXPECTED}")
+    capture, bus_remarks = one_bus(capture, channel_texts(channel))
+    left_out = Counter({"torn": capture.torn, "skipped": capture.skipped})
+    frames, remarks = capture.frames, [*remarks_on(str(path), (*capture.warnings, *bus_remarks), left_out)]
     errors = frames["can_id"] & CAN_ERR_FLAG != 0
     if errors.any():
         remarks.append(f"{path}: {int(errors.sum())} error frames were left out: they belong to their own wire")

@@ -6,6 +6,7 @@ A recording is gone through once, some seconds at a time, so the memory does not
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from coulombus.recording.bus_match import BusMatch, Channel, channel_texts
 from coulombus.recording.export.arrow import ParquetWriter
 from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.hdf import Hdf5Writer
@@ -23,6 +25,7 @@ from coulombus.recording.export.mdf import Mf4Writer
 from coulombus.recording.export.text_table import CsvWriter
 from coulombus.recording.output_file import new_file
 from coulombus.recording.reading import blocks, captures
+from coulombus.recording.remarks import remarks_on
 from coulombus.recording.sample_groups import groups_of, stretches
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import path_text
@@ -73,6 +76,7 @@ def export(
     signals: Sequence[str] | None = None,
     grid_ns: int | None = None,
     rig: Rig | str | os.PathLike[str] | None = None,
+    channel: Channel = None,
     force: bool = False,
     progress: Callable[[float], None] = lambda t_s: None,
 ) -> Exported:
@@ -93,6 +97,8 @@ def export(
         for each frame of a PDO, as it came.
     rig
         Decode with this rig and not with the attached one.
+    channel
+        Which of the file's buses, as `read` takes it; None: of whole frames those of all buses.
     force
         Replace `out` if it exists.
     progress
@@ -118,8 +124,8 @@ def export(
     if kind in FRAMES:
         if signals is not None or grid_ns is not None:
             raise ExportError(f"{kind} holds whole frames: leave the signals and the grid out")
-        return _frames(Path(path), Path(out), kind, force=force, progress=progress)
-    source = blocks(path, rig)
+        return _frames(Path(path), Path(out), kind, channel_texts(channel), force=force, progress=progress)
+    source = blocks(path, rig, channel)
     groups = groups_of(source, signals, grid_ns)
     about = _about(path)
     if grid_ns is not None:
@@ -178,22 +184,25 @@ def _about(path: str | Path) -> dict[str, str]:
     return {key: " ".join(text.splitlines()) for key, text in about.items()}
 
 
-def _frames(path: Path, out: Path, kind: str, *, force: bool, progress: Callable[[float], None]) -> Exported:
-    """Write whole frames; stamps are the clock's, where the recording knows it."""
+def _frames(
+    path: Path, out: Path, kind: str, given: tuple[str, ...], *, force: bool, progress: Callable[[float], None]
+) -> Exported:
+    """Write whole frames, each with the name of its bus; stamps are the clock's, where the recording knows it."""
     about = _about(path)
     start_ns, count, until, first = int(about.get("start_ns", 0)), 0, 0.0, 0
-    torn = 0
+    torn = skipped = 0
     warnings: list[str] = []
+    match = BusMatch(str(path), ("",), given)
     with new_file(out, force=force) as place, _whole(FRAMES[kind][1](place, start_ns)) as writer:
         for capture in captures(path):
-            torn, warnings = torn + capture.torn, [*warnings, *capture.warnings]
+            torn, skipped, warnings = torn + capture.torn, skipped + capture.skipped, [*warnings, *capture.warnings]
+            capture = match.take(capture) if given else capture
             if not len(capture.frames):
                 continue
             first = first if count else int(capture.frames["t_ns"][0])
-            writer.add(capture.frames)
+            writer.add(capture.frames, capture.buses)
             count += len(capture.frames)
             until = (int(capture.frames["t_ns"][-1]) - first) / 1e9
             progress(until)
-    if torn:
-        warnings.append(f"{path}: the last block is unfinished: {torn} bytes were left out")
-    return Exported(out, kind, until, count, (), tuple(warnings))
+    remarks = remarks_on(str(path), [*warnings, *match.remarks()], Counter({"torn": torn, "skipped": skipped}))
+    return Exported(out, kind, until, count, (), remarks)

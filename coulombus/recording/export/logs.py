@@ -5,6 +5,7 @@ Lines are made as columns of characters, of some thousand frames at a time.
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Sequence
@@ -70,6 +71,26 @@ def _byte(frames: Records, k: int) -> Integers:
     return byte
 
 
+def _interfaces(buses: Sequence[str]) -> list[str]:
+    """Return the name of each bus as candump's log can hold it: ``can0`` of the address
+    ``socketcan:can0`` and of a bus without a name, ``can1`` of a channel that is a number.
+    """
+    plain = [re.sub(r"\s", "_", name.rpartition(":")[2]) or "can0" for name in buses]
+    return [f"can{name}" if name.isdigit() else name for name in plain]
+
+
+def _channels(buses: Sequence[str]) -> Integers:
+    """Return the number of each bus, from 1 on: that of its name (``1`` is 1, ``can0`` is 1), as far
+    as these differ.
+    """
+    names = list(dict.fromkeys(buses))
+    ends = [re.search(r"\d{1,4}$", name) for name in names]
+    numbers = [int(end[0]) + (end[0] != name) if end else 1 for name, end in zip(names, ends, strict=True)]
+    if len(set(numbers)) < len(numbers) or 0 in numbers:
+        numbers = list(range(1, len(names) + 1))
+    return np.array([numbers[names.index(name)] for name in buses], np.int64)
+
+
 class CandumpWriter:
     """``candump -L``: ``(1436509052.249713) can0 123#DEADBEEF``.
 
@@ -80,8 +101,8 @@ class CandumpWriter:
     def __init__(self, path: Path, start_ns: int) -> None:
         self._file, self._start_ns = path.open("wb"), start_ns
 
-    def add(self, frames: Records) -> None:
-        """Write frames."""
+    def add(self, frames: Records, buses: Sequence[str] = ("can0",)) -> None:
+        """Write frames; `buses` are the names of their `source`."""
         can_id, length = frames["can_id"], frames["length"]
         error, remote = can_id & CAN_ERR_FLAG != 0, can_id & CAN_RTR_FLAG != 0
         long = (can_id & CAN_EFF_FLAG != 0) | error
@@ -91,9 +112,9 @@ class CandumpWriter:
         lines.decimal(t_us // 10**6, 12, 10)
         lines.text(".")
         lines.decimal(t_us % 10**6, 6, 6)
-        lines.text(") can")
-        lines.decimal(frames["source"].astype(np.int64), 5)
-        lines.text(" ")
+        lines.text(") ")
+        for source, name in enumerate(_interfaces(buses)):
+            lines.text(f"{name} ", frames["source"] == source)
         shown = np.where(error, can_id & (EXTENDED | CAN_ERR_FLAG), can_id & EXTENDED)
         lines.hexadecimal(shown, 8, long)
         lines.hexadecimal(can_id & STANDARD, 3, ~long)
@@ -117,8 +138,8 @@ class AscWriter:
         self._file, self._start_ns = path.open("wb"), start_ns
         self._first_ns: int | None = None
 
-    def add(self, frames: Records) -> None:
-        """Write frames."""
+    def add(self, frames: Records, buses: Sequence[str] = ("can0",)) -> None:
+        """Write frames; `buses` are the names of their `source`."""
         if self._first_ns is None:
             self._first_ns = int(frames["t_ns"][0])
             begin = datetime.fromtimestamp((self._start_ns + self._first_ns) // 10**6 / 1e3, UTC)
@@ -135,7 +156,7 @@ class AscWriter:
         lines.text(".")
         lines.decimal(t_us % 10**6, 6, 6)
         lines.text(" ")
-        lines.decimal(frames["source"] + 1, 5)
+        lines.decimal(_channels(buses)[frames["source"]], 5)
         lines.text("  ErrorFrame", error)
         lines.text("  ", ~error)
         lines.hexadecimal(can_id & EXTENDED, 8, extended & ~error)
@@ -183,14 +204,16 @@ class BlfWriter:
         self._objects, self._bytes = 0, FILE_HEADER.size
         self._file.write(bytes(FILE_HEADER.size))
 
-    def add(self, frames: Records) -> None:
-        """Write frames."""
+    def add(self, frames: Records, buses: Sequence[str] = ("can0",)) -> None:
+        """Write frames; `buses` are the names of their `source`."""
         if self._first_ns is None:  # the header tells a clock's in whole milliseconds
             first_ns = int(frames["t_ns"][0] + self._start_ns) // 10**6 * 10**6
             self._first_ns = first_ns if first_ns >= WALL_CLOCK_NS else 0
         self._last_ns = int(frames["t_ns"][-1] + self._start_ns)
         error = frames["can_id"] & CAN_ERR_FLAG != 0
         edges = [0, *(np.flatnonzero(np.diff(error)) + 1).tolist(), len(frames)]
+        frames = frames.copy()
+        frames["source"] = _channels(buses)[frames["source"]]
         content = b"".join(self._some(frames[a:b], self._first_ns, bool(error[a])) for a, b in pairwise(edges) if a < b)
         for at in range(0, len(content), CONTAINER):
             self._container(content[at : at + CONTAINER])
@@ -202,7 +225,7 @@ class BlfWriter:
         made["size"], made["kind"] = made.itemsize, CAN_ERROR_EXT if error else CAN_MESSAGE
         made["unit"] = NANOSECONDS
         made["t_ns"] = np.maximum(frames["t_ns"] + self._start_ns - first_ns, 0)
-        made["channel"], made["dlc"], made["data"] = frames["source"] + 1, frames["length"], frames["word"]
+        made["channel"], made["dlc"], made["data"] = frames["source"], frames["length"], frames["word"]
         can_id = frames["can_id"]
         made["can_id"] = (can_id & EXTENDED) | np.where(can_id & CAN_EFF_FLAG, EXTENDED_BLF, 0)
         if not error:

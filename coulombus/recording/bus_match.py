@@ -1,0 +1,195 @@
+"""Which of a recording's buses is which of the rig's: an identifier means something on its bus only.
+
+A bus of the file has the name of its interface or channel. It is the rig's bus of that name; a
+recording of ours says in its attached rig which bus it is of. Of one bus in both there is no choice.
+Foreign names in as many buses as the rig has are matched in the file's order, with a remark. Else a
+person must say it: ``can0``, or ``a=can0`` for a rig that has several buses.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from coulombus.recording.pcapng_reader import Capture
+from coulombus.rigs.arguments import WrongCall
+from coulombus.system.errors import CoulombusError
+
+__all__ = ["BusMatch", "Channel", "ChannelError", "bus_names", "channel_texts", "one_bus", "recorded_channel"]
+
+Channel: TypeAlias = str | Sequence[str] | None
+"""A bus of the file, or several as ``RIG_BUS=BUS``."""
+
+
+class ChannelError(CoulombusError):
+    """It is not known which of the buses in a file is meant; the text has their names."""
+
+    exit_status = 2
+
+
+def channel_texts(channel: Channel) -> tuple[str, ...]:
+    """Return what a script or an option gives, each bus a text.
+
+    Raises
+    ------
+    coulombus.rigs.arguments.WrongCall
+        It is something else.
+    """
+    texts = () if channel is None else (channel,) if isinstance(channel, str) else tuple(channel)
+    if any(not isinstance(text, str) for text in texts):
+        raise WrongCall(f'channel is {channel!r}: expected a bus of the file, as in channel="can0"')
+    return texts
+
+
+def bus_names(capture: Capture) -> tuple[str, ...]:
+    """Return the names of a file's buses, each once; ("",) for one bus without a name."""
+    return tuple(dict.fromkeys(name for name in capture.buses if name)) or ("",)
+
+
+def recorded_channel(attachments: Mapping[str, bytes]) -> str:
+    """Return the rig's bus of which a recording of ours is; "" where it does not say it."""
+    try:
+        rig: dict[str, Any] = tomllib.loads(attachments.get("rig.toml", b"").decode())
+        shared = rig.get("bus", {}).get("channel", "")
+        axes = rig.get("axis", {}).values()
+        channels = {axis.get("bus", {}).get("channel", shared) for axis in axes} or {shared}
+    except (ValueError, AttributeError):
+        return ""
+    (channel, *others) = channels
+    return channel if isinstance(channel, str) and not others else ""
+
+
+@dataclass
+class BusMatch:
+    """The match of one way through a recording.
+
+    Parameters
+    ----------
+    path : the recording
+    channels : the rig's buses
+    given : what a person says, see `Channel`
+    recorded : the rig's bus of a recording of ours
+    """
+
+    path: str
+    channels: tuple[str, ...]
+    given: tuple[str, ...] = ()
+    recorded: str = ""
+    left_out: Counter[str] = field(default_factory=Counter)
+    _names: tuple[str, ...] = ()
+    _channel_of: dict[str, str] = field(default_factory=dict)
+    _in_order: bool = False
+
+    def take(self, capture: Capture) -> Capture:
+        """Return a stretch with the frames of the rig's buses alone.
+
+        Raises
+        ------
+        ChannelError
+            It is not known which buses these are.
+        """
+        names = bus_names(capture)
+        if names != self._names:
+            self._match(names)
+        channels = tuple(self._channel_of.get(name) for name in capture.buses)
+        if any(channel is None and name in names for channel, name in zip(channels, capture.buses, strict=True)):
+            capture = self._without(capture, np.array([channel is not None for channel in channels]))
+        if len(self.channels) == 1:
+            return capture
+        return replace(capture, channels=tuple(channel or "" for channel in channels))
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return what was left out so far, and how buses of other names were matched."""
+        texts = [
+            f"{self.path}: {count} frames of the bus {name} were left out" for name, count in self.left_out.items()
+        ]
+        if self._in_order:
+            pairs = ", ".join(f"{name} is {channel}" for name, channel in self._channel_of.items())
+            texts.append(f"{self.path}: of its buses, in their order, {pairs} of the rig; else say it with --channel")
+        return tuple(texts)
+
+    def _match(self, names: tuple[str, ...]) -> None:
+        before = self._channel_of
+        self._channel_of = self._by_hand(names) if self.given else self._by_name(names)
+        if any(self._channel_of.get(name) != channel for name, channel in before.items()):
+            raise self._unknown(names)
+        self._names = names
+
+    def _by_hand(self, names: tuple[str, ...]) -> dict[str, str]:
+        channel_of: dict[str, str] = {}
+        for text in self.given:
+            channel, _, name = text.rpartition("=")
+            if len(names) == 1 and name == self.recorded:
+                name = names[0]
+            if name not in names:
+                raise ChannelError(f"{self.path}: --channel {text}: {_has(names)}")
+            if not channel:
+                alone = len(self.channels) == 1
+                channel = self.channels[0] if alone else self.recorded if self.recorded in self.channels else name
+            if channel not in self.channels:
+                listed = ", ".join(self.channels)
+                remedy = f"say which: --channel {self.channels[0] or 'RIG_BUS'}={name}"
+                raise ChannelError(f"{self.path}: --channel {text}: the rig has the buses {listed}; {remedy}")
+            if name in channel_of or channel in channel_of.values():
+                raise ChannelError(f"{self.path}: --channel {text}: a bus is given twice")
+            channel_of[name] = channel
+        return channel_of
+
+    def _by_name(self, names: tuple[str, ...]) -> dict[str, str]:
+        if len(names) == 1 and self.recorded in self.channels:
+            return {names[0]: self.recorded}
+        same = {name: name for name in names if name and name in self.channels}
+        if same:
+            return same
+        if len(names) != len(self.channels):
+            raise self._unknown(names)
+        self._in_order = len(names) > 1
+        return dict(zip(names, self.channels, strict=True))
+
+    def _unknown(self, names: tuple[str, ...]) -> ChannelError:
+        if len(self.channels) == 1:
+            return _several(self.path, names, "the rig has one")
+        listed = ", ".join(self.channels)
+        remedy = f"say which is which: --channel {self.channels[0]}={names[0] or 'NAME'}"
+        return ChannelError(f"{self.path}: {_has(names)}, and the rig has the buses {listed}; {remedy}")
+
+    def _without(self, capture: Capture, kept: Any) -> Capture:
+        frames = capture.frames
+        there = kept[frames["source"]]
+        for source, count in Counter(frames["source"][~there].tolist()).items():
+            self.left_out[capture.buses[source]] += count
+        rows = np.concatenate(([0], np.cumsum(there)))
+        last = int(rows[-1]) - 1  # a comment goes to the next frame that is left
+        comments = [(min(int(rows[row]), last), text) for row, text in capture.comments if last >= 0]
+        return replace(capture, frames=frames[there], comments=comments)
+
+
+def one_bus(capture: Capture, given: tuple[str, ...]) -> tuple[Capture, tuple[str, ...]]:
+    """Return the frames of one bus of a recording, where no rig is asked; and remarks.
+
+    Raises
+    ------
+    ChannelError
+        It has several buses, and none is named, or one that it does not have.
+    """
+    names = bus_names(capture)
+    if not given and len(names) > 1:
+        raise _several(capture.path, names, "they are of one bus each")
+    match = BusMatch(capture.path, ("",), tuple(text.rpartition("=")[2] for text in given))
+    return match.take(capture), match.remarks()
+
+
+def _several(path: str, names: tuple[str, ...], why: str) -> ChannelError:
+    return ChannelError(f"{path}: {_has(names)}, and {why}; name one with --channel {names[0]}")
+
+
+def _has(names: tuple[str, ...]) -> str:
+    named = [name for name in names if name]
+    if len(named) > 1:
+        return f"the file has the buses {', '.join(named)}"
+    return f"the file has the bus {named[0]}" if named else "the file has one bus, without a name"

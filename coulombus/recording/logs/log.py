@@ -1,0 +1,181 @@
+"""What a reader gathers of a log: its frames, its buses, and how many rows it left out, by why.
+
+Frames and rows that are told as left out are together all rows of the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from decimal import Decimal
+from typing import Protocol, TypeAlias
+
+from coulombus.recording.logs.content import Content
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG
+from coulombus.wire.data_word import data_word
+from coulombus.wire.frame import Frame, Records, new_records
+
+__all__ = [
+    "BUS_ERROR",
+    "CUT",
+    "EVENT",
+    "FD",
+    "MALFORMED",
+    "SHORT",
+    "Log",
+    "Row",
+    "Rows",
+    "clock_us",
+    "data_of",
+    "identifier",
+    "read_rows",
+    "stamp_ns",
+]
+
+Row: TypeAlias = tuple[int, int, int, bytes, str]
+"""Stamp [ns], identifier with Linux's flags, length, data, name of the bus."""
+
+MALFORMED = "no frame of this format"
+SHORT = "fewer data bytes than the length says"
+CUT = "the file ends in the midst of it"
+EVENT = "no frame, but an event of the tool or the adapter (status, statistics)"
+FD = "a CAN FD frame"
+
+BUS_ERROR = CAN_ERR_FLAG | 0x080
+"""The identifier of an error frame of which a format tells nothing but that there was one."""
+LONGEST_DATA, STANDARD, EXTENDED = 8, 0x7FF, 0x1FFF_FFFF
+LATEST_NS = 2**63 - 1
+CLOCK_NS = 10**17  # as `log_files.WALL_CLOCK_NS`
+
+
+@dataclass
+class Log:
+    """Frames of a log in the file's order, and what was left out."""
+
+    unit: str = "row"
+    """What the format calls a frame's place: a row, an object."""
+    rows: list[tuple[int, int, int, int, int]] = field(default_factory=list)
+    buses: dict[str, int] = field(default_factory=dict)
+    """Name of a bus -> its number, the `source` of its frames."""
+    losses: dict[str, list[int]] = field(default_factory=dict)
+    """Why -> how many rows were left out, and the line of the first."""
+    remarks: list[str] = field(default_factory=list)
+    """Further sentences on the file."""
+
+    def add(self, row: Row) -> None:
+        """Take a frame.
+
+        Raises
+        ------
+        ValueError
+            A value that no classical CAN frame has.
+        """
+        t_ns, can_id, length, data, bus = row
+        if not 0 <= length <= LONGEST_DATA or len(data) > LONGEST_DATA:
+            raise ValueError(f"got {length} data bytes, expected at most {LONGEST_DATA}")
+        if abs(t_ns) > LATEST_NS:
+            raise ValueError(f"got the stamp {t_ns} ns, expected one before the year 2262")
+        self.rows.append((t_ns, can_id, length, data_word(data), self.buses.setdefault(bus, len(self.buses))))
+
+    def lose(self, why: str, line: int = 0, count: int = 1) -> None:
+        """Count rows that are left out; `line` is the number of the first."""
+        self.losses.setdefault(why, [0, line])[0] += count
+
+    def frames(self) -> Records:
+        """Return the frames as records of `Frame`."""
+        frames = new_records(Frame, len(self.rows))
+        frames[:] = self.rows
+        return frames
+
+    def all_remarks(self, path: str) -> list[str]:
+        """Return in sentences what was left out."""
+        texts = []
+        for why, (count, line) in self.losses.items():
+            rows = f"1 {self.unit} was" if count == 1 else f"{count} {self.unit}s were"
+            place = f" (the first is line {line})" if line else ""
+            texts.append(f"{path}: {rows} left out: {why}{place}")
+        return [*texts, *(f"{path}: {text}" for text in self.remarks)]
+
+
+class Rows(Protocol):
+    """A format's lines."""
+
+    def row(self, text: str, ended: bool) -> Row | str | None:
+        """Return the frame of a line, or why it is left out, or None of a line that is no row.
+
+        `ended` tells whether the line has its end; a frame of one that has not must be whole.
+
+        Raises
+        ------
+        ValueError, IndexError
+            The line is malformed.
+        """
+
+
+def read_rows(content: Content, rows: Rows) -> Log:
+    """Read a log line by line."""
+    log = Log()
+    for number, (text, ended) in enumerate(content.lines(), 1):
+        if not text.strip():
+            continue
+        try:
+            outcome = rows.row(text.rstrip("\r"), ended)
+            if isinstance(outcome, tuple):
+                log.add(outcome)
+                continue
+        except (ValueError, IndexError):
+            outcome = MALFORMED
+        if outcome is not None:
+            log.lose(outcome if ended else CUT, number)
+    return log
+
+
+def stamp_ns(text: str, scale: int = 10**9) -> int:
+    """Return a time in units of `scale` ns, as text with a point or a comma, in ns.
+
+    Raises
+    ------
+    ValueError
+        It is no number, or one beyond an INTEGER64 of nanoseconds (the year 2262).
+    """
+    try:
+        t_ns = Decimal(text.replace(",", ".")) * scale
+        if abs(t_ns) < LATEST_NS:  # what is no number compares as none
+            return round(t_ns)
+    except ArithmeticError:
+        pass
+    raise ValueError(f"got the stamp {text}, expected a number before the year 2262")
+
+
+def clock_us(t_ns: int) -> int:
+    """Return a stamp that a tool has held as a float of seconds: a clock's in whole microseconds,
+    which is as much as such a float tells.
+    """
+    return (t_ns + 500) // 1000 * 1000 if t_ns >= CLOCK_NS else t_ns
+
+
+def identifier(value: int, extended: bool) -> int:
+    """Return an identifier with Linux's flag.
+
+    Raises
+    ------
+    ValueError
+        It has more bits than 11 or 29.
+    """
+    if not 0 <= value <= (EXTENDED if extended else STANDARD):
+        raise ValueError(f"got the identifier {value:X}, expected at most {29 if extended else 11} bits")
+    return value | CAN_EFF_FLAG if extended else value
+
+
+def data_of(tokens: list[str], length: int, base: int = 16) -> bytes | None:
+    """Return the data bytes that the tokens begin with; None where there are fewer, or the last is
+    cut.
+
+    Raises
+    ------
+    ValueError
+        A token is no byte.
+    """
+    digits = tokens[:length]
+    if len(digits) < length or (base == 16 and any(len(digit) != 2 for digit in digits)):
+        return None
+    return bytes(int(digit, base) for digit in digits)

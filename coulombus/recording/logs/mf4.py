@@ -1,0 +1,88 @@
+"""ASAM's .mf4, as python-can reads it with asammdf; its rows are held against the frames that come
+of them.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from coulombus.recording import mf4_log
+from coulombus.recording.logs import python_can
+from coulombus.recording.logs.log import Log
+
+__all__ = ["MAGICS", "read"]
+
+MAGICS = (b"MDF ", b"UnFinMF ")
+BUS_EVENT = 2
+"""Flag of a channel group whose rows are events of a bus (`asammdf`'s FLAG_CG_BUS_EVENT)."""
+
+
+class _NoBus(ValueError):
+    """The file is whole, and has no frames."""
+
+
+def read(path: str | Path) -> Log:
+    """Read an .mf4 file.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    ImportError
+        asammdf is not installed.
+    """
+    size = Path(path).stat().st_size
+    with Path(path).open("rb") as file:
+        start = file.read(8)
+    if not any(start.startswith(magic[: len(start)]) for magic in MAGICS):
+        raise ValueError("it does not begin as an .mf4 file does")
+    log = Log()
+    with _quiet():
+        rows = _rows(path)
+    if isinstance(rows, str):
+        log.remarks.append(f"{size} bytes were left out: asammdf cannot read the file ({rows})")
+        return log
+    error_text = python_can.take(path, log)
+    missing = rows - len(log.rows) - sum(count for count, _ in log.losses.values())
+    if missing > 0:
+        log.lose(f"python-can's reader passes over them{error_text and f' ({error_text})'}", count=missing)
+    return log
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let asammdf not write to stderr: what it logs, and that it cannot close what it could not open."""
+    logger = logging.getLogger("asammdf")
+    level, hook = logger.level, sys.unraisablehook
+    logger.setLevel(logging.CRITICAL)
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+        gc.collect()  # what it could not open ends here
+    finally:
+        sys.unraisablehook = hook
+        logger.setLevel(level)
+
+
+def _rows(path: str | Path) -> int | str:
+    """Return how many events of buses a file has, or the error of one that is cut."""
+    mf4_log.ready()
+    import asammdf
+
+    try:
+        with asammdf.MDF(path) as mdf:
+            groups: list[Any] = [group.channel_group for group in mdf.groups]
+            events = [group.cycles_nr for group in groups if group.flags & BUS_EVENT]
+            if groups and not events:
+                raise _NoBus("it holds signals, and no frames of a bus")
+            return sum(events)
+    except _NoBus:
+        raise
+    except Exception as error:  # asammdf raises what its parsing happens to raise
+        return f"{type(error).__name__}: {error}"
