@@ -3,7 +3,8 @@ the eye.
 
 Every row has `t_s`, `can_id`, `node` (a name of the rig, a node id's number as text, or None) and
 `pdo` ("TPDO1" or None). A PDO of the rig adds its signals by name in SI units; any other frame adds
-`service`, `data` (hexadecimal) and what the service says; a comment adds `marker`.
+`service`, `data` (hexadecimal) and what the service says; a comment adds `marker`, a rig with
+several buses `bus`.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def rows(recording: Source) -> Iterator[Row]:
 def _block_rows(block: Recording, services: Mapping[str, _Services]) -> Iterator[Row]:
     frames = block.frames
     first, *_ = services.values()
-    of_source = [services.get(channel, first) for channel in block.capture.channels or ()]
+    channels = block.capture.channels or ()
+    of_source = [services.get(channel, first) for channel in channels]
     table_of = np.full(len(frames), -1, np.int64)
     tables = [table for table in block.tables if not table.inside]
     for number, table in enumerate(tables):
@@ -77,6 +79,8 @@ def _block_rows(block: Recording, services: Mapping[str, _Services]) -> Iterator
         else:
             services_there = of_source[source] if of_source else first
             row_of_frame = services_there.row(t_s, can_id, length, word)
+        if channels:
+            row_of_frame["bus"] = channels[source]
         if i in comments:
             row_of_frame["marker"] = comments[i].replace("\n", "; ")
         yield row_of_frame

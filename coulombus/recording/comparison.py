@@ -208,7 +208,7 @@ def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_S
         zeros, name = (marks[0][k][0], marks[1][k][0]), marks[0][k][1].replace("phase ", "")
         after = [phases[k + 1][0] if k + 1 < len(phases) else end for phases, end in zip(marks, ends, strict=True)]
         lengths = [end - zero for end, zero in zip(after, zeros, strict=True)]
-        if abs(lengths[0] - lengths[1]) > 0.5 * first.rig.bus.period_s:
+        if abs(lengths[0] - lengths[1]) > 0.5 * first.rig.axes[0].bus.period_s:
             length_remarks.append(f"phase {name}: {lengths[0]:.4f} s and {lengths[1]:.4f} s")
         if exact or name != "end":
             spans.append(_Span(name, zeros, 0.0, min(lengths)))

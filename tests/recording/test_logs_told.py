@@ -272,7 +272,7 @@ def test_a_file_is_refused_only_where_nothing_of_it_is_a_log(tmp_path):
     with pytest.raises(LogError, match="the file is empty"):
         read_log(path)
     (tmp_path / "no.blf").write_bytes(bytes(200))
-    with pytest.raises(LogError, match="does not begin as a .blf file does"):
+    with pytest.raises(LogError, match=r"does not begin as a [.]blf file does"):
         read_log(tmp_path / "no.blf")
 
 

@@ -37,7 +37,7 @@ class Content:
 
     def __init__(self, path: str | Path) -> None:
         self._path = str(path)
-        self._file = Path(path).open("rb")
+        self._file = Path(path).open("rb")  # noqa: SIM115 (closed at the end of this context)
         start = self._file.read(2)
         self._file.seek(0)
         self._chunks = self._unpacked() if start == GZIP else self._plain()

@@ -78,7 +78,7 @@ def _rows(path: str | Path) -> int | str:
     try:
         with asammdf.MDF(path) as mdf:
             groups: list[Any] = [group.channel_group for group in mdf.groups]
-            events = [group.cycles_nr for group in groups if group.flags & BUS_EVENT]
+            events = [int(group.cycles_nr) for group in groups if group.flags & BUS_EVENT]
             if groups and not events:
                 raise _NoBus("it holds signals, and no frames of a bus")
             return sum(events)
