@@ -116,11 +116,17 @@ class Otherwise:
     law: str | None
     overrides: tuple[str, ...]
 
-    def rig(self) -> Rig | None:
-        """Return the rig that is named; None: the recording's own."""
+    def rig(self, file: Path) -> Rig | None:
+        """Return the rig that is named, as it is on the recorded bus; None: the recording's own."""
+        from coulombus.recording.bus_match import recorded_channel
+        from coulombus.recording.reading import captures
         from coulombus.rigs.rig import load_rig
 
-        return None if self.rig_name is None else load_rig(self.rig_name)
+        if self.rig_name is None:
+            return None
+        rig = load_rig(self.rig_name)
+        recorded = recorded_channel(next(captures(file)).attachments)
+        return rig.on(recorded) if recorded in rig.channels else rig
 
     def all_overrides(self) -> tuple[str, ...]:
         """Return what is set in the rig, the law as one of them."""
@@ -193,7 +199,7 @@ def replay(
 
 def _check(file: Path, otherwise: Otherwise, as_host: bool, as_json: bool) -> None:
     """Hold the host, or the bus model, against a recording."""
-    rig = otherwise.rig()
+    rig = otherwise.rig(file)
     if as_host:
         from coulombus.lab.replay.host_replay import host_replay
 

@@ -9,6 +9,7 @@ CoulombusError
 +-- BusUnavailable               4   wire.address                 OSError
 |   +-- BusDown                  4   wire.client
 |   +-- BusGone                  4   wire.client
++-- ChannelError                 2   recording.bus_match
 +-- ClusterError                 2   lab.sweep.workers
 +-- CommissionError              1   host.commission.step
 +-- ConditionError               3   lab.sweep.expressions        ValueError
