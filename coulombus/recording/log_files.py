@@ -17,14 +17,14 @@ from coulombus.recording.logs.asc import AscRows
 from coulombus.recording.logs.can_csv import HEAD, CsvRows
 from coulombus.recording.logs.candump import CandumpRows
 from coulombus.recording.logs.content import Content
-from coulombus.recording.logs.log import MALFORMED, Log, Rows, read_rows
+from coulombus.recording.logs.log import MALFORMED, LineFormat, Log, read_rows
 from coulombus.recording.logs.trc import TrcRows
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
 __all__ = ["EXPECTED", "WALL_CLOCK_NS", "LogContent", "LogError", "is_log", "is_pcapng", "read_log"]
 
-TEXTS: dict[str, Callable[[], Rows]] = {".log": CandumpRows, ".asc": AscRows, ".trc": TrcRows, ".csv": CsvRows}
+TEXTS: dict[str, Callable[[], LineFormat]] = {".log": CandumpRows, ".asc": AscRows, ".trc": TrcRows, ".csv": CsvRows}
 """Formats of lines, by the ending of their names."""
 LOGS = (*TEXTS, ".blf", ".mf4", ".db")
 EXPECTED = "a pcapng file, or another tool's log: candump's .log, .asc, .blf, .trc, .csv, .mf4, .db"

@@ -40,7 +40,7 @@ class AscRows:
         """The line before began a measurement: `START` follows."""
 
     def row(self, text: str, ended: bool) -> Row | str | None:
-        """See `log.Rows`."""
+        """See `log.LineFormat`."""
         begins, self._begins = self._begins, text.strip().lower().startswith("begin triggerblock")
         begun = BEGIN.fullmatch(text.strip().lower())
         if begins and not ended and begun and START.startswith(begun[1]):

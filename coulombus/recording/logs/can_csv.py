@@ -19,7 +19,7 @@ class CsvRows:
     """Lines of python-can's CSV file."""
 
     def row(self, text: str, ended: bool) -> Row | str | None:
-        """See `log.Rows`."""
+        """See `log.LineFormat`."""
         if text.strip() == HEAD or (not ended and HEAD.startswith(text)):
             return None
         fields = text.split(",")

@@ -35,7 +35,7 @@ class CandumpRows:
         """Frames of the console without a stamp."""
 
     def row(self, text: str, ended: bool) -> Row | str | None:
-        """See `log.Rows`."""
+        """See `log.LineFormat`."""
         if match := LOG.fullmatch(text):
             if not ended and not match[5]:
                 return MALFORMED  # its data may be cut at any byte

@@ -21,9 +21,9 @@ __all__ = [
     "FD",
     "MALFORMED",
     "SHORT",
+    "LineFormat",
     "Log",
     "Row",
-    "Rows",
     "clock_us",
     "data_of",
     "identifier",
@@ -96,7 +96,7 @@ class Log:
         return [*texts, *(f"{path}: {text}" for text in self.remarks)]
 
 
-class Rows(Protocol):
+class LineFormat(Protocol):
     """A format's lines."""
 
     def row(self, text: str, ended: bool) -> Row | str | None:
@@ -111,7 +111,7 @@ class Rows(Protocol):
         """
 
 
-def read_rows(content: Content, rows: Rows) -> Log:
+def read_rows(content: Content, rows: LineFormat) -> Log:
     """Read a log line by line."""
     log = Log()
     for number, (text, ended) in enumerate(content.lines(), 1):

@@ -23,10 +23,6 @@ BUS_EVENT = 2
 """Flag of a channel group whose rows are events of a bus (`asammdf`'s FLAG_CG_BUS_EVENT)."""
 
 
-class _NoBus(ValueError):
-    """The file is whole, and has no frames."""
-
-
 def read(path: str | Path) -> Log:
     """Read an .mf4 file.
 
@@ -45,6 +41,8 @@ def read(path: str | Path) -> Log:
     log = Log()
     with _quiet():
         rows = _rows(path)
+    if rows is None:
+        raise ValueError("it holds signals, and no frames of a bus")
     if isinstance(rows, str):
         log.remarks.append(f"{size} bytes were left out: asammdf cannot read the file ({rows})")
         return log
@@ -70,8 +68,10 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def _rows(path: str | Path) -> int | str:
-    """Return how many events of buses a file has, or the error of one that is cut."""
+def _rows(path: str | Path) -> int | str | None:
+    """Return how many events of buses a file has, the error of one that is cut, or None of one that
+    has signals only.
+    """
     mf4_log.ready()
     import asammdf
 
@@ -79,10 +79,6 @@ def _rows(path: str | Path) -> int | str:
         with asammdf.MDF(path) as mdf:
             groups: list[Any] = [group.channel_group for group in mdf.groups]
             events = [int(group.cycles_nr) for group in groups if group.flags & BUS_EVENT]
-            if groups and not events:
-                raise _NoBus("it holds signals, and no frames of a bus")
-            return sum(events)
-    except _NoBus:
-        raise
+            return sum(events) if events or not groups else None
     except Exception as error:  # asammdf raises what its parsing happens to raise
         return f"{type(error).__name__}: {error}"

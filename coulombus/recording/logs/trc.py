@@ -29,7 +29,7 @@ class TrcRows:
         self._start_ns = 0
 
     def row(self, text: str, ended: bool) -> Row | str | None:
-        """See `log.Rows`."""
+        """See `log.LineFormat`."""
         if text.lstrip().startswith(";"):
             if ended:
                 self._head(text.strip()[1:])
