@@ -15,6 +15,7 @@ from coulombus.lab.simulate import simulate
 from coulombus.recording.bus_match import ChannelError
 from coulombus.recording.export.export import export
 from coulombus.recording.log_files import read_log
+from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.reading import blocks, read
@@ -58,6 +59,7 @@ def messages():
 def two(request, tmp_path):
     if request.param.endswith("mf4"):
         pytest.importorskip("asammdf")
+        ready()
     path = tmp_path / request.param
     with can.Logger(path) as log:
         for message in messages():

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from coulombus.recording.export.logs import AscWriter, BlfWriter, CandumpWriter
 from coulombus.recording.log_files import LogError, read_log
+from coulombus.recording.mf4_log import ready
 from coulombus.recording.reading import read
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes, data_word
@@ -241,6 +242,7 @@ def test_what_is_read_is_what_was_written(tmp_path_factory, name, frames):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_an_mf4_file_cut_anywhere_has_frames_or_told_bytes(tmp_path):
     pytest.importorskip("asammdf")
+    ready()
     path = tmp_path / "their.mf4"
     frames = [(0x181, 8, bytes(8)), (0x705, 1, b"\x7f"), (CAN_ERR_FLAG | 0x40, 8, bytes(8))] * 3
     written(path, frames)
