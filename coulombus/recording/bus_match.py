@@ -2,12 +2,13 @@
 
 A bus of the file has the name of its interface or channel. It is the rig's bus of that name; a
 recording of ours says in its attached rig which bus it is of. Of one bus in both there is no choice.
-Foreign names in as many buses as the rig has are matched in the file's order, with a remark. Else a
-person must say it: ``can0``, or ``a=can0`` for a rig that has several buses.
+Foreign names in as many buses as the rig has are matched in the order of the names, with a remark.
+Else a person must say it: ``can0``, or ``a=can0`` for a rig that has several buses.
 """
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -110,7 +111,7 @@ class BusMatch:
         ]
         if self._in_order:
             pairs = ", ".join(f"{name} is {channel}" for name, channel in self._channel_of.items())
-            texts.append(f"{self.path}: of its buses, in their order, {pairs} of the rig; else say it with --channel")
+            texts.append(f"{self.path}: of its buses, in the order of their names, {pairs} of the rig; else say it with --channel")
         return tuple(texts)
 
     def _match(self, names: tuple[str, ...]) -> None:
@@ -149,7 +150,7 @@ class BusMatch:
         if len(names) != len(self.channels):
             raise self._unknown(names)
         self._in_order = len(names) > 1
-        return dict(zip(names, self.channels, strict=True))
+        return dict(zip(sorted(names, key=_by_number), self.channels, strict=True))
 
     def _unknown(self, names: tuple[str, ...]) -> ChannelError:
         if len(self.channels) == 1:
@@ -167,6 +168,11 @@ class BusMatch:
         last = int(rows[-1]) - 1  # a comment goes to the next frame that is left
         comments = [(min(int(rows[row]), last), text) for row, text in capture.comments if last >= 0]
         return replace(capture, frames=frames[there], comments=comments)
+
+
+def _by_number(name: str) -> tuple[list[str], list[int]]:
+    """Return what sorts can2 before can10."""
+    return re.split(r"\d+", name), [int(digits) for digits in re.findall(r"\d+", name)]
 
 
 def one_bus(capture: Capture, given: tuple[str, ...]) -> tuple[Capture, tuple[str, ...]]:

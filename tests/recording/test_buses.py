@@ -117,6 +117,15 @@ def test_a_rig_of_two_buses_gets_each_axis_its_own(two, two_buses):
     assert alone["right.motor.statusword"].values.tolist() == [left] * CYCLES
 
 
+def test_foreign_buses_are_matched_in_the_order_of_their_names(tmp_path, two_buses):
+    """Which of them has the first frame is chance."""
+    path = tmp_path / "two.log"
+    path.write_text("(1.0) can10 181#5002000000000000\n(1.1) can2 181#3706000000000000\n")
+    recording = read(path, two_buses)
+    assert any("can2 is a, can10 is b of the rig" in text for text in recording.remarks)
+    assert recording["left.motor.statusword"].values.tolist() == [0x0637]
+
+
 def test_one_foreign_bus_of_a_rig_with_two_is_asked_for(tmp_path, two_buses):
     path = tmp_path / "one.log"
     path.write_text("(1.0) can0 181#5002000000000000\n")
