@@ -111,7 +111,9 @@ class BusMatch:
         ]
         if self._in_order:
             pairs = ", ".join(f"{name} is {channel}" for name, channel in self._channel_of.items())
-            texts.append(f"{self.path}: of its buses, in the order of their names, {pairs} of the rig; else say it with --channel")
+            texts.append(
+                f"{self.path}: of its buses, in the order of their names, {pairs} of the rig; else say it with --channel"
+            )
         return tuple(texts)
 
     def _match(self, names: tuple[str, ...]) -> None:
