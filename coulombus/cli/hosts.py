@@ -36,6 +36,7 @@ def host_addresses(
     from coulombus.rigs.rig import load_rig
     from coulombus.wire.address import parse_address
 
+    rig = load_rig(rig_name)
     if bus_names:
         return [parse_address(text.rpartition("=")[2]) for text in bus_names]
     default = click.get_current_context().get_parameter_source("rig_name") is ParameterSource.DEFAULT
@@ -44,4 +45,4 @@ def host_addresses(
         names = ", ".join(map(str, running))
         others = ", or stop them with --all" if click.get_current_context().command.name == "stop" else ""
         raise click.UsageError(f"{len(running)} hosts run on this machine: {names}; name one with --bus{others}")
-    return running or list(bus_addresses(load_rig(rig_name), (), channel).values())
+    return running or list(bus_addresses(rig, (), channel).values())

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from coulombus.eds.regular_file import require_regular
+from coulombus.eds.regular_file import naming, require_regular
 from coulombus.recording.logs import blf, mf4, python_can
 from coulombus.recording.logs.asc import AscRows
 from coulombus.recording.logs.can_csv import HEAD, CsvRows
@@ -56,7 +56,7 @@ def is_pcapng(path: str | Path) -> bool:
     device.
     """
     require_regular(path)
-    with Path(path).open("rb") as file:
+    with Path(path).open("rb") as file, naming(path):
         return file.read(4) == b"\x0a\x0d\x0d\x0a"
 
 

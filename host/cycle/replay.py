@@ -41,6 +41,14 @@ AHEAD = 4096
 """Frames and rows that are taken out of their arrays at a time."""
 
 
+class HostClock(Clock):
+    """The host's clock. A record of its own, because Numba takes code that it made of `Clock` for
+    every record that begins with its fields.
+    """
+
+    changes: int  # how often it was set
+
+
 class HostFrame(NamedTuple):
     """A frame that the step sends: in which cycle (from 1), ready when, and until when it was on
     its way if at all.
@@ -87,7 +95,7 @@ def replay(controllers: Controllers, inputs: Inputs) -> Iterator[HostFrame]:
 class _Replay:
     def __init__(self, controllers: Controllers, inputs: Inputs) -> None:
         self.k = controllers
-        self.clock = new_records(Clock)[0]
+        self.clock = new_records(HostClock)[0]
         self.out = new_queue()
         self.axes, self.host, self.law_function = controllers.axes, controllers.host, controllers.law_function
         self.orders = inputs.orders
@@ -179,6 +187,7 @@ class _Replay:
                 self.k.start(t_ns)
             elif kind == Event.CLOCK:
                 set_clock(self.clock, t_ns, value)
+                self.clock.changes += 1
             elif kind == Event.STOP:
                 self.k.stop(Trip(value))
             elif kind == Event.SET:

@@ -38,8 +38,13 @@ class Content:
     def __init__(self, path: str | Path) -> None:
         self._path = str(path)
         self._file = Path(path).open("rb")  # noqa: SIM115 (closed at the end of this context)
-        start = self._file.read(2)
-        self._file.seek(0)
+        try:
+            with naming(self._path):
+                start = self._file.read(2)
+                self._file.seek(0)
+        except OSError:
+            self._file.close()
+            raise
         self._chunks = self._unpacked() if start == GZIP else self._plain()
         self._waiting = b""
         self.broken = False
