@@ -176,7 +176,7 @@ def main(settings: dict[str, Any]) -> None:
     if settings["loaded"]:
         start_load()
     print(json.dumps(loop.run(settings["seconds"], settings["priority"], settings["cpu"])), flush=True)
-    control.network.nmt.send_command(0x80)
+    control.send(0x000, b"\x80\0")
     os._exit(0)
 
 

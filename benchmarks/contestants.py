@@ -190,7 +190,7 @@ def nodes_up(bus: Bus) -> Iterator[None]:
         control.check_alone(time.monotonic())
         bring_up_patiently(bus.rig, control)
         yield
-        control.network.nmt.send_command(0x80)
+        control.send(0x000, b"\x80\0")
     finally:
         control.close()
 

@@ -99,13 +99,15 @@ class SdoAnswers:
         What is the frame before once more does not, nor does an answer to an earlier request.
         """
         self._judge(answer)
+        is_stray = bool(self._request) and answer[0] >> 5 > 1 and named(answer) not in (self._place, (0, 0))
+        if is_stray:
+            self.stray = answer
+            self._last = answer
+            return False
         if answer == self._last and not self._repeats(answer):
             self.again = answer if self._behind else b""
             return False
         self._last = answer
-        if self._request and answer[0] >> 5 > 1 and named(answer) not in (self._place, (0, 0)):
-            self.stray = answer
-            return False
         self._behind = 0
         return True
 

@@ -129,7 +129,7 @@ class DeviceOptions:
         to_write : a host at work on the bus is a reason to refuse, unless the options allow it
         """
         from coulombus.host.devices.device import KnownDevice, describe
-        from coulombus.host.devices.sdo import SdoClient
+        from coulombus.host.sdo.sdo_client import SdoClient
 
         if self.eds is not None and self.rig_name is not None:
             raise click.UsageError("the EDS file is that of --eds, or that of --rig; give one of them")

@@ -252,7 +252,7 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
         from coulombus.host.devices.configuration import Restored, check_file, differences
         from coulombus.host.devices.configuration import restore as write_all
         from coulombus.host.devices.device import KnownDevice
-        from coulombus.host.devices.sdo import SdoClient
+        from coulombus.host.sdo.sdo_client import SdoClient
 
         description = read_eds(dcf)
         restored = Restored()
@@ -330,7 +330,7 @@ def store(node_id: int, bus_name: str, part: int, beside: bool) -> None:
       coulombus sdo store 1 --bus coulombus:bench
     """
     with errors():
-        from coulombus.host.devices.sdo import store_parameters
+        from coulombus.host.sdo.sdo_client import store_parameters
 
         with open_link(bus_name, beside=beside) as link:
             store_parameters(link, node_id, part)
@@ -351,7 +351,7 @@ def restore_defaults(node_id: int, bus_name: str, part: int, beside: bool) -> No
       coulombus sdo restore-defaults 1 --bus coulombus:bench
     """
     with errors():
-        from coulombus.host.devices.sdo import load_defaults
+        from coulombus.host.sdo.sdo_client import load_defaults
 
         with open_link(bus_name, beside=beside) as link:
             load_defaults(link, node_id, part)

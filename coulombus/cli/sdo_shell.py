@@ -19,8 +19,8 @@ from coulombus.eds.sdo_frames import where
 from coulombus.host.devices.device import KnownDevice
 from coulombus.host.devices.nmt import COMMANDS, command
 from coulombus.host.devices.running_host import check_alone
-from coulombus.host.devices.sdo import store_parameters
 from coulombus.host.errors import HostError
+from coulombus.host.sdo.sdo_client import store_parameters
 from coulombus.system.stop_signals import Stopped, forget
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bus_link import BusLink

@@ -75,7 +75,7 @@ def set_up(world: VirtualRig) -> tuple[str, ...]:
     key = _key(world)
     for entry in [entry for entry in _kept if entry.key == key]:
         if adopt(world, entry.state):
-            meet(entry.plans, world.controllers, world)
+            meet(entry.plans, world.controllers)
             return entry.losses
     noise = world.plant["random"].tolist()
     losses = switch_on(world)

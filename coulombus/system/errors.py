@@ -24,22 +24,22 @@ CoulombusError
 |   +-- NoBuffer                 3   node.hardware.iio_buffer
 +-- HostError                    1   host.errors
 |   +-- AnswerUntrusted          6   host.errors
-|   |   +-- SdoProtocolError     6   host.devices.transfers
-|   |       +-- DuplicateNodeId  3   host.devices.transfers
+|   |   +-- SdoProtocolError     6   host.sdo.transfers
+|   |       +-- DuplicateNodeId  3   host.sdo.transfers
 |   +-- ChangeRefused            2   host.cycle.parameter_changes
 |   |   +-- NotTaken             2   host.cycle.parameter_changes
 |   +-- DeviceMismatch           3   host.errors
 |   +-- LssRefused               6   host.devices.lss
 |   +-- NoHost                   4   host.run.control_socket
 |   +-- NodeMissing              5   host.errors
-|   |   +-- SdoSilent            5   host.devices.transfers
+|   |   +-- SdoSilent            5   host.sdo.transfers
 |   +-- NotChanged               2   host.run.control_socket
 |   +-- NotMarked                2   host.run.control_socket
 |   +-- ObjectUnknown            2   host.devices.device
 |   +-- PlaneError               4   host.realtime.data_plane
 |   +-- SafetyTrip               7   host.errors
 |   +-- SdoAborted               6   host.errors
-|   |   +-- SdoRefused           6   host.devices.transfers
+|   |   +-- SdoRefused           6   host.sdo.transfers
 |   +-- SimDied                  4   lab.demo.real_demo
 |   +-- StatusError              2   host.run.status_socket
 |   +-- ValueRefused             2   host.devices.device

@@ -94,7 +94,15 @@ class BusLink:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the bus."""
         self._client.close()
+
+    def set_filters(self, filters: Sequence[tuple[int, int]]) -> None:
+        """Take other frames from now on; those that are under way may still come."""
+        self._client.ask(Hello(Flags.ERRORS, tuple(filters)))
 
     @property
     def bitrate_bit_s(self) -> int:

@@ -18,9 +18,9 @@ from coulombus.eds.own_devices import packaged, told_identity
 from coulombus.eds.reader import Description, Value, Variable, parse_eds, read_eds
 from coulombus.eds.sdo_frames import where
 from coulombus.eds.units import BLOCK_UNITS, Unit, fixed_unit, told_unit
-from coulombus.host.devices.sdo import SdoClient
-from coulombus.host.devices.transfers import MOST_BYTES, Progress
 from coulombus.host.errors import DeviceMismatch, HostError, SdoAborted
+from coulombus.host.sdo.sdo_client import SdoClient
+from coulombus.host.sdo.transfers import MOST_BYTES, Progress
 
 __all__ = ["KnownDevice", "ObjectUnknown", "Reading", "ValueRefused", "describe", "identity_of", "trimmed"]
 
@@ -262,7 +262,7 @@ class KnownDevice:
         return told_unit(code, count)
 
     def read(self, variable: Variable, progress: Progress = lambda done, total: None) -> Reading:
-        """Return what an object holds. Raises as `host.devices.sdo.SdoClient.upload`."""
+        """Return what an object holds. Raises as `host.sdo.sdo_client.SdoClient.upload`."""
         most = (variable.bits + 7) // 8 + 8 if variable.bits else MOST_BYTES
         data = self.client.upload(variable.index, variable.subindex, most=most, progress=progress)
         return self.reading(variable, data)
@@ -365,7 +365,7 @@ class KnownDevice:
     def write(self, variable: Variable, data: bytes, progress: Progress = lambda done, total: None) -> Reading | None:
         """Write an object and read it back; None where it can only be written.
 
-        Raises as `host.devices.sdo.SdoClient.upload`.
+        Raises as `host.sdo.sdo_client.SdoClient.upload`.
         """
         self.client.download(variable.index, variable.subindex, data, progress=progress)
         if variable.access == "wo":

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
-from coulombus.host.devices.sdo import SdoClient
 from coulombus.host.errors import HostError, NodeMissing
+from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.wire.bus_link import FrameLink
 
 __all__ = ["COMMANDS", "CommandResult", "command"]

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from coulombus.eds.cia301 import CobId, NmtState
-from coulombus.eds.sdo_answers import SdoAnswers
 from coulombus.eds.sdo_frames import head
 from coulombus.host.devices.running_host import FILTERS, check_alone
-from coulombus.host.devices.sdo import run_transfers
-from coulombus.host.devices.transfers import SdoSilent, Transfer, upload
 from coulombus.host.errors import AnswerUntrusted, HostError
+from coulombus.host.sdo.bus_answers import LENGTH, BusAnswers
+from coulombus.host.sdo.sdo_client import run_transfers
+from coulombus.host.sdo.transfers import SdoSilent, Transfer, upload
 from coulombus.wire.address import BusAddress
 from coulombus.wire.bus_link import BusFrame, BusLink, FrameLink
 
@@ -53,7 +53,7 @@ class Answers:
     ----------
     state : its NMT state, None where no heartbeat told it
     answers_sdo : whether it answers at all; else it was heard by its heartbeat or boot-up
-    twice : two devices have this node id (`eds.sdo_answers`)
+    twice : two devices have this node id (`host.sdo.bus_answers`)
     doubt : why what it says of its type and identity cannot be trusted, "" where it can
     """
 
@@ -104,8 +104,8 @@ class _Heard:
     """What was heard on the bus, node by node."""
 
     states: dict[int, NmtState] = field(default_factory=dict)
-    asked: dict[int, SdoAnswers] = field(default_factory=dict)
-    answers: set[int] = field(default_factory=set)
+    answers: BusAnswers = field(default_factory=BusAnswers)
+    answering: set[int] = field(default_factory=set)
 
     def hear(self, frame: BusFrame) -> None:
         """Take a frame: a heartbeat, a boot-up, or an SDO response."""
@@ -114,10 +114,9 @@ class _Heard:
             state = frame.data[0] & 0x7F
             if state in tuple(NmtState):  # a boot-up is followed by PRE-OPERATIONAL
                 self.states[node_id] = NmtState(state) if state else NmtState.PRE_OPERATIONAL
-        elif frame.can_id == CobId.SDO_TX + node_id and node_id and frame.length == 8:
-            self.answers.add(node_id)
-            if node_id in self.asked:
-                self.asked[node_id].take(frame.data)
+        elif frame.can_id == CobId.SDO_TX + node_id and node_id and frame.length == LENGTH:
+            self.answering.add(node_id)
+            self.answers.hear(frame)
 
     def listen(self, link: FrameLink, seconds: float) -> None:
         """Listen for so long."""
@@ -147,13 +146,12 @@ def scan(
     """
     heard, begin_ns = _Heard(), link.now_ns()
     for node_id in NODES:
-        heard.asked[node_id] = SdoAnswers()
-        heard.asked[node_id].ask(head(0x40, 0x1000, 0))
+        heard.answers.of(node_id).ask(head(0x40, 0x1000, 0))
         link.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
         heard.listen(link, PACE_S)
         progress("asking", node_id, NODES[-1])
     heard.listen(link, ANSWER_S)
-    values: dict[int, dict[tuple[int, int], bytes]] = {node_id: {} for node_id in sorted(heard.answers)}
+    values: dict[int, dict[tuple[int, int], bytes]] = {node_id: {} for node_id in sorted(heard.answering)}
     silent = dict.fromkeys(values, 0)
     places = dict.fromkeys(values, (*numbers, *TOLD))
     current: dict[int, tuple[int, int]] = {}
@@ -175,10 +173,11 @@ def scan(
                 doubts.setdefault(node_id, str(value))
             silent[node_id] += isinstance(value, SdoSilent | AnswerUntrusted)
 
-    run_transfers(link, {node_id: transfers(node_id) for node_id in values}, ANSWER_S, tell, heard.hear, heard.asked)
+    run_transfers(link, {node_id: transfers(node_id) for node_id in values}, ANSWER_S, tell, heard.answers, heard.hear)
     while (left_s := listen_s - (link.now_ns() - begin_ns) / 1e9) > 0:
         progress("listening", listen_s - left_s, listen_s)
         heard.listen(link, min(left_s, 0.2))
+    twice = heard.answers.duplicate_node_ids
     return tuple(
         Answers(
             node_id,
@@ -186,10 +185,10 @@ def scan(
             {p: text for p, raw in said.items() if p in TOLD and (text := _text(raw))},
             heard.states.get(node_id),
             node_id in values,
-            node_id in values and heard.asked[node_id].duplicate_node_id,
+            node_id in values and node_id in twice,
             doubts.get(node_id, ""),
         )
-        for node_id in sorted(heard.answers | heard.states.keys())
+        for node_id in sorted(heard.answering | heard.states.keys())
         for said in (values.get(node_id, {}),)
     )
 

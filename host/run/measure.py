@@ -14,7 +14,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
-import can
 import numpy as np
 
 from coulombus.host.cycle.controllers import Controllers
@@ -190,8 +189,7 @@ def measure_rig(
         def report(what: str, done: int) -> None:
             if door.stop_wanted():
                 raise SafetyTrip("the measurement was ended by `coulombus stop`; nothing was armed")
-            if control.lost is not None:
-                raise BusUnavailable(f"bus {address}: {control.lost}")
+            control.wait_ns(0)  # a bus that is gone is told here
             progress(what, done)
 
         try:
@@ -201,7 +199,7 @@ def measure_rig(
             wire = _BusWire(address)
             stack.callback(wire.close)
             devices = measure_devices(controllers, control, wire, rounds, report)
-        except (can.CanError, BusFull) as error:
+        except BusFull as error:
             text = str(error)
             raise BusUnavailable(text if text.startswith("bus ") else f"bus {address}: {text}") from None
         times, rights = measure_compute(rig, _loudest(rig), cycles, cpu=cpu, progress=lambda done: report("host", done))

@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
-import can
-
 from coulombus.host.errors import SafetyTrip
 from coulombus.rigs.draft.draft_text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
@@ -58,7 +56,7 @@ def refusing() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if isinstance(error, (can.CanError, CoulombusError)):
+        if isinstance(error, CoulombusError):
             raise
         text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         raise SafetyTrip(f"arming refused: {text} ({place_of(error.__traceback__)})") from error

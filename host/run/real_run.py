@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import can
-
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import check_no_delay, check_no_rehearsal, refusing
 from coulombus.host.run.realtime_sequence import RealCourse
@@ -17,7 +15,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.system.exit import say
 from coulombus.system.realtime import default_cpu
 from coulombus.system.stop_signals import Signals
-from coulombus.wire.address import BusAddress, BusUnavailable, default_address
+from coulombus.wire.address import BusAddress, default_address
 
 __all__ = ["real_run"]
 
@@ -77,8 +75,6 @@ def real_run(
             with refusing():
                 run.prepare()
                 run.course(seconds)
-        except can.CanError as error:
-            raise BusUnavailable(f"bus {run.address}: {error}") from None
         finally:
             run.end()
         result = run.concluded()

@@ -9,29 +9,28 @@ is collected and told at once, too. With any of them the host refuses to go on.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Protocol
 from weakref import WeakKeyDictionary
 
-import canopen
-from canopen.sdo import SdoAbortedError, SdoCommunicationError
-
-from coulombus.eds.cia301 import NmtCommand, NmtState, abort_text
+from coulombus.eds.cia301 import CobId, NmtCommand, NmtState, abort_text
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.own_devices import MANUFACTURER, is_own
 from coulombus.eds.reader import Value, Variable
-from coulombus.eds.sdo_answers import SdoAnswers, named
-from coulombus.eds.sdo_frames import where
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image
 from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, HostError, NodeMissing, SdoAborted
+from coulombus.host.sdo.bus_answers import BusAnswers
+from coulombus.host.sdo.sdo_client import SdoClient
+from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
 from coulombus.host.setup.device_plan import DevicePlan, device_plans, missing_mode
 from coulombus.host.setup.law_demand import check_demand
 from coulombus.host.setup.settings import Setting, encoded, number_of
 from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.plan.rig_plan import plans
 from coulombus.rigs.rig import Rig
+from coulombus.wire.bus_link import FrameLink
 
 __all__ = [
     "ControlPlane",
@@ -50,10 +49,9 @@ LATE_HEARTBEATS = 5
 """So many more are waited for after NMT start before a node counts as missing."""
 
 
-class ControlPlane(Protocol):
-    """The slow side of a bus: a `canopen` network, and time that passes while one waits."""
+class ControlPlane(FrameLink, Protocol):
+    """The slow side of a bus: a link, heartbeats, and time that passes while one waits."""
 
-    network: canopen.Network
     sdo_timeout_s: float
     """How long an SDO response is waited for: the rig file's host.sdo_timeout_s."""
 
@@ -66,40 +64,20 @@ class ControlPlane(Protocol):
         """
 
 
-class _Answers(SdoAnswers):
-    """What a node answers to canopen's client, which gets only what goes on with its transfer."""
-
-    def __init__(self, client: canopen.sdo.SdoClient) -> None:
-        super().__init__()
-        self._send, self._hear = client.send_request, client.on_response
-        client.send_request, client.on_response = self.send, self.hear
-
-    def send(self, request: bytes) -> None:
-        """Send a request; canopen's client is not used for block transfers."""
-        if request[0] >> 5 in (1, 2):
-            self.ask(bytes(request))
-        else:
-            self.sent()
-        self._send(request)
-
-    def hear(self, can_id: int, data: bytearray, stamp: float) -> None:
-        """Take an SDO response."""
-        if len(data) != 8 or self.take(bytes(data)):
-            self._hear(can_id, data, stamp)
-
-
 class _Device:
-    """SDO access to one node, with sizes from its EDS and errors in words."""
+    """SDO access to one node, with sizes from its EDS and errors in words.
 
-    def __init__(self, plane: ControlPlane, plan: DevicePlan) -> None:
+    Parameters
+    ----------
+    answers : of all nodes that are brought up
+    """
+
+    def __init__(self, plane: ControlPlane, plan: DevicePlan, answers: BusAnswers) -> None:
         self.plan, self.description = plan, plan.description
         self.name, self.node_id = plan.name, plan.node_id
-        self.node = canopen.RemoteNode(self.node_id, canopen.ObjectDictionary())
+        self.client = SdoClient(plane, self.node_id, plane.sdo_timeout_s, answers)
         self.identity = (0, 0)
         self.losses: list[str] = []
-        self.answers = _Answers(self.node.sdo)
-        plane.network.add_node(self.node)
-        self.node.sdo.RESPONSE_TIMEOUT = plane.sdo_timeout_s
 
     def _where(self, index: int, subindex: int) -> str:
         try:
@@ -108,28 +86,31 @@ class _Device:
             label = ""
         return f"{self.name} (node {self.node_id}), object {index:04X}h:{subindex:02X}{label}"
 
-    def _guard(self, index: int, subindex: int, error: Exception) -> Exception:
-        if isinstance(error, SdoAbortedError):
-            return SdoAborted(f"{self._where(index, subindex)}: abort {error.code:08X}h, {abort_text(error.code)}")
-        if stray := self.answers.stray:
-            error = SdoCommunicationError(f"it answers about {where(*named(stray))}")
-        elif str(error) == "No SDO response received":
-            return NodeMissing(
+    @contextmanager
+    def _named(self, index: int, subindex: int) -> Iterator[None]:
+        """Say of an error which device and object it is about."""
+        try:
+            yield
+        except SdoRefused as error:
+            text = f"{self._where(index, subindex)}: abort {error.code:08X}h, {abort_text(error.code)}"
+            raise SdoAborted(text) from None
+        except SdoSilent:
+            raise NodeMissing(
                 f"{self.name} (node {self.node_id}) does not answer SDO: check power, cable, bit rate and node id"
-            )
-        return AnswerUntrusted(
-            f"{self._where(index, subindex)}: {error}: does another SDO client ask it now, or have two devices this node id?"
-        )
+            ) from None
+        except DuplicateNodeId:
+            raise
+        except SdoProtocolError as error:
+            raise AnswerUntrusted(
+                f"{self._where(index, subindex)}: {error.reason}: does another SDO client ask it now, "
+                "or have two devices this node id?"
+            ) from None
 
     def upload(self, index: int, subindex: int) -> bytes:
         """Return the object as the device sends it."""
-        try:
-            with self.node.sdo.open(index, subindex, "rb", buffering=0) as stream:
-                data = bytes(stream.read())
-                unsized = stream.size is None and stream.exp_data is not None
-        except (SdoAbortedError, SdoCommunicationError) as error:
-            raise self._guard(index, subindex, error) from None
-        return _without_fill(data, self._variable(index, subindex)) if unsized else data
+        variable = self._variable(index, subindex)
+        with self._named(index, subindex):
+            return self.client.upload(index, subindex, unsized=lambda data: _without_fill(data, variable))
 
     def _variable(self, index: int, subindex: int) -> Variable | None:
         return self.description.variable(index, subindex) if self.description.has(index, subindex) else None
@@ -168,10 +149,8 @@ class _Device:
         data = encoded(setting.variable(self.description), setting.value)
         if setting.unless_equal and self.upload(index, subindex) == data:
             return
-        try:
-            self.node.sdo.download(index, subindex, data)
-        except (SdoAbortedError, SdoCommunicationError) as error:
-            raise self._guard(index, subindex, error) from None
+        with self._named(index, subindex):
+            self.client.download(index, subindex, data)
 
     def identify(self) -> list[str]:
         """Read device type (1000h) and identity (1018h).
@@ -277,11 +256,9 @@ _plans: WeakKeyDictionary[Controllers, tuple[DevicePlan, ...]] = WeakKeyDictiona
 """They are asked for at the beginning and at the end of a run."""
 
 
-def meet(plans: Sequence[DevicePlan], controllers: Controllers, plane: ControlPlane) -> None:
+def meet(plans: Sequence[DevicePlan], controllers: Controllers) -> None:
     """Know the devices of these plans, which are set up already, as after `bring_up`."""
     _plans[controllers] = tuple(plans)
-    for plan in plans:
-        _Device(plane, plan)
 
 
 def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
@@ -290,7 +267,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     Parameters
     ----------
     controllers : whose rig it is; the drives' own torque limits 6072h are theirs
-    plane : the control plane's network; the nodes are on the bus and powered
+    plane : the control plane; the nodes are on the bus and powered
 
     Returns
     -------
@@ -310,7 +287,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     check_demand(controllers.rig, controllers.mode)
     plans = plans_of(controllers)
     losses = configure(plans, plane)
-    plane.network.nmt.send_command(NmtCommand.START)
+    _command(plane, NmtCommand.START)
     wait_operational(plans, plane)
     return losses
 
@@ -322,28 +299,36 @@ def configure(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ..
     the bus is not looked at.
     """
     _refuse(str(problem) for plan in plans for problem in plan.problems)
-    plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
+    _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)
-    devices = [_Device(plane, plan) for plan in plans]
+    answers = BusAnswers()
+    devices = [_Device(plane, plan, answers) for plan in plans]
     try:
         _refuse([text for device in devices for text in device.identify()])
         for device in devices:
             device.check_modes()
         _refuse([text for device in devices for text in device.configure()])
-    except HostError:
-        plane.wait_ns(SETTLE_NS)  # the answer of a second device of one node id may come yet, which explains the rest
-        _refuse_twins(devices)
+    except HostError:  # a second device of one node id may answer yet, which explains the rest
+        answers.listen(plane, plane.now_ns() + SETTLE_NS)
+        _refuse_duplicates(devices, answers)
         raise
-    _refuse_twins(devices)
+    answers.listen(plane, plane.now_ns())
+    _refuse_duplicates(devices, answers)
     return tuple(text for device in devices for text in (*device.plan.losses, *device.losses))
 
 
-def _refuse_twins(devices: Sequence[_Device]) -> None:
+def _command(plane: ControlPlane, command: NmtCommand) -> None:
+    """Send an NMT command to all nodes."""
+    plane.send(CobId.NMT, bytes((command, 0)))
+
+
+def _refuse_duplicates(devices: Sequence[_Device], answers: BusAnswers) -> None:
+    node_ids = answers.duplicate_node_ids
     _refuse(
         f"two devices answer as node {device.node_id} ({device.name}): take one off the bus, and give the other "
         "another id (coulombus lss)"
         for device in devices
-        if device.answers.duplicate_node_id
+        if device.node_id in node_ids
     )
 
 
@@ -386,7 +371,7 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
     After a trip, or where a drive is not known to be disabled, the watch stays. To be called before
     the host's heartbeat is missed.
     """
-    plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
+    _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
     drives = [STATE_OF_STATUSWORD[int(k.host["image"][0, Image.STATUSWORD]) & 0x7F] for k in controllers]
     disabled = all(drive == PowerState.SWITCH_ON_DISABLED for drive in drives)
     if not (controllers.done and controllers.trip is None and disabled):
@@ -396,8 +381,8 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
         if watch is None:
             continue
         data = encoded(watch.variable(plan.description), 0)
-        with suppress(SdoAbortedError, SdoCommunicationError):  # then it says so: nothing is lost by that
-            plane.network[plan.node_id].sdo.download(0x1016, 1, data)
+        with suppress(HostError):  # then it says so: nothing is lost by that
+            SdoClient(plane, plan.node_id, plane.sdo_timeout_s).download(0x1016, 1, data)
 
 
 def shut_down(plane: ControlPlane) -> None:
@@ -405,5 +390,5 @@ def shut_down(plane: ControlPlane) -> None:
 
     Only the heartbeat is still watched there.
     """
-    plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
+    _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)

@@ -1,49 +1,20 @@
-"""The slow side of a bus in real time: `canopen` over python-can, on a socket of its own."""
+"""The slow side of a bus in real time, on a connection of its own."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
-from contextlib import suppress
-from typing import Any
-
-import can
-import canopen
+from collections import deque
 
 from coulombus.eds.cia301 import CobId
-from coulombus.host.errors import HostError, SafetyTrip
+from coulombus.host.errors import SafetyTrip
 from coulombus.rigs.rig import Rig
-from coulombus.wire.address import BusAddress, BusUnavailable
+from coulombus.wire.address import BusAddress
+from coulombus.wire.bus_link import BusFrame, BusLink
 
 __all__ = ["RealControlPlane"]
 
-
-class _Errors(can.Listener):
-    """Takes the receiving thread's errors, which would end in a traceback otherwise."""
-
-    def __init__(self) -> None:
-        self.error: Exception | None = None
-
-    def on_message_received(self, msg: can.Message) -> None:
-        pass
-
-    def on_error(self, exc: Exception) -> None:
-        self.error = exc
-
-    def stop(self) -> None:
-        pass
-
-
-def _open(address: BusAddress, can_ids: Iterable[int]) -> can.BusABC:
-    filters: Any = [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in sorted(can_ids)]
-    try:
-        if address.is_virtual:
-            from coulombus.wire.can_interface import CoulombusBus
-
-            return CoulombusBus(address.name, can_filters=filters)
-        return can.Bus(interface="socketcan", channel=address.name, can_filters=filters)
-    except (can.CanError, OSError) as error:
-        raise BusUnavailable(str(error)) from None
+KEPT = 256
+"""Frames that wait for `receive`; of more the oldest are forgotten."""
 
 
 class RealControlPlane:
@@ -56,36 +27,20 @@ class RealControlPlane:
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        no such bus
+        no such bus; later: it went away, or takes no frame
     """
 
     def __init__(self, rig: Rig, address: BusAddress) -> None:
         self._address = address
         self.sdo_timeout_s = rig.host.sdo_timeout_s
-        self._host_id = rig.host.node_id
         nodes = [node.node_id for node in rig.nodes]
         self._own = {base + node for base in (CobId.SDO_TX, CobId.HEARTBEAT) for node in nodes}
         self._own |= {node.emcy_id for node in rig.nodes}
-        self._foreign = {CobId.SYNC: "SYNC", CobId.HEARTBEAT + self._host_id: f"the heartbeat of node {self._host_id}"}
-        self.heard: str | None = None
+        host_id = rig.host.node_id
+        self._foreign = {CobId.SYNC: "SYNC", CobId.HEARTBEAT + host_id: f"the heartbeat of node {host_id}"}
         self._nmt: dict[int, int] = {}
-        bus = _open(address, self._own | set(self._foreign))
-        self.network = canopen.Network(bus=bus)
-        self._errors = _Errors()
-        self.network.listeners.append(self._errors)
-        self.network.NOTIFIER_CYCLE = 0.1
-        for can_id in self._foreign:
-            self.network.subscribe(can_id, self._hear)
-        for node in nodes:
-            self.network.subscribe(CobId.HEARTBEAT + node, self._heartbeat)
-        self.network.connect()
-
-    def _hear(self, can_id: int, data: bytearray, stamp: float) -> None:
-        self.heard = self._foreign[can_id]
-
-    def _heartbeat(self, can_id: int, data: bytearray, stamp: float) -> None:
-        if len(data) == 1:
-            self._nmt[can_id & 0x7F] = data[0] & 0x7F
+        self._waiting: deque[BusFrame] = deque(maxlen=KEPT)
+        self._link = BusLink(address, _filters(self._own | set(self._foreign)))
 
     def check_alone(self, until_s: float) -> None:
         """Listen until `time.monotonic()` is `until_s`.
@@ -97,25 +52,50 @@ class RealControlPlane:
         SafetyTrip
             another host is on the bus
         """
-        while self.heard is None and time.monotonic() < until_s:
-            time.sleep(0.01)
-        if self.heard is not None:
-            raise SafetyTrip(
-                f"another host is on bus {self._address}: {self.heard} was heard; end it first (coulombus stop --bus {self._address})"
-            )
-        for can_id in self._foreign:
-            self.network.unsubscribe(can_id, self._hear)
-        bus = self.network.bus
-        bus.set_filters([{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in sorted(self._own)])
+        while (frame := self._link.receive(round(until_s * 1e9))) is not None:
+            if frame.can_id in self._foreign:
+                raise SafetyTrip(
+                    f"another host is on bus {self._address}: {self._foreign[frame.can_id]} was heard; "
+                    f"end it first (coulombus stop --bus {self._address})"
+                )
+            self._note(frame)
+        self._link.set_filters(_filters(self._own))
 
-    @property
-    def lost(self) -> str | None:
-        """Why nothing is received any more, None while all is well."""
-        return None if self._errors.error is None else str(self._errors.error)
+    # a link, for the SDO client
+
+    def now_ns(self) -> int:
+        """Return the monotonic time."""
+        return time.monotonic_ns()
+
+    def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
+        """Send a frame."""
+        self._link.send(can_id, data, length)
+
+    def receive(self, until_ns: int) -> BusFrame | None:
+        """Return the next frame, None when it is `until_ns` and there was none."""
+        if self._waiting:
+            return self._waiting.popleft()
+        frame = self._link.receive(until_ns)
+        if frame is not None:
+            self._note(frame)
+        return frame
 
     def wait_ns(self, duration_ns: int) -> None:
-        """Let time pass; frames are received by `canopen`'s thread."""
-        time.sleep(duration_ns * 1e-9)
+        """Let time pass; what comes is kept for `receive`.
+
+        Raises
+        ------
+        coulombus.wire.address.BusUnavailable
+            the bus went away
+        """
+        until_ns = self.now_ns() + duration_ns
+        while (frame := self._link.receive(until_ns)) is not None:
+            self._note(frame)
+            self._waiting.append(frame)
+
+    def _note(self, frame: BusFrame) -> None:
+        if frame.can_id & ~0x7F == CobId.HEARTBEAT and len(frame.data) == 1:
+            self._nmt[frame.can_id & 0x7F] = frame.data[0] & 0x7F
 
     def nmt_state(self, node_id: int) -> int | None:
         """Return the NMT state that the node's last heartbeat told."""
@@ -123,5 +103,8 @@ class RealControlPlane:
 
     def close(self) -> None:
         """Leave the bus."""
-        with suppress(can.CanError, OSError, HostError):  # `disconnect` tells the thread's error again
-            self.network.disconnect()
+        self._link.close()
+
+
+def _filters(can_ids: set[int]) -> list[tuple[int, int]]:
+    return [(can_id, 0x7FF) for can_id in sorted(can_ids)]

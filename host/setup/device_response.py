@@ -136,7 +136,7 @@ def measure_devices(
         configure(plans, plane)
         return tuple(_Device(controllers, plan, plane, wire).measure(rounds, progress) for plan in plans)
     finally:
-        plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
+        plane.send(CobId.NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, 0)))
 
 
 class _Device:
@@ -178,7 +178,7 @@ class _Device:
         return DeviceTimes(self.plan, tuple(results), tuple(sorted(self.emergencies)))
 
     def _command(self, command: NmtCommand) -> None:
-        self.plane.network.send_message(CobId.NMT, bytes((command, self.plan.node_id)))
+        self.plane.send(CobId.NMT, bytes((command, self.plan.node_id)))
 
     def _round(self, can_ids: Collection[int]) -> dict[int, int]:
         """Send SYNC; return the response time of each TPDO that came, and rest for the period."""

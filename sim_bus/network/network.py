@@ -442,6 +442,7 @@ class VirtualNetwork:
             act(int(own_ns(node, t_ns)), *arguments, self._out)
             to_bus(node, self._out, first)
 
-    def send(self, can_id: int, data: bytes) -> None:
-        """Queue a frame of the host's control plane."""
-        push(self._out, SOURCE_HOST, self.t_ns, can_id, len(data), data_word(data))
+    def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
+        """Queue a frame of the host's control plane; `length` gives the DLC of a remote frame."""
+        size = len(data) if length is None else length
+        push(self._out, SOURCE_HOST, self.t_ns, can_id, size, data_word(data))

@@ -1,5 +1,5 @@
-"""The whole rig in virtual time: bus, nodes, plants and hands, the host's cycle, and `canopen` as
-its control plane.
+"""The whole rig in virtual time: bus, nodes, plants and hands, the host's cycle, and the link of its
+control plane.
 
 `VirtualRig` is a `VirtualNetwork` of the devices of each axis, with the rig's mechanics between
 them. Nothing sleeps, and the same seed gives the same bytes. The rows of the devices: motor and
@@ -8,6 +8,7 @@ brake of each axis, then the sensors.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -23,13 +24,14 @@ from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
-from coulombus.sim_bus.network.network import AttachedAxes, CanopenNetwork, VirtualNetwork
+from coulombus.sim_bus.network.network import AttachedAxes, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, new_plant, truth_columns
 from coulombus.sim_bus.rig.plant_step import course_of
 from coulombus.sim_bus.rig.records import AXIS, PlantRecord, RigAxis
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
+from coulombus.wire.bus_link import BusFrame
 from coulombus.wire.clock import own_ns, set_clock
 from coulombus.wire.frame import Frame, Records, new_records
 
@@ -89,8 +91,7 @@ class VirtualRig(VirtualNetwork):
         self.sdo_timeout_s = host_rig.host.sdo_timeout_s
         self.controllers = Controllers(host_rig, mode)
         self.controller = self.controllers.each[0]
-        self.network = CanopenNetwork(lambda can_id, data, _: self.send(can_id, data), self._await_answer)
-        self._heard: set[int] = set()
+        self._heard: deque[BusFrame] = deque()  # SDO responses
         self._events = list[tuple[int, ...]]()
         self.on_host: Callable[[Records, Records, Records], None] | None = None
         """Called with each batch, after `on_frames`: which of its frames the host received, rows of
@@ -206,14 +207,6 @@ class VirtualRig(VirtualNetwork):
         """Whether there is nothing but devices and a host, of which nothing was handed over yet."""
         return super().plain and not (self._waiting or self._events or self._had)
 
-    def run_until_heard(self, can_id: int, timeout_ns: int) -> None:
-        """Run until the control plane has heard a frame `can_id`, or for `timeout_ns`."""
-        self._heard.clear()
-        self.run_until(self.t_ns + timeout_ns, lambda: can_id in self._heard)
-
-    def _await_answer(self, can_id: int) -> None:
-        self.run_until_heard(can_id, round(self.sdo_timeout_s * 1e9))
-
     # the kernel's exits
 
     def answer(self, why: int) -> None:
@@ -245,8 +238,7 @@ class VirtualRig(VirtualNetwork):
             self.plant[a].brake_Nm = brake_torque(self.axes[a], self.nodes[int(brakes[a])])
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
-        self._heard.add(can_id)
-        self.network.notify(can_id, bytearray(data), t_ns * 1e-9)
+        self._heard.append(BusFrame(t_ns, can_id, data, len(data)))
 
     def _new_force_block(self, a: int) -> None:
         """Compute the next block of the hand's force on axis `a`, from the present on."""
@@ -299,6 +291,16 @@ class VirtualRig(VirtualNetwork):
         self._events = []
 
     # the control plane
+
+    def now_ns(self) -> int:
+        """Return the present time."""
+        return self.t_ns
+
+    def receive(self, until_ns: int) -> BusFrame | None:
+        """Return the next SDO response to the host; time passes until it comes, or to `until_ns`."""
+        if not self._heard and until_ns > self.t_ns:
+            self.run_until(until_ns, lambda: bool(self._heard))
+        return self._heard.popleft() if self._heard else None
 
     def nmt_state(self, node_id: int) -> int | None:
         """Return the NMT state that the node's last heartbeat told."""

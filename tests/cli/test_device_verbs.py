@@ -437,7 +437,7 @@ def test_a_line_that_fails_ends_a_pipe(desk, line, status):
 
 def test_at_a_terminal_the_shell_goes_on_and_completes_names(desk, monkeypatch, capsys):
     from coulombus.host.devices.device import KnownDevice, describe
-    from coulombus.host.devices.sdo import SdoClient
+    from coulombus.host.sdo.sdo_client import SdoClient
 
     monkeypatch.setattr("sys.stdin", Terminal())
     client = SdoClient(desk, 1)

@@ -8,6 +8,7 @@ import re
 
 import pytest
 
+from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.lab.simulate import simulate
 from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import load_rig, load_rig_text
@@ -68,9 +69,7 @@ class Master:
         return taken
 
     def read(self, node: str, index: int, subindex: int = 0) -> int:
-        node_id = NODE[node]
-        self.world.network.add_node(node_id)
-        return int.from_bytes(self.world.network[node_id].sdo.upload(index, subindex), "little")
+        return int.from_bytes(SdoClient(self.world, NODE[node]).upload(index, subindex), "little")
 
 
 @pytest.mark.parametrize(("node", "fault", "code", "register", "state", "output", "reset"), ROWS)

@@ -10,8 +10,8 @@ from coulombus.eds.dcf_text import configured, with_values
 from coulombus.eds.reader import parse_eds
 from coulombus.host.devices.configuration import Restored, acts, check_file, differences, dump, restore
 from coulombus.host.devices.device import KnownDevice, describe
-from coulombus.host.devices.sdo import SdoClient
 from coulombus.host.errors import DeviceMismatch
+from coulombus.host.sdo.sdo_client import SdoClient
 from devices_bench import DevicesLink, eds
 from eds_edit import edit
 

@@ -11,8 +11,8 @@ from coulombus.eds.data import decode, encode
 from coulombus.eds.reader import Variable, parse_eds
 from coulombus.eds.units import Unit, fixed_unit, told_unit
 from coulombus.host.devices.device import KnownDevice, ObjectUnknown, ValueRefused, describe
-from coulombus.host.devices.sdo import SdoClient
 from coulombus.host.errors import DeviceMismatch
+from coulombus.host.sdo.sdo_client import SdoClient
 from devices_bench import DevicesLink, Server, eds
 
 

@@ -12,8 +12,8 @@ from coulombus.host.devices.lss import LssMaster
 from coulombus.host.devices.nmt import command
 from coulombus.host.devices.numbering import give
 from coulombus.host.devices.scan import scan
-from coulombus.host.devices.sdo import SdoClient, store_parameters
-from coulombus.host.devices.transfers import SdoRefused
+from coulombus.host.sdo.sdo_client import SdoClient, store_parameters
+from coulombus.host.sdo.transfers import SdoRefused
 from devices_bench import UNCONFIGURED, DevicesLink, eds
 
 LABEL = (0x2004, 0)

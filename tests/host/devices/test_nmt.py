@@ -6,8 +6,8 @@ import pytest
 
 from coulombus.eds.cia301 import NmtState
 from coulombus.host.devices.nmt import COMMANDS, command
-from coulombus.host.devices.sdo import SdoClient
 from coulombus.host.errors import NodeMissing
+from coulombus.host.sdo.sdo_client import SdoClient
 from devices_bench import DevicesLink, Server, eds
 
 S = 1_000_000_000

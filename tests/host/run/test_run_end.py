@@ -28,20 +28,10 @@ from coulombus.system.sd_notify import Notifier
 from coulombus.system.stop_signals import Signals
 from coulombus.wire.address import parse_address
 from coulombus.wire.frame import FRAME
+from devices_bench import DevicesLink, Server
 
 MS, S = 1_000_000, 1_000_000_000
 SWITCH_ON_DISABLED, OPERATION_ENABLED = 0x0250, 0x0237
-
-
-class Network(dict):
-    """A `canopen.Network` that notes what is sent."""
-
-    def __init__(self, rig):
-        self.log = []
-        self.nmt = SimpleNamespace(send_command=lambda command: self.log.append(command))
-        for node_id in (node.node_id for node in rig.nodes):
-            download = lambda *what, node_id=node_id: self.log.append((node_id, *what))  # noqa: E731
-            self[node_id] = SimpleNamespace(sdo=SimpleNamespace(download=download))
 
 
 @pytest.mark.parametrize(
@@ -55,12 +45,14 @@ class Network(dict):
     ],
 )
 def test_only_a_normal_end_with_the_drive_disabled_takes_the_watch_off(phase, trip, statusword, taken_off):
-    rig = load_rig("bench")
-    k, network = Controllers(rig, "hybrid"), Network(rig)
+    k, link = Controllers(load_rig("bench"), "hybrid"), DevicesLink()
+    link.sdo_timeout_s = 0.1
+    for node in (1, 2):
+        Server(link, node, lambda request: [b"\x60" + request[1:4] + bytes(4)])
     k.host["phase"], k.host["trip"], k.host["image"][0, Image.STATUSWORD] = phase, trip, statusword
-    release(k, SimpleNamespace(network=network))
-    assert network.log[0] == 0x80  # PRE-OPERATIONAL first
-    assert network.log[1:] == [(node, 0x1016, 1, bytes(4)) for node in (1, 2) if taken_off]
+    release(k, link)
+    assert link.sent[0] == (0x000, b"\x80\0")  # PRE-OPERATIONAL first
+    assert link.sent[1:] == [(0x600 + node, b"\x23\x16\x10\x01" + bytes(4)) for node in (1, 2) if taken_off]
 
 
 @pytest.mark.parametrize("orderly", [True, False])
@@ -183,6 +175,7 @@ def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", en
     run.rig, run.plane, run.zero_ns = rig, plane, 0
     run.notifier, run.address = Notifier({}), "coulombus:bench"
     run.answers = SimpleNamespace(tell=lambda now_ns: None)
+    run.control = SimpleNamespace(wait_ns=lambda ns: None)
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
     run.error, run.stopped_by, run._order = None, None, StampOrder(0)
     run._keys, run._bits = StruckKeys(plane.clock.monotonic_ns), BitMarks((), rig)
@@ -246,7 +239,7 @@ def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monke
     Course.__init__(run, run.plane.k, None, None)
     run.zero_ns, run._order, run.deadman = 0, StampOrder(0), "key"
     run.address = parse_address("coulombus:x")
-    run.control = SimpleNamespace(check_alone=lambda at: None)
+    run.control = SimpleNamespace(check_alone=lambda at: None, wait_ns=lambda ns: None)
     seen = []
     monkeypatch.setattr(realtime_sequence, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
     run.prepare()

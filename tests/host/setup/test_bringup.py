@@ -6,12 +6,10 @@ from __future__ import annotations
 
 import json
 import re
-from io import BytesIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from canopen.sdo import SdoAbortedError
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
@@ -19,6 +17,8 @@ from coulombus.eds.reader import parse_eds
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
+from coulombus.host.sdo.bus_answers import BusAnswers
+from coulombus.host.sdo.transfers import SdoRefused
 from coulombus.host.setup import bringup
 from coulombus.host.setup.bringup import bring_up, plans_of
 from coulombus.host.setup.settings import encoded
@@ -78,6 +78,13 @@ class Wire:
         return [index for index, _, _ in self.requests(node, 1)]
 
 
+def device_of(plan, client):
+    """A device whose SDO client is the test's."""
+    device = bringup._Device(SimpleNamespace(sdo_timeout_s=0.1), plan, BusAnswers())
+    device.client = client
+    return device
+
+
 def makers(indices):
     return [index for index in indices if 0x2000 <= index < 0x6000]
 
@@ -127,9 +134,7 @@ def test_a_maker_s_own_objects_are_written_where_file_and_device_are_ours(eds, r
 def test_a_device_that_is_not_ours_gets_nothing_of_ours_whatever_the_plan_says():
     """The last line of defence: the gate is at the download, too."""
     (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
-    network = SimpleNamespace(add_node=lambda node: None, subscribe=lambda *_: None)
-    device = bringup._Device(SimpleNamespace(network=network, sdo_timeout_s=0.1), plan)
-    device.node = SimpleNamespace(sdo=None)
+    device = device_of(plan, None)
     device.identity = (0x4C0, 0x403)
     with pytest.raises(DeviceMismatch, match=r"2002h.*not ours.*0x00000403"):
         device.write(next(s for s in plan.writes if s.index == 0x2002))
@@ -150,7 +155,7 @@ def test_two_devices_of_one_node_id_are_told_whoever_answers_first(answer, after
 
 
 def test_a_device_that_answers_late_is_no_second_device():
-    """canopen asks once more; then both answers come."""
+    """It is asked once; its answer comes behind the client's abort."""
     wire = Wire(rig_of())
     wire.world.sdo_timeout_s = 15e-6
     with pytest.raises(NodeMissing, match="does not answer SDO"):
@@ -228,21 +233,17 @@ class Other:
     bytes, the size told or not.
     """
 
-    RESPONSE_TIMEOUT = 0.0
-
     def __init__(self, keep, send, told, fill=b"\0"):
         self.keep, self.send, self.told, self.fill, self.values = keep, send, told, fill, {}
 
     def download(self, index, subindex, data):
         self.values[index, subindex] = data
 
-    def open(self, index, subindex, mode, buffering):
+    def upload(self, index, subindex, unsized):
         data = self.values[index, subindex]
         if index == 0x6071:
             data = (data[: self.keep] + 8 * self.fill)[: self.send or len(data)]
-        stream = BytesIO(data)
-        stream.size, stream.exp_data = (len(data) if self.told else None), None if self.told else data
-        return stream
+        return data if self.told else unsized(data)
 
 
 @pytest.mark.parametrize(
@@ -261,9 +262,8 @@ class Other:
 )
 def test_read_backs_are_compared_whole(server, value, difference):
     (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
-    network = SimpleNamespace(add_node=lambda node: None, subscribe=lambda *_: None)
-    device = bringup._Device(SimpleNamespace(network=network, sdo_timeout_s=0.1), plan)
-    device.identity, device.node = (0x4C0, OURS), SimpleNamespace(sdo=server)
+    device = device_of(plan, server)
+    device.identity = (0x4C0, OURS)
     object.__setattr__(plan, "writes", tuple(bringup.Setting(0x6071, 0, value) for _ in range(2)))
     object.__setattr__(plan, "read_backs", (((0x6071, 0), value),))
     told = device.configure()
@@ -432,13 +432,11 @@ def test_what_the_host_can_do_without_and_the_device_refuses_is_lost():
     class Refusing(Other):
         def download(self, index, subindex, data):
             if index == 0x6007:
-                raise SdoAbortedError(0x06090031)
+                raise SdoRefused("download to", index, subindex, 0x06090031)
             super().download(index, subindex, data)
 
     (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
-    network = SimpleNamespace(add_node=lambda node: None, subscribe=lambda *_: None)
-    device = bringup._Device(SimpleNamespace(network=network, sdo_timeout_s=0.1), plan)
-    device.node = SimpleNamespace(sdo=Refusing(2, 2, True))
+    device = device_of(plan, Refusing(2, 2, True))
     settings = (bringup.Setting(0x6071, 0, 1), bringup.Setting(0x6007, 0, 2, soft=True, lost="its own reaction stays"))
     object.__setattr__(plan, "writes", settings)
     object.__setattr__(plan, "read_backs", (((0x6071, 0), 1), ((0x6007, 0), 2)))

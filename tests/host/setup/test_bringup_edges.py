@@ -4,17 +4,16 @@ and how each answer that differs is told.
 
 from __future__ import annotations
 
-from io import BytesIO
-from types import SimpleNamespace
+from collections import deque
 
 import pytest
-from canopen.sdo import SdoAbortedError, SdoCommunicationError
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.eds.reader import Variable, parse_eds
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, NodeMissing, SdoAborted
+from coulombus.host.sdo.bus_answers import BusAnswers
 from coulombus.host.setup import bringup
 from coulombus.host.setup.bringup import (
     bring_up,
@@ -28,6 +27,7 @@ from coulombus.host.setup.bringup import (
 )
 from coulombus.host.setup.settings import Setting
 from coulombus.rigs.rig import RigError, load_rig
+from coulombus.wire.bus_link import BusFrame
 from eds_edit import edit, gone
 from foreign_eds import BRAKE, MOTOR
 from foreign_rigs import Part, brake, drive, rig_of
@@ -38,29 +38,54 @@ PRE_OPERATIONAL, START = ("nmt", 0x80), ("nmt", 0x01)
 OURS = {(0x1000, 0): b"\x92\x01\x02\x00", (0x1018, 1): b"\xc0\x04\x00\x00", (0x1018, 2): b"\x02\x04\x00\x00"}
 
 
+REFUSED = 0x06090030
+SILENT = b""
+"""A fault of a server is its abort code, or the bytes that it answers: none here."""
+
+
 class Device:
     """An SDO server that keeps what is written; the test changes what it answers."""
 
     def __init__(self, node_id, log, identity):
         self.node_id, self.log, self.values, self.faults = node_id, log, dict(identity), {}
-        self.transfer = "segmented"
+        self.transfer, self.left, self.toggle = "segmented", b"", 0
+        self.second = None  # index of what a second device of this node id is asked, too, and refuses
 
     def download(self, index, subindex, data):
-        self.log.append((self.node_id, "write", index, subindex, data))
-        if ("write", index) in self.faults:
-            raise self.faults["write", index]
         self.values[index, subindex] = data
 
-    def open(self, index, subindex, mode, buffering):
-        assert (mode, buffering) == ("rb", 0)
-        self.log.append((self.node_id, "read", index, subindex))
-        if ("read", index) in self.faults:
-            raise self.faults["read", index]
-        stream = BytesIO(self.values[index, subindex])
-        data = stream.getvalue()
-        stream.size = None if "unsized" in self.transfer else len(data)
-        stream.exp_data = data if "expedited" in self.transfer else None
-        return stream
+    def answer(self, request):
+        """Return the messages that answer a request."""
+        command, index, subindex = request[0], int.from_bytes(request[1:3], "little"), request[3]
+        if command >> 5 == 3:
+            return [self.segment()]
+        if command >> 5 not in (1, 2):
+            return []
+        writes, data = command >> 5 == 1, request[4 : 8 - (command >> 2 & 3)]
+        self.log.append((self.node_id, *(("write", index, subindex, data) if writes else ("read", index, subindex))))
+        fault = self.faults.get(("write" if writes else "read", index))
+        if isinstance(fault, int):
+            return [b"\x80" + request[1:4] + fault.to_bytes(4, "little")]
+        if fault is not None:
+            return [fault] if fault else []
+        if writes:
+            self.download(index, subindex, data)
+            return [b"\x60" + request[1:4] + bytes(4)]
+        return [self.upload(request[1:4], self.values[index, subindex])]
+
+    def upload(self, place, data):
+        if "expedited" in self.transfer and 0 < len(data) <= 4:
+            command = 0x42 if "unsized" in self.transfer else 0x43 | (4 - len(data)) << 2
+            return bytes((command,)) + place + data.ljust(4, b"\0")
+        self.left, self.toggle = data, 0
+        size = b"\x40" + place + bytes(4), b"\x41" + place + len(data).to_bytes(4, "little")
+        return size["unsized" not in self.transfer]
+
+    def segment(self):
+        part, self.left = self.left[:7], self.left[7:]
+        command = self.toggle | (7 - len(part)) << 1 | (not self.left)
+        self.toggle ^= 0x10
+        return bytes((command,)) + part.ljust(7, b"\0")
 
 
 class Wire:
@@ -70,23 +95,49 @@ class Wire:
 
     def __init__(self, *plans):
         self.log, self.states, self.later = [], {}, []
-        self.devices, self.nodes = {}, {}
+        self.devices, self.t, self.waiting = {}, 0, deque()
+        self.late_ns, self.late = 0, deque()  # of a second device's answers
         for plan in plans:
             identity = {(0x1018, sub): value.to_bytes(4, "little") for sub, _, value in plan.identity}
             identity[0x1000, 0] = (plan.description.default(0x1000, 0, 0) or 0).to_bytes(4, "little")
             self.devices[plan.node_id] = Device(plan.node_id, self.log, identity)
             self.states[plan.node_id] = NmtState.OPERATIONAL
-        nmt = SimpleNamespace(send_command=lambda command: self.log.append(("nmt", command)))
-        self.network = SimpleNamespace(nmt=nmt, add_node=self.add_node)
 
-    def add_node(self, node):
-        device = self.devices[node.id]
-        node.sdo.open, node.sdo.download = device.open, device.download
-        self.nodes[node.id] = node
+    def now_ns(self):
+        return self.t
+
+    def send(self, can_id, data=b"", length=None):
+        if can_id == 0x000:
+            self.log.append(("nmt", data[0]))
+            assert data[1] == 0
+            return
+        node_id = can_id - 0x600
+        device = self.devices[node_id]
+        for answer in device.answer(data):
+            self.put(0x580 + node_id, answer)
+        if data[0] == 0x40 and int.from_bytes(data[1:3], "little") == device.second:
+            (self.put_late if self.late_ns else self.put)(0x580 + node_id, b"\x80" + data[1:4] + b"\0\0\2\6")
+
+    def put(self, can_id, answer):
+        self.waiting.append(BusFrame(self.t, can_id, answer, len(answer)))
+
+    def put_late(self, can_id, answer):
+        self.late.append(BusFrame(self.t + self.late_ns, can_id, answer, len(answer)))
+
+    def receive(self, until_ns):
+        if self.waiting:
+            return self.waiting.popleft()
+        if self.late and self.late[0].t_ns <= until_ns:
+            return self.late.popleft()
+        if until_ns > self.t:
+            self.log.append(("wait", until_ns - self.t))
+            self.t = until_ns
+        return None
 
     def wait_ns(self, duration_ns):
         assert isinstance(duration_ns, int)
         self.log.append(("wait", duration_ns))
+        self.t += duration_ns
         if self.later:
             self.later.pop(0)()
 
@@ -106,112 +157,61 @@ def device_of(motor=MOTOR, *overrides, writes=None, read_backs=None):
     if read_backs is not None:
         object.__setattr__(plan, "read_backs", tuple(read_backs))
     wire = Wire(plan)
-    device = bringup._Device(wire, plan)
+    device = bringup._Device(wire, plan, BusAnswers())
     device.identity = (0x4C0, 0x402)
     return device, wire.devices[1]
-
-
-# what canopen's client gets
-
-
-def answers():
-    client = SimpleNamespace(send_request=None, on_response=None)
-    log = []
-    client.send_request = lambda request: log.append(("sent", request))
-    client.on_response = lambda can_id, data, stamp: log.append(("heard", can_id, data, stamp))
-    found = bringup._Answers(client)
-    found.ask = lambda request: log.append(("ask", request))
-    found.sent = lambda: log.append("goes on")
-    return found, client, log
-
-
-@pytest.mark.parametrize(
-    ("command", "asks"), [(0, False), (1, True), (2, True), (3, False), (4, False), (5, False), (6, False), (7, False)]
-)
-@pytest.mark.parametrize("low", [0, 0x1F])
-def test_a_request_that_begins_a_transfer_is_told_from_one_that_goes_on(command, asks, low):
-    _, client, log = answers()
-    request = bytes([command << 5 | low, 0, 0x10, 0, 0, 0, 0, 0])
-    client.send_request(request)
-    assert log == [("ask", request) if asks else "goes on", ("sent", request)]
-
-
-@pytest.mark.parametrize(
-    ("length", "takes", "asked", "heard"),
-    [(8, True, True, True), (8, False, True, False), (7, False, False, True), (9, False, False, True)],
-)
-def test_only_what_goes_on_with_a_transfer_is_heard(length, takes, asked, heard):
-    """What has no eight bytes is canopen's to refuse."""
-    found, client, log = answers()
-    found.take = lambda answer: log.append(("take", answer)) or takes
-    data = bytearray(length)
-    client.on_response(0x581, data, 1.5)
-    assert log == [("take", bytes(length))] * asked + [("heard", 0x581, data, 1.5)] * heard
 
 
 # one device
 
 
 def test_a_device_waits_as_long_as_the_rig_file_says_and_is_nobody_s_yet():
-    plan = plans()[0]
-    wire = Wire(plan)
-    device = bringup._Device(wire, plan)
-    assert wire.nodes[1].sdo.RESPONSE_TIMEOUT == 0.125
-    assert device.identity == (0, 0)
+    device, server = device_of()
     assert (device.name, device.node_id, device.losses) == ("motor", 1, [])
+    server.faults["read", 0x6071] = SILENT
+    with pytest.raises(NodeMissing):
+        device.upload(0x6071, 0)
+    assert server.log == [(1, "read", 0x6071, 0), ("wait", 125 * MS)]
+    assert bringup._Device(Wire(), device.plan, BusAnswers()).identity == (0, 0)
 
 
 @pytest.mark.parametrize(
-    ("error", "stray", "kind", "text"),
+    ("fault", "kind", "text"),
     [
+        (REFUSED, SdoAborted, "motor (node 1), object 6071h:00 Target torque: abort 06090030h, "),
         (
-            SdoAbortedError(0x06090030),
-            b"",
-            SdoAborted,
-            "motor (node 1), object 6071h:00 Target torque: abort 06090030h, ",
-        ),
-        (
-            SdoAbortedError(0x06090030),
-            b"\x43\x00\x10\x00\x00\x00\x00\x00",
-            SdoAborted,
-            "motor (node 1), object 6071h:00 Target torque: abort 06090030h, ",
-        ),
-        (
-            SdoCommunicationError("No SDO response received"),
-            b"",
+            SILENT,
             NodeMissing,
             "motor (node 1) does not answer SDO: check power, cable, bit rate and node id",
         ),
         (
-            SdoCommunicationError("No SDO response received"),
             b"\x43\x18\x10\x02\x00\x00\x00\x00",
             AnswerUntrusted,
             "motor (node 1), object 6071h:00 Target torque: it answers about 1018h:02: does another SDO client ask it now, "
             "or have two devices this node id?",
         ),
         (
-            SdoCommunicationError("strange"),
-            b"",
+            b"\xc1\x71\x60\x00\x00\x00\x00\x00",
             AnswerUntrusted,
-            "motor (node 1), object 6071h:00 Target torque: strange: does another SDO client ask it now, "
-            "or have two devices this node id?",
+            "motor (node 1), object 6071h:00 Target torque: command C1h",
         ),
     ],
 )
-def test_what_an_answer_is_that_is_none(error, stray, kind, text):
+def test_what_an_answer_is_that_is_none(fault, kind, text):
     device, server = device_of()
-    device.answers.stray = stray
-    server.faults["read", 0x6071] = server.faults["write", 0x6071] = error
+    server.faults["read", 0x6071] = server.faults["write", 0x6071] = fault
     for ask in (lambda: device.upload(0x6071, 0), lambda: device.write(Setting(0x6071, 0, 5))):
         with pytest.raises(kind) as told:
             ask()
         assert str(told.value).startswith(text)
+        if kind is AnswerUntrusted:
+            assert str(told.value).endswith(": does another SDO client ask it now, or have two devices this node id?")
 
 
 def test_an_object_that_the_file_lacks_is_named_by_its_number():
     device, server = device_of()
-    server.faults["read", 0x5FFF] = SdoCommunicationError("strange")
-    with pytest.raises(AnswerUntrusted, match=r"^motor \(node 1\), object 5FFFh:01: strange: "):
+    server.faults["read", 0x5FFF] = b"\x60\xff\x5f\x01" + bytes(4)
+    with pytest.raises(AnswerUntrusted, match=r"^motor \(node 1\), object 5FFFh:01: command 60h is no upload "):
         device.upload(0x5FFF, 1)
 
 
@@ -390,7 +390,7 @@ def test_what_is_written_is_read_back_whole_and_each_difference_is_told():
 def test_what_a_device_refuses_and_the_host_can_do_without_is_a_loss(lost, why, told):
     rows = [Setting(0x6071, 0, 5, soft=True, lost=lost, why=why), Setting(0x6072, 0, 97, soft=True)]
     device, server = device_of(writes=rows, read_backs=[((0x6071, 0), 5), ((0x6072, 0), 97)])
-    server.faults["write", 0x6071] = SdoAbortedError(0x06090030)
+    server.faults["write", 0x6071] = REFUSED
     assert device.configure() == []
     (loss,) = device.losses
     assert loss.startswith("motor (node 1), object 6071h:00 Target torque: abort 06090030h")
@@ -400,7 +400,7 @@ def test_what_a_device_refuses_and_the_host_can_do_without_is_a_loss(lost, why, 
 
 def test_what_a_device_refuses_and_the_host_needs_ends_bring_up():
     device, server = device_of(writes=[Setting(0x6071, 0, 5), Setting(0x6072, 0, 97)], read_backs=())
-    server.faults["write", 0x6071] = SdoAbortedError(0x06090030)
+    server.faults["write", 0x6071] = REFUSED
     with pytest.raises(SdoAborted, match="6071h:00 Target torque: abort 06090030h"):
         device.configure()
     assert len(server.log) == 1
@@ -430,20 +430,18 @@ def test_the_plans_of_all_axes_are_made_once():
     assert plans_of(k) is found
 
 
-def test_devices_that_are_set_up_already_are_met_and_asked_nothing():
+def test_devices_that_are_set_up_already_are_met():
     k = Controllers(load_rig("bench"), "hybrid")
     found = list(plans_of(Controllers(load_rig("bench"), "active")))
-    wire = Wire(*found)
-    meet(found, k, wire)
+    meet(found, k)
     assert plans_of(k) == tuple(found)
-    assert set(wire.nodes) == {1, 2}
-    assert wire.log == []
 
 
 def prepared(*overrides):
     k = Controllers(load_rig("bench", overrides), "hybrid")
     wire = Wire(*plans_of(k))
     for plan, device in zip(plans_of(k), wire.devices.values(), strict=True):
+        device.transfer = "expedited"
         device.values |= {(0x6502, 0): b"\0\x02\0\0", (0x1014, 0): (0x80 + plan.node_id).to_bytes(4, "little")}
     return k, wire
 
@@ -466,7 +464,7 @@ def test_what_bring_up_leaves_out_is_told_device_by_device():
     for device in wire.devices.values():
         device.values[0x6502, 0] = b"\0\x02\0\0"
         device.values |= {(s.index, s.subindex): b"" for plan in plans_of(k) for s in plan.writes if s.unless_equal}
-    refused = SdoAbortedError(0x06090030)
+    refused = REFUSED
     wire.devices[1].faults["write", 0x6007] = wire.devices[2].faults["write", 0x6340] = refused
     losses = bring_up(k, wire)
     motor, brake_ = plans_of(k)
@@ -528,17 +526,39 @@ def test_all_that_is_read_back_otherwise_is_told_and_nothing_is_started():
     assert START not in wire.log
 
 
-@pytest.mark.parametrize("wrong", [False, True])
-def test_two_devices_of_one_node_id_explain_the_rest(wrong, monkeypatch):
+TWO_DEVICES = "two devices answer as node {}: take one off the bus, and give the other another id (coulombus lss)"
+
+
+@pytest.mark.parametrize(("node", "name"), [(1, "motor"), (2, "brake")])
+def test_a_second_device_is_refused_before_anything_is_written(node, name):
     k, wire = prepared()
-    if wrong:
-        wire.devices[1].values[0x1018, 2] = b"\x01\0\0\0"
-    monkeypatch.setattr(bringup._Answers, "duplicate_node_id", property(lambda self: True))
+    wire.devices[node].second = 0x1000
     with pytest.raises(DeviceMismatch) as told:
         bring_up(k, wire)
-    text = "two devices answer as node {}: take one off the bus, and give the other another id (coulombus lss)"
-    assert str(told.value) == "; ".join(text.format(who) for who in ("1 (motor)", "2 (brake)"))
-    assert (wire.log[-1] == SETTLE) is wrong
+    assert str(told.value) == TWO_DEVICES.format(f"{node} ({name})")
+    assert not [row for row in wire.log if "write" in row]
+    assert wire.log[-1] == SETTLE
+    assert START not in wire.log
+
+
+def test_a_second_device_explains_what_differs():
+    """Its answer comes behind that of the first device, which is another one than the rig's."""
+    k, wire = prepared()
+    wire.devices[2].values[0x1018, 2] = b"\x01\0\0\0"
+    wire.devices[2].second, wire.late_ns = 0x1018, 20 * MS
+    with pytest.raises(DeviceMismatch) as told:
+        bring_up(k, wire)
+    assert str(told.value) == TWO_DEVICES.format("2 (brake)")
+
+
+def test_a_second_device_that_answers_the_last_request_only_is_refused():
+    k, plain = prepared()
+    bring_up(k, plain)
+    node, _, index, _ = [row for row in plain.log if "read" in row][-1]
+    k, wire = prepared()
+    wire.devices[node].second = index
+    with pytest.raises(DeviceMismatch, match=f"two devices answer as node {node}"):
+        bring_up(k, wire)
     assert START not in wire.log
 
 
@@ -597,20 +617,8 @@ def test_a_node_that_has_no_heartbeat_is_not_waited_for(gone_):
 # the end
 
 
-class Network(dict):
-    """The network of a control plane, and what is written in its nodes."""
-
-    def __init__(self, faults=()):
-        self.log = []
-        self.nmt = SimpleNamespace(send_command=lambda command: self.log.append(("nmt", command)))
-        for node_id in (1, 2, 3, 4):
-
-            def download(*what, node_id=node_id):
-                self.log.append((node_id, *what))
-                if node_id in faults:
-                    raise faults[node_id]
-
-            self[node_id] = SimpleNamespace(sdo=SimpleNamespace(download=download))
+def takes_off(node_id):
+    return node_id, "write", 0x1016, 1, bytes(4)
 
 
 def ended(k, states, phase=Phase.DONE, trip=Trip.NONE):
@@ -634,39 +642,43 @@ DISABLED, ENABLED = 0x0250, 0x0237
     ],
 )
 def test_the_watch_is_taken_off_where_every_drive_is_disabled(states, taken_off):
-    k, network = ended(Controllers(load_rig("two_axes"), "hybrid"), states), Network()
-    nodes = [plan.node_id for plan in plans_of(k)]
-    release(k, SimpleNamespace(network=network))
-    assert network.log == [PRE_OPERATIONAL, *((node, 0x1016, 1, bytes(4)) for node in nodes if taken_off)]
+    k = ended(Controllers(load_rig("two_axes"), "hybrid"), states)
+    wire = Wire(*plans_of(k))
+    release(k, wire)
+    assert wire.log == [PRE_OPERATIONAL, *(takes_off(plan.node_id) for plan in plans_of(k) if taken_off)]
 
 
 @pytest.mark.parametrize(("phase", "trip"), [(Phase.DISABLE, Trip.NONE), (Phase.DONE, Trip.SPEED)])
 def test_the_watch_stays_where_the_end_is_not_a_normal_one(phase, trip):
-    k, network = ended(Controllers(load_rig("bench"), "hybrid"), (DISABLED,), phase, trip), Network()
-    release(k, SimpleNamespace(network=network))
-    assert network.log == [PRE_OPERATIONAL]
+    k = ended(Controllers(load_rig("bench"), "hybrid"), (DISABLED,), phase, trip)
+    wire = Wire(*plans_of(k))
+    release(k, wire)
+    assert wire.log == [PRE_OPERATIONAL]
 
 
-@pytest.mark.parametrize("error", [SdoAbortedError(0x06090030), SdoCommunicationError("late")])
-def test_a_node_that_does_not_answer_at_the_end_keeps_none_from_its_own(error):
-    k, network = ended(Controllers(load_rig("bench"), "hybrid"), (DISABLED,)), Network({1: error})
-    release(k, SimpleNamespace(network=network))
-    assert [row[0] for row in network.log[1:]] == [1, 2]
+@pytest.mark.parametrize("fault", [REFUSED, SILENT])
+def test_a_node_that_does_not_answer_at_the_end_keeps_none_from_its_own(fault):
+    k = ended(Controllers(load_rig("bench"), "hybrid"), (DISABLED,))
+    wire = Wire(*plans_of(k))
+    wire.devices[1].faults["write", 0x1016] = fault
+    release(k, wire)
+    assert [row for row in wire.log if "write" in row] == [takes_off(1), takes_off(2)]
 
 
 def test_only_a_watch_that_bring_up_has_set_is_taken_off():
     k = ended(Controllers(rig_of(Part(gone(MOTOR, "1016sub1")), Part(BRAKE)), "hybrid"), (DISABLED,))
-    network = Network()
-    release(k, SimpleNamespace(network=network))
-    assert [row[0] for row in network.log[1:]] == [2]
+    wire = Wire(*plans_of(k))
+    release(k, wire)
+    assert wire.log[1:] == [takes_off(2)]
 
 
 def test_a_watch_that_only_the_rig_file_describes_is_taken_off_too():
     text = '\n[[motor.sdo]]\nindex = 0x1016\nsub = 1\ntype = "UNSIGNED32"\nvalue = 0x7F0096\n'
     rig = rig_of(Part(gone(MOTOR, "1016sub1")), Part(BRAKE), text=text)
-    k, network = ended(Controllers(rig, "hybrid"), (DISABLED,)), Network()
-    release(k, SimpleNamespace(network=network))
-    assert network.log[1:] == [(node, 0x1016, 1, bytes(4)) for node in (1, 2)]
+    k = ended(Controllers(rig, "hybrid"), (DISABLED,))
+    wire = Wire(*plans_of(k))
+    release(k, wire)
+    assert wire.log[1:] == [takes_off(1), takes_off(2)]
 
 
 def test_the_nodes_are_left_where_no_pdo_acts():

@@ -1,6 +1,6 @@
 """SDO transfers of a client as generators: they yield what is to be sent and are sent what came.
 
-A transfer knows no bus and no clock: `host.devices.sdo` drives it, for one node or for all nodes of
+A transfer knows no bus and no clock: `host.sdo.sdo_client` drives it, for one node or for all nodes of
 a bus at a time. A `SdoStep` has the messages to the server, eight bytes each. It gets the server's
 next message, or `SdoSilent` thrown in.
 
@@ -84,11 +84,17 @@ class SdoRefused(SdoAborted):
 
 
 class SdoProtocolError(AnswerUntrusted):
-    """The server's answer is none; `code` is with what the client aborts."""
+    """The server's answer is none.
 
-    def __init__(self, text: str, code: int) -> None:
+    Attributes
+    ----------
+    code : abort code that the client sends
+    reason : what is wrong with the answer, without the object's name
+    """
+
+    def __init__(self, text: str, code: int, reason: str = "") -> None:
         super().__init__(text)
-        self.code = code
+        self.code, self.reason = code, reason or text
 
 
 class DuplicateNodeId(SdoProtocolError):
@@ -145,11 +151,17 @@ class _Answers:
         return self.wrong(f"command {answer[0]:02X}h {text}", Abort.COMMAND)
 
     def wrong(self, text: str, code: int) -> SdoProtocolError:
-        return SdoProtocolError(f"{self.what} {where(self.index, self.subindex)}: {text}", code)
+        return SdoProtocolError(f"{self.what} {where(self.index, self.subindex)}: {text}", code, text)
 
 
 def upload(
-    index: int, subindex: int, *, most: int = MOST_BYTES, block: bool = True, progress: Progress = _nothing
+    index: int,
+    subindex: int,
+    *,
+    most: int = MOST_BYTES,
+    block: bool = True,
+    unsized: Callable[[bytes], bytes] = bytes,
+    progress: Progress = _nothing,
 ) -> Transfer[bytes]:
     """Read an object, as the server wants it; what is long by block transfer, where it has that.
 
@@ -157,6 +169,7 @@ def upload(
     ----------
     most : bytes that it can have at most
     block : whether a long one may be asked for by block transfer
+    unsized : returns the object's bytes of the four of an expedited answer that tells no length
 
     Raises
     ------
@@ -181,6 +194,8 @@ def upload(
             answer = yield from say.first(head(0x40, index, subindex))
             if answer[0] >> 5 == 6:  # the block's: what came in its place was the first answer once more
                 answer = yield from say.next()
+    if answer[0] & 0xE3 == 0x42:
+        return unsized(answer[4:8])
     return (yield from _ordinary(say, answer, most, progress))
 
 
@@ -189,7 +204,7 @@ def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Tr
     if answer[0] >> 5 != 2:
         raise say.wrong(f"command {answer[0]:02X}h is no upload response", Abort.COMMAND)
     if answer[0] & 0x02:
-        return answer[4 : 8 - (answer[0] >> 2 & 3)] if answer[0] & 0x01 else answer[4:8]
+        return answer[4 : 8 - (answer[0] >> 2 & 3)]
     size = int.from_bytes(answer[4:8], "little") if answer[0] & 0x01 else None
     if size is not None and size > most:
         raise say.wrong(f"it has {size} bytes, {most} are the most expected", Abort.MEMORY)

@@ -11,9 +11,9 @@ import canopen
 import pytest
 
 from coulombus.eds.cia301 import Abort
-from coulombus.host.devices.sdo import SdoClient, load_defaults, store_parameters
-from coulombus.host.devices.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
 from coulombus.host.errors import HostError
+from coulombus.host.sdo.sdo_client import SdoClient, load_defaults, store_parameters
+from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
 from devices_bench import EDS, DevicesLink, Server, eds
 
 S = 1_000_000_000

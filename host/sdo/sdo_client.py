@@ -11,7 +11,9 @@ from typing import Generic, TypeVar
 from coulombus.eds.cia301 import Abort, CobId
 from coulombus.eds.sdo_answers import SdoAnswers, named
 from coulombus.eds.sdo_frames import where
-from coulombus.host.devices.transfers import (
+from coulombus.host.errors import HostError
+from coulombus.host.sdo.bus_answers import LENGTH, BusAnswers
+from coulombus.host.sdo.transfers import (
     APART,
     MOST_BYTES,
     DuplicateNodeId,
@@ -24,7 +26,6 @@ from coulombus.host.devices.transfers import (
     download,
     upload,
 )
-from coulombus.host.errors import HostError
 from coulombus.wire.bus_link import BusFrame, FrameLink
 
 __all__ = ["TIMEOUT_S", "SdoClient", "SdoSession", "load_defaults", "run_transfers", "store_parameters"]
@@ -32,7 +33,6 @@ __all__ = ["TIMEOUT_S", "SdoClient", "SdoSession", "load_defaults", "run_transfe
 T = TypeVar("T")
 TIMEOUT_S = 1.0
 """How long an answer may take."""
-LENGTH = 8
 STORING_S = 10.0
 """How long a device may take to write its storage."""
 
@@ -73,7 +73,9 @@ class SdoSession(Generic[T]):
         text, stray = f"node {self._node_id} does not answer (SDO of {where(*self._place)})", self._answers.stray
         self._send(abort(*self._place, Abort.TIMEOUT))
         if stray:
-            self._end(SdoProtocolError(f"{text}, but about {where(*named(stray))}: {APART}", Abort.TIMEOUT))
+            about = where(*named(stray))
+            reason = f"it answers about {about}"
+            self._end(SdoProtocolError(f"{text}, but about {about}: {APART}", Abort.TIMEOUT, reason))
         else:
             self._end(SdoSilent(text))
 
@@ -124,8 +126,8 @@ def run_transfers(
     transfers: Mapping[int, Iterator[Transfer[T]]],
     timeout_s: float,
     tell: Callable[[int, T | HostError], None],
-    hear: Callable[[BusFrame], None] = lambda frame: None,
-    answers: Mapping[int, SdoAnswers] | None = None,
+    answers: BusAnswers,
+    hear: Callable[[BusFrame], None] | None = None,
 ) -> None:
     """Do the transfers of each node one after the other, those of different nodes at a time.
 
@@ -133,10 +135,10 @@ def run_transfers(
     ----------
     transfers : the transfers of each node id
     tell : called with (node id, value or error) at the end of each transfer
-    hear : takes the frames that are no SDO response
-    answers : what each node was asked and answered so far
+    answers : what the nodes were asked and answered so far
+    hear : takes the frames that no transfer waits for, in the place of `answers`
     """
-    heard = {node_id: SdoAnswers() for node_id in transfers} if answers is None else answers
+    hear = hear or answers.hear
     waiting = {node_id: iter(row) for node_id, row in transfers.items()}
     talks: dict[int, SdoSession[T]] = {}
 
@@ -144,7 +146,7 @@ def run_transfers(
         transfer = next(waiting[node_id], None)
         talks.pop(node_id, None)
         if transfer is not None:
-            talks[node_id] = SdoSession(link, node_id, transfer, round(timeout_s * 1e9), heard[node_id])
+            talks[node_id] = SdoSession(link, node_id, transfer, round(timeout_s * 1e9), answers.of(node_id))
 
     try:
         for node_id in waiting:
@@ -173,18 +175,15 @@ class SdoClient:
 
     Parameters
     ----------
-    hear : takes the frames that are no SDO response of the node
+    timeout_s : how long an answer may take [s]
+    answers : shared by the clients of several nodes on one link, which hear each other's late answers
     """
 
     def __init__(
-        self,
-        link: FrameLink,
-        node_id: int,
-        timeout_s: float = TIMEOUT_S,
-        hear: Callable[[BusFrame], None] = lambda frame: None,
+        self, link: FrameLink, node_id: int, timeout_s: float = TIMEOUT_S, answers: BusAnswers | None = None
     ) -> None:
-        self.link, self.node_id, self.timeout_s, self._hear = link, node_id, timeout_s, hear
-        self._answers = SdoAnswers()
+        self.link, self.node_id, self.timeout_s = link, node_id, timeout_s
+        self._answers = answers or BusAnswers()
 
     def upload(
         self,
@@ -192,9 +191,10 @@ class SdoClient:
         subindex: int,
         *,
         most: int = MOST_BYTES,
+        unsized: Callable[[bytes], bytes] = bytes,
         progress: Progress = lambda done, total: None,
     ) -> bytes:
-        """Return what an object holds (`host.devices.transfers.upload`).
+        """Return what an object holds (`host.sdo.transfers.upload`).
 
         Raises
         ------
@@ -207,7 +207,7 @@ class SdoClient:
         DuplicateNodeId
             (3) two devices have its node id
         """
-        return self._do(upload(index, subindex, most=most, progress=progress))
+        return self._do(upload(index, subindex, most=most, unsized=unsized, progress=progress))
 
     def download(
         self, index: int, subindex: int, data: bytes, *, progress: Progress = lambda done, total: None
@@ -216,10 +216,7 @@ class SdoClient:
         self._do(download(index, subindex, data, progress=progress))
 
     def _do(self, transfer: Transfer[T]) -> T:
-        while (stale := self.link.receive(self.link.now_ns())) is not None:
-            if stale.can_id == CobId.SDO_TX + self.node_id and stale.length == LENGTH:
-                self._answers.take(stale.data)
-            self._hear(stale)  # a late answer, too, which is nobody's any more
+        self._answers.listen(self.link, self.link.now_ns())  # a late answer, which is nobody's any more
         self._refuse_twins()
         results: list[T | HostError] = []
         run_transfers(
@@ -227,8 +224,7 @@ class SdoClient:
             {self.node_id: iter((transfer,))},
             self.timeout_s,
             lambda _, result: results.append(result),
-            self._hear,
-            {self.node_id: self._answers},
+            self._answers,
         )
         self._refuse_twins()
         if isinstance(results[0], HostError):
@@ -236,8 +232,9 @@ class SdoClient:
         return results[0]
 
     def _refuse_twins(self) -> None:
-        if self._answers.duplicate_node_id:
-            place = where(*named(self._answers.second))
+        answers = self._answers.of(self.node_id)
+        if answers.duplicate_node_id:
+            place = where(*named(answers.second))
             raise DuplicateNodeId(f"two devices answer as node {self.node_id} (SDO of {place}): {APART}", Abort.GENERAL)
 
 
