@@ -7,7 +7,7 @@ import struct
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.description import Value, Variable
 
-__all__ = ["READ_ONLY", "decode", "encode", "is_output"]
+__all__ = ["READ_ONLY", "decode", "encode", "is_output", "without_fill"]
 
 READ_ONLY = ("ro", "const")
 _SETPOINTS = (0x6040, 0x6060, 0x6071, 0x607A, 0x6042, 0x60FF, 0x60B0, 0x60B1, 0x60B2, 0x60FE)
@@ -55,3 +55,18 @@ def decode(variable: Variable, data: bytes) -> int | float | str | bytes:
         number: float = struct.unpack("<f" if kind.bits == 32 else "<d", data)[0]
         return number
     return int.from_bytes(data, "little", signed=kind.signed)
+
+
+def without_fill(variable: Variable, data: bytes) -> bytes:
+    """Return the bytes of the variable's type, if those behind them only extend its number: a server
+    may send four of a shorter one. Else return all.
+    """
+    size = (variable.bits + 7) // 8
+    if not 0 < size < len(data):
+        return data
+    sign = _signed(variable) and data[size - 1] & 0x80
+    return data[:size] if data[size:] == (b"\xff" if sign else b"\0") * (len(data) - size) else data
+
+
+def _signed(variable: Variable) -> bool:
+    return variable.whole is not None and variable.whole[0] < 0

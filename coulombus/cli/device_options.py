@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +29,7 @@ __all__ = [
     "eds_folder_option",
     "open_link",
     "timeout_option",
+    "waiting_option",
 ]
 
 devices_bus_option = click.option(
@@ -63,8 +64,13 @@ timeout_option = click.option(
     default=1.0,
     show_default=True,
     metavar="S",
-    help="How long an answer may take.",
+    help="How long an answer may take; to a write of 1010h or 1011h, 10 s at least.",
 )
+
+
+def waiting_option(help_text: str) -> Callable[[Any], Any]:
+    """Return --timeout of a verb whose steps have different defaults; without it None comes."""
+    return click.option("--timeout", "timeout_s", type=SECONDS, metavar="S", help=help_text)
 
 
 @contextmanager
@@ -129,20 +135,22 @@ class DeviceOptions:
         to_write : a host at work on the bus is a reason to refuse, unless the options allow it
         """
         from coulombus.host.devices.device import KnownDevice, describe
-        from coulombus.host.sdo.sdo_client import SdoClient
+        from coulombus.host.sdo.sdo_client import LATE_S, SdoClient
 
         if self.eds is not None and self.rig_name is not None:
             raise click.UsageError("the EDS file is that of --eds, or that of --rig; give one of them")
         with open_link(self.bus_name, beside=self.beside or not to_write) as link:
-            client = SdoClient(link, node_id, self.timeout_s)
+            client = SdoClient(link, node_id, self.timeout_s, late_s=LATE_S)
             if self.rig_name is not None:
                 description, units = _of_rig(self.rig_name, node_id)
                 yield link, KnownDevice(client, description, units)
+                client.settle()
                 return
             with LiveLine() as show:
                 source = "device" if self.eds is not None and str(self.eds) == "device" else self.eds
                 description = describe(client, source, lambda done, total: show(f"EDS file: {done} of {total} bytes"))
             yield link, KnownDevice(client, description)
+            client.settle()
 
 
 device_options = bundle(

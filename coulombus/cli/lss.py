@@ -10,7 +10,14 @@ import click
 
 from coulombus.cli.bundle import bundle
 from coulombus.cli.common import json_option, verdict
-from coulombus.cli.device_options import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
+from coulombus.cli.device_options import (
+    LiveLine,
+    beside_option,
+    devices_bus_option,
+    eds_folder_option,
+    open_link,
+    waiting_option,
+)
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import BIT_RATE
 from coulombus.cli.tables import echo
@@ -95,12 +102,14 @@ assignment_options = bundle(
 @devices_bus_option
 @eds_folder_option
 @assignment_options
+@waiting_option("How long an answer may take. [default: 1; to --store 10; a boot-up 5]")
 @beside_option
 @json_option
 def lss(
     bus_name: str,
     eds_folder: Path | None,
     assignment: Assignment,
+    timeout_s: float | None,
     beside: bool,
     as_json: bool,
 ) -> None:
@@ -109,6 +118,7 @@ def lss(
     Without --set-id, --bitrate and --store nothing is changed. A device without a node id boots at
     once with the one that it gets; one that has an id is reset (communication only) to take the
     new one. A bit rate counts from the next power-on. An id that another node has is refused (3).
+    Ends with 5 when a device does not answer, or does not boot with an id that it has not stored.
 
     \b
     Examples:
@@ -122,12 +132,12 @@ def lss(
         from coulombus.eds.eds_folder import fitting, read_folder
         from coulombus.eds.own_devices import packaged
         from coulombus.host.devices.lss import LssMaster
-        from coulombus.host.devices.numbering import AssignedId, check_free, give, only
+        from coulombus.host.devices.numbering import BOOT_S, AssignedId, check_free, give, only
 
         assignment.check()
         files = [*(read_folder(eds_folder)[0] if eds_folder is not None else ()), *packaged()]
         numbered: list[AssignedId] = []
-        with LiveLine() as show, open_link(bus_name, beside=beside) as link, LssMaster(link) as master:
+        with LiveLine() as show, open_link(bus_name, beside=beside) as link, LssMaster(link, timeout_s) as master:
             identities = (
                 [] if assignment.identity else master.unconfigured(lambda count: show(f"fastscan: {count} found"))
             )
@@ -138,8 +148,18 @@ def lss(
                     check_free(link, [node_id for node_id in ids if node_id is not None], show)
                 for identity, new in zip(chosen, ids, strict=True):
                     show(f"setting {identity}")
-                    numbered.append(give(master, link, identity, new, bit_s=assignment.bitrate, store=assignment.store))
-        status = 0 if all(number.booted is not False for number in numbered) else 5
+                    numbered.append(
+                        give(
+                            master,
+                            link,
+                            identity,
+                            new,
+                            bit_s=assignment.bitrate,
+                            store=assignment.store,
+                            boot_s=timeout_s or BOOT_S,
+                        )
+                    )
+        status = 0 if all(number.booted is not False or number.stored for number in numbered) else 5
         with verdict(status):
             rows = [
                 {

@@ -7,9 +7,8 @@ from typing import Any
 import click
 
 from coulombus.cli.common import json_option, say, verdict
-from coulombus.cli.device_options import beside_option, devices_bus_option, open_link
+from coulombus.cli.device_options import beside_option, devices_bus_option, open_link, waiting_option
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import SECONDS
 from coulombus.cli.tables import echo
 
 __all__ = ["nmt"]
@@ -34,12 +33,10 @@ class NodeOrAll(click.ParamType):  # type: ignore[type-arg]  # generic to some v
 @click.argument("word", type=click.Choice(WORDS), metavar="COMMAND")
 @click.argument("node_id", type=NodeOrAll(), metavar="NODE|all")
 @devices_bus_option
-@click.option(
-    "--timeout", "timeout_s", type=SECONDS, default=2.0, show_default=True, metavar="S", help="How long to wait."
-)
+@waiting_option("How long to wait for the heartbeat. [default: 2; for a boot-up 5]")
 @beside_option
 @json_option
-def nmt(word: str, node_id: int, bus_name: str, timeout_s: float, beside: bool, as_json: bool) -> None:
+def nmt(word: str, node_id: int, bus_name: str, timeout_s: float | None, beside: bool, as_json: bool) -> None:
     """Send an NMT command: start, stop, preop, reset or reset-communication; to a node, or to all.
 
     Waits for the heartbeat or boot-up and prints the state that it reports. Ends with 5 when a node
@@ -65,4 +62,4 @@ def nmt(word: str, node_id: int, bus_name: str, timeout_s: float, beside: bool, 
             for answer in () if as_json else answers:
                 echo(str(answer))
             if not answers:
-                say(f"coulombus: sent to all; no heartbeat came within {timeout_s:g} s")
+                say("coulombus: sent to all; no heartbeat came in time (--timeout)")

@@ -10,6 +10,7 @@ import click
 from coulombus.cli.common import json_option, say, verdict
 from coulombus.cli.device_options import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import SECONDS
 from coulombus.cli.tables import echo, table_console
 
 if TYPE_CHECKING:
@@ -34,6 +35,15 @@ MISSING = 5
     metavar="S",
     help="Wait this many seconds for heartbeats and boot-ups of nodes that answer no SDO; 10 finds most.",
 )
+@click.option(
+    "--timeout",
+    "timeout_s",
+    type=SECONDS,
+    default=0.5,
+    show_default=True,
+    metavar="S",
+    help="How long an SDO answer may take.",
+)
 @click.option("--no-lss", is_flag=True, help="Do not look for devices without a node id.")
 @click.option(
     "--bitrates",
@@ -46,6 +56,7 @@ def scan(
     bus_name: str,
     eds_folder: Path | None,
     listen_s: float,
+    timeout_s: float,
     no_lss: bool,
     bitrates: bool,
     beside: bool,
@@ -83,7 +94,10 @@ def scan(
         without: list[Identity] = []
         with LiveLine() as show, open_link(bus_name, beside=beside) as link:
             nodes = ask_all(
-                link, listen_s=listen_s, progress=lambda label, done, total: show(f"{label} {done:.0f} of {total:.0f}")
+                link,
+                listen_s=listen_s,
+                timeout_s=timeout_s,
+                progress=lambda label, done, total: show(f"{label} {done:.0f} of {total:.0f}"),
             )
             if not no_lss:
                 with LssMaster(link) as master:

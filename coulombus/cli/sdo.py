@@ -19,7 +19,7 @@ from coulombus.cli.device_options import (
     timeout_option,
 )
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import OutputFile
+from coulombus.cli.option_types import SECONDS, OutputFile
 from coulombus.cli.tables import echo, table_console
 from coulombus.system.foreign_text import printable
 
@@ -45,6 +45,11 @@ part_option = click.option(
     default=1,
     show_default=True,
     help="1: all; 2: communication; 3: application.",
+)
+
+
+storing_option = click.option(
+    "--timeout", "timeout_s", type=SECONDS, default=10.0, show_default=True, metavar="S", help="How long it may take."
 )
 
 
@@ -116,6 +121,8 @@ def get(
                 echo(reading)
             else:
                 say(f"{len(reading.data)} bytes are in {output}")
+            if reading.remark:
+                say(f"coulombus: {reading.remark}")
 
 
 @sdo.command("set", epilog=EXIT_STATUS)
@@ -252,12 +259,12 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
         from coulombus.host.devices.configuration import Restored, check_file, differences
         from coulombus.host.devices.configuration import restore as write_all
         from coulombus.host.devices.device import KnownDevice
-        from coulombus.host.sdo.sdo_client import SdoClient
+        from coulombus.host.sdo.sdo_client import LATE_S, SdoClient
 
         description = read_eds(dcf)
         restored = Restored()
         with open_link(bus_name, beside=beside) as link:
-            device = KnownDevice(SdoClient(link, node_id, timeout_s), description)
+            device = KnownDevice(SdoClient(link, node_id, timeout_s, late_s=LATE_S), description)
             with LiveLine() as show:
                 values = check_file(device, description)
                 differing = differences(
@@ -321,8 +328,9 @@ def _print_differences(differences: list[Difference]) -> None:
 @node_argument
 @devices_bus_option
 @part_option
+@storing_option
 @beside_option
-def store(node_id: int, bus_name: str, part: int, beside: bool) -> None:
+def store(node_id: int, bus_name: str, part: int, timeout_s: float, beside: bool) -> None:
     """Let a device keep its parameters when it is switched off (1010h, "save").
 
     \b
@@ -333,7 +341,7 @@ def store(node_id: int, bus_name: str, part: int, beside: bool) -> None:
         from coulombus.host.sdo.sdo_client import store_parameters
 
         with open_link(bus_name, beside=beside) as link:
-            store_parameters(link, node_id, part)
+            store_parameters(link, node_id, part, timeout_s)
         with verdict(0):
             echo(f"node {node_id} has stored its parameters (1010h:{part:02X})")
 
@@ -342,8 +350,9 @@ def store(node_id: int, bus_name: str, part: int, beside: bool) -> None:
 @node_argument
 @devices_bus_option
 @part_option
+@storing_option
 @beside_option
-def restore_defaults(node_id: int, bus_name: str, part: int, beside: bool) -> None:
+def restore_defaults(node_id: int, bus_name: str, part: int, timeout_s: float, beside: bool) -> None:
     """Give a device its maker's parameters back, from its next reset on (1011h, "load").
 
     \b
@@ -354,7 +363,7 @@ def restore_defaults(node_id: int, bus_name: str, part: int, beside: bool) -> No
         from coulombus.host.sdo.sdo_client import load_defaults
 
         with open_link(bus_name, beside=beside) as link:
-            load_defaults(link, node_id, part)
+            load_defaults(link, node_id, part, timeout_s)
         with verdict(0):
             echo(f"node {node_id} has its defaults after: coulombus nmt reset {node_id} --bus {bus_name}")
 

@@ -28,7 +28,6 @@ from coulombus.wire.bus_link import BusLink
 __all__ = ["Shell", "run"]
 
 MOST_LISTED = 40
-NMT_S = 2.0
 HISTORY_LINES = 1000
 
 
@@ -49,7 +48,10 @@ class Shell(cmd.Cmd):
     def do_get(self, line: str) -> None:
         """Read an object by number (6041h, 1018h:01) or name: get OBJECT."""
         (name,) = self._words(line, 1)
-        echo(str(self.device.read(self.device.find(name))))
+        reading = self.device.read(self.device.find(name))
+        echo(str(reading))
+        if reading.remark:
+            say(reading.remark)
 
     def do_set(self, line: str) -> None:
         """Write an object and read it back: set OBJECT VALUE.
@@ -89,7 +91,7 @@ class Shell(cmd.Cmd):
         if word not in COMMANDS:
             raise click.UsageError(f"{word!r}: expected one of {', '.join(COMMANDS)}")
         self._alone()
-        for answer in command(self._link, word, self.device.node_id, NMT_S):
+        for answer in command(self._link, word, self.device.node_id):
             echo(str(answer))
 
     def do_quit(self, line: str) -> bool:

@@ -16,7 +16,7 @@ from coulombus.eds.dcf_text import configured
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, Value, Variable
 from coulombus.eds.sdo_frames import where
-from coulombus.host.devices.device import KnownDevice, identity_of, trimmed
+from coulombus.host.devices.device import KnownDevice, identity_of
 from coulombus.host.errors import DeviceMismatch, SdoAborted
 
 __all__ = ["Difference", "Dump", "acts", "check_file", "differences", "dump", "restore"]
@@ -97,11 +97,11 @@ def dump(device: KnownDevice, show: Show = lambda done, total: None) -> Dump:
         if kind is None or kind.kind in ("domain", "record", "time"):
             continue
         try:
-            data = device.client.upload(variable.index, variable.subindex, most=MOST_BYTES)
+            data = device.upload(variable, most=MOST_BYTES)
         except SdoAborted as error:
             aborted.append(str(error))
             continue
-        value = decode(variable, trimmed(variable, data))
+        value = decode(variable, data)
         if isinstance(value, bytes) and kind.kind != "bytes":
             aborted.append(f"{where(variable.index, variable.subindex)}: {len(data)} bytes are no {kind.name}")
         elif isinstance(value, str) and not _fits_a_line(value):
@@ -194,7 +194,7 @@ def differences(
         variable = description.variable(*place)
         held: Value
         try:
-            data = trimmed(variable, device.client.upload(*place, most=MOST_BYTES))
+            data = device.upload(variable, most=MOST_BYTES)
             held = decode(variable, data)
             same = _same(variable, data, value)
         except SdoAborted:
@@ -277,8 +277,8 @@ def _write(device: KnownDevice, variable: Variable, value: Value, result: Restor
     data = encode(variable, value)
     try:
         device.client.download(*place, data)
-        back = device.client.upload(*place, most=MOST_BYTES)
-        if not _same(variable, trimmed(variable, back), value):
+        back = device.upload(variable, most=MOST_BYTES)
+        if not _same(variable, back, value):
             result.failed.append(f"{where(*place)} {variable.name}: written, and reads back as {back.hex(' ')}")
             return False
     except SdoAborted as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.eds.cia301 import DATA_TYPES
-from coulombus.eds.data import READ_ONLY, decode, encode
+from coulombus.eds.data import READ_ONLY, decode, encode, without_fill
 from coulombus.eds.eds_folder import fitting, read_folder
 from coulombus.eds.own_devices import packaged, told_identity
 from coulombus.eds.reader import Description, Value, Variable, parse_eds, read_eds
@@ -22,7 +22,7 @@ from coulombus.host.errors import DeviceMismatch, HostError, SdoAborted
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import MOST_BYTES, Progress
 
-__all__ = ["KnownDevice", "ObjectUnknown", "Reading", "ValueRefused", "describe", "identity_of", "trimmed"]
+__all__ = ["KnownDevice", "ObjectUnknown", "Reading", "ValueRefused", "describe", "identity_of"]
 
 Place = tuple[int, int]
 STORED_EDS = (0x1021, 0)
@@ -56,6 +56,7 @@ class Reading:
     ----------
     raw : the number as it is transferred; of what is no number its bytes in hexadecimal
     value : raw in `unit`; a text as text
+    remark : that the object has another length than its type, "" where it has not
     """
 
     variable: Variable
@@ -63,6 +64,7 @@ class Reading:
     raw: int | float | str
     value: int | float | str
     unit: str
+    remark: str = ""
 
     def as_dict(self, node_id: int) -> dict[str, Any]:
         """Return it as JSON has it; a REAL that is no number is its text."""
@@ -91,14 +93,6 @@ class Reading:
 
 def _finite(value: float | str) -> float | str:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def trimmed(variable: Variable, data: bytes) -> bytes:
-    """Return an upload's bytes without those behind its type: a server that does not tell the
-    length of an expedited one sends four.
-    """
-    size = (variable.bits + 7) // 8
-    return data[:size] if size and size < len(data) <= 4 else data
 
 
 def identity_of(client: SdoClient) -> tuple[int, int, int]:
@@ -261,21 +255,36 @@ class KnownDevice:
             return None
         return told_unit(code, count)
 
+    def upload(
+        self, variable: Variable, *, most: int = MOST_BYTES, progress: Progress = lambda done, total: None
+    ) -> bytes:
+        """Return an object's bytes, without those that only extend its number. Raises as
+        `host.sdo.sdo_client.SdoClient.upload`.
+        """
+        size = (variable.bits + 7) // 8
+        data = self.client.upload(
+            variable.index,
+            variable.subindex,
+            most=most,
+            unsized=lambda data: data[: size or None],  # four bytes, and nobody says how many count
+            progress=progress,
+        )
+        return without_fill(variable, data)
+
     def read(self, variable: Variable, progress: Progress = lambda done, total: None) -> Reading:
         """Return what an object holds. Raises as `host.sdo.sdo_client.SdoClient.upload`."""
         most = (variable.bits + 7) // 8 + 8 if variable.bits else MOST_BYTES
-        data = self.client.upload(variable.index, variable.subindex, most=most, progress=progress)
-        return self.reading(variable, data)
+        return self.reading(variable, self.upload(variable, most=most, progress=progress))
 
     def reading(self, variable: Variable, data: bytes) -> Reading:
         """Return the meaning of bytes; without a type: a number, where they may be one."""
-        kind, data = variable, trimmed(variable, data)
+        kind = variable
         if not variable.data_type and len(data) in BY_WIDTH:
             kind = Variable(**{**vars(variable), "data_type": BY_WIDTH[len(data)]})
         content = decode(kind, data)
         if isinstance(content, bytes):
             text = content.hex(" ") if len(content) <= SHOWN_BYTES else f"{len(content)} bytes"
-            return Reading(variable, data, data.hex(), text, "")
+            return Reading(variable, data, data.hex(), text, "", self._other_length(variable, data))
         if isinstance(content, str):
             return Reading(variable, data, data.hex(), content, "")
         unit = self.unit(variable)
@@ -283,6 +292,13 @@ class KnownDevice:
             return Reading(kind, data, content, content, "")
         value = content if unit.scale == 1 and not unit.offset else content * unit.scale + unit.offset
         return Reading(kind, data, content, value, unit.unit)
+
+    def _other_length(self, variable: Variable, data: bytes) -> str:
+        kind, size = DATA_TYPES.get(variable.data_type), (variable.bits + 7) // 8
+        if kind is None or not size or len(data) == size:
+            return ""
+        place = where(variable.index, variable.subindex)
+        return f"{place} has {len(data)} bytes in the device; {kind.name} has {size} ({self._path})"
 
     def parse(self, variable: Variable, text: str, *, type_name: str = "") -> bytes:
         """Return the bytes of a value that a user writes, checked against type, limits and access.

@@ -7,25 +7,37 @@ part in the next scan; so all devices are found one after the other. Silence mea
 answer that is late (of the slowest of them) would be taken for one to the next step. So each step
 waits for those behind the first, each number is confirmed at its end, and all is scanned again with
 more patience where it is not.
+
+A slow device misses a message that comes some ms behind the one before: messages have a pause
+between them, and what is not answered is sent again with longer ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia305 import BIT_RATES, FASTSCAN_START, UNCONFIGURED, LssService, LssState
-from coulombus.host.errors import HostError, NodeMissing
-from coulombus.wire.bus_link import BusFrame, FrameLink
+from coulombus.host.errors import AnswerUntrusted, HostError, NodeMissing
+from coulombus.wire.bus_link import FrameLink
 
 __all__ = ["Identity", "LssMaster", "LssRefused", "rate_index"]
 
 S = LssService
 SELECTIVE = (S.SWITCH_VENDOR, S.SWITCH_PRODUCT, S.SWITCH_REVISION, S.SWITCH_SERIAL)
+INQUIRE = (S.INQUIRE_VENDOR, S.INQUIRE_PRODUCT, S.INQUIRE_REVISION, S.INQUIRE_SERIAL)
 SERIAL = 3
-ANSWER_S, START_S = 0.5, 0.1
-"""How long an answer may take; to the fastscan's start."""
+LENGTH = 8
+ANSWER_S, STORE_S, START_S, INQUIRE_S = 1.0, 10.0, 0.5, 0.2
+"""How long an answer may take; to a store, which writes flash; to the fastscan's start; to an inquiry
+to several devices.
+"""
+LATE_S = 2.0
+"""For so long afterwards an answer is listened for, to tell that it is late."""
+PAUSES_S = (0.005, 0.02, 0.1)
+"""Between two messages of the master, of each attempt."""
 
 
 class _Patience(NamedTuple):
@@ -103,35 +115,70 @@ class LssMaster:
 
     Parameters
     ----------
-    hear : takes the frames that are no LSS answer
+    timeout_s : how long an answer may take [s]; None: `ANSWER_S`, of a store `STORE_S`
     """
 
-    def __init__(self, link: FrameLink, hear: Callable[[BusFrame], None] = lambda frame: None) -> None:
-        self._link, self._hear = link, hear
+    def __init__(self, link: FrameLink, timeout_s: float | None = None) -> None:
+        self._link = link
+        self._answer_s, self._store_s = timeout_s or ANSWER_S, timeout_s or STORE_S
+        self._pause_s, self._free_ns = PAUSES_S[0], 0  # between two messages; the next one may go
+        self._odd = b""  # the last answer that is none to the last message
 
     def __enter__(self) -> LssMaster:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.wait_state()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.wait_state()
+            return
+        with suppress(OSError):  # the bus may be what has failed
+            for self._pause_s in PAUSES_S[1:]:
+                self.wait_state()
 
     # messages
 
     def _send(self, service: int, data: bytes = b"") -> None:
-        while (stale := self._link.receive(self._link.now_ns())) is not None:
-            if stale.can_id != CobId.LSS_TX:
-                self._hear(stale)
+        """Send a message; before the next one there is a pause. What has come until then is no answer
+        to it.
+        """
+        while self._link.receive(max(self._link.now_ns(), self._free_ns)) is not None:
+            pass
+        self._odd = b""
         self._link.send(CobId.LSS_RX, bytes((service,)) + data.ljust(7, b"\0"))
+        self._free_ns = self._link.now_ns() + round(self._pause_s * 1e9)
 
     def _answer(self, service: int, timeout_s: float) -> bytes | None:
         """Return the bytes behind the service of the next answer, None without one in time."""
         until_ns = self._link.now_ns() + round(timeout_s * 1e9)
         while (frame := self._link.receive(until_ns)) is not None:
-            if frame.can_id == CobId.LSS_TX and frame.length == 8 and frame.data[0] == service:
-                return frame.data[1:]
             if frame.can_id != CobId.LSS_TX:
-                self._hear(frame)
+                continue
+            if frame.length == LENGTH and frame.data[0] == service:
+                return frame.data[1:]
+            self._odd = frame.data
         return None
+
+    def _ask(self, service: LssService, data: bytes, timeout_s: float, attempts: int) -> bytes | None:
+        """Return the answer to a message of `attempts`, None without one."""
+        for _ in range(attempts):
+            self._send(service, data)
+            answer = self._answer(service, timeout_s)
+            if answer is not None:
+                return answer
+            self._pause_s = PAUSES_S[-1]
+        return None
+
+    def _no_answer(self, service: LssService, what: str, timeout_s: float) -> HostError:
+        """Return what it is that no answer to a message came in time."""
+        odd = self._odd
+        if self._answer(service, LATE_S) is not None:
+            return NodeMissing(
+                f"the device answers LSS ({what}) late, {timeout_s:g} s are allowed: --timeout gives it longer"
+            )
+        if odd:
+            wrong = "another service's answer" if len(odd) == LENGTH else f"{len(odd)} bytes, and {LENGTH} are right"
+            return AnswerUntrusted(f"the device answers LSS ({what}) with {odd.hex(' ').upper()}: {wrong} (CiA 305)")
+        return NodeMissing(f"the device does not answer LSS ({what}) within {timeout_s:g} s (--timeout)")
 
     # finding
 
@@ -150,15 +197,20 @@ class LssMaster:
         Raises
         ------
         NodeMissing
-            one answers, and its identity cannot be found: two devices have the same, or the bus
-            loses frames
+            one answers, and its identity cannot be found: two devices have the same, the bus loses
+            frames, or the device leaves the scan before its end
         """
         identities: list[Identity] = []
         while len(identities) < MOST_DEVICES:
             identity = None
             for patience in PATIENCE:
-                if not self._step(0, FASTSCAN_START, 0, 0, patience._replace(first_s=max(START_S, patience.first_s))):
-                    return identities
+                if not self._step(0, FASTSCAN_START, 0, 0, patience._replace(first_s=START_S)):
+                    if patience is PATIENCE[0]:
+                        return identities
+                    raise NodeMissing(
+                        "a device without a node id answers fastscan, and leaves it before the end; "
+                        "name it by --device, with its 1018h:01 to :04"
+                    )
                 identity = self._scan(patience, identities)
                 if identity is not None:
                     break
@@ -199,9 +251,23 @@ class LssMaster:
                 if not self._step(number, bit, part, part, patience):
                     number |= 1 << bit
             if not self._step(number, 0, part, (part + 1) % 4, patience):
-                return None
+                return self._early(Identity(*(*numbers, number))) if part == SERIAL else None
             numbers.append(number)
         return Identity(*numbers)
+
+    def _early(self, identity: Identity) -> Identity | None:
+        """Return the identity, if a device in LSS configuration has it: one may go there at the last
+        bit, and answers the scan no more. None else.
+        """
+        for service, number in zip(INQUIRE, identity, strict=True):
+            self._send(service)
+            answers, wait_s = set(), INQUIRE_S
+            while (answer := self._answer(service, wait_s)) is not None:
+                answers.add(int.from_bytes(answer[:4], "little"))
+                wait_s = PATIENCE[-1].behind_s
+            if number not in answers:
+                return None
+        return identity
 
     def select(self, identity: Identity) -> None:
         """Switch one device to LSS configuration, and all others to LSS waiting.
@@ -210,12 +276,21 @@ class LssMaster:
         ------
         NodeMissing
             no device has this identity
+        AnswerUntrusted
+            the device's answer is none
         """
-        self.wait_state()
-        for service, part in zip(SELECTIVE, identity, strict=True):
-            self._send(service, part.to_bytes(4, "little"))
-        if self._answer(S.SWITCH_ANSWER, ANSWER_S) is None:
-            raise NodeMissing(f"no device with LSS has the identity {identity}")
+        for self._pause_s in PAUSES_S:  # what the device needs, it needs for its settings, too
+            self.wait_state()
+            for service, part in zip(SELECTIVE, identity, strict=True):
+                self._send(service, part.to_bytes(4, "little"))
+            if self._answer(S.SWITCH_ANSWER, self._answer_s) is not None:
+                return
+        if self._odd:
+            raise self._no_answer(S.SWITCH_ANSWER, "its selection", self._answer_s)
+        raise NodeMissing(
+            f"no device with LSS has the identity {identity}: none answered {len(PAUSES_S)} times within "
+            f"{self._answer_s:g} s (--timeout)"
+        )
 
     # settings of the device that is selected
 
@@ -223,8 +298,7 @@ class LssMaster:
         """Return the node id of the device that is selected, None without one (or without this
         service).
         """
-        self._send(S.INQUIRE_NODE_ID)
-        answer = self._answer(S.INQUIRE_NODE_ID, ANSWER_S)
+        answer = self._ask(S.INQUIRE_NODE_ID, b"", self._answer_s, 2)
         return None if answer is None or answer[0] == UNCONFIGURED else answer[0]
 
     def set_node_id(self, node_id: int) -> None:
@@ -241,13 +315,15 @@ class LssMaster:
 
     def store(self) -> None:
         """Let the device that is selected keep its node id and bit rate. Raises `LssRefused`."""
-        self._configure(S.STORE_CONFIGURATION, b"", "store")
+        self._configure(S.STORE_CONFIGURATION, b"", "store", self._store_s, 1)  # once: its memory wears out
 
-    def _configure(self, service: LssService, data: bytes, what: str) -> None:
-        self._send(service, data)
-        answer = self._answer(service, ANSWER_S)
+    def _configure(
+        self, service: LssService, data: bytes, what: str, timeout_s: float | None = None, attempts: int = 2
+    ) -> None:
+        timeout_s = timeout_s or self._answer_s
+        answer = self._ask(service, data, timeout_s, attempts)
         if answer is None:
-            raise NodeMissing(f"the device does not answer LSS ({what})")
+            raise self._no_answer(service, what, timeout_s)
         if answer[0]:
             own = f"error {answer[0]}" + (f", its own {answer[1]}" if answer[0] == 0xFF else "")
             raise LssRefused(f"the device refused {what}: {REASONS.get((service, answer[0]), own)}")

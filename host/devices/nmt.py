@@ -9,7 +9,7 @@ from coulombus.host.errors import HostError, NodeMissing
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.wire.bus_link import FrameLink
 
-__all__ = ["COMMANDS", "CommandResult", "command"]
+__all__ = ["BOOT_S", "COMMANDS", "TIMEOUT_S", "CommandResult", "command"]
 
 COMMANDS = {
     "start": (NmtCommand.START, NmtState.OPERATIONAL),
@@ -20,7 +20,9 @@ COMMANDS = {
 }
 """Word -> the command, and the state that a heartbeat tells then (a boot-up: INITIALISING)."""
 HEARTBEAT = (0x1017, 0)
-ASK_S, QUIET_S = 0.3, 0.5
+ASK_S, QUIET_S = 1.0, 0.5
+TIMEOUT_S, BOOT_S = 2.0, 5.0
+"""How long a heartbeat may take; a boot-up."""
 
 
 @dataclass(frozen=True)
@@ -31,27 +33,34 @@ class CommandResult:
     ----------
     state : what its heartbeat or boot-up told last, None: none came
     well : whether it told what was wanted; None: it cannot tell, for it sends no heartbeat
+    odd_length : bytes of its last heartbeat that is none, as it has not one; None without one
     """
 
     node_id: int
     state: NmtState | None
     well: bool | None
+    odd_length: int | None = None
 
     def __str__(self) -> str:
         if self.state is not None:
             state = "booted" if self.state is NmtState.INITIALISING else self.state.name.lower().replace("_", "-")
             return f"node {self.node_id}: {state}" + ("" if self.well else ", which is not what was asked for")
+        if self.odd_length is not None:
+            return f"node {self.node_id}: its heartbeat has {self.odd_length} bytes; 1 is right (CiA 301)"
         if self.well is None:
             return f"node {self.node_id}: sent; it sends no heartbeat (1017h is 0) that would tell its state"
         return f"node {self.node_id}: no heartbeat and no boot-up came"
 
 
-def command(link: FrameLink, word: str, node_id: int | None, timeout_s: float) -> tuple[CommandResult, ...]:
+def command(
+    link: FrameLink, word: str, node_id: int | None, timeout_s: float | None = None
+) -> tuple[CommandResult, ...]:
     """Send an NMT command, and wait for what the nodes say.
 
     Parameters
     ----------
     word : of `COMMANDS`
+    timeout_s : how long that may take [s]; None: `BOOT_S` after a reset, else `TIMEOUT_S`
     node_id : None: all nodes; then those are returned that say something within the time
 
     Raises
@@ -60,15 +69,21 @@ def command(link: FrameLink, word: str, node_id: int | None, timeout_s: float) -
         (exit status 5) all nodes were meant, and none said anything after a reset
     """
     what, goal = COMMANDS[word]
+    if timeout_s is None:
+        timeout_s = BOOT_S if goal is NmtState.INITIALISING else TIMEOUT_S
     silent = node_id is not None and goal is not NmtState.INITIALISING and _has_no_heartbeat(link, node_id)
     while link.receive(link.now_ns()) is not None:  # of before
         pass
     link.send(CobId.NMT, bytes((what, node_id or 0)))
     heard: dict[int, NmtState] = {}
+    odd: dict[int, int] = {}
     until_ns = link.now_ns() + round((min(QUIET_S, timeout_s) if silent else timeout_s) * 1e9)
     while (frame := link.receive(until_ns)) is not None:
         sender = frame.can_id - CobId.HEARTBEAT
-        if not 1 <= sender <= 127 or len(frame.data) != 1 or node_id not in (None, sender):
+        if not 1 <= sender <= 127 or node_id not in (None, sender):
+            continue
+        if len(frame.data) != 1:
+            odd[sender] = frame.length
             continue
         state = frame.data[0] & 0x7F
         if state in tuple(NmtState) and heard.get(sender) is not goal:  # behind its boot-up others come
@@ -81,7 +96,7 @@ def command(link: FrameLink, word: str, node_id: int | None, timeout_s: float) -
         return tuple(CommandResult(sender, state, state is goal) for sender, state in sorted(heard.items()))
     state_heard = heard.get(node_id)
     if state_heard is None:
-        return (CommandResult(node_id, None, None if silent else False),)
+        return (CommandResult(node_id, None, None if silent else False, odd.get(node_id)),)
     return (CommandResult(node_id, state_heard, state_heard is goal),)
 
 

@@ -12,9 +12,10 @@ from coulombus.host.devices.scan import scan
 from coulombus.host.errors import DeviceMismatch, NodeMissing
 from coulombus.wire.bus_link import BusFrame, FrameLink
 
-__all__ = ["AssignedId", "check_free", "give", "only"]
+__all__ = ["BOOT_S", "AssignedId", "check_free", "give", "only"]
 
 BOOT_S = 5.0
+"""How long a device may take to boot with its new node id."""
 LAST = 127
 
 
@@ -26,6 +27,7 @@ class AssignedId:
     ----------
     before : the node id that it had, None without one
     booted : whether its boot-up was heard under the new one; None where it has no reason to boot
+    boot_s : how long it was waited for [s]
     """
 
     identity: Identity
@@ -34,6 +36,7 @@ class AssignedId:
     bit_s: int | None
     stored: bool
     booted: bool | None
+    boot_s: float = BOOT_S
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON has it."""
@@ -55,7 +58,8 @@ class AssignedId:
             parts.append(f"{self.bit_s} bit/s from the next power-on")
         parts.append("stored" if self.stored else "not stored: it forgets it when it is switched off")
         if self.booted is not None:
-            parts.append("booted" if self.booted else f"no boot-up within {BOOT_S:g} s")
+            later = ": it has the id from its next power-on" if self.stored else ""
+            parts.append("booted" if self.booted else f"no boot-up within {self.boot_s:g} s{later}")
         return f"{self.identity}: {', '.join(parts)}"
 
 
@@ -103,15 +107,17 @@ def give(
     *,
     bit_s: int | None = None,
     store: bool = False,
+    boot_s: float = BOOT_S,
 ) -> AssignedId:
-    """Give one device what was asked for, and wait for its boot-up under a new node id.
+    """Give one device what was asked for, and wait `boot_s` at most for its boot-up under a new node
+    id.
 
     Raises
     ------
     NodeMissing
         (exit status 5) no device has this identity, or it does not answer
-    LssRefused
-        (6) it refused a setting
+    LssRefused, AnswerUntrusted
+        (6) it refused a setting, or its answer is none
     """
     master.select(identity)
     before = master.node_id()
@@ -126,15 +132,15 @@ def give(
     if node_id is not None and node_id != before:
         if before is not None:
             link.send(CobId.NMT, bytes((NmtCommand.RESET_COMMUNICATION, before)))
-        booted = _boots(link, node_id)
-    return AssignedId(identity, node_id, before, bit_s, store, booted)
+        booted = _boots(link, node_id, boot_s)
+    return AssignedId(identity, node_id, before, bit_s, store, booted, boot_s)
 
 
-def _boots(link: FrameLink, node_id: int) -> bool:
+def _boots(link: FrameLink, node_id: int, boot_s: float) -> bool:
     def boot_up(frame: BusFrame) -> bool:
         return frame.can_id == CobId.HEARTBEAT + node_id and frame.data == b"\0"
 
-    until_ns = link.now_ns() + round(BOOT_S * 1e9)
+    until_ns = link.now_ns() + round(boot_s * 1e9)
     while (frame := link.receive(until_ns)) is not None:
         if boot_up(frame):
             return True

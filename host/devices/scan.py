@@ -11,16 +11,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.data import decode
+from coulombus.eds.reader import Variable
 from coulombus.eds.sdo_frames import head
 from coulombus.host.devices.running_host import FILTERS, check_alone
 from coulombus.host.errors import AnswerUntrusted, HostError
-from coulombus.host.sdo.bus_answers import LENGTH, BusAnswers
+from coulombus.host.sdo.bus_answers import BusAnswers
 from coulombus.host.sdo.sdo_client import run_transfers
 from coulombus.host.sdo.transfers import SdoSilent, Transfer, upload
 from coulombus.wire.address import BusAddress
 from coulombus.wire.bus_link import BusFrame, BusLink, FrameLink
 
-__all__ = ["ASKED", "IDENTITY", "TOLD", "Answers", "scan", "survey", "trouble"]
+__all__ = ["ASKED", "IDENTITY", "TIMEOUT_S", "TOLD", "Answers", "scan", "survey", "trouble"]
 
 IDENTITY = ((0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 """Numbers: device type, identity."""
@@ -35,11 +37,14 @@ Units of CiA 404.
 """
 TOLD = ((0x1008, 0), (0x1009, 0), (0x100A, 0))
 """Texts: the device's name, its hardware's and its software's version."""
+VISIBLE_STRING = 0x0009
 NODES = range(1, 128)
-ANSWER_S, PACE_S = 0.3, 1e-3
+TIMEOUT_S, PACE_S = 0.5, 1e-3
+"""How long an answer may take; between two node ids."""
 SILENT = 2
 """So many requests without an answer: the node has gone, or never spoke SDO."""
 MOST_TEXT = 1000
+TEXT = Variable(0x1008, 0, "", VISIBLE_STRING, "const", None, False, None, None, False, 0)
 
 ACKNOWLEDGE, BUS_OFF, WIRE = 0x020, 0x040, 0x188
 """Classes of error frames (``linux/can/error.h``): nobody acknowledged; bus off; violations."""
@@ -86,7 +91,7 @@ class Answers:
         if self.twice:
             return f"node {self.node_id} answers requests twice, or differently: two devices have this node id"
         if self.doubt:
-            return f"node {self.node_id}: {self.doubt}"
+            return self.doubt if self.doubt.startswith(f"node {self.node_id}") else f"node {self.node_id}: {self.doubt}"
         if not self.answers_sdo:
             state = f"its heartbeat says {self.state.name}" if self.state is not None else "it was heard"
             return f"node {self.node_id} answers no SDO; {state}"
@@ -114,7 +119,7 @@ class _Heard:
             state = frame.data[0] & 0x7F
             if state in tuple(NmtState):  # a boot-up is followed by PRE-OPERATIONAL
                 self.states[node_id] = NmtState(state) if state else NmtState.PRE_OPERATIONAL
-        elif frame.can_id == CobId.SDO_TX + node_id and node_id and frame.length == LENGTH:
+        elif frame.can_id == CobId.SDO_TX + node_id and node_id:
             self.answering.add(node_id)
             self.answers.hear(frame)
 
@@ -134,6 +139,7 @@ def scan(
     *,
     numbers: Sequence[tuple[int, int]] = IDENTITY,
     listen_s: float = 0.0,
+    timeout_s: float = TIMEOUT_S,
     progress: Callable[[str, float, float], None] = _nothing,
 ) -> tuple[Answers, ...]:
     """Return what each node of a bus says, by node ids.
@@ -142,6 +148,7 @@ def scan(
     ----------
     numbers : objects of at most four bytes that are asked for, besides the texts `TOLD`
     listen_s : for so long heartbeats and boot-ups are waited for, from the beginning on [s]
+    timeout_s : how long an answer may take [s]
     progress : called with a label, seconds or node ids so far, and all of them
     """
     heard, begin_ns = _Heard(), link.now_ns()
@@ -150,7 +157,7 @@ def scan(
         link.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
         heard.listen(link, PACE_S)
         progress("asking", node_id, NODES[-1])
-    heard.listen(link, ANSWER_S)
+    heard.listen(link, timeout_s)
     values: dict[int, dict[tuple[int, int], bytes]] = {node_id: {} for node_id in sorted(heard.answering)}
     silent = dict.fromkeys(values, 0)
     places = dict.fromkeys(values, (*numbers, *TOLD))
@@ -173,7 +180,7 @@ def scan(
                 doubts.setdefault(node_id, str(value))
             silent[node_id] += isinstance(value, SdoSilent | AnswerUntrusted)
 
-    run_transfers(link, {node_id: transfers(node_id) for node_id in values}, ANSWER_S, tell, heard.answers, heard.hear)
+    run_transfers(link, {node_id: transfers(node_id) for node_id in values}, timeout_s, tell, heard.answers, heard.hear)
     while (left_s := listen_s - (link.now_ns() - begin_ns) / 1e9) > 0:
         progress("listening", listen_s - left_s, listen_s)
         heard.listen(link, min(left_s, 0.2))
@@ -194,7 +201,9 @@ def scan(
 
 
 def _text(raw: bytes) -> str:
-    return "".join(letter for letter in raw.decode("ascii", "replace") if letter.isprintable()).strip()[:60]
+    text = decode(TEXT, raw)
+    assert isinstance(text, str)
+    return "".join(letter for letter in text if letter.isprintable()).strip()[:60]
 
 
 def survey(address: BusAddress) -> tuple[Answers, ...]:

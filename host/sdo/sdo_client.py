@@ -28,13 +28,27 @@ from coulombus.host.sdo.transfers import (
 )
 from coulombus.wire.bus_link import BusFrame, FrameLink
 
-__all__ = ["TIMEOUT_S", "SdoClient", "SdoSession", "load_defaults", "run_transfers", "store_parameters"]
+__all__ = [
+    "LATE_S",
+    "STORING_S",
+    "TIMEOUT_S",
+    "SdoClient",
+    "SdoSession",
+    "load_defaults",
+    "run_transfers",
+    "store_parameters",
+]
 
 T = TypeVar("T")
 TIMEOUT_S = 1.0
 """How long an answer may take."""
 STORING_S = 10.0
-"""How long a device may take to write its storage."""
+"""How long a device may take to write its storage: flash takes seconds."""
+STORING = (0x1010, 0x1011)
+LATE_S = 2.0
+"""For so long after the time-out a verb listens for a late answer, to tell it from none."""
+SETTLE_S = 0.02
+"""A second answer to the last request has come by then."""
 
 
 class SdoSession(Generic[T]):
@@ -43,6 +57,7 @@ class SdoSession(Generic[T]):
     Attributes
     ----------
     done : it has ended, with `value` or with `error`
+    odd_length : bytes of the last frame that is no SDO message, as it has not eight; None without one
     deadline_ns : by which the node has to answer
     """
 
@@ -53,6 +68,7 @@ class SdoSession(Generic[T]):
         self._answers = answers
         self._object: tuple[int, int] | None = None
         self.done, self.deadline_ns = False, 0
+        self.odd_length: int | None = None
         self.error: HostError | None = None
         self.value: T | None = None
         self._go_on(lambda: next(transfer))
@@ -76,6 +92,10 @@ class SdoSession(Generic[T]):
             about = where(*named(stray))
             reason = f"it answers about {about}"
             self._end(SdoProtocolError(f"{text}, but about {about}: {APART}", Abort.TIMEOUT, reason))
+        elif self.odd_length is not None:
+            reason = f"it answers with {self.odd_length} bytes; an SDO message has {LENGTH} (CiA 301)"
+            text = f"node {self._node_id}, SDO of {where(*self._place)}: {reason}"
+            self._end(SdoProtocolError(text, Abort.TIMEOUT, reason))
         else:
             self._end(SdoSilent(text))
 
@@ -159,6 +179,8 @@ def run_transfers(
                     hear(frame)
                 elif frame.length == LENGTH:
                     talk.hear(frame.data)
+                else:
+                    talk.odd_length = frame.length
             now_ns = link.now_ns()
             for node_id, talk in list(talks.items()):
                 talk.look(now_ns)
@@ -176,13 +198,23 @@ class SdoClient:
     Parameters
     ----------
     timeout_s : how long an answer may take [s]
+    storing_s : how long that to a write to 1010h or 1011h may take, if that is longer [s]
+    late_s : for so long an answer is listened for afterwards, to tell that it is late [s]
     answers : shared by the clients of several nodes on one link, which hear each other's late answers
     """
 
     def __init__(
-        self, link: FrameLink, node_id: int, timeout_s: float = TIMEOUT_S, answers: BusAnswers | None = None
+        self,
+        link: FrameLink,
+        node_id: int,
+        timeout_s: float = TIMEOUT_S,
+        *,
+        storing_s: float = STORING_S,
+        late_s: float = 0.0,
+        answers: BusAnswers | None = None,
     ) -> None:
         self.link, self.node_id, self.timeout_s = link, node_id, timeout_s
+        self._storing_s, self._late_s = max(timeout_s, storing_s), late_s
         self._answers = answers or BusAnswers()
 
     def upload(
@@ -207,46 +239,74 @@ class SdoClient:
         DuplicateNodeId
             (3) two devices have its node id
         """
-        return self._do(upload(index, subindex, most=most, unsized=unsized, progress=progress))
+        transfer = upload(index, subindex, most=most, unsized=unsized, progress=progress)
+        return self._do((index, subindex), transfer, self.timeout_s)
 
     def download(
         self, index: int, subindex: int, data: bytes, *, progress: Progress = lambda done, total: None
     ) -> None:
         """Write an object; raises as `upload`."""
-        self._do(download(index, subindex, data, progress=progress))
+        timeout_s = self._storing_s if index in STORING else self.timeout_s
+        self._do((index, subindex), download(index, subindex, data, progress=progress), timeout_s)
 
-    def _do(self, transfer: Transfer[T]) -> T:
+    def settle(self) -> None:
+        """Wait for a second answer to the last request; raises `DuplicateNodeId` as `upload`."""
+        self._answers.listen(self.link, self.link.now_ns() + round(SETTLE_S * 1e9))
+        self._refuse_duplicate()
+
+    def _do(self, place: tuple[int, int], transfer: Transfer[T], timeout_s: float) -> T:
         self._answers.listen(self.link, self.link.now_ns())  # a late answer, which is nobody's any more
-        self._refuse_twins()
+        self._refuse_duplicate()
         results: list[T | HostError] = []
         run_transfers(
             self.link,
             {self.node_id: iter((transfer,))},
-            self.timeout_s,
+            timeout_s,
             lambda _, result: results.append(result),
             self._answers,
         )
-        self._refuse_twins()
-        if isinstance(results[0], HostError):
-            raise results[0]
-        return results[0]
+        self._refuse_duplicate()
+        (result,) = results
+        if isinstance(result, SdoSilent):
+            self._refuse_late(place, timeout_s)
+        if isinstance(result, HostError):
+            raise result
+        return result
 
-    def _refuse_twins(self) -> None:
+    def _refuse_late(self, place: tuple[int, int], timeout_s: float) -> None:
+        begin_ns = self.link.now_ns()
+        while (frame := self.link.receive(begin_ns + round(self._late_s * 1e9))) is not None:
+            self._answers.hear(frame)
+            if frame.can_id == CobId.SDO_TX + self.node_id and frame.length == LENGTH and named(frame.data) == place:
+                seconds = timeout_s + (frame.t_ns - begin_ns) / 1e9
+                raise SdoSilent(
+                    f"node {self.node_id} answers late: after {seconds:.1f} s (SDO of {where(*place)}), "
+                    f"and {timeout_s:g} s are allowed; --timeout gives it longer"
+                )
+
+    def _refuse_duplicate(self) -> None:
         answers = self._answers.of(self.node_id)
         if answers.duplicate_node_id:
             place = where(*named(answers.second))
-            raise DuplicateNodeId(f"two devices answer as node {self.node_id} (SDO of {place}): {APART}", Abort.GENERAL)
+            raise DuplicateNodeId(
+                f"two devices answer as node {self.node_id} (SDO of {place}): one request has two answers; {APART}",
+                Abort.GENERAL,
+            )
 
 
-def store_parameters(link: FrameLink, node_id: int, part: int = 1) -> None:
+def store_parameters(link: FrameLink, node_id: int, part: int = 1, timeout_s: float = STORING_S) -> None:
     """Let a node keep its parameters when it is switched off: 1010h, "save" (part 1: all, 2:
     communication, 3: application). Raises as `SdoClient.upload`.
     """
-    SdoClient(link, node_id, STORING_S).download(0x1010, part, b"save")
+    _storing(link, node_id, timeout_s).download(0x1010, part, b"save")
 
 
-def load_defaults(link: FrameLink, node_id: int, part: int = 1) -> None:
+def load_defaults(link: FrameLink, node_id: int, part: int = 1, timeout_s: float = STORING_S) -> None:
     """Give a node its maker's parameters back, from its next reset on: 1011h, "load". Raises as
     `SdoClient.upload`.
     """
-    SdoClient(link, node_id, STORING_S).download(0x1011, part, b"load")
+    _storing(link, node_id, timeout_s).download(0x1011, part, b"load")
+
+
+def _storing(link: FrameLink, node_id: int, timeout_s: float) -> SdoClient:
+    return SdoClient(link, node_id, timeout_s, storing_s=timeout_s, late_s=LATE_S)

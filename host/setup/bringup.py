@@ -16,6 +16,7 @@ from weakref import WeakKeyDictionary
 
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState, abort_text
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from coulombus.eds.data import without_fill
 from coulombus.eds.own_devices import MANUFACTURER, is_own
 from coulombus.eds.reader import Value, Variable
 from coulombus.host.cycle.controllers import Controllers
@@ -75,7 +76,7 @@ class _Device:
     def __init__(self, plane: ControlPlane, plan: DevicePlan, answers: BusAnswers) -> None:
         self.plan, self.description = plan, plan.description
         self.name, self.node_id = plan.name, plan.node_id
-        self.client = SdoClient(plane, self.node_id, plane.sdo_timeout_s, answers)
+        self.client = SdoClient(plane, self.node_id, plane.sdo_timeout_s, answers=answers)
         self.identity = (0, 0)
         self.losses: list[str] = []
 
@@ -110,7 +111,9 @@ class _Device:
         """Return the object as the device sends it."""
         variable = self._variable(index, subindex)
         with self._named(index, subindex):
-            return self.client.upload(index, subindex, unsized=lambda data: _without_fill(data, variable))
+            return self.client.upload(
+                index, subindex, unsized=lambda data: data if variable is None else without_fill(variable, data)
+            )
 
     def _variable(self, index: int, subindex: int) -> Variable | None:
         return self.description.variable(index, subindex) if self.description.has(index, subindex) else None
@@ -211,23 +214,6 @@ class _Device:
                 number = number_of(variable, there)
                 differences.append(f"{self._where(index, subindex)}: wrote {value:#x}, reads back {number:#x}")
         return differences
-
-
-def _signed(variable: Variable) -> bool:
-    return variable.whole is not None and variable.whole[0] < 0
-
-
-def _without_fill(data: bytes, variable: Variable | None) -> bytes:
-    """Return an expedited upload of no told size without the bytes behind the object's own, if
-    those only extend its number.
-    """
-    if variable is None:
-        return data
-    size = (variable.bits + 7) // 8
-    if not 0 < size < len(data):
-        return data
-    sign = _signed(variable) and data[size - 1] & 0x80
-    return data[:size] if data[size:] == (b"\xff" if sign else b"\0") * (len(data) - size) else data
 
 
 def check_plan(rig: Rig) -> None:

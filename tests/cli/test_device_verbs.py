@@ -21,6 +21,7 @@ from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import BusUnavailable, parse_address
 from desk import BUS, put_on_desk
 from devices_bench import UNCONFIGURED, Server, eds
+from lss_slave import LssSlave
 from places import ROOT
 
 LATER_NS = 500_000_000
@@ -220,6 +221,47 @@ def test_lss_lists_and_numbers_devices(desk):
     assert [device.node_id for device in desk.devices] == [1, 2, 9, 10]
 
 
+@pytest.mark.parametrize("quirk", [{"store_ns": 1_200_000_000}, {"deaf_ns": 3_000_000}, {"answer_ns": 400_000_000}])
+def test_lss_serves_slow_slaves(desk, quirk):
+    slave = LssSlave(desk, (0x999, 2, 3, 4), **quirk)
+    desk.others.append(lambda can_id, data: [(0x714, b"\0")] if data[:2] == b"\4\0" and slave.stored == 20 else [])
+    done = told("lss", "--device", "999:2:3:4", "--set-id", 20, "--store")
+    assert [(one["node_id"], one["stored"], one["booted"]) for one in done["set"]] == [(20, True, True)]
+
+
+def test_lss_waits_as_long_as_it_is_told(desk):
+    slave = LssSlave(desk, (0x999, 2, 3, 4), store_ns=1_200_000_000)
+    result = call("lss", *BUS, "--device", "999:2:3:4", "--store", "--timeout", 1)
+    assert result.exit_code == 5
+    assert "the device answers LSS (store) late, 1 s are allowed: --timeout gives it longer" in result.stderr
+    assert not slave.configures
+    assert call("lss", *BUS, "--device", "999:2:3:4", "--store").exit_code == 0
+
+
+def test_an_early_slave_is_listed(desk):
+    LssSlave(desk, (0x999, 2, 3, 4), early=True)
+    assert call("lss", *BUS).stdout.startswith("00000999:00000002:00000003:00000004  no EDS file\n1 device without")
+
+
+def test_slow_and_odd_sdo_servers_are_told_as_that(desk, tmp_path):
+    (tmp_path / "m.eds").write_text(eds("motor", vendor=0x77).text, encoding="utf-8")
+    desk.add(eds("motor", vendor=0x77), 5)
+    late = lambda request: [(b"\x60" + request[1:4] + bytes(4), 2_500_000_000)] if request[0] >> 5 == 1 else []  # noqa: E731
+    Server(desk, 6, late)
+    assert call("sdo", "store", 6, *BUS).exit_code == 0
+    result = call("sdo", "store", 6, *BUS, "--timeout", 1)
+    assert result.exit_code == 5
+    assert "node 6 answers late: after 2.5 s (SDO of 1010h:01), and 1 s are allowed" in result.stderr
+    desk.tamper = lambda frame: (
+        [type(frame)(frame.t_ns, frame.can_id, b"\x43" + frame.data[1:6] + b"\xaa\xbb", 8)]
+        if frame.data[:3] == b"\x4b\x17\x10"
+        else [frame]
+    )
+    result = call("sdo", "get", 5, "1017h", "--eds", "m.eds", *BUS)
+    assert (result.exit_code, result.stdout) == (0, "00 00 aa bb\n")
+    assert "1017h:00 has 4 bytes in the device; UNSIGNED16 has 2" in result.stderr
+
+
 @pytest.mark.parametrize("node_id", [0, 128, 254, 256])
 def test_a_node_has_an_id_or_none_yet(node_id):
     result = call("node", ROOT / "eds" / "motor.eds", "--node-id", node_id, "--bus", "coulombus:none")
@@ -233,6 +275,13 @@ def test_a_device_that_does_not_boot_ends_with_a_missing_node(desk):
     result = call("lss", *BUS, "--set-id", 9)
     assert result.exit_code == 5
     assert "no boot-up within 5 s" in result.stdout
+
+
+def test_an_id_that_is_stored_is_there_without_a_boot_up(desk):
+    LssSlave(desk, (0x999, 2, 3, 4))
+    result = call("lss", *BUS, "--device", "999:2:3:4", "--set-id", 9, "--store", "--timeout", 2)
+    assert result.exit_code == 0
+    assert "stored, no boot-up within 2 s: it has the id from its next power-on" in result.stdout
 
 
 def test_get_and_set(desk):

@@ -102,6 +102,24 @@ def test_values_have_types_and_units(link):
     assert str(brake.read(brake.find("7300h:01"))) == "-1.5 Nm (FA24h)"
 
 
+@pytest.mark.parametrize(
+    ("answer", "raw", "remark"),
+    [
+        (b"\x4b%b\x34\x12\xaa\xbb", 0x1234, ""),
+        (b"\x42%b\x34\x12\xaa\xbb", 0x1234, ""),  # nobody says how many of the four count: the type does
+        (b"\x43%b\x34\x12\0\0", 0x1234, ""),
+        (b"\x43%b\x34\x12\xaa\xbb", "3412aabb", "1017h:00 has 4 bytes in the device; UNSIGNED16 has 2 (motor.eds)"),
+        (b"\x4f%b\x34\0\0\0", "34", "1017h:00 has 1 bytes in the device; UNSIGNED16 has 2 (motor.eds)"),
+    ],
+)
+def test_an_object_of_another_length_is_told_as_that(answer, raw, remark):
+    link = DevicesLink()
+    Server(link, 5, lambda request: [answer % request[1:4]])
+    one = KnownDevice(SdoClient(link, 5), eds("motor"))
+    reading = one.read(one.find("1017h"))
+    assert (reading.raw, reading.remark) == (raw, remark)
+
+
 def test_a_rig_files_units_go_before_cias(link):
     one = device(link, 1, units={(0x1017, 0): Unit(1e-3, "s")})
     one.write(one.find("1017h"), one.parse(one.find("1017h"), "0.25 s"))

@@ -62,3 +62,22 @@ def test_a_node_that_is_not_there_is_told():
     assert command(DevicesLink(), "start", None, 1.0) == ()
     with pytest.raises(NodeMissing, match="no node booted within 1 s"):
         command(DevicesLink(), "reset", None, 1.0)
+
+
+def test_a_heartbeat_of_another_length_is_told_as_that():
+    link = DevicesLink()
+    for k in range(20):
+        link.put(0x707, b"\5" + bytes(7), after_ns=(k + 1) * S // 10)
+    (told,) = command(link, "start", 7, 1.0)
+    assert (told.state, told.well) == (None, False)
+    assert str(told) == "node 7: its heartbeat has 8 bytes; 1 is right (CiA 301)"
+
+
+@pytest.mark.parametrize(("word", "seconds"), [("start", 2.0), ("reset", 5.0), ("reset-communication", 5.0)])
+def test_a_boot_up_has_more_time_than_a_heartbeat(word, seconds):
+    for share, follows in ((0.9, True), (1.3, False)):
+        link = DevicesLink()
+        Server(link, 7, lambda request: [b"\x4b" + request[1:4] + b"\x64\0\0\0"])
+        link.put(0x707, bytes((COMMANDS[word][1],)), after_ns=round(share * seconds * S))
+        (told,) = command(link, word, 7)
+        assert told.well is follows

@@ -66,6 +66,52 @@ def test_a_node_that_only_has_a_heartbeat_is_found_by_listening():
     assert 10 * S <= link.t < 10.5 * S
 
 
+@pytest.mark.parametrize(
+    ("raw", "name"),
+    [
+        (b"Drive \xb0C \xfc\0junk\xff\xfe", "Drive \xb0C \xfc"),
+        (b"Drive\0\0\0\0", "Drive"),
+        (b"\0junk", ""),
+        (b"\tA\x07 B", "A B"),
+    ],
+)
+def test_a_name_ends_at_its_first_zero(raw, name):
+    link, left = DevicesLink(), []
+
+    def answer(request):
+        if request[:4] == b"\x40\x08\x10\0":
+            left[:] = [raw[k : k + 7] for k in range(0, len(raw), 7)]
+            return [b"\x41" + request[1:4] + len(raw).to_bytes(4, "little")]
+        if request[0] >> 5 == 3:
+            part = left.pop(0)
+            return [bytes((request[0] & 0x10 | 7 - len(part) << 1 | (not left),)) + part.ljust(7, b"\0")]
+        return (
+            [b"\x80" + request[1:4] + b"\0\0\2\6"]
+            if request[2] == 0x10 and request[1] in (9, 10)
+            else expedited(1)(request)
+        )
+
+    Server(link, 5, answer)
+    (one,) = scan(link)
+    assert one.name == name
+
+
+def test_a_node_whose_answers_have_another_length_is_no_missing_one():
+    link = DevicesLink()
+    Server(link, 5, lambda request: [b"\x4b" + request[1:4] + b"\0\0"])
+    (one,) = scan(link)
+    assert one.remark == "node 5, SDO of 1000h:00: it answers with 6 bytes; an SDO message has 8 (CiA 301)"
+
+
+@pytest.mark.parametrize("timeout_s", [0.1, 0.5, 2.0])
+@pytest.mark.parametrize("share", [0.9, 1.5])
+def test_a_node_has_as_long_as_the_time_out_says(timeout_s, share):
+    link = DevicesLink()
+    after_ns = round(share * timeout_s * S)
+    Server(link, 127, lambda request: [(answer, after_ns) for answer in expedited(1)(request)])
+    assert [one.node_id for one in scan(link, timeout_s=timeout_s)] == [127] * (share < 1)
+
+
 def test_two_devices_of_one_id_are_noticed():
     link = DevicesLink()
     Server(link, 5, expedited(0x192))

@@ -4,15 +4,18 @@ do it wrong.
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from random import Random
 
 import canopen
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from coulombus.eds.cia301 import Abort
 from coulombus.host.errors import HostError
-from coulombus.host.sdo.sdo_client import SdoClient, load_defaults, store_parameters
+from coulombus.host.sdo.sdo_client import LATE_S, SdoClient, load_defaults, store_parameters
 from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
 from devices_bench import EDS, DevicesLink, Server, eds
 
@@ -202,6 +205,73 @@ def test_answers_of_a_wrong_length_are_dropped():
     link = DevicesLink()
     Server(link, 5, lambda request: [b"\x43" + HEAD, b"\x4b" + HEAD + b"\x07\0\0\0"] if request[0] == 0x40 else [])
     assert SdoClient(link, 5).upload(*PLACE) == b"\x07\0"
+
+
+@pytest.mark.parametrize("answer", [b"\x4b%b\x07\0", b"\x60%b"[:3], b"", b"\x43%b\x07\0\0"])
+def test_an_answer_of_another_length_is_told_as_that(answer):
+    link = DevicesLink()
+    content = answer.replace(b"%b", HEAD)
+    Server(link, 5, lambda request: [content])
+    text = rf"node 5, SDO of 2000h:01: it answers with {len(content)} bytes; an SDO message has 8"
+    client = SdoClient(link, 5)
+    for act in (lambda: client.upload(*PLACE), lambda: client.download(*PLACE, b"\0\0")):
+        with pytest.raises(SdoProtocolError, match=text) as caught:
+            act()
+        assert caught.value.exit_status == 6
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(timeout_s=st.floats(0.05, 2.0), after=st.floats(1.01, 3.0), kind=st.sampled_from([b"\x4b", b"\x80"]))
+def test_a_late_answer_is_told_as_that(timeout_s, after, kind):
+    link = DevicesLink()
+    late_ns = round(timeout_s * after * S)
+    Server(link, 5, lambda request: [(kind + HEAD + bytes(4), late_ns)] if request[0] == 0x40 else [])
+    with pytest.raises(SdoSilent) as caught:
+        SdoClient(link, 5, timeout_s, late_s=LATE_S).upload(*PLACE)
+    assert caught.value.exit_status == 5
+    told = re.match(r"node 5 answers late: after ([\d.]+) s \(SDO of 2000h:01\), and (\S+) s are", str(caught.value))
+    if timeout_s * (after - 1) > LATE_S:
+        assert str(caught.value) == "node 5 does not answer (SDO of 2000h:01)"
+    else:
+        assert float(told[1]) == pytest.approx(timeout_s * after, abs=0.06)
+        assert float(told[2]) == pytest.approx(timeout_s, rel=1e-4)
+
+
+def test_an_answer_about_another_object_is_told_each_time():
+    link = DevicesLink()
+    Server(link, 5, lambda request: [b"\x4b\xff\x20\0" + bytes(4)] if request[0] == 0x40 else [])
+    client = SdoClient(link, 5)
+    for _ in range(2):
+        with pytest.raises(SdoProtocolError, match=r"node 5 does not answer .*, but about 20FFh:00"):
+            client.upload(*PLACE)
+
+
+def test_a_second_answer_to_the_last_request_is_told():
+    link = DevicesLink()
+    second = b"\x80" + HEAD + b"\x09\0\0\x0f"
+    Server(link, 5, lambda request: [b"\x4b" + HEAD + bytes(4), (second, S // 100)] if request[0] == 0x40 else [])
+    client = SdoClient(link, 5)
+    assert client.upload(*PLACE) == bytes(2)
+    with pytest.raises(DuplicateNodeId, match=r"two devices answer as node 5 \(SDO of 2000h:01\): one request has two"):
+        client.settle()
+
+
+@pytest.mark.parametrize(("index", "seconds"), [(0x1010, 9.9), (0x1011, 9.9), (0x2000, 0.9)])
+def test_a_write_to_storage_has_more_time(index, seconds):
+    link = DevicesLink()
+    Server(link, 5, lambda request: [(b"\x60" + request[1:4] + bytes(4), round(seconds * S))])
+    SdoClient(link, 5, 1.0).download(index, 1, b"save")
+    assert link.t >= seconds * S
+    with pytest.raises(SdoSilent):
+        SdoClient(link, 5, 0.5, storing_s=0.5).download(index, 1, b"save")
+
+
+def test_four_bytes_of_which_nobody_says_how_many_count_are_cut_by_the_reader():
+    link = DevicesLink()
+    Server(link, 5, lambda request: [b"\x42" + HEAD + b"\1\2\3\4"])
+    client = SdoClient(link, 5)
+    assert client.upload(*PLACE) == b"\1\2\3\4"
+    assert client.upload(*PLACE, unsized=lambda data: data[:1]) == b"\1"
 
 
 @pytest.mark.parametrize("lost", [1, 3, 127, 130])

@@ -9,7 +9,7 @@ from collections import deque
 import pytest
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
-from coulombus.eds.reader import Variable, parse_eds
+from coulombus.eds.reader import parse_eds
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, NodeMissing, SdoAborted
@@ -222,44 +222,6 @@ def test_bytes_behind_an_object_are_cut_only_of_four_bytes_whose_number_is_not_t
     server.values |= {(0x6071, 0): b"\xfe\xff\xff\xff", (0x5FFF, 1): b"\x01\0\0\0"}
     assert device.upload(0x6071, 0) == (b"\xfe\xff" if transfer == "unsized expedited" else b"\xfe\xff\xff\xff")
     assert device.upload(0x5FFF, 1) == b"\x01\0\0\0"
-
-
-def variable(data_type):
-    return Variable(0x2100, 0, "X", data_type, "rw", None, False, None, None, False, 1)
-
-
-@pytest.mark.parametrize(
-    ("data", "data_type", "left"),
-    [
-        (b"\x05\0\0\0", 0x05, b"\x05"),  # UNSIGNED8
-        (b"\xff\0\0\0", 0x05, b"\xff"),
-        (b"\xff\xff\xff\xff", 0x05, None),
-        (b"\x05\0\0\x01", 0x05, None),
-        (b"\x05\x01\0\0", 0x05, None),
-        (b"\x05", 0x05, None),
-        (b"", 0x05, None),
-        (b"\x05\0", 0x05, b"\x05"),
-        (b"\x7f\0\0\0", 0x02, b"\x7f"),  # INTEGER8
-        (b"\x80\xff\xff\xff", 0x02, b"\x80"),
-        (b"\x80\0\0\0", 0x02, None),
-        (b"\x7f\xff\xff\xff", 0x02, None),
-        (b"\x00\x80\xff\xff", 0x03, b"\x00\x80"),  # INTEGER16
-        (b"\x80\x00\0\0", 0x03, b"\x80\x00"),
-        (b"\x80\x00\xff\xff", 0x03, None),
-        (b"\x01\x02\x83\xff", 0x10, b"\x01\x02\x83"),  # INTEGER24
-        (b"\x01\x02\x83\x00", 0x16, b"\x01\x02\x83"),  # UNSIGNED24
-        (b"\x01\0\0\0", 0x01, b"\x01"),  # BOOLEAN
-        (b"\x01\x02\x03\x04", 0x07, None),
-        (b"\x01\x02\x03\x04\0", 0x08, b"\x01\x02\x03\x04"),  # REAL32
-        (b"\0\0\0\0", 0x09, None),  # a text
-    ],
-)
-def test_bytes_that_only_extend_a_number_are_cut(data, data_type, left):
-    assert bringup._without_fill(data, variable(data_type)) == (data if left is None else left)
-
-
-def test_an_object_that_nobody_describes_is_left_whole():
-    assert bringup._without_fill(b"\x01\0\0\0", None) == b"\x01\0\0\0"
 
 
 @pytest.mark.parametrize("length", [0, 3, 4, 5])
