@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.drive_scale import SCALE_OBJECTS, position_scale
 from coulombus.eds.own_devices import PRODUCTS
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, slots402, states402
@@ -40,7 +41,9 @@ _NO_SPEED_LIMIT = 0xFFFFFFFF
 _HOST_LOST = 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING | 1 << emcy.BUS_OFF
 """Causes that are CiA 402's loss of the connection, which 6007h is for."""
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
-_SCALED = frozenset((0x2010, 0x607D, 0x6080, 0x608F))
+_SCALED = frozenset((0x2010, 0x607D, 0x6080, *(index for index, _ in SCALE_OBJECTS)))
+_COUNTS_REV = 8192.0
+"""Counts in one turn of the motor, of a drive that does not tell them."""
 
 
 @kernel
@@ -89,12 +92,12 @@ def _next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
 
 
 def _scale(record: NodeRecord, objects: Objects) -> None:
-    """Largest speed (6080h in rpm by 608Fh), whether 607Dh or 6080h
+    """Largest speed (6080h in rpm, by the scale of 6064h), whether 607Dh or 6080h
     may limit at all, and the gains 2010h.
     """
     number, own = objects.number, objects.own
     rpm = number(0x6080, 0, _NO_SPEED_LIMIT)
-    counts_rev = number(0x608F, 1, 8192) / max(number(0x608F, 2, 1), 1)
+    counts_rev = position_scale(lambda index, sub: number(index, sub, 0)).counts_rev or _COUNTS_REV
     record["speed_max_counts_s"] = 1e18 if rpm == _NO_SPEED_LIMIT else rpm * counts_rev / 60
     positions = number(0x607D, 1, _LOWEST), number(0x607D, 2, _HIGHEST)
     record["guarded"] = int(rpm != _NO_SPEED_LIMIT or positions != (_LOWEST, _HIGHEST))

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from coulombus.eds.description import Description, Object, Variable
+from coulombus.eds.drive_scale import defaults, position_scale
 from coulombus.eds.own_devices import told_identity
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC, of_identity
@@ -57,14 +58,21 @@ class Opened:
     remarks: tuple[str, ...] = ()
 
 
-def opened(description: Description, profile: Profile) -> Opened:
-    """Return the description that serves a file behind which `profile` stands."""
+def opened(description: Description, profile: Profile, counts_rev: int = 0) -> Opened:
+    """Return the description that serves a file behind which `profile` stands.
+
+    Parameters
+    ----------
+    counts_rev : counts of the position in one turn of the motor, for a file that does not tell
+        them; 0: nobody knows
+    """
     if profile is GENERIC or of_identity(told_identity(description)) is not GENERIC:
         return Opened(description)
     changed: dict[Key, Variable] = {}
     remarks = [*_limits(description, changed)]
     if profile.behaviour is DRIVE402.behaviour:
         remarks += _defaults(description, changed)
+        remarks += _encoder(description, changed, counts_rev)
     if not changed:
         return Opened(description)
     objects = dict(description.objects)
@@ -119,6 +127,18 @@ def _defaults(description: Description, changed: dict[Key, Variable]) -> Iterato
             changed[0x6502, 0] = _with(modes, offered)
             numbers = ", ".join(str(k + 1) for k in range(16) if offered >> k & 1)
             yield _remark(description, "6502h", _stands(modes), f"the modes {numbers}", "would allow no mode")
+
+
+def _encoder(description: Description, changed: dict[Key, Variable], counts_rev: int) -> Iterator[str]:
+    """Let 608Fh tell the counts of the position where no object of the file does."""
+    increments, turns = (_variable(description, (0x608F, sub)) for sub in (1, 2))
+    if not counts_rev or increments is None or position_scale(defaults(description)).counts_rev is not None:
+        return
+    changed[0x608F, 1] = _with(increments, counts_rev)
+    if turns is not None and turns.default != 1:
+        changed[0x608F, 2] = _with(turns, 1)
+    served, why = str(changed[0x608F, 1].default), "tells no encoder"
+    yield _remark(description, _label(increments), _stands(increments), served, why)
 
 
 def _variable(description: Description, key: Key) -> Variable | None:

@@ -31,6 +31,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from coulombus.eds.drive_scale import VELOCITY_UNIT, defaults, velocity_unit
 from coulombus.eds.pdo import Entry, entry_of
 from coulombus.eds.reader import Description
 from coulombus.eds.units import BLOCK_UNITS, NOTATION
@@ -54,8 +55,6 @@ __all__ = [
 CIA401, CIA402, CIA404 = 401, 402, 404
 UNITS = {name: index for index, name in NOTATION.items() if name in ("Nm", "A", "degC")}
 """Notation indices of CiA 303-2: the numerator of a unit."""
-REVOLUTIONS, MINUTES, SECONDS = 0xB4, 0x47, 0x03
-"""Notation indices of 60A9h, the unit of a velocity."""
 PER_MILLE = (0x6071, 0x6074, 0x6077, 0x6078)
 """Objects in per mille of a rated value."""
 WIDEST = 32
@@ -373,17 +372,12 @@ def _with(
 
 
 def _velocity_unit(description: Description) -> tuple[float, str]:
-    """Return rad/s for one count of 606Ch as 60A9h tells, and where it does: revolutions per second
-    or minute, with a prefix.
-    """
-    value = description.variable(0x60A9, 0).default if description.has(0x60A9, 0) else None
-    if not isinstance(value, int):
-        raise ValueError(f"{description.path} does not tell the unit of a velocity (60A9h)")
-    prefix = (value >> 24 & 0xFF) - (0x100 if value >> 31 & 1 else 0)
-    units = {MINUTES: 60.0, SECONDS: 1.0}
-    if value >> 16 & 0xFF != REVOLUTIONS or value >> 8 & 0xFF not in units:
-        raise ValueError(f"{description.path}: 60A9h is 0x{value:08X}, no revolutions per second or minute")
-    return 2 * math.pi / units[value >> 8 & 0xFF] * 10.0**prefix, "60A9h"
+    """Return rad/s for one count of 606Ch as 60A9h tells, and where it does."""
+    try:
+        return velocity_unit(defaults(description))
+    except ValueError as error:
+        line = f":{description.variable(VELOCITY_UNIT, 0).line}" if description.has(VELOCITY_UNIT, 0) else ""
+        raise ValueError(f"{description.path}{line}: {error}") from None
 
 
 def _block_scale(description: Description, index: int, subindex: int, unit: str) -> tuple[float, str]:

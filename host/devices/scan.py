@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.data import decode
+from coulombus.eds.drive_scale import POLARITY, SCALE_OBJECTS, VELOCITY_UNIT
 from coulombus.eds.reader import Variable
 from coulombus.eds.sdo_frames import head
 from coulombus.host.devices.running_host import FILTERS, check_alone
@@ -28,10 +29,10 @@ IDENTITY = ((0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 """Numbers: device type, identity."""
 ASKED = (
     *IDENTITY,
-    *((0x6502, 0), (0x6075, 0), (0x6076, 0), (0x608F, 1), (0x608F, 2), (0x6410, 1)),
+    *((0x6502, 0), (0x6075, 0), (0x6076, 0), (0x6410, 1), *SCALE_OBJECTS, (VELOCITY_UNIT, 0), POLARITY),
     *((0x6301, 1), (0x6302, 1), (0x6131, 1), (0x6132, 1)),
 )
-"""Numbers for a rig file: a drive's modes, rated current and torque, encoder, too.
+"""Numbers for a rig file: a drive's modes, rated current and torque, scale and polarity, too.
 
 Units of CiA 404.
 """

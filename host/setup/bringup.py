@@ -27,6 +27,7 @@ from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
 from coulombus.host.setup.device_plan import DevicePlan, device_plans, missing_mode
 from coulombus.host.setup.law_demand import check_demand
+from coulombus.host.setup.position_scale import scale_differences
 from coulombus.host.setup.settings import Setting, encoded, number_of
 from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.plan.rig_plan import plans
@@ -183,6 +184,10 @@ class _Device:
         if lacking := missing_mode(modes, self.plan.mode):
             raise DeviceMismatch(f"{self.name}: supported drive modes 6502h = {modes:#010x} do not include {lacking}")
 
+    def scale_differences(self) -> Iterator[str]:
+        """Yield how the drive's own scale differs from the rig file's (`setup.position_scale`)."""
+        return scale_differences(self.plan.position, self.description.has, self.upload)
+
     def configure(self) -> list[str]:
         """Write every setting in its order, then read all of them back, whole.
 
@@ -293,7 +298,7 @@ def configure(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ..
         _refuse([text for device in devices for text in device.identify()])
         for device in devices:
             device.check_modes()
-        _refuse([text for device in devices for text in device.configure()])
+        _refuse([text for device in devices for text in (*device.configure(), *device.scale_differences())])
     except HostError:  # a second device of one node id may answer yet, which explains the rest
         answers.listen(plane, plane.now_ns() + SETTLE_NS)
         _refuse_duplicates(devices, answers)

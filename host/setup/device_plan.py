@@ -17,6 +17,7 @@ from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
+from coulombus.host.setup.position_scale import BelievedScale, believed_scale, remark_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, DeviceSection, Motor
@@ -47,6 +48,8 @@ class DevicePlan:
     questions : what the EDS file does not tell, and the device itself is asked
     losses : what is not written, and what the host loses by that
     reactions : who notices the host's loss, and what happens then
+    position : the scale of the drive's position, which bring-up holds against the drive's own; None
+        where it has none
     """
 
     name: str
@@ -61,6 +64,7 @@ class DevicePlan:
     questions: tuple[str, ...]
     losses: tuple[str, ...]
     reactions: tuple[Reaction, ...]
+    position: BelievedScale | None = None
 
     @property
     def identity(self) -> tuple[tuple[int, str, int], ...]:
@@ -109,8 +113,10 @@ class _Planner:
         left_out = {(s.index, s.subindex) for s in there} - {(s.index, s.subindex) for s in kept}
         read_backs = tuple((at, value) for at, value in final.items() if at not in unread | left_out)
         operation_mode = self._modes() if self._is_drive else None
+        position = None
         if self.node == "motor":
             self._limits()
+            position = self._position()
         self._silent()
         reactions = reactions_of(self.axis, self.node, kept) if self.node in ("motor", "brake") else ()
         if reactions and not any(reaction.who for reaction in reactions):
@@ -131,6 +137,7 @@ class _Planner:
             questions=tuple(map(said, self.questions)),
             losses=tuple(map(said, self.losses)),
             reactions=reactions,
+            position=position,
         )
 
     @property
@@ -250,6 +257,14 @@ class _Planner:
             )
             self._problem(text, remedy, "6502h:00")
         return mode
+
+    def _position(self) -> BelievedScale | None:
+        """Return the scale that bring-up holds against the drive's; say what the file leaves open."""
+        scale = believed_scale(self.axis, self.who, self.name)
+        question, loss = ("", "") if scale is None else remark_of(self.axis, scale)
+        self.questions += [question] if question else []
+        self.losses += [loss] if loss else []
+        return scale
 
     def _silent(self) -> None:
         """Tell where the host notices a device's loss late: it has no TPDO that would be

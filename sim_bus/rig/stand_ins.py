@@ -6,13 +6,30 @@ of a drive, 7130h of our brake driver) stays the kind's; every other one that a 
 rig's, which writes the plant's quantity to it in the role's scale. Where the rig file believes
 something else of a scale than `[plant]` has, the object shows the truth: by how much the plant's
 rated torque, ratio and encoder differ from what is believed of them.
+
+Another maker's drive counts its position and its velocity as its own objects say
+(`eds.drive_scale`), whatever the rig file believes: so a wrong rig file fails here as it does on
+the rig. Only a plant whose encoder is another than the rig file's on purpose overrides them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
+from coulombus.eds.drive_scale import (
+    POLARITY,
+    Polarity,
+    defaults,
+    polarity,
+    position_scale,
+    resolution,
+    velocity_unit,
+)
+from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.kernels.records import Record
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.constants import OUTPUTS
@@ -50,7 +67,7 @@ _OWN_INPUTS: Mapping[str, Key] = {
     "coil_temperature": (0x7130, 3),
 }
 _DRIVES_TORQUE = ((0x6077, 0), (0x6078, 0))
-_SETPOINT, _POSITION = (0x6071, 0), (0x6064, 0)
+_SETPOINT, _POSITION, _INCREMENTS, _VELOCITY = (0x6071, 0), (0x6064, 0), (0x6063, 0), (0x606C, 0)
 _BY_RATED, _BY_ENCODER, _BY_ROLE = "motor.rated_torque_Nm", "motor.encoder_counts_rev", "role."
 """How the reasons of a scale begin (`rigs.roles`): the drive's by itself, and the rig file's."""
 
@@ -82,7 +99,49 @@ def _stand_in(axis: Axis, node: Node) -> StandIn:
     keys = [_key(binding) for binding in _shown(axis, {node: base})]
     first = max(FIRST_FREE, *(row.slot + 1 for row in profile.objects))
     rows = (CoreObject(*key, first + k, changing=True, named=True) for k, key in enumerate(keys))
-    return StandIn(node, axis.part(node).node_id, opened(description, base), profile.fitted(*rows))
+    counts_rev = axis.simulation.plant.encoder_counts_rev if node == "motor" else 0
+    served = opened(description, base, counts_rev)
+    return StandIn(node, axis.part(node).node_id, served, profile.fitted(*rows))
+
+
+class _OwnScale(NamedTuple):
+    """What a drive makes of the shaft by its own objects.
+
+    Attributes
+    ----------
+    counts_rev : of 6064h in one turn of the motor; None: by the plant's encoder
+    increments : of 6063h in one turn of the motor; None: by the plant's encoder
+    rad_s : of the motor, for one count of 606Ch; None: by the rig file
+    sense : of its objects, held against that of the drive as delivered, which is the plant's
+    """
+
+    counts_rev: float | None = None
+    increments: float | None = None
+    rad_s: float | None = None
+    sense: Polarity = polarity(None)
+
+
+def _own_scale(axis: Axis) -> _OwnScale:
+    """Return the scale of another maker's drive, as its file and the objects have it that the rig
+    file writes to it.
+    """
+    description = axis.description("motor")
+    if is_own("motor", told_identity(description)):
+        return _OwnScale()
+    stored, written = defaults(description), {(row.index, row.sub): row.value for row in axis.motor.sdo}
+
+    def value(index: int, subindex: int) -> int | None:
+        return written.get((index, subindex), stored(index, subindex))
+
+    delivered, rad_s = polarity(stored(*POLARITY)), None
+    sense = Polarity(*(now * then for now, then in zip(polarity(value(*POLARITY)), delivered, strict=True)))
+    with suppress(ValueError):
+        rad_s, _ = velocity_unit(value)
+    if axis.simulation.plant.encoder_counts_rev != axis.motor.encoder_counts_rev:
+        return _OwnScale(rad_s=rad_s, sense=sense)
+    increments = resolution(value)
+    counts_rev = position_scale(value).counts_rev
+    return _OwnScale(counts_rev, None if increments is None else float(increments), rad_s, sense)
 
 
 def _drive(axis: Axis, setpoint: Binding) -> Profile:
@@ -139,14 +198,17 @@ def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, t
     """Write to the records of an axis (`RigAxis`) and its plant what its devices show and take;
     `rows`: row and device by name.
     """
-    p = axis.simulation.plant
+    p, own = axis.simulation.plant, _own_scale(axis)
+    if own.counts_rev is not None:
+        plant["counts_rad"] = p.encoder_polarity * own.counts_rev * p.ratio / (2 * math.pi)
+    plant["counts_rad"] *= own.sense.position
     kinds = {node: of_description(axis.description(node)) for node in rows}
     kinds["motor"] = DRIVE402
     shown = [*_shown(axis, kinds)]
     for k, binding in enumerate(shown):
         row, device = rows[binding.node]
         low, high = _range(binding)
-        gain, offset = _truth(axis, p, binding)
+        gain, offset = _truth(axis, p, binding, own)
         record["shown"][k] = (
             row,
             device.dictionary.slot(*_key(binding)),
@@ -162,6 +224,7 @@ def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, t
     if setpoint is not None and setpoint.entry.index in PER_MILLE and setpoint.decided.startswith(_BY_ROLE):
         per_mille = abs(setpoint.scale) * p.ratio / axis.mechanics.ratio
         plant["motor_Nm_pm"] = p.motor_polarity * per_mille * p.motor_rated_torque_Nm / axis.motor.rated_torque_Nm
+    plant["motor_Nm_pm"] *= own.sense.torque
     brake = bound.get("brake_setpoint")
     if brake is not None:
         _couple_brake(axis, record, brake, *rows[brake.node])
@@ -195,18 +258,25 @@ def _range(binding: Binding) -> tuple[int, int]:
     return (-half, half - 1) if binding.entry.signed else (0, 2 * half - 1)
 
 
-def _truth(axis: Axis, p: Plant, binding: Binding) -> tuple[float, float]:
+def _truth(axis: Axis, p: Plant, binding: Binding, own: _OwnScale) -> tuple[float, float]:
     """Return (counts for one unit, the quantity at the count 0) of an object that shows a quantity
     of the true plant.
     """
     motor, believed = axis.motor, axis.mechanics
     counts, name = 1 / abs(binding.scale), binding.kind.name
+    of_drive = binding.node == "motor"
     if name == "position":
+        counts_rev = {_POSITION: own.counts_rev, _INCREMENTS: own.increments}.get(_key(binding)) if of_drive else None
+        sense = p.encoder_polarity * (own.sense.position if of_drive else 1)
+        if counts_rev is not None:
+            return sense * counts_rev * p.ratio / (2 * math.pi), 0.0
         turns = p.encoder_counts_rev * p.ratio / (motor.encoder_counts_rev * believed.ratio)
-        return p.encoder_polarity * counts * turns, 0.0
+        return sense * counts * turns, 0.0
     if name == "velocity":
+        if of_drive and _key(binding) == _VELOCITY and own.rad_s is not None:
+            return p.encoder_polarity * own.sense.velocity * p.ratio / own.rad_s, 0.0
         return p.encoder_polarity * counts * p.ratio / believed.ratio, 0.0
     if name == "torque":
         torque = motor.rated_torque_Nm * believed.ratio / (p.motor_rated_torque_Nm * p.ratio)
-        return p.motor_polarity * counts * torque, 0.0
+        return p.motor_polarity * (own.sense.torque if of_drive else 1) * counts * torque, 0.0
     return counts, binding.offset * (believed.transducer_polarity if name == "handle_torque" else 1)

@@ -40,3 +40,16 @@ def with_array(text, index, data_type, count, access="rww"):
     for k in range(1, count + 1):
         text = with_variable(text, f"{index}sub{k}", data_type, 0, access)
     return text
+
+
+def with_record(text, index, *defaults):
+    """Add a record of UNSIGNED32, as the factor group's are."""
+    text = with_array(text, index, U32, len(defaults), "rw")
+    for sub, default in enumerate(defaults, 1):
+        text = edited(text, f"{index}sub{sub}", DefaultValue=default, PDOMapping=0)
+    return text
+
+
+def geared(text):
+    """Give a drive of 8192 increments 3,600 units a turn of a shaft behind a gear of 10 to 1."""
+    return with_record(with_record(text, "6091", 10, 1), "6092", 3600, 1)

@@ -63,6 +63,13 @@ class RigText:
         if note:
             self.note(path, note, mark)
 
+    def append(self, path: str, table: dict[str, Any], note: str) -> None:
+        """Add a table to a list of tables, with a marked note."""
+        notes = self.notes.get(tuple(path.split(".")), [])
+        self.put(path, [*(self.get(path) or ()), table])
+        self.notes[tuple(path.split("."))] = notes
+        self.note(path, note, CHECK)
+
     def drop(self, path: str) -> None:
         """Take a key or a section out, with all that is said of it."""
         *parents, name = path.split(".")

@@ -4,13 +4,23 @@ reason.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from coulombus.eds.cia402 import OPERATION_MODE_CST as CST
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE as PROFILE_TORQUE
+from coulombus.eds.drive_scale import (
+    POLARITY,
+    SCALE_OBJECTS,
+    PositionScale,
+    polarity,
+    position_scale,
+    resolution,
+)
 from coulombus.rigs.draft.device import DraftDevice, Place, label
 from coulombus.rigs.draft.draft_text import CHECK, RigText
 from coulombus.rigs.draft.makers import MakerMode, maker_mode
+from coulombus.rigs.draft.torque_units import AMPERES, NEWTON_METRES, rated_unit, unit_of
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.problem import Problem
 
@@ -18,13 +28,14 @@ __all__ = ["TorqueCommand", "command_of", "describe_mode", "describe_motor"]
 
 TARGET_TORQUE: Place = (0x6071, 0)
 SLOPE, TORQUE_OFFSET, INTERPOLATION = 0x6087, 0x60B2, 0x60C2
-LEAST_COUNTS = 16
-"""Counts of an encoder in one turn: 608Fh says 1 where nobody has set it."""
-LEAST_TORQUE_Nm, MOST_TORQUE_Nm = 1e-3, 50.0
-"""Rated torque that a drive for a handle may have: what says something else counts in another unit.
-"""
-MOST_AT_HANDLE_Nm = 14.0
-"""Rated torque at the handle: with more, a per mille is a tenth of the device's own friction."""
+WITNESS = "bring-up holds it against the drive; commissioning and the travel of the sign check prove it"
+LEAST_TORQUE_Nm, MOST_TORQUE_Nm = 1e-3, 1000.0
+"""Rated torque that a motor may have: what says something else counts in another unit."""
+MILLI = "taken for mNm, as CiA 402 has it; if it is another unit, the host pushes less than it believes"
+MICRO = "taken for uNm, as it is too large for mNm"
+READINGS = "drives count the set-point in per mille of 6076h in mNm, of 6076h in uNm, or of the rated current"
+GUESSED_mA = 1000
+"""Rated current of a drive that does not tell it: few, so that the torque of a mA is large."""
 
 
 class TorqueCommand(NamedTuple):
@@ -96,80 +107,142 @@ def describe_motor(text: RigText, device: DraftDevice) -> None:
     _position(text, device)
     if command.maker is not None:
         _own_units(text, device, command.maker, rated_Nm)
-    _ratio(text, device, rated_Nm)
+    else:
+        _named_unit(text, device)
+    _limits(text, device, command, rated_Nm)
 
 
-def _ratio(text: RigText, device: DraftDevice, rated_Nm: float) -> None:
-    """Set the transmission's ratio, with which the drive's torque can be limited as each mode wants
-    it.
+def _limits(text: RigText, device: DraftDevice, command: TorqueCommand, rated_Nm: float) -> None:
+    """Lower the limits of the modes to what the drive can give, and the friction of mode active
+    with them. Nothing is raised, and no ratio is chosen, to make a guess of the rated torque fit.
     """
-    ratio, modes = text.get("mechanics.ratio"), text.get("mode")
-    limits = [mode["motor_limit_Nm"] for mode in modes.values() if mode["motor_limit_Nm"]]
-    limit = device.description.variable(0x6072, 0) if device.description.has(0x6072, 0) else None
-    low_pm, high_pm = (limit.low or 0, min(limit.largest, 1000)) if limit else (0, 1000)
-    least = max(limits, default=0) * 1000 / max(high_pm, 1)
-    most = min(MOST_AT_HANDLE_Nm, min(limits, default=MOST_AT_HANDLE_Nm) * 1000 / max(low_pm, 1))
-    measure = "the rig is your own: measure it, or calculate; the polarities as well"
-    if least <= rated_Nm * ratio <= most:
-        text.note("mechanics.ratio", measure, CHECK)
-        return
-    near = least if rated_Nm * ratio < least else most
-    near *= 1.001 if near == least else 0.999  # of rounding
-    why = f"{measure}. Here the rated torque becomes {near:.3g} Nm at the handle, which suits the limits of the modes"
-    text.put("mechanics.ratio", float(f"{near / rated_Nm:.4g}"), why)
+    text.note("mechanics.ratio", "the rig is your own: measure it, or calculate; the polarities as well", CHECK)
+    ratio = text.get("mechanics.ratio")
+    most_Nm = rated_Nm * ratio * _most_per_mille(device, command) / 1000
+    for name, mode in text.get("mode").items():
+        limit_Nm = mode["motor_limit_Nm"]
+        if limit_Nm <= most_Nm or command.maker is not None:
+            continue
+        why = f"the drive gives at most {most_Nm:.3g} Nm at the handle, by its rated torque and its limits"
+        text.put(f"mode.{name}.motor_limit_Nm", _down(most_Nm), why)
+        friction_Nm = text.get("mechanics.friction_Nm")
+        if mode["compensation"] * friction_Nm > most_Nm:
+            text.put(f"mode.{name}.compensation", _down(most_Nm / friction_Nm), why)
+        if name == "active" and mode["F_s_Nm"] > most_Nm:
+            share = _down(most_Nm) / mode["F_s_Nm"]
+            text.put(f"mode.{name}.F_s_Nm", _down(most_Nm), why)
+            text.put(f"mode.{name}.F_d_Nm", _down(mode["F_d_Nm"] * share), why)
+    count_Nm = rated_Nm * ratio / 1000
+    weakest = min(
+        (mode["motor_limit_Nm"] for mode in text.get("mode").values() if mode["motor_limit_Nm"]), default=count_Nm
+    )
+    if command.maker is None and count_Nm > weakest:
+        coarse = (
+            f"one per mille of it is {count_Nm:.3g} Nm at the handle, more than a mode's motor_limit_Nm ({weakest:.3g})"
+        )
+        text.note("motor.rated_torque_Nm", f"{coarse}: the host then commands no torque", CHECK)
+
+
+def _most_per_mille(device: DraftDevice, command: TorqueCommand) -> int:
+    """Return the largest set-point that 6071h and 6072h take, at most the rated torque."""
+    ends = [1000]
+    for index in (TARGET_TORQUE[0], 0x6072):
+        if device.description.has(index, 0):
+            variable = device.description.variable(index, 0)
+            ends.append(int(variable.largest))
+            if variable.low is not None and variable.low < 0:
+                ends.append(int(-variable.low))
+    return max(1, min(ends))
+
+
+def _down(value: float) -> float:
+    """Round to three digits, never upwards."""
+    if value <= 0:
+        return 0.0
+    step = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return float(f"{math.floor(value / step + 1e-9) * step:.3g}")
 
 
 def _rated_torque(text: RigText, device: DraftDevice) -> float:
-    """Set what 1000 per mille are; return it [Nm]."""
+    """Set what 1000 per mille are; return it [Nm].
+
+    CiA 402 has 6076h in mNm. Another unit counts where the object's name or the maker's manual
+    tells it; else the larger torque is the safe one, as the host then pushes less.
+    """
     rated, like_Nm = device.value(0x6076), float(text.get("motor.rated_torque_Nm"))
-    readings = "drives count the set-point in per mille of 6076h in mNm, of 6076h in uNm, or of the rated current"
-    for unit, name in ((1e-3, "mNm"), (1e-6, "uNm")):
-        if rated and LEAST_TORQUE_Nm <= rated * unit <= MOST_TORQUE_Nm:
-            rated_Nm = float(f"{rated * unit:.6g}")
-            why = f"{device.source(0x6076)} has 6076h = {rated}, taken for {name}; {readings}"
-            text.put("motor.rated_torque_Nm", rated_Nm, why)
-            return rated_Nm
-    text.put("motor.rated_torque_Nm", like_Nm, f"6076h tells nothing, see the motor's data sheet; {readings}")
+    unit, whence = rated_unit(device)
+    if rated:
+        for scale, said in ((unit, whence),) if whence else ((1e-3, MILLI), (1e-6, MICRO)):
+            rated_Nm = float(f"{rated * scale:.6g}")
+            if LEAST_TORQUE_Nm <= rated_Nm <= MOST_TORQUE_Nm:
+                source = f"{device.source(0x6076)} has 6076h = {rated}, {said}"
+                text.put("motor.rated_torque_Nm", rated_Nm, f"{source}; {READINGS}")
+                return rated_Nm
+    text.put("motor.rated_torque_Nm", like_Nm, f"6076h tells nothing, see the motor's data sheet; {READINGS}")
     return like_Nm
 
 
 def _position(text: RigText, device: DraftDevice) -> None:
-    counts, turns = device.value(0x608F, 1), device.value(0x608F, 2) or 1
-    like = text.get("motor.encoder_counts_rev")
-    if counts and counts // turns >= LEAST_COUNTS:
-        text.put(
-            "motor.encoder_counts_rev",
-            counts // turns,
-            f"608Fh of {device.source(0x608F, 1)}; some drives tell the lines there, which are a quarter of it",
-        )
-    else:
-        text.put(
-            "motor.encoder_counts_rev", like, "608Fh tells nothing: counts of the position in one turn of the motor"
-        )
-    if not device.entry((0x6064, 0), "tpdo") and device.entry((0x6063, 0), "tpdo"):
+    by_increments = not device.entry((0x6064, 0), "tpdo") and device.entry((0x6063, 0), "tpdo")
+    key, scale = "motor.encoder_counts_rev", position_scale(device.value)
+    if by_increments:
+        increments = resolution(device.value)
+        scale = PositionScale(None if increments is None else float(increments), "608Fh")
         text.put("role.position.object", "6063", "6064h cannot be mapped; 6063h counts increments of the encoder")
+    if scale.counts_rev is None:
+        like, what = text.get(key), "counts of the position in one turn of the motor"
+        text.put(key, like, f"{scale.by}: {what}. Commissioning and the travel of the sign check prove it")
+    else:
+        lines = "; some drives tell the lines there, which are a quarter of it" if scale.by.startswith("608Fh") else ""
+        asked = any(place in device.answers for place in SCALE_OBJECTS)
+        whence = (
+            f"{scale.by} of {'the device' if asked else 'the EDS file'}: {scale.counts_rev:.9g} counts of the position"
+        )
+        text.put(key, scale.whole, f"{whence} in one turn of the motor{lines}. {WITNESS}")
+    _sense(text, device)
+
+
+def _sense(text: RigText, device: DraftDevice) -> None:
+    """Let bring-up write the drive's polarity, so that the signs of [mechanics] stay what they were
+    measured with.
+    """
+    code = device.value(*POLARITY)
+    if code is None or not 0 <= code <= 0xFF or not device.description.has(*POLARITY):
+        return
+    sense = polarity(code)
+    inverted = [name for name, sign in sense._asdict().items() if sign < 0]
+    told = f"607Eh = 0x{code:02X} of {device.source(*POLARITY)} inverts {' and '.join(inverted) or 'nothing'}"
+    variable = device.description.variable(*POLARITY)
+    for key, sign in (("encoder_polarity", sense.position), ("motor_polarity", sense.torque)):
+        if sign < 0:
+            text.put(f"mechanics.{key}", -text.get(f"mechanics.{key}"), f"{told}; the sign check proves it")
+    if variable.bits == 8 and variable.access not in ("ro", "const", "wo"):
+        row = {"index": POLARITY[0], "sub": 0, "type": "UNSIGNED8", "value": code, "when": "before", "verify": True}
+        why = f"{told}; bring-up writes it, as the polarities of [mechanics] go with it"
+        text.append(f"{device.node}.sdo", row, why)
 
 
 def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: float) -> None:
     """Set the scale of a set-point that is not in per mille of the rated torque, and of the torque
     that flows.
     """
-    setpoint = device.entry(maker.setpoint, "rpdo")
-    assert setpoint is not None
     text.put("role.torque_setpoint.object", _spelled(maker.setpoint))
-    if maker.unit == "mA":
-        current_mA = device.value(*maker.continuous_mA) if maker.continuous_mA else None
-        rated_mA = current_mA or 5000
-        whence = (
-            f"{label(maker.continuous_mA)} says {current_mA} mA"
-            if maker.continuous_mA and current_mA
-            else "5000 mA is a guess"
-        )
-        scale = float(f"{rated_Nm / rated_mA:.4g}")
-        why = f"Nm for 1 mA is the motor's torque constant / 1000, see its data sheet; here the rated torque at the continuous current ({whence})"
+    unit = unit_of(device, maker.setpoint)
+    if unit in NEWTON_METRES:
+        scale, why = NEWTON_METRES[unit], f"the name of {label(maker.setpoint)} says {unit}"
+    elif maker.unit == "mA" or unit in AMPERES:
+        mA = AMPERES.get(unit, 1.0)
+        current_mA = device.value(*maker.continuous_mA) if maker.continuous_mA else device.value(0x6075)
+        named = label(maker.continuous_mA) if maker.continuous_mA else "6075h"
+        whence = f"{named} says {current_mA} mA" if current_mA else f"{GUESSED_mA} mA is a guess"
+        scale = float(f"{rated_Nm / (current_mA or GUESSED_mA) * mA:.4g}")
+        why = f"Nm for 1 {unit or 'mA'} is the motor's torque constant, see its data sheet; here the rated torque at the rated current ({whence})"
     else:
-        scale = float(f"{rated_Nm / 2 ** (setpoint.bits - 3):.4g}")
-        why = f"the maker's own unit: Nm at the shaft for one count of {label(maker.setpoint)}; here the rated torque at a quarter of its range"
+        scale = float(f"{rated_Nm / 1000:.4g}")
+        why = (
+            f"the maker's own unit: Nm at the shaft for one count of {label(maker.setpoint)}; here a per mille of the rated torque. "
+            "If a count is less, the host pushes less than it believes"
+        )
     text.put("role.torque_setpoint.scale_Nm", scale, why)
     if maker.actual is not None and device.entry(maker.actual, "tpdo"):
         text.put("role.torque.object", _spelled(maker.actual))
@@ -179,6 +252,15 @@ def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: f
         text.put(
             "role.torque.scale_Nm", float(f"{rated_Nm / 1000:.4g}"), "per mille of the rated torque, as CiA 402 has it"
         )
+
+
+def _named_unit(text: RigText, device: DraftDevice) -> None:
+    """Set the scale of 6071h and 6077h where their names tell a unit that is no per mille."""
+    for role, index in (("torque_setpoint", 0x6071), ("torque", 0x6077)):
+        unit = unit_of(device, (index, 0))
+        if unit in NEWTON_METRES:
+            text.put(f"role.{role}.object", _spelled((index, 0)))
+            text.put(f"role.{role}.scale_Nm", NEWTON_METRES[unit], f"the name of {index:04X}h says {unit}")
 
 
 def _spelled(place: Place) -> str:

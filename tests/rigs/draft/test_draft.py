@@ -9,12 +9,16 @@ from pathlib import Path
 import pytest
 
 from coulombus.eds.reader import parse_eds, read_eds
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.setup.device_plan import device_plans
+from coulombus.host.setup.law_demand import cut_off
 from coulombus.rigs.draft.device import DraftDevice
 from coulombus.rigs.draft.discover import DeviceChoice, gather
 from coulombus.rigs.draft.draft import Draft
 from coulombus.rigs.draft.draft_text import rehearsal_marks
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from eds_edit import edit, fixed, gone
+from foreign_eds import U8, U32, geared, with_variable
 from places import CORPUS, RIGS, ROOT, beside
 
 MOTOR, BRAKE = ((ROOT / "eds" / name).read_text(encoding="utf-8") for name in ("motor.eds", "mr_brake.eds"))
@@ -94,13 +98,61 @@ def test_devices_of_ours_are_as_the_packages_rig_has_them(draft):
 
 @pytest.mark.parametrize(
     ("torque", "rated", "mark"),
-    [(310, 0.31, "310"), (310_000, 0.31, "310000"), (0, 0.18, "nothing"), (2_000_000_000, 0.18, "nothing")],
+    [
+        (310, 0.31, "310, taken for mNm"),
+        (60_000, 60.0, "60000, taken for mNm"),
+        (310_000, 310.0, "310000, taken for mNm"),
+        (31_000_000, 31.0, "31000000, taken for uNm"),
+        (0, 0.18, "nothing"),
+        (2_000_000_000, 0.18, "nothing"),
+    ],
 )
-def test_the_rated_torque_is_read_in_mNm_or_in_uNm(draft, torque, rated, mark):
+def test_the_larger_reading_of_the_rated_torque_is_the_safe_one(draft, torque, rated, mark):
     text = edit(FOREIGN, "6076", DefaultValue=torque)
     made = draft(text)
     assert made.rig.one_axis().motor.rated_torque_Nm == pytest.approx(rated)
     assert mark in marks(made, "motor.rated_torque_Nm")
+
+
+@pytest.mark.parametrize(
+    ("name", "vendor", "rated_Nm"),
+    [
+        ("Motor rated torque [uNm]", "0x77", 0.0382),
+        ("Motor rated torque (mNm)", "0x77", 38.2),
+        ("Motor rated torque in cNm", "0x77", 382.0),
+        ("Motor rated torque \u00b5Nm", "0x77", 0.0382),
+        ("Motor rated torque", "0xFB", 0.0382),
+        ("Motor_rated_torque_Nmx", "0x77", 38.2),
+    ],
+)
+def test_the_unit_in_the_name_or_of_the_maker_is_read(draft, name, vendor, rated_Nm):
+    text = edit(edit(FOREIGN, "6076", DefaultValue=38_200, ParameterName=name), "1018sub1", DefaultValue=vendor)
+    assert draft(text).rig.one_axis().motor.rated_torque_Nm == pytest.approx(rated_Nm)
+
+
+@pytest.mark.parametrize(
+    ("name", "data_type", "scale_Nm"),
+    [
+        ("Target torque [mNm]", "0x0004", 1e-3),
+        ("Target torque [uNm]", "0x0004", 1e-6),
+        ("Target torque", "0x0004", 0.18e-3),  # a per mille of the rated torque
+        ("Target torque", "0x0003", 0.18e-3),
+        ("Target current [mA]", "0x0003", 0.18 / 1700),  # 6075h
+        ("Target current [A]", "0x0004", 0.18 / 1.7),
+    ],
+)
+def test_the_unit_in_the_name_of_a_makers_set_point_is_read(draft, name, data_type, scale_Nm):
+    bits = "20" if data_type == "0x0004" else "10"
+    text = gone(edit(FOREIGN, "6502", DefaultValue=1 << 17 | 1), "6071").replace("0x60710010", f"0x300100{bits}")
+    text = own_object(edit(text, "6075", DefaultValue=1700), 0x3001, name, data_type)
+    made = draft(text)
+    assert made.rig.one_axis().role.torque_setpoint.scale_Nm == pytest.approx(scale_Nm, rel=1e-3)
+    assert "CHECK" in marks(made, "role.torque_setpoint.scale_Nm")
+
+
+def test_a_unit_in_the_name_of_6071h_is_its_scale(draft):
+    made = draft(edit(FOREIGN, "6071", ParameterName="Target torque [mNm]"))
+    assert made.rig.one_axis().role.torque_setpoint.scale_Nm == 1e-3
 
 
 def test_what_the_live_device_says_counts_more_than_its_file(draft):
@@ -137,6 +189,39 @@ def test_counts_of_the_encoder_scale_what_is_counted(draft):
     assert axis.limits.sign_check_counts == round(20 * finer)
 
 
+@pytest.mark.parametrize("rehearse", [False, True])
+def test_gear_and_feed_make_the_counts_of_a_turn(draft, rehearse):
+    made = draft(geared(FOREIGN), rehearse=rehearse)
+    assert made.rig.one_axis().motor.encoder_counts_rev == 360
+    assert "6092h = 3600/1, 6091h = 10:1 of the EDS file: 360 counts" in marks(made, "motor.encoder_counts_rev")
+    live = draft(geared(FOREIGN), answers={(0x6092, 1): 36_000, (0x6092, 2): 1, (0x6091, 1): 10, (0x6091, 2): 1})
+    assert live.rig.one_axis().motor.encoder_counts_rev == 3600
+    assert "of the device" in marks(live, "motor.encoder_counts_rev")
+
+
+def test_the_si_unit_makes_the_counts_of_a_turn(draft):
+    made = draft(with_variable(FOREIGN, "60A8", U32, "0xFD410000", "rw"))
+    assert made.rig.one_axis().motor.encoder_counts_rev == 360_000
+
+
+@pytest.mark.parametrize(("code", "motor", "encoder"), [(0, 1, 1), (0xC0, 1, -1), (0x20, -1, 1), (0xA0, -1, -1)])
+def test_the_polarity_is_told_and_written(draft, code, motor, encoder):
+    made = draft(with_variable(FOREIGN, "607E", U8, code, "rw"), rehearse=True)
+    axis = made.rig.one_axis()
+    assert (axis.mechanics.motor_polarity, axis.mechanics.encoder_polarity) == (motor, encoder)
+    assert [(row.index, row.type, row.value, row.when) for row in axis.motor.sdo] == [
+        (0x607E, "UNSIGNED8", code, "before")
+    ]
+    assert f"607Eh = 0x{code:02X}" in marks(made, "motor.sdo")
+    assert made.rig.warnings == ()
+
+
+def test_a_constant_polarity_is_not_written(draft):
+    made = draft(with_variable(FOREIGN, "607E", U8, 0xC0, "ro"))
+    axis = made.rig.one_axis()
+    assert (axis.motor.sdo, axis.mechanics.encoder_polarity) == ((), -1)
+
+
 def test_counts_stay_below_half_the_range_of_a_narrow_position(draft):
     narrow = edit(edit(FOREIGN, "6064", DataType="0x0003"), "608Fsub1", DefaultValue=1 << 20)
     limits = draft(narrow.replace("0x60640020", "0x60640010")).rig.one_axis().limits
@@ -154,18 +239,40 @@ def test_a_position_that_comes_seldom_is_waited_for(draft):
         draft(edit(fixed(text, 0x1A00, 0x1A01, 0x1A02, 0x1A03), "1800sub5", DefaultValue=20))
 
 
-@pytest.mark.parametrize("rated_mNm", [5, 20_000])
-def test_the_ratio_makes_the_torque_fit_the_handle(draft, rated_mNm):
+@pytest.mark.parametrize("rated_mNm", [5, 310, 20_000, 60_000])
+def test_no_ratio_is_chosen_to_make_a_rated_torque_fit(draft, rated_mNm):
     made = draft(edit(FOREIGN, "6076", DefaultValue=rated_mNm))
+    axis, bench = made.rig.one_axis(), load_rig("bench").one_axis()
+    assert axis.mechanics.ratio == bench.mechanics.ratio
+    assert axis.motor.rated_torque_Nm == rated_mNm / 1000
+    for name in axis.mode:
+        mode = axis.mode[name]
+        assert mode.motor_limit_Nm <= bench.mode[name].motor_limit_Nm
+    coarse = rated_mNm * 1e-6 * axis.mechanics.ratio > 0.168
+    assert ("commands no torque" in marks(made, "motor.rated_torque_Nm")) is coarse
+
+
+@pytest.mark.parametrize(
+    ("motor", "most_pm"),
+    [
+        (edit(FOREIGN, "6076", DefaultValue=5), 1000),
+        (edit(FOREIGN, "6071", LowLimit=-100, HighLimit=100), 100),
+        (edit(FOREIGN, "6071", LowLimit=-50, HighLimit=100), 50),
+        (edit(FOREIGN, "6072", HighLimit=30), 30),
+    ],
+)
+def test_a_weak_drive_lowers_the_limits_of_the_modes_and_bring_up_goes_on(draft, motor, most_pm):
+    made = draft(motor)
     axis = made.rig.one_axis()
-    assert 1.5 <= axis.motor.rated_torque_Nm * axis.mechanics.ratio <= 14.0
-    assert "at the handle" in marks(made, "mechanics.ratio")
-
-
-def test_the_ratio_keeps_to_the_limits_of_the_drives_own_limit(draft):
-    low = edit(FOREIGN, "6072", LowLimit=100)
-    axis = draft(low).rig.one_axis()
-    assert 0.168 / (axis.motor.rated_torque_Nm * axis.mechanics.ratio) >= 0.1
+    most_Nm = axis.motor.rated_torque_Nm * axis.mechanics.ratio * most_pm / 1000
+    limits = [mode.motor_limit_Nm for mode in map(axis.mode.__getitem__, axis.mode) if mode.motor_limit_Nm]
+    assert max(limits) == pytest.approx(most_Nm, rel=0.01)
+    assert max(limits) <= most_Nm
+    assert "gives at most" in marks(made, "mode.active.motor_limit_Nm")
+    for mode in axis.mode:
+        plans = device_plans(Controller(axis, mode))
+        assert [problem.text for problem in plans[0].problems if "HighLimit" in problem.text] == []
+        assert cut_off(made.rig, mode) == []
 
 
 def test_a_drive_whose_6064h_cannot_be_mapped_counts_by_6063h(draft):

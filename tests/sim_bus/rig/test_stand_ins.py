@@ -19,7 +19,7 @@ from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.coupling import BrakeOutput, Quantity, brake_torque, show
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 from coulombus.wire.frame import new_records
-from foreign_eds import BRAKE, I16, I32, MOTOR, U16, another, edited, with_array, with_variable, without
+from foreign_eds import BRAKE, I16, I32, MOTOR, U8, U16, another, edited, geared, with_array, with_variable, without
 from node_bench import MS
 from places import RIGS
 
@@ -127,6 +127,45 @@ def test_torque_and_position_are_shown_in_the_width_of_their_roles():
     world.plant[0]["motor"], world.plant[0]["motor_decay"] = 0.5, 1.0
     look(world)
     assert world.motor[0x2041, 0] == pytest.approx(0.5 / RATIO * 1e6, abs=1)
+
+
+@pytest.mark.parametrize("counts_rev", [360, 8192])
+def test_another_makers_drive_counts_as_its_own_objects_say(counts_rev):
+    same = (f"motor.encoder_counts_rev={counts_rev}", f"plant.encoder_counts_rev={counts_rev}")
+    world = world_of(geared(another(MOTOR)), BRAKE, FOREIGN_MOTOR, *same)
+    world.plant[0]["x"], world.plant[0]["coulomb"] = -1.5, 100.0
+    look(world)
+    assert world.motor[0x6064, 0] == math.floor(-1.5 * 360 * RATIO / (2 * math.pi) + 0.5)
+
+
+def test_a_plant_with_another_encoder_on_purpose_overrides_the_file():
+    world = world_of(geared(another(MOTOR)), BRAKE, FOREIGN_MOTOR, "plant.encoder_counts_rev=4096")
+    world.plant[0]["x"], world.plant[0]["coulomb"] = -1.5, 100.0
+    look(world)
+    assert world.motor[0x6064, 0] == math.floor(-1.5 * 4096 * RATIO / (2 * math.pi) + 0.5)
+
+
+@pytest.mark.parametrize(("written", "sense"), [(0xC0, 1), (0x00, -1)])
+def test_a_polarity_that_bring_up_writes_turns_the_position(written, sense):
+    motor = with_variable(another(MOTOR), "607E", U8, "0xC0", "rw")
+    row = f'\n[[motor.sdo]]\nindex = 0x607E\nsub = 0\ntype = "UNSIGNED8"\nvalue = {written}\n'
+    world = world_of(motor, BRAKE, FOREIGN_MOTOR, text=row)
+    world.plant[0]["x"], world.plant[0]["coulomb"] = 0.7, 100.0
+    look(world)
+    assert world.motor[0x6064, 0] == math.floor(sense * 0.7 * COUNTS_RAD + 0.5)
+
+
+def test_a_torque_polarity_that_bring_up_writes_turns_the_torque():
+    motor = with_variable(another(MOTOR), "607E", U8, 0, "rw")
+    row = '\n[[motor.sdo]]\nindex = 0x607E\nsub = 0\ntype = "UNSIGNED8"\nvalue = 0x20\n'
+    assert float(world_of(motor, BRAKE, FOREIGN_MOTOR, text=row).plant[0]["motor_Nm_pm"]) < 0.0
+
+
+def test_a_file_that_tells_no_encoder_is_served_with_the_plants():
+    motor = edited(another(MOTOR), "608Fsub1", DefaultValue="")
+    world = world_of(motor, BRAKE, FOREIGN_MOTOR)
+    assert world.motor[0x608F, 1] == 8192
+    assert any("608Fh:01 is without a default" in text for text in world.opened)
 
 
 def test_an_encoder_on_a_node_of_its_own_shows_the_position():

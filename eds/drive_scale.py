@@ -1,0 +1,171 @@
+"""What a count of a CiA 402 drive's position and velocity is, and which way it counts: the factor
+group 608Fh, 6091h, 6092h, the SI units 60A8h and 60A9h, and the polarity 607Eh.
+
+CiA 402-2 has for the position actual value 6064h, in user units::
+
+    position = increments x feed / (resolution x gear)
+
+    resolution = 608Fh:1 / 608Fh:2   increments in one turn of the motor
+    gear       = 6091h:1 / 6091h:2   turns of the motor in one of the driving shaft
+    feed       = 6092h:1 / 6092h:2   user units in one turn of the driving shaft
+
+so that one turn of the motor is feed / gear. Where 6092h is 1 / 1, which is its value before
+anybody has set it, the unit 60A8h tells the user units in a turn; where that says nothing, or
+increments, they are those of 608Fh.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from fractions import Fraction
+from typing import NamedTuple
+
+from coulombus.eds.description import Description
+
+__all__ = [
+    "POLARITY",
+    "SCALE_OBJECTS",
+    "VELOCITY_UNIT",
+    "Polarity",
+    "PositionScale",
+    "defaults",
+    "polarity",
+    "position_scale",
+    "resolution",
+    "velocity_unit",
+]
+
+Place = tuple[int, int]
+Values = Callable[[int, int], int | None]
+"""The value of an object by index and sub-index; None where nobody tells it."""
+
+POSITION_UNIT, VELOCITY_UNIT = 0x60A8, 0x60A9
+POLARITY: Place = (0x607E, 0)
+SCALE_OBJECTS: tuple[Place, ...] = (
+    *((0x608F, 1), (0x608F, 2), (0x6091, 1), (0x6091, 2), (0x6092, 1), (0x6092, 2)),
+    (POSITION_UNIT, 0),
+)
+"""Objects that decide the scale of 6064h."""
+LEAST_INCREMENTS = 16
+"""Increments of an encoder in one turn: 608Fh says 1 where nobody has set it."""
+LEAST_UNITS = 2
+"""User units in one turn that 60A8h may mean: a drive whose unit is a whole turn has set nothing."""
+
+INCREMENTS = 0xB5
+TURNS: Mapping[int, float] = {0x10: 2 * math.pi, 0x41: 360.0, 0x42: 21_600.0, 0x43: 1_296_000.0, 0xB4: 1.0}
+"""Notation indices of CiA 303-2 for an angle: radian, degree, minute, second, revolution; how many
+make one turn.
+"""
+PER: Mapping[int, float] = {0x03: 1.0, 0x47: 60.0}
+"""Notation indices of a time [s]: second, minute."""
+
+
+class PositionScale(NamedTuple):
+    """Counts of 6064h in one turn of the motor, and which objects say so.
+
+    Attributes
+    ----------
+    counts_rev : user units in one turn of the motor; None where the drive does not tell
+    by : the objects and their values, in words
+    """
+
+    counts_rev: float | None
+    by: str
+
+    @property
+    def whole(self) -> int:
+        """The counts as the rig file has them, an integer of at least 1."""
+        return max(1, round(self.counts_rev or 0))
+
+    def agrees(self, counts_rev: float) -> bool:
+        """Tell whether another number is this one, but for the rounding to an integer."""
+        return self.counts_rev is None or abs(self.counts_rev - counts_rev) <= 0.5 + 1e-6 * self.counts_rev
+
+
+class Polarity(NamedTuple):
+    """607Eh: -1 where the drive inverts (CiA 402-2; bit 7 position, 6 velocity, 5 torque)."""
+
+    position: int
+    velocity: int
+    torque: int
+
+
+def defaults(description: Description) -> Values:
+    """Return what tells the values of an EDS file's objects: their defaults."""
+
+    def value(index: int, subindex: int) -> int | None:
+        default = description.variable(index, subindex).default if description.has(index, subindex) else None
+        return default if isinstance(default, int) else None
+
+    return value
+
+
+def polarity(code: int | None) -> Polarity:
+    """Return the signs that 607Eh means; all positive where nobody tells it."""
+    return Polarity(*(-1 if (code or 0) >> bit & 1 else 1 for bit in (7, 6, 5)))
+
+
+def _ratio(value: Values, index: int) -> Fraction | None:
+    """Return :1 / :2; None where the first is not told, or 0."""
+    numerator, denominator = value(index, 1), value(index, 2)
+    return Fraction(numerator, denominator or 1) if numerator else None
+
+
+def resolution(value: Values) -> Fraction | None:
+    """Return the increments in one turn of the motor (608Fh); None where nobody has set them."""
+    increments = _ratio(value, 0x608F)
+    return increments if increments is not None and increments >= LEAST_INCREMENTS else None
+
+
+def position_scale(value: Values) -> PositionScale:
+    """Return the scale of 6064h."""
+    increments, feed = resolution(value), _ratio(value, 0x6092)
+    gear, code = _ratio(value, 0x6091) or Fraction(1), value(POSITION_UNIT, 0)
+    geared = "" if gear == 1 else f", 6091h = {value(0x6091, 1)}:{value(0x6091, 2) or 1}"
+    turn = _units_in_turn(code)
+    if feed is not None and feed != 1:
+        other = f"; 60A8h = 0x{code or 0:08X} means {turn:g} in a turn" if turn and turn != feed else ""
+        return PositionScale(float(feed / gear), f"6092h = {value(0x6092, 1)}/{value(0x6092, 2) or 1}{geared}{other}")
+    if turn is not None and turn >= LEAST_UNITS:
+        return PositionScale(turn / float(gear), f"60A8h = 0x{code or 0:08X}{geared}")
+    if increments is not None:
+        return PositionScale(float(increments), f"608Fh = {value(0x608F, 1)}/{value(0x608F, 2) or 1}")
+    return PositionScale(None, "608Fh, 6091h, 6092h and 60A8h tell nothing")
+
+
+def _prefixed(code: int) -> tuple[float, int, int]:
+    """Return the power of ten of a unit, its numerator and its denominator (CiA 303-2)."""
+    return 10.0 ** ((code >> 24 & 0xFF) - (0x100 if code >> 31 & 1 else 0)), code >> 16 & 0xFF, code >> 8 & 0xFF
+
+
+def _units_in_turn(code: int | None) -> float | None:
+    """Return how many of an angle's units are one turn; None of any other unit."""
+    if not code:
+        return None
+    prefix, numerator, _ = _prefixed(code & 0xFFFFFFFF)
+    return TURNS[numerator] / prefix if numerator in TURNS else None
+
+
+def velocity_unit(value: Values) -> tuple[float, str]:
+    """Return rad/s of the motor for one count of 606Ch, and which object says so.
+
+    Raises
+    ------
+    ValueError
+        60A9h is not told, or no angle or increments per second or minute
+    """
+    code = value(VELOCITY_UNIT, 0)
+    if not isinstance(code, int):
+        raise ValueError("the file does not tell the unit of a velocity (60A9h)")
+    prefix, numerator, time = _prefixed(code & 0xFFFFFFFF)
+    increments = resolution(value)
+    turn = TURNS.get(numerator)
+    if numerator == INCREMENTS and increments is not None:
+        turn = float(increments)
+    if turn is None or time not in PER:
+        raise ValueError(
+            f"60A9h is 0x{code & 0xFFFFFFFF:08X}, no revolutions, angle or increments per second or minute"
+        )
+    gear = 1.0 if numerator == INCREMENTS else float(_ratio(value, 0x6091) or 1)
+    return 2 * math.pi / turn / PER[time] * prefix * gear, "60A9h"
