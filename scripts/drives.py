@@ -89,7 +89,9 @@ def tried(path: Path, role: str, folder: Path) -> Tried | None:
     """Try one file as "drive" or "brake"; None where it is no brake."""
     rig_file = str(folder / f"{role}-{path.stem}.toml")
     others = {"drive": "brake", "brake": "drive"}
-    status, _, said = _run("init", f"--{role}", str(path), f"--{others[role]}", "bench", "--rehearse", "-o", rig_file)
+    status, _, said = _run(
+        "init", f"--{role}", str(path), f"--{others[role]}", "bench", "--rehearse", "--no-trials", "-o", rig_file
+    )
     if status:
         if role == "brake":
             return None

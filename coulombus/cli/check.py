@@ -89,6 +89,8 @@ class _Findings:
         from coulombus.host.setup.law_demand import cut_off
         from coulombus.host.setup.limit_meanings import meanings_of
         from coulombus.host.setup.release import release_of
+        from coulombus.host.setup.settings import torque_limits
+        from coulombus.rigs.draft.marks import guesses
         from coulombus.rigs.plan.rig_plan import plans
 
         self.rig = rig
@@ -97,12 +99,15 @@ class _Findings:
         unfit = (planned for planned in self.buses.values() if not planned.fits)
         self.planned = next(unfit, self.buses[rig.channels[0]])
         self.limits: dict[str, int] = {}
+        self.limited_by: dict[str, str] = {}
         devices: list[DevicePlan] = []
         self.by_mode: dict[str, list[DevicePlan]] = {}
         for axis in rig.axes:
             for mode in axis.mode:
                 controller = Controller(axis, mode)
                 self.limits[axis.prefix + mode] = controller.drive_limit_pm()
+                named = [f"{index:04X}h" for index in torque_limits(axis.description("motor"))]
+                self.limited_by[axis.prefix + mode] = " and ".join(named) or "(of the host alone)"
                 made = device_plans(controller)
                 self.by_mode.setdefault(mode, []).extend(made)
                 devices += made
@@ -123,6 +128,7 @@ class _Findings:
             text for axis in rig.axes for mode in axis.mode for text in meanings_of(axis, mode)
         )
         self.cut: list[str] = _once(text for mode in rig.modes for text in cut_off(rig, mode))
+        self.guesses = guesses(rig.origin.text)
         self.diagnoses = [str(d) for node in rig.nodes for d in node.description.diagnoses]
         self.ok = self.fits and not self.problems and not self.cut
 
@@ -161,6 +167,9 @@ class _Findings:
             "motor_limit_per_mille": self.limits,
             "problems": [problem._asdict() for problem in self.problems],
             "questions": self.questions,
+            "guesses": [
+                guess._asdict() | {"file": self.rig.path, "moves_hand": guess.moves_hand} for guess in self.guesses
+            ],
             "losses": self.losses,
             "reactions": [reaction._asdict() for reaction in self.reactions],
             "releases": [release._asdict() | {"gentle": release.is_gentle} for release in self.releases],
@@ -190,6 +199,7 @@ class _Findings:
     def tell(self, steps: bool) -> None:
         """Print everything for people."""
         from coulombus.host.laws.laws import BUILTIN_LAWS
+        from coulombus.rigs.draft.draft_text import CHECK
 
         for text in self.diagnoses:
             echo(text)
@@ -210,7 +220,7 @@ class _Findings:
         for text in self.meanings:
             echo(on_terminal(f"limit: {text}", 4, PROSE))
         for mode, limit in self.limits.items():
-            echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
+            echo(f"mode {mode}: drive torque limit {self.limited_by[mode]} = {limit} per mille")
         if self.rig.law_function.strip() not in BUILTIN_LAWS:
             unknown = "what a limit cuts off of it is not known before it runs; the run tells"
             echo(on_terminal(f"law {self.rig.law_function}: {unknown}", 4))
@@ -225,6 +235,9 @@ class _Findings:
         for planned in self.buses.values():
             if not planned.fits:
                 echo(on_terminal(f"FAIL: {planned.verdict()}", 4))
+        for guess in self.guesses:
+            refused = "; `run` refuses a real bus until it is gone" if guess.moves_hand else ""
+            echo(on_terminal(f"{CHECK}: {self.rig.path}:{guess.line}: {guess}{refused}", 4, PROSE))
         if self.ok:
             echo("ok, if the devices answer what is open above" if self.questions else "ok")
 

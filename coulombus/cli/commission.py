@@ -96,13 +96,14 @@ class Own:
 
     def all_overrides(self) -> tuple[str, ...]:
         """Return what is set in the rig, the wider limits of a shared machine before it."""
-        from coulombus.rigs.overrides import SHARED_MACHINE
+        from coulombus.rigs.overrides import shared_machine
+        from coulombus.rigs.rig import load_rig
         from coulombus.wire.address import parse_address
 
         if not self.shared_machine:
             return self.overrides
         check_shared_machine(() if self.bus_name is None else (parse_address(self.bus_name),))
-        return (*SHARED_MACHINE, *self.overrides)
+        return (*shared_machine(load_rig(str(self.rig_path), self.overrides)), *self.overrides)
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ def experiment_command(
 
 def _displays(study: Study, where: Where) -> tuple[Displays, str]:
     from coulombus.lab.study.displays import BusDisplays, VirtualDisplays
-    from coulombus.rigs.overrides import SHARED_MACHINE
+    from coulombus.rigs.overrides import shared_machine
     from coulombus.wire.address import default_address, parse_address
 
     if where.virtual:
@@ -174,7 +174,7 @@ def _displays(study: Study, where: Where) -> tuple[Displays, str]:
     address = default_address(study.rig.name) if where.bus_name is None else parse_address(where.bus_name)
     if where.shared_machine:
         check_shared_machine([address])
-    return BusDisplays(address, SHARED_MACHINE if where.shared_machine else ()), str(address)
+    return BusDisplays(address, shared_machine(study.rig) if where.shared_machine else ()), str(address)
 
 
 def _streams(folder: SubjectFolder, lsl: bool) -> tuple[()] | tuple[LslMarkers, LslSignals]:

@@ -14,7 +14,7 @@ from coulombus.cli.bundle import bundle
 from coulombus.cli.common import say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import InputPath, OutputFile
-from coulombus.cli.tables import echo
+from coulombus.cli.tables import echo, table_console
 from coulombus.system.quoting import shell
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["init"]
 
 NODE_ID = click.IntRange(1, 127)
+TABLE_COLUMNS = 110
 
 
 @dataclass(frozen=True)
@@ -100,14 +101,28 @@ wishes_options = bundle(
     type=InputPath(file_okay=False),
     help="Folder with the EDS files of the devices on the bus; those of our own devices are known.",
 )
+@click.option(
+    "--accept",
+    "accepted",
+    multiple=True,
+    metavar="TEXT",
+    help='Acknowledge this of a device (host.accept): "motor: 6071h can be mapped". May be given several times.',
+)
 @click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")
+@click.option(
+    "--trials/--no-trials",
+    default=True,
+    help="With --rehearse: try each guess with its other readings, and say what notices it.  [default: trials]",
+)
 @click.option("-o", "--output", type=OutputFile(".toml"), metavar="MY.toml", help="A new file.  [default: stdout]")
 def init(
     wishes: Wishes,
     like: str,
     bus_name: str | None,
     eds_folder: Path | None,
+    accepted: tuple[str, ...],
     rehearse: bool,
+    trials: bool,
     output: Path | None,
 ) -> None:
     """Write a rig file for a drive and a brake's driver, from their EDS files.
@@ -115,7 +130,9 @@ def init(
     Every role is bound, and every guess is marked `# CHECK:` with its reason. What a device cannot
     do is not acknowledged: `coulombus check` names it. A file that exists is never replaced. With
     --bus the live devices are asked, and those that no option names are found in --eds-folder by
-    their identity (1018h). A device that cannot have its role is refused (3): a drive without a
+    their identity (1018h). With --rehearse each guess about the drive is tried with its other readings
+    in virtual time: a table says what notices a wrong one, and how far, how fast and how strongly the
+    handle moves until then. A device that cannot have its role is refused (3): a drive without a
     torque or current set-point, for one.
 
     \b
@@ -136,7 +153,7 @@ def init(
         answered = {} if bus_name is None else _answered(bus_name)
         devices = gather(wishes.wanted(), folder, answered, eds_folder)
         path = "rig.toml" if output is None else str(output)
-        draft = Draft(devices, load_rig(like).one_axis(), path, rehearse=rehearse)
+        draft = Draft(devices, load_rig(like).one_axis(), path, rehearse=rehearse, accept=accepted)
         if rehearse:
             draft.acknowledge(_acknowledgements(draft.rig))
         text = str(draft)
@@ -145,11 +162,35 @@ def init(
         else:
             with output.open("x", encoding="utf-8") as file:  # `x`: whoever made one meanwhile keeps it
                 file.write(text)
+        if rehearse and trials:
+            _tell_trials(draft.rig, text, err=output is None)
         with verdict(0):
             count, name = text.count(f"# {CHECK}:"), "it" if output is None else str(output)
             say(
                 f"coulombus: guesses marked '# {CHECK}:' in {name}: {count}; then: coulombus check --rig {shell(str(path))}"
             )
+
+
+def _tell_trials(rig: Rig, text: str, *, err: bool) -> None:
+    """Try the guesses of a rehearsal with their other readings, and print what notices each."""
+    from coulombus.lab.guess_trials import NOBODY, tried
+
+    trials = tried(rig, text)
+    if not trials:
+        return
+    from rich.table import Table
+
+    table = Table("guess", "if it is", "noticed by", "turns", "speed", "torque", title="Other readings of the guesses")
+    for trial in trials:
+        moved = (f"{trial.angle_rad:.2g} rad", f"{trial.speed_rad_s:.2g} rad/s", f"{trial.motor_Nm:.2g} Nm")
+        table.add_row(trial.reading.key, trial.reading.meaning, trial.noticed_by, *moved)
+    console = table_console(TABLE_COLUMNS)
+    with console.capture() as drawn:
+        console.print(table, markup=False)
+    echo(drawn.get(), nl=False, err=err)
+    unnoticed = sum(trial.noticed_by == NOBODY for trial in trials)
+    if unnoticed:
+        echo(f"readings that nothing notices: {unnoticed}; only a measurement on the device tells them apart", err=err)
 
 
 def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:

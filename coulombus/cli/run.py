@@ -77,10 +77,11 @@ def run_command(
         from coulombus.host.run.real_run import real_run
         from coulombus.host.run.runbook import anchor  # before the run: at its end no file may be opened any more
         from coulombus.recording.output_file import check as check_output
-        from coulombus.rigs.overrides import SHARED_MACHINE
+        from coulombus.rigs.overrides import shared_machine as wider
+        from coulombus.rigs.rig import load_rig
         from coulombus.system.stop_signals import Signals
 
-        rig = chosen.load(*(SHARED_MACHINE if shared_machine else ()))
+        rig = chosen.load(*(wider(load_rig(chosen.rig_name, chosen.overrides)) if shared_machine else ()))
         addresses = chosen.addresses(rig)
         if shared_machine:
             check_shared_machine(addresses.values())

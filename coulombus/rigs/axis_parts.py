@@ -65,7 +65,7 @@ class AxisParts:
         except ValidationError as error:
             explain(error, values, Sections, source)
         check(values, source)
-        descriptions = read_descriptions(values, source, eds_texts)
+        descriptions = read_descriptions(values, source, eds_texts, f"{name}." if name else "")
         allocation = None
         if sections is not None and len(descriptions) == len(sections.devices):
             if earlier is not None and earlier.has_devices_of(sections, descriptions):

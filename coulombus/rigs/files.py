@@ -10,6 +10,7 @@ from typing import Any
 
 from coulombus.eds.reader import Description, EdsError, parse_eds, read_eds
 from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.accepted_mapping import with_accepted
 from coulombus.rigs.axes import device_keys
 from coulombus.rigs.errors import Source, nearest
 from coulombus.rigs.signals import Node
@@ -32,12 +33,18 @@ def _find(name: str, rig_path: str, package: Path | None) -> tuple[Path | None, 
     return next((path for path in tried if path.exists()), None), tried  # a FIFO is found, and refused when it is read
 
 
-def read_descriptions(values: Table, source: Source, eds_texts: Mapping[str, str] | None) -> dict[Node, Description]:
+def read_descriptions(
+    values: Table, source: Source, eds_texts: Mapping[str, str] | None, prefix: str = ""
+) -> dict[Node, Description]:
     """Return the devices' EDS files by "motor", "brake" and the sensors' names.
 
-    Mistakes are noted in `source`.
+    Mistakes are noted in `source`. What host.accept says of objects that can be mapped holds;
+    `prefix` is the axis', before the names of its devices.
     """
     descriptions: dict[Node, Description] = {}
+    host = values.get("host")
+    accept = host.get("accept") if isinstance(host, Mapping) else None
+    sentences = [text for text in accept if isinstance(text, str)] if isinstance(accept, list | tuple) else []
     for key in device_keys(values):
         section: Any = values
         for part in key:
@@ -46,9 +53,8 @@ def read_descriptions(values: Table, source: Source, eds_texts: Mapping[str, str
         if not isinstance(name, str) or source.is_wrong((*key, "eds")):
             continue
         try:
-            descriptions[str(key[-1])] = (
-                _from_file(name, source.path) if eds_texts is None else _from_text(name, eds_texts)
-            )
+            described = _from_file(name, source.path) if eds_texts is None else _from_text(name, eds_texts)
+            descriptions[str(key[-1])] = with_accepted(described, f"{prefix}{key[-1]}", sentences)
         except EdsError as error:
             source.say((*key, "eds"), f"got '{name}', but {error}")
     return descriptions

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-__all__ = ["SHARED_MACHINE"]
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from coulombus.rigs.rig import Rig
+
+__all__ = ["SHARED_MACHINE", "shared_machine"]
+
+STANDSTILL_S = 0.05
+MISSED = "limits.missed_tpdo_cycles"
 
 SHARED_MACHINE = (
     "motor.setpoint_fault_s=0.05",
@@ -11,10 +20,20 @@ SHARED_MACHINE = (
     "brake.sync_timeout_s=0.05",
     "motor.heartbeat_timeout_s=0.5",
     "brake.heartbeat_timeout_s=0.5",
-    "limits.missed_tpdo_cycles=50",
+    f"{MISSED}=50",
     "host.loss_limit=1.0",
 )
 """Overrides for a machine that is shared with others and may stand still for tens of milliseconds.
 
-The rig's PC needs none of them.
+The rig's PC needs none of them. The missed cycles are those of a cycle of 1 ms.
 """
+
+
+def shared_machine(rig: Rig) -> tuple[str, ...]:
+    """Return `SHARED_MACHINE` for a rig: a missed TPDO may take 50 ms, whatever the cycle is, or what
+    the rig itself allows, if that is longer; at most 50 cycles.
+    """
+    longest_s = max(axis.bus.period_s for axis in rig.axes)
+    own = max(axis.limits.missed_tpdo_cycles for axis in rig.axes)
+    cycles = max(own, min(50, math.ceil(STANDSTILL_S / longest_s - 1e-9)))
+    return tuple(f"{MISSED}={cycles}" if text.startswith(MISSED) else text for text in SHARED_MACHINE)

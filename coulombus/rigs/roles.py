@@ -35,6 +35,7 @@ from coulombus.eds.drive_scale import VELOCITY_UNIT, defaults, velocity_unit
 from coulombus.eds.pdo import Entry, entry_of
 from coulombus.eds.reader import Description
 from coulombus.eds.units import BLOCK_UNITS, NOTATION
+from coulombus.rigs.accepted_mapping import mapping_sentence
 from coulombus.rigs.devices import BrakeRole, Role
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.signals import Direction, Node, Parts
@@ -57,6 +58,8 @@ UNITS = {name: index for index, name in NOTATION.items() if name in ("Nm", "A", 
 """Notation indices of CiA 303-2: the numerator of a unit."""
 PER_MILLE = (0x6071, 0x6074, 0x6077, 0x6078)
 """Objects in per mille of a rated value."""
+DEVICE = "DEVICE"
+"""Stands for the device in a remedy."""
 WIDEST = 32
 """Bits that the host reckons with."""
 
@@ -252,7 +255,7 @@ def _bind(parts: Parts, kind: Kind, bindings: list[Binding]) -> Binding | None:
         if not (kind.needed or said.object or said.node):
             return None
         place = f"{candidates[0][0]:04X}h:{candidates[0][1]:X}"
-        remedy = lack.remedy if not said.object else "name another one"
+        remedy = lack.remedy.replace(DEVICE, node) if not said.object else "name another one"
         raise _Refused(Problem(kind.name, node, place, lack.text, remedy))
     entry = checked_entry(description, *chosen, kind.direction)
     scaled = _scaled(parts, Binding(kind, node, entry), said, bindings)
@@ -304,7 +307,10 @@ def _lacks(description: Description, index: int, subindex: int, direction: Direc
     refused = ("ro", "const", "rwr") if direction == "rpdo" else ("wo", "rww")
     if not variable.pdo_mappable or variable.access in refused:
         way = "an RPDO" if direction == "rpdo" else "a TPDO"
-        return Lack(f"{where} cannot be mapped into {way}", "expected PDOMapping=1 and a matching AccessType")
+        remedy = "expected PDOMapping=1 and a matching AccessType"
+        if variable.access not in refused:
+            remedy += f', or host.accept = ["{mapping_sentence(DEVICE, index, subindex)}"] where the device maps it all the same'
+        return Lack(f"{where} cannot be mapped into {way}", remedy)
     return Lack()
 
 

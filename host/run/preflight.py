@@ -8,12 +8,13 @@ from pathlib import Path
 from types import TracebackType
 
 from coulombus.host.errors import SafetyTrip
-from coulombus.rigs.draft.draft_text import REHEARSAL, rehearsal_marks
+from coulombus.rigs.draft.draft_text import CHECK, REHEARSAL, rehearsal_marks
+from coulombus.rigs.draft.marks import guesses
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.address import BusAddress
 
-__all__ = ["check_no_delay", "check_no_rehearsal", "place_of", "refusing"]
+__all__ = ["check_no_delay", "check_no_guess", "check_no_rehearsal", "place_of", "refusing"]
 
 
 def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
@@ -28,6 +29,21 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
     if marks:
         expected = f"expected what holds for the devices on {address}, and no mark"
         raise RigError([f"{rig.path}:{line}: got '# {REHEARSAL}'; {expected}" for line in marks])
+
+
+def check_no_guess(rig: Rig, address: BusAddress) -> None:
+    """Refuse a guess that would move the hand, on a real bus.
+
+    Raises
+    ------
+    RigError
+        the file still marks guesses of `coulombus init` about the drive's torque, scale or sense;
+        each is named
+    """
+    left = [guess for guess in guesses(rig.origin.text) if guess.moves_hand] if address.moves_hardware else []
+    if left:
+        expected = "prove it on the device, and delete the mark: a wrong guess moves the hand"
+        raise RigError([f"{rig.path}:{guess.line}: {guess.key} is marked '# {CHECK}'; {expected}" for guess in left])
 
 
 def check_no_delay(rig: Rig, address: BusAddress) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from coulombus.host.run.outputs import Outputs
-from coulombus.host.run.preflight import check_no_delay, check_no_rehearsal, refusing
+from coulombus.host.run.preflight import check_no_delay, check_no_guess, check_no_rehearsal, refusing
 from coulombus.host.run.realtime_sequence import RealCourse
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
@@ -50,7 +50,7 @@ def real_run(
     coulombus.wire.address.BusUnavailable, coulombus.host.errors.HostError
         nothing was armed
     coulombus.rigs.rig.RigError
-        the law, a rehearsal's file on a real bus, a delay for study, a limit that the drive cannot take, or a law that
+        the law, a rehearsal's file or a marked guess on a real bus, a delay for study, a limit that the drive cannot take, or a law that
         a limit would cut off
     coulombus.recording.pcapng_blocks.RecordingError
         the recording cannot be created, or exists
@@ -58,6 +58,7 @@ def real_run(
     address = bus or default_address(rig.name)
     with refusing():
         check_no_rehearsal(rig, address)
+        check_no_guess(rig, address)
         check_no_delay(rig, address)
         check_plan(rig)
         check_demand(rig, mode)

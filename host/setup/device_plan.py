@@ -15,6 +15,7 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
+from coulombus.eds.sections import number_of
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.position_scale import BelievedScale, believed_scale, remark_of
@@ -109,6 +110,7 @@ class _Planner:
         final = {(s.index, s.subindex): s.value for s in there}  # the last value of an object counts
         kept = [setting for setting in there if self._can_be_set(setting, final)]
         written = tuple(s for s in kept if not _locked(self.description, s))
+        self._granularity(written)
         unread = {(s.index, s.subindex) for s in there if not s.verify}
         left_out = {(s.index, s.subindex) for s in there} - {(s.index, s.subindex) for s in kept}
         read_backs = tuple((at, value) for at, value in final.items() if at not in unread | left_out)
@@ -192,7 +194,9 @@ class _Planner:
             self.losses.append(f"{self.who}: {_place(setting)} is not set ({misfit}); {setting.lost or setting.why}")
             return False
         if misfit:
-            self._problem(f", object {_label(self.description, setting)}: {misfit}", remedy, _place(setting))
+            has = self.description.has(setting.index, setting.subindex)
+            stands = f" ({self.description.path}:{variable.line})" if has else ""
+            self._problem(f", object {_label(self.description, setting)}: {misfit}{stands}", remedy, _place(setting))
         elif _opened(variable, setting):
             self.questions.append(
                 f"{self.who}: {self.description.path} limits 1016h:01 to {variable.high}, where no node id has room; it is written all the same"
@@ -200,6 +204,15 @@ class _Planner:
         if not setting.verify and not setting.listed:
             self.losses.append(f"{self.who}: {_place(setting)} is write-only, so that it cannot be read back")
         return True
+
+    def _granularity(self, written: Sequence[Setting]) -> None:
+        """Say that a file without mapping granularity is mapped anew all the same."""
+        info = {name.lower(): text for name, text in self.description.info.items()}
+        number = number_of(info.get("granularity", ""))
+        maps = any(setting.index & ~0x1FF in (0x1600, 0x1A00) for setting in written)
+        if number is not None and number.value == 0 and maps:
+            text = "has Granularity=0, as if no PDO could be mapped; bring-up maps them all the same, and reads the maps back"
+            self.questions.append(f"{self.who}: {self.description.path} {text}")
 
     def _emergency(self) -> None:
         """Refuse a device whose EMCYs come as SYNC, for ever: nobody could tell whose fault it is."""
@@ -234,7 +247,8 @@ class _Planner:
                     f"{self.who}: {description.path} does not tell 1018h:{subindex:02X}; bring-up asks the device"
                 )
             elif number != value:
-                text = f": {what} is {number:#010x} in {description.path}, the rig file says {value:#010x} ({key})"
+                where = f"{description.path}:{description.variable(0x1018, subindex).line}"
+                text = f": {what} is {number:#010x} in {where}, the rig file says {value:#010x} ({key})"
                 self._problem(
                     text, "take the EDS file of this very device, or correct the key", f"1018h:{subindex:02X}"
                 )
@@ -250,7 +264,8 @@ class _Planner:
             text = f"{self.who}: {description.path} does not tell the supported drive modes 6502h; bring-up asks the device"
             self.questions.append(text)
         elif lacking := missing_mode(modes, mode):
-            text = f": supported drive modes 6502h = {modes:#010x} in {description.path} do not include {lacking}"
+            where = f"{description.path}:{description.variable(0x6502, 0).line}"
+            text = f": supported drive modes 6502h = {modes:#010x} in {where} do not include {lacking}"
             remedy = (
                 "take a drive that has it, correct the file where this one does, or name the maker's own torque or current mode "
                 f"({self.node}.mode) and its set-point ([role.torque_setpoint])"

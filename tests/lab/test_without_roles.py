@@ -135,7 +135,7 @@ def test_verbs_on_a_rehearsed_rig_of_another_makers_brake(tmp_path, file):
         return result
 
     rig, record = tmp_path / "rig.toml", tmp_path / "r.pcapng"
-    verb("init", "--drive", "bench", "--brake", CORPUS / file, "--rehearse", "-o", rig)
+    verb("init", "--drive", "bench", "--brake", CORPUS / file, "--rehearse", "--no-trials", "-o", rig)
     assert load_rig(str(rig)).one_axis().allocation.bound.get("handle_torque") is None
     assert verb("simulate", "--rig", rig, "--mode", "active", "--seconds", 2, "--record", record).exit_code == 0
     assert verb("identify", record).exit_code == 1

@@ -13,8 +13,10 @@ marked.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
+from coulombus.rigs.accepted_mapping import with_accepted
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.draft.brake import describe_brake, describe_sensors
 from coulombus.rigs.draft.device import DraftDevice
@@ -61,6 +63,7 @@ class Draft:
     like : the rig from which all is taken over that is not the devices'
     path : where the file is to stand, by which its EDS files are found
     rehearse : with the simulated truth, and what only simulated devices need
+    accept : what the user acknowledges of the devices (``host.accept``)
 
     Raises
     ------
@@ -68,8 +71,19 @@ class Draft:
         a device cannot have a role that the host needs; `problems` are by role
     """
 
-    def __init__(self, devices: Sequence[DraftDevice], like: Axis, path: str, *, rehearse: bool = False) -> None:
-        self.devices, self.like, self.path, self.rehearse = tuple(devices), like, path, rehearse
+    def __init__(
+        self,
+        devices: Sequence[DraftDevice],
+        like: Axis,
+        path: str,
+        *,
+        rehearse: bool = False,
+        accept: Sequence[str] = (),
+    ) -> None:
+        self.devices = tuple(
+            replace(device, description=with_accepted(device.description, device.node, accept)) for device in devices
+        )
+        self.like, self.path, self.rehearse = like, path, rehearse
         values = like.model_dump(by_alias=True, exclude_defaults=True)
         for name in ("sensor", "role", "axis", *(() if rehearse else SIMULATED)):
             values.pop(name, None)
@@ -81,6 +95,8 @@ class Draft:
         )
         values["law"]["function"] = _law_from_anywhere(like)
         self.text = RigText(values)
+        if accept:
+            self.text.put("host.accept", list(accept), "acknowledged by the user; prove each sentence on the device")
         self._about()
         for device in self.devices:
             self._device(device)

@@ -17,6 +17,7 @@ from coulombus.eds.drive_scale import (
     position_scale,
     resolution,
 )
+from coulombus.rigs.accepted_mapping import mapping_sentence
 from coulombus.rigs.draft.device import DraftDevice, Place, label
 from coulombus.rigs.draft.draft_text import CHECK, RigText
 from coulombus.rigs.draft.makers import MakerMode, maker_mode
@@ -81,11 +82,34 @@ def command_of(device: DraftDevice) -> TorqueCommand:
     if maker is not None:
         known = "" if maker.sure else ", by its objects' names: find its number in the manual"
         return TorqueCommand(maker.mode, maker, f"{lacking}; this is {maker.name}{known}")
-    text = f"{device.description.path}: no torque or current set-point that a PDO can carry: {lacking}"
-    remedy = "take a drive that has one; a drive for positions or speeds cannot display friction"
+    text = f"{_where(device)}: no torque or current set-point that a PDO can carry: {lacking}"
+    remedy = _way(device)
     role = f"{'brake' if device.node == 'brake' else 'torque'}_setpoint"
     problem = Problem(role, device.node, label(TARGET_TORQUE), text, remedy)
     raise RigError([f"{device.node}: {problem}"], [problem])
+
+
+def _where(device: DraftDevice) -> str:
+    """Return the file, and the line of 6071h where the file has it."""
+    description = device.description
+    line = f":{description.variable(*TARGET_TORQUE).line}" if description.has(*TARGET_TORQUE) else ""
+    return f"{description.path}{line}"
+
+
+def _way(device: DraftDevice) -> str:
+    """Return what can be done with a drive in whose file nothing carries a torque."""
+    ways = []
+    if device.description.has(*TARGET_TORQUE) and not device.description.variable(*TARGET_TORQUE).pdo_mappable:
+        sentence = mapping_sentence(device.node, *TARGET_TORQUE)
+        ways.append(
+            f'where the drive maps it all the same, acknowledge it (init --accept "{sentence}", host.accept in the rig file): '
+            "bring-up tries, and the drive's answer decides"
+        )
+    ways.append(
+        f"where its maker has a torque or current mode of its own, name it ({device.node}.mode) and its set-point "
+        "([role.torque_setpoint] object and scale_Nm) in the rig file: class D of docs/drives.md"
+    )
+    return f"{'; '.join(ways)}; else take a drive that has one: a drive for positions or speeds cannot display friction"
 
 
 def describe_mode(text: RigText, device: DraftDevice, command: TorqueCommand) -> None:

@@ -1,0 +1,119 @@
+"""Guesses about a drive tried with their other readings: the host believes its rig file, and the
+simulated drive is as each reading has it.
+
+A rehearsal alone cannot show a wrong guess, as its plant is a copy of the belief. Here the plant
+differs by one reading, and what the host notices of it, and how the handle moves until then, is
+the answer. What a reading would change on the rig only together with others is not tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+
+from coulombus.lab.simulate import simulate
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.draft.marks import guesses
+from coulombus.rigs.rig import Rig
+from coulombus.system.errors import CoulombusError
+
+__all__ = ["NOBODY", "Reading", "Trial", "readings", "tried"]
+
+SECONDS = 2.0
+NOBODY = "nothing"
+"""What notices a reading that ends the run as if it were right."""
+
+
+class Reading(NamedTuple):
+    """Another reading of a guess: its key, in words, and the plant's keys that it makes."""
+
+    key: str
+    meaning: str
+    overrides: tuple[str, ...]
+
+
+class Trial(NamedTuple):
+    """What came of a reading.
+
+    Attributes
+    ----------
+    noticed_by : the trip that ended the run, or why it was not armed; `NOBODY` where nothing did
+    angle_rad, speed_rad_s, motor_Nm : the largest at the handle until then
+    """
+
+    reading: Reading
+    noticed_by: str
+    angle_rad: float
+    speed_rad_s: float
+    motor_Nm: float
+
+
+def readings(axis: Axis, text: str) -> Iterator[Reading]:
+    """Yield the other readings of the guesses that a rig file marks.
+
+    Parameters
+    ----------
+    text : the rig file's
+    """
+    marked = {guess.key for guess in guesses(text)}
+    plant = axis.simulation.plant
+    if "motor.rated_torque_Nm" in marked:
+        rated = plant.motor_rated_torque_Nm
+        for factor, meaning in (
+            (1000.0, "in mNm where uNm is believed"),
+            (1e-3, "in uNm where mNm is believed"),
+            (3.0, "per mille of a rated current with three times the torque"),
+            (1 / 3, "per mille of a rated current with a third of the torque"),
+        ):
+            largest = 1e4
+            if factor * rated <= largest:
+                yield Reading("motor.rated_torque_Nm", meaning, (f"plant.motor_rated_torque_Nm={factor * rated!r}",))
+    if "motor.encoder_counts_rev" in marked:
+        believed = axis.motor.encoder_counts_rev
+        for counts, meaning in (
+            (4 * believed, "lines where counts are believed"),
+            (believed // 4, "counts where lines are believed"),
+            (360, "degrees"),
+            (3_600, "tenths of a degree"),
+            (360_000, "thousandths of a degree"),
+        ):
+            if counts >= 1 and counts != believed:
+                yield Reading("motor.encoder_counts_rev", meaning, (f"plant.encoder_counts_rev={counts}",))
+    for key in ("motor_polarity", "encoder_polarity"):
+        if {f"mechanics.{key}", "mechanics.ratio"} & marked:
+            other = -getattr(plant, key)
+            yield Reading(f"mechanics.{key}", "the other sense", (f"plant.{key}={other}",))
+
+
+def tried(rig: Rig, text: str) -> tuple[Trial, ...]:
+    """Return what the host notices of each other reading of the guesses in a rehearsal's rig file.
+
+    Parameters
+    ----------
+    text : the rig file's, with its marks
+    """
+    axis = rig.one_axis()
+    mode = "active" if "active" in axis.mode else rig.modes[-1]
+    trials = []
+    with TemporaryDirectory() as folder:
+        for number, reading in enumerate(readings(axis, text)):
+            trials.append(_tried(rig, mode, reading, Path(folder) / f"{number}.npz"))
+    return tuple(trials)
+
+
+def _tried(rig: Rig, mode: str, reading: Reading, path: Path) -> Trial:
+    try:
+        true = rig.variant(*reading.overrides)
+        ended = simulate(rig, mode, SECONDS, truth=path, simulated=true)
+    except CoulombusError as refused:
+        return Trial(reading, f"before arming: {str(refused).partition(';')[0]}", 0.0, 0.0, 0.0)
+    noticed = (ended.trip or NOBODY).partition(":")[0]
+    if not path.exists():
+        return Trial(reading, noticed, 0.0, 0.0, 0.0)
+    with np.load(path) as truth:
+        largest = [float(np.abs(truth[name]).max(initial=0.0)) for name in ("angle_rad", "speed_rad_s", "motor_Nm")]
+    return Trial(reading, noticed, *largest)
