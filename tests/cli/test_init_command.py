@@ -87,7 +87,8 @@ def test_mistakes(folder, arguments, status, text):
 
 
 def test_a_rehearsal_is_refused_on_a_real_bus_with_each_mark(folder):
-    result = call("init", "--drive", "eds/drive.eds", "--brake", "bench", "--rehearse", "-o", "try.toml")
+    words = ("--rehearse", "--no-trials", "-o", "try.toml")
+    result = call("init", "--drive", "eds/drive.eds", "--brake", "bench", *words)
     assert result.exit_code == 0, result.output
     lines = [
         number for number, line in enumerate(Path("try.toml").read_text().splitlines(), 1) if "# REHEARSAL" in line
@@ -98,6 +99,64 @@ def test_a_rehearsal_is_refused_on_a_real_bus_with_each_mark(folder):
     error = json.loads(refused.stdout)["error"].splitlines()
     assert [line.partition(": ")[0] for line in error] == [f"try.toml:{number}" for number in lines]
     assert "expected what holds for the devices on socketcan:none9" in error[0]
+
+
+def test_a_guess_that_moves_the_hand_is_refused_on_a_real_bus_until_its_mark_is_gone(folder):
+    call("init", "--drive", "eds/drive.eds", "--brake", "bench", "-o", "my.toml")
+    refused = call("run", "--rig", "my.toml", "--bus", "socketcan:none9", "--seconds", 1, "--json")
+    assert refused.exit_code == 3
+    error = json.loads(refused.stdout)["error"]
+    for key in ("motor.rated_torque_Nm", "motor.encoder_counts_rev", "mechanics.ratio"):
+        assert f"{key} is marked '# CHECK'" in error
+    assert "response_us" not in error  # it moves nobody
+    text = Path("my.toml").read_text(encoding="utf-8")
+    Path("my.toml").write_text(text.replace("# CHECK:", "#"), encoding="utf-8")
+    proved = call("run", "--rig", "my.toml", "--bus", "socketcan:none9", "--seconds", 1, "--json")
+    assert "CHECK" not in json.loads(proved.stdout)["error"]
+
+
+def test_check_ends_with_the_guesses_that_are_left(folder):
+    call("init", "--drive", "eds/drive.eds", "--brake", "bench", "-o", "my.toml")
+    call_ = call("check", "--rig", "my.toml", "--json")
+    document = json.loads(call_.stdout)
+    lines = Path("my.toml").read_text(encoding="utf-8").splitlines()
+    assert sum("# CHECK:" in line for line in lines) == len(document["guesses"]) >= 4
+    for guess in document["guesses"]:
+        assert guess["key"].rpartition(".")[2] in lines[guess["line"] - 1]
+    assert {guess["key"] for guess in document["guesses"] if guess["moves_hand"]} == {
+        "motor.rated_torque_Nm",
+        "motor.encoder_counts_rev",
+        "mechanics.ratio",
+    }
+    told = [line for line in call("check", "--rig", "my.toml").stdout.splitlines() if line.startswith("CHECK: ")]
+    assert len(told) == len(document["guesses"])
+
+
+def test_an_object_that_the_file_calls_unmappable_is_named_and_can_be_acknowledged(folder):
+    (folder / "eds" / "drive.eds").write_text(edit(FOREIGN, "6071", PDOMapping=0), encoding="utf-8")
+    words = ("init", "--drive", "eds/drive.eds", "--brake", "bench")
+    refused = call(*words, "-o", "my.toml")
+    assert refused.exit_code == 3
+    for text in ('--accept "motor: 6071h can be mapped"', "host.accept", "motor.mode", "class D", "eds/drive.eds:"):
+        assert text in refused.stderr
+    made = call(*words, "--accept", "motor: 6071h can be mapped", "-o", "my.toml")
+    assert made.exit_code == 0, made.output
+    axis = load_rig("my.toml").one_axis()
+    assert axis.host.accept == ("motor: 6071h can be mapped",)
+    assert axis.allocation.bound["torque_setpoint"].entry.index == 0x6071
+    text = Path("my.toml").read_text(encoding="utf-8").replace("motor: 6071h", "motor: 6072h")
+    Path("other.toml").write_text(text, encoding="utf-8")
+    checked = call("check", "--rig", "other.toml")
+    assert checked.exit_code == 3
+    assert 'host.accept = ["motor: 6071h can be mapped"]' in checked.stderr
+
+
+def test_check_names_the_object_that_limits_the_drive(folder):
+    (folder / "eds" / "drive.eds").write_text(gone(FOREIGN, "6072"), encoding="utf-8")
+    call("init", "--drive", "eds/drive.eds", "--brake", "bench", "-o", "my.toml")
+    out = call("check", "--rig", "my.toml").stdout
+    assert "6072h = " not in out
+    assert "drive torque limit" in out
 
 
 @pytest.mark.real_time

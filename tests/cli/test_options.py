@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import click
 import pytest
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 from coulombus.cli.bundle import bundle
 from coulombus.cli.main import main
 from coulombus.cli.rig_options import BusesOptions, OneBusOptions, RigOptions
-from coulombus.rigs.overrides import SHARED_MACHINE
+from coulombus.rigs.overrides import SHARED_MACHINE, shared_machine
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,17 @@ def test_what_is_set_by_hand_counts_more_than_what_comes_before_it():
     shared, own = RigOptions("bench", ()).load(*SHARED_MACHINE), RigOptions("bench", (f"{key}={2 * float(value):g}",))
     assert getattr(shared.one_axis().limits, name) == float(value)
     assert getattr(own.load(*SHARED_MACHINE).one_axis().limits, name) == 2 * float(value)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "own", "cycles"), [(0.001, 3, 50), (0.0005, 3, 50), (0.005, 3, 10), (0.005, 12, 12), (0.02, 1, 3)]
+)
+def test_a_missed_message_may_take_50_ms_on_a_shared_machine(period_s, own, cycles):
+    bus = SimpleNamespace(period_s=period_s)
+    axis = SimpleNamespace(bus=bus, limits=SimpleNamespace(missed_tpdo_cycles=own))
+    overrides = shared_machine(SimpleNamespace(axes=(axis,)))
+    assert f"limits.missed_tpdo_cycles={cycles}" in overrides
+    assert len(overrides) == len(SHARED_MACHINE)
 
 
 def test_a_rig_and_its_buses_are_found_together():

@@ -41,6 +41,17 @@ MANUFACTURER = range(0x2000, 0x6000)
 KNOWN = "take the EDS file of this very device"
 
 
+def stands(text, section, name="motor.eds"):
+    """Return file and line of a section's header, where the reader says an object stands."""
+    return f"{name}:{text.splitlines().index(f'[{section}]') + 1}"
+
+
+@pytest.mark.parametrize(("granularity", "open_"), [("0", True), ("0x0", True), ("8", False), ("", False)])
+def test_a_file_without_granularity_is_mapped_all_the_same_and_that_is_open(granularity, open_):
+    motor = edit(MOTOR, "DeviceInfo", Granularity=granularity)
+    assert any("has Granularity=0" in text for text in motor_of(motor).questions) is open_
+
+
 def plans_of(motor="own", brake_="own", *overrides, mode="hybrid"):
     """Return the plans by the devices' names; a device is a kind, or the text of an EDS file."""
     parts = (drive(motor) if len(motor) < 4 else Part(motor)), (brake(brake_) if len(brake_) < 4 else Part(brake_))
@@ -244,9 +255,12 @@ CORRECT = "correct the file where the device lets it be written, or take another
     [(50, None), (51, "says 51"), ("", "tells no value"), ("$NODEID+49", None)],
 )
 def test_an_object_that_cannot_be_written_needs_its_value_already(access, default, has):
-    plan = motor_of(edit(MOTOR, "1017", AccessType=access, DefaultValue=default))
+    motor = edit(MOTOR, "1017", AccessType=access, DefaultValue=default)
+    plan = motor_of(motor)
     text = "motor (node 1), object 1017h:00 Producer heartbeat time: 50 (0x32) is to be set, but AccessType is "
-    expected = [("", "motor", "1017h:00", f"{text}{access} and the EDS file {has}", CORRECT, "")]
+    expected = [
+        ("", "motor", "1017h:00", f"{text}{access} and the EDS file {has} ({stands(motor, '1017')})", CORRECT, "")
+    ]
     assert list(plan.problems) == (expected if has else [])
     assert (0x1017, 0) not in places(plan)
     assert dict(plan.read_backs)[0x1017, 0] == 50
@@ -280,9 +294,12 @@ def test_what_cannot_be_read_back_is_written_and_told_but_for_what_the_rig_file_
 
 
 def test_a_write_only_object_that_must_be_read_back_is_refused():
-    (problem,) = motor_of(edit(MOTOR, "2001", AccessType="wo")).problems
+    motor = edit(MOTOR, "2001", AccessType="wo")
+    (problem,) = motor_of(motor).problems
     text = "3000 (0xbb8) is to be set, but a write-only object cannot be read back"
-    assert problem.text == f"motor (node 1), object 2001h:00 Set-point zero time-out us: {text}"
+    assert (
+        problem.text == f"motor (node 1), object 2001h:00 Set-point zero time-out us: {text} ({stands(motor, '2001')})"
+    )
     assert problem.remedy == "take another device"
 
 
@@ -376,8 +393,8 @@ def test_a_part_of_the_identity_that_the_rig_file_does_not_tell_is_demanded(told
 def test_another_identity_than_the_file_s_is_refused():
     plan = motor_of(MOTOR, "motor.vendor_id=0x99", "motor.product_code=0x12345")
     texts = (
-        "motor (node 1): vendor id 1018h:01 is 0x000004c0 in motor.eds, the rig file says 0x00000099 (motor.vendor_id)",
-        "motor (node 1): product code 1018h:02 is 0x00000402 in motor.eds, the rig file says 0x00012345 (motor.product_code)",
+        f"motor (node 1): vendor id 1018h:01 is 0x000004c0 in {stands(MOTOR, '1018sub1')}, the rig file says 0x00000099 (motor.vendor_id)",
+        f"motor (node 1): product code 1018h:02 is 0x00000402 in {stands(MOTOR, '1018sub2')}, the rig file says 0x00012345 (motor.product_code)",
     )
     remedy = "take the EDS file of this very device, or correct the key"
     assert plan.problems == tuple(
@@ -418,9 +435,11 @@ def test_a_drive_without_6502h_is_asked_nothing():
 
 
 def test_a_drive_without_a_torque_mode_is_refused():
-    (problem,) = motor_of(edit(MOTOR, "6502", DefaultValue="0x43")).problems
+    motor = edit(MOTOR, "6502", DefaultValue="0x43")
+    (problem,) = motor_of(motor).problems
     text = (
-        "motor (node 1): supported drive modes 6502h = 0x00000043 in motor.eds do not include cyclic synchronous torque"
+        f"motor (node 1): supported drive modes 6502h = 0x00000043 in {stands(motor, '6502')} do not include "
+        "cyclic synchronous torque"
     )
     remedy = (
         "take a drive that has it, correct the file where this one does, or name the maker's own torque or current mode "
@@ -535,6 +554,7 @@ def test_the_type_that_the_rig_file_says_is_as_wide_as_the_file_s(kind, wrong):
     text = listed("motor", ("0x2100", 0, kind, 5, True))
     (plan, _) = device_plans(Controller(rig_of(Part(motor), Part(BRAKE), text=text).one_axis(), "hybrid"))
     told = f"motor (node 1), object 2100h:00 X: the rig file says {kind}, and the EDS file says 16 bits"
+    told += f" ({stands(motor, '2100')})"
     assert plan.problems == ((("", "motor", "2100h:00", told, "change motor.sdo.0", ""),) if wrong else ())
 
 
