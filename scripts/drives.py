@@ -24,6 +24,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main as coulombus
 from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
+from coulombus.eds.drive_scale import defaults, position_scale
 from coulombus.rigs.pdo_maps import mode_of
 from coulombus.rigs.rig import load_rig
 
@@ -33,19 +34,20 @@ MODES = {"drive": ("hybrid", "active"), "brake": ("hybrid", "passive")}
 
 
 class Tried(NamedTuple):
-    """A row: the file, its class, what `check` said, in which modes it was armed, what is lost or
-    why it is refused.
+    """A row: the file, its class, the unit of a drive's position (None of a brake), what `check`
+    said, in which modes it was armed, what is lost or why it is refused.
     """
 
     name: str
     kind: str
+    unit: str | None
     check: str
     armed: str
     lost: str
 
     def line(self) -> str:
         """Return the row in Markdown."""
-        return "| " + " | ".join(cell.replace("|", "\\|") for cell in self) + " |"
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in self if cell is not None) + " |"
 
 
 def _run(*arguments: str) -> tuple[int, str, str]:
@@ -74,6 +76,12 @@ def _unit(rig_file: str) -> str:
     return f"{bound.entry.index:04X}h:{bound.entry.subindex:02X}"
 
 
+def _position(rig_file: str) -> str:
+    """Return the counts of the position in one turn of the motor, and what tells them."""
+    scale = position_scale(defaults(load_rig(rig_file).one_axis().description("motor")))
+    return "not told" if scale.counts_rev is None else f"{scale.counts_rev:.9g} a turn: {scale.by}"
+
+
 def _named(path: Path, after: str) -> re.Pattern[str]:
     """Return what finds a file in a message: a rig file may name it by a path of its own."""
     return re.compile(rf"\S*/{re.escape(path.name)}{after}")
@@ -97,7 +105,7 @@ def tried(path: Path, role: str, folder: Path) -> Tried | None:
             return None
         line = next(line for line in said.splitlines() if line.startswith("coulombus: "))
         reason = _named(path, ": ").split(line, maxsplit=1)[-1].partition("; ")[0]
-        return Tried(path.name, "E", "", "no", reason)
+        return Tried(path.name, "E", "", "", "no", reason)
     status, out, _ = _run("check", "--rig", rig_file, "--json")
     checked: dict[str, Any] = json.loads(out)
     armed = []
@@ -109,6 +117,7 @@ def tried(path: Path, role: str, folder: Path) -> Tried | None:
     return Tried(
         path.name,
         kind,
+        _position(rig_file) if role == "drive" else None,
         check,
         ", ".join(armed),
         _lost(checked["losses"], "motor" if role == "drive" else "brake", path),
@@ -127,10 +136,10 @@ def tables(folder: Path) -> Iterator[str]:
                 if row is not None:
                     rows.append(row)
             rows.sort(key=lambda row: (row.kind, row.name))
-            title = "lost, or why it is refused" if role == "drive" else "lost"
-            yield "\n".join(
-                [f"| file | {head} | check | armed | {title} |", "|---|---|---|---|---|", *(row.line() for row in rows)]
-            )
+            heads = ["file", head, *(["position unit"] if role == "drive" else []), "check", "armed"]
+            heads.append("lost, or why it is refused" if role == "drive" else "lost")
+            lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads), *(row.line() for row in rows)]
+            yield "\n".join(lines)
     print(file=sys.stderr)
 
 

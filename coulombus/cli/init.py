@@ -110,9 +110,9 @@ wishes_options = bundle(
 )
 @click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")
 @click.option(
-    "--trials/--no-trials",
-    default=True,
-    help="With --rehearse: try each guess with its other readings, and say what notices it.  [default: trials]",
+    "--no-trials",
+    is_flag=True,
+    help="With --rehearse: do not try the guesses with their other readings.",
 )
 @click.option("-o", "--output", type=OutputFile(".toml"), metavar="MY.toml", help="A new file.  [default: stdout]")
 def init(
@@ -122,7 +122,7 @@ def init(
     eds_folder: Path | None,
     accepted: tuple[str, ...],
     rehearse: bool,
-    trials: bool,
+    no_trials: bool,
     output: Path | None,
 ) -> None:
     """Write a rig file for a drive and a brake's driver, from their EDS files.
@@ -162,7 +162,7 @@ def init(
         else:
             with output.open("x", encoding="utf-8") as file:  # `x`: whoever made one meanwhile keeps it
                 file.write(text)
-        if rehearse and trials:
+        if rehearse and not no_trials:
             _tell_trials(draft.rig, text, err=output is None)
         with verdict(0):
             count, name = text.count(f"# {CHECK}:"), "it" if output is None else str(output)

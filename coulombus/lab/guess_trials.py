@@ -21,14 +21,14 @@ from coulombus.rigs.draft.marks import guesses
 from coulombus.rigs.rig import Rig
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["NOBODY", "Reading", "Trial", "readings", "tried"]
+__all__ = ["NOBODY", "GuessTrial", "OtherReading", "readings", "tried"]
 
 SECONDS = 2.0
 NOBODY = "nothing"
 """What notices a reading that ends the run as if it were right."""
 
 
-class Reading(NamedTuple):
+class OtherReading(NamedTuple):
     """Another reading of a guess: its key, in words, and the plant's keys that it makes."""
 
     key: str
@@ -36,7 +36,7 @@ class Reading(NamedTuple):
     overrides: tuple[str, ...]
 
 
-class Trial(NamedTuple):
+class GuessTrial(NamedTuple):
     """What came of a reading.
 
     Attributes
@@ -45,14 +45,14 @@ class Trial(NamedTuple):
     angle_rad, speed_rad_s, motor_Nm : the largest at the handle until then
     """
 
-    reading: Reading
+    reading: OtherReading
     noticed_by: str
     angle_rad: float
     speed_rad_s: float
     motor_Nm: float
 
 
-def readings(axis: Axis, text: str) -> Iterator[Reading]:
+def readings(axis: Axis, text: str) -> Iterator[OtherReading]:
     """Yield the other readings of the guesses that a rig file marks.
 
     Parameters
@@ -71,7 +71,9 @@ def readings(axis: Axis, text: str) -> Iterator[Reading]:
         ):
             largest = 1e4
             if factor * rated <= largest:
-                yield Reading("motor.rated_torque_Nm", meaning, (f"plant.motor_rated_torque_Nm={factor * rated!r}",))
+                yield OtherReading(
+                    "motor.rated_torque_Nm", meaning, (f"plant.motor_rated_torque_Nm={factor * rated!r}",)
+                )
     if "motor.encoder_counts_rev" in marked:
         believed = axis.motor.encoder_counts_rev
         for counts, meaning in (
@@ -82,14 +84,14 @@ def readings(axis: Axis, text: str) -> Iterator[Reading]:
             (360_000, "thousandths of a degree"),
         ):
             if counts >= 1 and counts != believed:
-                yield Reading("motor.encoder_counts_rev", meaning, (f"plant.encoder_counts_rev={counts}",))
+                yield OtherReading("motor.encoder_counts_rev", meaning, (f"plant.encoder_counts_rev={counts}",))
     for key in ("motor_polarity", "encoder_polarity"):
         if {f"mechanics.{key}", "mechanics.ratio"} & marked:
             other = -getattr(plant, key)
-            yield Reading(f"mechanics.{key}", "the other sense", (f"plant.{key}={other}",))
+            yield OtherReading(f"mechanics.{key}", "the other sense", (f"plant.{key}={other}",))
 
 
-def tried(rig: Rig, text: str) -> tuple[Trial, ...]:
+def tried(rig: Rig, text: str) -> tuple[GuessTrial, ...]:
     """Return what the host notices of each other reading of the guesses in a rehearsal's rig file.
 
     Parameters
@@ -105,15 +107,15 @@ def tried(rig: Rig, text: str) -> tuple[Trial, ...]:
     return tuple(trials)
 
 
-def _tried(rig: Rig, mode: str, reading: Reading, path: Path) -> Trial:
+def _tried(rig: Rig, mode: str, reading: OtherReading, path: Path) -> GuessTrial:
     try:
         true = rig.variant(*reading.overrides)
         ended = simulate(rig, mode, SECONDS, truth=path, simulated=true)
     except CoulombusError as refused:
-        return Trial(reading, f"before arming: {str(refused).partition(';')[0]}", 0.0, 0.0, 0.0)
+        return GuessTrial(reading, f"before arming: {str(refused).partition(';')[0]}", 0.0, 0.0, 0.0)
     noticed = (ended.trip or NOBODY).partition(":")[0]
     if not path.exists():
-        return Trial(reading, noticed, 0.0, 0.0, 0.0)
+        return GuessTrial(reading, noticed, 0.0, 0.0, 0.0)
     with np.load(path) as truth:
         largest = [float(np.abs(truth[name]).max(initial=0.0)) for name in ("angle_rad", "speed_rad_s", "motor_Nm")]
-    return Trial(reading, noticed, *largest)
+    return GuessTrial(reading, noticed, *largest)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from coulombus.lab.guess_trials import Reading, _tried, readings
+from coulombus.lab.guess_trials import OtherReading, _tried, readings
 from coulombus.rigs.draft.discover import DeviceChoice, gather
 from coulombus.rigs.draft.draft import Draft
 from coulombus.rigs.rig import load_rig
@@ -38,7 +38,7 @@ def test_each_reading_is_another_plant_and_the_same_belief(draft):
 
 
 def test_the_other_sense_is_noticed_before_the_handle_has_gone_far(draft, tmp_path):
-    reading = Reading("mechanics.motor_polarity", "the other sense", ("plant.motor_polarity=-1",))
+    reading = OtherReading("mechanics.motor_polarity", "the other sense", ("plant.motor_polarity=-1",))
     trial = _tried(draft.rig, "active", reading, tmp_path / "a.npz")
     assert trial.noticed_by == "SIGN_ENCODER"
     assert 0.0 < trial.angle_rad < 0.2
@@ -47,6 +47,6 @@ def test_the_other_sense_is_noticed_before_the_handle_has_gone_far(draft, tmp_pa
 
 def test_a_rig_that_is_not_armed_moves_nothing(draft, tmp_path):
     wrong = draft.rig.variant("motor.encoder_counts_rev=8192", "plant.encoder_counts_rev=8192")
-    trial = _tried(wrong, "active", Reading("x", "x", ()), tmp_path / "a.npz")
+    trial = _tried(wrong, "active", OtherReading("x", "x", ()), tmp_path / "a.npz")
     assert trial.noticed_by.startswith("before arming: motor (node 1): 6064h counts 360")
     assert (trial.angle_rad, trial.speed_rad_s, trial.motor_Nm) == (0.0, 0.0, 0.0)
