@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -27,10 +27,14 @@ __all__ = ["check"]
 @rig_option
 @set_option
 @click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")
+@click.option("--bus", "bus_name", metavar="B", help="Hold the drives' own scale on this bus against the rig file.")
 @json_option
-def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool) -> None:
+def check(rig_name: str, overrides: tuple[str, ...], steps: bool, bus_name: str | None, as_json: bool) -> None:
     """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle
     fits on the bus; nothing is run.
+
+    With --bus the drives on it are asked for the scale of their position; nothing is written. One
+    that counts otherwise than the rig file ends with 3 and both numbers.
 
     A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow
     for its value, another identity, a limit that would cut the law off, a device that does not
@@ -42,6 +46,7 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool)
       coulombus check --rig my-rig.toml
       coulombus check --rig my-rig.toml --steps
       coulombus check --rig bench --set bus.bitrate_bit_s=500000
+      coulombus check --rig my-rig.toml --bus socketcan:can0
     """
     with errors():
         from coulombus.rigs.errors import RigError
@@ -53,11 +58,39 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool)
                 failure = {"event": "error", "error": str(error), "exit_status": error.exit_status}
                 print_json(failure | {"ok": False, "problems": _refused(error), "losses": [], "reactions": []})
             raise
+        if bus_name is not None:
+            _hold_against(findings, bus_name)
         with verdict(0 if findings.ok else 1):
             if as_json:
                 print_json(findings.document(steps))
             else:
                 findings.tell(steps)
+
+
+def _hold_against(findings: _Findings, bus_name: str) -> None:
+    """Refuse a rig file that counts the position otherwise than the drives on a bus (DeviceMismatch)."""
+    from coulombus.host.devices.scan import survey
+    from coulombus.host.errors import DeviceMismatch, NodeMissing
+    from coulombus.wire.address import parse_address
+
+    answered = {answers.node_id: answers.numbers for answers in survey(parse_address(bus_name))}
+    differences: dict[str, None] = {}
+    for plan in (plan for plans in findings.by_mode.values() for plan in plans):
+        if plan.position is None or plan.position.accepted:
+            continue
+        if plan.node_id not in answered:
+            look = "check power, cable, bit rate and node id"
+            raise NodeMissing(f"{plan.position.who} does not answer SDO on {bus_name}: {look}")
+        written = {(setting.index, setting.subindex): setting.value for setting in plan.writes}
+        values = {**answered[plan.node_id], **written}
+        if difference := plan.position.difference(_reader(values)):
+            differences[difference] = None
+    if differences:
+        raise DeviceMismatch("; ".join(differences))
+
+
+def _reader(values: Mapping[tuple[int, int], int]) -> Callable[[int, int], int | None]:
+    return lambda index, subindex: values.get((index, subindex))
 
 
 def _refused(error: RigError) -> list[dict[str, str]]:

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.rigs.rig import load_rig, load_rig_text
 from eds_edit import edit, gone
+from foreign_eds import geared
 from places import ROOT
 
 MOTOR = (ROOT / "eds" / "motor.eds").read_text(encoding="utf-8")
@@ -157,6 +158,31 @@ def test_check_names_the_object_that_limits_the_drive(folder):
     out = call("check", "--rig", "my.toml").stdout
     assert "6072h = " not in out
     assert "drive torque limit" in out
+
+
+@pytest.mark.real_time
+@pytest.mark.usefixtures("private_sockets")
+def test_check_holds_the_scale_of_the_live_drive_against_the_rig_file(folder):
+    (folder / "eds" / "drive.eds").write_text(geared(FOREIGN), encoding="utf-8")
+    made = call("init", "--drive", "eds/drive.eds", "--brake", "bench", "--drive-id", 9, "-o", "my.toml")
+    assert made.exit_code == 0, made.output
+    words = ["node", "eds/drive.eds", "--node-id", "9", "--bus", "coulombus:desk", "--json"]
+    node = subprocess.Popen([sys.executable, "-m", "coulombus", *words], stdout=subprocess.PIPE, text=True)
+    live = ("--bus", "coulombus:desk")
+    try:
+        node.stdout.readline()
+        plain = call("check", "--rig", "my.toml")
+        own = call("check", "--rig", "my.toml", *live)
+        wrong = call("check", "--rig", "my.toml", *live, "--set", "motor.encoder_counts_rev=8192")
+        absent = call("check", "--rig", "my.toml", *live, "--set", "motor.node_id=10")
+    finally:
+        node.terminate()
+        node.communicate(timeout=60)
+    assert (own.exit_code, own.stdout) == (plain.exit_code, plain.stdout)
+    assert wrong.exit_code == 3
+    assert "counts 360 in one turn" in wrong.stderr
+    assert "the rig file says 8192" in wrong.stderr
+    assert absent.exit_code == 5
 
 
 @pytest.mark.real_time

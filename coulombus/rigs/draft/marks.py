@@ -50,8 +50,8 @@ def guesses(text: str) -> tuple[Guess, ...]:
 
 def _guesses(text: str) -> Iterator[Guess]:
     keys: dict[int, str] = {}
-    for key, line in read_toml(text).lines.items():
-        keys.setdefault(line, ".".join(str(part) for part in key if isinstance(part, str)))
+    for key, place in read_toml(text).lines.items():
+        keys.setdefault(place, ".".join(str(part) for part in key if isinstance(part, str)))
     waiting: list[str] = []
     for number, line in enumerate((*text.splitlines(), ""), 1):
         mark, comment = MARK.match(line), COMMENT.match(line)
