@@ -15,6 +15,7 @@ from typing import Literal
 
 from coulombus.eds.cia301 import DATA_TYPES, CobId, predefined
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE
+from coulombus.eds.drive_scale import POLARITY
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
@@ -108,13 +109,14 @@ def settings_of(axis: Axis, node: str, mode: str, limit_pm: int) -> Iterator[Set
 
 
 def _listed(part: DeviceSection, node: str, when: Literal["before", "after", "end"]) -> Iterator[Setting]:
-    """The rig file's own list."""
+    """The rig file's own list. The polarity is written where the drive has another one only."""
     for k, setting in enumerate(part.sdo):
         if setting.when == when:
             yield Setting(
                 *(setting.index, setting.sub, setting.value),
                 key=f"{node}.sdo.{k}",
                 why="the rig file lists it",
+                unless_equal=(setting.index, setting.sub) == POLARITY,
                 verify=setting.verify,
                 type=setting.type,
                 listed=True,

@@ -12,7 +12,7 @@ from coulombus.host.errors import DeviceMismatch
 from coulombus.host.setup.bringup import bring_up, plans_of
 from coulombus.rigs.rig import load_rig_text
 from coulombus.sim_bus.network.virtual_rig import BOOT_NS, VirtualRig
-from foreign_eds import BRAKE, I32, MOTOR, another, edited, geared, with_variable, without
+from foreign_eds import BRAKE, I32, MOTOR, U8, another, edited, geared, with_variable, without
 from places import RIGS
 
 BENCH = (RIGS / "bench.toml").read_text(encoding="utf-8")
@@ -99,3 +99,14 @@ def test_check_says_what_the_file_leaves_open_and_what_nothing_guards():
     unguarded = "nothing but commissioning guards motor.encoder_counts_rev"
     assert any(unguarded in text for text in plan_of(without(another(MOTOR), "608F")).losses)
     assert not any("scale" in text for text in (*plan_of(another(MOTOR)).questions, *plan_of(another(MOTOR)).losses))
+
+
+@pytest.mark.parametrize("stored", ["0xC0", "0x40"])
+def test_the_polarity_is_written_where_the_drive_has_another_one_only(stored):
+    motor = with_variable(another(MOTOR), "607E", U8, stored, "rw")
+    row = '\n[[motor.sdo]]\nindex = 0x607E\nsub = 0\ntype = "UNSIGNED8"\nvalue = 0xC0\n'
+    rig = rig_of(motor, text=row)
+    (setting,) = (write for write in plans_of(Controllers(rig, "hybrid"))[0].writes if write.index == 0x607E)
+    assert setting.unless_equal
+    world, _ = brought_up(rig)
+    assert world.motor[0x607E, 0] == 0xC0
