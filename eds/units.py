@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-__all__ = ["BLOCK_UNITS", "NOTATION", "Unit", "fixed_unit", "told_unit"]
+__all__ = ["AXIS", "BLOCK_UNITS", "NOTATION", "Unit", "fixed_unit", "told_unit"]
 
 NOTATION: Mapping[int, str] = {
     0x01: "m",

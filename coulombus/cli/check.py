@@ -104,6 +104,8 @@ def _refused(error: RigError) -> list[dict[str, str]]:
     return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in texts]
 
 
+FURTHER_AXES = 0x6800
+"""CiA 402: from here on the objects of a drive's further axes, whose limits bring-up does not set."""
 GENTLER = "give limits.safe_ramp_s more time, up to 1.8 s"
 
 
@@ -139,7 +141,9 @@ class _Findings:
             for mode in axis.mode:
                 controller = Controller(axis, mode)
                 self.limits[axis.prefix + mode] = controller.drive_limit_pm()
-                named = [f"{index:04X}h" for index in torque_limits(axis.description("motor"))]
+                further = axis.allocation.bound["torque_setpoint"].entry.index >= FURTHER_AXES
+                limits = () if further else torque_limits(axis.description("motor"))
+                named = [f"{index:04X}h" for index in limits]
                 self.limited_by[axis.prefix + mode] = " and ".join(named) or "(of the host alone)"
                 made = device_plans(controller)
                 self.by_mode.setdefault(mode, []).extend(made)

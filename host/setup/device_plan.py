@@ -16,6 +16,7 @@ from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQ
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.eds.sections import number_of
+from coulombus.eds.units import AXIS
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.position_scale import BelievedScale, believed_scale, remark_of
@@ -31,6 +32,8 @@ from coulombus.rigs.roles import CIA402, profile_of
 __all__ = ["DevicePlan", "device_plans", "missing_mode", "steps_of"]
 
 READ_ONLY = ("ro", "const")
+PROFILE, AXES, TARGET_TORQUE = 0x6000, 8, 0x6071
+"""CiA 402: the objects of the first axis of at most eight, and its target torque."""
 NO_TORQUE_LIMIT = "no torque limit of its own"
 
 
@@ -118,6 +121,7 @@ class _Planner:
         position = None
         if self.node == "motor":
             self._limits()
+            self._further_axis()
             position = self._position()
         self._silent()
         reactions = reactions_of(self.axis, self.node, kept) if self.node in ("motor", "brake") else ()
@@ -272,6 +276,16 @@ class _Planner:
             )
             self._problem(text, remedy, "6502h:00")
         return mode
+
+    def _further_axis(self) -> None:
+        """Refuse a set-point of a further axis of the drive: bring-up sets the first axis alone."""
+        entry = self.axis.allocation.bound["torque_setpoint"].entry
+        number, index = (entry.index - PROFILE) // AXIS + 1, PROFILE + (entry.index - PROFILE) % AXIS
+        if 1 < number <= AXES and index == TARGET_TORQUE:
+            shift = (number - 1) * AXIS
+            own = ", ".join(f"{place + shift:04X}h" for place in (0x6060, 0x6072, 0x605A))
+            why = f"bring-up sets mode, limits and reactions of axis 1; list those of axis {number} ({own}) in [[motor.sdo]]"
+            self._acknowledge(f"its set-point is axis {number}'s", why, True)
 
     def _position(self) -> BelievedScale | None:
         """Return the scale that bring-up holds against the drive's; say what the file leaves open."""

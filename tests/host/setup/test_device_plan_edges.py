@@ -563,3 +563,18 @@ def test_where_no_key_of_the_rig_file_says_the_value_another_device_is_to_be_tak
     assert problem.remedy == (
         "take another device, or correct the limits in a copy of the file where the device takes the value"
     )
+
+
+# a drive of two axes
+
+
+def test_a_set_point_of_a_further_axis_is_refused_unless_it_is_acknowledged():
+    motor = with_variable(MOTOR, "6871", I16, 0)
+    text = '\n[role.torque_setpoint]\nobject = "6871"\nscale_Nm = 0.0002\n'
+    sentence = "motor: its set-point is axis 2's"
+    for accept, refused in (("", True), (sentence, False)):
+        overrides = (f'host.accept=["{accept}"]',) if accept else ()
+        rig = rig_of(Part(motor, text, overrides), Part(BRAKE))
+        (plan, _) = device_plans(Controller(rig.one_axis(), "hybrid"))
+        assert [problem.accept for problem in plan.problems] == ([sentence] if refused else [])
+        assert all("6860h, 6872h, 685Ah" in problem.text for problem in plan.problems)
