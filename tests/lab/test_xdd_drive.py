@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.eds.reader import parse_eds, read_eds
-from coulombus.host.devices.sdo import SdoClient
+from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from coulombus.eds.reader import Description, Object, Variable
-from coulombus.host.devices.sdo import SdoClient
+from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.monitor.decode import as_json, as_text, rows
 from coulombus.monitor.sdo_channel import SdoChannel
 from coulombus.monitor.services import lss
