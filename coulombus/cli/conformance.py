@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import json_option, printed, say
+from coulombus.cli.common import BUS_VARIABLE, json_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import OutputFile
 
@@ -59,7 +59,9 @@ class Reports:
 tested_options = bundle(
     "tested",
     Tested,
-    click.option("--bus", "bus_name", required=True, metavar="B", help="coulombus:NAME or socketcan:IF."),
+    click.option(
+        "--bus", "bus_name", required=True, metavar="B", envvar=BUS_VARIABLE, help="coulombus:NAME or socketcan:IF."
+    ),
     click.option(
         "--node", "node_id", required=True, type=click.IntRange(1, 127), metavar="N", help="The device's node id."
     ),

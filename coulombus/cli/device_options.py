@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import load, say
+from coulombus.cli.common import BUS_VARIABLE, load, say
 from coulombus.cli.option_types import SECONDS, InputPath
 from coulombus.system.foreign_text import printable
 
@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 devices_bus_option = click.option(
-    "--bus", "bus_name", required=True, metavar="B", help="coulombus:NAME or socketcan:IF."
+    "--bus", "bus_name", required=True, metavar="B", envvar=BUS_VARIABLE, help="coulombus:NAME or socketcan:IF."
 )
 beside_option = click.option(
     "--beside-host", "beside", is_flag=True, help="Also while a host is at work on the bus, at your own risk."

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from coulombus.cli.bundle import bundle
+from coulombus.cli.common import BUS_VARIABLE
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import SECONDS
 
@@ -133,7 +134,9 @@ served_options = bundle(
 
 @click.command("node", epilog=EXIT_STATUS)
 @click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(readable=False, path_type=Path))
-@click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
+@click.option(
+    "--bus", metavar="B", required=True, envvar=BUS_VARIABLE, help="coulombus:NAME (built in) or socketcan:IF."
+)
 @served_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
 @click.option(
