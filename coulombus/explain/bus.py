@@ -1,0 +1,163 @@
+"""What is known of a bus while its frames are gone through: nodes, orders, objects, PDO maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from coulombus.eds.cia301 import NmtCommand, NmtState
+from coulombus.eds.description import Description
+from coulombus.explain.clues import Clues
+from coulombus.explain.frames import Block
+from coulombus.explain.pdo_maps import Map, Objects, maps_of
+
+__all__ = ["Bus", "Node", "Order"]
+
+TARGET = {
+    NmtCommand.START: NmtState.OPERATIONAL,
+    NmtCommand.STOP: NmtState.STOPPED,
+    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+    NmtCommand.RESET_NODE: NmtState.INITIALISING,
+    NmtCommand.RESET_COMMUNICATION: NmtState.INITIALISING,
+}
+NMT, SDO_TX, SDO_RX, HEARTBEAT, EMCY = 0x000, 0x580, 0x600, 0x700, 0x080
+
+
+@dataclass
+class Order:
+    """An NMT command, as it was seen."""
+
+    t_ns: int
+    command: int
+    node: int  # 0: all
+    row: int
+
+    def concerns(self, node: int) -> bool:
+        """Tell whether it is to this node."""
+        return self.node in (0, node)
+
+
+@dataclass
+class Node:
+    """A node as its frames show it."""
+
+    number: int
+    first_ns: int
+    last_ns: int
+    state: int = -1  # of the last heartbeat; -1: not known
+    was_operational: bool = False
+    heartbeat_ns: int = -1  # the last one; -1: none since it booted
+    heartbeat_row: int = -1
+    period_ns: int = 0  # of heartbeats; 0: not known
+    gaps: list[int] = field(default_factory=list)
+    boots: int = 0
+    booted_ns: int = -1
+    objects: Objects = field(default_factory=dict)
+    device_type: int = 0
+
+
+class Bus:
+    """What all observers share.
+
+    Parameters
+    ----------
+    descriptions
+        EDS files by node id.
+    fixed
+        PDO maps that a rig gives, by identifier.
+    names
+        Of nodes, where a rig or an EDS file names them.
+    """
+
+    def __init__(
+        self, descriptions: dict[int, Description], fixed: dict[int, Map], names: dict[int, str]
+    ) -> None:
+        self.clues = Clues()
+        self.nodes: dict[int, Node] = {}
+        self.orders: list[Order] = []
+        self.descriptions, self.fixed, self.names = descriptions, fixed, names
+        self.maps: dict[int, Map] = dict(fixed)
+        self.first_ns = self.last_ns = -1
+        self.frames = 0
+        self.counts: dict[int, int] = {}
+        self.safe_ns = -1  # when the host ordered the end, or tripped; -1: not
+        self.tripped = False
+        self.canopen = 0  # frames that only CANopen has
+        self.stale = True
+        self.host = -1
+        """The host's node id, where its heartbeat is known; -1: not known."""
+        self.words: list[tuple[int, int, int, int, int]] = []
+        """Drives' objects that SDO transfers showed: row, time, node, index, value."""
+
+    def take(self, block: Block) -> None:
+        """Count the frames, and see who is there."""
+        if len(block.t_ns) == 0:
+            return
+        if self.first_ns < 0:
+            self.first_ns = int(block.t_ns[0])
+        self.last_ns = max(self.last_ns, int(block.t_ns[-1]))
+        self.frames += len(block.t_ns)
+        for key, group in block.groups.items():
+            self.counts[key] = self.counts.get(key, 0) + len(group)
+
+    def node(self, number: int, t_ns: int) -> Node:
+        """Return a node of which a frame was seen."""
+        node = self.nodes.get(number)
+        if node is None:
+            node = self.nodes[number] = Node(number, t_ns, t_ns)
+            self.stale = True
+        node.last_ns = max(node.last_ns, t_ns)
+        return node
+
+    def name(self, number: int | None) -> str:
+        """Return how a node is called: by rig or EDS file, else by its number."""
+        if number is None:
+            return "bus"
+        if number == self.host:
+            return "host"
+        name = self.names.get(number)
+        return f"{name} (node {number})" if name else f"node {number}"
+
+    def sender(self, key: int) -> int | None:
+        """Return the node that sends a group's frames; None: the host, or not known."""
+        if key & ~0x7FF or key < 0x81:
+            return None
+        known = self.maps.get(key)
+        if known is not None:
+            return known.node if known.direction == "tpdo" else None
+        function, number = key & 0x780, key & 0x7F
+        if number and function in (EMCY, SDO_TX, HEARTBEAT, 0x180, 0x280, 0x380, 0x480):
+            return number
+        return None
+
+    def last_heard(self, block: Block, number: int, before_ns: int) -> int:
+        """Return when the node's last frame before this time came, -1 where none is known."""
+        node = self.nodes.get(number)
+        last = node.last_ns if node is not None and node.last_ns < before_ns else -1
+        for key, group in block.groups.items():
+            if self.sender(key) == number:
+                place = int(group.t_ns.searchsorted(before_ns))
+                if place:
+                    last = max(last, int(group.t_ns[place - 1]))
+        return last
+
+    def ordered(self, number: int, after_ns: int, before_ns: int, *targets: int) -> Order | None:
+        """Return the last order to a node between these times, one that leads to a target if given."""
+        for order in reversed(self.orders):
+            if order.t_ns > before_ns:
+                continue
+            if order.t_ns < after_ns:
+                return None
+            if order.concerns(number) and (not targets or TARGET.get(NmtCommand(order.command)) in targets):
+                return order
+        return None
+
+    def left_on_order(self, number: int, before_ns: int) -> bool:
+        """Tell whether the last order to a node before this time was not to start."""
+        order = self.ordered(number, -1, before_ns)
+        return order is not None and order.command != NmtCommand.START
+
+    def renew(self) -> None:
+        """Make the PDO maps anew, of all that is known by now."""
+        if self.stale:
+            self.stale = False
+            self.maps = maps_of(self)

@@ -1,0 +1,90 @@
+"""Clues: what an observer saw, when, of which node, and until when it stood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+__all__ = ["Clue", "Clues"]
+
+MERGED_NS = 1_000_000_000
+"""Notes of one kind, node and subject that follow each other within this time are one clue."""
+MOST = 40
+"""Clues of one kind and node, at most; later ones are counted in the last of them."""
+
+
+@dataclass
+class Clue:
+    """Something that does not belong to a healthy bus.
+
+    `end_ns` is None while it stands; `rows` are the numbers of frames that show it, a few.
+    """
+
+    kind: str
+    node: int | None
+    begin_ns: int
+    text: str
+    end_ns: int | None = None
+    last_ns: int = 0
+    count: int = 1
+    axis: int = 0
+    end_text: str = ""
+    rows: list[int] = field(default_factory=list)
+
+
+class Clues:
+    """The clues so far; a kind, a node and a subject have one that stands at most."""
+
+    def __init__(self) -> None:
+        self.all: list[Clue] = []
+        self._last: dict[tuple[str, int | None, object], Clue] = {}
+        self._number: dict[tuple[str, int | None], int] = {}
+
+    def begin(
+        self, kind: str, node: int | None, t_ns: int, text: str, *, row: int = -1, subject: object = None
+    ) -> Clue:
+        """Note that something began; where it stands already it is counted."""
+        key = (kind, node, subject)
+        clue = self._last.get(key)
+        if clue is None or (clue.end_ns is not None and t_ns - clue.last_ns > MERGED_NS and self._room(kind, node)):
+            clue = Clue(kind, node, t_ns, text, last_ns=t_ns, rows=[row] if row >= 0 else [])
+            self.all.append(clue)
+            self._last[key] = clue
+            return clue
+        clue.count += 1
+        clue.end_ns, clue.last_ns = None, max(clue.last_ns, t_ns)
+        if row >= 0 and len(clue.rows) < 6:
+            clue.rows.append(row)
+        return clue
+
+    def note(
+        self, kind: str, node: int | None, t_ns: int, text: str, *, row: int = -1, subject: object = None, count: int = 1
+    ) -> Clue:
+        """Note something that is over as soon as it is seen."""
+        clue = self.begin(kind, node, t_ns, text, row=row, subject=subject)
+        clue.count += count - 1
+        clue.end_ns = clue.last_ns
+        return clue
+
+    def end(self, kind: str, node: int | None, t_ns: int, text: str = "", *, subject: object = None) -> bool:
+        """Note that it is over; tell whether it stood."""
+        clue = self._last.get((kind, node, subject))
+        if clue is None or clue.end_ns is not None:
+            return False
+        clue.end_ns, clue.end_text = max(t_ns, clue.begin_ns), text
+        clue.last_ns = max(clue.last_ns, t_ns)
+        return True
+
+    def end_all(self, kind: str, node: int | None, t_ns: int, text: str = "") -> None:
+        """Note that all of this kind and node are over, whatever their subjects."""
+        for which, whose, subject in list(self._last):
+            if (which, whose) == (kind, node):
+                self.end(kind, node, t_ns, text, subject=subject)
+
+    def stands(self, kind: str, node: int | None, subject: object = None) -> bool:
+        """Tell whether such a clue stands."""
+        clue = self._last.get((kind, node, subject))
+        return clue is not None and clue.end_ns is None
+
+    def _room(self, kind: str, node: int | None) -> bool:
+        number = self._number[kind, node] = self._number.get((kind, node), 0) + 1
+        return number < MOST

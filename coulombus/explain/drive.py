@@ -1,0 +1,148 @@
+"""Drives (CiA 402): faults, resets, enabling that stops half way, stops that nobody commanded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from coulombus.eds.cia301 import emcy_text
+from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATE_OF_STATUSWORD, Command, PowerState
+from coulombus.explain.bus import Bus
+from coulombus.explain.frames import Block
+from coulombus.explain.pdo_maps import Map
+
+__all__ = ["Drives"]
+
+STUCK_NS = 1_000_000_000
+"""A drive that a command does not move on within this time does not follow it."""
+STATUS, CONTROL, ERROR_CODE = 0x41, 0x40, 0x3F
+STATE_BITS, COMMAND_BITS, RESET = 0x6F, 0x8F, 0x80
+LIMIT = 0x0800
+FAULTS = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
+WORD = 0xFFFF
+AXES = 8
+
+
+@dataclass
+class _Axis:
+    state: int = -1
+    control: int = -1
+    since_ns: int = -1  # since when the command should have moved it on; -1: it need not
+    row: int = -1
+    resets: int = 0
+
+
+class Drives:
+    """Follows the state machine of every axis."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.clues = bus, bus.clues
+        self._axes: dict[tuple[int, int], _Axis] = {}
+        self._last: dict[tuple[int, int, int], int] = {}
+
+    def take(self, block: Block) -> None:
+        """Go through a block."""
+        events = list(self._changes(block))
+        for row, t_ns, node, index, value in self.bus.words:
+            low, axis = (index - 0x6000) % 0x800, (index - 0x6000) // 0x800
+            if low in (STATUS, CONTROL, ERROR_CODE):
+                events.append((row, t_ns, node, axis, low, value))
+        self.bus.words.clear()
+        for row, t_ns, node, axis, low, value in sorted(events):
+            self._event(row, t_ns, node, axis, low, value)
+        if len(block.t_ns):
+            self.look(int(block.t_ns[-1]))
+
+    def look(self, t_ns: int) -> None:
+        """Note drives that do not follow their command for too long."""
+        for (node, axis), drive in self._axes.items():
+            if drive.since_ns < 0 or t_ns - drive.since_ns < STUCK_NS or drive.state < 0:
+                continue
+            if self.clues.stands("not_following", node, axis) or self._away(node, t_ns):
+                continue
+            command = Command(COMMAND_OF_CONTROLWORD[drive.control & 0xF])
+            text = f"controlword {drive.control:04X}h ({_words(command)}), and the drive stays {_words(PowerState(drive.state))}"
+            clue = self.clues.begin("not_following", node, drive.since_ns, text, row=drive.row, subject=axis)
+            clue.axis = axis
+
+    def _away(self, number: int, t_ns: int) -> bool:
+        node = self.bus.nodes.get(number)
+        return node is None or node.state in (4, 127, 0) or self.bus.left_on_order(number, t_ns)
+
+    def _changes(self, block: Block) -> Iterator[tuple[int, int, int, int, int, int]]:
+        """Yield (row, time, node, axis, which object, value) where a word changes."""
+        for key, group in block.groups.items():
+            known = self.bus.maps.get(key)
+            if known is None or not known.fields:
+                continue
+            for low, mask in ((STATUS, STATE_BITS | LIMIT), (CONTROL, COMMAND_BITS), (ERROR_CODE, WORD)):
+                for axis, field in known.find(low):
+                    words = group.word >> field.start & mask
+                    before = self._last.get((key, low, axis), -1)
+                    changed = np.flatnonzero(np.concatenate(([words[0] != before], words[1:] != words[:-1])))
+                    self._last[key, low, axis] = int(words[-1])
+                    for i in changed.tolist():
+                        if 8 * int(group.length[i]) >= field.start + 16:
+                            yield int(group.rows[i]), int(group.t_ns[i]), known.node, axis, low, int(words[i])
+
+    def _event(self, row: int, t_ns: int, node: int, axis: int, low: int, value: int) -> None:
+        drive = self._axes.setdefault((node, axis), _Axis())
+        if low == ERROR_CODE:
+            if value:
+                clue = self.clues.begin("error_code", node, t_ns, f"603Fh: {emcy_text(value)}", row=row, subject=axis)
+                clue.axis = axis
+            else:
+                self.clues.end("error_code", node, t_ns, "603Fh is 0", subject=axis)
+            return
+        if low == CONTROL:
+            before, drive.control = drive.control, value & COMMAND_BITS
+            if value & RESET and not max(before, 0) & RESET and drive.state in FAULTS:
+                drive.resets += 1
+        else:
+            self._status(row, t_ns, node, axis, drive, value)
+        self._expect(row, t_ns, node, axis, drive)
+
+    def _status(self, row: int, t_ns: int, node: int, axis: int, drive: _Axis, value: int) -> None:
+        state = int(STATE_OF_STATUSWORD[value & 0x7F])
+        before, drive.state = drive.state, state
+        if state == before or state < 0:
+            return
+        command = Command(COMMAND_OF_CONTROLWORD[drive.control & 0xF]) if drive.control >= 0 else None
+        if state in FAULTS and before not in FAULTS:
+            came = f", it was {_words(PowerState(before))}" if before >= 0 else " when the log begins"
+            clue = self.clues.begin("drive_fault", node, t_ns, f"the drive goes to FAULT{came}", row=row, subject=axis)
+            clue.axis, drive.resets = axis, 0
+        elif state not in FAULTS and before in FAULTS:
+            tries = f" at reset {drive.resets}" if drive.resets > 1 else " by a reset" if drive.resets else ""
+            self.clues.end("drive_fault", node, t_ns, f"it leaves FAULT{tries}", subject=axis)
+        if state == PowerState.QUICK_STOP_ACTIVE and command is not Command.QUICK_STOP:
+            text = "the drive does a quick stop that no controlword commands"
+            self.clues.begin("quick_stop", node, t_ns, text, row=row, subject=axis).axis = axis
+        elif before == PowerState.QUICK_STOP_ACTIVE:
+            self.clues.end("quick_stop", node, t_ns, "the quick stop is over", subject=axis)
+        enabled = PowerState.OPERATION_ENABLED
+        if before == enabled and command is Command.ENABLE_OPERATION and state < enabled:
+            text = f"the drive goes from Operation Enabled to {_words(PowerState(state))} against its controlword"
+            self.clues.begin("left_enabled", node, t_ns, text, row=row, subject=axis).axis = axis
+        elif state == enabled:
+            self.clues.end("left_enabled", node, t_ns, "it is in Operation Enabled again", subject=axis)
+
+    def _expect(self, row: int, t_ns: int, node: int, axis: int, drive: _Axis) -> None:
+        """Note since when the command should move the drive on."""
+        moves = False
+        if drive.control >= 0 and drive.state >= 0 and drive.state not in FAULTS:
+            command = int(COMMAND_OF_CONTROLWORD[drive.control & 0xF])
+            moves = int(NEXT_STATE[drive.state, command]) != drive.state
+        if not moves:
+            drive.since_ns = -1
+            self.clues.end("not_following", node, t_ns, "the drive follows", subject=axis)
+        elif drive.since_ns < 0:
+            drive.since_ns, drive.row = t_ns, row
+
+
+def _words(value: PowerState | Command) -> str:
+    return value.name.replace("_", " ").title() if isinstance(value, PowerState) else value.name.lower().replace("_", " ")
+
+

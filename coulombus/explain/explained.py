@@ -1,0 +1,240 @@
+"""A log explained: frames in, verdict, nodes and incidents out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.eds.description import Description
+from coulombus.explain.bus import Bus
+from coulombus.explain.drive import Drives
+from coulombus.explain.errors import Errors
+from coulombus.explain.frames import EXTENDED, Block, Pieces
+from coulombus.explain.host import HostMarkers
+from coulombus.explain.incidents import Incident, join
+from coulombus.explain.lengths import Lengths
+from coulombus.explain.nodes import STATES
+from coulombus.explain.pdo_maps import maps_of_rig
+from coulombus.explain.rare import RareFrames
+from coulombus.explain.timing import Timing
+from coulombus.recording.pcapng_reader import Capture
+from coulombus.recording.reading import HOST, RIG, captures
+from coulombus.rigs.rig import Rig, RigError, load_rig_text
+from coulombus.wire.frame import Records, data_bytes
+
+__all__ = ["Explainer", "Explanation", "NodeSummary", "explain"]
+
+VERDICTS = ("unresolved", "recovered", "warning")
+
+
+@dataclass(frozen=True)
+class NodeSummary:
+    """A node in a line."""
+
+    number: int
+    name: str
+    state: str
+    frames: int
+    maps: str
+    """Where its PDO maps come from: "rig", "SDO seen in the log", "EDS", "assumed", or ""."""
+    well: bool
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What came of a log; times are ns as the frames' stamps, `epoch_ns` is time 0."""
+
+    verdict: str
+    nodes: tuple[NodeSummary, ...]
+    incidents: tuple[Incident, ...]
+    epoch_ns: int
+    end_ns: int
+    frames: int
+    remarks: tuple[str, ...]
+    shown: dict[int, tuple[int, int, bytes]]
+    """Time [ns], identifier and data of the frames that incidents name, by number."""
+    bus: Bus
+
+    def at_s(self, t_ns: int | None) -> float | None:
+        """Return a time [s] since the log's beginning; None for None."""
+        return None if t_ns is None else round((t_ns - self.epoch_ns) / 1e9, 6)
+
+
+class Explainer:
+    """Goes through frames once; memory is that of nodes and incidents.
+
+    Parameters
+    ----------
+    rig
+        Gives names and PDO maps; None: what the log shows.
+    descriptions
+        EDS files by node id.
+    span
+        Begin and end [s] of what is looked at, None: open.
+    """
+
+    def __init__(
+        self,
+        rig: Rig | None = None,
+        descriptions: dict[int, Description] | None = None,
+        span: tuple[float | None, float | None] = (None, None),
+    ) -> None:
+        given = dict(descriptions or {})
+        names = {node: _file_name(description) for node, description in given.items()}
+        if rig is not None:
+            given = {node.node_id: node.description for node in rig.nodes} | given
+            names = {node.node_id: node.name for node in rig.nodes} | names
+        self.bus = Bus(given, maps_of_rig(rig) if rig is not None else {}, names)
+        self._rare = RareFrames(self.bus)
+        self._timing, self._drives = Timing(self.bus), Drives(self.bus)
+        self._others = (Errors(self.bus), HostMarkers(self.bus), self._timing, Lengths(self.bus), self._drives)
+        self._pieces = Pieces()
+        self._span = span
+        self._epoch_ns: int | None = None
+        self._shown: dict[int, tuple[int, int, bytes]] = {}
+        self._rows: set[int] = set()
+
+    def take(self, frames: Records, comments: Iterable[tuple[int, str]] = ()) -> None:
+        """Go through frames; `comments` are (row of `frames`, text)."""
+        remarks = list(comments)
+        for block in self._pieces.take(*self._inside(frames, remarks)):
+            self._block(block)
+
+    def end(self) -> None:
+        """Go through what is left, and look once more at what is overdue."""
+        self._block(self._pieces.end())
+        for observer in (self._rare, self._timing, self._drives):
+            observer.look(self.bus.last_ns)
+        self._rare.end(self.bus.last_ns)
+
+    def explanation(self, remarks: Iterable[str] = ()) -> Explanation:
+        """Return what is known by now."""
+        incidents = tuple(join(self.bus.clues.all))
+        states = {incident.status for incident in incidents}
+        verdict = next((word for word in VERDICTS if word in states), "ok")
+        return Explanation(
+            verdict="warnings" if verdict == "warning" else verdict,
+            nodes=tuple(self._summary(number, incidents) for number in sorted(self.bus.nodes)),
+            incidents=incidents,
+            epoch_ns=self._epoch_ns or 0,
+            end_ns=self.bus.last_ns,
+            frames=self.bus.frames,
+            remarks=(*remarks, *self._remarks()),
+            shown=dict(self._shown),
+            bus=self.bus,
+        )
+
+    def _inside(self, frames: Records, comments: list[tuple[int, str]]) -> tuple[Records, list[tuple[int, str]]]:
+        """Return what is within the span; time 0 is that of the log."""
+        if self._epoch_ns is None and len(frames):
+            first = int(frames["t_ns"][0])
+            self._epoch_ns = first if first >= 10**17 else 0
+        begin, end = self._span
+        if begin is None and end is None:
+            return frames, comments
+        t_s = (frames["t_ns"] - (self._epoch_ns or 0)) / 1e9
+        keep = (t_s >= (-np.inf if begin is None else begin)) & (t_s < (np.inf if end is None else end))
+        behind = np.cumsum(keep)
+        kept = [(int(behind[row]) - 1, text) for row, text in comments if row < len(keep) and keep[row]]
+        return frames[keep], kept
+
+    def _block(self, block: Block) -> None:
+        self.bus.take(block)
+        self._rare.take(block)
+        self.bus.renew()
+        for observer in self._others:
+            observer.take(block)
+        self._keep(block)
+
+    def _keep(self, block: Block) -> None:
+        """Keep the frames that clues name."""
+        first, behind = block.first_row, block.first_row + len(block.t_ns)
+        for clue in self.bus.clues.all[-200:]:
+            for row in clue.rows:
+                if first <= row < behind and row not in self._shown:
+                    frame = block.frames[row - first]
+                    data = data_bytes(int(frame["word"]), int(frame["length"]))
+                    self._shown[row] = (int(frame["t_ns"]), int(frame["can_id"]), data)
+
+    def _summary(self, number: int, incidents: tuple[Incident, ...]) -> NodeSummary:
+        node = self.bus.nodes[number]
+        state = STATES.get(node.state, "booting" if node.state == 0 else "") if node.state >= 0 else ""  # type: ignore[call-overload]
+        sources = {known.source for known in self.bus.maps.values() if known.node == number and known.fields}
+        frames = sum(count for key, count in self.bus.counts.items() if self.bus.sender(key) == number)
+        well = not any(clue.node == number for incident in incidents for clue in incident.clues)
+        return NodeSummary(number, self.bus.names.get(number, ""), str(state), frames, ", ".join(sorted(sources)), well)
+
+    def _remarks(self) -> list[str]:
+        bus = self.bus
+        remarks = []
+        extended = bus.counts.get(EXTENDED, 0)
+        if bus.frames and not bus.canopen and 0x080 not in bus.counts:
+            what = "29-bit identifiers, as J1939 has them" if extended > bus.frames / 2 else "no NMT, heartbeat, SDO, EMCY or SYNC"
+            remarks.append(f"this does not look like CANopen: {what}; only the wire is looked at")
+        elif extended:
+            remarks.append(f"{extended} frames have 29-bit identifiers, which CANopen does not use: left out")
+        assumed = sorted({known.node for known in bus.maps.values() if known.source == "assumed"})
+        if assumed:
+            nodes = ", ".join(map(str, assumed))
+            remarks.append(f"PDO maps of node {nodes} are assumed (CiA 402's defaults): give --eds NODE=FILE to be sure")
+        return remarks
+
+
+def _file_name(description: Description) -> str:
+    return description.info.get("ProductName", "") or Path(description.path).stem
+
+
+def explain(
+    path: str | os.PathLike[str],
+    *,
+    rig: Rig | None = None,
+    descriptions: dict[int, Description] | None = None,
+    span: tuple[float | None, float | None] = (None, None),
+) -> Explanation:
+    """Explain a recording or another tool's log.
+
+    Parameters
+    ----------
+    path
+        What `coulombus.recording.reading.captures` reads.
+    rig
+        Gives names and PDO maps; None: what the log and EDS files show.
+    descriptions
+        EDS files by node id.
+    span
+        Begin and end [s], None: open.
+
+    Raises
+    ------
+    coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
+        The file is damaged, or is of another kind.
+    """
+    warnings: list[str] = []
+    explainer: Explainer | None = None
+    for capture in captures(Path(path)):
+        if explainer is None:
+            explainer = Explainer(rig or attached_rig(capture, warnings), descriptions, span)
+        explainer.take(capture.frames, capture.comments)
+        warnings += capture.warnings
+    explainer = explainer or Explainer(rig, descriptions, span)
+    explainer.end()
+    return explainer.explanation(warnings)
+
+
+def attached_rig(capture: Capture, remarks: list[str]) -> Rig | None:
+    """Return the rig that a recording of this project has with it, None where there is none that can
+    be read.
+    """
+    texts = {name: raw.decode(errors="replace") for name, raw in capture.attachments.items() if not name.startswith(HOST)}
+    if RIG not in texts:
+        return None
+    try:
+        return load_rig_text(texts.pop(RIG), f"{capture.path}[{RIG}]", texts, attached=True)
+    except RigError:
+        remarks.append("the attached rig cannot be read by this version: nodes have numbers for names")
+        return None

@@ -1,0 +1,139 @@
+"""Frames as the observers take them: some thousands at a time, grouped by identifier."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.data_word import data_bytes
+from coulombus.wire.frame import FRAME, Records
+
+__all__ = ["BLOCK", "Block", "Frames", "Integers", "Pieces"]
+
+Integers = npt.NDArray[np.int64]
+
+BLOCK = 1 << 16
+"""Frames of a block, at most: 2.6 MB."""
+FAR = 8192
+SYNC = 0x080
+REMOTE, EXTENDED, ERROR = 0x2000, 0x4000, 0x8000
+"""Bits of a group's key beside the 11 bits of a base identifier."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The frames of one identifier in a block, in their order."""
+
+    rows: Integers
+    """Numbers of the frames in the file, from 0."""
+    t_ns: Integers
+    word: Integers
+    length: Integers
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def data(self, i: int) -> bytes:
+        """Return the data bytes of frame `i`."""
+        return data_bytes(int(self.word[i]), int(self.length[i]))
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some frames of a log, with the comments that stand at them.
+
+    A block begins with a SYNC wherever that is possible, so that what follows a SYNC is in one block.
+    `comments` are (row within the block, text); `last` tells that nothing follows.
+    """
+
+    frames: Records
+    first_row: int
+    comments: tuple[tuple[int, str], ...] = ()
+    last: bool = False
+
+    @cached_property
+    def t_ns(self) -> Integers:
+        """Stamps [ns]."""
+        return np.ascontiguousarray(self.frames["t_ns"])
+
+    @cached_property
+    def groups(self) -> dict[int, Frames]:
+        """The frames by key: the base identifier, with `REMOTE` for remote frames.
+
+        All extended frames are the group `EXTENDED`, all error frames the group `ERROR`.
+        """
+        can_id = np.ascontiguousarray(self.frames["can_id"])
+        key = (can_id & 0x7FF) | np.where(can_id & CAN_RTR_FLAG, REMOTE, 0)
+        key = np.where(can_id & CAN_EFF_FLAG, EXTENDED, key)
+        key = np.where(can_id & CAN_ERR_FLAG, ERROR, key).astype(np.uint16)
+        order = np.argsort(key, kind="stable")  # 16 bits: a radix sort
+        in_order = key[order]
+        starts = np.flatnonzero(np.r_[True, in_order[1:] != in_order[:-1]]) if len(order) else np.zeros(0, np.int64)
+        ends = np.r_[starts[1:], len(order)] if len(order) else starts
+        word = np.ascontiguousarray(self.frames["word"])
+        length = np.ascontiguousarray(self.frames["length"])
+        return {
+            int(in_order[start]): Frames(
+                self.first_row + order[start:end],
+                *(column[order[start:end]] for column in (self.t_ns, word, length)),
+            )
+            for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
+        }
+
+    def of(self, *keys: int) -> Iterator[tuple[int, int, int, int, int]]:
+        """Yield (row, t_ns, key, word, length) of these groups' frames, in the file's order."""
+        groups = [(key, self.groups[key]) for key in keys if key in self.groups]
+        if not groups:
+            return
+        rows = np.concatenate([group.rows for _, group in groups])
+        order = np.argsort(rows, kind="stable")
+        which = np.concatenate([np.full(len(group), key, np.int64) for key, group in groups])
+        columns = [np.concatenate([getattr(group, name) for _, group in groups]) for name in ("t_ns", "word", "length")]
+        chosen = (rows, columns[0], which, columns[1], columns[2])
+        yield from zip(*(column[order].tolist() for column in chosen), strict=True)
+
+
+
+
+class Pieces:
+    """Cuts what comes into blocks that begin with a SYNC."""
+
+    def __init__(self) -> None:
+        self._rest = np.zeros(0, FRAME)
+        self._comments: list[tuple[int, str]] = []
+        self._row = 0
+
+    def take(self, frames: Records, comments: list[tuple[int, str]]) -> Iterator[Block]:
+        """Yield the blocks that are complete; `comments` are (row of `frames`, text)."""
+        self._comments += [(row + len(self._rest), text) for row, text in comments]
+        whole = np.concatenate((self._rest, frames)) if len(self._rest) else frames
+        while len(whole) > BLOCK:
+            cut = _before_sync(whole[:BLOCK])
+            yield self._cut(whole[:cut])
+            whole = whole[cut:]
+        cut = _before_sync(whole)
+        if cut:
+            yield self._cut(whole[:cut])
+        self._rest = whole[cut:]
+
+    def end(self) -> Block:
+        """Return what is left."""
+        return self._cut(self._rest, last=True)
+
+    def _cut(self, frames: Records, *, last: bool = False) -> Block:
+        here = tuple((row, text) for row, text in self._comments if last or row < len(frames))
+        self._comments = [(row - len(frames), text) for row, text in self._comments if not last and row >= len(frames)]
+        block = Block(frames, self._row, here, last)
+        self._row += len(frames)
+        return block
+
+
+def _before_sync(frames: Records) -> int:
+    """Return how many frames stand before the last SYNC, all where it is far back."""
+    places = np.flatnonzero(frames["can_id"][-FAR:] == SYNC)
+    return max(len(frames) - FAR, 0) + int(places[-1]) if len(places) else len(frames)

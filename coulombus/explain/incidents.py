@@ -1,0 +1,167 @@
+"""Clues joined into incidents: what follows from an event is inside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from coulombus.explain.clues import Clue
+from coulombus.explain.kinds import KINDS
+
+__all__ = ["Incident", "join"]
+
+S = 1_000_000_000
+AFTER_NS = S
+"""What begins within this time after an incident ended may still follow from it."""
+TRIP_NS = 3 * S
+"""... and after a trip, while the machine comes to rest."""
+ROOT_NS = S // 2
+"""The clue that names an incident begins within this time of its first one."""
+AT_ONCE_NS = 2_000_000
+"""Two nodes that lack the same within this time lack it for one reason."""
+FEW = 3
+"""Repeated frames, at least, that are told of."""
+TOLERANCE_NS = 60_000_000
+"""A cause may be seen so much later than its first consequence."""
+
+BUS_WIDE = frozenset(kind for kind, words in KINDS.items() if words.group == "bus")
+SDO = frozenset(kind for kind, words in KINDS.items() if words.group == "sdo")
+AT_NODE = frozenset(kind for kind, words in KINDS.items() if words.group == "node")
+MINOR = frozenset({"repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late"})
+"""Kinds that stop no machine, by themselves."""
+GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational"})
+"""After these a node does not answer as before."""
+SURE = {"emcy": "reported", "error_code": "reported", "host_trip": "reported", "sdo_abort": "reported"}
+
+
+@dataclass
+class Incident:
+    """One event: its clues in time order, the one that names it first in rank.
+
+    `status` is "unresolved", "recovered" or "warning"; `sure` says how sure the cause is.
+    """
+
+    clues: list[Clue] = field(default_factory=list)
+    number: int = 0
+
+    @property
+    def root(self) -> Clue:
+        """The clue that names it."""
+        begin = min(clue.begin_ns for clue in self.clues)
+        early = [clue for clue in self.clues if clue.begin_ns <= begin + ROOT_NS]
+        return max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
+
+    @property
+    def begin_ns(self) -> int:
+        """When it began."""
+        return min(clue.begin_ns for clue in self.clues)
+
+    @property
+    def end_ns(self) -> int | None:
+        """When it was over; None while it is not."""
+        ends = [clue.end_ns for clue in self.clues]
+        return None if None in ends else max(end for end in ends if end is not None)
+
+    @property
+    def node(self) -> int | None:
+        """The node that it is about; None: the bus, or the host."""
+        root = self.root
+        alike = {clue.node for clue in self.clues if clue.kind == root.kind and abs(clue.begin_ns - root.begin_ns) < AT_ONCE_NS}
+        return root.node if len(alike) == 1 else None
+
+    @property
+    def status(self) -> str:
+        """Whether it is over, and whether it was more than a remark."""
+        if any(clue.end_ns is None for clue in self.clues):
+            return "unresolved"
+        lasted = any(clue.end_text or clue.kind not in MOMENTARY for clue in self.clues)
+        return "recovered" if lasted else "warning"
+
+    @property
+    def diagnosis(self) -> Clue:
+        """The clue in which a node says what ails it, else the root."""
+        told = [clue for clue in self.clues if clue.kind in ("emcy", "error_code") and clue.node == self.node]
+        return told[0] if told and KINDS[self.root.kind].rank <= KINDS["emcy"].rank else self.root
+
+    @property
+    def sure(self) -> str:
+        """How sure the cause is."""
+        if self.diagnosis.kind in SURE:
+            return "reported"
+        return "at the same moment" if len(self.clues) > 1 else "likely"
+
+
+MOMENTARY = frozenset(
+    {
+        *("repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late", "babble"),
+        *("error_frames", "no_ack", "pdo_length", "sdo_abort"),
+    }
+)
+"""Kinds that are over as soon as they are seen."""
+
+
+def join(clues: Iterable[Clue]) -> list[Incident]:
+    """Return the incidents, the most important first, numbered from 1."""
+    incidents: list[Incident] = []
+    kept = [clue for clue in clues if clue.kind != "repeated" or clue.count >= FEW]
+    for clue in sorted(kept, key=lambda clue: (clue.begin_ns - _lead(clue), -KINDS[clue.kind].rank)):
+        parents = [incident for incident in incidents if _explains(incident, clue)]
+        if parents:
+            max(parents, key=lambda incident: _nearness(incident, clue)).clues.append(clue)
+        else:
+            incidents.append(Incident([clue]))
+    order = {"unresolved": 0, "recovered": 1, "warning": 2}
+    incidents.sort(key=lambda incident: (order[incident.status], _minor(incident), incident.begin_ns))
+    for number, incident in enumerate(incidents, 1):
+        incident.number = number
+        incident.clues.sort(key=lambda clue: clue.begin_ns)
+    return incidents
+
+
+def _lead(clue: Clue) -> int:
+    return TOLERANCE_NS if clue.kind in BUS_WIDE or clue.kind in GONE else 0
+
+
+def _minor(incident: Incident) -> bool:
+    return all(clue.kind in MINOR for clue in incident.clues)
+
+
+def _nearness(incident: Incident, clue: Clue) -> tuple[bool, int, int]:
+    return (incident.node == clue.node, KINDS[incident.root.kind].rank, incident.begin_ns)
+
+
+def _explains(incident: Incident, clue: Clue) -> bool:
+    """Tell whether a clue follows from an incident."""
+    end = incident.end_ns
+    trip = next((c for c in incident.clues if c.kind == "host_trip"), None)
+    at = clue.begin_ns
+    if trip is not None and trip.begin_ns <= at <= trip.begin_ns + TRIP_NS and clue.kind not in ("host_trip", "sdo_refused_read"):
+        return True
+    if at < incident.begin_ns - TOLERANCE_NS or (end is not None and at > end + AFTER_NS):
+        return False
+    root = incident.root
+    if clue.kind in SDO or root.kind in SDO:
+        return _sdo(incident, root, clue)
+    if clue.kind == "host_trip":
+        return not _minor(incident) or root.kind in ("sync_gap", "tpdo_late")
+    if clue.kind == "repeated":
+        return root.kind in ("error_frames", "no_ack") or (root.kind == clue.kind and root.node == clue.node)
+    if clue.kind == root.kind in ("tpdo_missing", "rpdo_missing") and abs(at - root.begin_ns) < AT_ONCE_NS:
+        return True
+    if root.kind == "node_lost" and clue.kind in ("bus_silent", "bus_off", "sync_lost", "host_lost"):
+        return at < incident.begin_ns + S // 2
+    if root.kind in BUS_WIDE:
+        return not _minor(incident) or clue.kind in MINOR
+    if clue.kind in BUS_WIDE:
+        return root.kind in ("node_lost", "restarted", "duplicate_node") and clue.kind in ("no_ack", "error_passive", "error_frames")
+    if root.node == clue.node:
+        return True
+    return clue.kind == "emcy" and root.kind in GONE and "0x81" in clue.text
+
+
+def _sdo(incident: Incident, root: Clue, clue: Clue) -> bool:
+    if root.node != clue.node:
+        return root.kind in ("bus_silent", "bus_off", "no_ack", "error_frames", "babble") and clue.kind == "sdo_timeout"
+    if root.kind in SDO:
+        return root.kind == clue.kind or clue.kind in ("sdo_timeout", "not_applied")
+    return root.kind in GONE or root.kind == "mode_refused"

@@ -1,0 +1,250 @@
+"""The kinds of clues in words: title, cause, what to check first, why it matters, where it is written.
+
+One table. `rank` says which clue of an incident names it: the most telling one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+__all__ = ["KINDS", "Kind"]
+
+
+class Kind(NamedTuple):
+    """A kind of clue; `checks` are three steps, the cheapest first."""
+
+    rank: int
+    title: str
+    cause: str
+    checks: tuple[str, str, str]
+    why: str
+    clause: str
+    group: str = "node"
+
+
+CABLE = "Look at plugs and cable to the node, and whether its lamp is lit."
+TERMINATION = "Measure between CAN_H and CAN_L, bus switched off: 60 ohms with both terminators."
+MANUAL = "Look the code up in the maker's manual."
+ONE_ID = "Read serial numbers (1018h:04) one device at a time: unplug one, ask, plug it in, unplug the other."
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "bus_silent": Kind(
+            95, "The whole bus was silent", "Nothing could be sent: the wire was held, shorted or cut, or all lost supply.",
+            ("Look for a plug that was touched, or a loose terminator.", TERMINATION,
+             "Unplug the nodes one by one until the bus stays free: the last one holds it dominant."),
+            "No node hears any other; each watches its own time-outs.", "ISO 11898-1, 10.9; docs/bus.md", "bus",
+        ),
+        "bus_off": Kind(
+            90, "A CAN controller went bus-off", "Its transmissions failed again and again: wiring, bit rate or termination.",
+            ("Check that all nodes have the same bit rate.", TERMINATION,
+             "Watch its counters: ip -details -statistics link show can0."),
+            "A bus-off node neither sends nor receives until it is restarted.", "ISO 11898-1, 12.1.4; docs/bus.md", "bus",
+        ),
+        "no_ack": Kind(
+            60, "Frames were not acknowledged", "The sender was alone: the cable is open, or the others are off.",
+            ("Check that the other nodes have power.", "Look for an open plug between sender and the others.", TERMINATION),
+            "An unacknowledged frame is repeated until somebody hears it.", "ISO 11898-1, 10.11", "bus",
+        ),
+        "error_passive": Kind(
+            55, "A controller became error passive", "Many of its frames were destroyed.",
+            (CABLE, TERMINATION, "Compare the bit timing (sample point) of all nodes."),
+            "An error-passive node can no longer stop others from taking a bad frame; bus-off is next.",
+            "ISO 11898-1, 12.1.4", "bus",
+        ),
+        "error_frames": Kind(
+            58, "Many frames were destroyed", "Disturbance on the wire, a wrong bit timing, or two senders of one identifier.",
+            ("Look whether a motor cable lies beside the CAN cable.", TERMINATION,
+             "Compare the bit timing (sample point) of all nodes."),
+            "Each destroyed frame is sent again: frames come late, and load grows.", "ISO 11898-1, 10.11; docs/bus.md", "bus",
+        ),
+        "overrun": Kind(
+            30, "The recorder lost frames", "A receive buffer overflowed: the log has gaps.",
+            ("Record with fewer other programs running.", "Enlarge the interface's queue (txqueuelen, rcvbuf).",
+             "Use an adapter with a larger buffer."),
+            "What is missing in this log may have been on the bus.", "linux/can/error.h", "bus",
+        ),
+        "babble": Kind(
+            85, "An identifier floods the bus", "A node sends one frame again and again.",
+            ("Find its sender: unplug nodes one by one.", "Check inhibit time (1800h:03) and event timer of that PDO.",
+             "Update the firmware of the sender."),
+            "Frames of lower priority wait, and come too late or never.", "CiA 301, 7.2.2.2 (inhibit time)", "bus",
+        ),
+        "sync_lost": Kind(
+            80, "SYNC stopped", "The SYNC producer, usually the host, stopped or was cut off.",
+            ("Check whether the host's program still runs, and what it said last.", "Check the host's cable and interface.",
+             "Read 1005h bit 30 of each node: exactly one node may produce SYNC."),
+            "Synchronous PDOs stop with SYNC: no measurement comes, and no set-point acts.", "CiA 301, 7.2.5", "bus",
+        ),
+        "host_lost": Kind(
+            82, "The host fell silent", "The host's program or PC stopped, or its cable was cut.",
+            ("Check whether the host's program still runs, and what it said last.", "Check the host's cable and interface.",
+             "coulombus doctor: was its process held up or ended?"),
+            "Nobody commands the nodes: each does what its own watches do.", "CiA 301, 7.2.8.3.2.2; docs/runbook.md", "bus",
+        ),
+        "sync_gap": Kind(
+            40, "SYNC came late", "The host did not keep its cycle, or SYNC waited for other frames.",
+            ("Look at what else ran on the host then.", "coulombus doctor: real-time rights, kernel, CPU.",
+             "Give the host's thread a real-time priority."),
+            "A cycle without SYNC is a cycle without measurement.", "CiA 301, 7.2.5", "bus",
+        ),
+        "two_sync": Kind(
+            78, "Two nodes produce SYNC", "Two masters, or a node whose 1005h bit 30 is set.",
+            ("Check whether a second program or tool runs.", "Read 1005h of every node: bit 30 makes it a producer.",
+             "Unplug the other master."),
+            "Nodes sample and act twice per cycle, at wrong times.", "CiA 301, 7.5.2.6 (1005h)", "bus",
+        ),
+        "second_master": Kind(
+            76, "Two masters send set-points", "A second program sends the same RPDOs.",
+            ("Look for a second program or tool on this bus.", "Stop one of the two masters.",
+             "coulombus watch: see which values alternate."),
+            "The drive follows whichever set-point came last.", "CiA 301, 7.2.2; docs/runbook.md",
+        ),
+        "duplicate_node": Kind(
+            77, "Two devices have one node id", "A replaced or added device still has the node id of another.",
+            (ONE_ID, "Check the id switches of both devices.", "Give one of them another id: coulombus lss."),
+            "Both answer, both obey: neither can be trusted.", "CiA 301, 7.2.4; CiA 305",
+        ),
+        "node_missing": Kind(
+            74, "A node never answered", "It is off, not connected, or has another node id or bit rate.",
+            (CABLE, "Check its node id and bit rate (switches, or coulombus scan).", TERMINATION),
+            "What it should do is not done.", "CiA 301, 7.2.4",
+        ),
+        "restarted": Kind(
+            72, "A node restarted by itself", "Its supply dipped, or its watchdog reset it.",
+            ("Measure its supply while the motor accelerates.", "Check its plug and its fuse.",
+             "Ask the maker whether its watchdog keeps a log; update its firmware."),
+            "It has forgotten its configuration, and is PRE-OPERATIONAL.", "CiA 301, 7.3.2.2.1",
+        ),
+        "node_lost": Kind(
+            70, "A node fell silent", "It lost its supply or its connection, or its firmware hangs.",
+            (CABLE, "Measure its supply voltage at the plug.", "Switch it off and on; if it comes back, look for its error log."),
+            "Nobody commands it any more: it does what its own watches do.", "CiA 301, 7.2.8.3.2.2",
+        ),
+        "left_operational": Kind(
+            62, "A node left OPERATIONAL unordered", "An error made it stop its PDOs (1029h), or its firmware did.",
+            ("Look at its EMCY around this time.", "Read 1003h (error history) and 1001h.", "Read 1029h: it decides what an error leads to."),
+            "It sends and takes no PDOs any more.", "CiA 301, 7.3.2.2 and 7.5.2.32 (1029h)",
+        ),
+        "not_started": Kind(
+            52, "A node did not start", "It refused the NMT start, or did not get it.",
+            ("Read its error history (1003h).", "Send the start to it alone: coulombus nmt start.", "Check its configuration: some devices refuse to start without it."),
+            "Without OPERATIONAL there are no PDOs.", "CiA 301, 7.2.8.2.1",
+        ),
+        "drive_fault": Kind(
+            50, "A drive went to FAULT", "The drive switched its power stage off by itself.",
+            ("Read the error code 603Fh and its EMCY.", "Check supply, motor plug and temperature.",
+             "Reset it with bit 7 of the controlword, once the cause is gone."),
+            "The motor has no torque.", "CiA 402-2, state machine, transition 13",
+        ),
+        "emcy": Kind(
+            54, "A node reported an error", "The node's own diagnosis.",
+            (MANUAL, "Read 1001h and 1003h of the node.", "Look at what was commanded just before."),
+            "A node reports what it cannot mend itself.", "CiA 301, 7.2.7 and 7.5.2.4 (1003h)",
+        ),
+        "error_code": Kind(
+            53, "A drive shows an error code", "The drive's own diagnosis (603Fh).",
+            (MANUAL, "Read 1003h for what came before.", "Check supply, load and temperature."),
+            "The code names what the drive saw.", "CiA 402-2, 603Fh",
+        ),
+        "quick_stop": Kind(
+            46, "A drive did a quick stop by itself", "A limit switch, an input, or a lost set-point.",
+            ("Look at the limit switches and inputs (60FDh).", "Read 605Ah, and the drive's EMCY.", "Check that set-points came until then."),
+            "The drive brakes and then has no torque.", "CiA 402-2, transition 11",
+        ),
+        "left_enabled": Kind(
+            47, "A drive left Operation Enabled by itself", "It lost supply, an enable input, or its set-points.",
+            ("Check the enable input and the emergency stop.", "Check the supply of the power stage.", "Read 603Fh and 1003h."),
+            "The motor has no torque, though the host commands it.", "CiA 402-2, state machine",
+        ),
+        "not_following": Kind(
+            44, "A drive does not follow its controlword", "Something that it needs is missing: supply, enable input, set-points.",
+            ("Check that the power stage has its supply (statusword bit 4).", "Check enable input, safe torque off and limit switches.",
+             "Send the controlword again from 0006h on, and watch which step stops."),
+            "It never reaches Operation Enabled: there is no torque.", "CiA 402-2, state machine, transitions 2 to 4",
+        ),
+        "mode_refused": Kind(
+            45, "A drive does not take the mode", "It does not have this mode, or not in this state.",
+            ("Read 6502h: the modes that it has.", "Write 6060h while the drive is not enabled.", "Look the mode's conditions up in its manual."),
+            "Set-points of another mode have no effect.", "CiA 402-2, 6060h and 6061h",
+        ),
+        "heartbeat_lost": Kind(
+            42, "A node's heartbeat stopped", "Its other frames come: 1017h was changed, or the node is overloaded.",
+            ("Read 1017h of the node.", "Look for a write to 1017h just before.", "Check the load of the node and of the bus."),
+            "Whoever watches it takes it for dead.", "CiA 301, 7.2.8.3.2.2",
+        ),
+        "heartbeat_late": Kind(
+            20, "Heartbeats came late", "The node or the bus was busy.",
+            ("Compare with the bus load at that time.", "Look for long SDO transfers to that node.", "Lengthen 1016h of its consumers, or shorten 1017h."),
+            "The next one later is taken for a lost node.", "CiA 301, 7.5.2.19 (1016h)",
+        ),
+        "tpdo_missing": Kind(
+            38, "PDOs of a node were missing", "It did not send after SYNC: SYNC was lost to it, or it is overloaded.",
+            ("Read its transmission type (1800h:02).", "Look for error frames at that time.", "Compare its cycle with the period of SYNC."),
+            "The host works with an old measurement.", "CiA 301, 7.2.2.2 (transmission types)",
+        ),
+        "tpdo_late": Kind(
+            28, "PDOs of a node came late", "The node or the bus was busy.",
+            ("Look at the bus load at that time.", "Check the node's inhibit time (1800h:03).", "Give the PDO a lower identifier."),
+            "The host may take a measurement of the cycle before.", "CiA 301, 7.2.2",
+        ),
+        "rpdo_missing": Kind(
+            37, "Set-points stopped", "The host did not send this RPDO.",
+            ("Check whether the host's program still runs.", "Look at what it said last.", "coulombus doctor: was its thread held up?"),
+            "The node acts on an old set-point until its own watch ends that.", "CiA 301, 7.2.2; 1400h:05",
+        ),
+        "rpdo_late": Kind(
+            27, "Set-points came late", "The host did not keep its cycle.",
+            ("Look at what else ran on the host.", "coulombus doctor: real-time rights, kernel, CPU.", "Shorten bus.tpdo_window_s."),
+            "A set-point behind the next SYNC acts a cycle later.", "CiA 301, 7.2.2",
+        ),
+        "pdo_stopped": Kind(
+            36, "A periodic PDO stopped", "Its sender stopped it, or its event timer was changed.",
+            ("Check the node's NMT state.", "Read its event timer (1800h:05).", "Look for a write to its parameters."),
+            "Whoever needs it works with old values.", "CiA 301, 7.5.2.37",
+        ),
+        "pdo_length": Kind(
+            43, "A PDO's length does not fit its map", "The node has another map than its master believes.",
+            ("Read 1600h or 1A00h of the node.", "Write the map again after each restart of the node.", "Check that the EDS file is of this firmware."),
+            "Values are read from wrong bytes, or not at all.", "CiA 301, 7.2.2.5 (EMCY 8210h)",
+        ),
+        "repeated": Kind(
+            10, "A frame came twice", "Its last bit was disturbed (CAN then delivers it twice), or a gateway repeats it.",
+            ("Count how often: now and then is usual.", TERMINATION, "Look for a bridge or gateway that forms a loop."),
+            "A toggling command would act twice.", "ISO 11898-1, 10.11 (last bit of end of frame)",
+        ),
+        "sdo_abort": Kind(
+            35, "A node refused an SDO transfer", "Object, value or state do not fit.",
+            ("Read what the abort code says.", "Compare with the device's EDS file: index, type, limits.", "Try it in PRE-OPERATIONAL."),
+            "What should have been set is not set.", "CiA 301, 7.2.4.3.17, table 22", "sdo",
+        ),
+        "sdo_refused_read": Kind(
+            5, "A node does not have an object", "It was asked for an object that it need not have.",
+            ("Nothing, if the program goes on: optional objects are often asked for.", "Compare with its EDS file.", "Check that the EDS file is of this firmware."),
+            "Usually harmless.", "CiA 301, 7.2.4.3.17, table 22", "sdo",
+        ),
+        "sdo_timeout": Kind(
+            41, "A node did not answer an SDO request", "It is busy, off, or the request was lost.",
+            (CABLE, "Ask again with a longer time-out.", "Look for error frames at that time."),
+            "The transfer did not happen.", "CiA 301, 7.2.4.3", "sdo",
+        ),
+        "sdo_incomplete": Kind(
+            34, "An SDO transfer ended half way", "Client or node gave up without an abort.",
+            ("Try it again.", "Try it without block transfer.", "Look for error frames at that time."),
+            "The object may hold an old or a half value.", "CiA 301, 7.2.4.3.4 to 7.2.4.3.16", "sdo",
+        ),
+        "not_applied": Kind(
+            33, "A setting was confirmed and not applied", "The node took the write, and keeps another value.",
+            ("Read it again.", "Write it in PRE-OPERATIONAL, PDO switched off (bit 31).", "Look in the manual which values it rounds or refuses."),
+            "The node works with another setting than its master believes.", "CiA 301, 7.5.2", "sdo",
+        ),
+        "host_trip": Kind(
+            25, "The host stopped the machine", "The host's own watch: any failed check leads to the safe state.",
+            ("Read the trip's text.", "Look the trip up in docs/runbook.md.", "coulombus plot: the signals before it."),
+            "The machine is in its safe state until it is started again.", "docs/safety.md, docs/runbook.md", "host",
+        ),
+    }
+)  # fmt: skip
+"""Each kind by its name, as in ``explain --json``."""

@@ -1,0 +1,167 @@
+"""What the bytes of a PDO mean: by SDO configuration seen, an EDS file, a rig, or CiA 402's default
+maps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from coulombus.eds.description import Description, EdsError
+from coulombus.eds.pdo import COMMUNICATION, MAPPING, read_layout
+from coulombus.rigs.rig import Rig
+
+if TYPE_CHECKING:
+    from coulombus.explain.bus import Bus, Node
+
+__all__ = ["Field", "Map", "Objects", "maps_of", "maps_of_rig"]
+
+Objects: TypeAlias = dict[tuple[int, int], int]
+"""Values of a node's objects by (index, sub-index), as SDO transfers showed them."""
+
+PDOS = 8
+BASES = {"tpdo": 0x180, "rpdo": 0x200}
+DRIVE = 402
+DEFAULTS_402 = {
+    "rpdo": {1: (0x60400010,), 2: (0x60400010, 0x60600008), 3: (0x60400010, 0x607A0020), 4: (0x60400010, 0x60FF0020)},
+    "tpdo": {1: (0x60410010,), 2: (0x60410010, 0x60610008), 3: (0x60410010, 0x60640020), 4: (0x60410010, 0x606C0020)},
+}
+"""CiA 402-3's generic maps of the first PDOs, for a drive of whose maps nothing is seen."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """An object in a PDO."""
+
+    index: int
+    subindex: int
+    start: int
+    bits: int
+
+
+@dataclass(frozen=True)
+class Map:
+    """A PDO: whose, which, and what is in it.
+
+    `source` is "SDO seen in the log", "EDS", "rig" or "assumed"; `synchronous` is None where the
+    transmission type is not known; `event_ns` is 0 where no event timer is known.
+    """
+
+    can_id: int
+    node: int
+    direction: str
+    number: int
+    fields: tuple[Field, ...]
+    source: str
+    synchronous: bool | None = None
+    event_ns: int = 0
+
+    @property
+    def name(self) -> str:
+        """Its usual name, as TPDO1."""
+        return f"{self.direction.upper()}{self.number}"
+
+    @property
+    def length(self) -> int:
+        """Data bytes; 0 where nothing is known of its fields."""
+        return (sum(field.bits for field in self.fields) + 7) // 8
+
+    def find(self, low: int) -> Iterator[tuple[int, Field]]:
+        """Yield (axis from 0, field) of an object of CiA 402 by its distance from 6000h."""
+        for field in self.fields:
+            if 0x6000 <= field.index < 0xA000 and (field.index - 0x6000) % 0x800 == low:
+                yield (field.index - 0x6000) // 0x800, field
+
+
+def maps_of_rig(rig: Rig) -> dict[int, Map]:
+    """Return the maps that a rig gives, by identifier."""
+    maps = {}
+    numbers = {node.name: node.node_id for node in rig.nodes}
+    for pdo in rig.pdos():
+        layout = pdo.layout
+        fields = tuple(
+            Field(entry.index, entry.subindex, start, entry.bits)
+            for entry, start in zip(layout.entries, layout.starts, strict=True)
+        )
+        maps[layout.cob_id] = Map(
+            layout.cob_id,
+            numbers[pdo.node],
+            layout.direction,
+            layout.number,
+            fields,
+            "rig",
+            synchronous=layout.transmission <= 240,
+            event_ns=layout.event_ns if layout.direction == "tpdo" else 0,
+        )
+    return maps
+
+
+def maps_of(bus: Bus) -> dict[int, Map]:
+    """Return the maps of a bus by identifier: SDO configuration before EDS, before the rig, before
+    defaults.
+    """
+    maps: dict[int, Map] = dict(bus.fixed)
+    for node in bus.nodes.values():
+        for direction in ("rpdo", "tpdo"):
+            for number in range(1, PDOS + 1):
+                known = _map(node, bus.descriptions.get(node.number), direction, number)
+                if known is None:
+                    continue
+                if known.source != "assumed":
+                    for can_id in [c for c, m in maps.items() if _same(m, known) and c != known.can_id]:
+                        del maps[can_id]
+                if known.can_id > 0 and (known.source != "assumed" or known.can_id not in maps):
+                    maps[known.can_id] = known
+    return maps
+
+
+def _same(one: Map, other: Map) -> bool:
+    return (one.node, one.direction, one.number) == (other.node, other.direction, other.number)
+
+
+def _map(node: Node, description: Description | None, direction: str, number: int) -> Map | None:
+    communication, mapping = COMMUNICATION[direction] + number - 1, MAPPING[direction] + number - 1
+    objects = node.objects
+    cob_id = objects.get((communication, 1))
+    transmission = objects.get((communication, 2))
+    event = objects.get((communication, 5), 0) if direction == "tpdo" else 0
+    fields: tuple[Field, ...] = ()
+    source = "SDO seen in the log"
+    count = objects.get((mapping, 0))
+    words = [objects.get((mapping, sub)) for sub in range(1, (count or 0) + 1)] if (count or 0) <= 64 else []
+    seen = [word for word in words if word is not None]
+    if count and len(seen) == count:
+        fields = _fields(seen)
+    if not fields and description is not None:
+        source = "EDS"
+        try:
+            layout = read_layout(description, node.number, "rpdo" if direction == "rpdo" else "tpdo", number)
+        except (EdsError, KeyError):
+            layout = None
+        if layout is not None and description.has(communication):
+            fields = tuple(
+                Field(entry.index, entry.subindex, start, entry.bits)
+                for entry, start in zip(layout.entries, layout.starts, strict=True)
+            )
+            cob_id = (layout.cob_id if layout.cob_id >= 0 else 1 << 31) if cob_id is None else cob_id
+            transmission = layout.transmission if transmission is None else transmission
+            event = event or (layout.event_ns // 1_000_000 if direction == "tpdo" else 0)
+    if not fields and node.device_type & 0xFFFF == DRIVE and number in DEFAULTS_402[direction] and count is None:
+        fields, source = _fields(list(DEFAULTS_402[direction][number])), "assumed"
+    if not fields and cob_id is None:
+        return None
+    if cob_id is None:
+        cob_id = BASES[direction] + 0x100 * (number - 1) + node.number if number <= 4 else 1 << 31
+    can_id = -1 if cob_id & 1 << 31 else cob_id & 0x7FF
+    synchronous = None if transmission is None else transmission <= 240
+    return Map(can_id, node.number, direction, number, fields, source, synchronous, event * 1_000_000)
+
+
+def _fields(words: list[int]) -> tuple[Field, ...]:
+    fields, start = [], 0
+    for word in words:
+        bits = word & 0xFF
+        fields.append(Field(word >> 16 & 0xFFFF, word >> 8 & 0xFF, start, bits))
+        start += bits
+    return tuple(fields)

@@ -1,0 +1,51 @@
+"""Frames that go through Python one by one: NMT, EMCY, heartbeats, guarding and SDO."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from coulombus.explain.bus import HEARTBEAT, NMT, SDO_RX, SDO_TX, Bus
+from coulombus.explain.frames import REMOTE, Block
+from coulombus.explain.nodes import Nodes
+from coulombus.explain.sdo import Sdo
+
+__all__ = ["RareFrames"]
+
+
+class RareFrames:
+    """Gives these frames to `Nodes` and `Sdo` in their order on the bus."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus = bus
+        self.nodes, self.sdo = Nodes(bus), Sdo(bus)
+
+    def take(self, block: Block) -> None:
+        """Go through a block."""
+        for row, t_ns, key, word, length in block.of(*self._keys(block)):
+            if SDO_TX < key <= SDO_RX + 0x7F:
+                self.sdo.frame(row, t_ns, key, word, length)
+            else:
+                self.nodes.frame(block, row, t_ns, key, word, length)
+        self.nodes.seen(block)
+        if len(block.t_ns):
+            self.sdo.look(int(block.t_ns[-1]))
+
+    def look(self, t_ns: int) -> None:
+        """Note what is overdue at a time."""
+        self.nodes.look(t_ns)
+        self.sdo.look(t_ns)
+
+    def end(self, t_ns: int) -> None:
+        """Note what the whole log shows."""
+        self.sdo.end(t_ns)
+
+    def _keys(self, block: Block) -> Iterator[int]:
+        for key in block.groups:
+            bare = key & ~REMOTE
+            function, number = bare & 0x780, bare & 0x7F
+            if key == NMT or (number and function == HEARTBEAT):
+                yield key
+            elif number and key == bare and function in (SDO_TX, SDO_RX):
+                yield key
+            elif number and key == bare and function == 0x080 and key not in self.bus.maps:
+                yield key

@@ -1,0 +1,286 @@
+"""SDO: who was asked what, what was refused, left unanswered or not applied (CiA 301, 7.2.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from coulombus.eds.cia301 import Abort, abort_text
+from coulombus.eds.sdo_frames import where
+from coulombus.explain.bus import SDO_RX, SDO_TX, Bus
+from coulombus.wire.data_word import data_bytes
+
+__all__ = ["Sdo"]
+
+ANSWER_NS = 1_000_000_000
+"""An answer that has not come within this time is missing."""
+REPEATED_NS = 2_000_000
+IDLE_NS = 2_000_000_000
+SCAN = 8
+"""So many node ids without an answer are a scan."""
+SETTINGS = (range(0x1005, 0x1008), range(0x1012, 0x1018), range(0x1400, 0x1C00))
+OPTIONAL = (Abort.NO_OBJECT, Abort.NO_SUBINDEX, Abort.WRITE_ONLY)
+REQUEST_WORDS = {1: "write", 2: "read", 5: "read", 6: "write"}
+
+
+@dataclass
+class _Request:
+    t_ns: int
+    row: int
+    data: bytes
+    command: int
+    index: int
+    subindex: int
+    value: int | None
+
+    @property
+    def writes(self) -> bool:
+        return self.command in (1, 6)
+
+
+@dataclass
+class _Server:
+    """One node's SDO server, as its channel shows it."""
+
+    request: _Request | None = None
+    running: _Request | None = None  # a segmented or block transfer under way
+    block: bool = False
+    closing: bool = False  # the block transfer's end was sent
+    last_ns: int = 0
+    answer: bytes = b""
+    answer_ns: int = -1
+    written: dict[tuple[int, int], int] = field(default_factory=dict)
+    unanswered: list[_Request] = field(default_factory=list)
+
+
+class Sdo:
+    """Watches the default SDO channel of every node."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.clues = bus, bus.clues
+        self._servers: dict[int, _Server] = {}
+
+    def frame(self, row: int, t_ns: int, key: int, word: int, length: int) -> None:
+        """Go through a request or an answer."""
+        if length != 8:
+            return
+        number = key & 0x7F
+        server = self._servers.setdefault(number, _Server())
+        data = data_bytes(word, 8)
+        if key >= SDO_RX:
+            self._request(row, t_ns, number, server, data)
+        else:
+            self.bus.node(number, t_ns)
+            self._answer(row, t_ns, number, server, data)
+        server.last_ns = t_ns
+
+    def look(self, t_ns: int) -> None:
+        """Note answers that are overdue at a time."""
+        for number, server in self._servers.items():
+            request = server.request
+            if request is not None and t_ns - request.t_ns > ANSWER_NS:
+                self._silent(number, server, request)
+                server.request = None
+            if server.running is not None and t_ns - server.last_ns > IDLE_NS:
+                self._unfinished(number, server, server.last_ns)
+
+    def end(self, t_ns: int) -> None:
+        """Say which nodes never were there."""
+        absent = [number for number, server in self._servers.items() if number not in self.bus.nodes]
+        for number in absent if len(absent) < SCAN else ():
+            requests = self._servers[number].unanswered or [r for r in [self._servers[number].request] if r]
+            if requests:
+                text = f"{len(requests)} SDO requests to it, and no frame of it in the log"
+                self.clues.begin("node_missing", number, requests[0].t_ns, text, row=requests[0].row)
+
+    def _request(self, row: int, t_ns: int, number: int, server: _Server, data: bytes) -> None:
+        command = data[0] >> 5
+        if data[0] == 0x80:
+            self._abort(row, t_ns, number, server, data, "the client")
+            return
+        if server.block:
+            if data[0] & 0xE3 == 0xC1 or data[0] == 0xA1:
+                server.closing = data[0] & 0xE3 == 0xC1
+                if data[0] == 0xA1:
+                    server.running, server.block = None, False
+            return
+        if server.running is not None and command in (0, 3):
+            server.request = None
+            return  # a segment
+        if command not in REQUEST_WORDS or (command == 5 and data[0] & 3 != 0):
+            return
+        index, subindex = int.from_bytes(data[1:3], "little"), data[3]
+        size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
+        value = int.from_bytes(data[4 : 4 + size], "little") if command == 1 and data[0] & 2 else None
+        request = _Request(t_ns, row, data, command, index, subindex, value)
+        before = server.request
+        if before is not None:
+            if before.data == data and t_ns - before.t_ns < REPEATED_NS:
+                return
+            self._silent(number, server, before)
+        if server.running is not None:
+            self._unfinished(number, server, t_ns)
+        server.request = request
+
+    def _answer(self, row: int, t_ns: int, number: int, server: _Server, data: bytes) -> None:
+        self.bus.canopen += 1
+        if data[0] == 0x80:
+            self._abort(row, t_ns, number, server, data, "the node")
+            return
+        if server.block:
+            if data[0] == 0xA1 and server.closing:
+                server.running, server.block = None, False
+            elif data[0] & 0xE3 == 0xC1 and server.running is not None and not server.running.writes:
+                server.closing = True
+            return
+        request, command = server.request, data[0] >> 5
+        if request is None:
+            if server.running is not None and command in (0, 1):
+                if (command == 0 and data[0] & 1) or (command == 1 and server.closing):
+                    self._done(t_ns, number, server.running)
+                    server.running = None
+                return
+            self._second_answer(row, t_ns, number, server, data)
+            return
+        if (int.from_bytes(data[1:3], "little"), data[3]) != (request.index, request.subindex):
+            return
+        server.request, server.answer, server.answer_ns = None, data, t_ns
+        self.clues.end_all("sdo_timeout", number, t_ns, "it answers again")
+        if command in (5, 6):  # block transfer
+            server.running, server.block, server.closing = request, True, False
+        elif command == 2 and not data[0] & 2:
+            server.running, server.closing = request, False
+        elif request.command == 1 and request.value is None:
+            server.running, server.closing = request, True
+        else:
+            value = request.value
+            if command == 2:
+                size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
+                value = int.from_bytes(data[4 : 4 + size], "little")
+            self._value(row, t_ns, number, server, request, value)
+            self._done(t_ns, number, request)
+
+    def _done(self, t_ns: int, number: int, request: _Request) -> None:
+        subject = (request.index, request.subindex)
+        for kind in ("sdo_abort", "sdo_refused_read", "sdo_incomplete"):
+            self.clues.end(kind, number, t_ns, "a later transfer of it succeeded", subject=subject)
+
+    def _value(
+        self, row: int, t_ns: int, number: int, server: _Server, request: _Request, value: int | None
+    ) -> None:
+        if value is None:
+            return
+        at = (request.index, request.subindex)
+        node = self.bus.node(number, t_ns)
+        if request.writes:
+            server.written[at] = value
+        elif any(request.index in some for some in SETTINGS) and at in server.written and node.booted_ns < t_ns:
+            was = server.written[at]
+            if value & ~(1 << 30) != was & ~(1 << 30) and node.objects.get(at) == was:
+                text = f"{where(*at)} was written with {_number(was)} and confirmed; read back it is {_number(value)}"
+                self.clues.begin("not_applied", number, t_ns, text, row=row, subject=at)
+            else:
+                self.clues.end("not_applied", number, t_ns, "it reads as written", subject=at)
+        if at == (0x1000, 0):
+            node.device_type = value
+        if at[0] == 0x1016 and request.writes and at[1]:
+            self.bus.host = value >> 16 & 0x7F or self.bus.host
+        if 0x6000 <= at[0] < 0xA000 or at[0] == 0x603F:
+            self.bus.words.append((row, t_ns, number, at[0], value))
+            self._mode(row, t_ns, number, server, at, value, request.writes)
+        if node.objects.get(at) != value:
+            node.objects[at] = value
+            self.bus.stale = True
+
+    def _mode(
+        self, row: int, t_ns: int, number: int, server: _Server, at: tuple[int, int], value: int, writes: bool
+    ) -> None:
+        """Hold the mode that a drive shows (6061h) against the one that was written (6060h)."""
+        if (at[0] - 0x6000) % 0x800 != 0x61 or writes:
+            return
+        wish = server.written.get((at[0] - 1, 0))
+        if wish is None:
+            return
+        if wish == value:
+            self.clues.end("mode_refused", number, t_ns, "it shows the mode", subject=at[0])
+        else:
+            text = f"mode of operation {wish} was written, {where(*at)} shows {value}"
+            self.clues.begin("mode_refused", number, t_ns, text, row=row, subject=at[0])
+
+    def _second_answer(self, row: int, t_ns: int, number: int, server: _Server, data: bytes) -> None:
+        if server.answer_ns < 0 or t_ns - server.answer_ns > 50_000_000:
+            return
+        if data == server.answer:
+            if t_ns - server.answer_ns < REPEATED_NS:
+                self.clues.note("repeated", number, t_ns, "an SDO answer came twice", row=row)
+        elif data[1:4] == server.answer[1:4]:
+            text = f"two answers that differ to one request of {self._object(number, server.answer)}"
+            self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="sdo")
+
+    def _abort(self, row: int, t_ns: int, number: int, server: _Server, data: bytes, by: str) -> None:
+        code = int.from_bytes(data[4:8], "little")
+        request = server.request or server.running
+        server.request = server.running = None
+        server.block = False
+        at = (int.from_bytes(data[1:3], "little"), data[3])
+        if code == Abort.TIMEOUT:
+            if request is not None:
+                server.unanswered.append(request)
+            text = f"{self._object(number, request.data if request else data)}: {by} gave up waiting"
+            self.clues.begin("sdo_timeout", number, request.t_ns if request else t_ns, text, row=row)
+            return
+        writes = request is not None and request.writes
+        if by == "the node":
+            self.clues.end_all("sdo_timeout", number, t_ns, "it answers again")
+        kind = "sdo_refused_read" if not writes and code in OPTIONAL else "sdo_abort"
+        verb = "write" if writes else "read"
+        value = f" of {_number(request.value)}" if request is not None and request.value is not None else ""
+        text = f"{by} refused the {verb}{value} of {self._object(number, data)}: {abort_text(code)}"
+        if kind == "sdo_abort" and writes:
+            self.clues.begin(kind, number, t_ns, text, row=row, subject=at)
+        else:
+            self.clues.note(kind, number, t_ns, text, row=row, subject=at if writes else None)
+
+    def _silent(self, number: int, server: _Server, request: _Request) -> None:
+        server.unanswered.append(request)
+        if number in self.bus.nodes:
+            text = f"no answer to the {REQUEST_WORDS[request.command]} of {self._object(number, request.data)}"
+            self.clues.begin("sdo_timeout", number, request.t_ns, text, row=request.row)
+
+    def _unfinished(self, number: int, server: _Server, t_ns: int) -> None:
+        running = server.running
+        assert running is not None
+        how = "block" if server.block else "segmented"
+        text = f"the {how} transfer of {self._object(number, running.data)} ends half way"
+        subject = (running.index, running.subindex)
+        self.clues.begin("sdo_incomplete", number, t_ns, text, row=running.row, subject=subject)
+        server.running, server.block = None, False
+
+    def _object(self, number: int, data: bytes) -> str:
+        index, subindex = int.from_bytes(data[1:3], "little"), data[3]
+        description = self.bus.descriptions.get(number)
+        name = ""
+        if description is not None and description.has(index, subindex):
+            name = f" ({description.variable(index, subindex).name})"
+        elif index in NAMES:
+            name = f" ({NAMES[index]})"
+        return where(index, subindex) + name
+
+
+NAMES = {
+    0x1000: "device type", 0x1001: "error register", 0x1003: "error history", 0x1005: "COB-ID SYNC",
+    0x1006: "communication cycle period", 0x1010: "store parameters", 0x1011: "restore parameters",
+    0x1014: "COB-ID EMCY", 0x1016: "consumer heartbeat time", 0x1017: "producer heartbeat time",
+    0x1018: "identity", 0x1029: "error behaviour", 0x603F: "error code", 0x6040: "controlword",
+    0x6041: "statusword", 0x6060: "modes of operation", 0x6061: "modes of operation display",
+    0x6064: "position actual value", 0x6071: "target torque", 0x6072: "max torque", 0x607A: "target position",
+    0x60FF: "target velocity", 0x6502: "supported drive modes",
+    **{index: f"RPDO{index - 0x13FF} parameters" for index in range(0x1400, 0x1408)},
+    **{index: f"RPDO{index - 0x15FF} map" for index in range(0x1600, 0x1608)},
+    **{index: f"TPDO{index - 0x17FF} parameters" for index in range(0x1800, 0x1808)},
+    **{index: f"TPDO{index - 0x19FF} map" for index in range(0x1A00, 0x1A08)},
+}  # fmt: skip
+"""Objects of CiA 301 and 402 by name, for nodes without an EDS file."""
+
+
+def _number(value: int | None) -> str:
+    return "?" if value is None else f"{value} ({value:X}h)" if value > 9 else str(value)

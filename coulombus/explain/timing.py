@@ -1,0 +1,389 @@
+"""When frames come: SYNC, PDOs after SYNC, PDOs by their own period, frames in excess."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coulombus.explain.bus import EMCY, NMT, SDO_TX, Bus
+from coulombus.explain.frames import Block, Frames, Integers
+from coulombus.explain.pdo_maps import Map
+
+__all__ = ["Timing"]
+
+MS = 1_000_000
+SYNC = 0x080
+LEARN = 20
+"""Intervals of which a period is learned."""
+ACTIVE = 3
+"""SYNC intervals in a row with a PDO, after which its absence is noted."""
+BABBLE_NS, BABBLE = 300_000, 200
+"""So many frames of an identifier, each within this time of the one before, are babble."""
+SILENT = 10
+"""Periods of SYNC without any frame that are a silent bus; at least 20 ms."""
+MORE = 6
+"""SYNC intervals with two of a PDO within a block, from which on there is a second sender."""
+PDO_KEYS = range(0x180, 0x580)
+
+
+@dataclass
+class _Pdo:
+    """What is carried over from block to block of one PDO."""
+
+    streak: int = 0  # SYNC intervals in a row with a frame
+    regular: bool = False
+    missing_ns: int = -1  # since when it is missing
+    missing: int = 0
+    last_ns: int = -1
+    last_word: int = 0
+    last_row: int = -1
+    latency_ns: float = -1.0
+    period_ns: int = 0
+    gaps: list[int] = field(default_factory=list)
+    doubled: int = 0
+    outdone: int = 0  # SYNC intervals in which another frame came first: of a one-to-one PDO
+
+
+class Timing:
+    """Watches periods; PDOs count within the intervals that SYNC makes."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.clues = bus, bus.clues
+        self.period_ns = 0
+        self._sync = np.zeros(0, np.int64)  # the last one of the block before
+        self._gaps: list[int] = []
+        self._pdos: dict[int, _Pdo] = {}
+        self._extra = 0
+        self._last_ns = -1
+        self._rapid: dict[int, int] = {}
+        self._last_of: dict[int, int] = {}
+        self.jitter_ns = 0.0
+        self.sync_row = -1
+        self.host_ns = -1
+
+    def take(self, block: Block) -> None:
+        """Go through a block."""
+        if len(block.t_ns) == 0:
+            return
+        sync = block.groups.get(SYNC)
+        edges = np.zeros(0, np.int64)
+        if sync is not None:
+            self._learn(sync)
+        silences = self._silences(block)
+        if sync is not None:
+            self._sync_gaps(sync, silences)
+            self._sync = sync.t_ns[-1:]
+            edges = sync.t_ns if block.last else np.concatenate((sync.t_ns, self._sync + self.period_ns))
+            self.sync_row = int(sync.rows[-1])
+        for key, group in block.groups.items():
+            self._babble(key, group)
+            known = self.bus.maps.get(key)
+            if known is None and key not in PDO_KEYS:
+                continue
+            pdo = self._pdos.setdefault(key, _Pdo())
+            self._repeated(key, group, pdo, known)
+            if len(edges) > 1 and self.period_ns:
+                self._in_intervals(key, group, pdo, known, edges)
+        if len(edges) > 1 and self.period_ns:
+            for key, pdo in self._pdos.items():
+                if key not in block.groups and pdo.regular:
+                    empty = Frames(*(np.zeros(0, np.int64) for _ in range(4)))
+                    self._in_intervals(key, empty, pdo, self.bus.maps.get(key), edges)
+        for key, group in block.groups.items():
+            if key in self._pdos:
+                pdo = self._pdos[key]
+                self._own_period(key, group, pdo, self.bus.maps.get(key))
+                pdo.last_ns, pdo.last_word = int(group.t_ns[-1]), int(group.word[-1])
+                pdo.last_row = int(group.rows[-1])
+        self._last_ns = int(block.t_ns[-1])
+
+    def look(self, t_ns: int) -> None:
+        """Note what is overdue at a time."""
+        if self.period_ns and len(self._sync) and not self.clues.stands("sync_lost", None):
+            last = int(self._sync[-1])
+            if t_ns - last > max(SILENT * self.period_ns, 20 * MS) and not self._stopped(last):
+                self.clues.begin("sync_lost", None, last, "SYNC stops, and nobody had stopped the nodes", row=self.sync_row)
+        for key, pdo in self._pdos.items():
+            known = self.bus.maps.get(key)
+            if pdo.regular or not pdo.period_ns or pdo.last_ns < 0:
+                continue
+            if t_ns - pdo.last_ns > 5 * pdo.period_ns:
+                self._gap(key, pdo, known, pdo.last_ns, None)
+
+    # SYNC
+
+    def _learn(self, sync: Frames) -> None:
+        if self.period_ns:
+            return
+        self._gaps += np.diff(sync.t_ns[: 4 * LEARN]).tolist()
+        if len(self._gaps) >= LEARN:
+            self.period_ns = int(np.median(self._gaps))
+
+    def _sync_gaps(self, sync: Frames, silences: list[tuple[int, int]]) -> None:
+        stamps = np.concatenate((self._sync, sync.t_ns))
+        if not self.period_ns or len(stamps) < 2:
+            return
+        gaps = np.diff(stamps)
+        near = gaps[(gaps > 0.5 * self.period_ns) & (gaps < 1.5 * self.period_ns)]
+        if len(near):
+            self.jitter_ns = max(self.jitter_ns, float(np.abs(near - self.period_ns).max()))
+        if self.clues.stands("sync_lost", None):
+            self.clues.end("sync_lost", None, int(sync.t_ns[0]), "SYNC comes again")
+        first = len(stamps) - len(sync)
+        for i in np.flatnonzero(gaps > 1.5 * self.period_ns).tolist():
+            begin, end = int(stamps[i]), int(stamps[i + 1])
+            row = int(sync.rows[i + 1 - first])
+            if self._stopped(begin) or any(a < end and b > begin for a, b in silences):
+                continue
+            if self.bus.ordered(0, begin, end) is not None:
+                continue
+            count = round((end - begin) / self.period_ns) - 1
+            text = f"no SYNC for {(end - begin) / MS:.2f} ms; its period is {self.period_ns / MS:g} ms"
+            if end - begin > max(SILENT * self.period_ns, 20 * MS):
+                self.clues.begin("sync_lost", None, begin, text, row=row)
+                self.clues.end("sync_lost", None, end, "SYNC comes again")
+            else:
+                self.clues.note("sync_gap", None, begin, text, row=row, count=max(count, 1))
+        close = np.flatnonzero(gaps < 0.5 * self.period_ns)
+        odd = len(close) / len(gaps)
+        if len(close) >= 5 and odd > 0.1:
+            row, at = int(sync.rows[close[0] + 1 - first]), int(stamps[close[0] + 1])
+            text = f"SYNC comes more than once within its period of {self.period_ns / MS:g} ms: two nodes produce it"
+            self.clues.begin("two_sync", None, at, text, row=row)
+        elif len(close):
+            row, at = int(sync.rows[close[0] + 1 - first]), int(stamps[close[0] + 1])
+            self.clues.note("repeated", None, at, "a SYNC came twice", row=row, count=len(close), subject="sync")
+
+    def _stopped(self, begin: int) -> bool:
+        """Tell whether orders explain that cyclic frames stop after `begin`."""
+        soon = begin + max(5 * self.period_ns, 20 * MS)
+        nodes = [node.number for node in self.bus.nodes.values() if node.number != self.bus.host]
+        running = [number for number in nodes if not self.bus.left_on_order(number, soon)]
+        started = any(order.command == 1 for order in self.bus.orders)
+        at_work = [number for number in running if started or self.bus.nodes[number].state == 5]
+        return bool(nodes) and not at_work
+
+    def _silences(self, block: Block) -> list[tuple[int, int]]:
+        """Note when nothing at all came while SYNC should have; return these times."""
+        if not self.period_ns:
+            return []
+        stamps = block.t_ns if self._last_ns < 0 else np.concatenate(([self._last_ns], block.t_ns))
+        gaps = np.diff(stamps)
+        limit = max(SILENT * self.period_ns, 20 * MS)
+        silences = []
+        for i in np.flatnonzero(gaps > limit).tolist():
+            begin, end = int(stamps[i]), int(stamps[i + 1])
+            last = int(self._sync[-1]) if len(self._sync) else -1
+            sync = block.groups.get(SYNC)
+            if sync is not None and int(sync.t_ns[0]) <= begin:
+                last = int(sync.t_ns[sync.t_ns.searchsorted(begin, "right") - 1])
+            if last < 0 or begin - last > 2 * self.period_ns or self._stopped(begin):
+                continue
+            text = f"no frame of anybody for {(end - begin) / MS:.1f} ms"
+            self.clues.begin("bus_silent", None, begin, text, row=block.first_row + max(i - (self._last_ns >= 0), 0))
+            self.clues.end("bus_silent", None, end, "frames come again")
+            silences.append((begin, end))
+        return silences
+
+    # PDOs
+
+    def _whose(self, key: int, known: Map | None) -> tuple[int | None, str, bool]:
+        """Return node, name and whether the node sends it."""
+        if known is not None:
+            return known.node, known.name, known.direction == "tpdo"
+        number = key & 0x7F
+        sends = bool(key & 0x080)
+        return number or None, f"PDO {key:03X}h", sends
+
+    def _in_intervals(self, key: int, group: Frames, pdo: _Pdo, known: Map | None, sync: Integers) -> None:
+        """Count a PDO's frames in each SYNC interval that is complete."""
+        if known is not None and known.synchronous is False:
+            return
+        place = np.searchsorted(sync, group.t_ns, "right") - 1
+        intervals = len(sync) - 1
+        complete = (place >= 0) & (place < intervals)
+        counts = np.bincount(place[complete], minlength=intervals)
+        node, name, sends = self._whose(key, known)
+        if pdo.regular and counts.min(initial=1) == 1 == counts.max(initial=1):
+            pdo.streak += intervals
+            pdo.doubled = 0
+            if pdo.missing_ns >= 0:
+                self._again(pdo, node, name, sends, int(sync[0]))
+        else:
+            self._walk(counts, sync, pdo, node, name, sends, group, key)
+        self._latency(group, place, complete, sync, pdo, node, name, sends, counts)
+
+    def _walk(
+        self, counts: Integers, sync: Integers, pdo: _Pdo, node: int | None, name: str, sends: bool, group: Frames, key: int
+    ) -> None:
+        doubled = np.flatnonzero(counts > 1)
+        if pdo.regular or (counts == 1).mean() > 0.5:
+            self._doubled(doubled, counts, sync, pdo, node, name, sends, group)
+        at = 0
+        for empty, start, end in _runs(counts):
+            if not empty:
+                if pdo.missing_ns >= 0:
+                    self._again(pdo, node, name, sends, int(sync[start]))
+                pdo.streak += end - start
+                if pdo.streak >= max(ACTIVE, LEARN if node not in self.bus.nodes else ACTIVE) and not pdo.regular:
+                    share = (counts[at:end] == 1).mean()
+                    pdo.regular = bool(share > 0.9 and pdo.streak >= ACTIVE)
+                continue
+            late = end - start == 1 and end < len(counts) and counts[end] > 1
+            if pdo.regular and not late and pdo.missing_ns < 0:
+                begin, until = int(sync[start]), int(sync[end])
+                if self._excused(node, begin, until, sends):
+                    pdo.regular, pdo.streak, at = False, 0, end
+                    continue
+                self._missing(pdo, node, name, sends, begin, end - start, key)
+            elif pdo.missing_ns >= 0:
+                if self._excused(node, int(sync[start]), int(sync[end]), sends):
+                    pdo.regular = False  # it stands until it is started again, and comes
+                pdo.missing += end - start
+            if pdo.streak and not pdo.regular:
+                at = end
+            pdo.streak = 0
+
+    def _excused(self, node: int | None, begin: int, end: int, sends: bool) -> bool:
+        """Tell whether an order explains that a PDO stops."""
+        if node is None:
+            return True
+        around = 3 * self.period_ns
+        if self.bus.ordered(node, begin - around, end + around, 0, 4, 127) is not None:
+            return True
+        return self.bus.left_on_order(node, begin)
+
+    def _missing(
+        self, pdo: _Pdo, node: int | None, name: str, sends: bool, begin: int, number: int, key: int
+    ) -> None:
+        pdo.missing_ns, pdo.missing = begin, number
+        kind = "tpdo_missing" if sends else "rpdo_missing"
+        text = f"no {name} after SYNC" if sends else f"no {name}: set-points do not come"
+        self.clues.begin(kind, node, begin, text, row=pdo.last_row, subject=name)
+
+    def _again(self, pdo: _Pdo, node: int | None, name: str, sends: bool, t_ns: int) -> None:
+        kind = "tpdo_missing" if sends else "rpdo_missing"
+        self.clues.end(kind, node, t_ns, f"{name} comes again, {max(pdo.missing, 1)} were missing", subject=name)
+        pdo.missing_ns, pdo.missing = -1, 0
+
+    def _doubled(
+        self, doubled: Integers, counts: Integers, sync: Integers, pdo: _Pdo, node: int | None, name: str, sends: bool, group: Frames
+    ) -> None:
+        """Note intervals in which a PDO came more than once, with contents that differ."""
+        differing = 0
+        for i in doubled[:200].tolist():
+            start, end = group.t_ns.searchsorted((sync[i], sync[i + 1]))
+            before = counts[i - 1] if i else 1
+            if len(set(group.word[start:end].tolist())) > 1 and before != 0:
+                differing += 1
+                row, at = int(group.rows[end - 1]), int(group.t_ns[end - 1])
+        if differing <= 2 * int((counts == 0).sum()):
+            differing = 0  # they are late ones
+        pdo.doubled = pdo.doubled + differing if differing else max(pdo.doubled - len(counts), 0)
+        if pdo.doubled >= MORE and differing:
+            kind = "duplicate_node" if sends else "second_master"
+            what = "two devices have its node id" if sends else "two masters command it"
+            text = f"{name} comes twice within a SYNC period, with contents that differ: {what}"
+            self.clues.begin(kind, node, at, text, row=row, subject=name)
+
+    def _latency(
+        self, group: Frames, place: Integers, complete: np.ndarray, sync: Integers, pdo: _Pdo, node: int | None,
+        name: str, sends: bool, counts: Integers,
+    ) -> None:  # fmt: skip
+        """Note PDOs that come much later after SYNC than usually."""
+        if not pdo.regular or not complete.any():
+            return
+        latency = (group.t_ns[complete] - sync[place[complete]]).astype(float)
+        usual = pdo.latency_ns
+        if usual < 0:
+            if len(latency) >= LEARN:
+                pdo.latency_ns = float(np.median(latency))
+            return
+        late = np.flatnonzero((latency > usual + 0.3 * self.period_ns) & (counts[place[complete]] == 1))
+        early = np.flatnonzero((latency < usual - 0.3 * self.period_ns) & (counts[place[complete]] == 1))
+        worst = late if len(late) >= len(early) else early
+        if len(worst) >= 5:
+            i = int(np.flatnonzero(complete)[worst[0]])
+            how = "late" if worst is late else "after the next SYNC"
+            text = f"{name} comes {how}: {latency[worst].mean() / MS:.2f} ms after SYNC, usually {usual / MS:.2f} ms"
+            kind = "tpdo_late" if sends else "rpdo_late"
+            clue = self.clues.note(kind, node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=name, count=len(worst))
+            clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(complete)[worst[-1]]])
+
+    def _own_period(self, key: int, group: Frames, pdo: _Pdo, known: Map | None) -> None:
+        """Learn the period of a PDO that does not follow SYNC, and note its gaps."""
+        if pdo.regular or (known is not None and known.synchronous):
+            return
+        stamps = group.t_ns if pdo.last_ns < 0 else np.concatenate(([pdo.last_ns], group.t_ns))
+        gaps = np.diff(stamps)
+        if not pdo.period_ns:
+            pdo.gaps += gaps[: 3 * LEARN].tolist()
+            if len(pdo.gaps) >= 2 * LEARN:
+                median = float(np.median(pdo.gaps))
+                steady = np.percentile(pdo.gaps, 95) < 1.5 * median and min(pdo.gaps) > 0.5 * median
+                pdo.period_ns = int(median) if steady else 0
+                pdo.gaps = [] if steady else pdo.gaps[-LEARN:]
+            return
+        for i in np.flatnonzero(gaps > 5 * pdo.period_ns).tolist():
+            self._gap(key, pdo, known, int(stamps[i]), int(stamps[i + 1]))
+        if self.clues.stands("pdo_stopped", self._whose(key, known)[0], key):
+            self.clues.end("pdo_stopped", self._whose(key, known)[0], int(group.t_ns[0]), "it comes again", subject=key)
+
+    def _gap(self, key: int, pdo: _Pdo, known: Map | None, begin: int, end: int | None) -> None:
+        node, name, sends = self._whose(key, known)
+        until = self._last_ns if end is None else end
+        if node is None or self._excused(node, begin - 20 * MS, until, sends) or self.clues.stands("pdo_stopped", node, key):
+            return
+        text = f"{name} stops, it came every {pdo.period_ns / MS:.3g} ms"
+        self.clues.begin("pdo_stopped", node, begin, text, row=pdo.last_row, subject=key)
+        if end is not None:
+            self.clues.end("pdo_stopped", node, end, "it comes again", subject=key)
+
+    # frames in excess
+
+    def _babble(self, key: int, group: Frames) -> None:
+        if key > 0x7FF or SDO_TX <= key < 0x680 or len(group) < 2:
+            self._rapid.pop(key, None)
+            return
+        rapid = np.diff(group.t_ns) < BABBLE_NS
+        number = int(rapid.sum())
+        if number < 0.5 * len(rapid):
+            self._rapid.pop(key, None)
+            if number < BABBLE:
+                return
+        self._rapid[key] = self._rapid.get(key, 0) + number
+        if self._rapid[key] >= BABBLE:
+            first = int(np.flatnonzero(rapid)[0])
+            node = self.bus.sender(key) if key not in (NMT, EMCY) else None
+            rate = 1e9 / float(np.median(np.diff(group.t_ns)[rapid]))
+            text = f"identifier {key:03X}h comes {rate:.0f} times a second"
+            clue = self.clues.note("babble", node, int(group.t_ns[first]), text, row=int(group.rows[first]), subject=key)
+            clue.count = self._rapid[key]
+            clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(rapid)[-1] + 1])
+
+    def _repeated(self, key: int, group: Frames, pdo: _Pdo, known: Map | None) -> None:
+        """Note frames that came twice at once, as CAN may deliver them."""
+        if len(group) < 2 or self._rapid.get(key):
+            return
+        gap = np.diff(group.t_ns)
+        limit = 0.25 * self.period_ns if self.period_ns else 200_000
+        same = (gap < limit) & (np.diff(group.word) == 0) & (np.diff(group.length) == 0)
+        if not same.any():
+            return
+        node, name, _ = self._whose(key, known)
+        first = int(np.flatnonzero(same)[0]) + 1
+        text = f"{name} came twice, the second one {gap[first - 1] / 1000:.0f} us behind the first"
+        self.clues.note(
+            "repeated", node, int(group.t_ns[first]), text, row=int(group.rows[first]), subject=key, count=int(same.sum())
+        )
+
+
+def _runs(counts: Integers) -> Iterator[tuple[bool, int, int]]:
+    """Yield (whether there is no frame, first interval, interval behind) of each run."""
+    empty = counts == 0
+    bounds = np.r_[0, np.flatnonzero(np.diff(empty.astype(np.int8))) + 1, len(counts)]
+    for start, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        if end > start:
+            yield bool(empty[start]), start, end
