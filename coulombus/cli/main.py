@@ -43,6 +43,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "conformance": "Test a CANopen device against its EDS and CiA 301, 305, 402",
     },
     "Use recordings": {
+        "explain": "Say what went wrong in a log or on a bus, and what to check",
         "decode": "Print a recording frame by frame, in SI units",
         "plot": "Draw a recording's signals",
         "diff": "Compare two recordings",

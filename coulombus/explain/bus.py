@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.eds.description import Description
+from coulombus.eds.eds_folder import fitting
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import Block
 from coulombus.explain.pdo_maps import Map, Objects, maps_of
 
-__all__ = ["Bus", "Node", "Order"]
+__all__ = ["Bus", "Node", "Order", "product"]
 
 TARGET = {
     NmtCommand.START: NmtState.OPERATIONAL,
@@ -66,11 +68,18 @@ class Bus:
         PDO maps that a rig gives, by identifier.
     names
         Of nodes, where a rig or an EDS file names them.
+    candidates
+        EDS files of which a node takes the one that fits its identity (1018h).
     """
 
     def __init__(
-        self, descriptions: dict[int, Description], fixed: dict[int, Map], names: dict[int, str]
+        self,
+        descriptions: dict[int, Description],
+        fixed: dict[int, Map],
+        names: dict[int, str],
+        candidates: tuple[Description, ...] = (),
     ) -> None:
+        self.candidates = candidates
         self.clues = Clues()
         self.nodes: dict[int, Node] = {}
         self.orders: list[Order] = []
@@ -160,4 +169,16 @@ class Bus:
         """Make the PDO maps anew, of all that is known by now."""
         if self.stale:
             self.stale = False
+            for node in self.nodes.values():
+                identity = node.objects.get((0x1018, 1), 0), node.objects.get((0x1018, 2), 0)
+                if node.number not in self.descriptions and any(identity):
+                    description = fitting(self.candidates, identity, node.objects.get((0x1018, 3), 0))
+                    if description is not None:
+                        self.descriptions[node.number] = description
+                        self.names.setdefault(node.number, product(description))
             self.maps = maps_of(self)
+
+
+def product(description: Description) -> str:
+    """Return what an EDS file calls its device."""
+    return description.info.get("ProductName", "") or Path(description.path).stem

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.eds.description import Description
-from coulombus.explain.bus import Bus
+from coulombus.explain.bus import Bus, product
 from coulombus.explain.drive import Drives
+from coulombus.explain.eds_files import EdsFiles
 from coulombus.explain.errors import Errors
 from coulombus.explain.frames import EXTENDED, Block, Pieces
 from coulombus.explain.host import HostMarkers
@@ -72,8 +72,8 @@ class Explainer:
     ----------
     rig
         Gives names and PDO maps; None: what the log shows.
-    descriptions
-        EDS files by node id.
+    eds
+        EDS files of nodes, or of which each node takes the one that fits.
     span
         Begin and end [s] of what is looked at, None: open.
     """
@@ -81,15 +81,16 @@ class Explainer:
     def __init__(
         self,
         rig: Rig | None = None,
-        descriptions: dict[int, Description] | None = None,
+        eds: EdsFiles | None = None,
         span: tuple[float | None, float | None] = (None, None),
     ) -> None:
-        given = dict(descriptions or {})
-        names = {node: _file_name(description) for node, description in given.items()}
+        given = dict(eds.of_nodes) if eds is not None else {}
+        names = {node: product(description) for node, description in given.items()}
         if rig is not None:
             given = {node.node_id: node.description for node in rig.nodes} | given
             names = {node.node_id: node.name for node in rig.nodes} | names
-        self.bus = Bus(given, maps_of_rig(rig) if rig is not None else {}, names)
+        self.bus = Bus(given, maps_of_rig(rig) if rig is not None else {}, names, eds.candidates if eds is not None else ())
+        self.bus.host = rig.host.node_id if rig is not None else -1
         self._rare = RareFrames(self.bus)
         self._timing, self._drives = Timing(self.bus), Drives(self.bus)
         self._others = (Errors(self.bus), HostMarkers(self.bus), self._timing, Lengths(self.bus), self._drives)
@@ -105,11 +106,16 @@ class Explainer:
         for block in self._pieces.take(*self._inside(frames, remarks)):
             self._block(block)
 
+    def look(self) -> None:
+        """Look at what is overdue."""
+        t_ns = max(self.bus.last_ns, self._pieces.last_ns)
+        for observer in (self._rare, self._timing, self._drives):
+            observer.look(t_ns)
+
     def end(self) -> None:
         """Go through what is left, and look once more at what is overdue."""
         self._block(self._pieces.end())
-        for observer in (self._rare, self._timing, self._drives):
-            observer.look(self.bus.last_ns)
+        self.look()
         self._rare.end(self.bus.last_ns)
 
     def explanation(self, remarks: Iterable[str] = ()) -> Explanation:
@@ -185,15 +191,11 @@ class Explainer:
         return remarks
 
 
-def _file_name(description: Description) -> str:
-    return description.info.get("ProductName", "") or Path(description.path).stem
-
-
 def explain(
     path: str | os.PathLike[str],
     *,
     rig: Rig | None = None,
-    descriptions: dict[int, Description] | None = None,
+    eds: EdsFiles | None = None,
     span: tuple[float | None, float | None] = (None, None),
 ) -> Explanation:
     """Explain a recording or another tool's log.
@@ -204,8 +206,8 @@ def explain(
         What `coulombus.recording.reading.captures` reads.
     rig
         Gives names and PDO maps; None: what the log and EDS files show.
-    descriptions
-        EDS files by node id.
+    eds
+        EDS files of nodes, or of which each node takes the one that fits.
     span
         Begin and end [s], None: open.
 
@@ -218,10 +220,10 @@ def explain(
     explainer: Explainer | None = None
     for capture in captures(Path(path)):
         if explainer is None:
-            explainer = Explainer(rig or attached_rig(capture, warnings), descriptions, span)
+            explainer = Explainer(rig or attached_rig(capture, warnings), eds, span)
         explainer.take(capture.frames, capture.comments)
         warnings += capture.warnings
-    explainer = explainer or Explainer(rig, descriptions, span)
+    explainer = explainer or Explainer(rig, eds, span)
     explainer.end()
     return explainer.explanation(warnings)
 

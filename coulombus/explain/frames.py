@@ -19,7 +19,8 @@ Integers = npt.NDArray[np.int64]
 
 BLOCK = 1 << 16
 """Frames of a block, at most: 2.6 MB."""
-FAR = 8192
+FAR, FAR_NS = 8192, 1_000_000_000
+"""The last SYNC is not waited for if so many frames, or ns, came after it."""
 SYNC = 0x080
 REMOTE, EXTENDED, ERROR = 0x2000, 0x4000, 0x8000
 """Bits of a group's key beside the 11 bits of a base identifier."""
@@ -121,6 +122,11 @@ class Pieces:
             yield self._cut(whole[:cut])
         self._rest = whole[cut:]
 
+    @property
+    def last_ns(self) -> int:
+        """The stamp of the last frame that waits, -1 where none does."""
+        return int(self._rest["t_ns"][-1]) if len(self._rest) else -1
+
     def end(self) -> Block:
         """Return what is left."""
         return self._cut(self._rest, last=True)
@@ -136,4 +142,6 @@ class Pieces:
 def _before_sync(frames: Records) -> int:
     """Return how many frames stand before the last SYNC, all where it is far back."""
     places = np.flatnonzero(frames["can_id"][-FAR:] == SYNC)
-    return max(len(frames) - FAR, 0) + int(places[-1]) if len(places) else len(frames)
+    cut = max(len(frames) - FAR, 0) + int(places[-1]) if len(places) else len(frames)
+    far = cut == len(frames) or int(frames["t_ns"][-1]) - int(frames["t_ns"][cut]) > FAR_NS
+    return len(frames) if far else cut

@@ -1,0 +1,172 @@
+"""``coulombus explain``: what went wrong in a log or on a bus, why, and what to check first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.cli.bundle import bundle
+from coulombus.cli.common import force_option, json_option, load, printed, say
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
+from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.cli.tables import PROSE, echo, on_terminal
+
+if TYPE_CHECKING:
+    from coulombus.explain.eds_files import EdsFiles
+    from coulombus.explain.explained import Explanation
+    from coulombus.explain.incidents import Incident
+    from coulombus.rigs.rig import Rig
+
+__all__ = ["explain"]
+
+FAILED = 1
+
+
+def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
+    from coulombus.recording.span import parse_span
+
+    try:
+        return (None, None) if text is None else parse_span(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What explains the bytes, and which of them: the options' values."""
+
+    rig_name: str | None
+    eds: tuple[str, ...]
+    span: tuple[float | None, float | None]
+
+    def load(self) -> tuple[Rig | None, EdsFiles]:
+        """Load rig and EDS files; say which files of a folder cannot be read."""
+        from coulombus.explain.eds_files import eds_files
+
+        files = eds_files(self.eds)
+        remark(files.refused)
+        return (None if self.rig_name is None else load(self.rig_name, ())), files
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What is made of it."""
+
+    report: Path | None
+    overwrite: bool
+    as_json: bool
+    check: bool
+
+
+knowledge_options = bundle(
+    "knowledge",
+    Knowledge,
+    click.option("--rig", "rig_name", metavar="R", help="Names and PDO maps of this rig.  [default: the attached one]"),
+    click.option(
+        "--eds",
+        "eds",
+        multiple=True,
+        metavar="N=FILE",
+        help="EDS file of node N, as 5=drive.eds; or a folder of them. May be given several times.",
+    ),
+    click.option("--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]"),
+)
+output_options = bundle(
+    "outputs",
+    Outputs,
+    click.option("--report", type=OutputFile(".html", ".md"), metavar="F.html", help="Write a report, HTML or Markdown."),
+    force_option,
+    json_option,
+    click.option("--check", is_flag=True, help="End with 1 if anything is unresolved."),
+)
+
+
+@click.command(epilog=EXIT_STATUS)
+@click.argument("file", required=False, type=InputPath())
+@click.argument("number", required=False, type=click.IntRange(1), metavar="[N]")
+@click.option("--bus", "bus_name", metavar="B", help="A live bus instead of FILE: coulombus:NAME or socketcan:IF.")
+@click.option("--seconds", type=SECONDS, default=None, help="How long to listen to a bus.  [default: until Ctrl-C]")
+@knowledge_options
+@output_options
+def explain(
+    file: Path | None,
+    number: int | None,
+    bus_name: str | None,
+    seconds: float | None,
+    knowledge: Knowledge,
+    outputs: Outputs,
+) -> None:
+    """Say what went wrong on a CANopen bus, why, and what to check first.
+
+    Of a recording or another tool's log FILE, which needs no rig: PDO maps come from the SDO
+    configuration in it, from EDS files, or from CiA 402's defaults. With N, incident N in detail.
+    With --bus, of a live bus, to which nothing is sent.
+
+    \b
+    Examples:
+      coulombus explain candump.log
+      coulombus explain run.pcapng 1
+      coulombus explain candump.log --eds 5=drive.eds --report report.html
+      coulombus explain run.pcapng --check --json | jq .verdict
+      coulombus explain --bus socketcan:can0
+    """
+    with errors():
+        if (file is None) == (bus_name is None):
+            raise click.UsageError("give a FILE, or a bus with --bus")
+        if bus_name is not None and knowledge.span != (None, None):
+            raise click.UsageError("--span is of a FILE: leave it out, or give --seconds")
+        if bus_name is None and seconds is not None:
+            raise click.UsageError("--seconds is of a bus: leave it out, or give --span")
+        rig, files = knowledge.load()
+        if file is not None:
+            from coulombus.explain.explained import explain as explain_file
+
+            explanation = explain_file(file, rig=rig, eds=files, span=knowledge.span)
+            source = str(file)
+        else:
+            source = f"--bus {bus_name}"
+            explanation = _listen(str(bus_name), rig, files, seconds, outputs.as_json)
+        _show(explanation, source, number, outputs)
+        if outputs.check and explanation.verdict == "unresolved":
+            raise SystemExit(FAILED)
+
+
+def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | None, as_json: bool) -> Explanation:
+    """Listen to a bus, and say each incident on stderr as it comes."""
+    from coulombus.explain.live import explain_bus
+    from coulombus.explain.text import news
+    from coulombus.wire.address import parse_address
+
+    def tell(explanation: Explanation, incident: Incident) -> None:
+        if not as_json:
+            say(news(explanation, incident))
+
+    return explain_bus(parse_address(bus_name), tell, rig=rig, eds=files, seconds=seconds)
+
+
+def _show(explanation: Explanation, source: str, number: int | None, outputs: Outputs) -> None:
+    """Print the screen, the incident or the JSON object, and write the report."""
+    from coulombus.explain.text import as_dict, detail_lines, html_page, markdown, screen
+    from coulombus.recording.output_file import new_file
+
+    incidents = {incident.number: incident for incident in explanation.incidents}
+    if number is not None and number not in incidents:
+        has = f"it has {len(incidents)}" if incidents else "it has none"
+        raise click.BadParameter(f"{source} has no incident {number}: {has}", param_hint="N")
+    if outputs.report is not None:
+        page = html_page if outputs.report.suffix.lower() == ".html" else markdown
+        with new_file(outputs.report, force=outputs.overwrite) as path:
+            path.write_text(page(explanation, source), encoding="utf-8")
+    if outputs.as_json:
+        value: dict[str, Any] = as_dict(explanation)
+        if number is not None:
+            value["incidents"] = [row for row in value["incidents"] if row["number"] == number]
+        print_json(value)
+        return
+    lines = screen(explanation, source) if number is None else detail_lines(explanation, incidents[number], source)
+    with printed():
+        for line in lines:
+            echo(on_terminal(line, 3, piped=PROSE))

@@ -1,0 +1,48 @@
+"""EDS files for a log, as a user names them: ``5=drive.eds``, or a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from coulombus.eds.description import Description, EdsError
+from coulombus.eds.eds_folder import read_folder
+from coulombus.eds.reader import read_eds
+
+__all__ = ["EdsFiles", "eds_files"]
+
+
+@dataclass
+class EdsFiles:
+    """EDS files by node id, and those of which each node takes the one that fits its identity."""
+
+    of_nodes: dict[int, Description] = field(default_factory=dict)
+    candidates: tuple[Description, ...] = ()
+    refused: list[str] = field(default_factory=list)
+    """Why files of a folder cannot be read."""
+
+
+def eds_files(texts: Iterable[str]) -> EdsFiles:
+    """Return the files that ``NODE=FILE`` or ``FOLDER`` name.
+
+    Raises
+    ------
+    EdsError
+        A text is neither, or its file cannot be read.
+    """
+    files = EdsFiles()
+    for text in texts:
+        number, equals, name = text.partition("=")
+        if equals and number.strip().isdecimal():
+            node = int(number)
+            if not 1 <= node <= 127:
+                raise EdsError(f"--eds {text}: node id {node}; expected 1 to 127")
+            files.of_nodes[node] = read_eds(Path(name))
+        elif Path(text).is_dir():
+            descriptions, refused = read_folder(Path(text))
+            files.candidates += tuple(descriptions)
+            files.refused += [str(error) for error in refused]
+        else:
+            raise EdsError(f"--eds {text}: expected NODE=FILE, as in 5=drive.eds, or a folder of EDS files")
+    return files

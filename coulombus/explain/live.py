@@ -1,0 +1,88 @@
+"""A live bus explained: each incident when it is one, its state followed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from coulombus.explain.eds_files import EdsFiles
+from coulombus.explain.explained import Explainer, Explanation
+from coulombus.explain.incidents import Incident
+from coulombus.rigs.rig import Rig
+from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.address import BusAddress
+from coulombus.wire.client import Client
+from coulombus.wire.data_word import data_word
+from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.handshake import Flags, Hello
+
+__all__ = ["Followed", "explain_bus"]
+
+WAIT_S = 0.1
+LOOK_S = 0.5
+
+
+class Followed:
+    """Tells incidents that are new, or whose state changed."""
+
+    def __init__(self, tell: Callable[[Explanation, Incident], None]) -> None:
+        self._tell = tell
+        self._known: dict[tuple[str, int | None, int], str] = {}
+
+    def look(self, explanation: Explanation) -> None:
+        """Tell what changed."""
+        for incident in explanation.incidents:
+            first = incident.clues[0]
+            key = (first.kind, first.node, first.begin_ns)
+            if self._known.get(key) != incident.status:
+                self._known[key] = incident.status
+                self._tell(explanation, incident)
+
+
+def explain_bus(
+    address: BusAddress,
+    tell: Callable[[Explanation, Incident], None],
+    *,
+    rig: Rig | None = None,
+    eds: EdsFiles | None = None,
+    seconds: float | None = None,
+) -> Explanation:
+    """Listen to a bus, and tell each incident; nothing is sent.
+
+    Parameters
+    ----------
+    address
+        The bus.
+    tell
+        Called with an incident when it is one, and when its state changes.
+    rig, eds
+        As in `Explainer`.
+    seconds
+        How long [s]; None: until a signal.
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        There is no bus, or it went away meanwhile.
+    """
+    explainer, followed = Explainer(rig, eds), Followed(tell)
+    end = None if seconds is None else time.monotonic() + seconds
+    looked = 0.0
+    with Client(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
+        while not stop.wait(0) and (end is None or time.monotonic() < end):
+            client.wait(WAIT_S)
+            while received := client.receive():
+                frames = new_records(Frame, len(received))
+                frames[:] = [
+                    (t_ns, can_id, length, data_word(data), 0) for t_ns, can_id, length, data in received
+                ]
+                explainer.take(frames)
+            now = time.monotonic()
+            if now - looked > LOOK_S:
+                looked = now
+                explainer.look()
+                followed.look(explainer.explanation())
+    explainer.end()
+    explanation = explainer.explanation()
+    followed.look(explanation)
+    return explanation

@@ -1,0 +1,235 @@
+"""An explanation as a person reads it: a screen, an incident in detail, JSON, Markdown, HTML."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator
+from typing import Any
+
+from coulombus.explain.clues import Clue
+from coulombus.explain.explained import Explanation
+from coulombus.explain.incidents import Incident
+from coulombus.explain.kinds import KINDS
+
+__all__ = ["as_dict", "detail_lines", "html_page", "markdown", "news", "screen"]
+
+VERDICT_TEXT = {
+    "ok": "ok: nothing is wrong in this log",
+    "warnings": "warnings: nothing stopped, and something deserves a look",
+    "recovered": "recovered: something went wrong, and it is over",
+    "unresolved": "unresolved: something went wrong, and it still is at the end of the log",
+}
+SHOWN_CLUES = 24
+
+
+def title(explanation: Explanation, incident: Incident) -> str:
+    """Return an incident in a line: whose, what."""
+    whose = explanation.bus.name(incident.node)
+    axis = f", axis {incident.root.axis + 1}" if incident.root.axis else ""
+    return f"{whose}{axis}: {KINDS[incident.root.kind].title[0].lower()}{KINDS[incident.root.kind].title[1:]}"
+
+
+def cause(incident: Incident) -> str:
+    """Return what an incident comes from: what was said or seen, and what that usually means."""
+    diagnosis = incident.diagnosis
+    return f"{_capital(diagnosis.text)}. {KINDS[diagnosis.kind].cause}"
+
+
+def checks(incident: Incident) -> tuple[str, ...]:
+    """Return what to check first, the cheapest first."""
+    return KINDS[incident.root.kind].checks
+
+
+def as_dict(explanation: Explanation) -> dict[str, Any]:
+    """Return the object of ``explain --json``."""
+    return {
+        "verdict": explanation.verdict,
+        "seconds": explanation.at_s(explanation.end_ns) if explanation.frames else 0.0,
+        "frames": explanation.frames,
+        "nodes": [
+            {
+                "node": node.number, "name": node.name or None, "state": node.state or None,
+                "frames": node.frames, "maps": node.maps or None, "well": node.well,
+            }
+            for node in explanation.nodes
+        ],
+        "incidents": [_incident(explanation, incident) for incident in explanation.incidents],
+        "remarks": list(explanation.remarks),
+    }  # fmt: skip
+
+
+def _incident(explanation: Explanation, incident: Incident) -> dict[str, Any]:
+    root = incident.root
+    return {
+        "number": incident.number,
+        "status": incident.status,
+        "node": incident.node,
+        "axis": root.axis + 1 if root.axis else None,
+        "kind": root.kind,
+        "title": title(explanation, incident),
+        "t_s": explanation.at_s(incident.begin_ns),
+        "end_s": explanation.at_s(incident.end_ns),
+        "cause": cause(incident),
+        "sure": incident.sure,
+        "check": list(checks(incident)),
+        "why": KINDS[root.kind].why,
+        "clause": KINDS[root.kind].clause,
+        "course": [
+            {
+                "t_s": explanation.at_s(clue.begin_ns), "end_s": explanation.at_s(clue.end_ns), "kind": clue.kind,
+                "node": clue.node, "times": clue.count, "text": clue.text, "end": clue.end_text or None,
+            }
+            for clue in incident.clues
+        ],
+        "frames": [
+            {"number": row, "t_s": explanation.at_s(t_ns), "can_id": can_id & 0x1FFFFFFF, "data": data.hex()}
+            for row, (t_ns, can_id, data) in _frames(explanation, incident)
+        ],
+    }  # fmt: skip
+
+
+def _frames(explanation: Explanation, incident: Incident) -> list[tuple[int, tuple[int, int, bytes]]]:
+    rows = {row for clue in incident.clues for row in clue.rows}
+    return [(row, explanation.shown[row]) for row in sorted(rows) if row in explanation.shown]
+
+
+def screen(explanation: Explanation, source: str) -> Iterator[str]:
+    """Yield the lines of the overview; `source` is the file or bus as the next command names it."""
+    yield VERDICT_TEXT[explanation.verdict]
+    length = explanation.at_s(explanation.end_ns) or 0.0
+    yield f"{explanation.frames} frames until {length:.3f} s"
+    yield from (f"note: {remark}" for remark in explanation.remarks)
+    serious = [incident for incident in explanation.incidents if incident.status != "warning"]
+    warnings = [incident for incident in explanation.incidents if incident.status == "warning"]
+    for incident in serious:
+        yield ""
+        yield f"{incident.number}  {incident.status.upper()}  {_when(explanation, incident)}  {title(explanation, incident)}"
+        yield f"   cause ({incident.sure}): {cause(incident)}"
+        yield f"   check first: {checks(incident)[0]}"
+    if warnings:
+        yield ""
+        yield "warnings"
+        for incident in warnings:
+            yield f"{incident.number}  {_when(explanation, incident)}  {title(explanation, incident)}: {incident.root.text}"
+    well = [explanation.bus.name(node.number) for node in explanation.nodes if node.well]
+    if well:
+        yield ""
+        yield "well: " + ", ".join(well)
+    if explanation.incidents:
+        yield ""
+        yield f"next: coulombus explain {source} 1"
+
+
+def detail_lines(explanation: Explanation, incident: Incident, source: str) -> Iterator[str]:
+    """Yield the lines of one incident."""
+    root = incident.root
+    yield f"{incident.number}  {incident.status.upper()}  {_when(explanation, incident)}  {title(explanation, incident)}"
+    yield ""
+    yield f"cause ({incident.sure}): {cause(incident)}"
+    yield ""
+    yield "what happened"
+    yield from (f"  {line}" for line in _course(explanation, incident))
+    yield ""
+    yield "check first"
+    yield from (f"  {number}. {check}" for number, check in enumerate(checks(incident), 1))
+    yield ""
+    yield f"why it matters: {KINDS[root.kind].why}"
+    yield f"see: {KINDS[root.kind].clause}"
+    frames = _frames(explanation, incident)
+    if frames:
+        yield ""
+        yield "frames"
+        for row, (t_ns, can_id, data) in frames[:12]:
+            yield f"  {row:>8}  {explanation.at_s(t_ns):12.6f} s  {can_id & 0x1FFFFFFF:03X}  {data.hex(' ')}"
+    yield ""
+    begin = explanation.at_s(incident.begin_ns) or 0.0
+    yield f"next: coulombus decode {source}   # around {begin:.3f} s"
+
+
+def news(explanation: Explanation, incident: Incident) -> str:
+    """Return the line that tells of an incident when it is one, or when its state changes."""
+    return f"{_when(explanation, incident)}  {incident.status.upper()}  {title(explanation, incident)}: {incident.diagnosis.text}"
+
+
+def _course(explanation: Explanation, incident: Incident) -> Iterator[str]:
+    for clue in incident.clues[:SHOWN_CLUES]:
+        yield f"{explanation.at_s(clue.begin_ns):12.6f} s  {_role(incident, clue):<11}  {_clue(explanation, clue)}"
+        if clue.end_ns is not None and clue.end_text:
+            yield f"{explanation.at_s(clue.end_ns):12.6f} s  {'':<11}  {explanation.bus.name(clue.node)}: {clue.end_text}"
+    if len(incident.clues) > SHOWN_CLUES:
+        yield f"... and {len(incident.clues) - SHOWN_CLUES} more"
+
+
+def _role(incident: Incident, clue: Clue) -> str:
+    if clue is incident.root:
+        return "cause"
+    return "diagnosis" if clue is incident.diagnosis else "consequence" if clue.begin_ns >= incident.root.begin_ns else "sign"
+
+
+def _clue(explanation: Explanation, clue: Clue) -> str:
+    times = f" ({clue.count} times)" if clue.count > 1 else ""
+    whose = "host" if clue.kind == "host_trip" else explanation.bus.name(clue.node)
+    return f"{whose}: {clue.text}{times}"
+
+
+def _when(explanation: Explanation, incident: Incident) -> str:
+    begin, end = explanation.at_s(incident.begin_ns) or 0.0, explanation.at_s(incident.end_ns)
+    return f"{begin:.3f} s" if end is not None and end - begin < 0.001 else f"{begin:.3f} s to " + (
+        "the end" if end is None else f"{end:.3f} s"
+    )
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def markdown(explanation: Explanation, source: str) -> str:
+    """Return a report in Markdown."""
+    lines = [f"# {_plain(source)}", "", f"**{VERDICT_TEXT[explanation.verdict]}**", ""]
+    lines += [f"{explanation.frames} frames until {explanation.at_s(explanation.end_ns) or 0.0:.3f} s", ""]
+    lines += [f"- {_plain(remark)}" for remark in explanation.remarks]
+    for incident in explanation.incidents:
+        lines += ["", f"## {incident.number}. {_plain(title(explanation, incident))}", ""]
+        lines += [f"{incident.status}, {_when(explanation, incident)}", "", _plain(cause(incident)) + f" ({incident.sure})", ""]
+        lines += [f"{number}. {_plain(check)}" for number, check in enumerate(checks(incident), 1)]
+        lines += ["", *(f"    {_plain(line)}" for line in _course(explanation, incident))]
+        lines += ["", f"{KINDS[incident.root.kind].why} See {KINDS[incident.root.kind].clause}."]
+    well = [explanation.bus.name(node.number) for node in explanation.nodes if node.well]
+    lines += ["", f"Well: {_plain(', '.join(well)) or 'none'}"]
+    return "\n".join(lines) + "\n"
+
+
+def _plain(text: str) -> str:
+    """Return a text whose characters Markdown leaves alone."""
+    return "".join(f"\\{c}" if c in "\\`*_<>[]|#" else c for c in text if c.isprintable())
+
+
+STYLE = """body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222;background:#fff}
+section{border-left:.4em solid #888;padding:.2em 1em;margin:1.5em 0}
+.unresolved{border-color:#b00020}.recovered{border-color:#c77700}.warning{border-color:#888}
+pre{overflow-x:auto;background:#f4f4f4;padding:.7em;font-size:13px}"""
+
+
+def html_page(explanation: Explanation, source: str) -> str:
+    """Return a report as one HTML file, which loads nothing."""
+
+    def safe(text: str) -> str:
+        return html.escape("".join(c for c in text if c.isprintable()))
+
+    parts = [f"<h1>{safe(source)}</h1><p><strong>{safe(VERDICT_TEXT[explanation.verdict])}</strong></p>"]
+    parts.append(f"<p>{explanation.frames} frames until {explanation.at_s(explanation.end_ns) or 0.0:.3f} s</p>")
+    parts += [f"<p>{safe(remark)}</p>" for remark in explanation.remarks]
+    for incident in explanation.incidents:
+        course = "\n".join(safe(line) for line in _course(explanation, incident))
+        steps = "".join(f"<li>{safe(check)}</li>" for check in checks(incident))
+        kind = KINDS[incident.root.kind]
+        parts.append(
+            f'<section class="{incident.status}"><h2>{incident.number}. {safe(title(explanation, incident))}</h2>'
+            f"<p>{incident.status}, {safe(_when(explanation, incident))}</p>"
+            f"<p>{safe(cause(incident))} ({incident.sure})</p><ol>{steps}</ol><pre>{course}</pre>"
+            f"<p>{safe(kind.why)} See {safe(kind.clause)}.</p></section>"
+        )
+    well = [explanation.bus.name(node.number) for node in explanation.nodes if node.well]
+    parts.append(f"<p>Well: {safe(', '.join(well)) or 'none'}</p>")
+    head = f'<meta charset="utf-8"><title>{safe(source)}</title><style>{STYLE}</style>'
+    return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
