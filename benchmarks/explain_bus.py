@@ -74,16 +74,25 @@ class Machine:
     @property
     def frames(self) -> Records:
         """All frames so far, as an analyser would record them."""
+        self.network.flush()
         return np.concatenate(self.batches)
 
     # the master
 
     def ask(self, number: int, request: bytes, wait_ms: float = 20) -> bytes | None:
-        """Send an SDO request; return the answer, None where none comes."""
+        """Send an SDO request; return the answer, None where none comes. Cycles go on meanwhile."""
         self.client.take()
         self.master.send(0x600 + number, request)
-        heard = self.client.wait_for(0x580 + number, round(wait_ms * MS))
-        return None if heard is None else heard.data
+        if not self.due_ns:
+            heard = self.client.wait_for(0x580 + number, round(wait_ms * MS))
+            return None if heard is None else heard.data
+        until = self.network.t_ns + round(wait_ms * MS)
+        while self.network.t_ns < until:
+            self.run(self.period_ns / MS)
+            answers = self.client.take(0x580 + number)
+            if answers:
+                return answers[0].data
+        return None
 
     def write(self, number: int, index: int, subindex: int, value: int, size: int) -> bytes | None:
         """Write an object."""
@@ -97,7 +106,10 @@ class Machine:
     def order(self, command: NmtCommand, number: int = 0) -> None:
         """Send an NMT command."""
         self.master.send(0x000, bytes((command, number)))
-        self.network.wait_ns(MS)
+        if self.due_ns:
+            self.run(self.period_ns / MS)
+        else:
+            self.network.wait_ns(MS)
 
     def bring_up(self) -> None:
         """Switch on, configure, start, enable."""

@@ -17,6 +17,9 @@ TRIP_NS = 3 * S
 """... and after a trip, while the machine comes to rest."""
 ROOT_NS = S // 2
 """The clue that names an incident begins within this time of its first one."""
+PROMPT_NS = 5_000_000
+PROMPT = frozenset({"rpdo_missing"})
+"""Kinds that are a consequence unless they come first."""
 AT_ONCE_NS = 2_000_000
 """Two nodes that lack the same within this time lack it for one reason."""
 FEW = 3
@@ -48,7 +51,7 @@ class Incident:
     def root(self) -> Clue:
         """The clue that names it."""
         begin = min(clue.begin_ns for clue in self.clues)
-        early = [clue for clue in self.clues if clue.begin_ns <= begin + ROOT_NS]
+        early = [clue for clue in self.clues if clue.begin_ns <= begin + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
         return max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
 
     @property

@@ -191,7 +191,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             "The host may take a measurement of the cycle before.", "CiA 301, 7.2.2",
         ),
         "rpdo_missing": Kind(
-            37, "Set-points stopped", "The host did not send this RPDO.",
+            56, "Set-points stopped", "The host did not send this RPDO.",
             ("Check whether the host's program still runs.", "Look at what it said last.", "coulombus doctor: was its thread held up?"),
             "The node acts on an old set-point until its own watch ends that.", "CiA 301, 7.2.2; 1400h:05",
         ),

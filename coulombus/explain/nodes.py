@@ -91,7 +91,6 @@ class Nodes:
                 node.gaps.clear()
             if order.command != NmtCommand.START:
                 node.was_operational = False
-                self.clues.end("left_operational", node.number, t_ns, "it is ordered elsewhere")
 
     def _heartbeat(self, block: Block, row: int, t_ns: int, number: int, state: int) -> None:
         new = number not in self.bus.nodes

@@ -218,42 +218,31 @@ class Timing:
     def _walk(
         self, counts: Integers, sync: Integers, pdo: _Pdo, node: int | None, name: str, sends: bool, group: Frames, key: int
     ) -> None:
-        doubled = np.flatnonzero(counts > 1)
-        if pdo.regular or (counts == 1).mean() > 0.5:
-            self._doubled(doubled, counts, sync, pdo, node, name, sends, group)
-        at = 0
+        """Go through runs of intervals with and without the PDO."""
         for empty, start, end in _runs(counts):
             if not empty:
                 if pdo.missing_ns >= 0:
                     self._again(pdo, node, name, sends, int(sync[start]))
+                if not pdo.regular:
+                    first = counts[start : min(end, start + LEARN)]
+                    pdo.regular = len(first) + pdo.streak >= ACTIVE and bool((first == 1).mean() > 0.9)
                 pdo.streak += end - start
-                if pdo.streak >= max(ACTIVE, LEARN if node not in self.bus.nodes else ACTIVE) and not pdo.regular:
-                    share = (counts[at:end] == 1).mean()
-                    pdo.regular = bool(share > 0.9 and pdo.streak >= ACTIVE)
                 continue
             late = end - start == 1 and end < len(counts) and counts[end] > 1
-            if pdo.regular and not late and pdo.missing_ns < 0:
-                begin, until = int(sync[start]), int(sync[end])
-                if self._excused(node, begin, until, sends):
-                    pdo.regular, pdo.streak, at = False, 0, end
-                    continue
-                self._missing(pdo, node, name, sends, begin, end - start, key)
+            excused = self._excused(node, int(sync[start]))
+            if pdo.regular and excused:
+                pdo.regular = False  # what is missing stands until it is started again, and comes
+            elif pdo.regular and not late and pdo.missing_ns < 0:
+                self._missing(pdo, node, name, sends, int(sync[start]), end - start, key)
             elif pdo.missing_ns >= 0:
-                if self._excused(node, int(sync[start]), int(sync[end]), sends):
-                    pdo.regular = False  # it stands until it is started again, and comes
                 pdo.missing += end - start
-            if pdo.streak and not pdo.regular:
-                at = end
             pdo.streak = 0
+        if pdo.regular:
+            self._doubled(np.flatnonzero(counts > 1), counts, sync, pdo, node, name, sends, group)
 
-    def _excused(self, node: int | None, begin: int, end: int, sends: bool) -> bool:
-        """Tell whether an order explains that a PDO stops."""
-        if node is None:
-            return True
-        around = 3 * self.period_ns
-        if self.bus.ordered(node, begin - around, end + around, 0, 4, 127) is not None:
-            return True
-        return self.bus.left_on_order(node, begin)
+    def _excused(self, node: int | None, begin: int) -> bool:
+        """Tell whether an order explains that a PDO stops at this time."""
+        return node is None or self.bus.left_on_order(node, begin + max(3 * self.period_ns, 20 * MS))
 
     def _missing(
         self, pdo: _Pdo, node: int | None, name: str, sends: bool, begin: int, number: int, key: int
@@ -333,8 +322,7 @@ class Timing:
 
     def _gap(self, key: int, pdo: _Pdo, known: Map | None, begin: int, end: int | None) -> None:
         node, name, sends = self._whose(key, known)
-        until = self._last_ns if end is None else end
-        if node is None or self._excused(node, begin - 20 * MS, until, sends) or self.clues.stands("pdo_stopped", node, key):
+        if node is None or self._excused(node, begin) or self.clues.stands("pdo_stopped", node, key):
             return
         text = f"{name} stops, it came every {pdo.period_ns / MS:.3g} ms"
         self.clues.begin("pdo_stopped", node, begin, text, row=pdo.last_row, subject=key)
@@ -349,10 +337,9 @@ class Timing:
             return
         rapid = np.diff(group.t_ns) < BABBLE_NS
         number = int(rapid.sum())
-        if number < 0.5 * len(rapid):
+        if number < 0.7 * len(rapid):
             self._rapid.pop(key, None)
-            if number < BABBLE:
-                return
+            return
         self._rapid[key] = self._rapid.get(key, 0) + number
         if self._rapid[key] >= BABBLE:
             first = int(np.flatnonzero(rapid)[0])
