@@ -50,6 +50,7 @@ class Node:
     heartbeat_ns: int = -1  # the last one; -1: none since it booted
     heartbeat_row: int = -1
     period_ns: int = 0  # of heartbeats; 0: not known
+    last_gap_ns: int = 0
     gaps: list[int] = field(default_factory=list)
     boots: int = 0
     booted_ns: int = -1

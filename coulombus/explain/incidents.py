@@ -30,6 +30,11 @@ TOLERANCE_NS = 60_000_000
 BUS_WIDE = frozenset(kind for kind, words in KINDS.items() if words.group == "bus")
 SDO = frozenset(kind for kind, words in KINDS.items() if words.group == "sdo")
 AT_NODE = frozenset(kind for kind, words in KINDS.items() if words.group == "node")
+FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost", "two_sync"})
+"""Kinds from which something follows at every node."""
+SILENCE = frozenset({"node_lost", "heartbeat_lost", "host_lost"})
+SILENCE_NS = 300_000_000
+"""A silence begins with the last frame that was heard: so much sooner than its cause, at most."""
 MINOR = frozenset({"repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late"})
 """Kinds that stop no machine, by themselves."""
 GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational"})
@@ -107,7 +112,7 @@ def join(clues: Iterable[Clue]) -> list[Incident]:
     """Return the incidents, the most important first, numbered from 1."""
     incidents: list[Incident] = []
     kept = [clue for clue in clues if clue.kind != "repeated" or clue.count >= FEW]
-    for clue in sorted(kept, key=lambda clue: (clue.begin_ns - _lead(clue), -KINDS[clue.kind].rank)):
+    for clue in sorted(kept, key=_order):
         parents = [incident for incident in incidents if _explains(incident, clue)]
         if parents:
             max(parents, key=lambda incident: _nearness(incident, clue)).clues.append(clue)
@@ -121,8 +126,10 @@ def join(clues: Iterable[Clue]) -> list[Incident]:
     return incidents
 
 
-def _lead(clue: Clue) -> int:
-    return TOLERANCE_NS if clue.kind in BUS_WIDE or clue.kind in GONE else 0
+def _order(clue: Clue) -> tuple[bool, int, int]:
+    """What concerns all comes first, then by time: a cause may be seen later than its consequence."""
+    lead = TOLERANCE_NS if clue.kind in BUS_WIDE or clue.kind in GONE else 0
+    return (clue.kind not in FOR_ALL, clue.begin_ns - lead, -KINDS[clue.kind].rank)
 
 
 def _minor(incident: Incident) -> bool:
@@ -140,7 +147,8 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     at = clue.begin_ns
     if trip is not None and trip.begin_ns <= at <= trip.begin_ns + TRIP_NS and clue.kind not in ("host_trip", "sdo_refused_read"):
         return True
-    if at < incident.begin_ns - TOLERANCE_NS or (end is not None and at > end + AFTER_NS):
+    tolerance = SILENCE_NS if clue.kind in SILENCE else TOLERANCE_NS
+    if at < incident.begin_ns - tolerance or (end is not None and at > end + AFTER_NS):
         return False
     root = incident.root
     if clue.kind in SDO or root.kind in SDO:
@@ -148,11 +156,9 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     if clue.kind == "host_trip":
         return not _minor(incident) or root.kind in ("sync_gap", "tpdo_late")
     if clue.kind == "repeated":
-        return root.kind in ("error_frames", "no_ack") or (root.kind == clue.kind and root.node == clue.node)
+        return root.kind in BUS_WIDE or (root.kind == clue.kind and root.node == clue.node)
     if clue.kind == root.kind in ("tpdo_missing", "rpdo_missing") and abs(at - root.begin_ns) < AT_ONCE_NS:
         return True
-    if root.kind == "node_lost" and clue.kind in ("bus_silent", "bus_off", "sync_lost", "host_lost"):
-        return at < incident.begin_ns + S // 2
     if root.kind in BUS_WIDE:
         return not _minor(incident) or clue.kind in MINOR
     if clue.kind in BUS_WIDE:

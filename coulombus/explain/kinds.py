@@ -97,13 +97,13 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             "Nodes sample and act twice per cycle, at wrong times.", "CiA 301, 7.5.2.6 (1005h)", "bus",
         ),
         "second_master": Kind(
-            76, "Two masters send set-points", "A second program sends the same RPDOs.",
+            91, "Two masters send set-points", "A second program sends the same RPDOs.",
             ("Look for a second program or tool on this bus.", "Stop one of the two masters.",
              "coulombus watch: see which values alternate."),
             "The drive follows whichever set-point came last.", "CiA 301, 7.2.2; docs/runbook.md",
         ),
         "duplicate_node": Kind(
-            77, "Two devices have one node id", "A replaced or added device still has the node id of another.",
+            92, "Two devices have one node id", "A replaced or added device still has the node id of another.",
             (ONE_ID, "Check the id switches of both devices.", "Give one of them another id: coulombus lss."),
             "Both answer, both obey: neither can be trusted.", "CiA 301, 7.2.4; CiA 305",
         ),

@@ -11,6 +11,8 @@ __all__ = ["Nodes"]
 
 S = 1_000_000_000
 LOST_KINDS = ("node_lost", "host_lost", "heartbeat_lost")
+SAME_NS = 300_000
+"""Two frames within this time are one that came twice."""
 LATE, LOST = 1.5, 2.5
 """A heartbeat is late, and lost, after so many of its periods."""
 ANSWERED_NS = 10 * S
@@ -28,7 +30,7 @@ class Nodes:
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._asked: dict[int, list[int]] = {}  # guarding requests without an answer
-        self._short: dict[int, int] = {}  # heartbeats that came far too soon, in a row
+        self._short: dict[int, list[bool]] = {}  # whether the last heartbeats came far too soon
 
     def frame(self, block: Block, row: int, t_ns: int, key: int, word: int, length: int) -> None:
         """Go through a frame of NMT, heartbeat, guarding or EMCY."""
@@ -107,7 +109,7 @@ class Nodes:
     def _boot(self, row: int, t_ns: int, node: Node, new: bool) -> None:
         reset = self.bus.ordered(node.number, max(node.booted_ns, t_ns - ANSWERED_NS), t_ns, NmtState.INITIALISING)
         lost = [kind for kind in LOST_KINDS if self.clues.stands(kind, node.number)]
-        if t_ns - node.booted_ns < S // 1000 and node.booted_ns >= 0:
+        if node.booted_ns >= 0 and t_ns - node.booted_ns < SAME_NS:
             return  # the frame came twice
         if reset is None and not new:
             text = "it sends boot-up, and nobody had ordered a reset"
@@ -156,9 +158,11 @@ class Nodes:
         elif gap > LATE * period:
             text = f"a heartbeat came after {gap / 1e6:.1f} ms, its period is {period / 1e6:g} ms"
             self.clues.note("heartbeat_late", number, t_ns, text, row=row)
-        soon = 0.001 * S < gap < 0.7 * period
-        self._short[number] = self._short.get(number, 0) + 1 if soon else max(self._short.get(number, 0) - 1, 0)
-        if self._short[number] >= 4:
+        recent = self._short.setdefault(number, [])
+        before, node.last_gap_ns = node.last_gap_ns, gap
+        recent.append(SAME_NS < gap < 0.7 * period and 0.8 * period < gap + before < 1.2 * period)
+        del recent[:-12]
+        if sum(recent) >= 4:
             text = f"heartbeats come twice within a period of {period / 1e6:g} ms: two devices send them"
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="heartbeat")
 

@@ -16,7 +16,8 @@ __all__ = ["Timing"]
 MS = 1_000_000
 SYNC = 0x080
 LEARN = 20
-"""Intervals of which a period is learned."""
+"""Intervals of which a period is learned; of a PDO after SYNC, and of SYNC, so many suffice:"""
+ENOUGH = 8
 ACTIVE = 3
 """SYNC intervals in a row with a PDO, after which its absence is noted."""
 BABBLE_NS, BABBLE = 300_000, 200
@@ -55,9 +56,9 @@ class Timing:
         self._sync = np.zeros(0, np.int64)  # the last one of the block before
         self._gaps: list[int] = []
         self._pdos: dict[int, _Pdo] = {}
-        self._extra = 0
+        self._doubled_sync = False  # in this block: its intervals say nothing of PDOs
         self._last_ns = -1
-        self._rapid: dict[int, int] = {}
+        self._rapid: dict[int, tuple[int, int, int]] = {}  # frames in rapid succession, since when, first row
         self._last_of: dict[int, int] = {}
         self.jitter_ns = 0.0
         self.sync_row = -1
@@ -75,8 +76,10 @@ class Timing:
         if sync is not None:
             self._sync_gaps(sync, silences)
             self._sync = sync.t_ns[-1:]
-            edges = sync.t_ns if block.last else np.concatenate((sync.t_ns, self._sync + self.period_ns))
+            edges = sync.t_ns if block.last or self._doubled_sync else np.concatenate((sync.t_ns, self._sync + self.period_ns))
             self.sync_row = int(sync.rows[-1])
+        if self._doubled_sync:
+            edges = edges[:0]
         for key, group in block.groups.items():
             self._babble(key, group)
             known = self.bus.maps.get(key)
@@ -117,8 +120,8 @@ class Timing:
     def _learn(self, sync: Frames) -> None:
         if self.period_ns:
             return
-        self._gaps += np.diff(sync.t_ns[: 4 * LEARN]).tolist()
-        if len(self._gaps) >= LEARN:
+        self._gaps += np.diff(sync.t_ns[: LEARN + 1]).tolist()
+        if len(self._gaps) >= ENOUGH:
             self.period_ns = int(np.median(self._gaps))
 
     def _sync_gaps(self, sync: Frames, silences: list[tuple[int, int]]) -> None:
@@ -146,10 +149,12 @@ class Timing:
                 self.clues.end("sync_lost", None, end, "SYNC comes again")
             else:
                 self.clues.note("sync_gap", None, begin, text, row=row, count=max(count, 1))
+        self._doubled_sync = False
         close = np.flatnonzero(gaps < 0.5 * self.period_ns)
         odd = len(close) / len(gaps)
         if len(close) >= 5 and odd > 0.1:
             row, at = int(sync.rows[close[0] + 1 - first]), int(stamps[close[0] + 1])
+            self._doubled_sync = True
             text = f"SYNC comes more than once within its period of {self.period_ns / MS:g} ms: two nodes produce it"
             self.clues.begin("two_sync", None, at, text, row=row)
         elif len(close):
@@ -224,7 +229,7 @@ class Timing:
                 if pdo.missing_ns >= 0:
                     self._again(pdo, node, name, sends, int(sync[start]))
                 if not pdo.regular:
-                    first = counts[start : min(end, start + LEARN)]
+                    first = counts[start : min(end, start + ENOUGH)]
                     pdo.regular = len(first) + pdo.streak >= ACTIVE and bool((first == 1).mean() > 0.9)
                 pdo.streak += end - start
                 continue
@@ -264,8 +269,8 @@ class Timing:
         differing = 0
         for i in doubled[:200].tolist():
             start, end = group.t_ns.searchsorted((sync[i], sync[i + 1]))
-            before = counts[i - 1] if i else 1
-            if len(set(group.word[start:end].tolist())) > 1 and before != 0:
+            around = counts[max(i - 1, 0) : i + 2]
+            if len(set(group.word[start:end].tolist())) > 1 and around.all():
                 differing += 1
                 row, at = int(group.rows[end - 1]), int(group.t_ns[end - 1])
         if differing <= 2 * int((counts == 0).sum()):
@@ -287,9 +292,9 @@ class Timing:
         latency = (group.t_ns[complete] - sync[place[complete]]).astype(float)
         usual = pdo.latency_ns
         if usual < 0:
-            if len(latency) >= LEARN:
-                pdo.latency_ns = float(np.median(latency))
-            return
+            if len(latency) < LEARN:
+                return
+            usual = pdo.latency_ns = float(np.median(latency[:LEARN]))
         late = np.flatnonzero((latency > usual + 0.3 * self.period_ns) & (counts[place[complete]] == 1))
         early = np.flatnonzero((latency < usual - 0.3 * self.period_ns) & (counts[place[complete]] == 1))
         worst = late if len(late) >= len(early) else early
@@ -340,14 +345,15 @@ class Timing:
         if number < 0.7 * len(rapid):
             self._rapid.pop(key, None)
             return
-        self._rapid[key] = self._rapid.get(key, 0) + number
-        if self._rapid[key] >= BABBLE:
-            first = int(np.flatnonzero(rapid)[0])
+        first = int(np.flatnonzero(rapid)[0])
+        before, since_ns, row = self._rapid.get(key, (0, int(group.t_ns[first]), int(group.rows[first])))
+        self._rapid[key] = before + number, since_ns, row
+        if before + number >= BABBLE:
             node = self.bus.sender(key) if key not in (NMT, EMCY) else None
             rate = 1e9 / float(np.median(np.diff(group.t_ns)[rapid]))
             text = f"identifier {key:03X}h comes {rate:.0f} times a second"
-            clue = self.clues.note("babble", node, int(group.t_ns[first]), text, row=int(group.rows[first]), subject=key)
-            clue.count = self._rapid[key]
+            clue = self.clues.note("babble", node, since_ns, text, row=row, subject=key)
+            clue.count = before + number
             clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(rapid)[-1] + 1])
 
     def _repeated(self, key: int, group: Frames, pdo: _Pdo, known: Map | None) -> None:
