@@ -399,8 +399,14 @@ RIG_FAULTS: dict[str, tuple[str, Truth | None]] = {
         'kind = "noise"\nrate = 1e-4\nafter = "enabled"\nat_s = 0.3\nduration_s = 0.4',
         _truth("error_frames", None, "warning recovered unresolved"),
     ),
-    "reset_motor": ('kind = "reset"\nnode = "motor"\nafter = "enabled"\nat_s = AT', _truth("restarted", 1, "unresolved")),
-    "reset_brake": ('kind = "reset"\nnode = "brake"\nafter = "enabled"\nat_s = AT', _truth("restarted", 2, "unresolved")),
+    "reset_motor": (
+        'kind = "reset"\nnode = "motor"\nafter = "enabled"\nat_s = AT',
+        _truth("restarted", 1, "unresolved"),
+    ),
+    "reset_brake": (
+        'kind = "reset"\nnode = "brake"\nafter = "enabled"\nat_s = AT',
+        _truth("restarted", 2, "unresolved"),
+    ),
     "cut": (
         'kind = "cut"\nhalves = [["host", "brake"], ["motor"]]\nafter = "enabled"\nat_s = AT\nduration_s = 0.3',
         _truth("node_lost no_ack", 1, "unresolved"),
@@ -436,7 +442,9 @@ def rig_outcome(seed: int, name: str | None = None) -> Outcome:
     text, truth = RIG_FAULTS[name]
     with tempfile.TemporaryDirectory() as folder:
         faults, record = Path(folder) / "faults.toml", Path(folder) / "run.pcapng"
-        faults.write_text(f"seed = {seed + 1}\n[[fault]]\n" + text.replace("AT", f"{dice.uniform(0.2, 0.6):.3f}") + "\n")
+        faults.write_text(
+            f"seed = {seed + 1}\n[[fault]]\n" + text.replace("AT", f"{dice.uniform(0.2, 0.6):.3f}") + "\n"
+        )
         mode = dice.choice(("active", "hybrid"))
         simulate("bench", mode, 1.5, record=record, seed=seed, faults=faults)
         recording = read(record)

@@ -72,12 +72,16 @@ knowledge_options = bundle(
         metavar="N=FILE",
         help="EDS file of node N, as 5=drive.eds; or a folder of them. May be given several times.",
     ),
-    click.option("--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]"),
+    click.option(
+        "--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]"
+    ),
 )
 output_options = bundle(
     "outputs",
     Outputs,
-    click.option("--report", type=OutputFile(".html", ".md"), metavar="F.html", help="Write a report, HTML or Markdown."),
+    click.option(
+        "--report", type=OutputFile(".html", ".md"), metavar="F.html", help="Write a report, HTML or Markdown."
+    ),
     force_option,
     json_option,
     click.option("--check", is_flag=True, help="End with 1 if anything is unresolved."),

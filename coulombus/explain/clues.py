@@ -28,6 +28,8 @@ class Clue:
     count: int = 1
     axis: int = 0
     end_text: str = ""
+    check: str = ""
+    """What to check first, where it is known better than for all of this kind."""
     rows: list[int] = field(default_factory=list)
 
 
@@ -57,7 +59,15 @@ class Clues:
         return clue
 
     def note(
-        self, kind: str, node: int | None, t_ns: int, text: str, *, row: int = -1, subject: object = None, count: int = 1
+        self,
+        kind: str,
+        node: int | None,
+        t_ns: int,
+        text: str,
+        *,
+        row: int = -1,
+        subject: object = None,
+        count: int = 1,
     ) -> Clue:
         """Note something that is over as soon as it is seen."""
         clue = self.begin(kind, node, t_ns, text, row=row, subject=subject)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.eds.cia301 import emcy_text
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATE_OF_STATUSWORD, Command, PowerState
 from coulombus.explain.bus import Bus
+from coulombus.explain.device_errors import error_text
 from coulombus.explain.frames import Block
-from coulombus.explain.pdo_maps import Map
 
 __all__ = ["Drives"]
 
@@ -91,7 +90,7 @@ class Drives:
         drive = self._axes.setdefault((node, axis), _Axis())
         if low == ERROR_CODE:
             if value:
-                clue = self.clues.begin("error_code", node, t_ns, f"603Fh: {emcy_text(value)}", row=row, subject=axis)
+                clue = self.clues.begin("error_code", node, t_ns, f"603Fh: {error_text(value)}", row=row, subject=axis)
                 clue.axis = axis
             else:
                 self.clues.end("error_code", node, t_ns, "603Fh is 0", subject=axis)
@@ -99,6 +98,9 @@ class Drives:
         if low == CONTROL:
             before, drive.control = drive.control, value & COMMAND_BITS
             if value & RESET and not max(before, 0) & RESET and drive.state in FAULTS:
+                if drive.resets:
+                    text = f"reset {drive.resets} had no effect: the drive stays in FAULT"
+                    self.clues.note("reset_failed", node, t_ns, text, row=row, subject=(axis, drive.resets)).axis = axis
                 drive.resets += 1
         else:
             self._status(row, t_ns, node, axis, drive, value)
@@ -143,6 +145,6 @@ class Drives:
 
 
 def _words(value: PowerState | Command) -> str:
-    return value.name.replace("_", " ").title() if isinstance(value, PowerState) else value.name.lower().replace("_", " ")
-
-
+    return (
+        value.name.replace("_", " ").title() if isinstance(value, PowerState) else value.name.lower().replace("_", " ")
+    )

@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from coulombus.explain.bus import Bus, product
 from coulombus.explain.drive import Drives
 from coulombus.explain.eds_files import EdsFiles
 from coulombus.explain.errors import Errors
-from coulombus.explain.frames import EXTENDED, Block, Pieces
+from coulombus.explain.frames import ERROR, EXTENDED, Block, Pieces
 from coulombus.explain.host import HostMarkers
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
@@ -89,7 +88,9 @@ class Explainer:
         if rig is not None:
             given = {node.node_id: node.description for node in rig.nodes} | given
             names = {node.node_id: node.name for node in rig.nodes} | names
-        self.bus = Bus(given, maps_of_rig(rig) if rig is not None else {}, names, eds.candidates if eds is not None else ())
+        self.bus = Bus(
+            given, maps_of_rig(rig) if rig is not None else {}, names, eds.candidates if eds is not None else ()
+        )
         self.bus.host = rig.host.node_id if rig is not None else -1
         self._rare = RareFrames(self.bus)
         self._timing, self._drives = Timing(self.bus), Drives(self.bus)
@@ -180,14 +181,23 @@ class Explainer:
         remarks = []
         extended = bus.counts.get(EXTENDED, 0)
         if bus.frames and not bus.canopen and 0x080 not in bus.counts:
-            what = "29-bit identifiers, as J1939 has them" if extended > bus.frames / 2 else "no NMT, heartbeat, SDO, EMCY or SYNC"
+            what = (
+                "29-bit identifiers, as J1939 has them"
+                if extended > bus.frames / 2
+                else "no NMT, heartbeat, SDO, EMCY or SYNC"
+            )
             remarks.append(f"this does not look like CANopen: {what}; only the wire is looked at")
         elif extended:
             remarks.append(f"{extended} frames have 29-bit identifiers, which CANopen does not use: left out")
+        errors = bus.counts.get(ERROR, 0)
+        if errors:
+            remarks.append(f"{errors} error frames")
         assumed = sorted({known.node for known in bus.maps.values() if known.source == "assumed"})
         if assumed:
             nodes = ", ".join(map(str, assumed))
-            remarks.append(f"PDO maps of node {nodes} are assumed (CiA 402's defaults): give --eds NODE=FILE to be sure")
+            remarks.append(
+                f"PDO maps of node {nodes} are assumed (CiA 402's defaults): give --eds NODE=FILE to be sure"
+            )
         return remarks
 
 
@@ -232,7 +242,9 @@ def attached_rig(capture: Capture, remarks: list[str]) -> Rig | None:
     """Return the rig that a recording of this project has with it, None where there is none that can
     be read.
     """
-    texts = {name: raw.decode(errors="replace") for name, raw in capture.attachments.items() if not name.startswith(HOST)}
+    texts = {
+        name: raw.decode(errors="replace") for name, raw in capture.attachments.items() if not name.startswith(HOST)
+    }
     if RIG not in texts:
         return None
     try:

@@ -99,8 +99,6 @@ class Block:
         yield from zip(*(column[order].tolist() for column in chosen), strict=True)
 
 
-
-
 class Pieces:
     """Cuts what comes into blocks that begin with a SYNC."""
 

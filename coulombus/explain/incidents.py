@@ -39,6 +39,9 @@ MINOR = frozenset({"repeated", "sdo_refused_read", "heartbeat_late", "overrun", 
 """Kinds that stop no machine, by themselves."""
 GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational"})
 """After these a node does not answer as before."""
+OF_AXES = frozenset({"drive_fault", "quick_stop", "left_enabled", "not_following", "error_code"})
+TOLD_BY_NODE = OF_AXES | {"emcy", "left_operational"}
+"""Kinds whose cause a node may tell by EMCY or 603Fh."""
 SURE = {"emcy": "reported", "error_code": "reported", "host_trip": "reported", "sdo_abort": "reported"}
 
 
@@ -56,7 +59,9 @@ class Incident:
     def root(self) -> Clue:
         """The clue that names it."""
         begin = min(clue.begin_ns for clue in self.clues)
-        early = [clue for clue in self.clues if clue.begin_ns <= begin + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
+        early = [
+            clue for clue in self.clues if clue.begin_ns <= begin + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)
+        ]
         return max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
 
     @property
@@ -74,7 +79,11 @@ class Incident:
     def node(self) -> int | None:
         """The node that it is about; None: the bus, or the host."""
         root = self.root
-        alike = {clue.node for clue in self.clues if clue.kind == root.kind and abs(clue.begin_ns - root.begin_ns) < AT_ONCE_NS}
+        alike = {
+            clue.node
+            for clue in self.clues
+            if clue.kind == root.kind and abs(clue.begin_ns - root.begin_ns) < AT_ONCE_NS
+        }
         return root.node if len(alike) == 1 else None
 
     @property
@@ -88,8 +97,15 @@ class Incident:
     @property
     def diagnosis(self) -> Clue:
         """The clue in which a node says what ails it, else the root."""
-        told = [clue for clue in self.clues if clue.kind in ("emcy", "error_code") and clue.node == self.node]
-        return told[0] if told and KINDS[self.root.kind].rank <= KINDS["emcy"].rank else self.root
+        if self.root.kind not in TOLD_BY_NODE:
+            return self.root
+        return next((c for c in self.clues if c.kind in ("emcy", "error_code") and c.node == self.node), self.root)
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """The axes of the drive that it is about, from 1; none where it is about all of a node."""
+        kinds = {clue.axis + 1 for clue in self.clues if clue.kind in OF_AXES and clue.node == self.node}
+        return tuple(sorted(kinds)) if self.root.kind in TOLD_BY_NODE else ()
 
     @property
     def sure(self) -> str:
@@ -102,7 +118,7 @@ class Incident:
 MOMENTARY = frozenset(
     {
         *("repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late", "babble"),
-        *("error_frames", "no_ack", "pdo_length", "sdo_abort"),
+        *("error_frames", "no_ack", "pdo_length", "sdo_abort", "reset_failed"),
     }
 )
 """Kinds that are over as soon as they are seen."""
@@ -145,7 +161,11 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     end = incident.end_ns
     trip = next((c for c in incident.clues if c.kind == "host_trip"), None)
     at = clue.begin_ns
-    if trip is not None and trip.begin_ns <= at <= trip.begin_ns + TRIP_NS and clue.kind not in ("host_trip", "sdo_refused_read"):
+    if (
+        trip is not None
+        and trip.begin_ns <= at <= trip.begin_ns + TRIP_NS
+        and clue.kind not in ("host_trip", "sdo_refused_read")
+    ):
         return True
     tolerance = SILENCE_NS if clue.kind in SILENCE else TOLERANCE_NS
     if at < incident.begin_ns - tolerance or (end is not None and at > end + AFTER_NS):
@@ -162,7 +182,11 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     if root.kind in BUS_WIDE:
         return not _minor(incident) or clue.kind in MINOR
     if clue.kind in BUS_WIDE:
-        return root.kind in ("node_lost", "restarted", "duplicate_node") and clue.kind in ("no_ack", "error_passive", "error_frames")
+        return root.kind in ("node_lost", "restarted", "duplicate_node") and clue.kind in (
+            "no_ack",
+            "error_passive",
+            "error_frames",
+        )
     if root.node == clue.node:
         return True
     return clue.kind == "emcy" and root.kind in GONE and "0x81" in clue.text

@@ -91,7 +91,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             "A cycle without SYNC is a cycle without measurement.", "CiA 301, 7.2.5", "bus",
         ),
         "two_sync": Kind(
-            78, "Two nodes produce SYNC", "Two masters, or a node whose 1005h bit 30 is set.",
+            83, "Two nodes produce SYNC", "Two masters, or a node whose 1005h bit 30 is set.",
             ("Check whether a second program or tool runs.", "Read 1005h of every node: bit 30 makes it a producer.",
              "Unplug the other master."),
             "Nodes sample and act twice per cycle, at wrong times.", "CiA 301, 7.5.2.6 (1005h)", "bus",
@@ -129,25 +129,31 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             "It sends and takes no PDOs any more.", "CiA 301, 7.3.2.2 and 7.5.2.32 (1029h)",
         ),
         "not_started": Kind(
-            52, "A node did not start", "It refused the NMT start, or did not get it.",
-            ("Read its error history (1003h).", "Send the start to it alone: coulombus nmt start.", "Check its configuration: some devices refuse to start without it."),
+            51, "A node did not start", "It refused the NMT start, or did not get it.",
+            ("Read its error history (1003h).", "Send the start to it alone: coulombus nmt start.",
+             "Check its configuration: some devices refuse to start without it."),
             "Without OPERATIONAL there are no PDOs.", "CiA 301, 7.2.8.2.1",
         ),
         "drive_fault": Kind(
-            50, "A drive went to FAULT", "The drive switched its power stage off by itself.",
+            54, "A drive went to FAULT", "The drive switched its power stage off by itself.",
             ("Read the error code 603Fh and its EMCY.", "Check supply, motor plug and temperature.",
              "Reset it with bit 7 of the controlword, once the cause is gone."),
             "The motor has no torque.", "CiA 402-2, state machine, transition 13",
         ),
         "emcy": Kind(
-            54, "A node reported an error", "The node's own diagnosis.",
+            53, "A node reported an error", "The node's own diagnosis.",
             (MANUAL, "Read 1001h and 1003h of the node.", "Look at what was commanded just before."),
             "A node reports what it cannot mend itself.", "CiA 301, 7.2.7 and 7.5.2.4 (1003h)",
         ),
         "error_code": Kind(
-            53, "A drive shows an error code", "The drive's own diagnosis (603Fh).",
+            52, "A drive shows an error code", "The drive's own diagnosis (603Fh).",
             (MANUAL, "Read 1003h for what came before.", "Check supply, load and temperature."),
             "The code names what the drive saw.", "CiA 402-2, 603Fh",
+        ),
+        "reset_failed": Kind(
+            15, "A fault reset had no effect", "The cause of the fault was still there.",
+            ("Remove the cause first.", "Read 603Fh after the reset.", "Set bit 7 of the controlword from 0 to 1: its edge resets."),
+            "The drive stays in FAULT.", "CiA 402-2, transition 15",
         ),
         "quick_stop": Kind(
             46, "A drive did a quick stop by itself", "A limit switch, an input, or a lost set-point.",
@@ -177,7 +183,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "heartbeat_late": Kind(
             20, "Heartbeats came late", "The node or the bus was busy.",
-            ("Compare with the bus load at that time.", "Look for long SDO transfers to that node.", "Lengthen 1016h of its consumers, or shorten 1017h."),
+            ("Compare with the bus load at that time.", "Look for long SDO transfers to that node.",
+             "Lengthen 1016h of its consumers, or shorten 1017h."),
             "The next one later is taken for a lost node.", "CiA 301, 7.5.2.19 (1016h)",
         ),
         "tpdo_missing": Kind(
@@ -207,7 +214,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "pdo_length": Kind(
             43, "A PDO's length does not fit its map", "The node has another map than its master believes.",
-            ("Read 1600h or 1A00h of the node.", "Write the map again after each restart of the node.", "Check that the EDS file is of this firmware."),
+            ("Read 1600h or 1A00h of the node.", "Write the map again after each restart of the node.",
+             "Check that the EDS file is of this firmware."),
             "Values are read from wrong bytes, or not at all.", "CiA 301, 7.2.2.5 (EMCY 8210h)",
         ),
         "repeated": Kind(
@@ -222,7 +230,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "sdo_refused_read": Kind(
             5, "A node does not have an object", "It was asked for an object that it need not have.",
-            ("Nothing, if the program goes on: optional objects are often asked for.", "Compare with its EDS file.", "Check that the EDS file is of this firmware."),
+            ("Nothing, if the program goes on: optional objects are often asked for.", "Compare with its EDS file.",
+             "Check that the EDS file is of this firmware."),
             "Usually harmless.", "CiA 301, 7.2.4.3.17, table 22", "sdo",
         ),
         "sdo_timeout": Kind(

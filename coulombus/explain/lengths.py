@@ -32,7 +32,9 @@ class Lengths:
             wrong = np.flatnonzero(~enough)
             i = int(wrong[0])
             text = f"{known.name} ({key:03X}h) has {group.length[i]} bytes, its map ({known.source}) {expected}"
-            clue = self.clues.begin("pdo_length", known.node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=key)
+            clue = self.clues.begin(
+                "pdo_length", known.node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=key
+            )
             clue.count += len(wrong) - 1
             if wrong[-1] < len(group) - 1:
                 after = int(group.t_ns[wrong[-1] + 1])

@@ -73,9 +73,7 @@ def explain_bus(
             client.wait(WAIT_S)
             while received := client.receive():
                 frames = new_records(Frame, len(received))
-                frames[:] = [
-                    (t_ns, can_id, length, data_word(data), 0) for t_ns, can_id, length, data in received
-                ]
+                frames[:] = [(t_ns, can_id, length, data_word(data), 0) for t_ns, can_id, length, data in received]
                 explainer.take(frames)
             now = time.monotonic()
             if now - looked > LOOK_S:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from coulombus.eds.cia301 import NmtCommand, NmtState, emcy_text
+from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Node, Order
+from coulombus.explain.device_errors import error_text
 from coulombus.explain.frames import REMOTE, Block
 from coulombus.wire.data_word import data_bytes
 
@@ -158,11 +159,11 @@ class Nodes:
         elif gap > LATE * period:
             text = f"a heartbeat came after {gap / 1e6:.1f} ms, its period is {period / 1e6:g} ms"
             self.clues.note("heartbeat_late", number, t_ns, text, row=row)
-        recent = self._short.setdefault(number, [])
+        soon = self._short.setdefault(number, [])
         before, node.last_gap_ns = node.last_gap_ns, gap
-        recent.append(SAME_NS < gap < 0.7 * period and 0.8 * period < gap + before < 1.2 * period)
-        del recent[:-12]
-        if sum(recent) >= 4:
+        soon.append(SAME_NS < gap < 0.7 * period and 0.8 * period < gap + before < 1.2 * period)
+        del soon[:-12]
+        if sum(soon) >= 4:
             text = f"heartbeats come twice within a period of {period / 1e6:g} ms: two devices send them"
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="heartbeat")
 
@@ -210,7 +211,7 @@ class Nodes:
         if code == 0:
             self.clues.end_all("emcy", number, t_ns, "EMCY 0000h: no error any more")
             return
-        text = f"EMCY {emcy_text(code)}"
+        text = f"EMCY {error_text(code)}"
         if len(data) >= 3:
             text += f" (error register {data[2]:02X}h)"
         self.clues.begin("emcy", number, t_ns, text, row=row, subject=code)

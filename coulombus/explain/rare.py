@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from coulombus.explain.bus import HEARTBEAT, NMT, SDO_RX, SDO_TX, Bus
+from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, SDO_RX, SDO_TX, Bus
 from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.nodes import Nodes
 from coulombus.explain.sdo import Sdo
@@ -43,9 +43,10 @@ class RareFrames:
         for key in block.groups:
             bare = key & ~REMOTE
             function, number = bare & 0x780, bare & 0x7F
-            if key == NMT or (number and function == HEARTBEAT):
-                yield key
-            elif number and key == bare and function in (SDO_TX, SDO_RX):
-                yield key
-            elif number and key == bare and function == 0x080 and key not in self.bus.maps:
+            mapped = function == EMCY and key in self.bus.maps
+            if (
+                key == NMT
+                or (number and function == HEARTBEAT)
+                or (number and key == bare and function in (SDO_TX, SDO_RX, EMCY) and not mapped)
+            ):
                 yield key

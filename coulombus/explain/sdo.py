@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 from coulombus.eds.cia301 import Abort, abort_text
 from coulombus.eds.sdo_frames import where
-from coulombus.explain.bus import SDO_RX, SDO_TX, Bus
+from coulombus.explain.bus import SDO_RX, Bus
+from coulombus.explain.device_errors import ABORT_CHECKS
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["Sdo"]
@@ -164,9 +165,7 @@ class Sdo:
         for kind in ("sdo_abort", "sdo_refused_read", "sdo_incomplete"):
             self.clues.end(kind, number, t_ns, "a later transfer of it succeeded", subject=subject)
 
-    def _value(
-        self, row: int, t_ns: int, number: int, server: _Server, request: _Request, value: int | None
-    ) -> None:
+    def _value(self, row: int, t_ns: int, number: int, server: _Server, request: _Request, value: int | None) -> None:
         if value is None:
             return
         at = (request.index, request.subindex)
@@ -236,9 +235,10 @@ class Sdo:
         value = f" of {_number(request.value)}" if request is not None and request.value is not None else ""
         text = f"{by} refused the {verb}{value} of {self._object(number, data)}: {abort_text(code)}"
         if kind == "sdo_abort" and writes:
-            self.clues.begin(kind, number, t_ns, text, row=row, subject=at)
+            clue = self.clues.begin(kind, number, t_ns, text, row=row, subject=at)
         else:
-            self.clues.note(kind, number, t_ns, text, row=row, subject=at if writes else None)
+            clue = self.clues.note(kind, number, t_ns, text, row=row, subject=at if writes else None)
+        clue.check = ABORT_CHECKS.get(code, "")
 
     def _silent(self, number: int, server: _Server, request: _Request) -> None:
         server.unanswered.append(request)

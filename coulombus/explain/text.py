@@ -19,13 +19,14 @@ VERDICT_TEXT = {
     "recovered": "recovered: something went wrong, and it is over",
     "unresolved": "unresolved: something went wrong, and it still is at the end of the log",
 }
-SHOWN_CLUES = 24
+SHOWN_EVENTS = 40
 
 
 def title(explanation: Explanation, incident: Incident) -> str:
     """Return an incident in a line: whose, what."""
     whose = explanation.bus.name(incident.node)
-    axis = f", axis {incident.root.axis + 1}" if incident.root.axis else ""
+    axes = incident.axes if max(incident.axes, default=1) > 1 else ()
+    axis = f", axis {' and '.join(map(str, axes))}" if axes else ""
     return f"{whose}{axis}: {KINDS[incident.root.kind].title[0].lower()}{KINDS[incident.root.kind].title[1:]}"
 
 
@@ -37,7 +38,9 @@ def cause(incident: Incident) -> str:
 
 def checks(incident: Incident) -> tuple[str, ...]:
     """Return what to check first, the cheapest first."""
-    return KINDS[incident.root.kind].checks
+    usual = KINDS[incident.root.kind].checks
+    first = incident.root.check
+    return (first, *usual[1:]) if first else usual
 
 
 def as_dict(explanation: Explanation) -> dict[str, Any]:
@@ -64,7 +67,7 @@ def _incident(explanation: Explanation, incident: Incident) -> dict[str, Any]:
         "number": incident.number,
         "status": incident.status,
         "node": incident.node,
-        "axis": root.axis + 1 if root.axis else None,
+        "axis": incident.axes[0] if len(incident.axes) == 1 else None,
         "kind": root.kind,
         "title": title(explanation, incident),
         "t_s": explanation.at_s(incident.begin_ns),
@@ -105,6 +108,12 @@ def screen(explanation: Explanation, source: str) -> Iterator[str]:
         yield ""
         yield f"{incident.number}  {incident.status.upper()}  {_when(explanation, incident)}  {title(explanation, incident)}"
         yield f"   cause ({incident.sure}): {cause(incident)}"
+        outcome = next(
+            (clue.end_text for clue in reversed(incident.clues) if clue.end_text and clue.kind == incident.root.kind),
+            "",
+        )
+        if outcome and incident.status == "recovered":
+            yield f"   over: {outcome}"
         yield f"   check first: {checks(incident)[0]}"
     if warnings:
         yield ""
@@ -152,18 +161,29 @@ def news(explanation: Explanation, incident: Incident) -> str:
 
 
 def _course(explanation: Explanation, incident: Incident) -> Iterator[str]:
-    for clue in incident.clues[:SHOWN_CLUES]:
-        yield f"{explanation.at_s(clue.begin_ns):12.6f} s  {_role(incident, clue):<11}  {_clue(explanation, clue)}"
-        if clue.end_ns is not None and clue.end_text:
-            yield f"{explanation.at_s(clue.end_ns):12.6f} s  {'':<11}  {explanation.bus.name(clue.node)}: {clue.end_text}"
-    if len(incident.clues) > SHOWN_CLUES:
-        yield f"... and {len(incident.clues) - SHOWN_CLUES} more"
+    events = [(clue.begin_ns, _role(incident, clue), _clue(explanation, clue)) for clue in incident.clues]
+    events += [
+        (clue.end_ns, "end", f"{explanation.bus.name(clue.node)}: {clue.end_text}")
+        for clue in incident.clues
+        if clue.end_ns is not None and clue.end_text
+    ]
+    events.sort(key=lambda event: event[0])
+    for t_ns, role, text in events[:SHOWN_EVENTS]:
+        yield f"{explanation.at_s(t_ns):12.6f} s  {role:<11}  {text}"
+    if len(events) > SHOWN_EVENTS:
+        yield f"... and {len(events) - SHOWN_EVENTS} more"
 
 
 def _role(incident: Incident, clue: Clue) -> str:
     if clue is incident.root:
         return "cause"
-    return "diagnosis" if clue is incident.diagnosis else "consequence" if clue.begin_ns >= incident.root.begin_ns else "sign"
+    return (
+        "diagnosis"
+        if clue is incident.diagnosis
+        else "consequence"
+        if clue.begin_ns >= incident.root.begin_ns
+        else "sign"
+    )
 
 
 def _clue(explanation: Explanation, clue: Clue) -> str:
@@ -174,8 +194,10 @@ def _clue(explanation: Explanation, clue: Clue) -> str:
 
 def _when(explanation: Explanation, incident: Incident) -> str:
     begin, end = explanation.at_s(incident.begin_ns) or 0.0, explanation.at_s(incident.end_ns)
-    return f"{begin:.3f} s" if end is not None and end - begin < 0.001 else f"{begin:.3f} s to " + (
-        "the end" if end is None else f"{end:.3f} s"
+    return (
+        f"{begin:.3f} s"
+        if end is not None and end - begin < 0.001
+        else f"{begin:.3f} s to " + ("the end" if end is None else f"{end:.3f} s")
     )
 
 
@@ -190,7 +212,12 @@ def markdown(explanation: Explanation, source: str) -> str:
     lines += [f"- {_plain(remark)}" for remark in explanation.remarks]
     for incident in explanation.incidents:
         lines += ["", f"## {incident.number}. {_plain(title(explanation, incident))}", ""]
-        lines += [f"{incident.status}, {_when(explanation, incident)}", "", _plain(cause(incident)) + f" ({incident.sure})", ""]
+        lines += [
+            f"{incident.status}, {_when(explanation, incident)}",
+            "",
+            _plain(cause(incident)) + f" ({incident.sure})",
+            "",
+        ]
         lines += [f"{number}. {_plain(check)}" for number, check in enumerate(checks(incident), 1)]
         lines += ["", *(f"    {_plain(line)}" for line in _course(explanation, incident))]
         lines += ["", f"{KINDS[incident.root.kind].why} See {KINDS[incident.root.kind].clause}."]

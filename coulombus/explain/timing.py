@@ -76,7 +76,11 @@ class Timing:
         if sync is not None:
             self._sync_gaps(sync, silences)
             self._sync = sync.t_ns[-1:]
-            edges = sync.t_ns if block.last or self._doubled_sync else np.concatenate((sync.t_ns, self._sync + self.period_ns))
+            edges = (
+                sync.t_ns
+                if block.last or self._doubled_sync
+                else np.concatenate((sync.t_ns, self._sync + self.period_ns))
+            )
             self.sync_row = int(sync.rows[-1])
         if self._doubled_sync:
             edges = edges[:0]
@@ -107,7 +111,9 @@ class Timing:
         if self.period_ns and len(self._sync) and not self.clues.stands("sync_lost", None):
             last = int(self._sync[-1])
             if t_ns - last > max(SILENT * self.period_ns, 20 * MS) and not self._stopped(last):
-                self.clues.begin("sync_lost", None, last, "SYNC stops, and nobody had stopped the nodes", row=self.sync_row)
+                self.clues.begin(
+                    "sync_lost", None, last, "SYNC stops, and nobody had stopped the nodes", row=self.sync_row
+                )
         for key, pdo in self._pdos.items():
             known = self.bus.maps.get(key)
             if pdo.regular or not pdo.period_ns or pdo.last_ns < 0:
@@ -149,12 +155,13 @@ class Timing:
                 self.clues.end("sync_lost", None, end, "SYNC comes again")
             else:
                 self.clues.note("sync_gap", None, begin, text, row=row, count=max(count, 1))
-        self._doubled_sync = False
         close = np.flatnonzero(gaps < 0.5 * self.period_ns)
-        odd = len(close) / len(gaps)
-        if len(close) >= 5 and odd > 0.1:
+        stands = self.clues.stands("two_sync", None)
+        if stands and not len(close) and len(gaps) > ENOUGH:
+            self.clues.end("two_sync", None, int(stamps[0]), "SYNC comes once in its period again")
+        self._doubled_sync = len(close) > 0 and (stands or (len(close) >= 5 and len(close) > 0.1 * len(gaps)))
+        if self._doubled_sync:
             row, at = int(sync.rows[close[0] + 1 - first]), int(stamps[close[0] + 1])
-            self._doubled_sync = True
             text = f"SYNC comes more than once within its period of {self.period_ns / MS:g} ms: two nodes produce it"
             self.clues.begin("two_sync", None, at, text, row=row)
         elif len(close):
@@ -221,7 +228,15 @@ class Timing:
         self._latency(group, place, complete, sync, pdo, node, name, sends, counts)
 
     def _walk(
-        self, counts: Integers, sync: Integers, pdo: _Pdo, node: int | None, name: str, sends: bool, group: Frames, key: int
+        self,
+        counts: Integers,
+        sync: Integers,
+        pdo: _Pdo,
+        node: int | None,
+        name: str,
+        sends: bool,
+        group: Frames,
+        key: int,
     ) -> None:
         """Go through runs of intervals with and without the PDO."""
         for empty, start, end in _runs(counts):
@@ -249,9 +264,7 @@ class Timing:
         """Tell whether an order explains that a PDO stops at this time."""
         return node is None or self.bus.left_on_order(node, begin + max(3 * self.period_ns, 20 * MS))
 
-    def _missing(
-        self, pdo: _Pdo, node: int | None, name: str, sends: bool, begin: int, number: int, key: int
-    ) -> None:
+    def _missing(self, pdo: _Pdo, node: int | None, name: str, sends: bool, begin: int, number: int, key: int) -> None:
         pdo.missing_ns, pdo.missing = begin, number
         kind = "tpdo_missing" if sends else "rpdo_missing"
         text = f"no {name} after SYNC" if sends else f"no {name}: set-points do not come"
@@ -263,7 +276,15 @@ class Timing:
         pdo.missing_ns, pdo.missing = -1, 0
 
     def _doubled(
-        self, doubled: Integers, counts: Integers, sync: Integers, pdo: _Pdo, node: int | None, name: str, sends: bool, group: Frames
+        self,
+        doubled: Integers,
+        counts: Integers,
+        sync: Integers,
+        pdo: _Pdo,
+        node: int | None,
+        name: str,
+        sends: bool,
+        group: Frames,
     ) -> None:
         """Note intervals in which a PDO came more than once, with contents that differ."""
         differing = 0
@@ -303,7 +324,9 @@ class Timing:
             how = "late" if worst is late else "after the next SYNC"
             text = f"{name} comes {how}: {latency[worst].mean() / MS:.2f} ms after SYNC, usually {usual / MS:.2f} ms"
             kind = "tpdo_late" if sends else "rpdo_late"
-            clue = self.clues.note(kind, node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=name, count=len(worst))
+            clue = self.clues.note(
+                kind, node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=name, count=len(worst)
+            )
             clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(complete)[worst[-1]]])
 
     def _own_period(self, key: int, group: Frames, pdo: _Pdo, known: Map | None) -> None:
@@ -326,7 +349,7 @@ class Timing:
             self.clues.end("pdo_stopped", self._whose(key, known)[0], int(group.t_ns[0]), "it comes again", subject=key)
 
     def _gap(self, key: int, pdo: _Pdo, known: Map | None, begin: int, end: int | None) -> None:
-        node, name, sends = self._whose(key, known)
+        node, name, _ = self._whose(key, known)
         if node is None or self._excused(node, begin) or self.clues.stands("pdo_stopped", node, key):
             return
         text = f"{name} stops, it came every {pdo.period_ns / MS:.3g} ms"
@@ -369,7 +392,13 @@ class Timing:
         first = int(np.flatnonzero(same)[0]) + 1
         text = f"{name} came twice, the second one {gap[first - 1] / 1000:.0f} us behind the first"
         self.clues.note(
-            "repeated", node, int(group.t_ns[first]), text, row=int(group.rows[first]), subject=key, count=int(same.sum())
+            "repeated",
+            node,
+            int(group.t_ns[first]),
+            text,
+            row=int(group.rows[first]),
+            subject=key,
+            count=int(same.sum()),
         )
 
 

@@ -1,0 +1,52 @@
+"""Error codes of drives (CiA 402-2, EMCY and 603Fh) and what an SDO abort code asks for, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from coulombus.eds.cia301 import Abort, emcy_text
+
+__all__ = ["ABORT_CHECKS", "error_text"]
+
+DRIVE_TEXT: Mapping[int, str] = MappingProxyType(
+    {
+        0x2310: "continuous over-current", 0x2320: "short circuit or earth leakage", 0x2330: "earth leakage",
+        0x2340: "short circuit", 0x3110: "mains over-voltage", 0x3120: "mains under-voltage", 0x3130: "phase failure",
+        0x3210: "DC link over-voltage", 0x3220: "DC link under-voltage", 0x3331: "field circuit interrupted",
+        0x4110: "ambient temperature too high", 0x4210: "device temperature too high",
+        0x4310: "drive temperature too high", 0x5112: "24 V supply low", 0x5430: "input stages",
+        0x5530: "non-volatile memory", 0x6010: "software reset (watchdog)", 0x6320: "parameter error",
+        0x7110: "brake chopper", 0x7121: "motor blocked", 0x7122: "motor error or commutation",
+        0x7303: "resolver 1", 0x7305: "incremental sensor 1", 0x7306: "incremental sensor 2", 0x7310: "speed",
+        0x7320: "position", 0x7500: "communication", 0x8311: "excess torque", 0x8331: "torque",
+        0x8400: "velocity speed controller", 0x8500: "position controller", 0x8611: "following error",
+        0x8612: "reference limit", 0xFF01: "the maker's own",
+    }
+)  # fmt: skip
+
+ABORT_CHECKS: Mapping[int, str] = MappingProxyType(
+    {
+        Abort.NO_OBJECT: "Compare with the device's EDS file: it has no object of this index.",
+        Abort.NO_SUBINDEX: "Compare with the device's EDS file: the object has no such sub-index.",
+        Abort.READ_ONLY: "Leave the write out: the object can only be read.",
+        Abort.WRITE_ONLY: "Leave the read out: the object can only be written.",
+        Abort.VALUE: "Look up which values the object takes.",
+        Abort.VALUE_HIGH: "Write a smaller value: look up the object's limit.",
+        Abort.VALUE_LOW: "Write a larger value: look up the object's limit.",
+        Abort.LENGTH: "Write it in the size of its data type, as the EDS file has it.",
+        Abort.TOO_LONG: "Write fewer bytes: its data type is shorter.",
+        Abort.TOO_SHORT: "Write more bytes: its data type is longer.",
+        Abort.DEVICE_STATE: "Write it in another state: PRE-OPERATIONAL, or with the drive not enabled.",
+        Abort.LOCAL_CONTROL: "Switch the device from local to remote control.",
+        Abort.NOT_MAPPABLE: "Map another object: the EDS file says which can be mapped.",
+        Abort.PDO_LENGTH: "Map fewer objects: a PDO has eight bytes.",
+    }
+)
+"""The cheapest step by the code that a node gave."""
+
+
+def error_text(code: int) -> str:
+    """Return ``0x7121: motor blocked`` for an EMCY or 603Fh code of a drive; CiA 301's words, else."""
+    text = DRIVE_TEXT.get(code)
+    return emcy_text(code) if text is None else f"0x{code:04X}: {text}"
