@@ -52,7 +52,7 @@ class Knowledge:
 
 
 @dataclass(frozen=True)
-class Outputs:
+class ExplainOutputs:
     """What is made of it."""
 
     report: Path | None
@@ -78,7 +78,7 @@ knowledge_options = bundle(
 )
 output_options = bundle(
     "outputs",
-    Outputs,
+    ExplainOutputs,
     click.option(
         "--report", type=OutputFile(".html", ".md"), metavar="F.html", help="Write a report, HTML or Markdown."
     ),
@@ -101,7 +101,7 @@ def explain(
     bus_name: str | None,
     seconds: float | None,
     knowledge: Knowledge,
-    outputs: Outputs,
+    outputs: ExplainOutputs,
 ) -> None:
     """Say what went wrong on a CANopen bus, why, and what to check first.
 
@@ -140,8 +140,8 @@ def explain(
 
 def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | None, as_json: bool) -> Explanation:
     """Listen to a bus, and say each incident on stderr as it comes."""
+    from coulombus.explain.explanation_text import news
     from coulombus.explain.live import explain_bus
-    from coulombus.explain.text import news
     from coulombus.wire.address import parse_address
 
     def tell(explanation: Explanation, incident: Incident) -> None:
@@ -151,9 +151,9 @@ def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | No
     return explain_bus(parse_address(bus_name), tell, rig=rig, eds=files, seconds=seconds)
 
 
-def _show(explanation: Explanation, source: str, number: int | None, outputs: Outputs) -> None:
+def _show(explanation: Explanation, source: str, number: int | None, outputs: ExplainOutputs) -> None:
     """Print the screen, the incident or the JSON object, and write the report."""
-    from coulombus.explain.text import as_dict, detail_lines, html_page, markdown, screen
+    from coulombus.explain.explanation_text import as_dict, detail_lines, html_page, markdown, screen
     from coulombus.recording.output_file import new_file
 
     incidents = {incident.number: incident for incident in explanation.incidents}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
@@ -10,9 +10,10 @@ from coulombus.eds.description import Description
 from coulombus.eds.eds_folder import fitting
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import Block
-from coulombus.explain.pdo_maps import Map, Objects, maps_of
+from coulombus.explain.pdo_maps import Map, maps_of
+from coulombus.explain.seen_node import SeenNode
 
-__all__ = ["Bus", "Node", "Order", "product"]
+__all__ = ["Bus", "Order", "product"]
 
 TARGET = {
     NmtCommand.START: NmtState.OPERATIONAL,
@@ -36,26 +37,6 @@ class Order:
     def concerns(self, node: int) -> bool:
         """Tell whether it is to this node."""
         return self.node in (0, node)
-
-
-@dataclass
-class Node:
-    """A node as its frames show it."""
-
-    number: int
-    first_ns: int
-    last_ns: int
-    state: int = -1  # of the last heartbeat; -1: not known
-    was_operational: bool = False
-    heartbeat_ns: int = -1  # the last one; -1: none since it booted
-    heartbeat_row: int = -1
-    period_ns: int = 0  # of heartbeats; 0: not known
-    last_gap_ns: int = 0
-    gaps: list[int] = field(default_factory=list)
-    boots: int = 0
-    booted_ns: int = -1
-    objects: Objects = field(default_factory=dict)
-    device_type: int = 0
 
 
 class Bus:
@@ -82,7 +63,7 @@ class Bus:
     ) -> None:
         self.candidates = candidates
         self.clues = Clues()
-        self.nodes: dict[int, Node] = {}
+        self.nodes: dict[int, SeenNode] = {}
         self.orders: list[Order] = []
         self.descriptions, self.fixed, self.names = descriptions, fixed, names
         self.maps: dict[int, Map] = dict(fixed)
@@ -109,11 +90,11 @@ class Bus:
         for key, group in block.groups.items():
             self.counts[key] = self.counts.get(key, 0) + len(group)
 
-    def node(self, number: int, t_ns: int) -> Node:
+    def node(self, number: int, t_ns: int) -> SeenNode:
         """Return a node of which a frame was seen."""
         node = self.nodes.get(number)
         if node is None:
-            node = self.nodes[number] = Node(number, t_ns, t_ns)
+            node = self.nodes[number] = SeenNode(number, t_ns, t_ns)
             self.stale = True
         node.last_ns = max(node.last_ns, t_ns)
         return node
@@ -177,7 +158,7 @@ class Bus:
                     if description is not None:
                         self.descriptions[node.number] = description
                         self.names.setdefault(node.number, product(description))
-            self.maps = maps_of(self)
+            self.maps = maps_of(self.nodes, self.descriptions, self.fixed)
 
 
 def product(description: Description) -> str:

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from coulombus.explain.bus import Bus, product
-from coulombus.explain.drive import Drives
+from coulombus.explain.disturbances import Disturbances
+from coulombus.explain.drive_states import Drives
 from coulombus.explain.eds_files import EdsFiles
-from coulombus.explain.errors import Errors
 from coulombus.explain.frames import ERROR, EXTENDED, Block, Pieces
-from coulombus.explain.host import HostMarkers
+from coulombus.explain.host_markers import HostMarkers
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
 from coulombus.explain.nodes import STATES
 from coulombus.explain.pdo_maps import maps_of_rig
+from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
-from coulombus.explain.timing import Timing
 from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.reading import HOST, RIG, captures
 from coulombus.rigs.rig import Rig, RigError, load_rig_text
@@ -94,7 +94,7 @@ class Explainer:
         self.bus.host = rig.host.node_id if rig is not None else -1
         self._rare = RareFrames(self.bus)
         self._timing, self._drives = Timing(self.bus), Drives(self.bus)
-        self._others = (Errors(self.bus), HostMarkers(self.bus), self._timing, Lengths(self.bus), self._drives)
+        self._others = (Disturbances(self.bus), HostMarkers(self.bus), self._timing, Lengths(self.bus), self._drives)
         self._pieces = Pieces()
         self._span = span
         self._epoch_ns: int | None = None

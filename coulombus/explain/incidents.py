@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from coulombus.explain.clues import Clue
-from coulombus.explain.kinds import KINDS
+from coulombus.explain.incident_words import KINDS
 
 __all__ = ["Incident", "join"]
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
-from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Node, Order
+from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Order
 from coulombus.explain.device_errors import error_text
 from coulombus.explain.frames import REMOTE, Block
+from coulombus.explain.seen_node import SeenNode
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["Nodes"]
@@ -107,7 +108,7 @@ class Nodes:
         self._state(row, t_ns, node, state)
         node.heartbeat_ns, node.heartbeat_row, node.last_ns = t_ns, row, t_ns
 
-    def _boot(self, row: int, t_ns: int, node: Node, new: bool) -> None:
+    def _boot(self, row: int, t_ns: int, node: SeenNode, new: bool) -> None:
         reset = self.bus.ordered(node.number, max(node.booted_ns, t_ns - ANSWERED_NS), t_ns, NmtState.INITIALISING)
         lost = [kind for kind in LOST_KINDS if self.clues.stands(kind, node.number)]
         if node.booted_ns >= 0 and t_ns - node.booted_ns < SAME_NS:
@@ -128,7 +129,7 @@ class Nodes:
         node.last_ns = t_ns
         self.bus.stale = True
 
-    def _interval(self, block: Block, row: int, t_ns: int, node: Node) -> None:
+    def _interval(self, block: Block, row: int, t_ns: int, node: SeenNode) -> None:
         """Learn the period of the heartbeats, and note those that come too late or too soon."""
         number = node.number
         for kind in LOST_KINDS:
@@ -167,7 +168,7 @@ class Nodes:
             text = f"heartbeats come twice within a period of {period / 1e6:g} ms: two devices send them"
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="heartbeat")
 
-    def _state(self, row: int, t_ns: int, node: Node, state: int) -> None:
+    def _state(self, row: int, t_ns: int, node: SeenNode, state: int) -> None:
         before, node.state = node.state, state
         number = node.number
         if state == NmtState.OPERATIONAL:

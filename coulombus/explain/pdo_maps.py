@@ -4,21 +4,15 @@ maps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
 
 from coulombus.eds.description import Description, EdsError
 from coulombus.eds.pdo import COMMUNICATION, MAPPING, read_layout
+from coulombus.explain.seen_node import SeenNode
 from coulombus.rigs.rig import Rig
 
-if TYPE_CHECKING:
-    from coulombus.explain.bus import Bus, Node
-
-__all__ = ["Field", "Map", "Objects", "maps_of", "maps_of_rig"]
-
-Objects: TypeAlias = dict[tuple[int, int], int]
-"""Values of a node's objects by (index, sub-index), as SDO transfers showed them."""
+__all__ = ["Field", "Map", "maps_of", "maps_of_rig"]
 
 PDOS = 8
 BASES = {"tpdo": 0x180, "rpdo": 0x200}
@@ -97,15 +91,17 @@ def maps_of_rig(rig: Rig) -> dict[int, Map]:
     return maps
 
 
-def maps_of(bus: Bus) -> dict[int, Map]:
+def maps_of(
+    nodes: Mapping[int, SeenNode], descriptions: Mapping[int, Description], fixed: Mapping[int, Map]
+) -> dict[int, Map]:
     """Return the maps of a bus by identifier: SDO configuration before EDS, before the rig, before
     defaults.
     """
-    maps: dict[int, Map] = dict(bus.fixed)
-    for node in bus.nodes.values():
+    maps: dict[int, Map] = dict(fixed)
+    for node in nodes.values():
         for direction in ("rpdo", "tpdo"):
             for number in range(1, PDOS + 1):
-                known = _map(node, bus.descriptions.get(node.number), direction, number)
+                known = _map(node, descriptions.get(node.number), direction, number)
                 if known is None:
                     continue
                 if known.source != "assumed":
@@ -120,7 +116,7 @@ def _same(one: Map, other: Map) -> bool:
     return (one.node, one.direction, one.number) == (other.node, other.direction, other.number)
 
 
-def _map(node: Node, description: Description | None, direction: str, number: int) -> Map | None:
+def _map(node: SeenNode, description: Description | None, direction: str, number: int) -> Map | None:
     communication, mapping = COMMUNICATION[direction] + number - 1, MAPPING[direction] + number - 1
     objects = node.objects
     cob_id = objects.get((communication, 1))

@@ -8,8 +8,8 @@ from typing import Any
 
 from coulombus.explain.clues import Clue
 from coulombus.explain.explained import Explanation
+from coulombus.explain.incident_words import KINDS
 from coulombus.explain.incidents import Incident
-from coulombus.explain.kinds import KINDS
 
 __all__ = ["as_dict", "detail_lines", "html_page", "markdown", "news", "screen"]
 

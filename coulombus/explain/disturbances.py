@@ -12,7 +12,7 @@ from coulombus.explain.bus import Bus
 from coulombus.explain.frames import ERROR, Block, Integers
 from coulombus.wire.can_flags import CAN_ERR_FLAG
 
-__all__ = ["Errors"]
+__all__ = ["Disturbances"]
 
 CONTROLLER, PROTOCOL, NO_ACK, BUS_OFF, BUS_ERROR, RESTARTED = 0x004, 0x008, 0x020, 0x040, 0x080, 0x100
 OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x03, 0x0C, 0x30, 0x40
@@ -23,7 +23,7 @@ SHARE = 0.8
 """Of the destroyed frames: so many of one identifier are no accident."""
 
 
-class Errors:
+class Disturbances:
     """Counts error frames, and follows what controllers say of themselves."""
 
     def __init__(self, bus: Bus) -> None:

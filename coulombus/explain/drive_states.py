@@ -31,6 +31,7 @@ class _Axis:
     since_ns: int = -1  # since when the command should have moved it on; -1: it need not
     row: int = -1
     resets: int = 0
+    reset_ns: int = -1
 
 
 class Drives:
@@ -102,6 +103,7 @@ class Drives:
                     text = f"reset {drive.resets} had no effect: the drive stays in FAULT"
                     self.clues.note("reset_failed", node, t_ns, text, row=row, subject=(axis, drive.resets)).axis = axis
                 drive.resets += 1
+                drive.reset_ns = t_ns
         else:
             self._status(row, t_ns, node, axis, drive, value)
         self._expect(row, t_ns, node, axis, drive)
@@ -117,7 +119,8 @@ class Drives:
             clue = self.clues.begin("drive_fault", node, t_ns, f"the drive goes to FAULT{came}", row=row, subject=axis)
             clue.axis, drive.resets = axis, 0
         elif state not in FAULTS and before in FAULTS:
-            tries = f" at reset {drive.resets}" if drive.resets > 1 else " by a reset" if drive.resets else ""
+            after_s = (t_ns - drive.reset_ns) / 1e9
+            tries = f", {after_s:.2f} s after reset {drive.resets}" if drive.resets else ", and no reset was seen"
             self.clues.end("drive_fault", node, t_ns, f"it leaves FAULT{tries}", subject=axis)
         if state == PowerState.QUICK_STOP_ACTIVE and command is not Command.QUICK_STOP:
             text = "the drive does a quick stop that no controlword commands"
