@@ -141,7 +141,7 @@ def explain(
 def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | None, as_json: bool) -> Explanation:
     """Listen to a bus, and say each incident on stderr as it comes."""
     from coulombus.explain.explanation_text import news
-    from coulombus.explain.live import explain_bus
+    from coulombus.explain.live_bus import explain_bus
     from coulombus.wire.address import parse_address
 
     def tell(explanation: Explanation, incident: Incident) -> None:

@@ -8,9 +8,10 @@ from pathlib import Path
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.eds.description import Description
 from coulombus.eds.eds_folder import fitting
+from coulombus.eds.own_devices import told_identity
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import Block
-from coulombus.explain.pdo_maps import Map, maps_of
+from coulombus.explain.seen_maps import Map, maps_of
 from coulombus.explain.seen_node import SeenNode
 
 __all__ = ["Bus", "Order", "product"]
@@ -52,6 +53,8 @@ class Bus:
         Of nodes, where a rig or an EDS file names them.
     candidates
         EDS files of which a node takes the one that fits its identity (1018h).
+    of_rig
+        EDS files of the rig's nodes, which give names and no maps: `fixed` has these.
     """
 
     def __init__(
@@ -60,7 +63,10 @@ class Bus:
         fixed: dict[int, Map],
         names: dict[int, str],
         candidates: tuple[Description, ...] = (),
+        of_rig: dict[int, Description] | None = None,
     ) -> None:
+        self.of_rig = dict(of_rig or {})
+        self.others: list[int] = []  # nodes of the log that are not those of the rig
         self.candidates = candidates
         self.clues = Clues()
         self.nodes: dict[int, SeenNode] = {}
@@ -153,12 +159,28 @@ class Bus:
             self.stale = False
             for node in self.nodes.values():
                 identity = node.objects.get((0x1018, 1), 0), node.objects.get((0x1018, 2), 0)
+                if node.number in self.of_rig and any(identity):
+                    self._compare(node.number, identity)
                 if node.number not in self.descriptions and any(identity):
                     description = fitting(self.candidates, identity, node.objects.get((0x1018, 3), 0))
                     if description is not None:
                         self.descriptions[node.number] = description
                         self.names.setdefault(node.number, product(description))
             self.maps = maps_of(self.nodes, self.descriptions, self.fixed)
+
+    def describe(self, number: int) -> Description | None:
+        """Return the EDS file of a node, None where there is none."""
+        return self.descriptions.get(number) or self.of_rig.get(number)
+
+    def _compare(self, number: int, identity: tuple[int, int]) -> None:
+        """Take the rig's words from a node that is another device than the rig's."""
+        ours = told_identity(self.of_rig[number])
+        if all(seen in (0, told) for seen, told in zip(identity, ours, strict=True)):
+            return
+        del self.of_rig[number]
+        self.others.append(number)
+        self.names.pop(number, None)
+        self.fixed = {can_id: known for can_id, known in self.fixed.items() if known.node != number}
 
 
 def product(description: Description) -> str:

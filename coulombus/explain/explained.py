@@ -18,7 +18,7 @@ from coulombus.explain.host_markers import HostMarkers
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
 from coulombus.explain.nodes import STATES
-from coulombus.explain.pdo_maps import maps_of_rig
+from coulombus.explain.seen_maps import maps_of_rig
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
 from coulombus.recording.pcapng_reader import Capture
@@ -85,11 +85,16 @@ class Explainer:
     ) -> None:
         given = dict(eds.of_nodes) if eds is not None else {}
         names = {node: product(description) for node, description in given.items()}
+        of_rig = {}
         if rig is not None:
-            given = {node.node_id: node.description for node in rig.nodes} | given
+            of_rig = {node.node_id: node.description for node in rig.nodes}
             names = {node.node_id: node.name for node in rig.nodes} | names
         self.bus = Bus(
-            given, maps_of_rig(rig) if rig is not None else {}, names, eds.candidates if eds is not None else ()
+            given,
+            maps_of_rig(rig) if rig is not None else {},
+            names,
+            eds.candidates if eds is not None else (),
+            of_rig,
         )
         self.bus.host = rig.host.node_id if rig is not None else -1
         self._rare = RareFrames(self.bus)
@@ -192,6 +197,9 @@ class Explainer:
         errors = bus.counts.get(ERROR, 0)
         if errors:
             remarks.append(f"{errors} error frames")
+        if bus.others:
+            nodes = ", ".join(f"node {number}" for number in sorted(bus.others))
+            remarks.append(f"{nodes}: another device than the rig's (1018h), so the rig says nothing of it")
         assumed = sorted({known.node for known in bus.maps.values() if known.source == "assumed"})
         if assumed:
             nodes = ", ".join(map(str, assumed))

@@ -213,7 +213,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             "Whoever needs it works with old values.", "CiA 301, 7.5.2.37",
         ),
         "pdo_length": Kind(
-            43, "A PDO's length does not fit its map", "The node has another map than its master believes.",
+            55, "A PDO's length does not fit its map", "The node has another map than its master believes.",
             ("Read 1600h or 1A00h of the node.", "Write the map again after each restart of the node.",
              "Check that the EDS file is of this firmware."),
             "Values are read from wrong bytes, or not at all.", "CiA 301, 7.2.2.5 (EMCY 8210h)",

@@ -18,7 +18,7 @@ TRIP_NS = 3 * S
 ROOT_NS = S // 2
 """The clue that names an incident begins within this time of its first one."""
 PROMPT_NS = 5_000_000
-PROMPT = frozenset({"rpdo_missing"})
+PROMPT = frozenset({"rpdo_missing", "pdo_length"})
 """Kinds that are a consequence unless they come first."""
 AT_ONCE_NS = 2_000_000
 """Two nodes that lack the same within this time lack it for one reason."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from coulombus.explain.bus import EMCY, NMT, SDO_TX, Bus
 from coulombus.explain.frames import Block, Frames, Integers
-from coulombus.explain.pdo_maps import Map
+from coulombus.explain.seen_maps import Map
 
 __all__ = ["Timing"]
 
@@ -43,8 +43,8 @@ class _Pdo:
     latency_ns: float = -1.0
     period_ns: int = 0
     gaps: list[int] = field(default_factory=list)
-    doubled: int = 0
-    outdone: int = 0  # SYNC intervals in which another frame came first: of a one-to-one PDO
+    doubled: int = 0  # intervals with two that differ, lately
+    doubled_at: tuple[int, int] = (-1, -1)  # time and row of the first of them
 
 
 class Timing:
@@ -58,6 +58,7 @@ class Timing:
         self._pdos: dict[int, _Pdo] = {}
         self._doubled_sync = False  # in this block: its intervals say nothing of PDOs
         self._last_ns = -1
+        self._quiet: list[tuple[int, int, int]] = []  # silences that no SYNC has ended yet: begin, end, row
         self._rapid: dict[int, tuple[int, int, int]] = {}  # frames in rapid succession, since when, first row
         self._last_of: dict[int, int] = {}
         self.jitter_ns = 0.0
@@ -178,25 +179,34 @@ class Timing:
         return bool(nodes) and not at_work
 
     def _silences(self, block: Block) -> list[tuple[int, int]]:
-        """Note when nothing at all came while SYNC should have; return these times."""
+        """Note when nothing at all came though SYNC and heartbeats should have, and SYNC comes again;
+        return these times.
+        """
         if not self.period_ns:
             return []
+        sync = block.groups.get(SYNC)
         stamps = block.t_ns if self._last_ns < 0 else np.concatenate(([self._last_ns], block.t_ns))
         gaps = np.diff(stamps)
-        limit = max(SILENT * self.period_ns, 20 * MS)
-        silences = []
+        beats = [node.period_ns for node in self.bus.nodes.values() if node.period_ns and node.number != self.bus.host]
+        limit = max(SILENT * self.period_ns, 20 * MS, round(1.5 * min(beats, default=0)))
         for i in np.flatnonzero(gaps > limit).tolist():
             begin, end = int(stamps[i]), int(stamps[i + 1])
             last = int(self._sync[-1]) if len(self._sync) else -1
-            sync = block.groups.get(SYNC)
             if sync is not None and int(sync.t_ns[0]) <= begin:
                 last = int(sync.t_ns[sync.t_ns.searchsorted(begin, "right") - 1])
-            if last < 0 or begin - last > 2 * self.period_ns or self._stopped(begin):
-                continue
-            text = f"no frame of anybody for {(end - begin) / MS:.1f} ms"
-            self.clues.begin("bus_silent", None, begin, text, row=block.first_row + max(i - (self._last_ns >= 0), 0))
-            self.clues.end("bus_silent", None, end, "frames come again")
-            silences.append((begin, end))
+            if last >= 0 and begin - last <= 2 * self.period_ns and not self._stopped(begin):
+                self._quiet.append((begin, end, block.first_row + max(i - (self._last_ns >= 0), 0)))
+        if sync is None:
+            return []
+        silences = []
+        for begin, end, row in self._quiet:
+            place = int(sync.t_ns.searchsorted(end))
+            if place < len(sync) and int(sync.t_ns[place]) - end <= max(3 * (end - begin), 200 * MS):
+                text = f"no frame of anybody for {(end - begin) / MS:.1f} ms"
+                self.clues.begin("bus_silent", None, begin, text, row=row)
+                self.clues.end("bus_silent", None, end, "frames come again")
+                silences.append((begin, end))
+        self._quiet = [quiet for quiet in self._quiet if int(sync.t_ns[-1]) < quiet[1]]
         return silences
 
     # PDOs
@@ -253,7 +263,7 @@ class Timing:
             if pdo.regular and excused:
                 pdo.regular = False  # what is missing stands until it is started again, and comes
             elif pdo.regular and not late and pdo.missing_ns < 0:
-                self._missing(pdo, node, name, sends, int(sync[start]), end - start, key)
+                self._missing(pdo, node, name, sends, int(sync[start]), end - start, group)
             elif pdo.missing_ns >= 0:
                 pdo.missing += end - start
             pdo.streak = 0
@@ -264,11 +274,15 @@ class Timing:
         """Tell whether an order explains that a PDO stops at this time."""
         return node is None or self.bus.left_on_order(node, begin + max(3 * self.period_ns, 20 * MS))
 
-    def _missing(self, pdo: _Pdo, node: int | None, name: str, sends: bool, begin: int, number: int, key: int) -> None:
+    def _missing(
+        self, pdo: _Pdo, node: int | None, name: str, sends: bool, begin: int, number: int, group: Frames
+    ) -> None:
         pdo.missing_ns, pdo.missing = begin, number
+        place = int(group.t_ns.searchsorted(begin))
+        row = int(group.rows[place - 1]) if place else pdo.last_row
         kind = "tpdo_missing" if sends else "rpdo_missing"
         text = f"no {name} after SYNC" if sends else f"no {name}: set-points do not come"
-        self.clues.begin(kind, node, begin, text, row=pdo.last_row, subject=name)
+        self.clues.begin(kind, node, begin, text, row=row, subject=name)
 
     def _again(self, pdo: _Pdo, node: int | None, name: str, sends: bool, t_ns: int) -> None:
         kind = "tpdo_missing" if sends else "rpdo_missing"
@@ -293,7 +307,8 @@ class Timing:
             around = counts[max(i - 1, 0) : i + 2]
             if len(set(group.word[start:end].tolist())) > 1 and around.all():
                 differing += 1
-                row, at = int(group.rows[end - 1]), int(group.t_ns[end - 1])
+                if not pdo.doubled and differing == 1:
+                    pdo.doubled_at = int(group.t_ns[end - 1]), int(group.rows[end - 1])
         if differing <= 2 * int((counts == 0).sum()):
             differing = 0  # they are late ones
         pdo.doubled = pdo.doubled + differing if differing else max(pdo.doubled - len(counts), 0)
@@ -301,6 +316,7 @@ class Timing:
             kind = "duplicate_node" if sends else "second_master"
             what = "two devices have its node id" if sends else "two masters command it"
             text = f"{name} comes twice within a SYNC period, with contents that differ: {what}"
+            at, row = pdo.doubled_at
             self.clues.begin(kind, node, at, text, row=row, subject=name)
 
     def _latency(

@@ -257,7 +257,7 @@ class Sdo:
 
     def _object(self, number: int, data: bytes) -> str:
         index, subindex = int.from_bytes(data[1:3], "little"), data[3]
-        description = self.bus.descriptions.get(number)
+        description = self.bus.describe(number)
         name = ""
         if description is not None and description.has(index, subindex):
             name = f" ({description.variable(index, subindex).name})"

@@ -40,6 +40,8 @@ BASE = {
     "mark": "mark grasp --bus coulombus:none",
     "set": "set F_s=2.0 --bus coulombus:none",
     "watch": "watch --bus coulombus:none",
+    "explain": "explain RECORDING",
+    "explain --bus": "explain --bus coulombus:none",
     "decode": "decode RECORDING",
     "plot": "plot RECORDING -o DIR/out.png",
     "diff": "diff RECORDING RECORDING",
@@ -90,6 +92,7 @@ WITH_RIG = (
     "stop",
     "status",
     "watch",
+    "explain",
     "decode",
     "replay --host",
     "replay --virtual",
@@ -127,6 +130,7 @@ WITH_SET = (
     "analyse map",
 )
 WITH_RECORDING = (
+    "explain",
     "decode",
     "hz FILE",
     "export",

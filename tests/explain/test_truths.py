@@ -1,0 +1,42 @@
+"""`explain` against runs whose truth is known: the simulated bus, and what was done to it. `make long`
+has two thousand of them.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.explain_truths import RIG_FAULTS, SCENARIOS, Score, outcome, rig_outcome
+from coulombus.explain.explained import explain
+from coulombus.lab.simulate import simulate
+
+pytestmark = pytest.mark.slow
+
+
+def test_a_hundred_runs_are_told_as_they_were():
+    score = Score()
+    for seed in range(100):
+        score.add(rig_outcome(seed) if seed % 5 == 0 else outcome(seed))
+    assert score.runs + score.healthy == 100
+    assert score.cause >= 0.95 * score.runs, "\n".join(score.lines())
+    assert score.node >= 0.95 * score.runs
+    assert score.state >= 0.95 * score.runs
+    assert (score.invented, score.healthy > 5) == (0, True)
+
+
+@pytest.mark.parametrize("name", [*SCENARIOS, *RIG_FAULTS])
+def test_each_thing_that_is_done_is_told(name):
+    result = rig_outcome(3, name) if name in RIG_FAULTS else outcome(3, name)
+    assert result.name == name
+    assert result.right == (True, True, True), [vars(i.root) for i in result.told.incidents]
+
+
+@pytest.mark.parametrize(
+    ("rig", "mode"), [("bench", "active"), ("bench", "passive"), ("paper", "hybrid"), ("two_axes", "hybrid")]
+)
+def test_a_healthy_recording_is_ok(tmp_path, rig, mode):
+    path = tmp_path / "run.pcapng"
+    simulate(rig, mode, 1.2, record=path)
+    told = explain(path)
+    assert (told.verdict, [vars(i.root) for i in told.incidents]) == ("ok", [])
+    assert told.nodes[0].name
