@@ -50,7 +50,7 @@ def follow(page, folder):
         pytest.skip(f"all other commands passed; not installed: {', '.join(dict.fromkeys(absent))}")
 
 
-@pytest.mark.parametrize("page", ["first-experiment.md", "first-rig.md", "sweep.md", "study.md"])
+@pytest.mark.parametrize("page", ["first-experiment.md", "first-rig.md", "my-machine-stopped.md", "sweep.md", "study.md"])
 def test_a_tutorial_in_virtual_time(page, tmp_path):
     follow(page, tmp_path)
 
@@ -79,5 +79,5 @@ def test_every_tutorial_is_followed():
     found = {path.name for path in TUTORIALS.iterdir()}
     assert found == {
         *("index.md", "first-experiment.md", "first-rig.md", "sweep.md", "study.md", "can-tour.md", "own-device.md"),
-        *("own-law.ipynb", "recording.ipynb"),
+        *("own-law.ipynb", "recording.ipynb", "my-machine-stopped.md"),
     }

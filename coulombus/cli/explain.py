@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["explain"]
 
 FAILED = 1
+COURSE = 29
+"""Where the text of a course's line begins."""
 
 
 def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
@@ -173,4 +175,4 @@ def _show(explanation: Explanation, source: str, number: int | None, outputs: Ex
     lines = screen(explanation, source) if number is None else detail_lines(explanation, incidents[number], source)
     with printed():
         for line in lines:
-            echo(on_terminal(line, 3, piped=PROSE))
+            echo(on_terminal(line, COURSE if line.startswith("     ") else 3, piped=PROSE))

@@ -18,9 +18,9 @@ from coulombus.explain.host_markers import HostMarkers
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
 from coulombus.explain.nodes import STATES
-from coulombus.explain.seen_maps import maps_of_rig
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
+from coulombus.explain.seen_maps import maps_of_rig
 from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.reading import HOST, RIG, captures
 from coulombus.rigs.rig import Rig, RigError, load_rig_text
@@ -176,7 +176,11 @@ class Explainer:
     def _summary(self, number: int, incidents: tuple[Incident, ...]) -> NodeSummary:
         node = self.bus.nodes[number]
         state = STATES.get(node.state, "booting" if node.state == 0 else "") if node.state >= 0 else ""  # type: ignore[call-overload]
-        sources = {known.source for known in self.bus.maps.values() if known.node == number and known.fields}
+        sources = {
+            known.source
+            for known in self.bus.maps.values()
+            if known.node == number and known.fields and known.can_id in self.bus.counts
+        }
         frames = sum(count for key, count in self.bus.counts.items() if self.bus.sender(key) == number)
         well = not any(clue.node == number for incident in incidents for clue in incident.clues)
         return NodeSummary(number, self.bus.names.get(number, ""), str(state), frames, ", ".join(sorted(sources)), well)
@@ -200,7 +204,9 @@ class Explainer:
         if bus.others:
             nodes = ", ".join(f"node {number}" for number in sorted(bus.others))
             remarks.append(f"{nodes}: another device than the rig's (1018h), so the rig says nothing of it")
-        assumed = sorted({known.node for known in bus.maps.values() if known.source == "assumed"})
+        assumed = sorted(
+            {known.node for known in bus.maps.values() if known.source == "assumed" and known.can_id in bus.counts}
+        )
         if assumed:
             nodes = ", ".join(map(str, assumed))
             remarks.append(

@@ -145,6 +145,7 @@ def join(clues: Iterable[Clue]) -> list[Incident]:
 def _order(clue: Clue) -> tuple[bool, int, int]:
     """What concerns all comes first, then by time: a cause may be seen later than its consequence."""
     lead = TOLERANCE_NS if clue.kind in BUS_WIDE or clue.kind in GONE else 0
+    lead = PROMPT_NS if clue.kind == "host_trip" else lead
     return (clue.kind not in FOR_ALL, clue.begin_ns - lead, -KINDS[clue.kind].rank)
 
 
@@ -163,7 +164,7 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     at = clue.begin_ns
     if (
         trip is not None
-        and trip.begin_ns <= at <= trip.begin_ns + TRIP_NS
+        and trip.begin_ns - PROMPT_NS <= at <= trip.begin_ns + TRIP_NS
         and clue.kind not in ("host_trip", "sdo_refused_read")
     ):
         return True
@@ -189,6 +190,8 @@ def _explains(incident: Incident, clue: Clue) -> bool:
         )
     if root.node == clue.node:
         return True
+    if clue.kind == "rpdo_late":  # the host waits for what is missing
+        return any(known.kind in ("tpdo_missing", "tpdo_late") for known in incident.clues)
     return clue.kind == "emcy" and root.kind in GONE and "0x81" in clue.text
 
 

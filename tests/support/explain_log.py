@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from coulombus.explain.explained import Explainer
@@ -62,7 +64,7 @@ class Log:
         """Return the explanation, of the whole or of so many pieces one after the other."""
         explainer = Explainer(**knowledge)
         cuts = np.linspace(0, len(self.rows), pieces + 1).astype(int)
-        for start, end in zip(cuts[:-1], cuts[1:], strict=True):
+        for start, end in pairwise(cuts):
             inside = [(row - start, text) for row, text in comments if start <= row < end]
             explainer.take(self.frames[start:end], inside)
         explainer.end()
