@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import force_option, json_option, load, printed, say
+from coulombus.cli.common import file_channel_option, force_option, json_option, load, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
 from coulombus.cli.tables import PROSE, echo, on_terminal
@@ -43,6 +43,7 @@ class Knowledge:
     rig_name: str | None
     eds: tuple[str, ...]
     span: tuple[float | None, float | None]
+    channels: tuple[str, ...]
 
     def load(self) -> tuple[Rig | None, EdsFiles]:
         """Load rig and EDS files; say which files of a folder cannot be read."""
@@ -74,6 +75,7 @@ knowledge_options = bundle(
         metavar="N=FILE",
         help="EDS file of node N, as 5=drive.eds; or a folder of them. May be given several times.",
     ),
+    file_channel_option,
     click.option(
         "--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]"
     ),
@@ -130,7 +132,7 @@ def explain(
         if file is not None:
             from coulombus.explain.explained import explain as explain_file
 
-            explanation = explain_file(file, rig=rig, eds=files, span=knowledge.span)
+            explanation = explain_file(file, rig=rig, eds=files, span=knowledge.span, channel=knowledge.channels)
             source = str(file)
         else:
             source = f"--bus {bus_name}"

@@ -21,6 +21,7 @@ from coulombus.explain.nodes import STATES
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
 from coulombus.explain.seen_maps import maps_of_rig
+from coulombus.recording.bus_match import Channel, channel_texts, one_bus
 from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.reading import HOST, RIG, captures
 from coulombus.rigs.rig import Rig, RigError, load_rig_text
@@ -221,6 +222,7 @@ def explain(
     rig: Rig | None = None,
     eds: EdsFiles | None = None,
     span: tuple[float | None, float | None] = (None, None),
+    channel: Channel = None,
 ) -> Explanation:
     """Explain a recording or another tool's log.
 
@@ -234,22 +236,28 @@ def explain(
         EDS files of nodes, or of which each node takes the one that fits.
     span
         Begin and end [s], None: open.
+    channel
+        Which bus of a file that has several, as ``"can0"``.
 
     Raises
     ------
     coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
         The file is damaged, or is of another kind.
+    coulombus.recording.bus_match.ChannelError
+        The file has several buses, and `channel` names none of them.
     """
     warnings: list[str] = []
     explainer: Explainer | None = None
-    for capture in captures(Path(path)):
+    texts, left_out = channel_texts(channel), tuple[str, ...]()
+    for stretch in captures(Path(path)):
+        capture, left_out = one_bus(stretch, texts)
         if explainer is None:
             explainer = Explainer(rig or attached_rig(capture, warnings), eds, span)
         explainer.take(capture.frames, capture.comments)
         warnings += capture.warnings
     explainer = explainer or Explainer(rig, eds, span)
     explainer.end()
-    return explainer.explanation(warnings)
+    return explainer.explanation([*warnings, *left_out])
 
 
 def attached_rig(capture: Capture, remarks: list[str]) -> Rig | None:

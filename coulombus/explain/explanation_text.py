@@ -108,10 +108,7 @@ def screen(explanation: Explanation, source: str) -> Iterator[str]:
         yield ""
         yield f"{incident.number}  {incident.status.upper()}  {_when(explanation, incident)}  {title(explanation, incident)}"
         yield f"   cause ({incident.sure}): {cause(incident)}"
-        outcome = next(
-            (clue.end_text for clue in reversed(incident.clues) if clue.end_text and clue.kind == incident.root.kind),
-            "",
-        )
+        outcome = incident.root.end_text
         if outcome and incident.status == "recovered":
             yield f"   over: {outcome}"
         yield f"   check first: {checks(incident)[0]}"

@@ -304,8 +304,9 @@ class Timing:
         differing = 0
         for i in doubled[:200].tolist():
             start, end = group.t_ns.searchsorted((sync[i], sync[i + 1]))
-            around = counts[max(i - 1, 0) : i + 2]
-            if len(set(group.word[start:end].tolist())) > 1 and around.all():
+            around = counts[max(i - 2, 0) : i + 3]
+            long = sync[i + 1] - sync[i] > 1.3 * self.period_ns  # SYNC itself came late
+            if len(set(group.word[start:end].tolist())) > 1 and around.all() and not long:
                 differing += 1
                 if not pdo.doubled and differing == 1:
                     pdo.doubled_at = int(group.t_ns[end - 1]), int(group.rows[end - 1])

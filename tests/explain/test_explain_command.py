@@ -122,9 +122,8 @@ def test_eds_files_give_names_and_maps(lost, tmp_path):
 
 
 def test_a_folder_of_eds_files_is_matched_by_identity(tmp_path):
-    log = (
-        machine(3).ask(3, 20, "4018100100000000", "43181001c0040000").ask(3, 21, "4018100200000000", "4318100202040000")
-    )
+    log = machine(3).cycles(60, 3000, (3,), data=lambda cycle, node: cycle.to_bytes(8, "little"))
+    log.ask(3, 20, "4018100100000000", "43181001c0040000").ask(3, 21, "4018100200000000", "4318100202040000")
     told = json.loads(call(candump(log, tmp_path / "x.log"), "--json", "--eds", str(EDS)).output)
     assert told["nodes"][0]["maps"] == "EDS"
 
@@ -132,6 +131,18 @@ def test_a_folder_of_eds_files_is_matched_by_identity(tmp_path):
 @pytest.mark.parametrize("text", ["5", "200=x.eds", "5=none.eds", "none"])
 def test_an_eds_that_is_none_is_a_configuration_error(well, text):
     assert call(well, "--eds", text).exit_code == 3
+
+
+def test_a_file_of_two_buses_asks_which_is_meant(tmp_path):
+    lines = (tmp_path / "a.log", tmp_path / "b.log", tmp_path / "both.log")
+    candump(machine(3, 4), lines[0])
+    candump(machine(3).add(1000, 0x083, bytes.fromhex("1042010000000000")), lines[1])
+    lines[2].write_text(lines[0].read_text() + lines[1].read_text().replace("can0", "can1"))
+    assert call(str(lines[2])).exit_code == 2
+    verdicts = [
+        json.loads(call(str(lines[2]), "--json", "--channel", bus).output)["verdict"] for bus in ("can0", "can1")
+    ]
+    assert verdicts == ["ok", "unresolved"]
 
 
 def test_file_and_bus_exclude_each_other(well):
@@ -143,7 +154,7 @@ def test_file_and_bus_exclude_each_other(well):
 
 def test_the_attached_rig_names_nodes_and_maps(tmp_path):
     path = tmp_path / "run.pcapng"
-    log = machine(1, 2)
+    log = machine(1, 2).cycles(60, 3000, (1, 2), data=lambda cycle, node: bytes(8 if node == 1 else 6))
     with Recorder(path, load_rig("bench"), "hybrid", 0) as recorder:
         recorder.write(log.frames)
     told = json.loads(call(str(path), "--json").output)
