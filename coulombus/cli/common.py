@@ -31,6 +31,7 @@ __all__ = [
     "listed",
     "load",
     "load_with_law",
+    "log_eds_option",
     "mode_option",
     "printed",
     "record_option",
@@ -180,6 +181,13 @@ file_channel_option = click.option(
     multiple=True,
     metavar="NAME",
     help="Which bus of a file that has several; RIG_BUS=NAME for a rig that has several.",
+)
+log_eds_option = click.option(
+    "--eds",
+    "eds",
+    multiple=True,
+    metavar="N=FILE",
+    help="EDS file of node N, as 5=drive.eds; or a folder of them. May be given several times.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON to stdout.")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from coulombus.cli.common import file_channel_option
+from coulombus.cli.common import file_channel_option, log_eds_option
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import InputPath
 from coulombus.system.foreign_text import printable
@@ -20,27 +20,38 @@ __all__ = ["decode"]
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@log_eds_option
 @file_channel_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
-def decode(file: Path, rig_name: str | None, channels: tuple[str, ...], as_json: bool) -> None:
+def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tuple[str, ...], as_json: bool) -> None:
     """Print a recording frame by frame, PDOs by name in SI units.
 
-    Takes pcapng and, with --rig, other tools' logs: candump's .log, .asc, .blf, .trc, .csv, .mf4.
+    Takes pcapng and other tools' logs: candump's .log, .asc, .blf, .trc, .csv, .mf4. Without a rig,
+    attached or given, nodes are numbers, and PDOs have their objects as far as the log's SDO
+    configuration, an EDS file or CiA 402 tells their maps.
 
     \b
     Examples:
       coulombus decode out/demo/hybrid.pcapng | less
-      coulombus decode candump.log --rig bench
+      coulombus decode candump.log --eds 5=drive.eds
       coulombus decode both.log --rig bench --channel can1
       coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
     """
     with errors():
+        from coulombus.explain.eds_files import eds_files
         from coulombus.monitor.decode import as_json as as_json_line
-        from coulombus.monitor.decode import as_text, fitted, rows
-        from coulombus.recording.reading import blocks
+        from coulombus.monitor.decode import as_text, bare_rows, fitted, rows
+        from coulombus.recording.reading import blocks, has_rig
         from coulombus.rigs.rig import load_rig
 
-        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name), channel=channels)
+        if rig_name is not None and eds:
+            raise click.UsageError("--rig and --eds: the rig has EDS files; leave one of them out")
+        bare = rig_name is None and (bool(eds) or not has_rig(file))
+        recording = None
+        if not bare:
+            recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name), channel=channels)
+        files = eds_files(eds)
+        remark(files.refused)
         out = sys.stdout
         width = columns_of(out)
 
@@ -48,7 +59,7 @@ def decode(file: Path, rig_name: str | None, channels: tuple[str, ...], as_json:
             text = as_json_line(row) if as_json else printable(as_text(row))
             return text if as_json or width is None else fitted(text, width)
 
-        for row in rows(recording):
+        for row in bare_rows(file, channels, files) if recording is None else rows(recording):
             out.write(line(row) + "\n")
         out.flush()
-        remark(recording.remarks)
+        remark(() if recording is None else recording.remarks)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import file_channel_option, force_option, json_option, load, printed, say
+from coulombus.cli.common import file_channel_option, force_option, json_option, load, log_eds_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
 from coulombus.cli.tables import PROSE, echo, on_terminal
@@ -68,13 +68,7 @@ knowledge_options = bundle(
     "knowledge",
     Knowledge,
     click.option("--rig", "rig_name", metavar="R", help="Names and PDO maps of this rig.  [default: the attached one]"),
-    click.option(
-        "--eds",
-        "eds",
-        multiple=True,
-        metavar="N=FILE",
-        help="EDS file of node N, as 5=drive.eds; or a folder of them. May be given several times.",
-    ),
+    log_eds_option,
     file_channel_option,
     click.option(
         "--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
@@ -13,6 +14,10 @@ from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import SECONDS, InputPath
 from coulombus.cli.rig_options import OneBusOptions, one_bus_options
 from coulombus.cli.tables import echo
+
+if TYPE_CHECKING:
+    from coulombus.monitor.timing import Stamps
+    from coulombus.rigs.rig import Rig
 
 __all__ = ["hz"]
 
@@ -30,29 +35,33 @@ def hz(
 ) -> None:
     """Measure rate and jitter of each identifier, and how long after SYNC the PDOs come.
 
-    Of a bus, to which nothing is sent, or of a recording FILE. Jitter is how far the time between
+    Of a bus, to which nothing is sent, or of a recording FILE, which needs no rig. Jitter is how far the time between
     two frames is from its median.
 
     \b
     Examples:
       coulombus hz --bus socketcan:can0 --seconds 10
       coulombus hz run.pcapng
-      coulombus hz candump.log --rig bench --json
+      coulombus hz candump.log --json
     """
     with errors():
-        from coulombus.monitor.timing import as_dict, as_lines, listen, recorded, timing
+        from coulombus.monitor.timing import as_dict, as_lines, listen, recorded, recorded_bare, timing
 
         if file is not None:
             if chosen.bus_name is not None:
                 raise click.UsageError("a file and --bus: give one of them")
-            from coulombus.recording.reading import blocks
+            from coulombus.recording.reading import blocks, has_rig
 
             given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
-            recording = blocks(file, chosen.load() if given or chosen.overrides else None, chosen.channel)
-            rig, lost = recording.rig, None
-            by_bus = {channel: (rig.on(channel), stamps) for channel, stamps in recorded(recording).items()}
-            where, source = str(file), "the recording's"
-            remark(recording.remarks)
+            where, source, lost = str(file), "the recording's", None
+            by_bus: dict[str, tuple[Rig | None, Stamps]]
+            if given or chosen.overrides or has_rig(file):
+                recording = blocks(file, chosen.load() if given or chosen.overrides else None, chosen.channel)
+                rig = recording.rig
+                by_bus = {channel: (rig.on(channel), stamps) for channel, stamps in recorded(recording).items()}
+                remark(recording.remarks)
+            else:
+                by_bus = {"": (None, recorded_bare(file, chosen.channel))}
         else:
             rig, address = chosen.found()
             if sys.stderr.isatty():

@@ -120,6 +120,11 @@ class Pieces:
             yield self._cut(whole[:cut])
         self._rest = whole[cut:]
 
+    def all_of(self, frames: Records) -> Iterator[Block]:
+        """Yield frames in blocks; none waits for the next SYNC."""
+        for start in range(0, len(frames), BLOCK):
+            yield self._cut(frames[start : start + BLOCK])
+
     @property
     def last_ns(self) -> int:
         """The stamp of the last frame that waits, -1 where none does."""

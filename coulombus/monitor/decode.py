@@ -14,6 +14,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,23 +22,29 @@ import numpy as np
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import Description
 from coulombus.eds.sdo_frames import where
+from coulombus.explain.eds_files import EdsFiles
+from coulombus.explain.log_maps import LogMaps
 from coulombus.monitor.error_frames import error_frame
 from coulombus.monitor.sdo_channel import SdoChannel
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync
+from coulombus.recording.bus_match import Channel, channel_texts, one_bus
 from coulombus.recording.pdo_columns import PdoTable
-from coulombus.recording.signals import Recording, Source
+from coulombus.recording.reading import captures
+from coulombus.recording.signals import Recording, Source, epoch_of
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
-__all__ = ["Row", "as_json", "as_text", "fitted", "rows"]
+__all__ = ["Row", "as_json", "as_text", "bare_rows", "fitted", "rows"]
 
+LEARNED = 4096
+"""Frames of which PDO maps are learned at a time."""
 NODE_ID = 0x7F
 FUNCTION = 0x780
 PDO_NAMES = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
 """The predefined connection set (CiA 301, section 7.3.5)."""
 
 COMMON = ("t_s", "can_id", "node", "pdo", "extended", "remote", "service", "data", "marker", "code")
-HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X"}
+HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X", "6040h:00": "04X", "6041h:00": "04X"}
 WIDTH = 11
 SDO_COLUMN = 57
 TEXT_SHOWN = 64
@@ -94,14 +101,52 @@ def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
         yield zip(names, head + values, strict=True)
 
 
-class _Services:
-    """Decodes what is no PDO of the rig."""
+def bare_rows(path: Path, channel: Channel, eds: EdsFiles) -> Iterator[Row]:
+    """Yield one dict for each frame of a log without a rig, in the file's order.
 
-    def __init__(self, rig: Rig) -> None:
-        self._names = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
-        self._descriptions: dict[str, Description] = {node.name: node.description for node in rig.nodes}
-        self._emergencies = {node.emcy_id: node.name for node in rig.nodes}
-        self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
+    Nodes are numbers. A PDO has its mapped objects by index where the log or an EDS file shows its
+    map (`explain.log_maps`); a map of CiA 402's defaults is called assumed.
+
+    Raises
+    ------
+    coulombus.recording.bus_match.ChannelError
+        The file has several buses, and `channel` names none of them.
+    """
+    services, maps = _Services(None), LogMaps(eds)
+    texts, epoch_ns = channel_texts(channel), None
+    for stretch in captures(path):
+        capture, _ = one_bus(stretch, texts)
+        comments = dict(capture.comments)
+        epoch_ns = epoch_of(capture.frames) if epoch_ns is None and len(capture.frames) else epoch_ns
+        for start in range(0, len(capture.frames), LEARNED):
+            frames = capture.frames[start : start + LEARNED]
+            maps.take(frames)
+            columns = ((frames["t_ns"] - (epoch_ns or 0)) / 1e9, frames["can_id"], frames["length"], frames["word"])
+            for i, (t_s, can_id, length, word) in enumerate(zip(*(c.tolist() for c in columns), strict=True), start):
+                row = services.row(t_s, can_id, length, word)
+                known = maps.pdo(can_id)
+                if known is not None:
+                    row |= {
+                        "node": str(known.node),
+                        "pdo": known.name,
+                        "service": "pdo",
+                        **maps.values(known, word, length),
+                    }
+                    row |= {"map": "assumed"} if known.source == "assumed" else {}
+                if i in comments:
+                    row["marker"] = comments[i].replace("\n", "; ")
+                yield row
+
+
+class _Services:
+    """Decodes what is no PDO of the rig; without a rig, every frame."""
+
+    def __init__(self, rig: Rig | None) -> None:
+        nodes = () if rig is None else rig.nodes
+        self._names = ({} if rig is None else {rig.host.node_id: "host"}) | {node.node_id: node.name for node in nodes}
+        self._descriptions: dict[str, Description] = {node.name: node.description for node in nodes}
+        self._emergencies = {node.emcy_id: node.name for node in nodes}
+        self._pdos = {pdo.layout.cob_id: pdo for pdo in (() if rig is None else rig.pdos())}
         self._servers: dict[int, SdoChannel] = {}
 
     def row(self, t_s: float, can_id: int, length: int, word: int) -> Row:

@@ -10,11 +10,14 @@ import time
 from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId
+from coulombus.recording.bus_match import Channel, channel_texts, one_bus
+from coulombus.recording.reading import captures
 from coulombus.recording.signals import Source
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
@@ -23,12 +26,14 @@ from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Client
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recorded", "timing"]
+__all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recorded", "recorded_bare", "timing"]
 
 Integers = npt.NDArray[np.int64]
 FLAGS = CAN_ERR_FLAG | CAN_RTR_FLAG
 WAIT_S = 0.1
 NAMES = {int(service): service.name for service in CobId}
+FUNCTION = 0x780
+PDOS = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
 NODE_SERVICES = {
     int(CobId.EMCY): "EMCY",
     int(CobId.SDO_TX): "SDO tx",
@@ -129,11 +134,26 @@ def recorded(source: Source) -> dict[str, Stamps]:
     return stamps
 
 
-def timing(rig: Rig, stamps: Stamps) -> tuple[Timing, ...]:
-    """Return the timing of each identifier, the lowest first."""
+def recorded_bare(path: Path, channel: Channel) -> Stamps:
+    """Return the stamps of one bus of a log without a rig.
+
+    Raises
+    ------
+    coulombus.recording.bus_match.ChannelError
+        The file has several buses, and `channel` names none of them.
+    """
+    stamps, texts = Stamps(), channel_texts(channel)
+    for stretch in captures(path):
+        frames = one_bus(stretch, texts)[0].frames
+        stamps.take_all(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
+    return stamps
+
+
+def timing(rig: Rig | None, stamps: Stamps) -> tuple[Timing, ...]:
+    """Return the timing of each identifier, the lowest first; without a rig, nodes are numbers."""
     syncs = np.array(stamps.of.get(int(CobId.SYNC), ()), np.int64)
-    pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in rig.pdos()}
-    nodes = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
+    pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in (() if rig is None else rig.pdos())}
+    nodes = {} if rig is None else {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
     timings = []
     for can_id, line in sorted(stamps.of.items()):
         t_ns = np.array(line, np.int64)
@@ -148,7 +168,9 @@ def timing(rig: Rig, stamps: Stamps) -> tuple[Timing, ...]:
                 rate_per_s=float(len(gaps) / span_s) if span_s > 0 else None,
                 period_ms=None if period is None else period / 1e6,
                 jitter=None if period is None else Spread.of(np.abs(gaps - period).astype(np.int64)),
-                from_sync=Spread.of(_delays(t_ns, syncs)) if can_id in pdos else None,
+                from_sync=Spread.of(_delays(t_ns, syncs))
+                if can_id in pdos or (rig is None and can_id & FUNCTION in PDOS)
+                else None,
             )
         )
     return tuple(timings)
@@ -159,7 +181,7 @@ def _name(can_id: int, nodes: dict[int, str]) -> str:
         return "extended"
     if can_id in NAMES and not (can_id & 0x7F and can_id < CobId.LSS_TX):
         return NAMES[can_id]
-    service = NODE_SERVICES.get(can_id & 0x780)
+    service = NODE_SERVICES.get(can_id & FUNCTION) or ("" if nodes else PDOS.get(can_id & FUNCTION))
     node = nodes.get(can_id & 0x7F, str(can_id & 0x7F))
     return f"{node} {service}" if service else "-"
 

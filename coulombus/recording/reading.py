@@ -29,7 +29,7 @@ from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo
 
-__all__ = ["Blocks", "blocks", "captures", "read"]
+__all__ = ["Blocks", "blocks", "captures", "has_rig", "read"]
 
 RIG = "rig.toml"
 HOST = "host."  # begins the names of what only the host's replay reads: many, and no text
@@ -145,6 +145,14 @@ def blocks(
     recorded = recorded_channel(first.attachments)
     inside = _inside(known, recorded, first.attachments.get(INSIDE))
     return Blocks(str(path), known, inside=inside, channel=texts, recorded=recorded)
+
+
+def has_rig(path: str | Path) -> bool:
+    """Tell whether a rig is attached to a recording, in front of its frames."""
+    for capture in () if is_log(path) else iter_pcapng(path):
+        if RIG in capture.attachments or len(capture.frames):
+            return RIG in capture.attachments
+    return False
 
 
 def captures(path: str | Path) -> Iterator[Capture]:
