@@ -7,17 +7,17 @@ from collections.abc import Iterator
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, SDO_RX, SDO_TX, Bus
 from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.nodes import Nodes
-from coulombus.explain.sdo import Sdo
+from coulombus.explain.sdo_transfers import SdoTransfers
 
 __all__ = ["RareFrames"]
 
 
 class RareFrames:
-    """Gives these frames to `Nodes` and `Sdo` in their order on the bus."""
+    """Gives these frames to `Nodes` and `SdoTransfers` in their order on the bus."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
-        self.nodes, self.sdo = Nodes(bus), Sdo(bus)
+        self.nodes, self.sdo = Nodes(bus), SdoTransfers(bus)
 
     def take(self, block: Block) -> None:
         """Go through a block."""

@@ -225,7 +225,7 @@ def test_an_unknown_option_is_a_usage_error(call, verb):
 @pytest.mark.parametrize("kind", NO_FILES)
 @pytest.mark.parametrize("verb", WITH_RIG)
 def test_a_rig_file_that_is_none_is_a_configuration_error(call, tmp_path, verb, kind):
-    result = call(verb, "--rig DIR/my-rig.toml", x=is_a(kind, tmp_path / "my-rig.toml"))
+    result = call(verb, "--rig DIR/my-rig.toml", UNUSED=is_a(kind, tmp_path / "my-rig.toml"))
     assert result.exit_code == CONFIGURATION, result.output
     assert "my-rig.toml" in result.output
 

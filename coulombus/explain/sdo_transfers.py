@@ -10,7 +10,7 @@ from coulombus.explain.bus import SDO_RX, Bus
 from coulombus.explain.device_errors import ABORT_CHECKS
 from coulombus.wire.data_word import data_bytes
 
-__all__ = ["Sdo"]
+__all__ = ["SdoTransfers"]
 
 ANSWER_NS = 1_000_000_000
 """An answer that has not come within this time is missing."""
@@ -53,7 +53,7 @@ class _Server:
     unanswered: list[_Request] = field(default_factory=list)
 
 
-class Sdo:
+class SdoTransfers:
     """Watches the default SDO channel of every node."""
 
     def __init__(self, bus: Bus) -> None:
