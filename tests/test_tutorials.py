@@ -50,7 +50,9 @@ def follow(page, folder):
         pytest.skip(f"all other commands passed; not installed: {', '.join(dict.fromkeys(absent))}")
 
 
-@pytest.mark.parametrize("page", ["first-experiment.md", "first-rig.md", "my-machine-stopped.md", "sweep.md", "study.md"])
+@pytest.mark.parametrize(
+    "page", ["first-experiment.md", "first-rig.md", "my-machine-stopped.md", "sweep.md", "study.md"]
+)
 def test_a_tutorial_in_virtual_time(page, tmp_path):
     follow(page, tmp_path)
 

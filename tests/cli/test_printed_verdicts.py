@@ -56,6 +56,7 @@ ENDS = {
     "commission list": ("commission --list", 0),
     "plan": ("plan --rig bench --bitrate 125000", 1),
     "plan ok": ("plan --rig bench --json", 0),
+    "explain": ("explain RECORDING", 0),
     "decode": ("decode RECORDING --rig bench", 0),
     "hz": ("hz RECORDING --rig bench", 0),
     "pdo": ("pdo", 0),
