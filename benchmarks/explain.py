@@ -32,8 +32,10 @@ def cyclic(frames: int) -> Records:
     machine.bring_up()
     machine.run(2000)
     log = machine.frames
-    work = log[log["t_ns"] > log["t_ns"][-1] - 1_600_000_000]
-    span = int(work["t_ns"][-1] - work["t_ns"][0]) + machine.period_ns - 400_000
+    sync = log["t_ns"][log["can_id"] == 0x080]
+    begin, end = int(sync[-(1_600_000_000 // machine.period_ns)]), int(sync[-2])
+    work, log = log[(log["t_ns"] >= begin) & (log["t_ns"] < end)], log[log["t_ns"] < end]
+    span = end - begin
     copies = [log]
     for k in range(1, frames // len(work) + 1):
         again = work.copy()
