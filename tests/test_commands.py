@@ -20,9 +20,11 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
+from coulombus.eds.reader import read_eds
 from documented import HERE, RULES, commands_of, documented, pages, rule_of, strangers
 from places import ROOT
 from reader import Reader, missing
+from xdd_text import as_xdd
 
 SECONDS = "0.6"
 FOUND = documented()
@@ -45,7 +47,15 @@ def inputs(tmp_path_factory):
     recording = folder / "run.pcapng"
     call(["simulate", "--seconds", SECONDS, "--record", str(recording)])
     call(["init", "--drive", "bench", "--brake", "bench", "--rehearse", "-o", str(folder / "my-rig.toml")])
-    shutil.copy(ROOT / "eds" / "motor.eds", folder / "vendor.eds")
+    for name in ("vendor.eds", "drive.eds"):
+        shutil.copy(ROOT / "eds" / "motor.eds", folder / name)
+    (folder / "vendor.xdd").write_text(as_xdd(read_eds(ROOT / "eds" / "motor.eds")))
+    for name, faults in (("candump.log", ["--faults", str(ROOT / "examples" / "faults.toml")]), ("both.log", [])):
+        log, recorded = folder / name, folder / f"of-{name}.pcapng"
+        call(["simulate", "--seconds", SECONDS, "--record", str(recorded), *faults])
+        call(["export", str(recorded), "--to", "candump", "-o", str(log)])
+    rows = (folder / "both.log").read_text()
+    (folder / "both.log").write_text(rows.replace(" can0 ", " can1 ") + rows.replace(" can1 ", " can0 "))
     for name in ("hybrid", "again", "sim", "rig"):
         shutil.copy(recording, folder / f"{name}.pcapng")
     (folder / "my-motion.csv").write_text("t_s,x_rad\n0,0\n1,0.1\n2,0\n")

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.host.errors import HostError, SafetyTrip
-from coulombus.wire.address import BusAddress, socket_names, socket_path
+from coulombus.wire.address import AddressError, BusAddress, parse_address, socket_names, socket_path
 
 __all__ = [
     "HostSocket",
@@ -117,8 +117,11 @@ def hosts_here() -> list[BusAddress]:
 
 def _address_of(name: str) -> BusAddress:
     """Return the address whose `control_path` has this name."""
-    kind, hyphen, rest = name.partition("-")
-    return BusAddress("socketcan", rest) if hyphen and kind == "socketcan" else BusAddress("coulombus", name)
+    with suppress(AddressError):
+        address = parse_address(name.replace("-", ":", 1))
+        if control_path(address).name == f"{name}{HOST}":
+            return address
+    return BusAddress("coulombus", name)
 
 
 class _Client:

@@ -82,7 +82,7 @@ def test_the_rooms_are_really_gone(alone):
         ("plan --rig rig.toml", 0, "SYNC"),
         ("measure --rig rig.toml --bus coulombus:nobody-there", 4, "nobody-there"),
         ("run --help", 0, "coulombus stop"),
-        ("stop --help", 0, "Stop the host"),
+        ("stop --help", 0, "Stop the running host"),
         ("scan --bus coulombus:nobody-there", 4, "nobody-there"),
         ("lss --bus coulombus:nobody-there", 4, "nobody-there"),
         ("sdo get 1 1000h --bus coulombus:nobody-there", 4, "nobody-there"),

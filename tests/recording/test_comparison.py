@@ -231,7 +231,7 @@ def test_a_dataset_of_xarray(recording):
 
 def test_a_library_that_is_absent_is_named_with_its_extra(recording, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
-    with pytest.raises(MissingExtra, match=r"to_pandas\(\) needs pandas.*coulombus\[export\]"):
+    with pytest.raises(MissingExtra, match=r"to_pandas\(\) needs pandas.*'\.\[export\]'"):
         recording.to_pandas()
 
 

@@ -60,8 +60,7 @@ RULES = (
     (r": .*study_coverage\.py", "half an hour of processor time: tests/test_examples.py runs a short one"),
     (r": coulombus analyse study", "reads a study's folder: docs/tutorials/study.md analyses the one that it makes"),
     (r"--sensor amplifier", "files of three makers: tests/cli/test_init_command.py"),
-    (r"eds check --json \*\.eds", "needs jq: tests/cli/test_eds_command.py reads the JSON"),
-    (r"candump\.log", "a log of another bus: tests/recording/export/test_export.py"),
+    (r"\| jq ", "needs jq: tests/cli/test_eds_command.py and tests/monitor/test_decode.py read the JSON"),
 )
 
 

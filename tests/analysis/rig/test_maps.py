@@ -206,7 +206,7 @@ def test_what_cannot_be_is_refused_by_name(axes, text):
 
 def test_a_cluster_without_dask_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ImportError, match=r"coulombus\[cluster\]"):
+    with pytest.raises(ImportError, match=r"'\.\[cluster\]'"):
         oscillation_map({"friction_level": [1.0]}, dask="tcp://127.0.0.1:1")
 
 

@@ -385,7 +385,10 @@ def displaying(*buses):
         thread.join(10)
 
 
-@pytest.mark.parametrize("bus", ["coulombus:elsewhere", "socketcan:can7", "coulombus:two-words", "coulombus:socketcan"])
+@pytest.mark.parametrize(
+    "bus",
+    ["coulombus:elsewhere", "socketcan:can7", "coulombus:two-words", "coulombus:socketcan", "coulombus:coulombus-x"],
+)
 def test_the_one_host_of_this_machine_is_found_on_whatever_bus(bus):
     """`stop` asked coulombus:bench and ended with 4 while the host went on."""
     with displaying(bus):

@@ -371,7 +371,7 @@ def test_what_a_killed_export_leaves_the_next_one_removes(source, tmp_path):
 
 def test_a_library_that_is_absent_is_named_with_its_extra(source, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(MissingExtra, match=r"parquet needs pyarrow.*coulombus\[export\]"):
+    with pytest.raises(MissingExtra, match=r"parquet needs pyarrow.*'\.\[export\]'"):
         export(source, tmp_path / "run.parquet", "parquet")
     assert list(tmp_path.iterdir()) == []
 
