@@ -109,7 +109,7 @@ TARGETS = {
             )
         ),
     ),
-    "host/setup/device_plan.py": Target(("test_device_plan_edges",)),
+    "host/setup/device_plan.py": Target(("test_device_plan_edges", "test_position_scale", "test_marks")),
     "host/setup/bringup.py": Target(("test_bringup_edges",)),
     "host/realtime/data_plane.py": Target(
         ("test_data_plane_edges",),
