@@ -158,7 +158,6 @@ class Pump:
                 if device.boots == self._boots:
                     self._wait(t_ns)
                     return
-                self._boots = device.boots
                 self._begin()
                 self._recovered(device, t_ns)
             self._boots = device.boots
@@ -212,10 +211,11 @@ class Pump:
 
     def _fail(self, device: Device, t_ns: int, why: str) -> None:
         failure = self._make_safe()
+        is_new = why != self.failure or device.boots != self._boots  # a reset that does not help is told, too
         self._boots, self._retry_ns = device.boots, t_ns + RETRY_NS
         device.record["in_faults"] |= _BIT
         device.record["next_ns"] = min(int(device.record["next_ns"]), t_ns)
-        if why != self.failure:
+        if is_new:
             self.failure = why
             safe = f"; NOT SAFE: {failure}" if failure else "; the outputs are safe"
             self.tell(f"{why}{safe}; they stay so until the node is reset")

@@ -22,7 +22,7 @@ from places import ROOT
 
 BRAKE, MOTOR = ROOT / "eds" / "mr_brake.eds", ROOT / "eds" / "motor.eds"
 FRAME = struct.Struct("=IB3x8s")
-SAFE, TIMEOUT_S = 10, 60.0
+SAFE, TIMEOUT_S, RESETS = 10, 60.0, 5
 
 
 def wait_for(sysfs, count):
@@ -73,8 +73,12 @@ def test_a_node_that_is_stopped_or_killed_has_a_safe_output(tmp_path):
             line = json.loads(node.stdout.readline())
             assert (line["event"], line["ok"]) == ("hardware", False)
             assert "stood still" in line["text"]
-            bus.send(FRAME.pack(0x000, 2, b"\x81\x02"))
-            line = json.loads(node.stdout.readline())
+            for _ in range(RESETS):  # a busy machine may let it stand still again
+                bus.send(FRAME.pack(0x000, 2, b"\x81\x02"))
+                line = json.loads(node.stdout.readline())
+                if line["ok"]:
+                    break
+                assert "stood still" in line["text"]
             assert (line["event"], line["ok"]) == ("hardware", True)
             put_out(1250)
             wait_for(sysfs, SAFE + 1000)

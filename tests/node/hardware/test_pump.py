@@ -159,6 +159,21 @@ def test_a_reset_alone_does_not_help(rig):
     assert rig.sysfs.dac == SAFE
     assert rig.pump.failure
     assert rig.bench.number(0x1001) & 1
+    assert [text.partition(";")[0] for text in rig.told] == [rig.told[0].partition(";")[0]] * 2
+
+
+def test_a_watchdog_that_acts_again_at_the_reset_is_told_again(rig):
+    """Nothing was told, and who waited for an answer to the reset waited for ever."""
+    rig.start()
+    rig.guards[0].trouble = why = "the node stood still for 1 s, and its watchdog acted"
+    rig.period()
+    rig.bench.nmt(129)
+    rig.guards[0].trouble = why
+    rig.period()
+    assert [why in text for text in rig.told] == [True, True]
+    rig.bench.nmt(129)
+    rig.period()
+    assert rig.told[2:] == ["after the reset all converters answer again"]
 
 
 def test_an_output_that_is_gone_is_told_as_not_safe(rig):
