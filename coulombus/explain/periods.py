@@ -31,8 +31,11 @@ PDO_KEYS = range(0x180, 0x580)
 
 @dataclass
 class _Pdo:
-    """What is carried over from block to block of one PDO."""
+    """A PDO: whose it is, by the map known now, and what is carried over from block to block."""
 
+    node: int | None = None
+    name: str = ""
+    sends: bool = False  # the node sends it: a TPDO
     streak: int = 0  # SYNC intervals in a row with a frame
     regular: bool = False
     missing_ns: int = -1  # since when it is missing
@@ -91,18 +94,22 @@ class Timing:
             if known is None and key not in PDO_KEYS:
                 continue
             pdo = self._pdos.setdefault(key, _Pdo())
-            self._repeated(key, group, pdo, known)
+            self._identify(key, pdo, known)
+            self._repeated(key, group, pdo)
             if len(edges) > 1 and self.period_ns:
-                self._in_intervals(key, group, pdo, known, edges)
+                self._in_intervals(group, pdo, known, edges)
         if len(edges) > 1 and self.period_ns:
             for key, pdo in self._pdos.items():
                 if key not in block.groups and pdo.regular:
                     empty = Frames(*(np.zeros(0, np.int64) for _ in range(4)))
-                    self._in_intervals(key, empty, pdo, self.bus.maps.get(key), edges)
+                    known = self.bus.maps.get(key)
+                    self._identify(key, pdo, known)
+                    self._in_intervals(empty, pdo, known, edges)
         for key, group in block.groups.items():
             if key in self._pdos:
-                pdo = self._pdos[key]
-                self._own_period(key, group, pdo, self.bus.maps.get(key))
+                pdo, known = self._pdos[key], self.bus.maps.get(key)
+                self._identify(key, pdo, known)
+                self._own_period(key, group, pdo, known)
                 pdo.last_ns, pdo.last_word = int(group.t_ns[-1]), int(group.word[-1])
                 pdo.last_row = int(group.rows[-1])
         self._last_ns = int(block.t_ns[-1])
@@ -116,11 +123,11 @@ class Timing:
                     "sync_lost", None, last, "SYNC stops, and nobody had stopped the nodes", row=self.sync_row
                 )
         for key, pdo in self._pdos.items():
-            known = self.bus.maps.get(key)
             if pdo.regular or not pdo.period_ns or pdo.last_ns < 0:
                 continue
             if t_ns - pdo.last_ns > 5 * pdo.period_ns:
-                self._gap(key, pdo, known, pdo.last_ns, None)
+                self._identify(key, pdo, self.bus.maps.get(key))
+                self._gap(key, pdo, pdo.last_ns, None)
 
     # SYNC
 
@@ -211,15 +218,14 @@ class Timing:
 
     # PDOs
 
-    def _whose(self, key: int, known: Map | None) -> tuple[int | None, str, bool]:
-        """Return node, name and whether the node sends it."""
+    def _identify(self, key: int, pdo: _Pdo, known: Map | None) -> None:
+        """Take node, name and direction of the map that is known now, else of the identifier."""
         if known is not None:
-            return known.node, known.name, known.direction == "tpdo"
-        number = key & 0x7F
-        sends = bool(key & 0x080)
-        return number or None, f"PDO {key:03X}h", sends
+            pdo.node, pdo.name, pdo.sends = known.node, known.name, known.direction == "tpdo"
+        else:
+            pdo.node, pdo.name, pdo.sends = key & 0x7F or None, f"PDO {key:03X}h", bool(key & 0x080)
 
-    def _in_intervals(self, key: int, group: Frames, pdo: _Pdo, known: Map | None, sync: Integers) -> None:
+    def _in_intervals(self, group: Frames, pdo: _Pdo, known: Map | None, sync: Integers) -> None:
         """Count a PDO's frames in each SYNC interval that is complete."""
         if known is not None and known.synchronous is False:
             return
@@ -227,84 +233,62 @@ class Timing:
         intervals = len(sync) - 1
         complete = (place >= 0) & (place < intervals)
         counts = np.bincount(place[complete], minlength=intervals)
-        node, name, sends = self._whose(key, known)
         if pdo.regular and counts.min(initial=1) == 1 == counts.max(initial=1):
             pdo.streak += intervals
             pdo.doubled = 0
             if pdo.missing_ns >= 0:
-                self._again(pdo, node, name, sends, int(sync[0]))
+                self._again(pdo, int(sync[0]))
         else:
-            self._walk(counts, sync, pdo, node, name, sends, group, key)
-        self._latency(group, place, complete, sync, pdo, node, name, sends, counts)
+            self._walk(counts, sync, pdo, group)
+        self._latency(group, pdo, sync, place, counts)
 
-    def _walk(
-        self,
-        counts: Integers,
-        sync: Integers,
-        pdo: _Pdo,
-        node: int | None,
-        name: str,
-        sends: bool,
-        group: Frames,
-        key: int,
-    ) -> None:
+    def _walk(self, counts: Integers, sync: Integers, pdo: _Pdo, group: Frames) -> None:
         """Go through runs of intervals with and without the PDO."""
         for empty, start, end in _runs(counts):
             if not empty:
                 if pdo.missing_ns >= 0:
-                    self._again(pdo, node, name, sends, int(sync[start]))
+                    self._again(pdo, int(sync[start]))
                 if not pdo.regular:
                     first = counts[start : min(end, start + ENOUGH)]
                     pdo.regular = len(first) + pdo.streak >= ACTIVE and bool((first == 1).mean() > 0.9)
                 pdo.streak += end - start
                 continue
             late = end - start == 1 and end < len(counts) and counts[end] > 1
-            excused = self._excused(node, int(sync[start]))
+            excused = self._excused(pdo.node, int(sync[start]))
             if pdo.regular and excused:
                 pdo.regular = False  # what is missing stands until it is started again, and comes
             elif pdo.regular and not late and pdo.missing_ns < 0:
-                self._missing(pdo, node, name, sends, int(sync[start]), end - start, group)
+                self._missing(pdo, int(sync[start]), end - start, group)
             elif pdo.missing_ns >= 0:
                 pdo.missing += end - start
             pdo.streak = 0
         if pdo.regular:
-            self._doubled(np.flatnonzero(counts > 1), counts, sync, pdo, node, name, sends, group)
+            self._doubled(counts, sync, pdo, group)
 
     def _excused(self, node: int | None, begin: int) -> bool:
         """Tell whether an order explains that a PDO stops at this time."""
         return node is None or self.bus.left_on_order(node, begin + max(3 * self.period_ns, 20 * MS))
 
-    def _missing(
-        self, pdo: _Pdo, node: int | None, name: str, sends: bool, begin: int, number: int, group: Frames
-    ) -> None:
+    def _missing(self, pdo: _Pdo, begin: int, number: int, group: Frames) -> None:
         pdo.missing_ns, pdo.missing = begin, number
         place = int(group.t_ns.searchsorted(begin))
         row = int(group.rows[place - 1]) if place else pdo.last_row
-        kind = "tpdo_missing" if sends else "rpdo_missing"
-        text = f"no {name} after SYNC" if sends else f"no {name}: set-points do not come"
-        self.clues.begin(kind, node, begin, text, row=row, subject=name)
+        kind = "tpdo_missing" if pdo.sends else "rpdo_missing"
+        text = f"no {pdo.name} after SYNC" if pdo.sends else f"no {pdo.name}: set-points do not come"
+        self.clues.begin(kind, pdo.node, begin, text, row=row, subject=pdo.name)
 
-    def _again(self, pdo: _Pdo, node: int | None, name: str, sends: bool, t_ns: int) -> None:
-        kind = "tpdo_missing" if sends else "rpdo_missing"
-        self.clues.end(kind, node, t_ns, f"{name} comes again, {max(pdo.missing, 1)} were missing", subject=name)
+    def _again(self, pdo: _Pdo, t_ns: int) -> None:
+        kind = "tpdo_missing" if pdo.sends else "rpdo_missing"
+        text = f"{pdo.name} comes again, {max(pdo.missing, 1)} were missing"
+        self.clues.end(kind, pdo.node, t_ns, text, subject=pdo.name)
         pdo.missing_ns, pdo.missing = -1, 0
 
-    def _doubled(
-        self,
-        doubled: Integers,
-        counts: Integers,
-        sync: Integers,
-        pdo: _Pdo,
-        node: int | None,
-        name: str,
-        sends: bool,
-        group: Frames,
-    ) -> None:
+    def _doubled(self, counts: Integers, sync: Integers, pdo: _Pdo, group: Frames) -> None:
         """Note intervals in which a PDO came more than once, with contents that differ."""
         differing = 0
         if any(count >= BABBLE for count, _, _ in self._rapid.values()):
             return  # on a flooded bus frames of two cycles come within one
-        for i in doubled[:200].tolist():
+        for i in np.flatnonzero(counts > 1)[:200].tolist():
             start, end = group.t_ns.searchsorted((sync[i], sync[i + 1]))
             around = counts[max(i - 2, 0) : i + 3]
             long = sync[i + 1] - sync[i] > 1.3 * self.period_ns  # SYNC itself came late
@@ -316,17 +300,15 @@ class Timing:
             differing = 0  # they are late ones
         pdo.doubled = pdo.doubled + differing if differing else max(pdo.doubled - len(counts), 0)
         if pdo.doubled >= MORE and differing:
-            kind = "duplicate_node" if sends else "second_master"
-            what = "two devices have its node id" if sends else "two masters command it"
-            text = f"{name} comes twice within a SYNC period, with contents that differ: {what}"
+            kind = "duplicate_node" if pdo.sends else "second_master"
+            what = "two devices have its node id" if pdo.sends else "two masters command it"
+            text = f"{pdo.name} comes twice within a SYNC period, with contents that differ: {what}"
             at, row = pdo.doubled_at
-            self.clues.begin(kind, node, at, text, row=row, subject=name)
+            self.clues.begin(kind, pdo.node, at, text, row=row, subject=pdo.name)
 
-    def _latency(
-        self, group: Frames, place: Integers, complete: np.ndarray, sync: Integers, pdo: _Pdo, node: int | None,
-        name: str, sends: bool, counts: Integers,
-    ) -> None:  # fmt: skip
+    def _latency(self, group: Frames, pdo: _Pdo, sync: Integers, place: Integers, counts: Integers) -> None:
         """Note PDOs that come much later after SYNC than usually."""
+        complete = (place >= 0) & (place < len(counts))
         if not pdo.regular or not complete.any():
             return
         latency = (group.t_ns[complete] - sync[place[complete]]).astype(float)
@@ -341,10 +323,12 @@ class Timing:
         if len(worst) >= 5:
             i = int(np.flatnonzero(complete)[worst[0]])
             how = "late" if worst is late else "after the next SYNC"
-            text = f"{name} comes {how}: {latency[worst].mean() / MS:.2f} ms after SYNC, usually {usual / MS:.2f} ms"
-            kind = "tpdo_late" if sends else "rpdo_late"
+            text = (
+                f"{pdo.name} comes {how}: {latency[worst].mean() / MS:.2f} ms after SYNC, usually {usual / MS:.2f} ms"
+            )
+            kind = "tpdo_late" if pdo.sends else "rpdo_late"
             clue = self.clues.note(
-                kind, node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=name, count=len(worst)
+                kind, pdo.node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=pdo.name, count=len(worst)
             )
             clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(complete)[worst[-1]]])
 
@@ -363,15 +347,15 @@ class Timing:
                 pdo.gaps = [] if steady else pdo.gaps[-LEARN:]
             return
         for i in np.flatnonzero(gaps > 5 * pdo.period_ns).tolist():
-            self._gap(key, pdo, known, int(stamps[i]), int(stamps[i + 1]))
-        if self.clues.stands("pdo_stopped", self._whose(key, known)[0], key):
-            self.clues.end("pdo_stopped", self._whose(key, known)[0], int(group.t_ns[0]), "it comes again", subject=key)
+            self._gap(key, pdo, int(stamps[i]), int(stamps[i + 1]))
+        if self.clues.stands("pdo_stopped", pdo.node, key):
+            self.clues.end("pdo_stopped", pdo.node, int(group.t_ns[0]), "it comes again", subject=key)
 
-    def _gap(self, key: int, pdo: _Pdo, known: Map | None, begin: int, end: int | None) -> None:
-        node, name, _ = self._whose(key, known)
+    def _gap(self, key: int, pdo: _Pdo, begin: int, end: int | None) -> None:
+        node = pdo.node
         if node is None or self._excused(node, begin) or self.clues.stands("pdo_stopped", node, key):
             return
-        text = f"{name} stops, it came every {pdo.period_ns / MS:.3g} ms"
+        text = f"{pdo.name} stops, it came every {pdo.period_ns / MS:.3g} ms"
         self.clues.begin("pdo_stopped", node, begin, text, row=pdo.last_row, subject=key)
         if end is not None:
             self.clues.end("pdo_stopped", node, end, "it comes again", subject=key)
@@ -398,7 +382,7 @@ class Timing:
             clue.count = before + number
             clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(rapid)[-1] + 1])
 
-    def _repeated(self, key: int, group: Frames, pdo: _Pdo, known: Map | None) -> None:
+    def _repeated(self, key: int, group: Frames, pdo: _Pdo) -> None:
         """Note frames that came twice at once, as CAN may deliver them."""
         if len(group) < 2 or self._rapid.get(key):
             return
@@ -407,12 +391,11 @@ class Timing:
         same = (gap < limit) & (np.diff(group.word) == 0) & (np.diff(group.length) == 0)
         if not same.any():
             return
-        node, name, _ = self._whose(key, known)
         first = int(np.flatnonzero(same)[0]) + 1
-        text = f"{name} came twice, the second one {gap[first - 1] / 1000:.0f} us behind the first"
+        text = f"{pdo.name} came twice, the second one {gap[first - 1] / 1000:.0f} us behind the first"
         self.clues.note(
             "repeated",
-            node,
+            pdo.node,
             int(group.t_ns[first]),
             text,
             row=int(group.rows[first]),
