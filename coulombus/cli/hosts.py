@@ -15,7 +15,7 @@ __all__ = ["host_addresses"]
 
 
 def host_addresses(
-    rig_name: str, bus_names: Sequence[str] = (), channel: str | None = None, *, every: bool = False
+    rig_name: str, bus_names: Sequence[str] = (), channel: str | None = None, *, every: bool | None = None
 ) -> list[BusAddress]:
     """Return the buses of the hosts that are meant.
 
@@ -24,7 +24,7 @@ def host_addresses(
 
     Parameters
     ----------
-    every : several hosts may run
+    every : whether several hosts are meant, as ``--all`` says it; None: the verb has no such option
 
     Raises
     ------
@@ -43,6 +43,6 @@ def host_addresses(
     running = hosts_here() if default and channel is None else []
     if len(running) > 1 and not every:
         names = ", ".join(map(str, running))
-        others = ", or stop them with --all" if click.get_current_context().command.name == "stop" else ""
+        others = "" if every is None else ", or stop them with --all"
         raise click.UsageError(f"{len(running)} hosts run on this machine: {names}; name one with --bus{others}")
     return running or list(bus_addresses(rig, (), channel).values())

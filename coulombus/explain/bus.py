@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from coulombus.eds.cia301 import NmtCommand, NmtState
+from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.eds.description import Description
 from coulombus.eds.eds_folder import fitting
 from coulombus.eds.own_devices import told_identity
@@ -23,7 +23,8 @@ TARGET = {
     NmtCommand.RESET_NODE: NmtState.INITIALISING,
     NmtCommand.RESET_COMMUNICATION: NmtState.INITIALISING,
 }
-NMT, SDO_TX, SDO_RX, HEARTBEAT, EMCY = 0x000, 0x580, 0x600, 0x700, 0x080
+NMT, SDO_TX, SDO_RX, HEARTBEAT, EMCY = map(int, (CobId.NMT, CobId.SDO_TX, CobId.SDO_RX, CobId.HEARTBEAT, CobId.EMCY))
+TPDOS = tuple(map(int, (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)))
 
 
 @dataclass
@@ -122,7 +123,7 @@ class Bus:
         if known is not None:
             return known.node if known.direction == "tpdo" else None
         function, number = key & 0x780, key & 0x7F
-        if number and function in (EMCY, SDO_TX, HEARTBEAT, 0x180, 0x280, 0x380, 0x480):
+        if number and function in (EMCY, SDO_TX, HEARTBEAT, *TPDOS):
             return number
         return None
 

@@ -9,11 +9,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.eds.cia301 import CobId
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
 from coulombus.wire.frame import FRAME, Records
 
-__all__ = ["BLOCK", "Block", "Frames", "Integers", "Pieces"]
+__all__ = ["BLOCK", "SYNC", "Block", "Frames", "Integers", "Pieces"]
 
 Integers = npt.NDArray[np.int64]
 
@@ -21,7 +22,7 @@ BLOCK = 1 << 16
 """Frames of a block, at most: 2.6 MB."""
 FAR, FAR_NS = 8192, 1_000_000_000
 """The last SYNC is not waited for if so many frames, or ns, came after it."""
-SYNC = 0x080
+SYNC = int(CobId.SYNC)
 REMOTE, EXTENDED, ERROR = 0x2000, 0x4000, 0x8000
 """Bits of a group's key beside the 11 bits of a base identifier."""
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from coulombus.eds.cia301 import CobId
 from coulombus.explain.bus import EMCY, NMT, SDO_TX, Bus
-from coulombus.explain.frames import Block, Frames, Integers
+from coulombus.explain.frames import SYNC, Block, Frames, Integers
 from coulombus.explain.seen_maps import Map
 
 __all__ = ["Timing"]
 
 MS = 1_000_000
-SYNC = 0x080
 LEARN = 20
 """Intervals of which a period is learned; of a PDO after SYNC, and of SYNC, so many suffice:"""
 ENOUGH = 8
@@ -26,7 +26,7 @@ SILENT = 10
 """Periods of SYNC without any frame that are a silent bus; at least 20 ms."""
 MORE = 6
 """SYNC intervals with two of a PDO within a block, from which on there is a second sender."""
-PDO_KEYS = range(0x180, 0x580)
+PDO_KEYS = range(CobId.TPDO1, CobId.SDO_TX)
 
 
 @dataclass

@@ -7,15 +7,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from coulombus.eds.cia301 import CobId
 from coulombus.eds.description import Description, EdsError
-from coulombus.eds.pdo import COMMUNICATION, MAPPING, read_layout
+from coulombus.eds.pdo import COMMUNICATION, MAPPING, PdoLayout, read_layout
 from coulombus.explain.seen_node import SeenNode
 from coulombus.rigs.rig import Rig
 
 __all__ = ["Field", "Map", "maps_of", "maps_of_rig"]
 
 PDOS = 8
-BASES = {"tpdo": 0x180, "rpdo": 0x200}
+BASES = {"tpdo": int(CobId.TPDO1), "rpdo": int(CobId.RPDO1)}
 DRIVE = 402
 DEFAULTS_402 = {
     "rpdo": {1: (0x60400010,), 2: (0x60400010, 0x60600008), 3: (0x60400010, 0x607A0020), 4: (0x60400010, 0x60FF0020)},
@@ -74,10 +75,7 @@ def maps_of_rig(rig: Rig) -> dict[int, Map]:
     numbers = {node.name: node.node_id for node in rig.nodes}
     for pdo in rig.pdos():
         layout = pdo.layout
-        fields = tuple(
-            Field(entry.index, entry.subindex, start, entry.bits)
-            for entry, start in zip(layout.entries, layout.starts, strict=True)
-        )
+        fields = _fields_of(layout)
         maps[layout.cob_id] = Map(
             layout.cob_id,
             numbers[pdo.node],
@@ -136,10 +134,7 @@ def _map(node: SeenNode, description: Description | None, direction: str, number
         except (EdsError, KeyError):
             layout = None
         if layout is not None and description.has(communication):
-            fields = tuple(
-                Field(entry.index, entry.subindex, start, entry.bits)
-                for entry, start in zip(layout.entries, layout.starts, strict=True)
-            )
+            fields = _fields_of(layout)
             cob_id = (layout.cob_id if layout.cob_id >= 0 else 1 << 31) if cob_id is None else cob_id
             transmission = layout.transmission if transmission is None else transmission
             event = event or (layout.event_ns // 1_000_000 if direction == "tpdo" else 0)
@@ -152,6 +147,13 @@ def _map(node: SeenNode, description: Description | None, direction: str, number
     can_id = -1 if cob_id & 1 << 31 else cob_id & 0x7FF
     synchronous = None if transmission is None else transmission <= 240
     return Map(can_id, node.number, direction, number, fields, source, synchronous, event * 1_000_000)
+
+
+def _fields_of(layout: PdoLayout) -> tuple[Field, ...]:
+    return tuple(
+        Field(entry.index, entry.subindex, start, entry.bits)
+        for entry, start in zip(layout.entries, layout.starts, strict=True)
+    )
 
 
 def _fields(words: list[int]) -> tuple[Field, ...]:

@@ -22,6 +22,7 @@ from coulombus.system.private_folder import make_private, reason_against
 from coulombus.system.quoting import INTERFACE
 
 __all__ = [
+    "HOST_SUFFIX",
     "AddressError",
     "BusAddress",
     "BusUnavailable",
@@ -37,7 +38,7 @@ Kind: TypeAlias = Literal["coulombus", "socketcan"]
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _SUN_PATH = 107  # bytes of a socket's path, without the closing zero byte: unix(7)
-_RESERVED = ".host"  # the control socket of the host on bus NAME is NAME.host
+HOST_SUFFIX = ".host"  # the control socket of the host on bus NAME is NAME.host
 
 
 class AddressError(CoulombusError, ValueError):
@@ -108,7 +109,7 @@ def default_address(rig_name: str) -> BusAddress:
     """Return the virtual bus of a rig: ``coulombus:RIG``, what cannot
     stand in a name replaced by ``-``.
     """
-    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.").removesuffix(_RESERVED) or "bus"
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.").removesuffix(HOST_SUFFIX) or "bus"
     return BusAddress("coulombus", name)
 
 
@@ -141,8 +142,8 @@ def parse_address(text: str) -> BusAddress:
             )
         return BusAddress("socketcan", name)
     _check_name(name)
-    if name.endswith(_RESERVED):
-        raise AddressError(f"bus {text!r}: names that end in {_RESERVED} are kept for the host's control socket")
+    if name.endswith(HOST_SUFFIX):
+        raise AddressError(f"bus {text!r}: names that end in {HOST_SUFFIX} are kept for the host's control socket")
     return BusAddress("coulombus", name)
 
 
@@ -191,7 +192,7 @@ def bus_names() -> list[str]:
     """Return the names of the virtual buses whose sockets are there,
     dead ones of killed processes among them.
     """
-    return [name for name in socket_names() if _NAME.fullmatch(name) and not name.endswith(_RESERVED)]
+    return [name for name in socket_names() if _NAME.fullmatch(name) and not name.endswith(HOST_SUFFIX)]
 
 
 def live_bus_names() -> list[str]:

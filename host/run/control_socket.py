@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.host.errors import HostError, SafetyTrip
-from coulombus.wire.address import AddressError, BusAddress, parse_address, socket_names, socket_path
+from coulombus.wire.address import HOST_SUFFIX, AddressError, BusAddress, parse_address, socket_names, socket_path
 
 __all__ = [
     "HostSocket",
@@ -56,8 +56,6 @@ BACKLOG = 8
 TOLD = {"mode": (str,), "cycles": (int,), "trip": (str, type(None))}
 """What a host tells of its end, and of which types it is."""
 RETRY_S = 0.01
-HOST = ".host"
-"""Ends the name of a host's socket."""
 
 
 class NoHost(HostError):
@@ -81,7 +79,7 @@ class NotChanged(HostError):
 def control_path(address: BusAddress) -> Path:
     """Return the path of the control socket of the host on a bus."""
     name = address.name if address.is_virtual else f"{address.kind}-" + re.sub(r"[^A-Za-z0-9_.-]", "_", address.name)
-    return socket_path(f"{name}{HOST}")
+    return socket_path(f"{name}{HOST_SUFFIX}")
 
 
 def _new() -> socket.socket:
@@ -111,7 +109,7 @@ def host_runs(address: BusAddress) -> bool:
 
 def hosts_here() -> list[BusAddress]:
     """Return the buses on which a host of this user and machine runs; nothing is asked of it."""
-    names = (name.removesuffix(HOST) for name in socket_names() if name.endswith(HOST))
+    names = (name.removesuffix(HOST_SUFFIX) for name in socket_names() if name.endswith(HOST_SUFFIX))
     return [address for address in map(_address_of, names) if host_runs(address)]
 
 
@@ -119,7 +117,7 @@ def _address_of(name: str) -> BusAddress:
     """Return the address whose `control_path` has this name."""
     with suppress(AddressError):
         address = parse_address(name.replace("-", ":", 1))
-        if control_path(address).name == f"{name}{HOST}":
+        if control_path(address).name == f"{name}{HOST_SUFFIX}":
             return address
     return BusAddress("coulombus", name)
 

@@ -9,7 +9,7 @@ end of the run.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from coulombus.host.cycle.output_limits import brake_limit, law_pushes, motor_limit, scale_Nm, torque_step_Nm
@@ -75,8 +75,7 @@ def cut_off(rig: Rig, mode: str) -> list[str]:
     """Return what a limit of any axis would cut off of the law in this mode, each with
     ``file:line``, key and remedy.
     """
-    errors = (error for axis in rig.axes for part in (_motor, _brake) for error in part(axis, mode))
-    return list(dict.fromkeys(text for error in errors for text in error.errors))
+    return _texts(error for axis in rig.axes for part in (_motor, _brake) for error in part(axis, mode))
 
 
 def remarks(rig: Rig) -> list[str]:
@@ -91,6 +90,11 @@ def remarks(rig: Rig) -> list[str]:
             if {static, dynamic} <= displayed.keys() and displayed[dynamic] > displayed[static]:
                 expected = f"at most F_s_Nm ({displayed[static]:g}): this friction grows when it slips"
                 errors.append(axis.mistake(dynamic, expected))
+    return _texts(errors)
+
+
+def _texts(errors: Iterable[RigError]) -> list[str]:
+    """Return what the errors say, each text once."""
     return list(dict.fromkeys(text for error in errors for text in error.errors))
 
 
