@@ -25,7 +25,7 @@ NS = 1_000_000_000
 
 
 class BadPacketError(Exception):
-    """A packet block that cannot be: `offset` in the file, and `what` is wrong."""
+    """A packet before any interface: its `offset` in the file, and `what` is wrong."""
 
     def __init__(self, offset: int, what: str) -> None:
         super().__init__(what)
@@ -49,11 +49,12 @@ class Interface:
 @dataclass(frozen=True)
 class Packets:
     """The classical CAN frames among some packets; `options` are (row of `frames`, first byte, end)
-    in the file.
+    in the file, `damaged` (offset, what is wrong) of the packets that cannot be.
     """
 
     frames: Records
     options: list[tuple[int, int, int]]
+    damaged: list[tuple[int, str]]
 
 
 def column(words: Words, at: Integers, order: str) -> Integers:
@@ -65,20 +66,26 @@ def column(words: Words, at: Integers, order: str) -> Integers:
 def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[Interface], earlier: int) -> Packets:
     """Decode the enhanced packet blocks that begin at the words `at`.
 
-    What is no classical CAN frame is left out.
+    What is no classical CAN frame is left out. So are damaged packets: lengths that do not agree,
+    an interface that is not described, a stamp beyond 64 bits of nanoseconds.
 
     `earlier` is added to the interface's number for the frames' `source`.
 
     Raises
     ------
     BadPacketError
-        Lengths that do not agree, an interface that is not described, a stamp beyond 64 bits of
-        nanoseconds.
+        No interface is described.
     """
     total, interface, captured = (column(words, at + i, order) for i in (1, 2, 5))
-    for bad in np.flatnonzero((captured + HEAD + 4 > total) | (interface >= len(interfaces)))[:1]:
-        what = f"a packet of {captured[bad]} bytes in a block of {total[bad]}, on interface {interface[bad]}"
-        raise BadPacketError(4 * int(at[bad]), f"{what} where {len(interfaces)} are described")
+    described = len(interfaces)
+    if not described:
+        raise BadPacketError(4 * int(at[0]), f"a packet on interface {interface[0]} where 0 are described")
+    torn = (captured + HEAD + 4 > total) | (interface >= described)
+    damaged = []
+    for bad in np.flatnonzero(torn).tolist():
+        size = f"a packet of {captured[bad]} bytes in a block of {total[bad]}"
+        damaged.append((4 * int(at[bad]), f"{size}, on interface {interface[bad]} where {described} are described"))
+    at, total, interface, captured = at[~torn], total[~torn], interface[~torn], captured[~torn]
     last = len(words) - 1
     can_id = words[np.minimum(at + 7, last)].byteswap().astype(np.int64)
     flags = words[np.minimum(at + 8, last)].astype(np.int64)  # bytes: length, FD flags, two reserved
@@ -95,31 +102,35 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     low, high = words[np.minimum(at + 9, last)], words[np.minimum(at + 10, last)]
     masks = np.array([(1 << (8 * n)) - 1 for n in range(8)] + [-1])
     frames["word"] = (low.astype(np.uint64) | high.astype(np.uint64) << np.uint64(32)).view(np.int64) & masks[sent]
+    stamped = np.ones(len(frames), bool)
     for number, description in enumerate(interfaces):
         rows = np.flatnonzero(interface[good] == number)
         if len(rows):
-            frames["t_ns"][rows] = _stamps_ns(words, at[rows], order, description)
+            frames["t_ns"][rows], late = _stamps_ns(words, at[rows], order, description)
+            stamped[rows[list(late)]] = False
+            damaged += [(4 * int(at[rows[row]]), what) for row, what in late.items()]
+    frames, at, captured, total = frames[stamped], at[stamped], captured[good][stamped], total[good][stamped]
 
-    options = HEAD + captured[good] + (-captured[good] % 4)
-    ends = total[good] - 4
+    options = HEAD + captured + (-captured % 4)
+    ends = total - 4
     rows = np.flatnonzero(ends > options)
     begin, end = 4 * at[rows] + options[rows], 4 * at[rows] + ends[rows]
-    return Packets(frames, list(zip(rows.tolist(), begin.tolist(), end.tolist(), strict=True)))
+    return Packets(frames, list(zip(rows.tolist(), begin.tolist(), end.tolist(), strict=True)), sorted(damaged))
 
 
-def _stamps_ns(words: Words, at: Integers, order: str, description: Interface) -> Integers:
+def _stamps_ns(words: Words, at: Integers, order: str, description: Interface) -> tuple[Integers, dict[int, str]]:
+    """Return the stamps, and of those that cannot be: row and what is wrong."""
     high, low = column(words, at + 3, order), column(words, at + 4, order)
     base_ns = description.offset_s * NS
     scale = {9: 1, 6: 1000, 3: 1_000_000}.get(description.resolution)
     if scale is not None and abs(base_ns) < 1 << 62 and (int(high.max()) + 1) << 32 < (1 << 62) // scale:
-        return (high << 32 | low) * scale + base_ns
+        return (high << 32 | low) * scale + base_ns, {}
     ticks_s = 2 ** (description.resolution & 0x7F) if description.resolution & 0x80 else int(10**description.resolution)
-    stamps = np.zeros(len(at), np.int64)
+    stamps, late = np.zeros(len(at), np.int64), {}
     for row, (upper, lower) in enumerate(zip(high.tolist(), low.tolist(), strict=True)):
         stamp = (upper << 32 | lower) * NS // ticks_s + base_ns
-        if not -(1 << 63) <= stamp < 1 << 63:
-            raise BadPacketError(
-                4 * int(at[row]), f"a packet's stamp is {stamp // NS} s after 1970, expected at most 2^63 ns"
-            )
-        stamps[row] = stamp
-    return stamps
+        if -(1 << 63) <= stamp < 1 << 63:
+            stamps[row] = stamp
+        else:
+            late[row] = f"a packet's stamp is {stamp // NS} s after 1970, expected at most 2^63 ns"
+    return stamps, late

@@ -9,6 +9,7 @@ length.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -56,7 +57,13 @@ MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
 them: a trace is shorter than its frames.
 """
 BLOCKS = 1 << 15  # walked at a time
+RESUMED = 1 << 16
+"""Behind damage, the next block has so many bytes at most."""
 END, FULL, SECTION, BAD = range(4)
+KINDS = (INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)
+KNOWN_BLOCK = {
+    order: re.compile(b"|".join(re.escape(struct.pack(order + "I", kind)) for kind in KINDS)) for order in "<>"
+}
 OTHER_FORMATS = {
     "d4c3b2a1": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
     "a1b2c3d4": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
@@ -85,11 +92,11 @@ class Capture:
     hardware: str = ""
     operating_system: str = ""
     torn: int = 0
-    """Bytes of an unfinished last block, which are left out; 0: the file is whole."""
+    """Bytes of an unfinished last block, which are left out; 0: the file ends with a whole block."""
     skipped: int = 0
     """Packets that are no classical CAN frames (other link types, CAN FD, cut ones)."""
     warnings: tuple[str, ...] = ()
-    """Damaged attachments, which are left out."""
+    """Damaged blocks, packets and attachments, which are left out."""
     inside: Records = field(default_factory=lambda: np.zeros(0, FRAME))
     """Frames that were on no bus: what the host tells of itself (`recording.host_telemetry`)."""
     buses: tuple[str, ...] = ("",)
@@ -129,6 +136,7 @@ class _Reader:
     attachments: dict[str, bytes] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     skipped: int = 0
+    torn: int = 0
     attached: int = 0
     """Bytes of all attachments so far, uncompressed."""
     excessive: bool = False
@@ -141,6 +149,14 @@ class _Reader:
         self.data = self.data[4 * at :] + chunk
         self.words = np.frombuffer(self.data, "<u4", len(self.data) // 4)
         return bool(chunk)
+
+    def leave(self, size: int) -> None:
+        """Leave the first bytes of `data` behind; the next block need not stand at a multiple of
+        four bytes.
+        """
+        self.base += size
+        self.data = self.data[size:]
+        self.words = np.frombuffer(self.data, "<u4", len(self.data) // 4)
 
     def take(self, torn: int = 0) -> Capture:
         """Return the stretch that was read, and begin the next one."""
@@ -168,15 +184,16 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
     """Read a pcapng file of SocketCAN frames stretch by stretch: the memory does not grow with the
     file. Of a folder (`recording.segments`) the segments of its newest run are read as one.
 
-    Each stretch has what stands in it; the section's texts are those read so far. The last one,
-    perhaps without a frame, tells of an unfinished last block, which is left out (`Capture.torn`).
-    A file that is still being written is read to its present end.
+    Each stretch has what stands in it; the section's texts are those read so far. Where a block is
+    damaged, reading goes on at the next whole one, and `Capture.warnings` has the bytes between
+    them. The last stretch, perhaps without a frame, tells of an unfinished last block, which is
+    left out (`Capture.torn`). A file that is still being written is read to its present end.
 
     Raises
     ------
     PcapngError
-        The file is empty, of another format, damaged in its midst, or holds no CAN interface: at
-        the stretch where that shows.
+        The file is empty, of another format, has a damaged section header or interface, or holds
+        no CAN interface: at the stretch where that shows.
     OSError
         It cannot be opened or read.
     """
@@ -191,21 +208,23 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
         _check_start(reader)
         offsets = np.zeros(BLOCKS, np.int64)
         at, reason = 0, FULL
-        while reason != END or reader.more(at):
+        while True:
             if reason == END:
-                yield reader.take()
-                at = 0
+                more, at = reader.more(at), 0
+                if more:
+                    yield reader.take()
+                elif not _resume(reader, 0, "a block that does not end"):
+                    break
             count, at, reason = _walk(reader.words, at, int(reader.order == ">"), offsets)
             _take(reader, offsets[:count])
             if reason == SECTION:
                 at, reason = _section(reader, at)
             elif reason == BAD:
-                torn = _zeros(reader, at)
-                break
-        else:
-            torn = len(reader.data)
+                if not _resume(reader, at, _what_is_bad(reader, at)):
+                    break
+                at = 0
     _check_linktypes(reader)
-    yield reader.take(torn)
+    yield reader.take(reader.torn)
 
 
 def _segments(path: str | Path) -> list[Path]:
@@ -343,18 +362,36 @@ def _section(reader: _Reader, at: int) -> tuple[int, int]:
     return at + int(length) // 4, FULL
 
 
-def _zeros(reader: _Reader, at: int) -> int:
-    """Return the number of bytes from word `at` on, which must be zeros to the file's end: what a
-    power cut leaves on some file systems.
+def _resume(reader: _Reader, at: int, what: str) -> bool:
+    """Leave the damaged block at word `at` behind, up to the next whole block; return whether there
+    is one. If there is none, all bytes to the file's end are an unfinished block.
     """
-    what, offset, torn = _what_is_bad(reader, at), 4 * at, len(reader.data) - 4 * at
-    tail = reader.data[offset:]
-    while tail:
-        if tail.strip(b"\0"):
-            raise _damaged(reader, offset, what)
-        tail = reader.file.read(CHUNK)
-        torn += len(tail)
-    return torn
+    reader.leave(4 * at)
+    offset, begin = reader.base, min(4, len(reader.data))
+    while (place := _next_block(reader, begin)) is None:
+        reader.leave(max(len(reader.data) - RESUMED, begin))
+        begin = 0
+        with naming(reader.path):
+            chunk = reader.file.read(CHUNK)
+        if not chunk:
+            reader.torn = reader.base + len(reader.data) - offset
+            return False
+        reader.data += chunk
+    reader.leave(place)
+    reader.warnings.append(f"{reader.path}: offset {offset}: {reader.base - offset} bytes were left out: {what}")
+    return True
+
+
+def _next_block(reader: _Reader, begin: int) -> int | None:
+    """Return where the first whole block begins in the reader's data, from byte `begin` on."""
+    for match in KNOWN_BLOCK[reader.order].finditer(reader.data, begin):
+        place = match.start()
+        size = reader.data[place + 4 : place + 8]
+        length = int.from_bytes(size, "little" if reader.order == "<" else "big")
+        whole = 12 <= length <= RESUMED and length % 4 == 0 and place + length <= len(reader.data)
+        if whole and reader.data[place + length - 4 : place + length] == size:
+            return place
+    return None
 
 
 def _take(reader: _Reader, offsets: Integers) -> None:
@@ -390,6 +427,10 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         decoded = decode_packets(reader.words, packets, reader.order, reader.interfaces, reader.earlier)
     except BadPacketError as error:
         raise _damaged(reader, error.offset, error.what) from None
+    if decoded.damaged:
+        (offset, what), count = decoded.damaged[0], len(decoded.damaged)
+        packets_ = "1 packet was" if count == 1 else f"{count} packets were"
+        reader.warnings.append(f"{reader.path}: offset {reader.base + offset}: {what}: {packets_} left out")
     done = sum(len(part) for part in reader.parts)
     frames, rows = decoded.frames, np.arange(len(decoded.frames) + 1)
     if any(interface.inside for interface in reader.interfaces):
@@ -397,7 +438,7 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         frames, rows = frames[~inside], np.concatenate(([0], np.cumsum(~inside)))
         reader.inside.append(decoded.frames[inside])
     reader.parts.append(frames)
-    reader.skipped += len(packets) - len(decoded.frames)
+    reader.skipped += len(packets) - len(decoded.frames) - len(decoded.damaged)
     for number, begin, end in decoded.options:
         row = min(int(rows[number]), len(frames) - 1)  # a comment on what was on no bus goes to the frame behind it
         if row < 0:

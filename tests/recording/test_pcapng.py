@@ -2,11 +2,13 @@
 tools' files.
 """
 
+import bisect
 import errno
 import hashlib
 import itertools
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -22,9 +24,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import coulombus.recording.pcapng_reader
 import coulombus.recording.pcapng_writer
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError, attachment_block
-from coulombus.recording.pcapng_reader import read_pcapng
+from coulombus.recording.pcapng_reader import Capture, read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
 from places import ROOT
@@ -271,29 +274,114 @@ def test_a_killed_process_leaves_a_readable_file(tmp_path: Path):
     assert capture.comments == [(0, "batch"), (1000, "batch"), (2000, "batch")]
 
 
-def test_damage_names_file_offset_and_a_remedy(tmp_path: Path):
+def test_what_is_damaged_is_told_and_the_rest_is_read(tmp_path: Path):
     path = written(tmp_path / "a.pcapng", ROWS)
     whole = bytearray(path.read_bytes())
     at = len(whole) - 2 * 48  # the last frame but one
     whole[at + 44] ^= 1  # its second length
     path.write_bytes(whole)
-    with pytest.raises(PcapngError) as caught:
-        read_pcapng(path)
-    text = str(caught.value)
-    assert text.startswith(f"{path}: offset {at}: ")
-    assert "of 48 bytes ends with the length 49" in text
-    assert f"head -c {at} {path}" in text
-    path.write_bytes(whole[:at])  # do what it says
-    assert as_rows(read_pcapng(path).frames) == ROWS[:-2]
+    capture = read_pcapng(path)
+    assert as_rows(capture.frames) == [*ROWS[:-2], ROWS[-1]]
+    assert capture.warnings == (
+        f"{path}: offset {at}: 48 bytes were left out: a block (type 0x00000006) of 48 bytes ends with the length 49, "
+        "expected the same",
+    )
+
+
+def told_bytes(capture: Capture) -> int:
+    """Bytes that were left out, as the reader tells; a packet has 48."""
+    gaps = [re.search(r": (\d+) (bytes|packets?) w", text) for text in capture.warnings]
+    return capture.torn + sum(int(gap[1]) * (1 if gap[2] == "bytes" else 48) for gap in gaps)
+
+
+def places(data: bytes) -> list[int]:
+    """Where the packets begin in `data`."""
+    at, begins = 0, []
+    while at + 12 <= len(data):
+        kind, length = struct.unpack_from("<II", data, at)
+        begins += [at] if kind == 6 else []
+        at += length
+    return begins
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_bytes_that_are_missing_in_its_midst_cost_the_blocks_that_they_were_of(data: st.DataObject):
+    with tempfile.TemporaryDirectory() as folder:
+        path = written(Path(folder) / "a.pcapng", ROWS * 3)
+        whole = path.read_bytes()
+        begins = places(whole)
+        first = data.draw(st.integers(begins[0], len(whole) - 1))
+        gap = st.integers(1, min(200, len(whole) - first)).filter(lambda n: n % 48)  # else two halves make a packet
+        last = first + data.draw(gap)
+        path.write_bytes(whole[:first] + whole[last:])
+        capture = read_pcapng(path)
+    before = bisect.bisect_right([*begins[1:], len(whole)], first)
+    behind = len(begins) - bisect.bisect_left(begins, last)
+    assert as_rows(capture.frames)[:before] == (ROWS * 3)[:before]
+    if behind > 1:  # the length that ends a block may be the one with which the next begins
+        assert as_rows(capture.frames)[1 - behind :] == (ROWS * 3)[1 - behind :]
+    assert 48 * len(capture.frames) + told_bytes(capture) == len(whole) - begins[0] - (last - first)
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_a_damaged_length_costs_one_packet(data: st.DataObject):
+    with tempfile.TemporaryDirectory() as folder:
+        path = written(Path(folder) / "a.pcapng", ROWS * 3)
+        whole = bytearray(path.read_bytes())
+        begins = places(bytes(whole))
+        struck = data.draw(st.integers(0, len(begins) - 1))
+        length = data.draw(st.one_of(st.integers(0, 400), st.integers(0, 2**32 - 1)).filter(lambda n: n != 48))
+        struct.pack_into("<I", whole, begins[struck] + 4, length)
+        path.write_bytes(whole)
+        capture = read_pcapng(path)
+    assert as_rows(capture.frames) == (ROWS * 3)[:struck] + (ROWS * 3)[struck + 1 :]
+    assert (capture.torn == 48) == (struck == len(begins) - 1)
+    assert capture.torn == 48 or ": 48 bytes were left out" in capture.warnings[0]
+
+
+def test_damage_at_the_end_of_what_is_read_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(coulombus.recording.pcapng_reader, "CHUNK", 100)
+    monkeypatch.setattr(coulombus.recording.pcapng_reader, "RESUMED", 64)
+    path = written(tmp_path / "a.pcapng", ROWS * 3)
+    whole = path.read_bytes()
+    for at in [begin + part for begin in places(whole) for part in (4, 44)]:  # both lengths of each packet
+        path.write_bytes(whole[:at] + b"\x55" * 4 + whole[at + 4 :])
+        capture = read_pcapng(path)
+        assert 48 * len(capture.frames) + told_bytes(capture) == len(whole) - places(whole)[0]
+        assert len(capture.frames) == len(ROWS) * 3 - 1
 
 
 @pytest.mark.parametrize("length", [0, 4, 49, (16 << 20) + 4, 0xFFFFFFFC])
 def test_a_block_of_an_impossible_length(tmp_path: Path, length: int):
     path = tmp_path / "a.pcapng"
-    path.write_bytes(section() + interface() + packet(1, can(1, b"")) + struct.pack("<II", 6, length) + b"garbage!" * 9)
-    offset = len(section() + interface() + packet(1, can(1, b"")))
-    with pytest.raises(PcapngError, match=f"offset {offset}: .* of {length} bytes"):
-        read_pcapng(path)
+    rest = struct.pack("<II", 6, length) + b"garbage!" * 9
+    path.write_bytes(section() + interface() + packet(1, can(1, b"")) + rest)
+    capture = read_pcapng(path)
+    assert (len(capture.frames), capture.torn) == (1, len(rest))
+
+
+@pytest.mark.parametrize(
+    ("damaged", "text"),
+    [
+        (
+            block(6, struct.pack("<IIIII", 0, 0, 0, 99, 99)),
+            "a packet of 99 bytes in a block of 32, .*: 1 packet was left out",
+        ),
+        (packet(1, can(1, b""), number=1), ", on interface 1 where 1 are described: 1 packet was left out"),
+        (packet(1 << 63, can(1, b"")), "stamp is 9223372036854 s after 1970, .*: 1 packet was left out"),
+        (packet(1 << 63, can(1, b"")) * 2, "stamp is .*: 2 packets were left out"),
+    ],
+)
+def test_a_packet_that_cannot_be_is_left_out_and_told(tmp_path: Path, damaged: bytes, text: str):
+    path = tmp_path / "a.pcapng"
+    good = packet(1, can(1, b""))
+    path.write_bytes(section() + interface() + good + damaged + good)
+    capture = read_pcapng(path)
+    assert (len(capture.frames), capture.torn, capture.skipped) == (2, 0, 0)
+    offset = len(section() + interface() + good)
+    assert re.fullmatch(rf"{re.escape(str(path))}: offset {offset}: .*{text}", capture.warnings[0])
 
 
 @pytest.mark.parametrize(
@@ -310,9 +398,6 @@ def test_a_block_of_an_impossible_length(tmp_path: Path, length: int):
         (block(0x0A0D0D0A, struct.pack("<I", 0x1A2B3C4D)), "section header of 16 bytes"),
         (section() + block(1, b"\xe3\0"), "offset 28: an interface block of 4 bytes"),
         (section() + packet(1, can(1, b"")), "where 0 are described"),
-        (section() + interface() + packet(1, can(1, b""), number=1), "on interface 1 where 1 are described"),
-        (section() + interface() + block(6, struct.pack("<IIIII", 0, 0, 0, 99, 99)), "a packet of 99 bytes"),
-        (section() + interface() + packet(1 << 63, can(1, b"")), "stamp is 9223372036854 s"),
         (section() + interface(linktype=1) + packet(1, bytes(60)), "link type 1, expected 227"),
     ],
 )
