@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,6 +10,9 @@ from coulombus.cli.common import buses_option, json_option, rig_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.hosts import host_addresses
 from coulombus.cli.tables import echo
+
+if TYPE_CHECKING:
+    from coulombus.wire.address import BusAddress
 
 __all__ = ["status"]
 
@@ -22,7 +25,7 @@ def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
     """Ask the host that runs on a bus what it is doing: phase, torques, lateness, counters.
 
     The host answers beside its data plane, whose cycle is not disturbed. Ends with 4
-    where no host runs, or none answers. For a line ten times a second, start the host with
+    where no host runs, or none answers; then it says when and why the last one ended. For a line ten times a second, start the host with
     `coulombus run --status SOCKET` and read that socket.
 
     \b
@@ -32,16 +35,35 @@ def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
       socat UNIX-CONNECT:/tmp/rig.status -
     """
     with errors():
-        from coulombus.host.run.control_socket import ask_status
-
         addresses = host_addresses(rig_name, bus_names)
-        states = [ask_status(address) for address in addresses]
+        states = [_state(address) for address in addresses]
         with verdict(0):
             if as_json:
                 print_json(states[0] if len(states) == 1 else states)
             else:
                 for state in states:
                     _tell(state)
+
+
+def _state(address: BusAddress) -> dict[str, Any]:
+    """Return the state of the host on a bus.
+
+    Raises
+    ------
+    coulombus.host.run.control_socket.NoHost
+        None answers; the text has the end of the last one.
+    """
+    from coulombus.host.run.control_socket import NoHost, ask_status, host_runs
+    from coulombus.host.run.last_word import ending, last_word
+
+    try:
+        return ask_status(address)
+    except NoHost as error:
+        word = None if host_runs(address) else last_word(address)
+        if word is None:
+            raise
+        counts = f"{word['lost_pdos']} PDOs lost, {word['missed_deadlines']} deadlines missed"
+        raise NoHost(f"{error}; the last one ended {ending(word)} ({word['cycles']} cycles, {counts})") from None
 
 
 def _tell(state: dict[str, Any]) -> None:

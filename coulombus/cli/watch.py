@@ -20,24 +20,38 @@ from coulombus.cli.rig_options import OneBusOptions, one_bus_options
 from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
+    from coulombus.monitor.snapshot import HostLine
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
-__all__ = ["host_text", "watch"]
+__all__ = ["host_line", "watch"]
+
+COUNTED = {"missed_deadlines": "deadlines missed"}
+"""The host's counters that its line shows where they are not 0."""
 
 
-def host_text(address: BusAddress) -> str | None:
-    """Return what the host on a bus does, in a line; None where none answers."""
+def host_line(address: BusAddress) -> HostLine | None:
+    """Return what the host on a bus does, or how the last one ended; None where there was none."""
     from coulombus.host.run.control_socket import NoHost, ask_status
+    from coulombus.host.run.last_word import ending, last_word
+    from coulombus.monitor.snapshot import HostLine
 
     try:
         state = ask_status(address)
     except NoHost:
-        return None
+        word = last_word(address)
+        if word is None:
+            return None
+        counts = f"{word['lost_pdos']} PDOs lost, {word['missed_deadlines']} deadlines missed"
+        return HostLine(f"no host; the last one ended {ending(word)}; {counts}", "tripped" if word["trip"] else "ended")
     text = f"host: mode {state['mode']}" if "mode" in state else f"host: {state.get('error')}"
     for axis in state.get("axes") or ():
         text += f"  {axis.get('axis') or 'phase'} {axis.get('phase')}"
-    return text + (f"  trip: {state['trip']}" if state.get("trip") else "")
+    trip, counters = state.get("trip"), state.get("counters") or {}
+    amiss = [f"{counters[name]} {words}" for name, words in COUNTED.items() if counters.get(name)]
+    amiss += [f"{n} PDOs lost" for n in [sum(axis.get("lost_pdos") or 0 for axis in state.get("axes") or ())] if n]
+    text += "".join(f"  {words}" for words in amiss)
+    return HostLine(text + (f"  trip: {trip}" if trip else ""), "tripped" if trip else "runs")
 
 
 @dataclass(frozen=True)
@@ -138,7 +152,8 @@ def watch(
     emergencies, losses.
 
     Nothing is sent. A live table in a terminal (p holds the picture, b shows raw bytes, those that
-    changed stand out, w names the bits of status- and controlwords, q ends it), else lines; with
+    changed stand out, w names the bits of status- and controlwords, 1 to 9 open an incident of
+    `coulombus explain`, q ends it), else lines; with
     --web a page in a browser, whose STOP does what `coulombus stop` does. Ends with 0 on
     Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, with 4 when the bus goes away.
 
@@ -176,7 +191,7 @@ def watch(
             run(
                 *(rig, address, LiveView(as_json, view.interval, named, view.scope)),
                 seconds=seconds,
-                host=lambda: host_text(address),
+                host=lambda: host_line(address),
             )
 
 

@@ -113,9 +113,13 @@ class Explainer:
         for block in self._pieces.take(*self._inside(frames, remarks)):
             self._block(block)
 
-    def look(self) -> None:
-        """Look at what is overdue."""
-        t_ns = max(self.bus.last_ns, self._pieces.last_ns)
+    def look(self, now_ns: int = -1) -> None:
+        """Look at what is overdue at the last frame, or at a later time [ns] until which all frames
+        were taken.
+        """
+        if 0 <= self._pieces.first_ns < now_ns:  # SYNC has stopped: what waits for it would look overdue
+            self._block(self._pieces.end(last=False))
+        t_ns = max(self.bus.last_ns, now_ns)
         for observer in (self._rare, self._timing, self._drives):
             observer.look(t_ns)
 

@@ -11,7 +11,7 @@ from coulombus.explain.explained import Explanation
 from coulombus.explain.incident_words import KINDS
 from coulombus.explain.incidents import Incident
 
-__all__ = ["as_dict", "detail_lines", "html_page", "markdown", "news", "screen"]
+__all__ = ["as_dict", "cause", "checks", "course", "detail_lines", "html_page", "markdown", "news", "screen", "title"]
 
 VERDICT_TEXT = {
     "ok": "ok: nothing is wrong in this log",
@@ -27,7 +27,9 @@ def title(explanation: Explanation, incident: Incident) -> str:
     whose = explanation.bus.name(incident.node)
     axes = incident.axes if max(incident.axes, default=1) > 1 else ()
     axis = f", axis {' and '.join(map(str, axes))}" if axes else ""
-    return f"{whose}{axis}: {KINDS[incident.root.kind].title[0].lower()}{KINDS[incident.root.kind].title[1:]}"
+    words = KINDS[incident.root.kind].title
+    begin = words[:1] if words[1:2].isupper() else words[:1].lower()  # SYNC, EMCY
+    return f"{whose}{axis}: {begin}{words[1:]}"
 
 
 def cause(incident: Incident) -> str:
@@ -157,14 +159,21 @@ def news(explanation: Explanation, incident: Incident) -> str:
     return f"{_when(explanation, incident)}  {incident.status.upper()}  {title(explanation, incident)}: {incident.diagnosis.text}"
 
 
-def _course(explanation: Explanation, incident: Incident) -> Iterator[str]:
+def course(explanation: Explanation, incident: Incident) -> list[tuple[int, str, str]]:
+    """Return what happened in an incident in time order: time [ns], role ("cause", "consequence",
+    "end" ...), words.
+    """
     events = [(clue.begin_ns, _role(incident, clue), _clue(explanation, clue)) for clue in incident.clues]
     events += [
         (clue.end_ns, "end", f"{explanation.bus.name(clue.node)}: {clue.end_text}")
         for clue in incident.clues
         if clue.end_ns is not None and clue.end_text
     ]
-    events.sort(key=lambda event: event[0])
+    return sorted(events, key=lambda event: event[0])
+
+
+def _course(explanation: Explanation, incident: Incident) -> Iterator[str]:
+    events = course(explanation, incident)
     for t_ns, role, text in events[:SHOWN_EVENTS]:
         yield f"{explanation.at_s(t_ns):12.6f} s  {role:<11}  {text}"
     if len(events) > SHOWN_EVENTS:

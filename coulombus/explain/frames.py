@@ -127,13 +127,14 @@ class Pieces:
             yield self._cut(frames[start : start + BLOCK])
 
     @property
-    def last_ns(self) -> int:
-        """The stamp of the last frame that waits, -1 where none does."""
-        return int(self._rest["t_ns"][-1]) if len(self._rest) else -1
+    def first_ns(self) -> int:
+        """The stamp of the first frame that waits, -1 where none does."""
+        return int(self._rest["t_ns"][0]) if len(self._rest) else -1
 
-    def end(self) -> Block:
-        """Return what is left."""
-        return self._cut(self._rest, last=True)
+    def end(self, *, last: bool = True) -> Block:
+        """Return what is left; `last`: nothing follows."""
+        rest, self._rest = self._rest, self._rest[:0]
+        return self._cut(rest, last=last)
 
     def _cut(self, frames: Records, *, last: bool = False) -> Block:
         here = tuple((row, text) for row, text in self._comments if last or row < len(frames))

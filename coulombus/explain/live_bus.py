@@ -16,10 +16,18 @@ from coulombus.wire.data_word import data_word
 from coulombus.wire.frame import Frame, new_records
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Followed", "explain_bus"]
+__all__ = ["LATE_NS", "Followed", "explain_bus", "same_incident"]
 
 WAIT_S = 0.1
 LOOK_S = 0.5
+LATE_NS = 1_000_000_000
+"""A frame may come so much later than its stamp: before that nothing is called missing."""
+
+
+def same_incident(incident: Incident) -> tuple[str, int | None, int]:
+    """Return what stays of an incident while its number, state and words change."""
+    first = incident.clues[0]
+    return first.kind, first.node, first.begin_ns
 
 
 class Followed:
@@ -32,8 +40,7 @@ class Followed:
     def look(self, explanation: Explanation) -> None:
         """Tell what changed."""
         for incident in explanation.incidents:
-            first = incident.clues[0]
-            key = (first.kind, first.node, first.begin_ns)
+            key = same_incident(incident)
             if self._known.get(key) != incident.status:
                 self._known[key] = incident.status
                 self._tell(explanation, incident)
@@ -78,7 +85,7 @@ def explain_bus(
             now = time.monotonic()
             if now - looked > LOOK_S:
                 looked = now
-                explainer.look()
+                explainer.look(time.time_ns() - LATE_NS)
                 followed.look(explainer.explanation())
     explainer.end()
     explanation = explainer.explanation()

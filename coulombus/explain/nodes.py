@@ -64,6 +64,8 @@ class Nodes:
                 continue
             if self.bus.ordered(node.number, node.heartbeat_ns, t_ns, NmtState.INITIALISING):
                 continue
+            if self._said_goodbye(node):
+                continue
             silent = node.last_ns <= due
             lost = self._lost(node.number)
             kind = lost if silent else "heartbeat_lost"
@@ -77,6 +79,12 @@ class Nodes:
             begin = max(node.last_ns, node.heartbeat_ns) if silent else due
             text = f"{what}: the last heartbeat was due after {node.period_ns / 1e6:g} ms"
             self.clues.begin(kind, node.number, begin, text, row=node.heartbeat_row)
+
+    def _said_goodbye(self, node: SeenNode) -> bool:
+        """Tell whether it is a host whose last order before its silence was no start: an orderly end."""
+        until_ns = node.heartbeat_ns + LOST * node.period_ns
+        last = next((order for order in reversed(self.bus.orders) if order.t_ns <= until_ns), None)
+        return node.number == self.bus.host and last is not None and last.command != NmtCommand.START
 
     def _lost(self, number: int) -> str:
         return "host_lost" if number == self.bus.host else "node_lost"
@@ -148,6 +156,8 @@ class Nodes:
                 node.period_ns = recent[len(recent) // 2]
             return
         period = node.period_ns
+        if gap > LOST * period and self._said_goodbye(node):
+            return
         if gap > LOST * period:
             due = node.heartbeat_ns + period
             last = self.bus.last_heard(block, number, round(node.heartbeat_ns + LOST * period))

@@ -10,7 +10,9 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from coulombus.monitor.braille import drawn
-from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
+from coulombus.monitor.incident_lines import incident_dict, incident_lines
+from coulombus.monitor.live_incidents import IncidentRow
+from coulombus.monitor.snapshot import Event, HostLine, NodeRow, PdoRow, Snapshot, Value
 from coulombus.monitor.traces import WINDOW_S, Trace
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 
@@ -18,13 +20,18 @@ __all__ = ["Screen", "as_dict", "as_lines"]
 
 LEAST_EVENTS = 3
 GAPS = 3
+KEYS_HEIGHT = 20
+"""Lines from which the last one names the keys."""
 SCOPE_LINES = 5
 """Of a signal's picture, where the window is high enough."""
 STALE_S = 0.1
 CHANGED = "bold reverse"
+HOST_STYLES = {"runs": "", "tripped": "red", "ended": "dim"}
 
 
-def as_dict(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> dict[str, Any]:
+def as_dict(
+    snapshot: Snapshot, facts: dict[str, Any], begin_ns: int, incidents: Sequence[IncidentRow] = ()
+) -> dict[str, Any]:
     """Return a snapshot for ``--json``: times in seconds from the start, ages and rates in SI."""
     return {
         "t_s": (snapshot.t_ns - begin_ns) / 1e9,
@@ -66,6 +73,7 @@ def as_dict(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> dict[st
             {"t_s": (event.t_ns - begin_ns) / 1e9, "text": event.text, "grave": event.grave}
             for event in snapshot.events
         ],
+        "incidents": [incident_dict(row, begin_ns) for row in incidents],
     }
 
 
@@ -115,14 +123,22 @@ class Screen:
     all_nodes: bool = True
     traces: Sequence[Trace] = ()
     """Signals that are drawn over time, below the head."""
+    incidents: Sequence[IncidentRow] = ()
+    opened: str = ""
+    """The key of the incident whose cause and checks are shown."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width, height = options.max_width, options.size.height - 1  # a line is left for the shell
+        keys = [Text(self.facts["keys"], style="dim")] if height >= KEYS_HEIGHT and self.facts.get("keys") else []
+        height -= len(keys)
         head = Text(_head(self.snapshot, self.facts), style="red" if self.facts["lost"] else "bold").wrap(
             console, width
         )
-        if host := self.facts.get("host"):
-            head.extend(Text(host).wrap(console, width))
+        host: HostLine | None = self.facts.get("host")
+        if host is not None:
+            head.extend(Text(host.text, style=HOST_STYLES[host.state]).wrap(console, width))
+        if failure := self.facts.get("incidents_end"):
+            head.append(Text(failure, style="red"))
         if self.facts.get("paused"):
             since = self.facts["frames"] - self.snapshot.frames
             head.append(Text(f"PAUSED: p goes on, q ends; {since} frames came since", style="bold reverse"))
@@ -130,6 +146,8 @@ class Screen:
             head.extend(line for text in _words(self.snapshot) for line in Text(text).wrap(console, width))
         for trace in self.traces:
             head.extend(_scope(trace, width, max(1, min(SCOPE_LINES, (height // 2) // len(self.traces) - 1))))
+        panel = (width, height // 2 if self.opened else height // 3)
+        incidents = incident_lines(self.incidents, self.opened, self.begin_ns, console, panel)
         nodes = _table(NODE_COLUMNS, list(map(_node_row, _heard(self.snapshot.nodes, self.all_nodes))), width)
         pdos = _table(
             RAW_COLUMNS if self.facts.get("raw") else PDO_COLUMNS,
@@ -139,14 +157,17 @@ class Screen:
         if not nodes:
             nodes = [Text("none of the rig's nodes was heard; --rig says which rig it is")]
         news = [line for event in self.events for line in self._event(event).wrap(console, width)]
-        room = height - len(head) - len(nodes) - min(len(news), LEAST_EVENTS)
+        below = len(nodes) + len(incidents)
+        room = height - len(head) - below - min(len(news), LEAST_EVENTS)
         if len(pdos) > room:
             shown = max(0, room - 1)
             pdos = [*pdos[:shown], Text(f"{len(pdos) - shown} more lines: in a higher window", style="dim")]
-        rest = height - len(head) - len(nodes) - len(pdos)
-        gap = [Text()] if rest - min(len(news), LEAST_EVENTS) >= GAPS else []
-        room = max(0, rest - len(gap) * GAPS)
-        for line in [*head, *gap, *pdos, *gap, *nodes, *gap, *(news[-room:] if room else [])]:
+        rest = height - len(head) - below - len(pdos)
+        gaps = GAPS + bool(incidents)
+        gap = [Text()] if rest - min(len(news), LEAST_EVENTS) >= gaps else []
+        room = max(0, rest - len(gap) * gaps)
+        panels = [*head, *gap, *incidents, *(gap if incidents else []), *pdos, *gap, *nodes, *gap]
+        for line in [*panels, *(news[-room:] if room else []), *keys]:
             line.no_wrap, line.overflow = True, "ellipsis"
             yield line
 

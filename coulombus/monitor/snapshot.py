@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Event", "NodeRow", "PdoRow", "Snapshot", "Value"]
+__all__ = ["Event", "HostLine", "NodeRow", "PdoRow", "Snapshot", "Value"]
 
 
 @dataclass(frozen=True)
@@ -14,6 +14,17 @@ class Event:
     t_ns: int
     text: str
     grave: bool = False
+
+
+@dataclass(frozen=True)
+class HostLine:
+    """What the bus' host does, or how the last one ended, in a line.
+
+    `state` is "runs", "tripped" or "ended" (by order, or as its time was over).
+    """
+
+    text: str
+    state: str = "runs"
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """``coulombus watch``: a bus in one live table, or line by line where no terminal is.
 
 The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread
-draws and takes the signals. Nothing is ever sent. Chosen signals are drawn over time. In a terminal
-p or the space bar holds the picture while the counting goes on, b shows the raw bytes before other
-columns, w takes status- and controlwords apart in lines of their own, q ends it.
+draws and takes the signals. Nothing is ever sent. Chosen signals are drawn over time. Incidents are
+looked for in a third thread. In a terminal p or the space bar holds the picture while the counting
+goes on, b shows the raw bytes before other columns, w takes status- and controlwords apart in lines
+of their own, 1 to 9 open and close an incident, q ends it.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 from rich.console import Console
 from rich.live import Live as Display
 
+from coulombus.monitor.incident_lines import Opened, news
 from coulombus.monitor.live import Live
+from coulombus.monitor.live_incidents import IncidentReader, IncidentRow
 from coulombus.monitor.screen import Screen, as_dict, as_lines
-from coulombus.monitor.snapshot import Event, Snapshot
+from coulombus.monitor.snapshot import Event, HostLine, Snapshot
 from coulombus.monitor.traces import Trace, Traces
 from coulombus.rigs.rig import Rig
 from coulombus.system.foreign_text import printable
@@ -43,7 +46,8 @@ ASK_NS = 1_000_000_000
 COLLECT_S = 0.002  # frames of this time are taken together: it saves most of the wake-ups
 EVENTS = 200
 HOST_S = 0.5
-PAUSE_KEYS, RAW_KEYS, WORD_KEYS, END_KEYS = b"p ", b"b", b"w", b"q"
+PAUSE_KEYS, RAW_KEYS, WORD_KEYS, END_KEYS, INCIDENT_KEYS = b"p ", b"b", b"w", b"q", b"123456789"
+KEYS_TEXT = "p pause   b bytes   w words   1-9 incident   q end"
 
 
 @dataclass(frozen=True)
@@ -70,14 +74,14 @@ def watch(
     *,
     seconds: float | None = None,
     console: Console | None = None,
-    host: Callable[[], str | None] | None = None,
+    host: Callable[[], HostLine | None] | None = None,
 ) -> None:
     """Show the bus until a signal, the key q, or for `seconds`.
 
     Parameters
     ----------
-    host : tells what the bus' host does, in words, None where none runs; it is asked twice a second
-        in a thread of its own
+    host : tells what the bus' host does, or how the last one ended, None where there was none; it is
+        asked twice a second in a thread of its own
 
     Raises
     ------
@@ -92,7 +96,12 @@ def watch(
     begin_ns = time.time_ns()
     live.snapshot(begin_ns)  # rates count from here
     hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
-    with Client(address, hello) as client, StopSignals() as stop, _Reader(client, live, traces) as reader:
+    with (
+        Client(address, hello) as client,
+        StopSignals() as stop,
+        IncidentReader(rig) as incidents,
+        _Reader(client, live, traces, incidents) as reader,
+    ):
 
         def look() -> tuple[Snapshot, dict[str, Any]]:
             with reader.lock:
@@ -119,8 +128,14 @@ def watch(
                 running = not stop.wait(wait_s) and reader.failure is None and not keys.ended
                 running = running and (end is None or time.monotonic() < end)
                 snapshot, facts = look()
-                options = {"paused": keys.paused, "raw": keys.raw, "words": keys.words, "host": asker.answer}
-                draw(snapshot, facts | options if terminal else facts)
+                options: dict[str, Any] = {
+                    "paused": keys.paused,
+                    "raw": keys.raw,
+                    "words": keys.words,
+                    "host": asker.answer,
+                }
+                options = options | {"number": keys.number, "strokes": keys.strokes, "incidents_end": incidents.failure}
+                draw(snapshot, facts | options if terminal else facts, incidents.rows)
         if reader.failure is not None:
             raise reader.failure
 
@@ -149,6 +164,8 @@ class ViewKeys:
 
     def __init__(self) -> None:
         self.paused = self.raw = self.words = self.ended = False
+        self.number = self.strokes = 0
+        """The incident that a key named last, and how often one did."""
 
     def struck(self, strokes: bytes) -> None:
         """Take strokes as the terminal gives them; keys that mean nothing are passed over."""
@@ -157,13 +174,15 @@ class ViewKeys:
             self.raw ^= key in RAW_KEYS
             self.words ^= key in WORD_KEYS
             self.ended |= key in END_KEYS
+            if key in INCIDENT_KEYS:
+                self.number, self.strokes = key - ord("0"), self.strokes + 1
 
 
 class _Asker:
     """Asks again and again in a thread of its own; `answer` is the last answer."""
 
-    def __init__(self, ask: Callable[[], str | None] | None) -> None:
-        self.answer: str | None = None
+    def __init__(self, ask: Callable[[], HostLine | None] | None) -> None:
+        self.answer: HostLine | None = None
         self._ask = ask
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="host asker", daemon=True)
@@ -183,17 +202,19 @@ class _Asker:
             try:
                 self.answer = self._ask()
             except Exception as error:  # whatever is wrong with the host's answer, the view goes on
-                self.answer = f"host: {error}"
+                self.answer = HostLine(f"host: {error}")
             self._stop.wait(HOST_S)
 
 
 class _Reader:
     """Takes frames off the bus in a thread of its own; `failure` is why it ended by itself."""
 
-    def __init__(self, client: Client, live: Live, traces: Traces | None = None) -> None:
+    def __init__(
+        self, client: Client, live: Live, traces: Traces | None = None, incidents: IncidentReader | None = None
+    ) -> None:
         self.lock = threading.Lock()
         self.failure: OSError | None = None
-        self._client, self._live, self._traces = client, live, traces
+        self._client, self._live, self._traces, self._incidents = client, live, traces, incidents
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bus reader", daemon=True)
 
@@ -215,6 +236,8 @@ class _Reader:
                         self._live.take(frames)
                         if self._traces is not None and self._traces.names:
                             self._traces.take(frames)
+                    if self._incidents is not None:
+                        self._incidents.take(frames)
                 if time.monotonic_ns() - asked_ns > ASK_NS:
                     asked_ns = time.monotonic_ns()
                     self._client.ask()
@@ -232,32 +255,38 @@ class _Reader:
             self._stop.wait(COLLECT_S)
 
 
+_Draw: TypeAlias = Callable[[Snapshot, Any, Sequence[IncidentRow]], None]
+
+
 @contextmanager
-def _on_terminal(console: Console, view: LiveView, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+def _on_terminal(console: Console, view: LiveView, begin_ns: int) -> Iterator[_Draw]:
     past: deque[Event] = deque(maxlen=EVENTS)
-    held: list[tuple[Snapshot, tuple[Event, ...], tuple[Trace, ...]]] = []
+    held: list[tuple[Snapshot, tuple[Event, ...], tuple[Trace, ...], Sequence[IncidentRow]]] = []
+    opened = Opened()
     with Display(console=console, auto_refresh=False) as display:
 
-        def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
+        def draw(snapshot: Snapshot, facts: dict[str, Any], incidents: Sequence[IncidentRow]) -> None:
             past.extend(snapshot.events)
             if not held or not facts.get("paused"):
-                held[:] = [(snapshot, tuple(past), facts["traces"])]
-            facts = facts | {"frames": snapshot.frames}
-            seen, events, traces = held[0]
-            display.update(Screen(seen, facts, events, begin_ns, view.all_nodes, traces), refresh=True)
+                held[:] = [(snapshot, tuple(past), facts["traces"], incidents)]
+            facts = facts | {"frames": snapshot.frames, "keys": KEYS_TEXT}
+            seen, events, traces, rows = held[0]
+            key = opened.follow(facts["number"], facts["strokes"], rows)
+            display.update(Screen(seen, facts, events, begin_ns, view.all_nodes, traces, rows, key), refresh=True)
 
         yield draw
 
 
 @contextmanager
-def _line_by_line(console: Console, view: LiveView, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
-    def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
+def _line_by_line(console: Console, view: LiveView, begin_ns: int) -> Iterator[_Draw]:
+    known: dict[str, str] = {}
+
+    def draw(snapshot: Snapshot, facts: dict[str, Any], incidents: Sequence[IncidentRow]) -> None:
         if view.as_json:
-            sys.stdout.write(json.dumps(as_dict(snapshot, facts, begin_ns), allow_nan=False) + "\n")
+            sys.stdout.write(json.dumps(as_dict(snapshot, facts, begin_ns, incidents), allow_nan=False) + "\n")
         else:
-            sys.stdout.write(
-                "".join(printable(line) + "\n" for line in as_lines(snapshot, facts, begin_ns, view.all_nodes))
-            )
+            lines = [*news(incidents, known, begin_ns), *as_lines(snapshot, facts, begin_ns, view.all_nodes)]
+            sys.stdout.write("".join(printable(line) + "\n" for line in lines))
         sys.stdout.flush()
 
     yield draw

@@ -29,6 +29,7 @@ from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_external import switch_of
 from coulombus.host.run.histogram import Counts
+from coulombus.host.run.last_word import forget_word, leave_word
 from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import place_of
@@ -91,6 +92,8 @@ class RealCourse(Course):
         try:
             self.door = HostSocket(address)
             self._stack.callback(lambda: self.door.close(self._outcome))
+            forget_word(address)
+            self._stack.callback(lambda: leave_word(address, self._outcome))
             self.plane = DataPlane(self.k, address, cpu=cpu)
             self._stack.callback(self.plane.close)
             parameters = LiveParameters(self.k)  # in the memory that is shared by now
@@ -406,6 +409,8 @@ class RealCourse(Course):
         counters = k.counters() | plane.counters()
         cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()
         self._outcome = {"mode": k.mode, "cycles": cycles, "trip": self.trip, "exit_status": exit_status}
+        self._outcome |= {"stopped_by": self.stopped_by, "lost_pdos": int(k.host["lost_pdos"].sum())}
+        self._outcome |= {"missed_deadlines": int(counters["missed_deadlines"])}
         return self.result_of(
             figures,
             missed_deadlines=counters["missed_deadlines"],

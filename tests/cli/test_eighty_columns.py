@@ -138,15 +138,23 @@ def test_long_texts_of_a_run_stand_beneath_its_table_whole(capsys, monkeypatch):
 
 
 def test_watch_tells_what_the_host_does(monkeypatch):
-    from coulombus.cli.watch import host_text
-    from coulombus.host.run import control_socket
+    from coulombus.cli.watch import host_line
+    from coulombus.host.run import control_socket, last_word
+    from coulombus.monitor.snapshot import HostLine
 
     found = {"mode": "hybrid", "trip": "SYNC lost", "axes": [{"axis": None, "phase": "tripped"}]}
     monkeypatch.setattr(control_socket, "ask_status", lambda address: found)
-    assert host_text(None) == "host: mode hybrid  phase tripped  trip: SYNC lost"
+    assert host_line(None) == HostLine("host: mode hybrid  phase tripped  trip: SYNC lost", "tripped")
 
     def none(address):
         raise control_socket.NoHost("no host runs")
 
     monkeypatch.setattr(control_socket, "ask_status", none)
-    assert host_text(None) is None
+    monkeypatch.setattr(last_word, "last_word", lambda address: None)
+    assert host_line(None) is None
+    word = {"trip": None, "stopped_by": "coulombus stop", "ended": "", "lost_pdos": 95, "missed_deadlines": 431}
+    monkeypatch.setattr(last_word, "last_word", lambda address: word)
+    line = "no host; the last one ended stopped by coulombus stop; 95 PDOs lost, 431 deadlines missed"
+    assert host_line(None) == HostLine(line, "ended")
+    word["trip"] = "SPEED: too fast"
+    assert host_line(None).state == "tripped"

@@ -381,7 +381,7 @@ def test_whatever_the_host_answers_the_view_goes_on():
 
     with _Asker(ask) as asker:
         assert question.wait(20)
-    assert asker.answer == "host: 'mode'"
+    assert asker.answer.text == "host: 'mode'"
 
 
 @pytest.mark.parametrize("seed", range(4))

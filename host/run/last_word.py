@@ -1,0 +1,87 @@
+"""The last word of a host: what it was, when and why it ended. It stands in a file beside the host's
+socket, for observers that come later than the end, and until the next host begins.
+
+A host that was killed leaves none.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from coulombus.host.run.control_socket import control_path
+from coulombus.recording.wall_clock import utc
+from coulombus.wire.address import BusAddress
+
+__all__ = ["ending", "forget_word", "last_word", "leave_word"]
+
+SUFFIX = ".last"
+MOST_BYTES = 1 << 16
+KINDS = {
+    "mode": (str,),
+    "cycles": (int,),
+    "trip": (str, type(None)),
+    "stopped_by": (str, type(None)),
+    "ended": (str,),
+    "lost_pdos": (int,),
+    "missed_deadlines": (int,),
+}
+"""The entries and their types."""
+
+
+def _path(address: BusAddress) -> Path:
+    host = control_path(address)
+    return host.with_name(host.name + SUFFIX)
+
+
+def leave_word(address: BusAddress, outcome: Mapping[str, Any] | None) -> None:
+    """Write what a run came to, with the time of now; nothing for None. Raises nothing.
+
+    Parameters
+    ----------
+    outcome : has the entries of `KINDS` except ``ended``
+    """
+    if outcome is None:
+        return
+    with suppress(Exception):  # the run has its result: a word that cannot be left changes nothing
+        path = _path(address)
+        new = path.with_name(f"{path.name}.{os.getpid()}")
+        try:
+            new.write_text(json.dumps({**outcome, "ended": utc(time.time_ns())}), encoding="utf-8")
+            new.replace(path)
+        finally:
+            new.unlink(missing_ok=True)
+
+
+def forget_word(address: BusAddress) -> None:
+    """Remove the word of an earlier host: another one begins. Raises nothing."""
+    with suppress(Exception):
+        _path(address).unlink(missing_ok=True)
+
+
+def last_word(address: BusAddress) -> dict[str, Any] | None:
+    """Return what the last host on a bus left; None where there is none that can be read."""
+    try:
+        with _path(address).open("rb") as file:
+            word = json.loads(file.read(MOST_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return None
+    right = isinstance(word, dict) and all(isinstance(word.get(name), kinds) for name, kinds in KINDS.items())
+    return word if right else None
+
+
+def ending(word: Mapping[str, Any]) -> str:
+    """Return when and why a host ended, as words: "2026-11-27 10:31:02, stopped by coulombus stop"."""
+    trip, stopped_by = word["trip"], word["stopped_by"]
+    why = f"trip {trip}" if trip else f"stopped by {stopped_by}" if stopped_by else "its display was over"
+    try:
+        at = datetime.fromisoformat(word["ended"]).astimezone().strftime("%Y-%m-%d %H:%M:%S")
+    except ValueError:
+        return str(why)
+    return f"{at}, {why}"

@@ -1,0 +1,78 @@
+"""The last word of a host: left at its end, read by observers, forgotten by the next host."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from coulombus.cli.main import main
+from coulombus.cli.watch import host_line
+from coulombus.host.run.control_socket import control_path
+from coulombus.host.run.last_word import ending, forget_word, last_word, leave_word
+from coulombus.wire.address import parse_address
+
+BUS = parse_address("coulombus:word")
+OUTCOME = {
+    "mode": "hybrid",
+    "cycles": 812,
+    "trip": None,
+    "exit_status": 0,
+    "stopped_by": "coulombus stop",
+    "lost_pdos": 95,
+    "missed_deadlines": 431,
+}
+
+pytestmark = pytest.mark.usefixtures("private_sockets")
+
+
+def place():
+    host = control_path(BUS)
+    return host.with_name(host.name + ".last")
+
+
+def test_it_is_read_after_the_end_and_forgotten_by_the_next_host():
+    assert last_word(BUS) is None
+    leave_word(BUS, OUTCOME)
+    word = last_word(BUS)
+    assert {**OUTCOME, "ended": word["ended"]} == word
+    assert ending(word).endswith(", stopped by coulombus stop")
+    assert [path.name for path in place().parent.iterdir()] == [place().name]
+    forget_word(BUS)
+    assert last_word(BUS) is None
+    leave_word(BUS, None)  # nothing was armed
+    assert last_word(BUS) is None
+
+
+def test_why_is_the_trip_else_who_stopped_it_else_its_time():
+    word = {**OUTCOME, "ended": "2026-11-27T10:31:02.000000Z"}
+    assert ", stopped by coulombus stop" in ending(word)
+    assert ending(word | {"trip": "SPEED: too fast"}).endswith(", trip SPEED: too fast")
+    assert ending(word | {"stopped_by": None}).endswith(", its display was over")
+    assert ending(word | {"ended": "yesterday"}) == "stopped by coulombus stop"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "[" * 5000, '{"mode": 1}', json.dumps({**OUTCOME, "ended": 3}), "\0\xff"]
+)
+def test_what_is_no_word_is_none(text):
+    place().write_bytes(text.encode("latin-1"))
+    assert last_word(BUS) is None
+    assert host_line(BUS) is None
+
+
+def test_a_word_that_cannot_be_left_raises_nothing(monkeypatch):
+    place().mkdir()
+    leave_word(BUS, OUTCOME)
+    forget_word(BUS)
+    assert last_word(BUS) is None
+
+
+def test_status_and_watch_tell_it():
+    leave_word(BUS, OUTCOME | {"trip": "SPEED: too fast"})
+    done = CliRunner().invoke(main, ["status", "--bus", str(BUS)])
+    assert done.exit_code == 4
+    for part in ("no host runs", "trip SPEED: too fast", "812 cycles", "95 PDOs lost", "431 deadlines missed"):
+        assert part in done.output, part
+    line = host_line(BUS)
+    assert line.state == "tripped"
+    assert "trip SPEED: too fast" in line.text
