@@ -5,6 +5,7 @@ serves it beside another verb.
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -109,17 +110,26 @@ page_options = bundle(
 
 
 def serve_page(
-    rig: Rig, address: BusAddress, page: PageOptions, *, seconds: float | None, as_json: bool, beside: bool
+    rig: Rig,
+    address: BusAddress,
+    page: PageOptions,
+    *,
+    rig_name: str,
+    seconds: float | None,
+    as_json: bool,
+    beside: bool,
 ) -> None:
     """Serve the page of a bus until a signal; its address is printed when it is there.
 
     Parameters
     ----------
+    rig_name : as the command line names the rig
     beside : another verb began this process, and holds the other end of stdin
     """
     from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
+    from coulombus.host.run.last_word import last_word
     from coulombus.host.run.law_curve import law_curve
-    from coulombus.host.run.runbook import anchor
+    from coulombus.host.run.runbook import anchor, entry
     from coulombus.monitor.web import WebError
     from coulombus.wire.address import socket_path
 
@@ -143,6 +153,9 @@ def serve_page(
         change=lambda order: ask_change(address, order, 1.0),
         mark=lambda text: ask_mark(address, text, 1.0),
         curve=law_curve,
+        last=lambda: last_word(address),
+        entry=entry,
+        start=shlex.join(["coulombus", "run", "--bus", str(address), "--rig", rig_name]),
     )
     serve(
         Shown(rig, address, door, kept_token(socket_path(address.kind).parent / kept)),

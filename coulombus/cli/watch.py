@@ -176,7 +176,13 @@ def watch(
         if view.foxglove is not None or view.plotjuggler is not None:
             _forward(rig, address, view, seconds=seconds, as_json=as_json)
         elif page.web:
-            serve_page(rig, address, page, seconds=seconds, as_json=as_json, beside=beside)
+            serve_page(
+                *(rig, address, page),
+                rig_name=chosen.rig_name,
+                seconds=seconds,
+                as_json=as_json,
+                beside=beside,
+            )
         elif view.pcapng is not None:
             from coulombus.recording.stream import stream
 

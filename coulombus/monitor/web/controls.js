@@ -50,14 +50,15 @@ function slider(one) {
   words.append(`${one.name} `);
   words.appendChild(document.createElement("b")).dataset.signal = `set:${one.name}`;
   const high = one.high >= 1e5 ? one.high.toExponential() : one.high;
-  words.append(` ${one.unit} (${one.above_low ? "above " : ""}${one.low} to ${high})`);
-  words.title = words.textContent;
   const [range, field] = ["range", "text"].map((type) => {
     const input = made.appendChild(document.createElement("input"));
     Object.assign(input, {type});
     input.setAttribute("aria-label", `${one.name} ${type === "range" ? "slider" : ""}`.trim());
     return input;
   });
+  const bounds = made.appendChild(document.createElement("span"));
+  bounds.className = "bounds";
+  bounds.textContent = `${one.above_low ? "above " : ""}${one.low} to ${high} ${one.unit}`;
   Object.assign(range, {step: one.step || "any", min: one.low, max: one.high});
   range.addEventListener("change", () => {
     held = null;

@@ -3,6 +3,7 @@
 
 const AGAIN_MS = 1000;
 let socket = null, wanted = 0, cut = false;
+let final = "";  // the server has said that it ends: with the "run", or the "server" alone
 
 function connect() {
   const address = new URL("data", location.href);
@@ -18,13 +19,17 @@ function connect() {
       if (!plots.length) makePlots();
     }
     const head = take(event.data);
-    if (head.state) words(head);
+    if (head.state) {
+      final = head.state.final ? (head.state.host.runs ? "server" : "run") : "";
+      words(head);
+    }
     wanted = head.n;
     requestFrame();
   };
   mine.onclose = () => {
     document.body.classList.add("cut");
-    if (!cut) say("The server is gone, or refuses: what stands here is old. STOP from here cannot work: use `coulombus stop`, or the rig's own emergency stop.");
+    if (!cut && final === "run") say("The run is over, and the page's server with it. This is the last state.");
+    else if (!cut) say("The server does not answer: this page is out of date. STOP from here cannot work: use `coulombus stop`, or the rig's own emergency stop.", "bad");
     cut = true;
     setTimeout(connect, AGAIN_MS);
   };

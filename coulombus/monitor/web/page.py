@@ -21,8 +21,9 @@ import json
 import re
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -33,6 +34,7 @@ import tornado.web
 import tornado.websocket
 from tornado.iostream import IOStream
 
+from coulombus.monitor.live_incidents import IncidentRow
 from coulombus.monitor.snapshot import Snapshot
 from coulombus.monitor.web.access import ControlLock, right_token, same_origin, served_as
 from coulombus.monitor.web.batch import Flow, batch, layout
@@ -43,6 +45,8 @@ from coulombus.rigs.axis import Axis
 __all__ = ["Page", "application", "order_of"]
 
 STATE_S = 0.2
+GOODBYE_S = 1.0
+"""How long a page may take to take the last state."""
 SESSIONS = 16
 STOPS = 8
 """Requests to stop that may be under way."""
@@ -84,7 +88,9 @@ class Page:
         self.capture, self.door, self.token, self.facts, self.lock = capture, door, token, facts, lock
         self.name = ""
         """By which a browser asks for it, beside the address itself."""
-        self.host = HostView(door.advice)
+        self.host = HostView(door.advice, door.entry)
+        self.incidents: Callable[[], Sequence[IncidentRow]] = tuple
+        """The incidents of the bus so far."""
         self.curves: Mapping[str, Curve | None] = {}
         """Of each axis' law, by the axis' name."""
         self.control = ControlLock()
@@ -108,14 +114,38 @@ class Page:
     def tick(self, now_ns: int) -> None:
         """Send each page that takes it what is new."""
         with self.lock:
-            if now_ns * 1e-9 - self._told_s >= STATE_S or now_ns * 1e-9 < self._told_s:
-                self._told_s = now_ns * 1e-9
-                snapshot: Snapshot = self.capture.snapshot(now_ns)
-                self._state = document(self.capture, snapshot, self.facts(), self.host)
-                self._version += 1
+            pause_s = 0.0 if self.stopping else STATE_S  # a stop is seen at once
+            if now_ns * 1e-9 - self._told_s >= pause_s or now_ns * 1e-9 < self._told_s:
+                self._tell(now_ns)
             for session in self.sessions:
                 if session.flow.free:
                     session.send(self._state, self._version)
+
+    def _tell(self, now_ns: int) -> None:
+        self._told_s = now_ns * 1e-9
+        snapshot: Snapshot = self.capture.snapshot(now_ns)
+        state = document(self.capture, snapshot, self.facts(), self.host, self.incidents())
+        self._state = {**state, "start": self.door.start}
+        self._version += 1
+
+    async def say_goodbye(self, now_ns: int) -> None:
+        """Send every page the last state, with the host's last word, and close it: the server ends."""
+        loop = asyncio.get_running_loop()
+        end = loop.time() + GOODBYE_S
+        while self.stopping and loop.time() < end:  # who asked for a stop hears what came of it
+            await asyncio.sleep(GOODBYE_S / 100)
+        with self.lock:
+            with suppress(Exception):
+                self.host.tell(None, self.door.last())
+            self._tell(now_ns)
+            assert self._state is not None
+            self._state["final"] = True
+            sent = [session.send(self._state, self._version) for session in self.sessions]
+        waiting = [future for future in sent if future is not None]
+        if waiting:
+            await asyncio.wait(waiting, timeout=GOODBYE_S)
+        for session in list(self.sessions):
+            session.close(1001, "the run is over")
 
     async def stop(self) -> dict[str, Any]:
         """Ask the host for a safe stop, wait for its end, and return what came of it as words."""
@@ -131,7 +161,8 @@ class Page:
         with self.lock:
             self.host.ended(result)
         trip = result.get("trip")
-        return {"ok": True, "text": f"the host had tripped: {trip}" if trip else "the host stopped safely"}
+        words = f"the host had tripped: {trip}" if trip else "the host stopped safely"
+        return {"ok": True, "text": words, "tripped": bool(trip)}
 
     async def ask(self, session: Data, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
         """Ask the host for a change or a marker, as the page that controls; the answer goes to that
@@ -227,7 +258,10 @@ class _Html(_Handler):
 
 
 class _Static(_Handler):
-    OWN = ("page.css", "stop.js", "data.js", "plots.js", "controls.js", "words.js", "page.js")
+    OWN = (
+        *("page.css", "stop.js", "data.js", "axes.js", "plots.js"),
+        *("controls.js", "incidents.js", "words.js", "page.js"),
+    )
 
     async def get(self, _: str, name: str) -> None:
         if name not in self.OWN:
@@ -309,8 +343,10 @@ class Data(_Guarded, tornado.websocket.WebSocketHandler):
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    def send(self, state: dict[str, Any] | None, version: int) -> None:
-        """Send the next batch, with the state where the page does not have it yet."""
+    def send(self, state: dict[str, Any] | None, version: int) -> asyncio.Future[None] | None:
+        """Send the next batch, with the state where the page does not have it yet; return when it is
+        sent, None where the page has gone.
+        """
         more: dict[str, Any] = {}
         if version != self.version:
             self.version = version
@@ -325,7 +361,8 @@ class Data(_Guarded, tornado.websocket.WebSocketHandler):
             sent = self.write_message(batch(self.page.capture, self.axis, self.flow, more), binary=True)
             sent.add_done_callback(lambda done: done.exception())  # a page that has gone: on_close comes
         except tornado.websocket.WebSocketClosedError:
-            pass
+            return None
+        return sent
 
     def _law(self) -> dict[str, Any] | None:
         curve = self.page.curves.get(self.axis.name)

@@ -5,11 +5,12 @@ and of what the host tells.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from coulombus.eds.cia402 import PowerState
+from coulombus.monitor.live_incidents import IncidentRow
 from coulombus.monitor.snapshot import NodeRow, PdoRow, Snapshot, Value
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
@@ -45,6 +46,9 @@ class HostDoor:
     advice : the runbook's place for a trip's words
     curve : what the law of an axis displays in a mode with the live parameters of now, as
         velocities and friction; asked in a thread of its own
+    last : the last word of the host that ended; None where there is none
+    entry : the runbook's paragraph for a trip's words; None where there is none
+    start : the command that starts a host on this bus
     """
 
     status: Callable[[], Mapping[str, Any]]
@@ -53,43 +57,77 @@ class HostDoor:
     change: Callable[[dict[str, Any]], Mapping[str, Any]]
     mark: Callable[[str], Mapping[str, Any]]
     curve: Callable[[Axis, str, Mapping[str, float]], tuple[tuple[float, ...], tuple[float, ...]] | None]
+    last: Callable[[], Mapping[str, Any] | None] = lambda: None
+    entry: Callable[[str], str | None] = lambda trip: None
+    start: str = "coulombus run"
+
+
+KILLED = "it left no word: its process was killed, or its machine stopped"
 
 
 class HostView:
-    """The last state that the host told, and its last trip, which stays when the host has gone."""
+    """The last state that the host told, and how it ended, which stay when it has gone.
 
-    def __init__(self, advice: Callable[[str], str | None]) -> None:
-        self._advice = advice
+    Parameters
+    ----------
+    advice, entry : of a `HostDoor`
+    """
+
+    def __init__(
+        self, advice: Callable[[str], str | None], entry: Callable[[str], str | None] = lambda trip: None
+    ) -> None:
+        self._advice, self._entry = advice, entry
         self._status: Mapping[str, Any] | None = None
+        self._runs = False
         self._trip: str | None = None
+        self._word: Mapping[str, Any] | None = None
         self.mode = ""
 
-    def tell(self, status: Mapping[str, Any] | None) -> None:
-        """Take what the host told; None: no host runs.
+    def tell(self, status: Mapping[str, Any] | None, word: Mapping[str, Any] | None = None) -> None:
+        """Take what the host told; None: no host runs, `word` is what the last one left.
 
         What is of a wrong type in it counts as not told.
         """
         if status is not None:
-            fresh = self._status is None
-            self._status = status
+            fresh = not self._runs
+            self._status, self._word = status, None
             self.mode = text(status.get("mode"))
             if trip := text(status.get("trip")):
                 self._trip = trip
             elif fresh:  # another run: the last one's trip is over
                 self._trip = None
-        else:
-            self._status = None
+        elif word is not None:
+            self.ended(word)
+        self._runs = status is not None
 
-    def ended(self, result: Mapping[str, Any]) -> None:
+    def ended(self, word: Mapping[str, Any]) -> None:
         """Take what the host told of its end."""
-        if trip := text(result.get("trip")):
-            self._trip = trip
+        self._word = word
+        self._trip = text(word.get("trip")) or self._trip
+
+    def _end(self) -> dict[str, Any] | None:
+        """Return how the host ended, None while it runs and where there was none."""
+        if self._runs or (self._status is None and self._word is None):
+            return None
+        word = self._word or {}
+        stopped_by = text(word.get("stopped_by"))
+        if self._trip:
+            kind, why = "tripped", f"trip {self._trip}"
+        elif self._word is None:
+            kind, why = "lost", KILLED
+        else:
+            kind, why = "ended", f"stopped by {stopped_by}" if stopped_by else "its display was over"
+        return {"kind": kind, "why": why, "at": text(word.get("ended"))}
 
     def _axes(self) -> list[Mapping[str, Any]]:
         return [entry for entry in _list((self._status or {}).get("axes")) if isinstance(entry, Mapping)]
 
     def _parameters(self) -> list[dict[str, Any]]:
         return [row for entry in self._axes() for row in map(_parameter, _list(entry.get("parameters"))) if row]
+
+    def _parameters_now(self) -> list[dict[str, Any]]:
+        """Return the parameters that a host which runs lets change."""
+        return self._parameters() if self._runs else []
 
     def live(self, axis: str) -> dict[str, float]:
         """Return the live parameters of an axis as they are now, by their names."""
@@ -101,19 +139,25 @@ class HostView:
         said, counted = _map(status.get("meta")), _map(status.get("histograms_us"))
         words = [(text(entry.get("axis")), text(entry.get("phase"))) for entry in axes]
         phases = [f"{axis} {PHASES.get(phase, phase)}".strip() for axis, phase in words]
+        counters, word = _map(status.get("counters")), self._word or {}
+        lost = [n for n in (_number(entry.get("lost_pdos")) for entry in axes) if n is not None]
         return {
-            "runs": self._status is not None,
-            "mode": self.mode if self._status is not None else "",
+            "runs": self._runs,
+            "end": self._end(),
+            "lost_pdos": _first(_number(word.get("lost_pdos")), sum(lost) if lost else None),
+            "missed": _first(_number(word.get("missed_deadlines")), _number(counters.get("missed_deadlines"))),
+            "mode": self.mode,
             "phase": ", ".join(phases),
             "display_s": _number(status.get("display_s")),
             "cycles": _number(status.get("cycles")),
             "trip": self._trip or "",
             "advice": (self._advice(self._trip) or "") if self._trip else "",
+            "entry": (self._entry(self._trip) or "") if self._trip else "",
             "recording": text(status.get("recording")),
             "subject": text(said.get("subject")),
             "trial": text(said.get("trial")),
-            "parameters": self._parameters(),
-            "arm_key": status.get("arm_key") is True,
+            "parameters": self._parameters_now(),
+            "arm_key": self._runs and status.get("arm_key") is True,
             "wakeup_us": _spread(status.get("wakeup_us")),
             "sync_to_rpdo_us": _spread(status.get("sync_to_rpdo_us")),
             "histograms": {name: _histogram(counted.get(name)) for name in ("wakeup", "sync_to_rpdo")},
@@ -121,8 +165,14 @@ class HostView:
         }
 
 
-def document(capture: LiveCapture, snapshot: Snapshot, facts: Mapping[str, Any], host: HostView) -> dict[str, Any]:
-    """Return the document: top line, PDOs, nodes, events.
+def document(
+    capture: LiveCapture,
+    snapshot: Snapshot,
+    facts: Mapping[str, Any],
+    host: HostView,
+    incidents: Sequence[IncidentRow] = (),
+) -> dict[str, Any]:
+    """Return the document: top line, PDOs, nodes, events, incidents.
 
     Parameters
     ----------
@@ -140,7 +190,9 @@ def document(capture: LiveCapture, snapshot: Snapshot, facts: Mapping[str, Any],
         "error_frames": snapshot.error_frames,
         "unknown": snapshot.unknown,
         "arm": arm_state(snapshot),
+        "drives": drive_words(snapshot),
         "host": host.as_dict(),
+        "incidents": [_incident(row) for row in incidents],
         "pdos": [_pdo(capture, row, snapshot.t_ns) for row in snapshot.pdos],
         "nodes": [_node(row) for row in snapshot.nodes],
         "events": [[event.t_ns / 1e9, event.text, event.grave] for event in list(capture.events)[-EVENTS_SHOWN:]],
@@ -157,6 +209,36 @@ def arm_state(snapshot: Snapshot) -> str:
     if any(node.power_state == ENABLED and not node.silent for node in drives):
         return "armed"
     return "disarmed" if drives and not any(node.silent for node in drives) else "unknown"
+
+
+def drive_words(snapshot: Snapshot) -> str:
+    """Return what the drives are in, and their last EMCY: why they are armed, or not."""
+    drives = [node for node in snapshot.nodes if node.power_state is not None]
+    several = len(drives) > 1
+    words = []
+    for node in drives:
+        state = "silent" if node.silent else node.power_state or ""
+        words.append((f"{node.name} " if several else "") + state + (f", {node.emergency}" if node.emergency else ""))
+    return "; ".join(words)
+
+
+def _incident(row: IncidentRow) -> dict[str, Any]:
+    return {
+        "number": row.number,
+        "key": row.key,
+        "status": row.status,
+        "title": row.title,
+        "t": row.begin_ns / 1e9,
+        "end": None if row.end_ns is None else row.end_ns / 1e9,
+        "cause": row.cause,
+        "sure": row.sure,
+        "checks": list(row.checks),
+        "course": [[t_ns / 1e9, role, words] for t_ns, role, words in row.course],
+    }
+
+
+def _first(*values: float | None) -> float | None:
+    return next((value for value in values if value is not None), None)
 
 
 def text(value: object) -> str:

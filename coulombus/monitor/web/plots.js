@@ -2,47 +2,9 @@
 // The plots: a canvas each. Lines over time share their time axis, so that a zoom is of all of them.
 
 const SPAN_S = 10, RAW_S = 0.2, ZOOM = 1.25, LEAST = 1e-4;
-const LEFT = 46, RIGHT = 12, TOP = 20, BOTTOM = 18, LABEL = 13;
-const LEAST_SPAN = {Nm: 0.2, rad: 0.02, "rad/s": 0.2};
-const SHRINK_MS = 1500;
+const hidden = new Set();  // signals that are not drawn
 
-let plots = [], colours = {};
-
-function readColours() {
-  const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(`--${name}`).trim();
-  colours = {text: colour("text"), dim: colour("dim"), line: colour("line"), law: colour("law"),
-    series: [0, 1, 2, 3].map((i) => colour(`series-${i}`)), focus: colour("focus")};
-}
-
-function ticks(low, high, count) {
-  const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 5, 10].map((one) => one * power).find((one) => one >= raw * 0.999);
-  const found = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + step * 1e-9; k++) found.push(k * step);
-  return {step, found, digits: Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))};
-}
-
-// A range that holds what is to be seen, with ends at ticks; it grows at once and shrinks after a while.
-class Range {
-  constructor(least, symmetric = false) {
-    Object.assign(this, {least, symmetric, low: 0, high: 0, since: 0});
-  }
-
-  hold(low, high) {
-    if (!(high >= low)) [low, high] = [0, 0];
-    if (this.symmetric) [low, high] = [-Math.max(-low, high), Math.max(-low, high)];
-    const span = Math.max(high - low, this.least, 0.02 * Math.max(Math.abs(low), Math.abs(high)));
-    const middle = (low + high) / 2, wanted = [Math.min(low, middle - span / 2), Math.max(high, middle + span / 2)];
-    const fits = low >= this.low && high <= this.high && this.high > this.low;
-    const roomy = wanted[1] - wanted[0] < 0.4 * (this.high - this.low);
-    if (!roomy) this.since = performance.now();
-    if (fits && performance.now() - this.since < SHRINK_MS) return;
-    const pad = 0.06 * (wanted[1] - wanted[0]), {step} = ticks(wanted[0] - pad, wanted[1] + pad, 8);
-    this.low = Math.floor((wanted[0] - pad) / step) * step;
-    this.high = Math.ceil((wanted[1] + pad) / step) * step;
-    this.since = performance.now();
-  }
-}
+let plots = [];
 
 // The time axis of a group of plots, and how it is zoomed; null: all of it.
 const times = {envelope: {all: [-SPAN_S, 0], zoom: null}, raw: {all: [-RAW_S, 0], zoom: null}};
@@ -51,14 +13,16 @@ class Plot {
   constructor(place, kind, row) {
     Object.assign(this, {place, kind, row, zoomY: null, drag: null, at: null});
     this.time = times[kind] || {all: null, zoom: null};
-    this.rangeX = new Range(0.2, true);
+    this.rangeX = new Range(LEAST_SPAN["rad/s"], true);
     this.rangeY = new Range(LEAST_SPAN[row.unit] || 1e-3, kind === "friction");
     this.last = row.last;
     this.canvas = document.createElement("canvas");
     const title = document.createElement("span");
     title.className = "title";
     title.textContent = row.title;
-    place.replaceChildren(this.canvas, title, legend(row.legend));
+    const named = kind === "friction" || row.legend.length > 1;  // the title is the name of a single line
+    this.top = TITLE + (row.high || named ? LEGEND : 0);
+    place.replaceChildren(this.canvas, title, ...(named ? [legend(row.legend, hidden, () => draw())] : []));
     place.setAttribute("role", "img");
     place.setAttribute("aria-label", `${row.title}: ${row.legend.map(([name]) => name).join(", ")}`);
     this.listen();
@@ -72,11 +36,11 @@ class Plot {
     const bottom = height - BOTTOM - (this.last ? LABEL : 0);
     const x = this.time.zoom || this.time.all || [this.rangeX.low, this.rangeX.high];
     const y = this.zoomY || [this.rangeY.low, this.rangeY.high];
-    return {scale, width, height, left: LEFT, right: width - RIGHT, top: TOP, bottom, x, y};
+    return {scale, width, height, left: LEFT, right: width - RIGHT, top: this.top, bottom, x, y};
   }
 
   lines(data) {
-    return this.row.signals.map((name) => this.kind === "envelope" ? envelopeLine(data, name) : data.raw.get(name) || [[], []]);
+    return this.row.signals.map((name) => hidden.has(name) ? [[], []] : this.kind === "envelope" ? envelopeLine(data, name) : data.raw.get(name) || [[], []]);
   }
 
   draw(data) {
@@ -95,10 +59,19 @@ class Plot {
     ctx.beginPath();
     ctx.rect(a.left, a.top - 1, a.right - a.left, a.bottom - a.top + 2);
     ctx.clip();
-    if (points) points.forEach((line, i) => polyline(ctx, a, line, colours.series[i % 4], this.kind === "raw"));
+    if (points) this.curves(ctx, a, points);
     else this.phase(ctx, a, data);
     ctx.restore();
     this.pointer(ctx, a);
+  }
+
+  curves(ctx, a, points) {
+    const order = this.row.signals.map((name, i) => [commanded(name) ? 0 : 1, -i, i]).sort((p, q) => p[0] - q[0] || p[1] - q[1]);
+    for (const [measured, , i] of order) {
+      ctx.globalAlpha = measured ? 1 : 0.6;
+      polyline(ctx, a, points[i], colours.series[i % 4], this.kind === "raw", measured ? 1.3 : 3.2);
+    }
+    ctx.globalAlpha = 1;
   }
 
   fit(points) {
@@ -128,7 +101,7 @@ class Plot {
   }
 
   grid(ctx, a) {
-    const across = ticks(a.x[0], a.x[1], Math.max(2, (a.right - a.left) / 90)), up = ticks(a.y[0], a.y[1], Math.min(7, Math.max(2, (a.bottom - a.top) / 22)));
+    const across = ticks(a.x[0], a.x[1], Math.max(2, (a.right - a.left) / 90)), up = ticks(a.y[0], a.y[1], Math.min(7, Math.max(3, (a.bottom - a.top) / 22)));
     ctx.font = "11px system-ui, 'DejaVu Sans', sans-serif";
     ctx.strokeStyle = colours.line;
     ctx.fillStyle = colours.text;
@@ -147,7 +120,7 @@ class Plot {
     const number = (value, digits) => Math.abs(value) < 1e-12 ? "0" : value.toFixed(digits).replace("-", "\u2212");
     ctx.textAlign = "center";
     ctx.textBaseline = "top";
-    for (const x of across.found) ctx.fillText(number(x, across.digits), Math.min(a.px(x), a.width - 10), a.bottom + 4);
+    for (const x of across.found) ctx.fillText(number(x, across.digits), Math.min(a.px(x), a.width - 12), a.bottom + 4);
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
     for (const y of up.found) ctx.fillText(number(y, up.digits), a.left - 4, Math.min(a.py(y), a.bottom - 4));
@@ -236,8 +209,6 @@ class Plot {
   }
 }
 
-const about = ([low, high], at, factor) => [at - (at - low) * factor, at + (high - at) * factor];
-
 function envelopeLine(data, name) {
   const ring = data.envelopes.get(name);
   if (!ring) return [[], []];
@@ -251,51 +222,17 @@ function envelopeLine(data, name) {
   return [t, y];
 }
 
-function polyline(ctx, a, [x, y], colour, steps, width = 1.3) {
-  ctx.strokeStyle = colour;
-  ctx.lineWidth = width;
-  ctx.lineJoin = "round";
-  ctx.beginPath();
-  let going = false, before = 0;
-  for (let i = 0; i < x.length; i++) {
-    if (!(y[i] === y[i])) { going = false; continue; }
-    const px = a.px(x[i]), py = a.py(y[i]);
-    if (going && steps) ctx.lineTo(px, before);
-    if (going) ctx.lineTo(px, py);
-    else ctx.moveTo(px, py);
-    going = true;
-    before = py;
-  }
-  ctx.stroke();
-}
-
-function legend(lines) {
-  const made = document.createElement("div");
-  made.className = "legend";
-  lines.forEach(([name, style]) => {
-    const line = made.appendChild(document.createElement("span"));
-    line.className = style;
-    line.textContent = `\u25ac ${name}`;
-  });
-  return made;
-}
-
-function shortName(name, unit) {
-  const short = name.split(".").pop(), ending = `_${unit.replace("/", "_")}`;
-  return (unit && short.endsWith(ending) ? short.slice(0, -ending.length) : short).replaceAll("_", " ");
-}
-
 async function makePlots() {
   const answer = await fetch(`layout${location.search}`);
   if (!answer.ok) return;
   const {rows} = await answer.json(), made = [];
   readColours();
   rows.forEach((row, i) => {
-    const names = row.signals.map((name, k) => [shortName(name, row.unit), `series-${k}`]), last = i === rows.length - 1;
+    const names = row.signals.map((name, k) => [label(name, row.unit, row.title), `series-${k}`, name]), last = i === rows.length - 1;
     for (const [kind, title, across, shown] of [["envelope", `${row.title} [${row.unit}], 10 s`, "time before now [s]", names],
-      ["raw", "each sample, 0.2 s", "time [s]", []]]) {
+      ["raw", "each sample, 0.2 s", "time before now [s]", []]]) {
       const place = document.getElementById(`${row.title}-${kind}`);
-      if (place) made.push(new Plot(place, kind, {...row, title, across, last, legend: shown}));
+      if (place) made.push(new Plot(place, kind, {...row, title, across, last, legend: shown, high: names.length > 1}));
     }
   });
   made.push(new Plot(document.getElementById("friction-plot"), "friction", {title: "friction [Nm], 2 s", unit: "Nm",

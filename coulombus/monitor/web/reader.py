@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from typing import Any
 
+from coulombus.monitor.live_incidents import IncidentReader
 from coulombus.monitor.web.capture import Curve, LiveCapture
 from coulombus.monitor.web.page_state import HostDoor, HostView
 from coulombus.rigs.axis import Axis
@@ -51,10 +53,14 @@ class BusReader(_Worker):
     Parameters
     ----------
     lock : held while `capture` changes
+    incidents : takes the frames, too
     """
 
-    def __init__(self, client: Client, capture: LiveCapture, lock: threading.Lock) -> None:
+    def __init__(
+        self, client: Client, capture: LiveCapture, lock: threading.Lock, incidents: IncidentReader | None = None
+    ) -> None:
         super().__init__("bus reader")
+        self._incidents = incidents
         self.failure: OSError | None = None
         self.until_ns = time.time_ns()
         """All frames until then are in `capture`: what did not come until then did not come."""
@@ -88,9 +94,12 @@ class BusReader(_Worker):
                 self.failure = error
             if now - last_batch_s >= BATCH_S or self.failure is not None:
                 last_batch_s = max(last_batch_s + BATCH_S, now - pause_s)  # so that batches are of BATCH_S on average
+                block = Block.joined(blocks)
                 with self._lock:
-                    self._capture.take_block(Block.joined(blocks))
+                    self._capture.take_block(block)
                     self.until_ns = now_ns
+                if self._incidents is not None:
+                    self._incidents.take(block)
                 blocks = []
             if self.failure is not None:
                 return
@@ -106,11 +115,17 @@ class HostReader(_Worker):
     def _run(self) -> None:
         while not self.stop.wait(HOST_S):
             try:
-                status = self._door.status()
+                status, word = self._door.status(), None
             except Exception:  # no host, or one that does not answer: nothing that ends the page
-                status = None
+                status, word = None, self._word()
             with self._lock:
-                self._view.tell(status)
+                self._view.tell(status, word)
+
+    def _word(self) -> Mapping[str, Any] | None:
+        try:
+            return self._door.last()
+        except Exception:  # nothing that ends the page
+            return None
 
 
 class CurveReader(_Worker):

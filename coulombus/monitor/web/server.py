@@ -18,6 +18,7 @@ from typing import Any
 import tornado.httpserver
 from tornado.iostream import IOStream
 
+from coulombus.monitor.live_incidents import IncidentReader
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page import SESSIONS, Page, application
@@ -173,13 +174,15 @@ async def _serve(
     capture.snapshot(time.time_ns())  # rates count from here
     with client:
         lock = threading.Lock()
-        reader = BusReader(client, capture, lock)
+        incidents = IncidentReader(shown.rig)
+        reader = BusReader(client, capture, lock, incidents)
         page = Page(capture, shown.door, shown.token, reader.facts, lock)
         page.name = name
         server = Server(page)
         curves = CurveReader(shown.door, page.host, shown.rig, lock)
         page.curves = curves.curves
-        with reader, HostReader(shown.door, page.host, lock), curves:
+        page.incidents = lambda: incidents.rows
+        with reader, incidents, HostReader(shown.door, page.host, lock), curves:
             server.add_sockets(sockets)
             ready()
             due_s = loop.time()
@@ -187,6 +190,7 @@ async def _serve(
                 page.tick(reader.until_ns)
                 due_s = max(due_s + BATCH_S, loop.time())  # what came too late is not made up for
                 await asyncio.sleep(due_s - loop.time())  # `_pause` makes a task and cancels it
+            await page.say_goodbye(reader.until_ns)
         server.stop()
         await server.close_all_connections()
         page.stops.shutdown(wait=False)

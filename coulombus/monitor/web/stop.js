@@ -4,23 +4,50 @@
 const one = (name) => document.querySelector(`[data-signal="${name}"]`);
 const action = (name) => document.querySelector(`[data-action="${name}"]`);
 
-function say(text) {
+// A line under the head; kind: "good", "bad", "busy" or none.
+function say(text, kind = "") {
   const said = one("said");
   said.textContent = text;
+  said.className = kind;
   said.hidden = !text;
+}
+
+// A stop under way: when it was asked for, whether the drive was armed then, and after how many seconds it was not.
+let stopping = null, armed = false;
+
+// What the bus says of the drive, with each state of the server.
+function driveHeard(arm) {
+  armed = arm === "armed";
+  if (!stopping || !stopping.armed || arm !== "disarmed") return;
+  const seconds = ((performance.now() - stopping.since) / 1000).toFixed(1);
+  say(`stopped safely, ${seconds} s: the drive is disarmed`, "good");
+  stopping = null;
 }
 
 async function stop(event) {
   if (event) event.preventDefault();
   action("stop").classList.add("asked");
-  say("STOP: asked ...");
+  stopping = {since: performance.now(), armed};
+  say("stopping ...", "busy");
   try {
     const answer = await fetch("stop", {method: "POST", cache: "no-store"});
-    say(answer.ok ? `STOP: ${(await answer.json()).text}` : `STOP was refused: ${answer.status}; use the rig's own emergency stop`);
+    if (answer.ok) answered(await answer.json());
+    else failed(`STOP was refused (${answer.status}): use the rig's own emergency stop`);
   } catch (error) {
-    say("STOP did not reach the server: use the rig's own emergency stop");
+    failed("STOP did not reach the server: use the rig's own emergency stop");
   }
   action("stop").classList.remove("asked");
+}
+
+function failed(text) {
+  stopping = null;
+  say(text, "bad");
+}
+
+function answered({ok, text, tripped}) {
+  if (!ok || tripped) failed(`STOP: ${text}`);
+  else if (stopping && stopping.armed) say(`${text}; the drive has not said so yet`, "busy");
+  else if (stopping) say(text, "good");
 }
 
 action("stop-form").addEventListener("submit", stop);

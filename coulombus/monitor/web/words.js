@@ -1,7 +1,7 @@
 "use strict";
 // The words, the tables and the histograms of what the server tells five times a second.
 
-const SAID_MS = 5000, MOST_US = 20000;
+const SAID_MS = 5000, MOST_US = 20000, FREEZE_MS = 1000;
 
 const put = (name, text) => {
   const element = one(name);
@@ -10,39 +10,93 @@ const put = (name, text) => {
   return element;
 };
 
+let tripped = null;  // the trip that was told last; null: no state has come yet
+
 function words(head) {
   const state = head.state, host = state.host;
-  put("arm", state.arm).className = `badge ${state.arm}`;
-  put("mode", host.runs ? host.mode : "no host");
+  driveHeard(state.arm);
+  put("arm", state.arm).className = `badge ${state.arm}${state.arm === "disarmed" && !host.trip && !/fault|silent/.test(state.drives) ? " well" : ""}`;
+  put("drives", state.drives).title = state.drives;
+  put("mode", host.mode || "no host");
   put("phase", host.phase).title = host.phase;
   put("display_s", host.display_s === null ? "" : `${host.display_s.toFixed(1)} s`);
   put("recording", host.recording ? host.recording.split("/").pop() : "").title = host.recording;
-  one("recording-lamp").classList.toggle("on", Boolean(host.recording));
+  one("recording-lamp").classList.toggle("on", host.runs && Boolean(host.recording));
   put("subject", host.subject).title = host.subject;
   put("trial", host.trial).title = host.trial;
   put("load_percent", `${state.load_percent.toFixed(0)} %`);
   one("load-meter").value = state.load_percent;
   put("lost", state.lost);
-  put("role", head.controls ? "control" : "look on");
+  for (const name of ["lost_pdos", "missed"]) put(name, host[name]).classList.toggle("bad", host[name] > 0);
+  put("role", head.controls ? "in control" : "viewing");
   action("control").hidden = head.controls;
+  document.body.classList.toggle("ended", !host.runs);
   sliders(host.parameters, head.axis, head.controls, host.arm_key);
   for (const [name, id] of [["wakeup_us", "wakeup"], ["sync_to_rpdo_us", "sync_to_rpdo"]]) {
     put(name, host[name] && `${host[name].map((us) => us.toFixed(0)).join(" / ")} us`);
     histogram(id, host.histograms[id], host.deadline_us);
   }
   if (head.answer) {
-    say(head.answer);
+    say(head.answer, /^(set|mark [0-9]$)/.test(head.answer) ? "good" : "bad");
     if (/^(set|mark) /.test(head.answer)) setTimeout(() => one("said").textContent === head.answer && say(""), SAID_MS);
   }
-  if (head.refused) say("another page controls; close it first");
-  const trip = one("trip"), told = host.trip ? `Trip: ${host.trip}${host.advice ? `. Likely causes, and what to do: ${host.advice}` : ""}` : "";
-  if (trip.textContent !== told) trip.textContent = told;
-  trip.hidden = !told;
+  if (head.refused) say("another page is in control; close it first", "busy");
+  endWords(state, host);
+  values(state.pdos);
+  incidents(state.incidents);
   rows("pdos", state.pdos.flatMap(pdoRows));
   rows("nodes", state.nodes.flatMap(nodeRows));
-  rows("events", state.events.slice().reverse().map(([t, said, grave]) =>
-    [grave ? "grave" : "", [[new Date(1000 * t).toLocaleTimeString([], {hour12: false}), ""], [said, ""]]]));
+  rows("events", state.events.slice().reverse().map(([t, said, grave]) => [grave ? "grave" : "", [[clock(t), ""], [said, ""]]]));
 }
+
+// How the host ended, or that none runs, with the next command; a trip with what the runbook says of it.
+function endWords(state, host) {
+  const at = host.end && host.end.at ? ` at ${new Date(host.end.at).toLocaleTimeString([], {hour12: false})}` : "";
+  const told = host.trip ? `Trip${at}: ${host.trip}` : "", trip = document.getElementById("trip");
+  put("trip", told).hidden = trip.hidden = !told;
+  put("entry", host.entry || (host.advice ? `Likely causes, and what to do: ${host.advice}` : "Look at the last second of the recording."));
+  const end = document.getElementById("end"), lost = Boolean(host.end) && host.end.kind === "lost";
+  end.hidden = host.runs || Boolean(told);
+  end.className = lost ? "lost" : "";
+  put("end", !host.end ? "No host runs on this bus. Start one:" : lost ? `The host is gone: ${host.end.why}.` : `The host ended${at}: ${host.end.why}. Start it again:`);
+  put("start", state.start);
+  document.getElementById("start").hidden = lost;
+  if (tripped === "" && host.trip) setTimeout(() => { if (!frozen) freeze(); }, FREEZE_MS);  // what led to it stays
+  tripped = host.trip;
+}
+
+// The plotted signals as figures, for a screen that is too small to see the plots first.
+function values(pdos) {
+  const place = document.getElementById("values"), now = new Map(pdos.flatMap((pdo) => pdo.signals.map((signal) => [signal.name, [signal, pdo.stale]])));
+  const shown = plots.filter((plot) => plot.kind === "envelope").flatMap((plot) => plot.row.signals.map((name) => [name, plot.row.unit])).filter(([name]) => now.has(name));
+  if (place.dataset.names !== shown.join()) {
+    place.dataset.names = shown.join();
+    place.replaceChildren(...shown.map(([name, unit]) => {
+      const made = document.createElement("div");
+      made.appendChild(document.createElement("dt")).textContent = label(name, unit);
+      made.appendChild(document.createElement("dd"));
+      return made;
+    }));
+  }
+  shown.forEach(([name], i) => {
+    const [signal, stale] = now.get(name), text = signal.value === null ? "-" : `${Number(signal.value).toFixed(3)} ${signal.unit}`;
+    const place_ = place.children[i].lastChild;
+    if (place_.textContent !== text) place_.textContent = text;
+    place_.className = stale ? "stale" : "";
+  });
+}
+
+action("copy").addEventListener("click", async () => {
+  const text = one("start").textContent;
+  try {
+    await navigator.clipboard.writeText(text);
+    say("copied", "good");
+    setTimeout(() => one("said").textContent === "copied" && say(""), SAID_MS);
+  } catch (error) {
+    getSelection().selectAllChildren(one("start"));
+    say("the command is selected: copy it with Ctrl-C", "busy");
+  }
+});
 
 function pdoRows(pdo) {
   return pdo.signals.flatMap((signal, i) => {
@@ -96,14 +150,25 @@ function rows(id, wanted) {
 }
 
 // A histogram over the time's logarithm, 1 us to 20 ms; heights are the counts' logarithms.
+const DECADES = [[1, "1 us"], [10, "10"], [100, "100"], [1000, "1 ms"], [10000, "10"]];
+const across = (us) => 100 * Math.log10(Math.max(us, 1)) / Math.log10(MOST_US);
+
 function histogram(id, told, deadline) {
   const svg = document.getElementById(`${id}-histogram`);
   const {edges, counts} = told || {edges: [], counts: []};
-  const x = (us) => 100 * Math.log10(Math.max(us, 1)) / Math.log10(MOST_US), most = Math.log10(Math.max(10, ...counts) * 1.1);
-  const bar = (n, k) => n ? `M${x(edges[k]).toFixed(2)} 40V${(40 - 40 * Math.log10(n + 0.1) / most).toFixed(2)}H${x(edges[k + 1]).toFixed(2)}V40Z` : "";
-  const line = deadline ? `M${x(deadline).toFixed(2)} 0V40` : "";
-  for (const [kind, path] of [["bars", counts.map(bar).join("")], ["deadline", line]]) {
+  const most = Math.log10(Math.max(10, ...counts) * 1.1);
+  const bar = (n, k) => n ? `M${across(edges[k]).toFixed(2)} 40V${(40 - 40 * Math.log10(n + 0.1) / most).toFixed(2)}H${across(edges[k + 1]).toFixed(2)}V40Z` : "";
+  const line = deadline ? `M${across(deadline).toFixed(2)} 0V40` : "";
+  const ticks = DECADES.slice(1).map(([us]) => `M${across(us).toFixed(2)} 0V40`).join("");
+  for (const [kind, path] of [["ticks", ticks], ["bars", counts.map(bar).join("")], ["deadline", line]]) {
     const shown = svg.querySelector(`.${kind}`);
     if (shown.getAttribute("d") !== path) shown.setAttribute("d", path);
   }
 }
+
+document.querySelector(".times .scale").replaceChildren(...DECADES.map(([us, text], i) => {
+  const made = document.createElement("span");
+  made.textContent = text;
+  made.className = `decade-${i}`;
+  return made;
+}));
