@@ -22,6 +22,13 @@ function ticks(low, high, count) {
   return {step, found, digits: Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))};
 }
 
+// So many ticks, and three at least: one or two are no scale.
+function enough(low, high, count) {
+  let made = ticks(low, high, count);
+  while (made.found.length < 3 && count < 20) made = ticks(low, high, ++count);
+  return made;
+}
+
 // A range that holds what is to be seen, with ends at ticks; it grows at once and shrinks after a while.
 class Range {
   constructor(least, symmetric = false) {

@@ -161,8 +161,9 @@ class Page:
         with self.lock:
             self.host.ended(result)
         trip = result.get("trip")
-        words = f"the host had tripped: {trip}" if trip else "the host stopped safely"
-        return {"ok": True, "text": words, "tripped": bool(trip)}
+        if trip:
+            return {"ok": True, "text": f"the host had tripped: {trip}", "tripped": True}
+        return {"ok": True, "text": "the host stopped safely"}
 
     async def ask(self, session: Data, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
         """Ask the host for a change or a marker, as the page that controls; the answer goes to that

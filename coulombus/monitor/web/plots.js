@@ -101,7 +101,7 @@ class Plot {
   }
 
   grid(ctx, a) {
-    const across = ticks(a.x[0], a.x[1], Math.max(2, (a.right - a.left) / 90)), up = ticks(a.y[0], a.y[1], Math.min(7, Math.max(3, (a.bottom - a.top) / 22)));
+    const across = ticks(a.x[0], a.x[1], Math.max(2, (a.right - a.left) / 90)), up = enough(a.y[0], a.y[1], Math.min(7, Math.max(2, (a.bottom - a.top) / 22)));
     ctx.font = "11px system-ui, 'DejaVu Sans', sans-serif";
     ctx.strokeStyle = colours.line;
     ctx.fillStyle = colours.text;

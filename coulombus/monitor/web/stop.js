@@ -16,11 +16,12 @@ function say(text, kind = "") {
 let stopping = null, armed = false;
 
 // What the bus says of the drive, with each state of the server.
-function driveHeard(arm) {
+function driveHeard(arm, drives) {
   armed = arm === "armed";
   if (!stopping || !stopping.armed || arm !== "disarmed") return;
   const seconds = ((performance.now() - stopping.since) / 1000).toFixed(1);
-  say(`stopped safely, ${seconds} s: the drive is disarmed`, "good");
+  if (/fault/.test(drives)) say(`stopped, ${seconds} s: the drive is disarmed by a fault`, "busy");
+  else say(`stopped safely, ${seconds} s: the drive is disarmed`, "good");
   stopping = null;
 }
 

@@ -14,7 +14,7 @@ let tripped = null;  // the trip that was told last; null: no state has come yet
 
 function words(head) {
   const state = head.state, host = state.host;
-  driveHeard(state.arm);
+  driveHeard(state.arm, state.drives);
   put("arm", state.arm).className = `badge ${state.arm}${state.arm === "disarmed" && !host.trip && !/fault|silent/.test(state.drives) ? " well" : ""}`;
   put("drives", state.drives).title = state.drives;
   put("mode", host.mode || "no host");

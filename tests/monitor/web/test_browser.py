@@ -61,9 +61,9 @@ def test_the_page_shows_the_bus_stops_the_host_and_comes_back(tmp_path):
                     await asyncio.sleep(0.01)
 
                 async with Browser(url, str(tmp_path / "second")) as other:
-                    await other.until("one('role').textContent === 'look on'")
+                    await other.until("one('role').textContent === 'viewing'")
                     await other.evaluate("action('control').click()")
-                    await other.until("one('said').textContent.includes('another page controls')")
+                    await other.until("one('said').textContent.includes('another page is in control')")
 
                 port = int(url.split(":")[2].split("/")[0])
                 hosts = {

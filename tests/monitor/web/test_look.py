@@ -99,7 +99,7 @@ def test_all_text_has_the_contrast_of_wcag_aa(tmp_path, dark):
     asyncio.run(with_page(tmp_path, use, dark=dark, door=Door("123456"), status={"trip": "SPEED: too fast"}))
 
 
-@pytest.mark.parametrize("size", [(1280, 720), (1024, 768), (768, 1024)])
+@pytest.mark.parametrize("size", [(1920, 1080), (1280, 720), (1024, 768), (768, 1024), (390, 844)])
 def test_everything_has_room(tmp_path, size):
     """Nothing is beyond the window's side, nothing of the top, the tables and the parameters is cut
     off, and STOP is always in the window; with a long EMCY and many events, too.
@@ -121,8 +121,10 @@ def test_everything_has_room(tmp_path, size):
         )
         assert await browser.evaluate(cut_off) == []
         overlapping = (
-            "[...document.querySelectorAll('.plot')].filter((p) => p.querySelector('.title').getBoundingClientRect().right >"
-            " p.querySelector('.legend').getBoundingClientRect().left).map((p) => p.id)"
+            "plots.filter((p) => p.place.checkVisibility()).filter((p) => {"
+            " const box = (name) => p.place.querySelector(name)?.getBoundingClientRect(), title = box('.title'), legend = box('.legend');"
+            " const low = (legend || title).bottom - p.place.getBoundingClientRect().top;"
+            " return (legend && title.bottom > legend.top + 1) || low > p.drawn.top - 4; }).map((p) => p.place.id)"
         )
         assert await browser.evaluate(overlapping) == []
         tables = "[...document.querySelectorAll('footer .table')].map((one) => one.scrollWidth - one.clientWidth)"
@@ -130,7 +132,7 @@ def test_everything_has_room(tmp_path, size):
         await browser.evaluate("scrollTo(0, 1e6), 0")
         stop = "(({top, bottom, height}) => top >= 0 && bottom <= innerHeight && height > 40)(action('stop').getBoundingClientRect())"
         assert await browser.evaluate(stop)
-        drawn = "plots.every((p) => p.canvas.width > 100 && p.drawn.bottom - p.drawn.top > 40)"
+        drawn = "plots.filter((p) => p.place.checkVisibility()).every((p) => p.canvas.width > 100 && p.drawn.bottom - p.drawn.top > 40)"
         assert await browser.evaluate(drawn)
 
     asyncio.run(with_page(tmp_path, use, size=size))
