@@ -20,11 +20,13 @@ from coulombus.cli.common import say
 from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from coulombus.cli.rig_options import BusesOptions
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
-__all__ = ["LOOPBACK", "PORT", "PageOptions", "page_options", "serve_page"]
+__all__ = ["LOOPBACK", "PORT", "PageOptions", "page_options", "serve_page", "serve_recording_page"]
 
 LOOPBACK = "127.0.0.1"
 PORT = 8642
@@ -130,20 +132,12 @@ def serve_page(
     from coulombus.host.run.last_word import last_word
     from coulombus.host.run.law_curve import law_curve
     from coulombus.host.run.runbook import anchor, entry
-    from coulombus.monitor.web import WebError
     from coulombus.wire.address import socket_path
 
-    try:
+    with _tornado():
         from coulombus.monitor.web.access import kept_token
         from coulombus.monitor.web.page_state import HostDoor
         from coulombus.monitor.web.server import Shown, serve
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "tornado":
-            raise
-        raise WebError("the page needs Tornado: pip install '.[web]' in the clone") from None
-
-    def ready(url: str) -> None:
-        echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")
 
     kept = f"{address.kind}-{address.name}".replace("/", "_") + ".web-token"
     door = HostDoor(
@@ -159,9 +153,61 @@ def serve_page(
     )
     serve(
         Shown(rig, address, door, kept_token(socket_path(address.kind).parent / kept)),
-        ready,
+        lambda url: _ready(url, as_json),
         host=page.web_host,
         port=page.web_port,
         seconds=seconds,
         parent=sys.stdin.fileno() if beside else None,
     )
+
+
+def serve_recording_page(
+    file: Path,
+    page: PageOptions,
+    *,
+    rig_name: str | None,
+    channel: str | None,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Serve the page of a recording until a signal; its address is printed when it is there.
+
+    Parameters
+    ----------
+    rig_name : decodes it; None: the attached one
+    """
+    from coulombus.cli.errors import remark
+    from coulombus.explain.explained import explain
+    from coulombus.recording.reading import read
+
+    with _tornado():
+        from coulombus.monitor.web.access import new_token
+        from coulombus.monitor.web.recording_page import serve_recording
+
+    recording = read(file, rig_name, channel)
+    remark(recording.remarks)
+    explanation = explain(file, rig=recording.rig, channel=channel)
+    serve_recording(
+        *(recording, explanation, new_token(), lambda url: _ready(url, as_json)),
+        host=page.web_host,
+        port=page.web_port,
+        seconds=seconds,
+    )
+
+
+def _ready(url: str, as_json: bool) -> None:
+    """Say where the page is."""
+    echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")
+
+
+@contextmanager
+def _tornado() -> Iterator[None]:
+    """Say how to install Tornado where an import lacks it."""
+    from coulombus.monitor.web import WebError
+
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "tornado":
+            raise
+        raise WebError("the page needs Tornado: pip install '.[web]' in the clone") from None

@@ -14,8 +14,8 @@ from click.core import ParameterSource
 from coulombus.cli.bundle import bundle
 from coulombus.cli.common import force_option, listed, say
 from coulombus.cli.errors import EXIT_STATUS, errors
-from coulombus.cli.option_types import SECONDS, OutputFile
-from coulombus.cli.page_options import PageOptions, page_options, serve_page
+from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.cli.page_options import PageOptions, page_options, serve_page, serve_recording_page
 from coulombus.cli.rig_options import OneBusOptions, one_bus_options
 from coulombus.cli.tables import echo
 
@@ -134,6 +134,7 @@ view_options = bundle(
 
 
 @click.command(epilog=EXIT_STATUS)
+@click.argument("file", required=False, type=InputPath())
 @one_bus_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
 @view_options
@@ -141,6 +142,7 @@ view_options = bundle(
 @click.option("--beside", is_flag=True, hidden=True, help="Another verb began this page, and ends it.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
 def watch(
+    file: Path | None,
     chosen: OneBusOptions,
     seconds: float | None,
     view: View,
@@ -154,8 +156,9 @@ def watch(
     Nothing is sent. A live table in a terminal (p holds the picture, b shows raw bytes, those that
     changed stand out, w names the bits of status- and controlwords, 1 to 9 open an incident of
     `coulombus explain`, q ends it), else lines; with
-    --web a page in a browser, whose STOP does what `coulombus stop` does. Ends with 0 on
-    Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, with 4 when the bus goes away.
+    --web a page in a browser, whose STOP does what `coulombus stop` does. With a recording FILE and
+    --web, its page: plots, cursor, incidents. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP or SIGQUIT,
+    with 4 when the bus goes away.
 
     \b
     Examples:
@@ -165,14 +168,19 @@ def watch(
       coulombus watch --pcapng - | wireshark -k -i -
       coulombus watch --bus coulombus:bench --scope motor.position_rad
       coulombus watch --bus coulombus:bench --web
+      coulombus watch run.pcapng --web
       coulombus watch --bus coulombus:bench --foxglove
     """
     with errors():
         from coulombus.monitor.watch import LiveView
         from coulombus.monitor.watch import watch as run
 
-        rig, address = chosen.found()
         view.check(page, as_json)
+        named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
+        if file is not None:
+            _open(file, chosen, page, rig_name=chosen.rig_name if named else None, seconds=seconds, as_json=as_json)
+            return
+        rig, address = chosen.found()
         if view.foxglove is not None or view.plotjuggler is not None:
             _forward(rig, address, view, seconds=seconds, as_json=as_json)
         elif page.web:
@@ -193,12 +201,28 @@ def watch(
                 force=view.overwrite,
             )
         else:
-            named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
             run(
                 *(rig, address, LiveView(as_json, view.interval, named, view.scope)),
                 seconds=seconds,
                 host=lambda: host_line(address),
             )
+
+
+def _open(
+    file: Path, chosen: OneBusOptions, page: PageOptions, *, rig_name: str | None, seconds: float | None, as_json: bool
+) -> None:
+    """Serve a recording's page until a signal.
+
+    Raises
+    ------
+    click.UsageError
+        No page is asked for, or a bus as well.
+    """
+    if not page.web:
+        raise click.UsageError(f"watch {file} needs --web; for text: coulombus decode {file}, coulombus explain {file}")
+    if chosen.bus_name is not None:
+        raise click.UsageError("a FILE and --bus: choose one of them")
+    serve_recording_page(file, page, rig_name=rig_name, channel=chosen.channel, seconds=seconds, as_json=as_json)
 
 
 def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None, as_json: bool) -> None:

@@ -23,7 +23,7 @@ from coulombus.wire.client import Received
 from coulombus.wire.frame import FRAME, Records
 from coulombus.wire.frame_batches import Block
 
-__all__ = ["IncidentReader", "IncidentRow", "LiveIncidents", "records_of"]
+__all__ = ["IncidentReader", "IncidentRow", "LiveIncidents", "incident_rows", "records_of"]
 
 LOOK_S = 0.5
 COURSE = 12
@@ -80,8 +80,12 @@ class LiveIncidents:
     def look(self, now_ns: int) -> tuple[IncidentRow, ...]:
         """Return the incidents at a time [ns since 1970], the most important first."""
         self._explainer.look(now_ns - LATE_NS)
-        explanation = self._explainer.explanation()
-        return tuple(_row(explanation, incident) for incident in explanation.incidents)
+        return incident_rows(self._explainer.explanation())
+
+
+def incident_rows(explanation: Explanation) -> tuple[IncidentRow, ...]:
+    """Return the incidents of an explanation, the most important first."""
+    return tuple(_row(explanation, incident) for incident in explanation.incidents)
 
 
 def _row(explanation: Explanation, incident: Incident) -> IncidentRow:

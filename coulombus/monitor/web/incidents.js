@@ -1,11 +1,12 @@
 "use strict";
 // The incidents that `coulombus explain` finds: a list that follows each one's state, and opens.
 
-const clock = (t) => new Date(1000 * t).toLocaleTimeString([], {hour12: false});
+let clock = (t) => new Date(1000 * t).toLocaleTimeString([], {hour12: false});  // of a recording: seconds
+let untilEnd = "now";
 const WORDS = {unresolved: "unresolved", recovered: "recovered", warning: "warning"};
 
 function lasted(incident) {
-  if (incident.end === null) return `${clock(incident.t)} until now`;
+  if (incident.end === null) return `${clock(incident.t)} until ${untilEnd}`;
   const seconds = incident.end - incident.t;
   return seconds < 0.001 ? clock(incident.t) : `${clock(incident.t)}, for ${seconds.toFixed(seconds < 10 ? 2 : 0)} s`;
 }

@@ -16,7 +16,7 @@ function connect() {
       cut = false;
       document.body.classList.remove("cut");
       say("");
-      if (!plots.length) makePlots();
+      if (!plots.length) makeLivePlots();
     }
     const head = take(event.data);
     if (head.state) {
@@ -50,5 +50,5 @@ function requestFrame() {
   });
 }
 
-makePlots();
+makeLivePlots();
 connect();

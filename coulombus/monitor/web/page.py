@@ -26,7 +26,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 from weakref import WeakSet
 
@@ -36,9 +35,10 @@ from tornado.iostream import IOStream
 
 from coulombus.monitor.live_incidents import IncidentRow
 from coulombus.monitor.snapshot import Snapshot
-from coulombus.monitor.web.access import ControlLock, right_token, same_origin, served_as
+from coulombus.monitor.web.access import ControlLock, same_origin
 from coulombus.monitor.web.batch import Flow, batch, layout
 from coulombus.monitor.web.capture import Curve, LiveCapture
+from coulombus.monitor.web.guard import FORBIDDEN, Guarded, Handler, Nothing, Static
 from coulombus.monitor.web.page_state import HostDoor, HostView, document
 from coulombus.rigs.axis import Axis
 
@@ -59,19 +59,6 @@ RUBBISH = 100
 """Messages that mean nothing, after which a page is let go."""
 TOOK = re.compile(r"took ([0-9]{1,15})")
 MARK = re.compile(r"mark ([1-9])")
-TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
-POLICY = "; ".join(
-    (
-        *("default-src 'none'", "script-src 'self'", "style-src 'self'", "connect-src 'self'"),
-        *("img-src 'self' data:", "form-action 'self'", "frame-ancestors 'none'", "base-uri 'none'"),
-    )
-)
-"""Nothing is loaded from anywhere else."""
-FORBIDDEN, MISDIRECTED = 403, 421
-REFUSALS = {
-    FORBIDDEN: "the address needs the page's token: open the URL that the command printed",
-    MISDIRECTED: "this page is not served under that name and port: open the URL that the command printed",
-}
 
 
 class Page:
@@ -185,67 +172,9 @@ class Page:
             self.asking -= 1
 
 
-class _Guarded(tornado.web.RequestHandler):
-    """A request of who has the token, for the address that is served."""
-
+class _Html(Handler):
     page: Page
 
-    def initialize(self, page: Page) -> None:
-        self.page = page
-
-    def admit(self) -> IOStream:
-        """Return the connection of a request that may be answered.
-
-        Raises
-        ------
-        tornado.web.HTTPError
-            its header Host names another server, or its address has not the token
-        """
-        stream: IOStream = self.request.connection.stream  # type: ignore[union-attr]  # it has one
-        address, port = stream.socket.getsockname()[:2]
-        if not served_as(self.request.headers.get("Host"), address, port, self.page.name):
-            raise tornado.web.HTTPError(MISDIRECTED)
-        if not right_token(self.path_args[0] if self.path_args else "", self.page.token):
-            raise tornado.web.HTTPError(FORBIDDEN)
-        return stream
-
-    def from_the_page(self) -> bool:
-        """Tell whether the page itself asks, and no other one."""
-        return same_origin(self.request.headers.get("Origin"), self.request.headers.get("Host"))
-
-    def write_error(self, status_code: int, **_: Any) -> None:
-        """Say why, as plain text."""
-        self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish(REFUSALS.get(status_code, self._reason) + "\n")
-
-
-class _Handler(_Guarded):
-    def set_default_headers(self) -> None:
-        for name, value in (
-            ("Content-Security-Policy", POLICY),
-            ("Referrer-Policy", "same-origin"),
-            ("X-Content-Type-Options", "nosniff"),
-            ("X-Frame-Options", "DENY"),
-            ("Cache-Control", "no-store"),
-            ("Server", "coulombus"),
-        ):
-            self.set_header(name, value)
-
-    def prepare(self) -> None:
-        self.admit()
-        if self.request.method == "POST" and not self.from_the_page():
-            raise tornado.web.HTTPError(FORBIDDEN)
-
-
-class _Nothing(_Handler):
-    """What is nowhere: 403, also with the right token."""
-
-    def prepare(self) -> None:
-        self.admit()
-        raise tornado.web.HTTPError(FORBIDDEN)
-
-
-class _Html(_Handler):
     async def get(self, _: str) -> None:
         rig = self.page.capture.rig
         axis = self.page.axis(self.get_query_argument("axis", ""))
@@ -258,34 +187,27 @@ class _Html(_Handler):
         self.finish(text)
 
 
-class _Static(_Handler):
-    OWN = (
-        *("page.css", "stop.js", "data.js", "axes.js", "plots.js"),
-        *("controls.js", "incidents.js", "words.js", "page.js"),
-    )
+class _Layout(Handler):
+    page: Page
 
-    async def get(self, _: str, name: str) -> None:
-        if name not in self.OWN:
-            raise tornado.web.HTTPError(404)
-        self.set_header("Content-Type", TYPES[Path(name).suffix] + "; charset=utf-8")
-        self.finish(files(__package__).joinpath(name).read_bytes())
-
-
-class _Layout(_Handler):
     async def get(self, _: str) -> None:
         axis = self.page.axis(self.get_query_argument("axis", ""))
         self.finish({"rows": layout(self.page.capture, axis)})
 
 
-class _Stop(_Handler):
+class _Stop(Handler):
+    page: Page
+
     async def post(self, _: str) -> None:
         self.finish(await self.page.stop())
 
 
-class Data(_Guarded, tornado.websocket.WebSocketHandler):
+class Data(Guarded, tornado.websocket.WebSocketHandler):
     """One page: what is sent to it, and the little that it says."""
 
-    def initialize(self, page: Page) -> None:
+    page: Page
+
+    def initialize(self, page: Page) -> None:  # type: ignore[override]  # it is served nothing else
         """Keep what all pages share."""
         super().initialize(page)
         self.flow = Flow()
@@ -390,12 +312,12 @@ def application(page: Page) -> tornado.web.Application:
     return tornado.web.Application(
         [
             (r"/([^/]*)/", _Html, shared),
-            (r"/([^/]*)/static/([a-z.]+)", _Static, shared),
+            (r"/([^/]*)/static/([a-z.]+)", Static, shared),
             (r"/([^/]*)/layout", _Layout, shared),
             (r"/([^/]*)/data", Data, shared),
             (r"/([^/]*)/stop", _Stop, shared),
         ],
-        default_handler_class=_Nothing,
+        default_handler_class=Nothing,
         default_handler_args=shared,
         log_function=lambda handler: None,
         websocket_max_message_size=MESSAGE_BYTES,

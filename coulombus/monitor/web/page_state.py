@@ -16,7 +16,7 @@ from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 from coulombus.rigs.axis import Axis
 
-__all__ = ["HostDoor", "HostView", "arm_state", "document"]
+__all__ = ["HostDoor", "HostView", "arm_state", "document", "incident_dict"]
 
 ENABLED = PowerState.OPERATION_ENABLED.name.lower().replace("_", " ")
 EVENTS_SHOWN = 40
@@ -192,7 +192,7 @@ def document(
         "arm": arm_state(snapshot),
         "drives": drive_words(snapshot),
         "host": host.as_dict(),
-        "incidents": [_incident(row) for row in incidents],
+        "incidents": [incident_dict(row) for row in incidents],
         "pdos": [_pdo(capture, row, snapshot.t_ns) for row in snapshot.pdos],
         "nodes": [_node(row) for row in snapshot.nodes],
         "events": [[event.t_ns / 1e9, event.text, event.grave] for event in list(capture.events)[-EVENTS_SHOWN:]],
@@ -222,18 +222,19 @@ def drive_words(snapshot: Snapshot) -> str:
     return "; ".join(words)
 
 
-def _incident(row: IncidentRow) -> dict[str, Any]:
+def incident_dict(row: IncidentRow, epoch_ns: int = 0) -> dict[str, Any]:
+    """Return an incident as the page takes it; its times are s since `epoch_ns`."""
     return {
         "number": row.number,
         "key": row.key,
         "status": row.status,
         "title": row.title,
-        "t": row.begin_ns / 1e9,
-        "end": None if row.end_ns is None else row.end_ns / 1e9,
+        "t": (row.begin_ns - epoch_ns) / 1e9,
+        "end": None if row.end_ns is None else (row.end_ns - epoch_ns) / 1e9,
         "cause": row.cause,
         "sure": row.sure,
         "checks": list(row.checks),
-        "course": [[t_ns / 1e9, role, words] for t_ns, role, words in row.course],
+        "course": [[(t_ns - epoch_ns) / 1e9, role, words] for t_ns, role, words in row.course],
     }
 
 

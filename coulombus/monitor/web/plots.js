@@ -40,7 +40,7 @@ class Plot {
   }
 
   lines(data) {
-    return this.row.signals.map((name) => hidden.has(name) ? [[], []] : this.kind === "envelope" ? envelopeLine(data, name) : data.raw.get(name) || [[], []]);
+    return this.row.signals.map((name) => hidden.has(name) ? [[], []] : data.lines ? data.lines(name) : this.kind === "envelope" ? envelopeLine(data, name) : data.raw.get(name) || [[], []]);
   }
 
   draw(data) {
@@ -62,6 +62,7 @@ class Plot {
     if (points) this.curves(ctx, a, points);
     else this.phase(ctx, a, data);
     ctx.restore();
+    if (data.marks) data.marks(ctx, a);
     this.pointer(ctx, a);
   }
 
@@ -191,6 +192,7 @@ class Plot {
     on("pointerup", (event) => {
       const from = this.drag, to = place(event);
       this.drag = null;
+      if (from && Math.abs(from.x - to.x) <= 3 && known.pick) known.pick(this.valueX(to.x));
       if (from && Math.abs(from.x - to.x) > 8 && Math.abs(from.y - to.y) > 8) {
         const sorted = (one, other) => [Math.min(one, other), Math.max(one, other)];
         this.zoomY = sorted(this.valueY(from.y), this.valueY(to.y));
@@ -222,7 +224,7 @@ function envelopeLine(data, name) {
   return [t, y];
 }
 
-async function makePlots() {
+async function makeLivePlots() {
   const answer = await fetch(`layout${location.search}`);
   if (!answer.ok) return;
   const {rows} = await answer.json(), made = [];
@@ -264,9 +266,9 @@ function panTime(share) {
   draw();
 }
 
-function draw() {
+let draw = () => {
   for (const plot of plots) plot.draw(frozen || known);
-}
+};
 
 let drawing = false;
 function requestDraw() {

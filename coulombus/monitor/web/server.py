@@ -10,8 +10,8 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +30,7 @@ from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.client import Client
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Server", "Shown", "listening", "serve"]
+__all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve"]
 
 CONNECTIONS = 128
 """That may be open besides the pages' sockets: one more takes the place of the oldest."""
@@ -139,7 +139,7 @@ def serve(
     tornado_log.addHandler(logging.NullHandler())
     tornado_log.propagate = False
     sockets = listening(host, port)
-    name = _named(host)
+    name = named(host)
     url = f"http://{name}:{sockets[0].getsockname()[1]}/{shown.token}/"
     try:
         with StopSignals() as stop:
@@ -213,13 +213,27 @@ async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) ->
     return None
 
 
+@asynccontextmanager
+async def end_on_signal(seconds: float | None) -> AsyncIterator[asyncio.Event]:
+    """Yield an event that a signal sets, or the end of `seconds`."""
+    loop, over = asyncio.get_running_loop(), asyncio.Event()
+    with StopSignals() as stop:
+        loop.add_reader(stop.fileno(), over.set)
+        if seconds is not None:
+            loop.call_later(seconds, over.set)
+        try:
+            yield over
+        finally:
+            loop.remove_reader(stop.fileno())
+
+
 async def _pause(over: asyncio.Event, seconds: float) -> None:
     """Wait so long, or until it is all over."""
     with suppress(TimeoutError):
         await asyncio.wait_for(over.wait(), seconds)
 
 
-def _named(host: str) -> str:
+def named(host: str) -> str:
     """Return what a browser calls the address: a name of this machine for all its addresses."""
     if host in ("0.0.0.0", "::", ""):
         return socket.gethostname()

@@ -1,8 +1,5 @@
 "use strict";
-// STOP, and the helpers of all scripts. STOP needs neither plots nor socket: this script is the first, and needs no other.
-
-const one = (name) => document.querySelector(`[data-signal="${name}"]`);
-const action = (name) => document.querySelector(`[data-action="${name}"]`);
+// STOP needs neither plots nor socket: it comes second, and needs `elements.js` alone.
 
 // A line under the head; kind: "good", "bad", "busy" or none.
 function say(text, kind = "") {

@@ -3,13 +3,6 @@
 
 const SAID_MS = 5000, MOST_US = 20000, FREEZE_MS = 1000;
 
-const put = (name, text) => {
-  const element = one(name);
-  const shown = text === "" || text === null || text === undefined ? "-" : String(text);
-  if (element.textContent !== shown) element.textContent = shown;
-  return element;
-};
-
 let tripped = null;  // the trip that was told last; null: no state has come yet
 
 function words(head) {
