@@ -10,7 +10,7 @@ from rich.text import Text
 
 from coulombus.monitor.live_incidents import IncidentRow
 
-__all__ = ["Opened", "incident_dict", "incident_lines", "news"]
+__all__ = ["OpenedIncident", "incident_dict", "incident_lines", "news"]
 
 STYLES = {"unresolved": "bold red", "recovered": "yellow", "warning": "dim"}
 SHOWN = 9
@@ -71,7 +71,7 @@ def incident_lines(
     return lines
 
 
-class Opened:
+class OpenedIncident:
     """Which incident is opened: the one that had the number when its key was struck."""
 
     def __init__(self) -> None:

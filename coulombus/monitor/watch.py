@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 from rich.console import Console
 from rich.live import Live as Display
 
-from coulombus.monitor.incident_lines import Opened, news
+from coulombus.monitor.incident_lines import OpenedIncident, news
 from coulombus.monitor.live import Live
 from coulombus.monitor.live_incidents import IncidentReader, IncidentRow
 from coulombus.monitor.screen import Screen, as_dict, as_lines
@@ -262,7 +262,7 @@ _Draw: TypeAlias = Callable[[Snapshot, Any, Sequence[IncidentRow]], None]
 def _on_terminal(console: Console, view: LiveView, begin_ns: int) -> Iterator[_Draw]:
     past: deque[Event] = deque(maxlen=EVENTS)
     held: list[tuple[Snapshot, tuple[Event, ...], tuple[Trace, ...], Sequence[IncidentRow]]] = []
-    opened = Opened()
+    opened = OpenedIncident()
     with Display(console=console, auto_refresh=False) as display:
 
         def draw(snapshot: Snapshot, facts: dict[str, Any], incidents: Sequence[IncidentRow]) -> None:

@@ -5,7 +5,7 @@ import io
 import numpy as np
 from rich.console import Console
 
-from coulombus.monitor.incident_lines import Opened, incident_dict, news
+from coulombus.monitor.incident_lines import OpenedIncident, incident_dict, news
 from coulombus.monitor.live import Live
 from coulombus.monitor.live_incidents import IncidentReader, LiveIncidents
 from coulombus.monitor.screen import Screen, as_dict
@@ -144,7 +144,7 @@ def test_the_screen_lists_incidents_and_opens_one():
 
 def test_a_digit_opens_the_incident_that_has_the_number_then_and_closes_it():
     (rows,) = followed(([*beats(0, 3, 1, 2), emergency(1)], 3))
-    keys, opened = ViewKeys(), Opened()
+    keys, opened = ViewKeys(), OpenedIncident()
     assert opened.follow(keys.number, keys.strokes, rows) == ""
     keys.struck(b"1")
     assert opened.follow(keys.number, keys.strokes, rows) == rows[0].key

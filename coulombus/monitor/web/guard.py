@@ -11,7 +11,7 @@ from tornado.iostream import IOStream
 
 from coulombus.monitor.web.access import right_token, same_origin, served_as
 
-__all__ = ["FORBIDDEN", "Guarded", "Handler", "Nothing", "Served", "Static"]
+__all__ = ["FORBIDDEN", "Guarded", "GuardedPage", "Handler", "Nothing", "Static"]
 
 TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
 POLICY = "; ".join(
@@ -28,7 +28,7 @@ REFUSALS = {
 }
 
 
-class Served(Protocol):
+class GuardedPage(Protocol):
     """What is served: behind which token, and by which name beside its address."""
 
     token: str
@@ -38,9 +38,9 @@ class Served(Protocol):
 class Guarded(tornado.web.RequestHandler):
     """A request of who has the token, for the address that is served."""
 
-    page: Served
+    page: GuardedPage
 
-    def initialize(self, page: Served) -> None:
+    def initialize(self, page: GuardedPage) -> None:
         """Keep what is served."""
         self.page = page
 
