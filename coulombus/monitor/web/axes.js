@@ -22,10 +22,10 @@ function ticks(low, high, count) {
   return {step, found, digits: Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))};
 }
 
-// So many ticks, and three at least: one or two are no scale.
+// So many ticks, and two at least: one is no scale.
 function enough(low, high, count) {
   let made = ticks(low, high, count);
-  while (made.found.length < 3 && count < 20) made = ticks(low, high, ++count);
+  while (made.found.length < 2 && count < 20) made = ticks(low, high, ++count);
   return made;
 }
 

@@ -121,9 +121,11 @@ def test_a_browser_answers_by_keys_buttons_and_the_field(page, stops, tmp_path):
             await browser.evaluate(
                 "document.querySelector('#choices input').value = '7,5'; document.querySelector('#choices button').click()"
             )
+            await browser.until("el('note').textContent === 'Your answer: 7.5. Thank you.'")
             await asyncio.to_thread(thread.join)
             more, thread = asked(page.go_on, "A break.")
             await browser.until("document.getElementById('text').textContent === 'A break.'")
+            assert await browser.evaluate("el('note').textContent") == ""  # the last answer's
             await browser.evaluate("document.querySelector('#choices button').click()")
             await asyncio.to_thread(thread.join)
             last, thread = asked(page.ask, PAIR)
