@@ -11,6 +11,7 @@ from rich.console import Console
 from coulombus.monitor import pdo_text
 from coulombus.monitor.live import BITS, Live
 from coulombus.monitor.screen import CHANGED, Screen, as_dict, as_lines
+from coulombus.monitor.snapshot import HostLine
 from coulombus.monitor.watch import ViewKeys, _Asker
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.bits import worst_case_bits
@@ -332,10 +333,14 @@ def test_bytes_that_changed_since_the_last_look_stand_out(rig):
 
 def test_a_held_picture_says_so_and_the_host_is_told(rig):
     live = Live(rig)
-    lines = [line.plain for line in screen_lines(live, 80, paused=True, frames=12, host="host: mode hybrid")]
+    host = HostLine("host: mode hybrid")
+    lines = [line.plain for line in screen_lines(live, 80, paused=True, frames=12, host=host)]
     assert any(line.startswith("PAUSED") and "12 frames" in line for line in lines)
     assert "host: mode hybrid" in lines
     assert not any("PAUSED" in line.plain for line in screen_lines(live, 80))
+    for state, style in (("tripped", "red"), ("ended", "dim")):
+        styles = {line.plain: str(line.style) for line in screen_lines(live, 80, host=HostLine("no host", state))}
+        assert styles["no host"] == style
 
 
 def test_bits_of_words_have_lines_of_their_own_where_no_column_is_wide_enough(rig):
