@@ -37,6 +37,8 @@ CONNECTIONS = 128
 IDLE_S = 10.0
 """How long a connection may say nothing."""
 RETRY_S = 0.5
+WORD_S = 5.0
+"""How long a host may need to end and to leave its last word after the bus is gone."""
 
 
 class Server(tornado.httpserver.HTTPServer):
@@ -190,6 +192,8 @@ async def _serve(
                 page.tick(reader.until_ns)
                 due_s = max(due_s + BATCH_S, loop.time())  # what came too late is not made up for
                 await asyncio.sleep(due_s - loop.time())  # `_pause` makes a task and cancels it
+            if reader.failure is not None:
+                await _last_word(shown.door, over)
             await page.say_goodbye(reader.until_ns)
         server.stop()
         await server.close_all_connections()
@@ -197,6 +201,16 @@ async def _serve(
         page.questions.shutdown(wait=False, cancel_futures=True)
         if reader.failure is not None:
             raise reader.failure
+
+
+async def _last_word(door: HostDoor, over: asyncio.Event) -> None:
+    """Wait until the host has left its word, or it is all over: a bus that is gone ends the host, a
+    little later than this server's reader.
+    """
+    end = asyncio.get_running_loop().time() + WORD_S
+    with suppress(Exception):
+        while not over.is_set() and door.last() is None and asyncio.get_running_loop().time() < end:
+            await _pause(over, WORD_S / 50)
 
 
 async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) -> Client | None:
