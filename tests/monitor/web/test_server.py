@@ -18,7 +18,7 @@ from coulombus.host.run.arm_key import LOCK_NS, TRIES
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.batch import IN_FLIGHT, unpacked
 from coulombus.monitor.web.page import QUESTIONS, RUBBISH, order_of
-from coulombus.monitor.web.server import listening
+from coulombus.monitor.web.server import _last_word, listening
 from web_bench import BEGIN_NS, MS, Door, cycles, page, served
 
 
@@ -403,3 +403,20 @@ def test_a_port_in_use_is_told():
             listening("127.0.0.1", port)
     with pytest.raises(WebError, match="--web-host names an address of this machine"):
         listening("no.such.host.invalid", 0)
+
+
+def test_a_bus_that_is_gone_leaves_the_host_time_for_its_last_word():
+    asked = []
+
+    def last():
+        asked.append(1)
+        return {"trip": "BUS_LOST"} if len(asked) == 3 else None
+
+    async def run():
+        await _last_word(dataclasses.replace(Door().door, last=last), asyncio.Event())
+        over = asyncio.Event()
+        over.set()
+        await _last_word(dataclasses.replace(Door().door, last=last), over)  # the run is over: nothing more comes
+
+    asyncio.run(run())
+    assert len(asked) == 3
