@@ -265,14 +265,14 @@ def test_one_who_reads_nothing_blocks_nobody(bus):
 def test_a_page_finds_the_server_again_after_that_was_killed(bus, tmp_path):
     async def run(first, url, port):
         async with Browser(url, str(tmp_path / "profile")) as browser:
-            await browser.until("frames > 2 && one('role').textContent === 'control'")
+            await browser.until("frames > 2 && one('role').textContent === 'in control'")
             first.kill()
             await browser.until("cut && document.body.classList.contains('cut')")
             assert "use `coulombus stop`" in await browser.text("said")
             with page_of(port=port):
                 before = await browser.evaluate("frames")
                 await browser.until(f"!cut && frames > {before} + 2 && one('said').hidden", 90)
-                assert await browser.text("role") == "control"
+                assert await browser.text("role") == "in control"
 
     with page_of() as (process, url):
         asyncio.run(run(process, url, place(url)[1]))
