@@ -20,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.eds.drive_axis import first_axis_object
+
 __all__ = [
     "AUTOMATIC",
     "COMMAND_OF_CONTROLWORD",
@@ -205,16 +207,12 @@ CONTROLWORD_FIELDS = (
 )
 """The controlword (CiA 402 table 23); bits 4 to 6 and 9 depend on the mode of operation."""
 
-AXIS_OBJECTS = 0x800
-
 
 def word_fields(index: int) -> tuple[WordField, ...]:
     """Return the fields of a statusword 6041h or controlword 6040h, also of a drive's further axes
     (6841h ...); nothing for another object.
     """
-    if not 0x6000 <= index < 0xA000:
-        return ()
-    return {0x41: STATUSWORD_FIELDS, 0x40: CONTROLWORD_FIELDS}.get((index - 0x6000) % AXIS_OBJECTS, ())
+    return {0x6041: STATUSWORD_FIELDS, 0x6040: CONTROLWORD_FIELDS}.get(first_axis_object(index), ())
 
 
 TRANSITIONS: tuple[tuple[int, PowerState, Command, PowerState], ...] = (

@@ -22,6 +22,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from coulombus.eds.description import Description
+from coulombus.eds.drive_axis import of_axis
 
 __all__ = [
     "POLARITY",
@@ -91,10 +92,16 @@ class Polarity(NamedTuple):
     torque: int
 
 
-def defaults(description: Description) -> Values:
-    """Return what tells the values of an EDS file's objects: their defaults."""
+def defaults(description: Description, axis: int = 1) -> Values:
+    """Return what tells the values of an EDS file's objects: their defaults.
+
+    Parameters
+    ----------
+    axis : of the drive; its objects are asked for by the index that the first axis has them at
+    """
 
     def value(index: int, subindex: int) -> int | None:
+        index = of_axis(index, axis)
         default = description.variable(index, subindex).default if description.has(index, subindex) else None
         return default if isinstance(default, int) else None
 
@@ -118,20 +125,31 @@ def resolution(value: Values) -> Fraction | None:
     return increments if increments is not None and increments >= LEAST_INCREMENTS else None
 
 
-def position_scale(value: Values) -> PositionScale:
-    """Return the scale of 6064h."""
+def position_scale(value: Values, axis: int = 1) -> PositionScale:
+    """Return the scale of 6064h.
+
+    Parameters
+    ----------
+    value : by the indices that the first axis has
+    axis : of the drive, for the names of its objects
+    """
+    resolution_name, gear_name, feed_name, unit_name = (
+        f"{of_axis(index, axis):04X}h" for index in (0x608F, 0x6091, 0x6092, POSITION_UNIT)
+    )
     increments, feed = resolution(value), _ratio(value, 0x6092)
     gear, code = _ratio(value, 0x6091) or Fraction(1), value(POSITION_UNIT, 0)
-    geared = "" if gear == 1 else f", 6091h = {value(0x6091, 1)}:{value(0x6091, 2) or 1}"
+    geared = "" if gear == 1 else f", {gear_name} = {value(0x6091, 1)}:{value(0x6091, 2) or 1}"
     turn = _units_in_turn(code)
     if feed is not None and feed != 1:
-        other = f"; 60A8h = 0x{code or 0:08X} means {turn:g} in a turn" if turn and turn != feed else ""
-        return PositionScale(float(feed / gear), f"6092h = {value(0x6092, 1)}/{value(0x6092, 2) or 1}{geared}{other}")
+        other = f"; {unit_name} = 0x{code or 0:08X} means {turn:g} in a turn" if turn and turn != feed else ""
+        return PositionScale(
+            float(feed / gear), f"{feed_name} = {value(0x6092, 1)}/{value(0x6092, 2) or 1}{geared}{other}"
+        )
     if turn is not None and turn >= LEAST_UNITS:
-        return PositionScale(turn / float(gear), f"60A8h = 0x{code or 0:08X}{geared}")
+        return PositionScale(turn / float(gear), f"{unit_name} = 0x{code or 0:08X}{geared}")
     if increments is not None:
-        return PositionScale(float(increments), f"608Fh = {value(0x608F, 1)}/{value(0x608F, 2) or 1}")
-    return PositionScale(None, "608Fh, 6091h, 6092h and 60A8h tell nothing")
+        return PositionScale(float(increments), f"{resolution_name} = {value(0x608F, 1)}/{value(0x608F, 2) or 1}")
+    return PositionScale(None, f"{resolution_name}, {gear_name}, {feed_name} and {unit_name} tell nothing")
 
 
 def _prefixed(code: int) -> tuple[float, int, int]:

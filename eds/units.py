@@ -7,7 +7,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-__all__ = ["AXIS", "BLOCK_UNITS", "NOTATION", "Unit", "fixed_unit", "told_unit"]
+from coulombus.eds.drive_axis import first_axis_object
+
+__all__ = ["BLOCK_UNITS", "NOTATION", "Unit", "fixed_unit", "told_unit"]
 
 NOTATION: Mapping[int, str] = {
     0x01: "m",
@@ -30,8 +32,6 @@ NOTATION: Mapping[int, str] = {
 BLOCK_UNITS = {0x7130: (0x6131, 0x6132), 0x9130: (0x6131, 0x6132), 0x7300: (0x6301, 0x6302), 0x9300: (0x6301, 0x6302)}
 """CiA 404: where an analogue input's and output's unit and decimal digits stand."""
 MOST_DIGITS = 9
-AXIS = 0x800
-"""From an object of CiA 402 to that of the drive's next axis."""
 
 
 class Unit(NamedTuple):
@@ -64,9 +64,7 @@ def fixed_unit(index: int, subindex: int) -> Unit | None:
     """Return the unit that CiA 301 or CiA 402 gives an object, None where they give none."""
     if 0x1400 <= index < 0x1600 or 0x1800 <= index < 0x1A00:
         return PDO.get(subindex)
-    if 0x6800 <= index < 0xA000:
-        index = 0x6000 + (index - 0x6000) % AXIS
-    return FIXED.get(index) if subindex == 0 else None
+    return FIXED.get(first_axis_object(index)) if subindex == 0 else None
 
 
 def told_unit(code: int, digits: int) -> Unit | None:

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from coulombus.eds.description import Description, Object, Variable
+from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.drive_scale import defaults, position_scale
 from coulombus.eds.own_devices import told_identity
 from coulombus.node.drive402 import DRIVE402
@@ -58,21 +59,22 @@ class Opened:
     remarks: tuple[str, ...] = ()
 
 
-def opened(description: Description, profile: Profile, counts_rev: int = 0) -> Opened:
+def opened(description: Description, profile: Profile, counts_rev: int = 0, axis: int = 1) -> Opened:
     """Return the description that serves a file behind which `profile` stands.
 
     Parameters
     ----------
     counts_rev : counts of the position in one turn of the motor, for a file that does not tell
         them; 0: nobody knows
+    axis : of a drive of several
     """
     if profile is GENERIC or of_identity(told_identity(description)) is not GENERIC:
         return Opened(description)
     changed: dict[Key, Variable] = {}
     remarks = [*_limits(description, changed)]
     if profile.behaviour is DRIVE402.behaviour:
-        remarks += _defaults(description, changed)
-        remarks += _encoder(description, changed, counts_rev)
+        remarks += _defaults(description, changed, axis)
+        remarks += _encoder(description, changed, counts_rev, axis)
     if not changed:
         return Opened(description)
     objects = dict(description.objects)
@@ -103,16 +105,22 @@ def _limits(description: Description, changed: dict[Key, Variable]) -> Iterator[
             )
 
 
-def _defaults(description: Description, changed: dict[Key, Variable]) -> Iterator[str]:
-    limits = [_variable(description, key) for key, _ in _POSITIONS]
+def _defaults(description: Description, changed: dict[Key, Variable], axis: int) -> Iterator[str]:
+    positions = [((of_axis(index, axis), subindex), value) for (index, subindex), value in _POSITIONS]
+    limits = [_variable(description, key) for key, _ in positions]
     if any(limits) and not any(limit is not None and limit.default for limit in limits):
-        for (key, value), variable in zip(_POSITIONS, limits, strict=True):
+        for (key, value), variable in zip(positions, limits, strict=True):
             if variable is not None:
                 changed[key] = _with(variable, value)
         yield _remark(
-            description, "607Dh", "0 on both sides", "the whole range", "would keep the drive from any torque"
+            description,
+            f"{positions[0][0][0]:04X}h",
+            "0 on both sides",
+            "the whole range",
+            "would keep the drive from any torque",
         )
-    for key, value in _BLOCKING.items():
+    for (index, subindex), value in _BLOCKING.items():
+        key = of_axis(index, axis), subindex
         variable = _variable(description, key)
         if variable is not None and not variable.default and not variable.node_relative:
             changed[key] = _with(variable, value)
@@ -120,24 +128,26 @@ def _defaults(description: Description, changed: dict[Key, Variable]) -> Iterato
             yield _remark(
                 description, _label(variable), _stands(variable), served, "would keep the drive from any torque"
             )
-    modes = _variable(description, (0x6502, 0))
+    supported = of_axis(0x6502, axis), 0
+    modes = _variable(description, supported)
     if modes is not None and not modes.default:
-        offered = sum(bits for index, bits in _MODES if description.has(index))
+        offered = sum(bits for index, bits in _MODES if description.has(of_axis(index, axis)))
         if offered:
-            changed[0x6502, 0] = _with(modes, offered)
+            changed[supported] = _with(modes, offered)
             numbers = ", ".join(str(k + 1) for k in range(16) if offered >> k & 1)
-            yield _remark(description, "6502h", _stands(modes), f"the modes {numbers}", "would allow no mode")
+            yield _remark(description, _label(modes), _stands(modes), f"the modes {numbers}", "would allow no mode")
 
 
-def _encoder(description: Description, changed: dict[Key, Variable], counts_rev: int) -> Iterator[str]:
+def _encoder(description: Description, changed: dict[Key, Variable], counts_rev: int, axis: int) -> Iterator[str]:
     """Let 608Fh tell the counts of the position where no object of the file does."""
-    increments, turns = (_variable(description, (0x608F, sub)) for sub in (1, 2))
-    if not counts_rev or increments is None or position_scale(defaults(description)).counts_rev is not None:
+    index = of_axis(0x608F, axis)
+    increments, turns = (_variable(description, (index, sub)) for sub in (1, 2))
+    if not counts_rev or increments is None or position_scale(defaults(description, axis)).counts_rev is not None:
         return
-    changed[0x608F, 1] = _with(increments, counts_rev)
+    changed[index, 1] = _with(increments, counts_rev)
     if turns is not None and turns.default != 1:
-        changed[0x608F, 2] = _with(turns, 1)
-    served, why = str(changed[0x608F, 1].default), "tells no encoder"
+        changed[index, 2] = _with(turns, 1)
+    served, why = str(changed[index, 1].default), "tells no encoder"
     yield _remark(description, _label(increments), _stands(increments), served, why)
 
 

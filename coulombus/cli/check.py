@@ -104,8 +104,6 @@ def _refused(error: RigError) -> list[dict[str, str]]:
     return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in texts]
 
 
-FURTHER_AXES = 0x6800
-"""CiA 402: from here on the objects of a drive's further axes, whose limits bring-up does not set."""
 GENTLER = "give limits.safe_ramp_s more time, up to 1.8 s"
 
 
@@ -117,6 +115,7 @@ class _Findings:
     """What follows from a rig: its PDOs, its plan, what bring-up does in each mode."""
 
     def __init__(self, rig: Rig) -> None:
+        from coulombus.eds.drive_axis import axis_of
         from coulombus.eds.own_devices import is_own, told_identity
         from coulombus.host.cycle.controller import Controller
         from coulombus.host.cycle.output_limits import brake_limit
@@ -141,8 +140,9 @@ class _Findings:
             for mode in axis.mode:
                 controller = Controller(axis, mode)
                 self.limits[axis.prefix + mode] = controller.drive_limit_pm()
-                further = axis.allocation.bound["torque_setpoint"].entry.index >= FURTHER_AXES
-                limits = () if further else torque_limits(axis.description("motor"))
+                number = axis.motor.drive_axis
+                further = axis_of(axis.allocation.bound["torque_setpoint"].entry.index) not in (0, number)
+                limits = () if further else torque_limits(axis.description("motor"), number)
                 named = [f"{index:04X}h" for index in limits]
                 self.limited_by[axis.prefix + mode] = " and ".join(named) or "(of the host alone)"
                 made = device_plans(controller)

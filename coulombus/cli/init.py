@@ -15,6 +15,7 @@ from coulombus.cli.common import say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import InputPath, OutputFile
 from coulombus.cli.tables import echo, table_console
+from coulombus.eds.drive_axis import MOST_DRIVE_AXES
 from coulombus.system.quoting import shell
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ class Wishes:
     drive_id: int | None
     brake_id: int | None
     sensor_ids: tuple[int, ...]
+    drive_axis: int
 
     def check(self, live: bool) -> None:
         """Refuse what is not enough, or contradicts itself.
@@ -62,7 +64,10 @@ class Wishes:
         """Return them by the names that they have in the rig file."""
         from coulombus.rigs.draft.discover import DeviceChoice
 
-        devices = [DeviceChoice("motor", self.drive, self.drive_id), DeviceChoice("brake", self.brake, self.brake_id)]
+        devices = [
+            DeviceChoice("motor", self.drive, self.drive_id, self.drive_axis),
+            DeviceChoice("brake", self.brake, self.brake_id),
+        ]
         for number, (eds, node_id) in enumerate(zip_longest(self.sensors, self.sensor_ids), 1):
             devices.append(DeviceChoice("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
         return devices
@@ -88,6 +93,14 @@ wishes_options = bundle(
     click.option("--brake-id", type=NODE_ID, help="Node id of the brake's driver.  [default: a DCF's own, else 2]"),
     click.option(
         "--sensor-id", "sensor_ids", type=NODE_ID, multiple=True, help="Node id of each sensor, in their order."
+    ),
+    click.option(
+        "--axis",
+        "drive_axis",
+        type=click.IntRange(1, MOST_DRIVE_AXES),
+        default=1,
+        show_default=True,
+        help="Which axis of the drive, where it has several: objects from 6000h, 6800h ...",
     ),
 )
 
@@ -140,6 +153,7 @@ def init(
       coulombus init --drive vendor.eds --brake bench -o my-rig.toml
       coulombus init --drive vendor.eds --brake io.eds --sensor amplifier.eds --drive-id 5
       coulombus init --drive vendor.eds --brake bench --rehearse -o try.toml
+      coulombus init --drive dual.eds --axis 2 --brake bench -o second.toml
       coulombus init --bus socketcan:can0 --eds-folder eds -o my-rig.toml
     """
     wishes.check(live=bus_name is not None)
@@ -150,7 +164,7 @@ def init(
         from coulombus.rigs.rig import load_rig
 
         folder = None if output is None else output.parent.resolve()
-        answered = {} if bus_name is None else _answered(bus_name)
+        answered = {} if bus_name is None else _answered(bus_name, wishes.drive_axis)
         devices = gather(wishes.wanted(), folder, answered, eds_folder)
         path = "rig.toml" if output is None else str(output)
         draft = Draft(devices, load_rig(like).one_axis(), path, rehearse=rehearse, accept=accepted)
@@ -193,7 +207,7 @@ def _tell_trials(rig: Rig, text: str, *, err: bool) -> None:
         echo(f"readings that nothing notices: {unnoticed}; only a measurement on the device tells them apart", err=err)
 
 
-def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
+def _answered(bus_name: str, drive_axis: int) -> dict[int, dict[tuple[int, int], int]]:
     """Ask who is on a bus; say it, and return what the objects of each node hold.
 
     A node id that two devices have is refused, and an identity that cannot be trusted: whose
@@ -203,7 +217,7 @@ def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
     from coulombus.host.errors import AnswerUntrusted, DeviceMismatch
     from coulombus.wire.address import parse_address
 
-    nodes = survey(parse_address(bus_name))
+    nodes = survey(parse_address(bus_name), drive_axis)
     for answers in nodes:
         if answers.twice:
             what_to_do = "take one off the bus, and give the other another id (coulombus lss)"

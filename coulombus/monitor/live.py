@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from coulombus.eds.drive_axis import first_axis_object
 from coulombus.eds.sdo_frames import where
 from coulombus.monitor.error_frames import error_frame
 from coulombus.monitor.sdo_channel import SdoChannel
@@ -104,7 +105,7 @@ class Live:
             pdo.layout.cob_id: (self._by_id[pdo.node_id], start // 8)
             for pdo in self._pdos
             for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True)
-            if entry.index == STATUSWORD
+            if first_axis_object(entry.index) == STATUSWORD
         }
         self._waiting: list[Block] = []
         self._waiting_frames = 0

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
+from coulombus.eds.drive_axis import MOST_DRIVE_AXES
 from coulombus.rigs.hysteresis import Iron
 from coulombus.rigs.model import MS, Milliseconds, Section
 
@@ -32,6 +33,7 @@ __all__ = [
     "SpeedRole",
     "TemperatureRole",
     "TorqueRole",
+    "drive_axis_of",
 ]
 
 OBJECT = r"^(|none|[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{1,2})?)$"
@@ -115,6 +117,9 @@ class _Actuator(DeviceSection):
         description="mode of operation 6060h of a CiA 402 drive",
         json_schema_extra={"expected": "an integer from -128 to 127", "range": "-128 to 127"},
     )
+    drive_axis: int = Field(
+        1, ge=1, le=MOST_DRIVE_AXES, description="which axis of a CiA 402 drive: objects from 6000h, 6800h ..."
+    )
 
 
 class Motor(_Actuator):
@@ -151,6 +156,11 @@ class Sensor(DeviceSection):
     """[sensor.NAME]: a further node on the bus that only tells: a torque transducer's amplifier, an
     encoder.
     """
+
+
+def drive_axis_of(part: DeviceSection) -> int:
+    """Return which axis of a drive a device is in the rig, from 1 on; 1 of what is no drive."""
+    return part.drive_axis if isinstance(part, _Actuator) else 1
 
 
 class Role(Section):

@@ -19,10 +19,11 @@ from dataclasses import dataclass, replace
 
 from coulombus.eds.cia402 import OPERATION_MODE_CST as CST
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE as PROFILE_TORQUE
+from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout
 from coulombus.eds.reader import Description
 from coulombus.rigs.deadman_object import bind_switch
-from coulombus.rigs.devices import Brake, Motor
+from coulombus.rigs.devices import Brake, Motor, drive_axis_of
 from coulombus.rigs.model import to_ns
 from coulombus.rigs.pdo_records import ON_SYNC, PdoParameters, records_of, writable
 from coulombus.rigs.problem import Problem
@@ -31,6 +32,7 @@ from coulombus.rigs.signals import Constant, Direction, Node, Parts, RigPdo, Sig
 
 __all__ = ["MOST_CONSTANTS", "MOST_PDOS", "AxisPdos", "allocate", "mode_of", "writable"]
 
+MODE, SUPPORTED_MODES = 0x6060, 0x6502
 MOST_PDOS, MOST_CONSTANTS = 8, 16
 """What the host's tables have room for: PDOs of an axis each way, entries of RPDOs that it does not
 command.
@@ -136,7 +138,9 @@ class _Device:
             return []
         transmission = ON_SYNC if self.direction == "tpdo" else self.parts.bus.transmission
         period_ns = self.parts.bus.period_ns
-        records = records_of(self.description, self.part.node_id, self.direction, period_ns, transmission)
+        records = records_of(
+            self.description, self.part.node_id, self.direction, period_ns, transmission, drive_axis_of(self.part)
+        )
         standing = [record for record in records if record.entries and not (record.room and record.settable)]
         left = {binding.place[1:]: binding for binding in bindings}
         filled: dict[int, tuple[PdoParameters, tuple[Entry, ...]]] = {}
@@ -258,7 +262,8 @@ class _Device:
         said = [write.value for write in self.part.sdo if (write.index, write.sub) == (index, subindex)]
         if said:
             return said[-1], f"[[{self.node}.sdo]]"
-        if (index, subindex) == (0x6060, 0) and isinstance(self.part, Motor | Brake):
+        mode = of_axis(MODE, drive_axis_of(self.part)), 0
+        if (index, subindex) == mode and isinstance(self.part, Motor | Brake):
             return mode_of(self.part, self.description), "the mode of operation"
         default = self.description.default(index, subindex, self.part.node_id)
         return (default, "the EDS file's default") if isinstance(default, int) else (0, "the EDS file has no default")
@@ -278,7 +283,8 @@ def mode_of(part: Motor | Brake, description: Description) -> int:
     """
     if part.mode is not None:
         return part.mode
-    modes = description.variable(0x6502, 0).default if description.has(0x6502, 0) else None
+    index = of_axis(SUPPORTED_MODES, part.drive_axis)
+    modes = description.variable(index, 0).default if description.has(index, 0) else None
     if not isinstance(modes, int) or modes == 0 or modes >> (CST - 1) & 1:
         return CST
     return PROFILE_TORQUE if modes >> (PROFILE_TORQUE - 1) & 1 else CST

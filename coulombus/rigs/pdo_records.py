@@ -2,7 +2,10 @@
 what they can be mapped with.
 
 Identifiers are those of the pre-defined connection set for the first four PDOs of each direction,
-where the device lets them be set, and the device's own elsewhere. A TPDO follows SYNC (transmission
+where the device lets them be set, and the device's own elsewhere. A further axis of a drive takes
+the PDOs that belong to it, where the file has some (65 to 68 for the second, or those whose default
+maps hold its objects). One of them that has no identifier takes that of PDO 1 to 4 in its place,
+as bring-up makes the first axis' PDOs invalid. A TPDO follows SYNC (transmission
 type 1) where it can; one that cannot is sent by the device's event timer.
 """
 
@@ -13,6 +16,7 @@ from dataclasses import dataclass
 from itertools import count
 
 from coulombus.eds.cia301 import CobId
+from coulombus.eds.drive_axis import axis_of, pdo_numbers
 from coulombus.eds.pdo import COMMUNICATION, MAPPING, PDO_COUNT, Entry, read_layout
 from coulombus.eds.reader import Description, EdsError, Variable
 from coulombus.rigs.signals import Direction
@@ -59,24 +63,32 @@ class PdoParameters:
 
 
 def records_of(
-    description: Description, node_id: int, direction: Direction, period_ns: int, transmission: int
+    description: Description,
+    node_id: int,
+    direction: Direction,
+    period_ns: int,
+    transmission: int,
+    drive_axis: int = 1,
 ) -> tuple[PdoParameters, ...]:
     """Return the PDOs of a device that can carry something: found once for a description.
 
     Parameters
     ----------
     transmission : the type that they are to have, where they can
+    drive_axis : which axis of a drive they are for
     """
     known = description.derived.setdefault(records_of, {})
-    key = node_id, direction, period_ns, transmission
+    key = node_id, direction, period_ns, transmission, drive_axis
     if key not in known:
-        known[key] = tuple(_records_of(description, *key))
+        every = tuple(_records_of(description, *key))
+        belonging = {record.identifier: record for record in reversed(every) if _belongs(record, drive_axis)}
+        known[key] = tuple(reversed(belonging.values())) or every
     records: tuple[PdoParameters, ...] = known[key]
     return records
 
 
 def _records_of(
-    description: Description, node_id: int, direction: Direction, period_ns: int, preferred: int
+    description: Description, node_id: int, direction: Direction, period_ns: int, preferred: int, drive_axis: int
 ) -> Iterator[PdoParameters]:
     first = COMMUNICATION[direction]
     for index in sorted(index for index in description.objects if first <= index < first + PDO_COUNT):
@@ -88,8 +100,11 @@ def _records_of(
         word = default if isinstance(default, int) else 0
         identifier = word & 0x1FFFFFFF
         if writable(identity):
+            place = number - pdo_numbers(drive_axis).start
             if number <= PREDEFINED:
                 identifier = FIRST[direction] + 0x100 * (number - 1) + node_id
+            elif not identifier and 0 <= place < PREDEFINED and not _keeps(description, first + place):
+                identifier = FIRST[direction] + 0x100 * place + node_id
         elif word & INVALID:
             continue
         if not 0 < identifier <= 0x7FF:
@@ -110,6 +125,20 @@ def _records_of(
             bool(word & NO_RTR),
             direction == "rpdo" and description.has(index, 5),
         )
+
+
+def _belongs(record: PdoParameters, drive_axis: int) -> bool:
+    """Tell whether a PDO is a further axis' of a drive: by its number, or by what it carries."""
+    if drive_axis == 1:
+        return True
+    return record.number in pdo_numbers(drive_axis) or any(
+        axis_of(entry.index) == drive_axis for entry in record.entries
+    )
+
+
+def _keeps(description: Description, index: int) -> bool:
+    """Tell whether a PDO keeps its identifier, as nobody can make it invalid."""
+    return description.has(index, 1) and not writable(description.variable(index, 1))
 
 
 def _transmission(description: Description, index: int, preferred: int, direction: Direction) -> int | None:

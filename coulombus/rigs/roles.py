@@ -17,11 +17,12 @@ coil current                                 7130h:2
 coil temperature                             7130h:3
 ====================  =====================  ==========================  ==================
 
-A drive's torque counts in per mille of its rated torque and its position in encoder counts (CiA
-402); ratio and polarity, which turn them to the handle, are the rig file's. A CiA 404 block carries
-its unit (6131, 6301) and its decimal digits (6132, 6302): the EDS gives the scale, and a unit that
-is not what the role wants is refused, unless the rig file gives the scale. A role that no device
-has is absent, and what the host loses by that is told.
+Of a drive of several axes these are the objects of the axis that `drive_axis` names. A drive's
+torque counts in per mille of its rated torque and its position in encoder counts (CiA 402); ratio
+and polarity, which turn them to the handle, are the rig file's. A CiA 404 block carries its unit
+(6131, 6301) and its decimal digits (6132, 6302): the EDS gives the scale, and a unit that is not
+what the role wants is refused, unless the rig file gives the scale. A role that no device has is
+absent, and what the host loses by that is told.
 """
 
 from __future__ import annotations
@@ -31,12 +32,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from coulombus.eds.drive_axis import first_axis_object, of_axis
 from coulombus.eds.drive_scale import VELOCITY_UNIT, defaults, velocity_unit
 from coulombus.eds.pdo import Entry, entry_of
 from coulombus.eds.reader import Description
 from coulombus.eds.units import BLOCK_UNITS, NOTATION
 from coulombus.rigs.accepted_mapping import mapping_sentence
-from coulombus.rigs.devices import BrakeRole, Role
+from coulombus.rigs.devices import BrakeRole, Role, drive_axis_of
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.signals import Direction, Node, Parts
 
@@ -243,7 +245,7 @@ def _bind(parts: Parts, kind: Kind, bindings: list[Binding]) -> Binding | None:
             raise _Refused(Problem(kind.name, node, said.object, text, "name the object that it is"))
         return None
     description = parts.description(node)
-    candidates = _named(said.object) or _by_profile(kind, description, node)
+    candidates = _named(said.object) or _by_profile(kind, description, node, drive_axis_of(parts.part(node)))
     chosen = next((at for at in candidates if not _lacks(description, *at, kind.direction)), None)
     if chosen is None:
         if not candidates and not (kind.needed or said.node):
@@ -276,12 +278,14 @@ def _named(text: str) -> Objects:
     return ((int(index, 16), int(subindex or "0", 16)),)
 
 
-def _by_profile(kind: Kind, description: Description, node: Node) -> Objects:
-    if node == "motor":
-        return MOTOR_OBJECTS.get(kind.name, ())
-    if node == "brake":
-        return BRAKE_OBJECTS[profile_of(description, node)].get(kind.name, ())
-    return SENSED["handle_torque"] if kind.name in SENSED and profile_of(description, node) == CIA404 else ()
+def _by_profile(kind: Kind, description: Description, node: Node, drive_axis: int) -> Objects:
+    """Return the objects that a profile has for a role; of a drive those of its axis."""
+    profile = profile_of(description, node)
+    if node in ("motor", "brake"):
+        objects = MOTOR_OBJECTS if node == "motor" else BRAKE_OBJECTS[profile]
+        places = objects.get(kind.name, ())
+        return tuple((of_axis(index, drive_axis), sub) for index, sub in places) if profile == CIA402 else places
+    return SENSED["handle_torque"] if kind.name in SENSED and profile == CIA404 else ()
 
 
 class Lack(NamedTuple):
@@ -350,16 +354,16 @@ def _scaled(parts: Parts, binding: Binding, said: Role, bindings: list[Binding])
     if name == "position":
         angle = m.encoder_polarity * 2 * math.pi / (parts.motor.encoder_counts_rev * m.ratio)
         return _with(binding, angle, 0.0, "motor.encoder_counts_rev and mechanics.ratio")
-    if name in ("torque_setpoint", "torque") and binding.node == "motor" and binding.entry.index in PER_MILLE:
+    if name in ("torque_setpoint", "torque") and binding.node == "motor" and _per_mille(binding):
         setpoint = next((other for other in bindings if other.kind.name == "torque_setpoint"), None)
-        if setpoint is not None and setpoint.entry.index in PER_MILLE and setpoint.decided.startswith("role."):
+        if setpoint is not None and _per_mille(setpoint) and setpoint.decided.startswith("role."):
             return _with(binding, setpoint.scale, 0.0, setpoint.decided)
         torque = parts.motor.rated_torque_Nm * 1e-3 * m.ratio * m.motor_polarity
         return _with(binding, torque, 0.0, "motor.rated_torque_Nm and mechanics.ratio")
     description = parts.description(binding.node)
     try:
         if name == "velocity":
-            per_count, where = _velocity_unit(description)
+            per_count, where = _velocity_unit(description, drive_axis_of(parts.part(binding.node)))
         else:
             per_count, where = _block_scale(description, binding.entry.index, binding.entry.subindex, binding.kind.unit)
     except ValueError as error:
@@ -377,12 +381,18 @@ def _with(
     return Binding(binding.kind, binding.node, binding.entry, scale, offset, decided, table)
 
 
-def _velocity_unit(description: Description) -> tuple[float, str]:
+def _per_mille(binding: Binding) -> bool:
+    """Tell whether an object counts in per mille of a rated value by the profile."""
+    return first_axis_object(binding.entry.index) in PER_MILLE
+
+
+def _velocity_unit(description: Description, drive_axis: int) -> tuple[float, str]:
     """Return rad/s for one count of 606Ch as 60A9h tells, and where it does."""
     try:
-        return velocity_unit(defaults(description))
+        return velocity_unit(defaults(description, drive_axis))
     except ValueError as error:
-        line = f":{description.variable(VELOCITY_UNIT, 0).line}" if description.has(VELOCITY_UNIT, 0) else ""
+        unit = of_axis(VELOCITY_UNIT, drive_axis)
+        line = f":{description.variable(unit, 0).line}" if description.has(unit, 0) else ""
         raise ValueError(f"{description.path}{line}: {error}") from None
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PdoRecord
+from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.output_limits import brake_end_Nm, brake_limit_raw, motor_limit_Nm
@@ -360,7 +361,7 @@ class Controller:
         """
         setpoint = self.axis.allocation.bound["torque_setpoint"]
         limit = int(self.control["motor_limit_raw"][0])
-        if setpoint.entry.index == TARGET_TORQUE:
+        if first_axis_object(setpoint.entry.index) == TARGET_TORQUE:
             return limit
         rated_Nm = self.axis.motor.rated_torque_Nm * self.axis.mechanics.ratio
         return math.ceil(limit * abs(setpoint.scale) / rated_Nm * 1000)
@@ -373,9 +374,12 @@ class Controller:
         motor, entry = self.axis.description("motor"), self.axis.allocation.bound["torque_setpoint"].entry
         target = motor.variable(entry.index, entry.subindex)
         ends = [(entry.index, target.largest)]
-        per_mille = entry.index == TARGET_TORQUE
-        if per_mille and motor.has(MAX_TORQUE, 0):
-            ends.insert(0, (MAX_TORQUE, motor.variable(MAX_TORQUE, 0).largest))
+        per_mille, max_torque = (
+            first_axis_object(entry.index) == TARGET_TORQUE,
+            of_axis(MAX_TORQUE, axis_of(entry.index)),
+        )
+        if per_mille and motor.has(max_torque, 0):
+            ends.insert(0, (max_torque, motor.variable(max_torque, 0).largest))
         if target.low is not None and target.low < 0:
             ends.append((entry.index, -target.low))
         index, end = min(ends, key=lambda pair: pair[1])

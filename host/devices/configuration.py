@@ -13,6 +13,7 @@ from typing import Any
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.data import decode, encode
 from coulombus.eds.dcf_text import configured
+from coulombus.eds.drive_axis import first_axis_object
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, Value, Variable
 from coulombus.eds.sdo_frames import where
@@ -24,7 +25,6 @@ __all__ = ["Difference", "Dump", "acts", "check_file", "differences", "dump", "r
 Place = tuple[int, int]
 Show = Callable[[int, int], None]
 WRITABLE = ("rw", "rwr")
-AXIS, PROFILE = 0x800, 0x6000
 SETPOINTS = (0x6040, 0x6042, 0x6071, 0x607A, 0x60FF, 0x60B0, 0x60B1, 0x60B2, 0x60FE)
 """Of CiA 402, of a drive's first axis."""
 OUTPUTS = (0x6200, 0x6300, 0x6400, 0x6411, 0x7300, 0x9300)
@@ -44,10 +44,9 @@ def acts(variable: Variable, mapped: Iterable[Place] = ()) -> bool:
     mapped : objects that the device's RPDOs carry
     """
     index = variable.index
-    if PROFILE + AXIS <= index < 0xA000 and (index - PROFILE) % AXIS + PROFILE in SETPOINTS:
-        return True
     return (
-        index in (*SETPOINTS, *OUTPUTS, *COMMANDS)
+        first_axis_object(index) in SETPOINTS
+        or index in (*OUTPUTS, *COMMANDS)
         or variable.access == "rww"
         or (index, variable.subindex) in set(mapped)
     )

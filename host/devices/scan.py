@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.data import decode
+from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.drive_scale import POLARITY, SCALE_OBJECTS, VELOCITY_UNIT
 from coulombus.eds.reader import Variable
 from coulombus.eds.sdo_frames import head
@@ -207,8 +208,12 @@ def _text(raw: bytes) -> str:
     return "".join(letter for letter in text if letter.isprintable()).strip()[:60]
 
 
-def survey(address: BusAddress) -> tuple[Answers, ...]:
+def survey(address: BusAddress, drive_axis: int = 1) -> tuple[Answers, ...]:
     """Return what each node of a bus says that answers SDO, with all that a rig file is made of.
+
+    Parameters
+    ----------
+    drive_axis : of a drive of several; its objects are read besides those of the first
 
     Raises
     ------
@@ -217,9 +222,10 @@ def survey(address: BusAddress) -> tuple[Answers, ...]:
     SafetyTrip
         a host is cycling there: whoever holds the handle is not to be disturbed
     """
+    numbers = tuple(dict.fromkeys((*ASKED, *((of_axis(index, drive_axis), sub) for index, sub in ASKED))))
     with BusLink(address, FILTERS) as link:
         check_alone(link, address)
-        return tuple(answers for answers in scan(link, numbers=ASKED) if answers.answers_sdo)
+        return tuple(answers for answers in scan(link, numbers=numbers) if answers.answers_sdo)
 
 
 def trouble(error_frames: int, classes: int, anybody: bool) -> str:

@@ -17,6 +17,7 @@ from weakref import WeakKeyDictionary
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState, abort_text
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.data import without_fill
+from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.own_devices import MANUFACTURER, is_own
 from coulombus.eds.reader import Value, Variable
 from coulombus.host.cycle.controllers import Controllers
@@ -25,10 +26,11 @@ from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, HostError, No
 from coulombus.host.sdo.bus_answers import BusAnswers
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
-from coulombus.host.setup.device_plan import DevicePlan, device_plans, missing_mode
+from coulombus.host.setup.device_plan import SUPPORTED_MODES, DevicePlan, device_plans, missing_mode
 from coulombus.host.setup.law_demand import check_demand
 from coulombus.host.setup.position_scale import scale_differences
 from coulombus.host.setup.settings import Setting, encoded, number_of
+from coulombus.rigs.devices import drive_axis_of
 from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.plan.rig_plan import plans
 from coulombus.rigs.rig import Rig
@@ -178,11 +180,14 @@ class _Device:
 
     def check_modes(self) -> None:
         """Refuse a drive whose supported drive modes 6502h lack the one that is needed."""
-        if self.plan.mode is None or not self.description.has(0x6502):
+        index = of_axis(SUPPORTED_MODES, drive_axis_of(self.plan.part))
+        if self.plan.mode is None or not self.description.has(index):
             return
-        modes = self.number(0x6502, 0)
+        modes = self.number(index, 0)
         if lacking := missing_mode(modes, self.plan.mode):
-            raise DeviceMismatch(f"{self.name}: supported drive modes 6502h = {modes:#010x} do not include {lacking}")
+            raise DeviceMismatch(
+                f"{self.name}: supported drive modes {index:04X}h = {modes:#010x} do not include {lacking}"
+            )
 
     def scale_differences(self) -> Iterator[str]:
         """Yield how the drive's own scale differs from the rig file's (`setup.position_scale`)."""

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
+from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.eds.sections import number_of
-from coulombus.eds.units import AXIS
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.position_scale import BelievedScale, believed_scale, remark_of
@@ -29,11 +29,10 @@ from coulombus.rigs.pdo_maps import mode_of, writable
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.roles import CIA402, profile_of
 
-__all__ = ["DevicePlan", "device_plans", "missing_mode", "steps_of"]
+__all__ = ["SUPPORTED_MODES", "DevicePlan", "device_plans", "missing_mode", "steps_of"]
 
 READ_ONLY = ("ro", "const")
-PROFILE, AXES, TARGET_TORQUE = 0x6000, 8, 0x6071
-"""CiA 402: the objects of the first axis of at most eight, and its target torque."""
+TARGET_TORQUE, MAX_TORQUE, SUPPORTED_MODES = 0x6071, 0x6072, 0x6502
 NO_TORQUE_LIMIT = "no torque limit of its own"
 
 
@@ -261,30 +260,33 @@ class _Planner:
         """Return the mode of operation, and hold it against 6502h."""
         assert isinstance(self.part, Motor | Brake)
         mode, description = mode_of(self.part, self.description), self.description
-        if not description.has(0x6502):
+        index = of_axis(SUPPORTED_MODES, self.part.drive_axis)
+        if not description.has(index):
             return mode
-        modes = description.default(0x6502, 0, self.part.node_id) if description.has(0x6502, 0) else None
+        modes = description.default(index, 0, self.part.node_id) if description.has(index, 0) else None
         if not isinstance(modes, int) or modes == 0:
-            text = f"{self.who}: {description.path} does not tell the supported drive modes 6502h; bring-up asks the device"
+            text = f"{self.who}: {description.path} does not tell the supported drive modes {index:04X}h; bring-up asks the device"
             self.questions.append(text)
         elif lacking := missing_mode(modes, mode):
-            where = f"{description.path}:{description.variable(0x6502, 0).line}"
-            text = f": supported drive modes 6502h = {modes:#010x} in {where} do not include {lacking}"
+            where = f"{description.path}:{description.variable(index, 0).line}"
+            text = f": supported drive modes {index:04X}h = {modes:#010x} in {where} do not include {lacking}"
             remedy = (
                 "take a drive that has it, correct the file where this one does, or name the maker's own torque or current mode "
                 f"({self.node}.mode) and its set-point ([role.torque_setpoint])"
             )
-            self._problem(text, remedy, "6502h:00")
+            self._problem(text, remedy, f"{index:04X}h:00")
         return mode
 
     def _further_axis(self) -> None:
-        """Refuse a set-point of a further axis of the drive: bring-up sets the first axis alone."""
-        entry = self.axis.allocation.bound["torque_setpoint"].entry
-        number, index = (entry.index - PROFILE) // AXIS + 1, PROFILE + (entry.index - PROFILE) % AXIS
-        if 1 < number <= AXES and index == TARGET_TORQUE:
-            shift = (number - 1) * AXIS
-            own = ", ".join(f"{place + shift:04X}h" for place in (0x6060, 0x6072, 0x605A))
-            why = f"bring-up sets mode, limits and reactions of axis 1; list those of axis {number} ({own}) in [[motor.sdo]]"
+        """Refuse a set-point of another axis of the drive than the one that bring-up sets."""
+        entry, own = self.axis.allocation.bound["torque_setpoint"].entry, self.axis.motor.drive_axis
+        number = axis_of(entry.index)
+        if number != own and first_axis_object(entry.index) == TARGET_TORQUE:
+            objects = ", ".join(f"{of_axis(index, number):04X}h" for index in (0x6060, MAX_TORQUE, 0x605A))
+            why = (
+                f"bring-up sets mode, limits and reactions of axis {own}; set motor.drive_axis = {number}, "
+                f"or list those of axis {number} ({objects}) in [[motor.sdo]]"
+            )
             self._acknowledge(f"its set-point is axis {number}'s", why, True)
 
     def _position(self) -> BelievedScale | None:
@@ -307,16 +309,19 @@ class _Planner:
 
     def _limits(self) -> None:
         """Demand a torque limit that the drive itself keeps."""
-        indices = torque_limits(self.description)
+        number = self.axis.motor.drive_axis
+        indices, max_torque = torque_limits(self.description, number), of_axis(MAX_TORQUE, number)
         if not indices:
+            names = [f"{of_axis(index, number):04X}h" for index in (MAX_TORQUE, 0x60E0, 0x60E1, 0x6073)]
             self._acknowledge(
                 NO_TORQUE_LIMIT,
-                "6072h, 60E0h and 60E1h, 6073h cannot be written; only the host limits",
+                f"{names[0]}, {names[1]} and {names[2]}, {names[3]} cannot be written; only the host limits",
                 self.limit_pm > 0,
             )
-        elif 0x6072 not in indices:
+        elif max_torque not in indices:
+            others = " and ".join(f"{index:04X}h" for index in indices)
             self.losses.append(
-                f"{self.who}: 6072h is not written, it is not described; {' and '.join(f'{index:04X}h' for index in indices)} limit the torque"
+                f"{self.who}: {max_torque:04X}h is not written, it is not described; {others} limit the torque"
             )
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import NamedTuple
 
+from coulombus.eds.drive_axis import first_axis_object, of_axis
 from coulombus.eds.drive_scale import SCALE_OBJECTS, PositionScale, defaults, position_scale, resolution
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.host.errors import SdoAborted
@@ -37,6 +38,7 @@ class BelievedScale(NamedTuple):
     counts_rev : in one turn of the motor
     key : of the rig file that decides it
     accepted : host.accept says that it is the rig file's, whatever the drive tells
+    drive_axis : which axis of the drive it is
     """
 
     who: str
@@ -45,13 +47,18 @@ class BelievedScale(NamedTuple):
     counts_rev: float
     key: str
     accepted: bool
+    drive_axis: int
 
     def told(self, value: Callable[[int, int], int | None]) -> PositionScale:
-        """Return the scale that these values of the drive's objects make."""
-        if self.place == POSITION:
-            return position_scale(value)
+        """Return the scale that these values of the drive's objects make; they are asked for as the
+        first axis' objects.
+        """
+        if first_axis_object(self.place[0]) == POSITION[0]:
+            return position_scale(value, self.drive_axis)
         increments = resolution(value)
-        return PositionScale(None if increments is None else float(increments), "608Fh")
+        return PositionScale(
+            None if increments is None else float(increments), f"{of_axis(0x608F, self.drive_axis):04X}h"
+        )
 
     def difference(self, value: Callable[[int, int], int | None]) -> str:
         """Return how the drive's scale differs, "" where it does not, or the drive does not tell."""
@@ -66,7 +73,8 @@ class BelievedScale(NamedTuple):
 
     def objects(self, has: Callable[[int, int], bool]) -> tuple[tuple[int, int], ...]:
         """Return the objects to read, of those that the drive has."""
-        return tuple(place for place in SCALE_OBJECTS if has(*place))
+        places = ((of_axis(index, self.drive_axis), subindex) for index, subindex in SCALE_OBJECTS)
+        return tuple(place for place in places if has(*place))
 
 
 def believed_scale(axis: Axis, who: str, name: str) -> BelievedScale | None:
@@ -81,11 +89,12 @@ def believed_scale(axis: Axis, who: str, name: str) -> BelievedScale | None:
     if binding is None or binding.node != "motor" or is_own("motor", told_identity(axis.description("motor"))):
         return None
     place = binding.entry.index, binding.entry.subindex
-    if place not in (POSITION, INCREMENTS):
+    number = axis.motor.drive_axis
+    if place not in [(of_axis(index, number), subindex) for index, subindex in (POSITION, INCREMENTS)]:
         return None
     counts_rev = 2 * math.pi / (abs(binding.scale) * axis.mechanics.ratio)
     key = binding.decided if binding.decided.startswith("role.") else "motor.encoder_counts_rev"
-    return BelievedScale(who, name, place, counts_rev, key, f"{name}: {OWN_SCALE}" in axis.host.accept)
+    return BelievedScale(who, name, place, counts_rev, key, f"{name}: {OWN_SCALE}" in axis.host.accept, number)
 
 
 def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
@@ -98,10 +107,10 @@ def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
     if not scale.objects(description.has):
         text = "the drive tells no scale of its position: nothing but commissioning guards"
         return "", f"{scale.who}: {text} {scale.key}"
-    difference = scale.difference(defaults(description))
+    difference = scale.difference(defaults(description, scale.drive_axis))
     if difference:
         return f"{difference}; that is {description.path}, and bring-up asks the drive", ""
-    if scale.told(defaults(description)).counts_rev is None:
+    if scale.told(defaults(description, scale.drive_axis)).counts_rev is None:
         text = "does not tell the scale of the position; bring-up asks the drive"
         return f"{scale.who}: {description.path} {text}, and holds {scale.key} against it", ""
     return "", ""
@@ -128,7 +137,7 @@ def scale_differences(
     for index, subindex in scale.objects(has):
         with suppress(SdoAborted):  # the drive has fewer objects than its file
             values[index, subindex] = int.from_bytes(upload(index, subindex), "little")
-    difference = scale.difference(lambda index, subindex: values.get((index, subindex)))
+    difference = scale.difference(lambda index, subindex: values.get((of_axis(index, scale.drive_axis), subindex)))
     if difference:
         accept = f'host.accept = ["{scale.name}: {OWN_SCALE}"] if its objects are wrong'
         yield f"{difference}; correct the key or the drive, or {accept}"

@@ -15,11 +15,12 @@ from typing import Literal
 
 from coulombus.eds.cia301 import DATA_TYPES, CobId, predefined
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE
+from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.drive_scale import POLARITY
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.devices import Brake, DeviceSection, Motor
+from coulombus.rigs.devices import Brake, DeviceSection, Motor, drive_axis_of
 from coulombus.rigs.emergency import emcy_default, emcy_identifier, is_mute
 from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.pdo_maps import mode_of, writable
@@ -110,13 +111,14 @@ def settings_of(axis: Axis, node: str, mode: str, limit_pm: int) -> Iterator[Set
 
 def _listed(part: DeviceSection, node: str, when: Literal["before", "after", "end"]) -> Iterator[Setting]:
     """The rig file's own list. The polarity is written where the drive has another one only."""
+    polarity = of_axis(POLARITY[0], drive_axis_of(part)), POLARITY[1]
     for k, setting in enumerate(part.sdo):
         if setting.when == when:
             yield Setting(
                 *(setting.index, setting.sub, setting.value),
                 key=f"{node}.sdo.{k}",
                 why="the rig file lists it",
-                unless_equal=(setting.index, setting.sub) == POLARITY,
+                unless_equal=(setting.index, setting.sub) == polarity,
                 verify=setting.verify,
                 type=setting.type,
                 listed=True,
@@ -238,52 +240,61 @@ def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bo
     is lost.
     """
     description = axis.description(setpoint.node)
+
+    def at(index: int) -> int:
+        return of_axis(index, part.drive_axis)
+
     mode = mode_of(part, description)
-    readable = not description.has(0x6060, 0) or description.variable(0x6060, 0).access != "wo"
-    yield Setting(0x6060, 0, mode, f"{setpoint.node}.mode", why="the mode of operation", verify=readable)
+    readable = not description.has(at(0x6060), 0) or description.variable(at(0x6060), 0).access != "wo"
+    yield Setting(at(0x6060), 0, mode, f"{setpoint.node}.mode", why="the mode of operation", verify=readable)
     yield Setting(setpoint.entry.index, setpoint.entry.subindex, 0, why="no torque at the start", listed=True)
-    if mode == OPERATION_MODE_PROFILE_TORQUE and description.has(0x6087, 0):
+    if mode == OPERATION_MODE_PROFILE_TORQUE and description.has(at(0x6087), 0):
         rate = axis.limits.torque_rate_Nm_s / abs(setpoint.scale)
-        steep = int(min(math.ceil(rate), description.variable(0x6087, 0).largest, 0x7FFFFFFF))
-        yield Setting(0x6087, 0, steep, "limits.torque_rate_Nm_s", why="the torque's slope: it follows the host's own")
+        steep = int(min(math.ceil(rate), description.variable(at(0x6087), 0).largest, 0x7FFFFFFF))
+        yield Setting(
+            at(0x6087), 0, steep, "limits.torque_rate_Nm_s", why="the torque's slope: it follows the host's own"
+        )
     elif mode == OPERATION_MODE_PROFILE_TORQUE:
         lost = "nothing tells how fast the torque follows in mode 4"
-        yield Setting(0x6087, 0, 0, optional=True, why="the torque's slope", lost=lost)
+        yield Setting(at(0x6087), 0, 0, optional=True, why="the torque's slope", lost=lost)
     if ours:
         return
     exponent = next(k for k in (-3, -4, -5, -6) if abs(axis.bus.period_s * 10**-k % 1) < 1e-6 or k == -6)
     cycle = round(axis.bus.period_s * 10.0**-exponent)
     for sub, value in ((1, cycle), (2, exponent)):
-        yield Setting(0x60C2, sub, value, optional=True, soft=True, unless_equal=True, why="the cycle's period")
+        yield Setting(at(0x60C2), sub, value, optional=True, soft=True, unless_equal=True, why="the cycle's period")
     reactions = (
         (0x6007, DISABLE_VOLTAGE, "the host's loss disables it"),
         *((index, FREE, "no torque when it stops") for index in (0x605A, 0x605B, 0x605C, 0x605E)),
     )
     for index, value, why in reactions:
         lost = "what it does at the host's loss is its own" if index == 0x6007 else ""
-        yield Setting(index, 0, value, optional=True, soft=True, unless_equal=True, why=why, lost=lost)
+        yield Setting(at(index), 0, value, optional=True, soft=True, unless_equal=True, why=why, lost=lost)
 
 
-def torque_limits(description: Description) -> tuple[int, ...]:
-    """Return the objects that limit a drive's torque: 6072h, else 60E0h and 60E1h, else 6073h.
+def torque_limits(description: Description, drive_axis: int = 1) -> tuple[int, ...]:
+    """Return the objects that limit the torque of a drive's axis: 6072h, else 60E0h and 60E1h, else
+    6073h.
 
     None where it has none that can be written.
     """
+    max_torque, max_current = of_axis(MAX_TORQUE, drive_axis), of_axis(MAX_CURRENT, drive_axis)
+    both_ways = tuple(of_axis(index, drive_axis) for index in TORQUE_LIMITS)
 
     def usable(index: int) -> bool:
         return description.has(index, 0) and description.variable(index, 0).access not in ("ro", "const")
 
-    if usable(MAX_TORQUE):
-        return (MAX_TORQUE,)
-    if all(map(usable, TORQUE_LIMITS)):
-        return TORQUE_LIMITS
-    return (MAX_CURRENT,) if usable(MAX_CURRENT) else ()
+    if usable(max_torque):
+        return (max_torque,)
+    if all(map(usable, both_ways)):
+        return both_ways
+    return (max_current,) if usable(max_current) else ()
 
 
 def _motor_settings(axis: Axis, mode: str, limit_pm: int, ours: bool) -> Iterator[Setting]:
     description = axis.description("motor")
     yield from _drive_settings(axis, axis.motor, axis.allocation.bound["torque_setpoint"], ours)
-    for index in torque_limits(description):
+    for index in torque_limits(description, axis.motor.drive_axis):
         low = description.variable(index, 0).low
         value, note = limit_pm, ""
         if low is not None and limit_pm < low:

@@ -20,6 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from coulombus.eds.drive_axis import first_axis_object, of_axis
 from coulombus.eds.drive_scale import (
     POLARITY,
     Polarity,
@@ -35,6 +36,7 @@ from coulombus.node.brake404 import BRAKE404
 from coulombus.node.constants import OUTPUTS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402, with_own_mode
+from coulombus.node.further_axis import on_axis
 from coulombus.node.io401 import ANALOGUE_OUT
 from coulombus.node.kinds import of_description
 from coulombus.node.motion402 import MODES
@@ -42,6 +44,7 @@ from coulombus.node.profile import CoreObject, Key, Profile
 from coulombus.node.relaxed_eds import Opened, opened
 from coulombus.node.slots import FIRST_FREE
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.devices import DeviceSection, drive_axis_of
 from coulombus.rigs.pdo_maps import mode_of
 from coulombus.rigs.plant import Plant
 from coulombus.rigs.roles import PER_MILLE, Binding
@@ -91,8 +94,8 @@ def stand_ins(axis: Axis) -> tuple[StandIn, ...]:
 
 def _stand_in(axis: Axis, node: Node) -> StandIn:
     description = axis.description(node)
-    base = DRIVE402 if node == "motor" else of_description(description)
-    profile = base
+    base, number = DRIVE402 if node == "motor" else of_description(description), drive_axis_of(axis.part(node))
+    profile = base if base is not DRIVE402 else on_axis(base, number)
     for binding in axis.allocation.bound.bindings:
         if binding.node == node and binding.kind.name in ("torque_setpoint", "brake_setpoint") and base is DRIVE402:
             profile = _drive(axis, binding)
@@ -100,7 +103,7 @@ def _stand_in(axis: Axis, node: Node) -> StandIn:
     first = max(FIRST_FREE, *(row.slot + 1 for row in profile.objects))
     rows = (CoreObject(*key, first + k, changing=True, named=True) for k, key in enumerate(keys))
     counts_rev = axis.simulation.plant.encoder_counts_rev if node == "motor" else 0
-    served = opened(description, base, counts_rev)
+    served = opened(description, base, counts_rev, number)
     return StandIn(node, axis.part(node).node_id, served, profile.fitted(*rows))
 
 
@@ -125,13 +128,13 @@ def _own_scale(axis: Axis) -> _OwnScale:
     """Return the scale of another maker's drive, as its file and the objects have it that the rig
     file writes to it.
     """
-    description = axis.description("motor")
+    description, number = axis.description("motor"), axis.motor.drive_axis
     if is_own("motor", told_identity(description)):
         return _OwnScale()
-    stored, written = defaults(description), {(row.index, row.sub): row.value for row in axis.motor.sdo}
+    stored, written = defaults(description, number), {(row.index, row.sub): row.value for row in axis.motor.sdo}
 
     def value(index: int, subindex: int) -> int | None:
-        return written.get((index, subindex), stored(index, subindex))
+        return written.get((of_axis(index, number), subindex), stored(index, subindex))
 
     delivered, rad_s = polarity(stored(*POLARITY)), None
     sense = Polarity(*(now * then for now, then in zip(polarity(value(*POLARITY)), delivered, strict=True)))
@@ -148,14 +151,14 @@ def _drive(axis: Axis, setpoint: Binding) -> Profile:
     """Return the drive with the mode and the set-point that the rig file names."""
     part = axis.brake if setpoint.node == "brake" else axis.motor
     mode = mode_of(part, axis.description(setpoint.node))
-    if _key(setpoint) == _SETPOINT and mode in MODES:
-        return DRIVE402
-    return with_own_mode(mode, _key(setpoint), _per_mille(axis, setpoint))
+    own = _own_key(part, setpoint)
+    drive = DRIVE402 if own == _SETPOINT and mode in MODES else with_own_mode(mode, own, _per_mille(axis, setpoint))
+    return on_axis(drive, part.drive_axis)
 
 
 def _per_mille(axis: Axis, setpoint: Binding) -> float:
     """Return how many per mille of rated torque one count of a set-point is."""
-    if setpoint.entry.index in PER_MILLE:
+    if _by_profile(setpoint):
         return 1.0
     if setpoint.kind.name == "torque_setpoint":
         return abs(setpoint.scale) / (axis.motor.rated_torque_Nm * 1e-3 * axis.mechanics.ratio)
@@ -166,6 +169,20 @@ def _per_mille(axis: Axis, setpoint: Binding) -> float:
 
 def _key(binding: Binding) -> Key:
     return binding.entry.index, binding.entry.subindex
+
+
+def _own_key(part: DeviceSection, binding: Binding) -> Key:
+    """Return the object of the first axis that means what a role's object does of the axis that
+    the device is.
+    """
+    index, subindex = _key(binding)
+    first = first_axis_object(index)
+    return (first if of_axis(first, drive_axis_of(part)) == index else index), subindex
+
+
+def _by_profile(binding: Binding) -> bool:
+    """Tell whether an object counts in per mille of a rated value."""
+    return first_axis_object(binding.entry.index) in PER_MILLE
 
 
 def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
@@ -182,14 +199,11 @@ def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
         if by_itself and not binding.decided.startswith(_BY_ROLE) and binding.offset == 0.0:
             continue
         if kind is DRIVE402 and binding.node == "motor":
-            if name == "position" and _key(binding) == _POSITION and binding.decided.startswith(_BY_ENCODER):
+            own = _own_key(axis.motor, binding)
+            if name == "position" and own == _POSITION and binding.decided.startswith(_BY_ENCODER):
                 continue
-            by_setpoint = setpoint is not None and setpoint.entry.index in PER_MILLE and binding.scale == setpoint.scale
-            if (
-                name == "torque"
-                and _key(binding) in _DRIVES_TORQUE
-                and (by_setpoint or binding.decided.startswith(_BY_RATED))
-            ):
+            by_setpoint = setpoint is not None and _by_profile(setpoint) and binding.scale == setpoint.scale
+            if name == "torque" and own in _DRIVES_TORQUE and (by_setpoint or binding.decided.startswith(_BY_RATED)):
                 continue
         yield binding
 
@@ -221,7 +235,7 @@ def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, t
     record["shown_count"] = len(shown)
     bound = axis.allocation.bound
     setpoint = bound.get("torque_setpoint")
-    if setpoint is not None and setpoint.entry.index in PER_MILLE and setpoint.decided.startswith(_BY_ROLE):
+    if setpoint is not None and _by_profile(setpoint) and setpoint.decided.startswith(_BY_ROLE):
         per_mille = abs(setpoint.scale) * p.ratio / axis.mechanics.ratio
         plant["motor_Nm_pm"] = p.motor_polarity * per_mille * p.motor_rated_torque_Nm / axis.motor.rated_torque_Nm
     plant["motor_Nm_pm"] *= own.sense.torque
@@ -266,14 +280,16 @@ def _truth(axis: Axis, p: Plant, binding: Binding, own: _OwnScale) -> tuple[floa
     counts, name = 1 / abs(binding.scale), binding.kind.name
     of_drive = binding.node == "motor"
     if name == "position":
-        counts_rev = {_POSITION: own.counts_rev, _INCREMENTS: own.increments}.get(_key(binding)) if of_drive else None
+        counts_rev = (
+            {_POSITION: own.counts_rev, _INCREMENTS: own.increments}.get(_own_key(motor, binding)) if of_drive else None
+        )
         sense = p.encoder_polarity * (own.sense.position if of_drive else 1)
         if counts_rev is not None:
             return sense * counts_rev * p.ratio / (2 * math.pi), 0.0
         turns = p.encoder_counts_rev * p.ratio / (motor.encoder_counts_rev * believed.ratio)
         return sense * counts * turns, 0.0
     if name == "velocity":
-        if of_drive and _key(binding) == _VELOCITY and own.rad_s is not None:
+        if of_drive and _own_key(motor, binding) == _VELOCITY and own.rad_s is not None:
             return p.encoder_polarity * own.sense.velocity * p.ratio / own.rad_s, 0.0
         return p.encoder_polarity * counts * p.ratio / believed.ratio, 0.0
     if name == "torque":

@@ -7,9 +7,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import Entry
-from coulombus.eds.reader import Description
+from coulombus.eds.reader import Description, Variable
 from coulombus.eds.sections import number_of
 from coulombus.rigs.roles import checked_entry
 from coulombus.rigs.signals import Direction, Node
@@ -34,6 +35,7 @@ class DraftDevice:
     node : "motor", "brake", or a sensor's name
     eds : the EDS file, as the rig file is to name it
     answers : what the live device has for an object; none where none was asked
+    axis : which axis of a drive it is; objects are asked for by the indices that the first one has
     """
 
     node: Node
@@ -41,16 +43,34 @@ class DraftDevice:
     eds: str
     node_id: int
     answers: Mapping[Place, int] = field(default_factory=dict)
+    axis: int = 1
 
     @property
     def own(self) -> bool:
         """Whether it is this project's own device."""
         return is_own(self.node, told_identity(self.description))
 
+    def at(self, index: int) -> int:
+        """Return the object of this axis that the first one has at `index`."""
+        return of_axis(index, self.axis)
+
+    def has(self, index: int, subindex: int | None = None) -> bool:
+        """Tell whether the EDS file describes an object of this axis."""
+        return self.description.has(self.at(index), subindex)
+
+    def variable(self, index: int, subindex: int = 0) -> Variable:
+        """Return what the EDS file says of an object of this axis."""
+        return self.description.variable(self.at(index), subindex)
+
+    def label(self, place: Place) -> str:
+        """Return an object of this axis as people write it."""
+        return label((self.at(place[0]), place[1]))
+
     def value(self, index: int, subindex: int = 0) -> int | None:
         """Return what an object holds: the device's answer, else the EDS file's default; None where
         neither tells.
         """
+        index = self.at(index)
         answer = self.answers.get((index, subindex))
         if answer is not None or not self.description.has(index, subindex):
             return answer
@@ -59,14 +79,14 @@ class DraftDevice:
 
     def source(self, index: int, subindex: int = 0) -> str:
         """Return who says what `value` returns."""
-        return "the device" if (index, subindex) in self.answers else "the EDS file"
+        return "the device" if (self.at(index), subindex) in self.answers else "the EDS file"
 
     def entry(self, place: Place, direction: Direction) -> Entry | None:
         """Return the entry that maps an object; None where no PDO of this direction can
         carry it.
         """
         try:
-            return checked_entry(self.description, *place, direction)
+            return checked_entry(self.description, self.at(place[0]), place[1], direction)
         except ValueError:
             return None
 

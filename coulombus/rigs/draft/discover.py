@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 
@@ -32,12 +32,13 @@ Answered = Mapping[int, Mapping[Place, int]]
 @dataclass(frozen=True)
 class DeviceChoice:
     """What the user says of a device: its EDS file ("bench": our own; "": whoever answers on the
-    bus), and its node id.
+    bus), its node id, and which axis of a drive it is.
     """
 
     node: Node
     eds: str = ""
     node_id: int | None = None
+    axis: int = 1
 
 
 @dataclass
@@ -64,7 +65,7 @@ class _Gathering:
             first = {"motor": 1, "brake": 2}.get(choice.node, 3)
             node_id = next(number for number in (*range(first, LAST), *range(1, first)) if number not in self.node_ids)
         self.node_ids.add(node_id)
-        return DraftDevice(choice.node, description, name, node_id, self.left.pop(node_id, {}))
+        return DraftDevice(choice.node, description, name, node_id, self.left.pop(node_id, {}), choice.axis)
 
     def _read(self, choice: DeviceChoice) -> tuple[str, Description]:
         if choice.eds == OWN and choice.node in OWN_FILES:
@@ -180,7 +181,7 @@ def gather(
             node_id = choice.node_id or (here.motor() if choice.node == "motor" else here.brake())
             if node_id not in here.left:
                 raise RigError([f"node {node_id}, which is to be the {choice.node}, did not answer on the bus"])
-            devices[choice.node] = here.live(choice.node, node_id)
+            devices[choice.node] = replace(here.live(choice.node, node_id), axis=choice.axis)
     for node_id in here.with_objects(INPUTS):
         devices[f"sensor{node_id}"] = here.live(f"sensor{node_id}", node_id)
     return (devices.pop("motor"), devices.pop("brake"), *devices.values())

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from coulombus.eds.drive_axis import PROFILE_OBJECTS, axis_of
 from coulombus.rigs.accepted_mapping import with_accepted
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.draft.brake import describe_brake, describe_sensors
@@ -24,6 +25,7 @@ from coulombus.rigs.draft.draft_text import CHECK, REHEARSAL, RigText
 from coulombus.rigs.draft.motor import describe_motor
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.plan.rig_plan import plans
+from coulombus.rigs.problem import Problem
 from coulombus.rigs.rig import Rig, load_rig, load_rig_text
 from coulombus.rigs.roles import ROLES
 from coulombus.system.foreign_text import one_line
@@ -83,6 +85,8 @@ class Draft:
         self.devices = tuple(
             replace(device, description=with_accepted(device.description, device.node, accept)) for device in devices
         )
+        for device in self.devices:
+            _check_axis(device)
         self.like, self.path, self.rehearse = like, path, rehearse
         values = like.model_dump(by_alias=True, exclude_defaults=True)
         for name in ("sensor", "role", "axis", *(() if rehearse else SIMULATED)):
@@ -247,6 +251,17 @@ class Draft:
                 raise error
             self.text.drop(f"role.{role}")
             self.text.put(f"role.{role}.object", "none", why)
+
+
+def _check_axis(device: DraftDevice) -> None:
+    """Refuse an axis of which a drive has no object."""
+    first = device.at(PROFILE_OBJECTS)
+    if device.axis == 1 or any(axis_of(index) == device.axis for index in device.description.objects):
+        return
+    text = f"{device.description.path} has no object of axis {device.axis}, from {first:04X}h on"
+    remedy = "take the EDS file of a drive that has this axis, or leave --axis out"
+    problem = Problem("torque_setpoint", device.node, f"{first:04X}h", text, remedy)
+    raise RigError([f"{device.node}: {problem}"], [problem])
 
 
 def _law_from_anywhere(like: Axis) -> str:

@@ -18,7 +18,7 @@ from coulombus.eds.drive_scale import (
     resolution,
 )
 from coulombus.rigs.accepted_mapping import mapping_sentence
-from coulombus.rigs.draft.device import DraftDevice, Place, label
+from coulombus.rigs.draft.device import DraftDevice, Place
 from coulombus.rigs.draft.draft_text import CHECK, RigText
 from coulombus.rigs.draft.makers import MakerMode, maker_mode
 from coulombus.rigs.draft.torque_units import AMPERES, NEWTON_METRES, rated_unit, unit_of
@@ -28,6 +28,8 @@ from coulombus.rigs.problem import Problem
 __all__ = ["TorqueCommand", "command_of", "describe_mode", "describe_motor"]
 
 TARGET_TORQUE: Place = (0x6071, 0)
+SUPPORTED_MODES: Place = (0x6502, 0)
+RATED_TORQUE: Place = (0x6076, 0)
 SLOPE, TORQUE_OFFSET, INTERPOLATION = 0x6087, 0x60B2, 0x60C2
 WITNESS = "bring-up holds it against the drive; commissioning and the travel of the sign check prove it"
 LEAST_TORQUE_Nm, MOST_TORQUE_Nm = 1e-3, 1000.0
@@ -58,12 +60,11 @@ def command_of(device: DraftDevice) -> TorqueCommand:
         no PDO can carry a torque or current set-point, or no mode follows one
     """
     offered = device.value(0x6502)
-    says = f"6502h = 0x{offered:X} of {device.source(0x6502)}" if offered else "6502h tells nothing"
+    modes = device.label(SUPPORTED_MODES)
+    says = f"{modes} = 0x{offered:X} of {device.source(0x6502)}" if offered else f"{modes} tells nothing"
     if device.entry(TARGET_TORQUE, "rpdo"):
         if not offered:
-            slope_only = device.description.has(SLOPE) and not (
-                device.description.has(TORQUE_OFFSET) or device.description.has(INTERPOLATION)
-            )
+            slope_only = device.has(SLOPE) and not (device.has(TORQUE_OFFSET) or device.has(INTERPOLATION))
             mode = PROFILE_TORQUE if slope_only else CST
             return TorqueCommand(
                 mode,
@@ -73,34 +74,31 @@ def command_of(device: DraftDevice) -> TorqueCommand:
         for mode in (CST, PROFILE_TORQUE):
             if offered >> (mode - 1) & 1:
                 return TorqueCommand(mode, None, "")
-    lacking = f"{label(TARGET_TORQUE)} is not " + (
-        "mappable" if device.description.has(*TARGET_TORQUE) else "described"
-    )
+    lacking = f"{device.label(TARGET_TORQUE)} is not " + ("mappable" if device.has(*TARGET_TORQUE) else "described")
     if device.entry(TARGET_TORQUE, "rpdo"):
         lacking = f"{says} offers neither cyclic synchronous torque (10) nor profile torque (4)"
-    maker = maker_mode(device)
+    maker = maker_mode(device) if device.axis == 1 else None
     if maker is not None:
         known = "" if maker.sure else ", by its objects' names: find its number in the manual"
         return TorqueCommand(maker.mode, maker, f"{lacking}; this is {maker.name}{known}")
     text = f"{_where(device)}: no torque or current set-point that a PDO can carry: {lacking}"
     remedy = _way(device)
     role = f"{'brake' if device.node == 'brake' else 'torque'}_setpoint"
-    problem = Problem(role, device.node, label(TARGET_TORQUE), text, remedy)
+    problem = Problem(role, device.node, device.label(TARGET_TORQUE), text, remedy)
     raise RigError([f"{device.node}: {problem}"], [problem])
 
 
 def _where(device: DraftDevice) -> str:
     """Return the file, and the line of 6071h where the file has it."""
-    description = device.description
-    line = f":{description.variable(*TARGET_TORQUE).line}" if description.has(*TARGET_TORQUE) else ""
-    return f"{description.path}{line}"
+    line = f":{device.variable(*TARGET_TORQUE).line}" if device.has(*TARGET_TORQUE) else ""
+    return f"{device.description.path}{line}"
 
 
 def _way(device: DraftDevice) -> str:
     """Return what can be done with a drive in whose file nothing carries a torque."""
     ways = []
-    if device.description.has(*TARGET_TORQUE) and not device.description.variable(*TARGET_TORQUE).pdo_mappable:
-        sentence = mapping_sentence(device.node, *TARGET_TORQUE)
+    if device.has(*TARGET_TORQUE) and not device.variable(*TARGET_TORQUE).pdo_mappable:
+        sentence = mapping_sentence(device.node, device.at(TARGET_TORQUE[0]), TARGET_TORQUE[1])
         ways.append(
             f'where the drive maps it all the same, acknowledge it (init --accept "{sentence}", host.accept in the rig file): '
             "bring-up tries, and the drive's answer decides"
@@ -126,6 +124,8 @@ def describe_mode(text: RigText, device: DraftDevice, command: TorqueCommand) ->
 def describe_motor(text: RigText, device: DraftDevice) -> None:
     """Set [motor], and the roles of a drive that is not ours."""
     command = command_of(device)
+    if device.axis > 1:
+        text.put(f"{device.node}.drive_axis", device.axis)
     describe_mode(text, device, command)
     rated_Nm = _rated_torque(text, device)
     _position(text, device)
@@ -171,8 +171,8 @@ def _most_per_mille(device: DraftDevice, command: TorqueCommand) -> int:
     """Return the largest set-point that 6071h and 6072h take, at most the rated torque."""
     ends = [1000]
     for index in (TARGET_TORQUE[0], 0x6072):
-        if device.description.has(index, 0):
-            variable = device.description.variable(index, 0)
+        if device.has(index, 0):
+            variable = device.variable(index, 0)
             ends.append(int(variable.largest))
             if variable.low is not None and variable.low < 0:
                 ends.append(int(-variable.low))
@@ -199,26 +199,35 @@ def _rated_torque(text: RigText, device: DraftDevice) -> float:
         for scale, said in ((unit, whence),) if whence else ((1e-3, MILLI), (1e-6, MICRO)):
             rated_Nm = float(f"{rated * scale:.6g}")
             if LEAST_TORQUE_Nm <= rated_Nm <= MOST_TORQUE_Nm:
-                source = f"{device.source(0x6076)} has 6076h = {rated}, {said}"
+                source = f"{device.source(0x6076)} has {device.label(RATED_TORQUE)} = {rated}, {said}"
                 text.put("motor.rated_torque_Nm", rated_Nm, f"{source}; {READINGS}")
                 return rated_Nm
-    text.put("motor.rated_torque_Nm", like_Nm, f"6076h tells nothing, see the motor's data sheet; {READINGS}")
+    text.put(
+        "motor.rated_torque_Nm",
+        like_Nm,
+        f"{device.label(RATED_TORQUE)} tells nothing, see the motor's data sheet; {READINGS}",
+    )
     return like_Nm
 
 
 def _position(text: RigText, device: DraftDevice) -> None:
     by_increments = not device.entry((0x6064, 0), "tpdo") and device.entry((0x6063, 0), "tpdo")
-    key, scale = "motor.encoder_counts_rev", position_scale(device.value)
+    key, scale = "motor.encoder_counts_rev", position_scale(device.value, device.axis)
     if by_increments:
         increments = resolution(device.value)
-        scale = PositionScale(None if increments is None else float(increments), "608Fh")
-        text.put("role.position.object", "6063", "6064h cannot be mapped; 6063h counts increments of the encoder")
+        scale = PositionScale(None if increments is None else float(increments), device.label((0x608F, 0)))
+        why = f"{device.label((0x6064, 0))} cannot be mapped; {device.label((0x6063, 0))} counts increments of the encoder"
+        text.put("role.position.object", _spelled(device, (0x6063, 0)), why)
     if scale.counts_rev is None:
         like, what = text.get(key), "counts of the position in one turn of the motor"
         text.put(key, like, f"{scale.by}: {what}. Commissioning and the travel of the sign check prove it")
     else:
-        lines = "; some drives tell the lines there, which are a quarter of it" if scale.by.startswith("608Fh") else ""
-        asked = any(place in device.answers for place in SCALE_OBJECTS)
+        lines = (
+            "; some drives tell the lines there, which are a quarter of it"
+            if scale.by.startswith(device.label((0x608F, 0)))
+            else ""
+        )
+        asked = any((device.at(index), sub) in device.answers for index, sub in SCALE_OBJECTS)
         whence = (
             f"{scale.by} of {'the device' if asked else 'the EDS file'}: {scale.counts_rev:.9g} counts of the position"
         )
@@ -231,17 +240,24 @@ def _sense(text: RigText, device: DraftDevice) -> None:
     measured with.
     """
     code = device.value(*POLARITY)
-    if code is None or not 0 <= code <= 0xFF or not device.description.has(*POLARITY):
+    if code is None or not 0 <= code <= 0xFF or not device.has(*POLARITY):
         return
     sense = polarity(code)
     inverted = [name for name, sign in sense._asdict().items() if sign < 0]
-    told = f"607Eh = 0x{code:02X} of {device.source(*POLARITY)} inverts {' and '.join(inverted) or 'nothing'}"
-    variable = device.description.variable(*POLARITY)
+    told = f"{device.label(POLARITY)} = 0x{code:02X} of {device.source(*POLARITY)} inverts {' and '.join(inverted) or 'nothing'}"
+    variable = device.variable(*POLARITY)
     for key, sign in (("encoder_polarity", sense.position), ("motor_polarity", sense.torque)):
         if sign < 0:
             text.put(f"mechanics.{key}", -text.get(f"mechanics.{key}"), f"{told}; the sign check proves it")
     if variable.bits == 8 and variable.access not in ("ro", "const", "wo"):
-        row = {"index": POLARITY[0], "sub": 0, "type": "UNSIGNED8", "value": code, "when": "before", "verify": True}
+        row = {
+            "index": device.at(POLARITY[0]),
+            "sub": 0,
+            "type": "UNSIGNED8",
+            "value": code,
+            "when": "before",
+            "verify": True,
+        }
         why = f"{told}; bring-up writes it, as the polarities of [mechanics] go with it"
         text.append(f"{device.node}.sdo", row, why)
 
@@ -250,29 +266,29 @@ def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: f
     """Set the scale of a set-point that is not in per mille of the rated torque, and of the torque
     that flows.
     """
-    text.put("role.torque_setpoint.object", _spelled(maker.setpoint))
+    text.put("role.torque_setpoint.object", _spelled(device, maker.setpoint))
     unit = unit_of(device, maker.setpoint)
     if unit in NEWTON_METRES:
-        scale, why = NEWTON_METRES[unit], f"the name of {label(maker.setpoint)} says {unit}"
+        scale, why = NEWTON_METRES[unit], f"the name of {device.label(maker.setpoint)} says {unit}"
     elif maker.unit == "mA" or unit in AMPERES:
         mA = AMPERES.get(unit, 1.0)
         current_mA = device.value(*maker.continuous_mA) if maker.continuous_mA else device.value(0x6075)
-        named = label(maker.continuous_mA) if maker.continuous_mA else "6075h"
+        named = device.label(maker.continuous_mA) if maker.continuous_mA else device.label((0x6075, 0))
         whence = f"{named} says {current_mA} mA" if current_mA else f"{GUESSED_mA} mA is a guess"
         scale = float(f"{rated_Nm / (current_mA or GUESSED_mA) * mA:.4g}")
         why = f"Nm for 1 {unit or 'mA'} is the motor's torque constant, see its data sheet; here the rated torque at the rated current ({whence})"
     else:
         scale = float(f"{rated_Nm / 1000:.4g}")
         why = (
-            f"the maker's own unit: Nm at the shaft for one count of {label(maker.setpoint)}; here a per mille of the rated torque. "
+            f"the maker's own unit: Nm at the shaft for one count of {device.label(maker.setpoint)}; here a per mille of the rated torque. "
             "If a count is less, the host pushes less than it believes"
         )
     text.put("role.torque_setpoint.scale_Nm", scale, why)
     if maker.actual is not None and device.entry(maker.actual, "tpdo"):
-        text.put("role.torque.object", _spelled(maker.actual))
+        text.put("role.torque.object", _spelled(device, maker.actual))
         text.put("role.torque.scale_Nm", scale, "it counts as the set-point does")
     elif place := next((at for at in ((0x6077, 0), (0x6078, 0)) if device.entry(at, "tpdo")), None):
-        text.put("role.torque.object", _spelled(place))
+        text.put("role.torque.object", _spelled(device, place))
         text.put(
             "role.torque.scale_Nm", float(f"{rated_Nm / 1000:.4g}"), "per mille of the rated torque, as CiA 402 has it"
         )
@@ -283,11 +299,13 @@ def _named_unit(text: RigText, device: DraftDevice) -> None:
     for role, index in (("torque_setpoint", 0x6071), ("torque", 0x6077)):
         unit = unit_of(device, (index, 0))
         if unit in NEWTON_METRES:
-            text.put(f"role.{role}.object", _spelled((index, 0)))
-            text.put(f"role.{role}.scale_Nm", NEWTON_METRES[unit], f"the name of {index:04X}h says {unit}")
+            text.put(f"role.{role}.object", _spelled(device, (index, 0)))
+            text.put(
+                f"role.{role}.scale_Nm", NEWTON_METRES[unit], f"the name of {device.label((index, 0))} says {unit}"
+            )
 
 
-def _spelled(place: Place) -> str:
+def _spelled(device: DraftDevice, place: Place) -> str:
     """Return an object as the rig file has it."""
-    index, subindex = place
+    index, subindex = device.at(place[0]), place[1]
     return f"{index:04X}:{subindex:X}" if subindex else f"{index:04X}"

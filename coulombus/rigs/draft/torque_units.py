@@ -24,9 +24,9 @@ def unit_of(device: DraftDevice, place: Place) -> str:
     spell it; "" where it tells none.
     """
     index, subindex = place
-    if not device.description.has(index, subindex):
+    if not device.has(index, subindex):
         return ""
-    entry = device.description.objects[index]
+    entry = device.description.objects[device.at(index)]
     found = UNIT.search(f"{entry.name} {entry.variables[subindex].name}")
     return found[1].replace(" ", "").replace("\u00b5", "u").replace("\u03bc", "u") if found else ""
 
