@@ -211,6 +211,13 @@ class Mechanics(Section):
     cogging_periods: int = Field(
         0, ge=0, le=1000, description="identified periods of the cogging in one revolution of the motor; 0: none"
     )
+    counts_turn: float | None = Field(
+        None,
+        gt=0,
+        le=1e12,
+        description="counts of the position in one turn of the handle, as measured between marks",
+        json_schema_extra={"expected": "a number above 0, at most 1e12", "range": "above 0, at most 1e12"},
+    )
 
 
 class Law(Section):

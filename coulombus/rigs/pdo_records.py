@@ -80,9 +80,7 @@ def records_of(
     known = description.derived.setdefault(records_of, {})
     key = node_id, direction, period_ns, transmission, drive_axis
     if key not in known:
-        every = tuple(_records_of(description, *key))
-        belonging = {record.identifier: record for record in reversed(every) if _belongs(record, drive_axis)}
-        known[key] = tuple(reversed(belonging.values())) or every
+        known[key] = tuple(_records_of(description, *key))
     records: tuple[PdoParameters, ...] = known[key]
     return records
 
@@ -91,7 +89,10 @@ def _records_of(
     description: Description, node_id: int, direction: Direction, period_ns: int, preferred: int, drive_axis: int
 ) -> Iterator[PdoParameters]:
     first = COMMUNICATION[direction]
-    for index in sorted(index for index in description.objects if first <= index < first + PDO_COUNT):
+    indices = sorted(index for index in description.objects if first <= index < first + PDO_COUNT)
+    own = [index for index in indices if _belongs(description, node_id, direction, index - first + 1, drive_axis)]
+    taken: set[int] = set()
+    for place, index in enumerate(own or indices):
         number, mapping = index - first + 1, index - first + MAPPING[direction]
         if not (description.has(index, 1) and description.has(mapping, 0)):
             continue
@@ -100,18 +101,18 @@ def _records_of(
         word = default if isinstance(default, int) else 0
         identifier = word & 0x1FFFFFFF
         if writable(identity):
-            place = number - pdo_numbers(drive_axis).start
             if number <= PREDEFINED:
                 identifier = FIRST[direction] + 0x100 * (number - 1) + node_id
-            elif not identifier and 0 <= place < PREDEFINED and not _keeps(description, first + place):
+            elif own and not identifier and place < PREDEFINED and not _keeps(description, first + place):
                 identifier = FIRST[direction] + 0x100 * place + node_id
         elif word & INVALID:
             continue
-        if not 0 < identifier <= 0x7FF:
+        if not 0 < identifier <= 0x7FF or (own and identifier in taken):
             continue
         transmission = _transmission(description, index, preferred, direction)
         if transmission is None:
             continue
+        taken.add(identifier)
         event_ns = _event_ns(description, index, node_id, period_ns) if direction == "tpdo" else 0
         yield PdoParameters(
             direction,
@@ -127,12 +128,11 @@ def _records_of(
         )
 
 
-def _belongs(record: PdoParameters, drive_axis: int) -> bool:
+def _belongs(description: Description, node_id: int, direction: Direction, number: int, drive_axis: int) -> bool:
     """Tell whether a PDO is a further axis' of a drive: by its number, or by what it carries."""
-    if drive_axis == 1:
-        return True
-    return record.number in pdo_numbers(drive_axis) or any(
-        axis_of(entry.index) == drive_axis for entry in record.entries
+    return drive_axis > 1 and (
+        number in pdo_numbers(drive_axis)
+        or any(axis_of(entry.index) == drive_axis for entry in _default_map(description, node_id, direction, number))
     )
 
 

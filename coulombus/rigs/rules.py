@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from coulombus.rigs.toml_lines import Key, Table
 __all__ = ["check", "check_roles", "remarks"]
 
 INT16_MAX = 32767
+WITNESS_SHARE = 0.05
+"""By so much the scale of the position may differ from what was measured between marks."""
 NODES = ("host", "motor", "brake")
 SIMULATION = ("plant", "operator")
 """Sections of a rig that is simulated; the host needs none of them."""
@@ -144,6 +147,23 @@ REMARKS = (
 )  # fmt: skip
 
 
+def _check_witness(values: Table, source: Source) -> None:
+    """Hold the scale of the position against the counts that were measured between marks."""
+    keys = [_key(path) for path in ("mechanics.counts_turn", "motor.encoder_counts_rev", "mechanics.ratio")]
+    scale = ("role", "position", "scale_rad")
+    if any(source.is_wrong(key) for key in (*keys, scale)):
+        return
+    measured, counts, ratio, angle = (_value(values, key) for key in (*keys, scale))
+    if measured is None or counts is None or ratio is None:
+        return
+    believed, by = counts * ratio, "motor.encoder_counts_rev x mechanics.ratio"
+    if angle is not None:
+        believed, by = 2 * math.pi / angle, "role.position.scale_rad"
+    if abs(believed / measured - 1) > WITNESS_SHARE:
+        expected = f"{believed:.6g}, which {by} makes, within {WITNESS_SHARE:.0%}: correct that, or measure between marks again"
+        source.stands(keys[0], measured, expected)
+
+
 def _rules_of_sensors(values: Table) -> Iterator[Rule]:
     """Yield for each sensor what holds for motor and brake: an id of its own, heartbeats faster
     than their time-outs.
@@ -163,14 +183,17 @@ def _broken_rules(rules: Iterable[Rule], values: Table, source: Source) -> Itera
     for rule in rules:
         if any(source.is_wrong(key) for key in rule.keys):
             continue
-        operands: list[Any] = []
-        for key in rule.keys:
-            value: Any = values
-            for part in key:
-                value = value.get(part) if isinstance(value, Mapping) else None
-            operands.append(value)
+        operands = [_value(values, key) for key in rule.keys]
         if None not in operands and not rule.holds(*operands):
             yield rule.keys[0], operands[0], rule.expected.format(*map(shown, operands))
+
+
+def _value(values: Table, key: Key) -> Any:
+    """Return the value of a key; None where there is none."""
+    value: Any = values
+    for part in key:
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def check(values: Table, source: Source) -> None:
@@ -180,6 +203,7 @@ def check(values: Table, source: Source) -> None:
     rules = (*RULES, *(PER_MILLE_RULES if per_mille else ()), *_rules_of_sensors(values))
     for key, value, expected in list(_broken_rules(rules, values, source)):
         source.stands(key, value, expected)
+    _check_witness(values, source)
     check_detail(values, source)
     for key in device_keys(values)[2:]:
         if not re.fullmatch(SENSOR_NAME, str(key[-1])) or key[-1] in TAKEN:

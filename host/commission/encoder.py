@@ -7,6 +7,7 @@ transmission's ratio. The data sheet's counts are believed, and the ratio is cor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from coulombus.host.commission.samples import mean_in, span_of, thinned
@@ -45,7 +46,9 @@ LEAST_CHANGE = 0.002
 
 
 class Encoder(Step):
-    """Sign of the encoder, and counts of a turn of the handle."""
+    """Sign of the encoder, and counts of a turn of the handle; these stay in the rig file as the
+    second witness of the position's scale.
+    """
 
     name = "encoder"
     title = "encoder's sign and the ratio, by hand between two marks"
@@ -120,6 +123,15 @@ class Encoder(Step):
             ratio = axis.mechanics.ratio
             new = round(ratio * factor, 4)
             findings.append(Finding("mechanics.ratio", "ratio", ratio, new, "", new * reach, basis, changed=other))
+        counts_turn = float(f"{counts * 2 * math.pi / marks:.6g}")
+        was = axis.mechanics.counts_turn
+        findings.append(
+            Finding(
+                *("mechanics.counts_turn", "counts of a turn of the handle", was, counts_turn, ""),
+                *(counts_turn * reach, basis),
+                changed=was is None or abs(was / counts_turn - 1) > max(reach, LEAST_CHANGE),
+            )
+        )
         curve = Curve(
             "By hand from mark to mark",
             "time [s]",

@@ -25,6 +25,7 @@ OWN_SCALE = "position scale is the rig file's"
 """What host.accept acknowledges, after the drive's name, where its objects tell another scale than
 it has.
 """
+MARKS = "`coulombus commission --step encoder` measures it between two marks"
 POSITION, INCREMENTS = (0x6064, 0), (0x6063, 0)
 
 
@@ -103,10 +104,16 @@ def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
     """
     description = axis.description("motor")
     if scale.accepted:
-        return "", f"{scale.who}: {OWN_SCALE}, and no object of the drive is held against it (host.accept)"
+        guard = "" if axis.mechanics.counts_turn is not None else f"; nothing guards {scale.key}: {MARKS}"
+        return "", f"{scale.who}: {OWN_SCALE}, and no object of the drive is held against it (host.accept){guard}"
     if not scale.objects(description.has):
-        text = "the drive tells no scale of its position: nothing but commissioning guards"
-        return "", f"{scale.who}: {text} {scale.key}"
+        text = "the drive tells no scale of its position"
+        if axis.mechanics.counts_turn is not None:
+            return (
+                "",
+                f"{scale.who}: {text}; what was measured between marks guards {scale.key} (mechanics.counts_turn)",
+            )
+        return "", f"{scale.who}: {text}: nothing guards {scale.key}; {MARKS}"
     difference = scale.difference(defaults(description, scale.drive_axis))
     if difference:
         return f"{difference}; that is {description.path}, and bring-up asks the drive", ""

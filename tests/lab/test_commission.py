@@ -281,6 +281,7 @@ def test_turning_by_hand_between_marks_tells_sign_and_ratio(afternoon, sign):
     mechanics = session.rig().one_axis().mechanics
     assert mechanics.encoder_polarity == sign
     assert mechanics.ratio == pytest.approx(9.2, rel=0.002)
+    assert mechanics.counts_turn == pytest.approx(8192 * 9.2, rel=0.002)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

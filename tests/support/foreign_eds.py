@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from node_bench import EDS
 
 MOTOR = (EDS / "motor.eds").read_text()
@@ -53,3 +55,24 @@ def with_record(text, index, *defaults):
 def geared(text):
     """Give a drive of 8192 increments 3,600 units a turn of a shaft behind a gear of 10 to 1."""
     return with_record(with_record(text, "6091", 10, 1), "6092", 3600, 1)
+
+
+def dual(text, pdos=0x40):
+    """Give a drive a second axis: objects 800h higher, and PDOs `pdos` higher, without identifiers;
+    0: none.
+    """
+    return text + "\n" + "\n\n".join(filter(None, (_second(part.strip("\n"), pdos) for part in text.split("\n\n"))))
+
+
+def _second(section, pdos):
+    head = re.match(r"\[(6[05]|1[468A])(..)(sub[0-9A-F]+)?\]", section)
+    if head is None or (head[1].startswith("1") and not pdos):
+        return ""
+    step = 0x800 if head[1].startswith("6") else pdos
+    body = section[head.end() :]
+    if head[1] in ("16", "1A") and head[3] not in (None, "sub0"):
+        word = re.compile(r"(?m)^DefaultValue=0x(6[0-7][0-9A-Fa-f]{6})$")
+        body = word.sub(lambda found: f"DefaultValue=0x{int(found[1], 16) + 0x8000000:08X}", body)
+    if head[1] in ("14", "18") and head[3] == "sub1":
+        body = re.sub("(?m)^DefaultValue=.*$", "DefaultValue=0x80000000", body)
+    return f"[{int(head[1] + head[2], 16) + step:04X}{head[3] or ''}]{body}\n"

@@ -91,6 +91,7 @@ class Draft:
         values = like.model_dump(by_alias=True, exclude_defaults=True)
         for name in ("sensor", "role", "axis", *(() if rehearse else SIMULATED)):
             values.pop(name, None)
+        values["mechanics"].pop("counts_turn", None)  # of the other rig's encoder
         for key in ("accept", "deadman"):  # of the other rig's devices
             values["host"].pop(key, None)
         node_ids = {device.node_id for device in self.devices}
