@@ -29,6 +29,7 @@ __all__ = [
     "CONTROLWORD_FIELDS",
     "CONTROLWORD_TO_ENABLE",
     "INTERNAL_LIMIT",
+    "MODE_NAMES",
     "NEXT_STATE",
     "OPERATION_MODE_CST",
     "OPERATION_MODE_CSV",
@@ -78,6 +79,23 @@ OPERATION_MODE_PROFILE_VELOCITY = 3
 OPERATION_MODE_PROFILE_TORQUE = 4
 OPERATION_MODE_CSV = 9
 OPERATION_MODE_CST = 10
+
+MODE_NAMES: Mapping[int, str] = MappingProxyType(
+    {
+        0: "no mode",
+        1: "profile position",
+        2: "velocity",
+        3: "profile velocity",
+        4: "profile torque",
+        6: "homing",
+        7: "interpolated position",
+        8: "cyclic synchronous position",
+        9: "cyclic synchronous velocity",
+        10: "cyclic synchronous torque",
+        11: "cyclic synchronous torque with commutation angle",
+    }
+)
+"""Modes of operation (6060h, 6061h); bit n - 1 of 6502h is mode n."""
 
 VOLTAGE_ENABLED = 0x0010
 INTERNAL_LIMIT = 0x0800

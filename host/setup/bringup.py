@@ -28,6 +28,7 @@ from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
 from coulombus.host.setup.device_plan import SUPPORTED_MODES, DevicePlan, device_plans, missing_mode
 from coulombus.host.setup.law_demand import check_demand
+from coulombus.host.setup.mode_display import check_shown_mode, mode_remedy, mode_words
 from coulombus.host.setup.position_scale import scale_differences
 from coulombus.host.setup.settings import Setting, encoded, number_of
 from coulombus.rigs.devices import drive_axis_of
@@ -205,6 +206,11 @@ class _Device:
             try:
                 self.write(setting)
             except SdoAborted as refused:
+                if not setting.soft and setting.key == f"{self.plan.role}.mode":
+                    mode = mode_words(setting.value)
+                    raise SdoAborted(
+                        f"{refused}: it refuses mode {mode}; {mode_remedy(self.plan, self.upload)}"
+                    ) from None
                 if not setting.soft:
                     raise
                 left_out.add((setting.index, setting.subindex))
@@ -285,7 +291,19 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     losses = configure(plans, plane)
     _command(plane, NmtCommand.START)
     wait_operational(plans, plane)
-    return losses
+    return (*losses, *_shown_modes(plans, plane))
+
+
+def _shown_modes(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:
+    """Hold the modes that the drives show against those that were written; return what is lost."""
+    devices = [_Device(plane, plan, BusAnswers()) for plan in plans]
+    try:
+        told = [check_shown_mode(device.plan, device.upload, plane.wait_ns) for device in devices]
+    except HostError:
+        _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
+        plane.wait_ns(SETTLE_NS)
+        raise
+    return tuple(filter(None, told))
 
 
 def configure(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:

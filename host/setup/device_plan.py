@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from coulombus.eds.cia301 import CobId
-from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
+from coulombus.eds.cia402 import MODE_NAMES, OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
@@ -22,17 +22,19 @@ from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.position_scale import BelievedScale, believed_scale, remark_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.devices import Brake, DeviceSection, Motor
+from coulombus.rigs.devices import Brake, DeviceSection, Motor, drive_axis_of
 from coulombus.rigs.emergency import emcy_default
 from coulombus.rigs.guarding import beats
 from coulombus.rigs.pdo_maps import mode_of, writable
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.roles import CIA402, profile_of
 
-__all__ = ["SUPPORTED_MODES", "DevicePlan", "device_plans", "missing_mode", "steps_of"]
+__all__ = ["MODE_DISPLAY", "NOT_SHOWN", "SUPPORTED_MODES", "DevicePlan", "device_plans", "missing_mode", "steps_of"]
 
 READ_ONLY = ("ro", "const")
-TARGET_TORQUE, MAX_TORQUE, SUPPORTED_MODES = 0x6071, 0x6072, 0x6502
+TARGET_TORQUE, MAX_TORQUE, SUPPORTED_MODES, MODE_DISPLAY = 0x6071, 0x6072, 0x6502, 0x6061
+NOT_SHOWN = "6061h does not show the mode"
+"""What host.accept acknowledges of a drive, after its name."""
 NO_TORQUE_LIMIT = "no torque limit of its own"
 
 
@@ -51,6 +53,7 @@ class DevicePlan:
     questions : what the EDS file does not tell, and the device itself is asked
     losses : what is not written, and what the host loses by that
     reactions : who notices the host's loss, and what happens then
+    shows_mode : whether a drive's mode is held against what 6061h shows
     position : the scale of the drive's position, which bring-up holds against the drive's own; None
         where it has none
     """
@@ -67,6 +70,7 @@ class DevicePlan:
     questions: tuple[str, ...]
     losses: tuple[str, ...]
     reactions: tuple[Reaction, ...]
+    shows_mode: bool = False
     position: BelievedScale | None = None
 
     @property
@@ -117,6 +121,7 @@ class _Planner:
         left_out = {(s.index, s.subindex) for s in there} - {(s.index, s.subindex) for s in kept}
         read_backs = tuple((at, value) for at, value in final.items() if at not in unread | left_out)
         operation_mode = self._modes() if self._is_drive else None
+        shows_mode = self._is_drive and self._shows_mode()
         position = None
         if self.node == "motor":
             self._limits()
@@ -142,6 +147,7 @@ class _Planner:
             questions=tuple(map(said, self.questions)),
             losses=tuple(map(said, self.losses)),
             reactions=reactions,
+            shows_mode=shows_mode,
             position=position,
         )
 
@@ -277,6 +283,15 @@ class _Planner:
             self._problem(text, remedy, f"{index:04X}h:00")
         return mode
 
+    def _shows_mode(self) -> bool:
+        """Tell whether the mode is held against what the drive shows; ours shows it always."""
+        sentence = f"{self.name}: {NOT_SHOWN}"
+        if sentence in self.axis.host.accept:
+            self.losses.append(f"{sentence} (host.accept)")
+            return False
+        index = of_axis(MODE_DISPLAY, drive_axis_of(self.part))
+        return not self.ours and self.description.has(index, 0) and self.description.variable(index, 0).access != "wo"
+
     def _further_axis(self) -> None:
         """Refuse a set-point of another axis of the drive than the one that bring-up sets."""
         entry, own = self.axis.allocation.bound["torque_setpoint"].entry, self.axis.motor.drive_axis
@@ -410,13 +425,9 @@ def missing_mode(modes: int, mode: int) -> str:
     """Return the mode that 6502h does not name, in words; "" where it does, or a maker's own mode
     is used.
     """
-    words: Mapping[int, str] = {
-        OPERATION_MODE_CST: "cyclic synchronous torque",
-        OPERATION_MODE_PROFILE_TORQUE: "profile torque",
-    }
-    if mode not in words or modes >> (mode - 1) & 1:
+    if mode not in (OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE) or modes >> (mode - 1) & 1:
         return ""
-    return words[mode]
+    return MODE_NAMES[mode]
 
 
 def steps_of(plans: Sequence[DevicePlan]) -> Iterator[tuple[DevicePlan, Setting]]:
