@@ -1,5 +1,5 @@
 """What a count of a CiA 402 drive's position and velocity is, and which way it counts: the factor
-group 608Fh, 6091h, 6092h, the SI units 60A8h and 60A9h, and the polarity 607Eh.
+group 608Fh, 6091h, 6092h and 6093h, the SI units 60A8h and 60A9h, and the polarity 607Eh.
 
 CiA 402-2 has for the position actual value 6064h, in user units::
 
@@ -9,7 +9,8 @@ CiA 402-2 has for the position actual value 6064h, in user units::
     gear       = 6091h:1 / 6091h:2   turns of the motor in one of the driving shaft
     feed       = 6092h:1 / 6092h:2   user units in one turn of the driving shaft
 
-so that one turn of the motor is feed / gear. Where 6092h is 1 / 1, which is its value before
+so that one turn of the motor is feed / gear. The first edition of CiA 402 has the position factor
+6093h, increments in one unit, in their place: one turn is resolution / factor. Where 6092h is 1 / 1, which is its value before
 anybody has set it, the unit 60A8h tells the user units in a turn; where that says nothing, or
 increments, they are those of 608Fh.
 """
@@ -41,10 +42,11 @@ Place = tuple[int, int]
 Values = Callable[[int, int], int | None]
 """The value of an object by index and sub-index; None where nobody tells it."""
 
-POSITION_UNIT, VELOCITY_UNIT = 0x60A8, 0x60A9
+POSITION_FACTOR, POSITION_UNIT, VELOCITY_UNIT = 0x6093, 0x60A8, 0x60A9
 POLARITY: Place = (0x607E, 0)
 SCALE_OBJECTS: tuple[Place, ...] = (
     *((0x608F, 1), (0x608F, 2), (0x6091, 1), (0x6091, 2), (0x6092, 1), (0x6092, 2)),
+    *((POSITION_FACTOR, 1), (POSITION_FACTOR, 2)),
     (POSITION_UNIT, 0),
 )
 """Objects that decide the scale of 6064h."""
@@ -145,6 +147,13 @@ def position_scale(value: Values, axis: int = 1) -> PositionScale:
         return PositionScale(
             float(feed / gear), f"{feed_name} = {value(0x6092, 1)}/{value(0x6092, 2) or 1}{geared}{other}"
         )
+    factor = _ratio(value, POSITION_FACTOR)
+    if factor is not None and factor != 1:
+        factor_name = of_axis(POSITION_FACTOR, axis)
+        by = f"{factor_name:04X}h = {value(POSITION_FACTOR, 1)}/{value(POSITION_FACTOR, 2) or 1}, {resolution_name}"
+        if increments is None:
+            return PositionScale(None, f"{by} tells nothing")
+        return PositionScale(float(increments / factor), f"{by} = {value(0x608F, 1)}/{value(0x608F, 2) or 1}")
     if turn is not None and turn >= LEAST_UNITS:
         return PositionScale(turn / float(gear), f"{unit_name} = 0x{code or 0:08X}{geared}")
     if increments is not None:

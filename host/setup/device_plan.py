@@ -19,7 +19,7 @@ from coulombus.eds.reader import Description, Variable
 from coulombus.eds.sections import number_of
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
-from coulombus.host.setup.position_scale import BelievedScale, believed_scale, remark_of
+from coulombus.host.setup.position_scale import BelievedScale, believed_scale, early_wrap, remark_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, DeviceSection, Motor, drive_axis_of
@@ -309,7 +309,7 @@ class _Planner:
         scale = believed_scale(self.axis, self.who, self.name)
         question, loss = ("", "") if scale is None else remark_of(self.axis, scale)
         self.questions += [question] if question else []
-        self.losses += [loss] if loss else []
+        self.losses += [text for text in (loss, early_wrap(self.axis, self.who)) if text]
         return scale
 
     def _silent(self) -> None:

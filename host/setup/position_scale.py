@@ -19,13 +19,14 @@ from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.host.errors import SdoAborted
 from coulombus.rigs.axis import Axis
 
-__all__ = ["OWN_SCALE", "BelievedScale", "believed_scale", "remark_of", "scale_differences"]
+__all__ = ["OWN_SCALE", "BelievedScale", "believed_scale", "early_wrap", "remark_of", "scale_differences"]
 
 OWN_SCALE = "position scale is the rig file's"
 """What host.accept acknowledges, after the drive's name, where its objects tell another scale than
 it has.
 """
 MARKS = "`coulombus commission --step encoder` measures it between two marks"
+RANGE_LIMIT = 0x607B
 POSITION, INCREMENTS = (0x6064, 0), (0x6063, 0)
 
 
@@ -121,6 +122,21 @@ def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
         text = "does not tell the scale of the position; bring-up asks the drive"
         return f"{scale.who}: {description.path} {text}, and holds {scale.key} against it", ""
     return "", ""
+
+
+def early_wrap(axis: Axis, who: str) -> str:
+    """Return that the drive's position wraps sooner than its type does (607Bh); "" where the EDS file
+    does not say so.
+    """
+    binding, description = axis.allocation.bound["position"], axis.description("motor")
+    index = of_axis(RANGE_LIMIT, axis.motor.drive_axis)
+    low, high = (description.default(index, sub, 0) if description.has(index, sub) else None for sub in (1, 2))
+    if binding.node != "motor" or not (isinstance(low, int) and isinstance(high, int)):
+        return ""
+    if not 0 < high - low < (1 << binding.entry.bits) - 1:
+        return ""
+    follows = f"the host follows a wrap of {binding.entry.bits} bits alone, and trips with ENCODER_JUMP there"
+    return f"{who}: {index:04X}h lets the position wrap from {high} to {low}; {follows}"
 
 
 def scale_differences(

@@ -43,6 +43,19 @@ def test_a_turn_of_the_motor_has_the_units_of_cia_402s_formula(increments, motor
     assert told == pytest.approx(float(expected))
 
 
+@given(st.integers(16, 10**7), NUMBERS, NUMBERS)
+def test_the_position_factor_of_the_first_edition_is_increments_in_a_unit(increments, numerator, denominator):
+    told = position_scale(values(x608F=(increments, 1), x6093=(numerator, denominator)))
+    factor = Fraction(numerator, denominator)  # position units x factor = increments
+    assert told.counts_rev == pytest.approx(float(increments / factor))
+    assert ("6093h" in told.by) == (factor != 1)
+
+
+def test_a_position_factor_without_the_encoders_increments_tells_no_scale():
+    assert position_scale(values(x6093=(8192, 360))).counts_rev is None
+    assert position_scale(values(x6093=(8192, 360), x60A8=MILLIDEGREES)).counts_rev is None
+
+
 @given(
     st.sampled_from([(0x10, 2 * math.pi), (0x41, 360), (0x42, 21_600), (0x43, 1_296_000)]), st.integers(-6, 0), NUMBERS
 )
