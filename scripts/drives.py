@@ -84,7 +84,7 @@ def _position(rig_file: str) -> str:
 
 def _named(path: Path, after: str) -> re.Pattern[str]:
     """Return what finds a file in a message: a rig file may name it by a path of its own."""
-    return re.compile(rf"\S*/{re.escape(path.name)}{after}")
+    return re.compile(rf"\S*/{re.escape(path.name)}(?::\d+)?{after}")
 
 
 def _lost(texts: Sequence[str], role: str, path: Path) -> str:

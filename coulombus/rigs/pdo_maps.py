@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from coulombus.eds.cia402 import OPERATION_MODE_CST as CST
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE as PROFILE_TORQUE
 from coulombus.eds.drive_axis import of_axis
-from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout
+from coulombus.eds.pdo import COMMUNICATION, PDO_BITS, Entry, PdoLayout
 from coulombus.eds.reader import Description
 from coulombus.rigs.deadman_object import bind_switch
 from coulombus.rigs.devices import Brake, Motor, drive_axis_of
@@ -178,7 +178,8 @@ class _Device:
             self.absent.add(binding.kind.name)
             self.losses.append(f"{binding.kind.lost} ({label} of {self.prefix}{self.node} finds no place in {way})")
             return
-        text = f"{self.description.path}: {label} finds no place in {way}: {reason}"
+        where = f"{self.description.path}:{self.description.variable(*binding.place[1:]).line}"
+        text = f"{where}: {label} finds no place in {way}: {reason}"
         optional = "" if binding.kind.needed else f', or leave the role out: [role.{binding.kind.name}] object = "none"'
         self.problems.append(
             Problem(binding.kind.name, self.node, label, text, f"take a device that can send it{optional}")
@@ -217,6 +218,12 @@ class _Device:
             )
         return RigPdo(self.prefix + self.node, self.part.node_id, layout, signals, fixed=stands, constants=constants)
 
+    def _where(self, record: PdoParameters) -> str:
+        """Return where the EDS file tells a PDO's transmission type."""
+        index = COMMUNICATION[self.direction] + record.number - 1
+        subindex = 2 if self.description.has(index, 2) else 1
+        return f"{self.description.path}:{self.description.variable(index, subindex).line}"
+
     def _timed(self, record: PdoParameters, name: str, mine: Sequence[Binding]) -> None:
         """Tell that a TPDO does not follow SYNC.
 
@@ -229,7 +236,7 @@ class _Device:
         if not 0 < every_ns <= longest:
             often = f"every {every_ns / 1e6:g} ms" if every_ns else "only when something changes"
             text = (
-                f"{self.description.path}: {name} of the {self.node} cannot follow each SYNC ({what}) and is sent {often}; "
+                f"{self._where(record)}: {name} of the {self.node} cannot follow each SYNC ({what}) and is sent {often}; "
                 f"limits.missed_tpdo_cycles allow {longest / 1e6:g} ms"
             )
             self.problems.append(

@@ -262,7 +262,8 @@ def _bind(parts: Parts, kind: Kind, bindings: list[Binding]) -> Binding | None:
     entry = checked_entry(description, *chosen, kind.direction)
     scaled = _scaled(parts, Binding(kind, node, entry), said, bindings)
     if kind.unit and entry.bits > WIDEST:
-        text = f"{description.path} describes {entry.index:04X}h:{entry.subindex:X} in {entry.bits} bits"
+        where = f"{description.path}:{description.variable(*chosen).line}"
+        text = f"{where}: {entry.index:04X}h:{entry.subindex:X} has {entry.bits} bits"
         raise _Refused(
             Problem(
                 kind.name, node, f"{entry.index:04X}h:{entry.subindex:X}", text, f"take one of at most {WIDEST} bits"

@@ -227,7 +227,8 @@ class _Planner:
         """Refuse a device whose EMCYs come as SYNC, for ever: nobody could tell whose fault it is."""
         default = emcy_default(self.description, self.part.node_id)
         if default == CobId.SYNC and not writable(self.description.variable(0x1014, 0)):
-            text = f", object 1014h:00 is {default:X}h, the identifier of SYNC, and read-only"
+            where = f"{self.description.path}:{self.description.variable(0x1014, 0).line}"
+            text = f", object 1014h:00 is {default:X}h, the identifier of SYNC, and read-only ({where})"
             self._problem(
                 text, "correct the EDS file where the device has another one, or take another device", "1014h:00"
             )
