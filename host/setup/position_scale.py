@@ -25,7 +25,7 @@ OWN_SCALE = "position scale is the rig file's"
 """What host.accept acknowledges, after the drive's name, where its objects tell another scale than
 it has.
 """
-MARKS = "`coulombus commission --step encoder` measures it between two marks"
+MARKS = "coulombus commission --step encoder measures it between two marks"
 RANGE_LIMIT = 0x607B
 POSITION, INCREMENTS = (0x6064, 0), (0x6063, 0)
 
@@ -105,7 +105,7 @@ def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
     """
     description = axis.description("motor")
     if scale.accepted:
-        guard = "" if axis.mechanics.counts_turn is not None else f"; nothing guards {scale.key}: {MARKS}"
+        guard = "" if axis.mechanics.counts_turn is not None else f", and nothing guards {scale.key} ({MARKS})"
         return "", f"{scale.who}: {OWN_SCALE}, and no object of the drive is held against it (host.accept){guard}"
     if not scale.objects(description.has):
         text = "the drive tells no scale of its position"
@@ -114,7 +114,7 @@ def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
                 "",
                 f"{scale.who}: {text}; what was measured between marks guards {scale.key} (mechanics.counts_turn)",
             )
-        return "", f"{scale.who}: {text}: nothing guards {scale.key}; {MARKS}"
+        return "", f"{scale.who}: {text}: nothing guards {scale.key} ({MARKS})"
     difference = scale.difference(defaults(description, scale.drive_axis))
     if difference:
         return f"{difference}; that is {description.path}, and bring-up asks the drive", ""
@@ -136,7 +136,7 @@ def early_wrap(axis: Axis, who: str) -> str:
     if not 0 < high - low < (1 << binding.entry.bits) - 1:
         return ""
     follows = f"the host follows a wrap of {binding.entry.bits} bits alone, and trips with ENCODER_JUMP there"
-    return f"{who}: {index:04X}h lets the position wrap from {high} to {low}; {follows}"
+    return f"{who}: {index:04X}h lets the position wrap from {high} to {low}: {follows}"
 
 
 def scale_differences(

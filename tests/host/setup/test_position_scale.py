@@ -96,7 +96,7 @@ def test_check_says_what_the_file_leaves_open_and_what_nothing_guards():
     assert any("counts 360" in text and "says 8192" in text for text in plan_of(GEARED).questions)
     untold = edited(another(MOTOR), "608Fsub1", DefaultValue="")
     assert any("does not tell the scale" in text for text in plan_of(untold).questions)
-    unguarded = "nothing but commissioning guards motor.encoder_counts_rev"
+    unguarded = "nothing guards motor.encoder_counts_rev"
     assert any(unguarded in text for text in plan_of(without(another(MOTOR), "608F")).losses)
     assert not any("scale" in text for text in (*plan_of(another(MOTOR)).questions, *plan_of(another(MOTOR)).losses))
 
