@@ -425,6 +425,7 @@ def test_what_bring_up_leaves_out_is_told_device_by_device():
     wire = Wire(*plans_of(k))
     for device in wire.devices.values():
         device.values[0x6502, 0] = b"\0\x02\0\0"
+        device.values[0x6061, 0] = b"\x0a"
         device.values |= {(0x608F, 1): b"\0\x20\0\0", (0x608F, 2): b"\x01\0\0\0"}
         device.values |= {(s.index, s.subindex): b"" for plan in plans_of(k) for s in plan.writes if s.unless_equal}
     refused = REFUSED

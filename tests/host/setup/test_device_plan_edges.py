@@ -338,7 +338,8 @@ def test_a_map_and_an_inhibit_time_need_a_pdo_that_can_be_made_invalid(index, su
 @pytest.mark.parametrize("identifier", ["0x80", "0x81"])
 def test_a_device_whose_emcy_is_sync_for_ever_is_refused(access, identifier):
     plan = motor_of(edit(MOTOR, "1014", AccessType=access, DefaultValue=identifier))
-    text = "motor (node 1), object 1014h:00 is 80h, the identifier of SYNC, and read-only"
+    line = plan.description.variable(0x1014, 0).line
+    text = f"motor (node 1), object 1014h:00 is 80h, the identifier of SYNC, and read-only (motor.eds:{line})"
     remedy = "correct the EDS file where the device has another one, or take another device"
     refused = access == "ro" and identifier == "0x80"
     assert plan.problems == ((("", "motor", "1014h:00", text, remedy, ""),) if refused else ())
