@@ -22,6 +22,7 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.eds.reader import read_eds
 from documented import HERE, RULES, commands_of, documented, pages, rule_of, strangers
+from foreign_eds import another, dual
 from places import ROOT
 from reader import Reader, missing
 from xdd_text import as_xdd
@@ -49,6 +50,7 @@ def inputs(tmp_path_factory):
     call(["init", "--drive", "bench", "--brake", "bench", "--rehearse", "-o", str(folder / "my-rig.toml")])
     for name in ("vendor.eds", "drive.eds"):
         shutil.copy(ROOT / "eds" / "motor.eds", folder / name)
+    (folder / "dual.eds").write_text(dual(another((ROOT / "eds" / "motor.eds").read_text())))
     (folder / "vendor.xdd").write_text(as_xdd(read_eds(ROOT / "eds" / "motor.eds")))
     for name, faults in (("candump.log", ["--faults", str(ROOT / "examples" / "faults.toml")]), ("both.log", [])):
         log, recorded = folder / name, folder / f"of-{name}.pcapng"
