@@ -87,7 +87,8 @@ def study(folder: Path, figures: Path | None, exploration: bool, as_json: bool) 
     """
     with errors():
         from coulombus.lab.study.results.pictures import write_figures
-        from coulombus.lab.study.results.report import lines, report
+        from coulombus.lab.study.results.report import report
+        from coulombus.lab.study.results.report_text import lines
 
         result = report(folder, exploration=exploration)
         if figures is not None:

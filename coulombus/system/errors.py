@@ -57,7 +57,6 @@ CoulombusError
 +-- ParameterError               2   analysis.theory.operators    ValueError
 +-- PcapngError                  2   recording.pcapng_blocks
 +-- PortError                    2   monitor.forward
-+-- QuestMissing                 2   lab.study.methods
 +-- RecordingError               2   recording.pcapng_blocks      OSError
 +-- ReplayError                  2   lab.replay.host_replay
 +-- RigError                     3   rigs.errors

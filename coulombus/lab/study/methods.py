@@ -14,24 +14,18 @@ which is 70.7 % for :math:`n = 2, r = 1`.
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
+from scipy.special import ndtr, xlogy
 
-from coulombus.system.errors import CoulombusError
-
-__all__ = ["Fixed", "Method", "Quest", "QuestMissing", "Staircase", "target"]
+__all__ = ["Fixed", "Method", "Mirrored", "Quest", "Staircase", "mirrored", "target"]
 
 SIGMAS, CANDIDATES = 60, 25
-
-
-class QuestMissing(CoulombusError):
-    """The library of QUEST+ is not installed; the text says how to get it."""
-
-    exit_status = 2
+SHIFTS = tuple(float(shift) for shift in np.linspace(-1.5, 1.5, 9))
+"""Shifts of the point of subjective equality that QUEST+ weighs, in units of sigma."""
 
 
 class Method(Protocol):
@@ -109,32 +103,73 @@ class Staircase:
         self._level = round(min(max(moved, self._bounds[0]), self._bounds[1]), 12)
 
 
-class Quest:
-    r"""QUEST+ for :math:`p = \Phi((x - x_{ref}) / \sigma)` [Watson 2017], by the library questplus: each
-    trial shows the level after which the entropy of :math:`\sigma` is expected to be least.
+class Mirrored:
+    """Two staircases that take turns at random: one above the reference, its mirror image below.
 
-    Raises
-    ------
-    QuestMissing
-        questplus is not installed
+    The middle between them is the point of subjective equality, and their distance tells the slope
+    [García-Pérez and Alcalá-Quintana 2011, doi:10.3758/s13414-011-0167-x]. Of each two trials one is
+    of each staircase; of an odd number of trials the last is above.
     """
 
-    def __init__(self, reference: float, bounds: tuple[float, float], trials: int, lapse: float) -> None:
+    def __init__(self, reference: float, above: Staircase, below: Staircase, rng: np.random.Generator) -> None:
+        self._reference, self._above, self._below, self._rng = reference, above, below, rng
+        self._turns: list[bool] = []
+
+    @property
+    def done(self) -> bool:
+        """Whether all trials were answered."""
+        return self._above.done and self._below.done
+
+    def level(self) -> float:
+        """Return what the next trial shows."""
+        if not self._turns:
+            self._turns = [True] if self._below.done else [bool(k) for k in self._rng.permutation(2)]
+        return self._above.level() if self._turns[-1] else mirrored(self._below.level(), self._reference)
+
+    def take(self, level: float, right: bool) -> None:
+        """Let the staircase of the trial learn of the answer. At the reference, `right` means that the
+        level was judged larger.
+        """
+        if self._turns.pop():
+            self._above.take(level, right)
+        else:
+            self._below.take(mirrored(level, self._reference), right != (level == self._reference))
+
+
+def mirrored(level: float, reference: float) -> float:
+    """Return the level as far on the other side of the reference."""
+    return round(2 * reference - level, 12)
+
+
+class Quest:
+    r"""QUEST+ for :math:`p = \Phi((x - x_{ref}) / \sigma - m)` [Watson 2017, doi:10.1167/17.3.10]: each trial
+    shows the level after which the entropy of sigma and shift together is expected to be least.
+
+    Parameters
+    ----------
+    bounds : lowest and highest level; levels on both sides of the reference tell the shift best
+    shifts : which m are possible, with the prior of the analysis, standard normal
+    """
+
+    def __init__(
+        self,
+        reference: float,
+        bounds: tuple[float, float],
+        trials: int,
+        lapse: float,
+        shifts: Sequence[float] = SHIFTS,
+    ) -> None:
         low, high = bounds
-        span = high - reference
-        self._quest: Any = _questplus()(
-            stim_domain={"intensity": np.round(np.linspace(low, high, CANDIDATES), 12)},
-            param_domain={
-                "mean": np.array([reference]),
-                "sd": np.geomspace(span / 100.0, span * 4.0, SIGMAS),
-                "lower_asymptote": np.array([lapse / 2.0]),
-                "lapse_rate": np.array([lapse / 2.0]),
-            },
-            outcome_domain={"response": ["right", "wrong"]},
-            func="norm_cdf",
-            stim_scale="linear",
-        )
-        self._left = trials
+        span = max(high - reference, reference - low)
+        count = CANDIDATES if low >= reference else 2 * CANDIDATES - 1
+        self._levels = np.round(np.linspace(low, high, count), 12)
+        sigma, shift = np.geomspace(span / 100.0, span * 4.0, SIGMAS), np.asarray(shifts, float)
+        middle = (self._levels[:, None, None] - reference) / sigma[:, None] - shift
+        larger = (lapse / 2 + (1 - lapse) * ndtr(middle)).reshape(count, -1)
+        self._chances = np.stack([1 - larger, larger])  # of an answer, at a level, for a pair (sigma, shift)
+        belief = np.tile(np.exp(-(shift**2) / 2), (SIGMAS, 1)).ravel()
+        self._belief, self._sigma = belief / belief.sum(), np.repeat(sigma, len(shift))
+        self._reference, self._left = reference, trials
         self._next: float | None = None
 
     @property
@@ -145,23 +180,23 @@ class Quest:
     @property
     def believed(self) -> float:
         """The mean of sigma as QUEST+ believes it."""
-        return float(self._quest.param_estimate["sd"])
+        return float(self._belief @ self._sigma)
 
     def level(self) -> float:
         """Return what the next trial shows."""
         if self._next is None:
-            self._next = float(self._quest.next_stim["intensity"])
+            after = self._belief * self._chances
+            share = after.sum(axis=2, keepdims=True)
+            entropy = -xlogy(after, after / share).sum(axis=2).sum(axis=0)
+            self._next = float(self._levels[np.argmin(entropy)])
         return self._next
 
     def take(self, level: float, right: bool) -> None:
-        """Weigh each sigma by the chance that it gave to the answer."""
+        """Weigh each pair by the chance that it gave to the answer. At the reference, `right` means that
+        the level was judged larger.
+        """
         self._left -= 1
         self._next = None
-        self._quest.update(stim={"intensity": level}, outcome={"response": "right" if right else "wrong"})
-
-
-def _questplus() -> Any:
-    try:
-        return importlib.import_module("questplus.qp").QuestPlus
-    except ImportError:
-        raise QuestMissing("the method \"quest\" needs questplus: pip install '.[study]' in the clone") from None
+        larger = right if level >= self._reference else not right
+        self._belief = self._belief * self._chances[int(larger), int(np.argmin(np.abs(self._levels - level)))]
+        self._belief /= self._belief.sum()

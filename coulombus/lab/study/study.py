@@ -41,6 +41,7 @@ from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.host.setup.law_demand import cut_off
 from coulombus.lab.file_mistakes import FileMistakes, read_checked, rig_beside
 from coulombus.lab.study.change_bounds import widened
+from coulombus.lab.study.methods import mirrored
 from coulombus.rigs.errors import nearest, toml_value
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.rigs.toml_lines import Key, split_key
@@ -82,7 +83,9 @@ class Constant(_Strict):
 
 
 class Staircase(_Strict):
-    """An adaptive staircase: down after `down` right answers, up after a wrong one."""
+    """An adaptive staircase: down after `down` right answers, up after a wrong one. `sides` both: a
+    second one is its mirror image below the reference.
+    """
 
     kind: Literal["staircase"]
     start: float
@@ -92,15 +95,17 @@ class Staircase(_Strict):
     down: int = Field(2, ge=1, le=5)
     up_ratio: float = Field(1.0, gt=0, le=20)
     trials: int = Field(ge=1, le=MOST_TRIALS)
+    sides: Literal["both", "above"] = "both"
 
 
 class Quest(_Strict):
-    """QUEST+ of the threshold."""
+    """QUEST+ of threshold and point of subjective equality; `sides` both: down to the mirror image of `high`."""
 
     kind: Literal["quest"]
     low: float
     high: float
     trials: int = Field(ge=1, le=MOST_TRIALS)
+    sides: Literal["both", "above"] = "both"
 
 
 class Free(_Strict):
@@ -299,6 +304,8 @@ def _shown(study: Study) -> list[tuple[Key, float]]:
         values += [(("method", "levels"), level) for level in method.levels]
     else:
         values += [(("method", "low"), method.low), (("method", "high"), method.high)]
+        if method.sides == "both" and study.file.reference is not None:
+            values.append((("method", "high"), mirrored(method.high, study.file.reference)))
     return values if study.file.reference is None else [(("reference",), study.file.reference), *values]
 
 
@@ -338,7 +345,15 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
                 if unknown is not None:
                     mistakes.say(("level", unknown), f"the rig refuses it: {_bare(text)}")
                 else:
-                    mistakes.say(key, f"{level:g} in condition {condition.name}: {_bare(text)}")
+                    mistakes.say(key, f"{level:g}{_image(study, level)} in condition {condition.name}: {_bare(text)}")
+
+
+def _image(study: Study, level: float) -> str:
+    """Return where a level comes from that the file does not name."""
+    reference, method = study.file.reference, study.method
+    if reference is None or isinstance(method, Constant | Free) or level >= reference:
+        return ""
+    return f' (as far below the reference as high = {method.high:g} is above; sides = "above" shows none)'
 
 
 def _law_mistake(rig: Rig) -> str | None:

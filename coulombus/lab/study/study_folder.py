@@ -46,7 +46,7 @@ COLUMNS: Mapping[str, str] = {
     "first": "in which display the level was, 1 or 2; 0: there was one display",
     "answer": "what the subject answered; n/a: nothing was asked",
     "response_time": "from the end of the last display to the answer [s]; n/a: it was not measured",
-    "right": "1: the answer is the display of the level; n/a: nothing was compared",
+    "right": "1: the answer is the larger display, of two equal ones that of the level; n/a: nothing was compared",
 }
 """Column of events.tsv -> what it means."""
 

@@ -16,7 +16,7 @@ from coulombus.lab.study.study import Condition, Constant, Free, Quest, Staircas
 __all__ = ["LAPSE", "Trial", "Trials", "is_answer"]
 
 LAPSE = 0.01
-"""Share of answers that are given without attention, as analysis and QUEST+ believe it."""
+"""Share of answers that are drawn at random, as QUEST+ believes it."""
 NUMBER = re.compile(r"[0-9]{1,12}(\.[0-9]{0,12})?|\.[0-9]{1,12}")
 LARGEST = 1e9
 """A magnitude is smaller."""
@@ -48,8 +48,10 @@ class Trial:
         return (self.level, self.reference) if self.first == 1 else (self.reference, self.level)
 
     def right(self, answer: str) -> bool:
-        """Tell whether the answer names the display of the level."""
-        return self.first != 0 and answer == str(self.first)
+        """Tell whether the answer names the larger display; of two equal ones that of the level."""
+        if self.reference is None:
+            return False
+        return answer == str(self.first if self.level >= self.reference else 3 - self.first)
 
 
 def is_answer(text: str, trial: Trial, *, asked: bool = True) -> bool:
@@ -63,6 +65,11 @@ def is_answer(text: str, trial: Trial, *, asked: bool = True) -> bool:
     return NUMBER.fullmatch(text) is not None and float(text) < LARGEST
 
 
+def _staircase(table: Staircase, trials: int) -> methods.Staircase:
+    bounds = (table.low, table.high)
+    return methods.Staircase(table.start, bounds, table.steps, table.down, table.up_ratio, trials)
+
+
 class Trials:
     """The trials of subject number `subject`, from 0."""
 
@@ -73,6 +80,7 @@ class Trials:
         self._order = rows[subject % len(rows)]
         self._methods = [self._method() for _ in study.conditions]
         self._training = [study.file.training] * len(study.conditions)
+        self._firsts: dict[tuple[int, float | None, bool], list[int]] = {}
         self._number = self._place = 0
         self._now: Trial | None = None
 
@@ -80,13 +88,29 @@ class Trials:
         study, table = self._study, self._study.method
         if isinstance(table, Constant | Free):
             return methods.Fixed(table.levels, table.repeats, self._rng)
-        if isinstance(table, Staircase):
-            return methods.Staircase(
-                table.start, (table.low, table.high), table.steps, table.down, table.up_ratio, table.trials
-            )
-        assert isinstance(table, Quest)
-        assert study.file.reference is not None
-        return methods.Quest(study.file.reference, (table.low, table.high), table.trials, LAPSE)
+        reference = study.file.reference
+        assert reference is not None
+        if isinstance(table, Quest):
+            low = table.low if table.sides == "above" else methods.mirrored(table.high, reference)
+            return methods.Quest(reference, (low, table.high), table.trials, LAPSE)
+        assert isinstance(table, Staircase)
+        if table.sides == "above":
+            return _staircase(table, table.trials)
+        below = table.trials // 2
+        above = _staircase(table, table.trials - below)
+        return methods.Mirrored(reference, above, _staircase(table, below), self._rng)
+
+    def _first(self, place: int, level: float, training: bool) -> int:
+        """Return in which display the level is. At each level of constant stimuli, and else over the
+        trials of a condition, both orders are met as often: four trials have each order twice.
+        """
+        table = self._study.method
+        key = (place, level if isinstance(table, Constant) else None, training)
+        waiting = self._firsts.setdefault(key, [])
+        if not waiting:
+            pairs = 1 if isinstance(table, Constant) else 2
+            waiting += [int(first) for first in self._rng.permutation([1, 2] * pairs)]
+        return waiting.pop()
 
     def _condition(self) -> int | None:
         """Return which condition is next."""
@@ -103,7 +127,7 @@ class Trials:
                 return None
             file, training = self._study.file, self._training[chosen] > 0
             level = self._trained() if training else self._methods[chosen].level()
-            first = 0 if file.reference is None else int(self._rng.integers(1, 3))
+            first = 0 if file.reference is None else self._first(chosen, level, training)
             self._number += 1
             self._place = chosen
             block = 1 if file.order == "mixed" else self._order.index(chosen) + 1

@@ -5,8 +5,9 @@ Every design is a table of numbers from 0 to 1, a row for each point, made of th
 - ``random``: independent and uniform; more runs add points, and change none.
 - ``latin_hypercube``: each key has one value in each of n equal parts of its range (McKay,
   Beckman, Conover 1979, doi:10.2307/1268522).
-- ``sobol``: the low-discrepancy sequence (Joe, Kuo 2008, doi:10.1137/070709359), moved by one
-  random shift modulo 1 (Cranley, Patterson 1976, doi:10.1137/0713071); a power of 2 spreads best.
+- ``sobol``: the low-discrepancy sequence (Joe, Kuo 2008, doi:10.1137/070709359), scrambled so that it
+  stays a net (Matousek 1998, doi:10.1006/jcom.1998.0489): of 2^m points, each of 2^a by 2^b equal boxes
+  of the first two keys' ranges has as many points, for each a + b up to m. A power of 2 spreads best.
 
 A grid has every combination; its last key varies fastest.
 """
@@ -52,5 +53,5 @@ def _unit(design: str, count: int, keys: int, seed: int) -> Floats:
         return np.minimum(np.stack(columns, axis=1), np.nextafter(1.0, 0.0))
     from scipy.stats import qmc  # takes half a second to load
 
-    sequence: Floats = qmc.Sobol(keys, scramble=False).random_base2(max(count - 1, 0).bit_length())
-    return (sequence[:count] + random.random(keys)) % 1.0
+    sequence: Floats = qmc.Sobol(keys, scramble=True, seed=random).random_base2(max(count - 1, 0).bit_length())
+    return sequence[:count]

@@ -1,14 +1,12 @@
 r"""Psychometric functions fitted to the answers of a subject, with intervals.
 
-The chance that a level :math:`x` is taken as larger than the reference is
+The function and its posterior are those of `posterior`; :math:`JND = 0.6745\,\sigma` (from 50 % to
+75 %). Each figure is the median of its posterior, each interval of 95 % runs from its 2.5 % to its
+97.5 % quantile [Schütt et al. 2016, doi:10.1016/j.visres.2016.02.002]. Where the range of
+:math:`\sigma` ends before its likelihood does, the interval has no end there.
 
-.. math:: p(x) = \frac{\lambda}{2} + (1 - \lambda)\, \Phi\left(\frac{x - \mu}{\sigma}\right),
-
-with the share :math:`\lambda = 0.01` of answers given without attention, the point of subjective
-equality :math:`\mu`, and :math:`JND = 0.6745\,\sigma` (from 50 % to 75 %). The fit is the one of most
-likelihood. An interval of 95 % holds the values whose profile likelihood
-:math:`2 (\ell_{max} - \ell)` is below 3.84 [Wilks 1938]. Where all levels are above the reference,
-:math:`\mu` is the reference: they do not tell a bias from a slope.
+Levels on one side of the reference tell the shift hardly from the slope: then the interval of the JND
+is wide, and that of the point of subjective equality is mostly its prior.
 """
 
 from __future__ import annotations
@@ -18,16 +16,17 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri, xlog1py, xlogy
+from scipy.special import ndtr, ndtri
 
-from coulombus.lab.study.trials import LAPSE
+from coulombus.lab.study.results.goodness import goodness
+from coulombus.lab.study.results.posterior import Posterior, counted, posterior
 
-__all__ = ["Fit", "Magnitudes", "fit_comparisons", "fit_magnitudes"]
+__all__ = ["LEAST_TRIALS", "Fit", "Magnitudes", "fit_answers", "fit_comparisons", "fit_magnitudes"]
 
 QUARTER = float(ndtri(0.75))
-LIKELY = 3.841458820694124
-"""The 95 % quantile of chi-squared with one degree of freedom."""
-SIGMAS, MUS = 301, 121
+LEAST_TRIALS = 20
+"""A report fits no fewer answers than this: the function has four parameters."""
+QUANTILES = (0.025, 0.5, 0.975)
 
 
 @dataclass(frozen=True)
@@ -37,63 +36,97 @@ class Fit:
     Attributes
     ----------
     trials : answers that it is fitted to
-    pse : point of subjective equality, in units of the level
+    pse, pse_95 : point of subjective equality and its interval, in units of the level
     jnd : just noticeable difference, in units of the level
     jnd_95 : its interval; None: the answers bound it on neither side, or not on that one
     weber : `jnd` over the reference; None where that is 0
     right : share of right answers
+    lapse, lapse_95 : share of the answers that were drawn at random, and its interval
+    bias, bias_95 : interval bias, in units of the level: above 0 the second display is judged larger;
+        None where the order of the displays is unknown
+    deviance, probability : how far the answers are from the function, and the share of simulated
+        answers that are as far; below 0.05 the function does not describe the subject
+    overdispersion : deviance over the mean of the simulated ones; 1: answers vary as they should
+    one_sided : no level is on the other side of the reference, so shift and slope are hardly told apart
     """
 
     trials: int
     pse: float
+    pse_95: tuple[float, float]
     jnd: float
     jnd_95: tuple[float | None, float | None]
     weber: float | None
     right: float
+    lapse: float
+    lapse_95: tuple[float, float]
+    bias: float | None
+    bias_95: tuple[float, float] | None
+    deviance: float
+    probability: float
+    overdispersion: float
+    one_sided: bool
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values for JSON."""
         return asdict(self)
 
     def chance(self, level: Any) -> Any:
-        """Return the chance that a level is taken as larger."""
-        return LAPSE / 2 + (1 - LAPSE) * ndtr((level - self.pse) / (self.jnd / QUARTER))
+        """Return the chance that a level is judged larger, the mean of both orders."""
+        sigma, bias = self.jnd / QUARTER, self.bias or 0.0
+        both = [ndtr((np.asarray(level) - self.pse + order * bias) / sigma) for order in (-1, 1)]
+        return self.lapse / 2 + (1 - self.lapse) * (both[0] + both[1]) / 2
 
 
-def fit_comparisons(levels: Sequence[float], larger: Sequence[bool], reference: float) -> Fit:
+def fit_comparisons(
+    levels: Sequence[float], larger: Sequence[bool], reference: float, second: Sequence[bool] | None = None
+) -> Fit:
     """Return the psychometric function of comparisons with a reference.
 
     Parameters
     ----------
     levels : of each trial, shape (n,)
-    larger : whether the level was taken as larger than the reference, shape (n,)
+    larger : whether the level was judged larger than the reference, shape (n,)
+    reference : in units of the level
+    second : whether the level was the second display, shape (n,); None: unknown, no interval bias
 
     Raises
     ------
     ValueError
         there is no trial, or no level differs from the reference
     """
-    x, took = np.asarray(levels, float), np.asarray(larger, bool)
-    span = float(np.max(np.abs(x - reference), initial=0.0))
-    if span == 0:
-        raise ValueError("no level differs from the reference; expected trials with levels that do")
-    shown, where = np.unique(x, return_inverse=True)
-    hits = np.bincount(where, weights=took, minlength=len(shown))
-    misses = np.bincount(where, weights=~took, minlength=len(shown))
-    sigma = np.geomspace(span / 200, span * 20, SIGMAS)
-    one_sided = x.min() >= reference or x.max() <= reference
-    mu = np.array([reference]) if one_sided else np.linspace(reference - span, reference + span, MUS)
-    p = LAPSE / 2 + (1 - LAPSE) * ndtr((shown - mu[:, None, None]) / sigma[:, None])
-    likely = (xlogy(hits, p) + xlog1py(misses, -p)).sum(axis=-1)
-    row, column = np.unravel_index(int(np.argmax(likely)), likely.shape)
-    profile = likely.max(axis=0)
-    inside = np.flatnonzero(2 * (profile.max() - profile) < LIKELY)
-    low = None if inside[0] == 0 else float(sigma[inside[0] - 1] * QUARTER)
-    high = None if inside[-1] == SIGMAS - 1 else float(sigma[inside[-1] + 1] * QUARTER)
-    jnd = float(sigma[column] * QUARTER)
-    weber = jnd / abs(reference) if reference else None
-    right = float(np.mean(np.where(x == reference, 0.5, took == (x > reference))))
-    return Fit(len(x), float(mu[row]), jnd, (low, high), weber, right)
+    return fit_answers(levels, larger, reference, second)[0]
+
+
+def fit_answers(
+    levels: Sequence[float], larger: Sequence[bool], reference: float, second: Sequence[bool] | None = None
+) -> tuple[Fit, Posterior]:
+    """Return the fit of `fit_comparisons` with the posterior that it is of."""
+    x, judged = np.asarray(levels, float), np.asarray(larger, bool)
+    answers = counted(levels, larger, reference, second)
+    belief = posterior(answers)
+    low, jnd, high = (float(sigma * QUARTER) for sigma in belief.sigma_at(QUANTILES))
+    pse_low, pse, pse_high = (float(reference + shift) for shift in belief.distance_at(QUANTILES))
+    lapse_low, lapse, lapse_high = (float(share) for share in belief.lapse_at(QUANTILES))
+    bias_low, bias, bias_high = (float(bias) for bias in belief.bias_at(QUANTILES))
+    deviance, probability, overdispersion = goodness(answers, lapse)
+    fit = Fit(
+        trials=len(x),
+        pse=pse,
+        pse_95=(pse_low, pse_high),
+        jnd=jnd,
+        jnd_95=(None if belief.open_below else low, None if belief.open_above else high),
+        weber=jnd / abs(reference) if reference else None,
+        right=float(np.mean(np.where(x == reference, 0.5, judged == (x > reference)))),
+        lapse=lapse,
+        lapse_95=(lapse_low, lapse_high),
+        bias=None if second is None else bias,
+        bias_95=None if second is None else (bias_low, bias_high),
+        deviance=deviance,
+        probability=probability,
+        overdispersion=overdispersion,
+        one_sided=bool(x.min() >= reference or x.max() <= reference),
+    )
+    return fit, belief
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def draw_psychometric(axes: Axes, shown: Mapping[str, Any], level: str, unit: st
         axes.scatter(levels, counts[:, 0] / counts[:, 1], s=8 + 2 * counts[:, 1], color=f"C{k}", alpha=0.6)
         x = np.linspace(levels.min(), levels.max(), 200)
         axes.plot(x, fit.chance(x), color=f"C{k}", label=f"{name}: JND {fit.jnd:.3g} {unit}".rstrip())
-    axes.set(xlabel=level, ylabel="share taken as larger", ylim=(-0.03, 1.03))
+    axes.set(xlabel=level, ylabel="proportion judged larger", ylim=(-0.03, 1.03))
 
 
 def draw_track(axes: Axes, shown: Mapping[str, Any], level: str, unit: str) -> None:
@@ -93,16 +93,17 @@ def draw_conditions(axes: Axes, results: Mapping[str, Any], unit: str) -> None:
     """Draw each subject's JND in each condition, the geometric mean and its interval."""
     names = [name for name, condition in results["conditions"].items() if condition["jnd"] is not None]
     for x, name in enumerate(names):
-        fits = [condition[name]["fit"] for condition in results["subjects"].values() if name in condition]
-        jnds = [fit["jnd"] for fit in fits if fit is not None]
-        axes.scatter([x] * len(jnds), jnds, s=14, color="C0", alpha=0.5)
         whole = results["conditions"][name]
+        counted = [subject for subject in results["subjects"] if subject not in whole["left_out"]]
+        jnds = [results["subjects"][subject][name]["fit"]["jnd"] for subject in counted]
+        axes.scatter([x] * len(jnds), jnds, s=14, color="C0", alpha=0.5)
         axes.scatter([x + 0.15], [whole["jnd"]], s=40, color="C1", marker="D")
         if whole["jnd_95"] is not None:
             axes.plot([x + 0.15] * 2, whole["jnd_95"], color="C1")
-    axes.set_xticks(range(len(names)), names)
+    counts = [results["conditions"][name]["subjects"] for name in names]
+    axes.set_xticks(range(len(names)), [f"{name}\nn = {count}" for name, count in zip(names, counts, strict=True)])
     label = f"JND of {results['level']['quantity']} [{unit}]" if unit else "JND"
-    axes.set(ylabel=label, title=f"{len(results['subjects'])} subjects; geometric mean with interval of 95 %")
+    axes.set(ylabel=label, title="n subjects, geometric mean, interval of 95 %")
     axes.set_xlim(-0.5, len(names) - 0.3)
     axes.set_ylim(bottom=0)
 

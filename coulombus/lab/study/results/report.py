@@ -6,7 +6,7 @@ import importlib
 import math
 import tomllib
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,15 @@ import numpy as np
 from scipy.stats import t as student
 
 from coulombus.lab.study.results.exploration import Exploration, explored, mean_of
-from coulombus.lab.study.results.fit import fit_comparisons, fit_magnitudes
-from coulombus.lab.study.results.staircase import staircase
+from coulombus.lab.study.results.fit import LEAST_TRIALS, fit_answers, fit_magnitudes
+from coulombus.lab.study.results.hierarchy import hierarchical
+from coulombus.lab.study.results.posterior import Posterior
+from coulombus.lab.study.results.staircase import staircases
 from coulombus.lab.study.study_folder import StudyFolderError, read_events, subjects_of
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.rigs.field_help import unit_of, without_unit
 
-__all__ = ["between", "lines", "report"]
+__all__ = ["report"]
 
 OPTIMISERS = ("bfgs", "lbfgs", "powell")
 """One after the other, until one converges; the last needs no slope."""
@@ -32,10 +34,12 @@ def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
     How the hands explored is read from the recordings where nothing was asked, and everywhere where
     `exploration` is set.
 
-    Training is left out. Thresholds over the subjects are a geometric mean with the interval of
-    Student's t of their logarithms. Of two subjects and two conditions or more there is a mixed
-    model, log JND by condition with a random intercept for each subject, where statsmodels is
-    installed.
+    Training is left out. Fewer than `LEAST_TRIALS` answers are not fitted. Thresholds over the subjects
+    are a geometric mean with the interval of Student's t of their logarithms; a subject without a fit,
+    or whose answers bound its JND on one side only, is left out of it and named. The hierarchical fit
+    is of the answers of all that have a fit. Of two subjects and two conditions or more there is a
+    mixed model, log JND by condition with a random intercept for each subject, where statsmodels is
+    installed; it has the subjects of the mean.
 
     Raises
     ------
@@ -43,9 +47,12 @@ def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
         it is the folder of no study, or a file of it cannot be used
     """
     study = _study_of(folder)
-    subjects = {subject: _subject(folder, subject, study["kind"], exploration) for subject in subjects_of(folder)}
+    posteriors: dict[tuple[str, str], Posterior] = {}
+    subjects = {
+        subject: _subject(folder, subject, study["kind"], exploration, posteriors) for subject in subjects_of(folder)
+    }
     names = list(dict.fromkeys(name for subject in subjects.values() for name in subject))
-    conditions = {name: _over([subject[name] for subject in subjects.values() if name in subject]) for name in names}
+    conditions = {name: _over(name, subjects, posteriors) for name in names}
     model, why_not = _mixed(subjects)
     return {
         "study": study["name"],
@@ -57,7 +64,9 @@ def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
     }
 
 
-def _subject(folder: Path, subject: str, kind: str | None, exploration: bool) -> dict[str, Any]:
+def _subject(
+    folder: Path, subject: str, kind: str | None, exploration: bool, posteriors: dict[tuple[str, str], Posterior]
+) -> dict[str, Any]:
     paths = sorted((folder / f"sub-{subject}").glob(f"sub-{subject}_task-*_events.tsv"))
     rows: list[dict[str, str]] = []
     for path in paths:
@@ -72,7 +81,9 @@ def _subject(folder: Path, subject: str, kind: str | None, exploration: bool) ->
     conditions = {}
     for name in names:
         own = [row for row in counted if row["condition"] == name]
-        conditions[name] = _condition(own, kind)
+        conditions[name], posterior = _condition(own, kind)
+        if posterior is not None:
+            posteriors[subject, name] = posterior
         if exploration or all(row["answer"] == "n/a" for row in own):
             conditions[name]["exploration"] = _explored(folder / f"sub-{subject}" / "recordings", own)
     return conditions
@@ -118,43 +129,64 @@ def _check_numbers(row: Mapping[str, str]) -> None:
         float(row["answer"])
 
 
-def _condition(rows: Sequence[Mapping[str, str]], kind: str | None) -> dict[str, Any]:
-    """Return the fit of one subject in one condition, with the answers that it is of."""
-    result: dict[str, Any] = {"trials": len(rows), "fit": None, "magnitudes": None, "levels": {}}
+def _condition(rows: Sequence[Mapping[str, str]], kind: str | None) -> tuple[dict[str, Any], Posterior | None]:
+    """Return the fit of one subject in one condition, with the answers that it is of, and its posterior."""
+    result: dict[str, Any] = {"trials": len(rows), "fit": None, "no_fit": None, "magnitudes": None, "levels": {}}
     result |= {"staircase": None, "exploration": None, "track": None}
     answered = [row for row in rows if row["answer"] != "n/a"]
     if not answered:
-        return result
+        return result | {"no_fit": "nothing was asked"}, None
     levels = [float(row["level"]) for row in answered]
     if answered[0]["reference"] == "n/a":
         magnitudes = fit_magnitudes(levels, [float(row["answer"]) for row in answered])
         track = [[x, float(row["answer"])] for x, row in zip(levels, answered, strict=True)]
-        return result | {"magnitudes": None if magnitudes is None else magnitudes.as_dict(), "track": track}
-    if kind in ("staircase", "quest"):
-        right = [row["right"] == "1" for row in answered]
-        result["track"] = [[x, int(answer)] for x, answer in zip(levels, right, strict=True)]
-        result["staircase"] = staircase(levels, right) if kind == "staircase" else None
+        result |= {"magnitudes": None if magnitudes is None else magnitudes.as_dict(), "track": track}
+        return result | {"no_fit": "nothing was compared"}, None
+    reference = float(answered[0]["reference"])
     larger = [row["answer"] == row["first"] for row in answered]
+    if kind in ("staircase", "quest"):
+        right = [took if x >= reference else not took for x, took in zip(levels, larger, strict=True)]
+        result["track"] = [[x, int(answer)] for x, answer in zip(levels, right, strict=True)]
+        result["staircase"] = staircases(levels, larger, reference) if kind == "staircase" else None
     for level in sorted(set(levels)):
         took = [answer for x, answer in zip(levels, larger, strict=True) if x == level]
         result["levels"][f"{level:g}"] = [sum(took), len(took)]
+    if len(answered) < LEAST_TRIALS:
+        return result | {"no_fit": f"{len(answered)} answers; a fit needs {LEAST_TRIALS}"}, None
     try:
-        fit = fit_comparisons(levels, larger, float(answered[0]["reference"]))
-    except ValueError:
-        return result
-    return result | {"fit": fit.as_dict()}
+        fit, posterior = fit_answers(levels, larger, reference, [row["first"] == "2" for row in answered])
+    except ValueError as error:
+        return result | {"no_fit": str(error)}, None
+    return result | {"fit": fit.as_dict()}, posterior
 
 
-def _over(conditions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    jnds = [condition["fit"]["jnd"] for condition in conditions if condition["fit"] is not None]
-    summary: dict[str, Any] = {"subjects": len(conditions), "jnd": None, "jnd_95": None}
+def _out_of_mean(condition: Mapping[str, Any] | None) -> str | None:
+    """Return why a subject's threshold does not enter a mean; None: it does."""
+    if condition is None:
+        return "no trial"
+    if condition["fit"] is None:
+        return str(condition.get("no_fit"))
+    if None in condition["fit"].get("jnd_95", ()):
+        return "its answers bound the JND on one side only, or on none"
+    return None
+
+
+def _over(
+    name: str, subjects: Mapping[str, Mapping[str, Any]], posteriors: Mapping[tuple[str, str], Posterior]
+) -> dict[str, Any]:
+    """Return the thresholds of a condition over its subjects; `subjects` counts those of the mean."""
+    why = {subject: _out_of_mean(conditions.get(name)) for subject, conditions in subjects.items()}
+    jnds = [subjects[subject][name]["fit"]["jnd"] for subject, reason in why.items() if reason is None]
+    summary: dict[str, Any] = {"subjects": len(jnds), "jnd": None, "jnd_95": None}
+    summary["left_out"] = {subject: reason for subject, reason in why.items() if reason is not None}
     if jnds:
         logs = np.log(jnds)
         summary["jnd"] = float(np.exp(logs.mean()))
         if len(jnds) > 1:
             half = float(student.ppf(0.975, len(jnds) - 1) * logs.std(ddof=1)) / math.sqrt(len(jnds))
             summary["jnd_95"] = [float(np.exp(logs.mean() - half)), float(np.exp(logs.mean() + half))]
-    return summary
+    group = hierarchical({subject: posteriors[subject, name] for subject in subjects if (subject, name) in posteriors})
+    return summary | {"hierarchical": None if group is None else group.as_dict()}
 
 
 def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | None, str | None]:
@@ -167,7 +199,7 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
         (subject, name, math.log(condition["fit"]["jnd"]))
         for subject, conditions in subjects.items()
         for name, condition in conditions.items()
-        if condition["fit"] is not None
+        if _out_of_mean(condition) is None
     ]
     names = list(dict.fromkeys(name for _, name, _ in rows))
     count = len({subject for subject, _, _ in rows})
@@ -198,45 +230,4 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
         for k, name in enumerate(names)
         if k
     }
-    return {"against": names[0], "jnd_ratio": effects}, None
-
-
-def _hand_text(hand: Mapping[str, Any]) -> str:
-    text = f"path {hand['path_rad']:.3g} rad, {hand['reversals']:.3g} reversals, moving {hand['moving']:.0%}"
-    text += f" at {hand['speed_rad_s']:.3g} rad/s"
-    return text if hand["work_J"] is None else f"{text}, peak {hand['peak_Nm']:.3g} Nm, work {hand['work_J']:.3g} J"
-
-
-def between(bounds: Sequence[float | None] | None) -> str:
-    """Return an interval as text: " (0.1 to 0.2)", with `?` for an end that nothing bounds."""
-    if bounds is None:
-        return ""
-    low, high = ("?" if bound is None else f"{bound:.4g}" for bound in bounds)
-    return f" ({low} to {high})"
-
-
-def lines(results: Mapping[str, Any]) -> Iterable[str]:
-    """Yield a report as text."""
-    unit = f" {results['level']['unit']}".rstrip()
-    for subject, conditions in results["subjects"].items():
-        for name, condition in conditions.items():
-            text = f"{subject} {name}: {condition['trials']} trials"
-            fit, magnitudes = condition["fit"], condition["magnitudes"]
-            if fit is not None:
-                text += f", JND {fit['jnd']:.4g}{unit}{between(fit['jnd_95'])}, PSE {fit['pse']:.4g}{unit}"
-                text += "" if fit["weber"] is None else f", Weber fraction {fit['weber']:.3g}"
-                text += f", {fit['right']:.1%} right"
-            if magnitudes is not None:
-                text += f", exponent {magnitudes['exponent']:.3g}{between(magnitudes['exponent_95'])}"
-            if condition["staircase"] is not None:
-                turned = condition["staircase"]
-                text += f", {turned['turns']} turns around {turned['threshold']:.4g}{unit} ({turned['right']:.1%} right there)"
-            yield text
-            for level, hand in (condition["exploration"] or {}).items():
-                yield f"  level {level}{unit}: {_hand_text(hand)}"
-    for name, condition in results["conditions"].items():
-        if condition["jnd"] is not None and condition["subjects"] > 1:
-            yield f"{name}: JND {condition['jnd']:.4g}{unit}{between(condition['jnd_95'])} of {condition['subjects']} subjects"
-    model = results["mixed_model"]
-    for name, effect in (model or {"jnd_ratio": {}})["jnd_ratio"].items():
-        yield f"{name}: JND {effect['ratio']:.3g}{between(effect['ratio_95'])} times that of {model['against']}"
+    return {"against": names[0], "subjects": count, "jnd_ratio": effects}, None

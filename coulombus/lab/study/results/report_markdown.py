@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from coulombus.lab.study.results.report import between, lines
+from coulombus.lab.study.results.report_text import between, lines
 
 __all__ = ["page"]
 
@@ -28,7 +28,8 @@ def page(results: Mapping[str, Any], paths: Sequence[Path] = ()) -> str:
     parts = [f"# {results['study'] or 'What the study came to'}"]
     if results["level"]["unit"]:
         parts.append(f"The level is {results['level']['quantity']}{unit}. Intervals are of 95 %.")
-    head = ("subject", "condition", "trials", f"JND{unit}", f"PSE{unit}", "Weber fraction", "right", "exponent")
+    head = ("subject", "condition", "trials", f"JND{unit}", f"PSE{unit}", "Weber fraction", "right")
+    head += ("lapses", f"interval bias{unit}", "deviance p", "overdispersion", "exponent")
     parts.append(_table((*head, f"staircase{unit}"), rows))
     together = list(lines({**results, "subjects": {}}))
     if together:
@@ -40,12 +41,17 @@ def page(results: Mapping[str, Any], paths: Sequence[Path] = ()) -> str:
 
 
 def _cells(condition: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return JND, PSE, Weber fraction, share of right answers, exponent and staircase of a condition."""
+    """Return the cells of a condition behind its number of trials."""
     fit, magnitudes, turned = condition["fit"], condition["magnitudes"], condition["staircase"]
-    cells = ["", "", "", ""]
+    cells = [""] * 8
     if fit is not None:
         weber = "" if fit["weber"] is None else f"{fit['weber']:.3g}"
-        cells = [f"{fit['jnd']:.4g}{between(fit['jnd_95'])}", f"{fit['pse']:.4g}", weber, f"{fit['right']:.1%}"]
+        cells = [f"{fit['jnd']:.4g}{between(fit['jnd_95'])}", f"{fit['pse']:.4g}{between(fit['pse_95'])}", weber]
+        bias = "" if fit["bias"] is None else f"{fit['bias']:.2g}{between(fit['bias_95'])}"
+        cells += [f"{fit['right']:.1%}", f"{fit['lapse']:.1%}", bias]
+        cells += [f"{fit['probability']:.2g}", f"{fit['overdispersion']:.2g}"]
+    elif condition["levels"]:
+        cells[0] = f"not fitted: {condition['no_fit']}"
     exponent = "" if magnitudes is None else f"{magnitudes['exponent']:.3g}{between(magnitudes['exponent_95'])}"
     turns = (
         "" if turned is None else f"{turned['threshold']:.4g} ({turned['turns']} turns, {turned['right']:.1%} right)"
