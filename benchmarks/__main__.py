@@ -203,6 +203,7 @@ def main() -> None:
             "lost",
             "disturbed",
             "faulty",
+            "observers",
         ),
         default="all",
     )
@@ -210,6 +211,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="in real time")
     parser.add_argument("--minutes", type=float, default=0.5, help="of the runs that look for what is lost")
     parser.add_argument("--hours", type=float, default=0.0, help="of bus time in one run, in virtual time")
+    parser.add_argument("--observers", type=int, default=200, help="of each method and kind")
+    parser.add_argument("--document", type=Path, help="write the table of the observers there, between its marks")
     parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")
     parser.add_argument("--smallest", action="store_true", help="as little as shows that it runs; no figure means much")
     options = parser.parse_args()
@@ -265,6 +268,10 @@ def main() -> None:
         from benchmarks.sweep import sweep
 
         sweep(show)
+    if options.what == "observers":
+        from benchmarks.observers import observers
+
+        observers(show, 8 if options.smallest else options.observers, options.document)
     if options.what == "lost":
         from benchmarks.realtime import lost
 

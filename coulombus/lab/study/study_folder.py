@@ -5,9 +5,13 @@
     DIR/dataset_description.json        name of the study, version, the study's sum
     DIR/study.toml                      a copy of the study file
     DIR/participants.tsv, .json         a row for each subject; what its columns mean
+    DIR/README, .bidsignore             what made the folder; what BIDS has no name for
     DIR/sub-S01/sub-S01_task-NAME_events.tsv    a row for each answered trial
     DIR/sub-S01/sub-S01_task-NAME_events.json   what the columns mean; each session: consent, version, bus
     DIR/sub-S01/recordings/trial-0001_display-1.pcapng
+
+BIDS's validator ends without an error. NAME is the study's name without `_`, `-`, `.` and `=`, which a
+task's label may not have; `TaskName` in the JSON file has the whole name.
 
 A row is on the disk before the next trial begins. A row that a crash cut in two is taken off, and
 its trial shown again.
@@ -46,9 +50,21 @@ COLUMNS: Mapping[str, str] = {
     "first": "in which display the level was, 1 or 2; 0: there was one display",
     "answer": "what the subject answered; n/a: nothing was asked",
     "response_time": "from the end of the last display to the answer [s]; n/a: it was not measured",
-    "right": "1: the answer is the larger display, of two equal ones that of the level; n/a: nothing was compared",
+    "right": "1: the answer is the display of the level; n/a: nothing was compared",
 }
 """Column of events.tsv -> what it means."""
+
+
+SECONDS = ("onset", "duration", "response_time")
+"""Columns in seconds, as BIDS has them."""
+IGNORED = "study.toml\n**/recordings\n"
+"""BIDS has no name for a study file or for recordings of a bus."""
+README = """{name}: trials of a study, kept by coulombus.
+
+sub-*/*_events.tsv has a row for each answered trial; the JSON file beside it says what the columns mean.
+sub-*/recordings has the CAN frames of each display (pcapng). study.toml says what was shown.
+Thresholds: coulombus analyse study FOLDER
+"""
 
 
 HEADER = "\t".join(COLUMNS) + "\n"
@@ -86,7 +102,12 @@ def _begun(path: Path, study: str) -> bool:
     """Tell whether a file is what a session leaves that was cut off before its folder was whole."""
     if path.name == "study.toml":
         return path.read_bytes() == study.encode()
-    return path.name.startswith(".") or path.name in ("participants.tsv", "participants.json")
+    return path.name.startswith(".") or path.name in ("participants.tsv", "participants.json", "README")
+
+
+def task_label(name: str) -> str:
+    """Return a study's name as BIDS labels a task: letters and digits."""
+    return re.sub(r"[^0-9A-Za-z]", "", name)
 
 
 def subjects_of(folder: Path) -> list[str]:
@@ -139,7 +160,7 @@ class SubjectFolder:
             raise StudyFolderError(f"--subject {subject!r}: expected letters and digits, such as S01")
         self.study, self.folder, self.subject, self._meta = study, folder, subject, dict(meta)
         self.own = folder / f"sub-{subject}"
-        self.events = self.own / f"sub-{subject}_task-{study.file.name}_events.tsv"
+        self.events = self.own / f"sub-{subject}_task-{task_label(study.file.name)}_events.tsv"
         self.number = 0
         self.answered = 0
         self.onset_s = 0.0
@@ -185,7 +206,12 @@ class SubjectFolder:
         return [session for session in sessions if isinstance(session, dict)] if isinstance(sessions, list) else []
 
     def _tell(self) -> None:
-        sidecar: dict[str, Any] = {name: {"Description": text} for name, text in COLUMNS.items()}
+        units = dict.fromkeys(SECONDS, {"Units": "s"})
+        sidecar: dict[str, Any] = {
+            name: {"Description": text, **units.get(name, {})} for name, text in COLUMNS.items()
+        }
+        sidecar["TaskName"] = self.study.file.name
+        sidecar["StimulusPresentation"] = {"SoftwareName": "coulombus", "SoftwareVersion": project_version()}
         sidecar["sessions"] = self._sessions
         _write(self.events.with_suffix(".json"), _json(sidecar))
 
@@ -209,6 +235,8 @@ class SubjectFolder:
             return
         if any(not _begun(entry, self.study.text) for entry in self.folder.iterdir()):
             raise StudyFolderError(f"{self.folder}: holds something else; choose an empty folder")
+        _write(self.folder / ".bidsignore", IGNORED)
+        _write(self.folder / "README", README.format(name=self.study.file.name))
         _write(self.folder / "study.toml", self.study.text)
         _write(self.folder / "participants.tsv", "participant_id\tnumber\n")
         sidecar = {name: {"Description": text} for name, text in PARTICIPANTS.items()}

@@ -48,10 +48,13 @@ class Trial:
         return (self.level, self.reference) if self.first == 1 else (self.reference, self.level)
 
     def right(self, answer: str) -> bool:
+        """Tell whether the answer names the display of the level."""
+        return self.first != 0 and answer == str(self.first)
+
+    def larger_named(self, answer: str) -> bool:
         """Tell whether the answer names the larger display; of two equal ones that of the level."""
-        if self.reference is None:
-            return False
-        return answer == str(self.first if self.level >= self.reference else 3 - self.first)
+        below = self.reference is not None and self.level < self.reference
+        return self.right(answer) != below
 
 
 def is_answer(text: str, trial: Trial, *, asked: bool = True) -> bool:
@@ -148,5 +151,5 @@ class Trials:
         if now.training:
             self._training[self._place] -= 1
         else:
-            self._methods[self._place].take(now.level, now.right(answer))
+            self._methods[self._place].take(now.level, now.larger_named(answer))
         self._now = None

@@ -1,6 +1,5 @@
 """Orders, staircases and QUEST+ against what theory says of them."""
 
-import sys
 from collections import Counter
 from itertools import pairwise
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from coulombus.lab.study.methods import Fixed, Quest, QuestMissing, Staircase, target
+from coulombus.lab.study.methods import Fixed, Mirrored, Quest, Staircase, mirrored, target
 from coulombus.lab.study.orders import williams
 
 
@@ -56,39 +55,90 @@ def test_a_staircase_comes_to_rest_at_its_target(down, up_ratio, share):
     assert np.mean(rights[500:]) == pytest.approx(share, abs=0.02)
 
 
+def test_mirrored_staircases_come_to_rest_on_both_sides_of_a_shifted_pse():
+    rng, pse, sigma = np.random.default_rng(7), 2.15, 0.5
+    stairs = [Staircase(3.0, (2.0, 4.0), [0.1, 0.02], 2, 1.0, 4000) for _ in range(2)]
+    both = Mirrored(2.0, *stairs, np.random.default_rng(8))
+    shown = []
+    while not both.done:
+        level = both.level()
+        larger = bool(rng.random() < ndtr((level - pse) / sigma))
+        shown.append((level, larger))
+        both.take(level, larger if level >= 2.0 else not larger)
+    above, below = ([took for level, took in shown[1000:] if (level > 2.0) == side] for side in (True, False))
+    assert np.mean(above) == pytest.approx(0.7071, abs=0.02)
+    assert np.mean(below) == pytest.approx(0.2929, abs=0.03)
+    for pair in zip(shown[::2], shown[1::2], strict=True):
+        assert sum(level >= 2.0 for level, _ in pair) >= 1
+        assert sum(level <= 2.0 for level, _ in pair) >= 1
+
+
+def test_an_answer_at_the_reference_counts_for_the_staircase_that_showed_it():
+    for wrong_side in (False, True):
+        stairs = [Staircase(2.0, (2.0, 4.0), [0.1], 1, 1.0, 5) for _ in range(2)]
+        both = Mirrored(2.0, *stairs, np.random.default_rng(1))
+        for _ in range(2):
+            both.take(both.level(), not wrong_side)  # judged larger, or smaller, at the reference
+        assert sorted(stair.level() for stair in stairs) == [2.0, 2.1]
+        assert stairs[int(not wrong_side)].level() == 2.1  # wrong for that side: it goes up
+
+
+def test_a_mirrored_level_is_as_far_on_the_other_side():
+    assert mirrored(2.3, 2.0) == 1.7
+    assert mirrored(mirrored(0.1, 0.3), 0.3) == 0.1
+
+
 def test_quest_shows_levels_near_the_threshold_and_learns_it():
-    pytest.importorskip("questplus")
-    rng, sigma = np.random.default_rng(2), 0.2
-    one = Quest(2.0, (2.0, 3.2), 150, 0.01)
+    rng, sigma, pse = np.random.default_rng(2), 0.2, 2.1
+    method = Quest(2.0, (0.8, 3.2), 150, 0.01)
     levels = []
-    while not one.done:
-        levels.append(one.level())
-        one.take(levels[-1], bool(rng.random() < ndtr((levels[-1] - 2.0) / sigma)))
-    assert one.believed == pytest.approx(sigma, rel=0.3)
-    assert 2.05 < np.median(levels[20:]) < 2.6
+    while not method.done:
+        levels.append(method.level())
+        larger = bool(rng.random() < ndtr((levels[-1] - pse) / sigma))
+        method.take(levels[-1], larger if levels[-1] >= 2.0 else not larger)
+    assert method.believed == pytest.approx(sigma, rel=0.3)
+    assert 1.6 < np.quantile(levels[20:], 0.1) < pse < np.quantile(levels[20:], 0.9) < 2.6
 
 
-def test_quest_shows_the_level_of_least_expected_entropy():
-    pytest.importorskip("questplus")
-    one, rng = Quest(2.0, (2.0, 3.2), 40, 0.01), np.random.default_rng(4)
-    x, sigma = np.linspace(2.0, 3.2, 25), np.geomspace(0.012, 4.8, 60)
-    p = 0.005 + 0.99 * ndtr((x[:, None] - 2.0) / sigma)
-    weight = np.full(60, 1 / 60)
-    while not one.done:
-        expected = np.zeros(25)
+@pytest.mark.parametrize("low", [2.0, 0.8])
+def test_quest_shows_the_level_of_least_expected_entropy(low):
+    method, rng = Quest(2.0, (low, 3.2), 25, 0.01), np.random.default_rng(4)
+    x = np.linspace(low, 3.2, 25 if low == 2.0 else 49)
+    sigma, shift = np.meshgrid(np.geomspace(0.012, 4.8, 60), np.linspace(-1.5, 1.5, 9), indexing="ij")
+    p = 0.005 + 0.99 * ndtr((x[:, None] - 2.0) / sigma.ravel() - shift.ravel())
+    weight = np.exp(-(shift.ravel() ** 2) / 2)
+    weight /= weight.sum()
+    while not method.done:
+        expected = np.zeros(len(x))
         for chance in (p, 1 - p):
             joint = chance * weight
             whole = joint.sum(axis=1, keepdims=True)
             expected -= (joint * np.log(joint / whole)).sum(axis=1)
-        k = int(np.argmin(np.abs(x - one.level())))
+        k = int(np.argmin(np.abs(x - method.level())))
         assert expected[k] == pytest.approx(expected.min(), abs=1e-9)
-        right = bool(rng.random() < p[k, 30])
-        weight = weight * (p[k] if right else 1 - p[k])
+        larger = bool(rng.random() < p[k, 270])
+        weight = weight * (p[k] if larger else 1 - p[k])
         weight /= weight.sum()
-        one.take(one.level(), right)
+        method.take(method.level(), larger if x[k] >= 2.0 - 1e-9 else not larger)
 
 
-def test_without_questplus_it_is_said_how_to_get_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "questplus.qp", None)
-    with pytest.raises(QuestMissing, match=r"pip install '\.\[study\]'"):
-        Quest(2.0, (2.0, 3.2), 10, 0.01)
+def test_quest_without_a_shift_is_the_quest_of_its_library():
+    library = pytest.importorskip("questplus.qp").QuestPlus(
+        stim_domain={"intensity": np.round(np.linspace(2.0, 3.2, 25), 12)},
+        param_domain={
+            "mean": np.array([2.0]),
+            "sd": np.geomspace(0.012, 4.8, 60),
+            "lower_asymptote": np.array([0.005]),
+            "lapse_rate": np.array([0.005]),
+        },
+        outcome_domain={"response": ["right", "wrong"]},
+        func="norm_cdf",
+        stim_scale="linear",
+    )
+    method, rng = Quest(2.0, (2.0, 3.2), 12, 0.01, shifts=(0.0,)), np.random.default_rng(4)
+    while not method.done:
+        level = method.level()
+        assert level == float(library.next_stim["intensity"])
+        right = bool(rng.random() < ndtr((level - 2.0) / 0.2))
+        method.take(level, right)
+        library.update(stim={"intensity": level}, outcome={"response": "right" if right else "wrong"})

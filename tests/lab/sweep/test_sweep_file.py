@@ -92,16 +92,26 @@ def test_a_latin_hypercube_has_one_point_in_each_part_of_each_key(write):
     assert abs(np.corrcoef(first, [point[1] for point in sweep.points])[0, 1]) < 0.5
 
 
-def test_a_sobol_sequence_is_more_even_than_chance(write):
+@pytest.mark.parametrize("seed", range(4))
+def test_each_elementary_interval_of_a_sobol_design_has_its_share(write, seed):
+    table = "plant.coulomb_Nm = { low = 0.0, high = 0.1 }\noperator.tremor_Hz = { low = 5.0, high = 15.0 }"
+    points = vary_of(write, "sobol", table, runs=f"runs = 64\nseed = {seed}").points
+    x, y = (np.array([point[k] for point in points]) for k in (0, 1))
+    for m in range(7):
+        shape = (2**m, 2 ** (6 - m))
+        counts = np.histogram2d(x, y, shape, [(0.0, 0.1), (5.0, 15.0)])[0]
+        assert (counts == 1).all(), shape
+
+
+def test_a_sobol_design_follows_from_its_seed_and_more_runs_change_none_of_the_first(write):
     table = "plant.coulomb_Nm = { low = 0.0, high = 0.1 }\noperator.tremor_Hz = { low = 5.0, high = 15.0 }"
 
-    def emptiest(design):
-        points = vary_of(write, design, table, runs="runs = 256").points
-        x, y = ([one[k] for one in points] for k in (0, 1))
-        return np.histogram2d(x, y, 8, [(0.0, 0.1), (5.0, 15.0)])[0].min()
+    def points(runs, seed):
+        return vary_of(write, "sobol", table, runs=f"runs = {runs}\nseed = {seed}").points
 
-    assert emptiest("sobol") >= 2  # 4 in each of 64 cells, but for the shift
-    assert emptiest("random") < emptiest("sobol")
+    assert points(50, 1) == points(50, 1)
+    assert points(50, 1)[:10] == points(10, 1)
+    assert points(50, 1) != points(50, 2)
 
 
 def test_more_random_runs_change_none_of_the_first(write):

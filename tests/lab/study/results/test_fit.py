@@ -4,77 +4,123 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from coulombus.lab.study.methods import CANDIDATES, SIGMAS, Fixed, Quest, Staircase
+from coulombus.lab.study.methods import Fixed, Mirrored, Quest, Staircase
 from coulombus.lab.study.results.fit import fit_comparisons, fit_magnitudes
 
 JND, REFERENCE = 0.15, 2.0
 LAPSE = 0.01
 
 
-class QuickQuest:
-    """QUEST+ by its equation [Watson 2017], in arrays: the library takes 9 ms for a trial."""
-
-    levels = np.round(np.linspace(2.0, 3.2, CANDIDATES), 12)
-    sigmas = np.geomspace(1.2 / 100.0, 1.2 * 4.0, SIGMAS)
-    right = LAPSE / 2 + (1 - LAPSE) * ndtr((levels[:, None] - REFERENCE) / sigmas)
-    chances = np.array([1 - right, right])  # of an answer, at a level, where sigma is so
-
-    def __init__(self):
-        self._belief, self._left = np.full(SIGMAS, 1.0 / SIGMAS), 80
-
-    @property
-    def done(self):
-        return self._left == 0
-
-    def level(self):
-        after = self._belief * self.chances
-        share = after.sum(axis=2)
-        after /= share[..., None]
-        return self.levels[np.argmin((share * -(after * np.log(after)).sum(axis=2)).sum(axis=0))]
-
-    def take(self, level, right):
-        self._left -= 1
-        self._belief = self._belief * self.chances[int(right), np.flatnonzero(self.levels == level)[0]]
-        self._belief /= self._belief.sum()
+def both_sides(above, rng):
+    return Mirrored(REFERENCE, above(60), above(60), rng)
 
 
 METHODS = {
     "constant": lambda rng: Fixed([1.6, 1.8, 1.9, 2.1, 2.2, 2.4], 30, rng),
-    "staircase": lambda rng: Staircase(2.8, (2.0, 3.2), [0.2, 0.1, 0.05], 2, 1.0, 120),
-    "weighted": lambda rng: Staircase(2.8, (2.0, 3.2), [0.1, 0.05], 1, 3.0, 120),
-    "quest": lambda rng: QuickQuest(),
+    "staircase": lambda rng: both_sides(lambda n: Staircase(2.8, (2.0, 3.2), [0.2, 0.1, 0.05], 2, 1.0, n), rng),
+    "weighted": lambda rng: both_sides(lambda n: Staircase(2.8, (2.0, 3.2), [0.1, 0.05], 1, 3.0, n), rng),
+    "quest": lambda rng: Quest(REFERENCE, (0.8, 3.2), 80, LAPSE),
+    "above": lambda rng: Staircase(2.8, (2.0, 3.2), [0.2, 0.1, 0.05], 2, 1.0, 120),
 }
 
 
-def simulated(method, rng):
-    levels, larger = [], []
+def simulated(method, rng, shift=0.0, bias=0.0, lapse=0.0):
+    """Answers of an observer; `shift` in JND, `bias` in sigma."""
+    sigma = JND / ndtri(0.75)
+    levels, larger, second, orders = [], [], [], []
     while not method.done:
         level = method.level()
-        took = level + rng.normal() * JND / ndtri(0.75) > REFERENCE
+        orders = orders or list(rng.permutation([-1, 1]))
+        order = orders.pop()
+        middle = (level - REFERENCE - shift * JND) / sigma + order * bias
+        judged = bool(rng.random() < lapse / 2 + (1 - lapse) * ndtr(middle))
         levels.append(level)
-        larger.append(bool(took))
-        method.take(level, bool(took == (level > REFERENCE)))
-    return levels, larger
+        larger.append(judged)
+        second.append(order > 0)
+        method.take(level, judged if level >= REFERENCE else not judged)
+    return levels, larger, second
+
+
+def fitted(kind, seed, **faults):
+    rng = np.random.default_rng([20, seed])
+    levels, larger, second = simulated(METHODS[kind](rng), rng, **faults)
+    return fit_comparisons(levels, larger, REFERENCE, second)
+
+
+def holds(bounds, truth):
+    low, high = bounds
+    return (low is None or low <= truth) and (high is None or truth <= high)
 
 
 @pytest.mark.parametrize("kind", METHODS)
-def test_the_interval_holds_the_true_threshold_in_90_to_99_of_100_studies(kind):
-    held, found = 0, []
+def test_the_intervals_hold_the_truth_in_90_to_99_of_100_studies(kind):
+    held, fits = np.zeros(2), []
     for seed in range(100):
+        draw = np.random.default_rng([21, seed])
+        shift, bias, lapse = draw.uniform(-0.5, 0.5), draw.uniform(-0.5, 0.5), draw.uniform(0, 0.04)
+        fit = fitted(kind, seed, shift=shift, bias=bias, lapse=lapse)
+        held += holds(fit.jnd_95, JND), holds(fit.pse_95, REFERENCE + shift * JND)
+        fits.append(fit.jnd)
+    assert 90 <= held.min() <= held.max() <= 99
+    assert np.median(fits) == pytest.approx(JND, rel=0.25 if kind == "above" else 0.1)
+
+
+@pytest.mark.parametrize("kind", ["constant", "staircase", "weighted", "quest"])
+@pytest.mark.parametrize("faults", [{"shift": 1 / 3}, {"bias": 0.5}], ids=["pse", "bias"])
+def test_a_shifted_pse_and_an_interval_bias_leave_the_jnd_right(kind, faults):
+    fits = [fitted(kind, seed, **faults) for seed in range(24)]
+    assert np.median([fit.jnd for fit in fits]) == pytest.approx(JND, rel=0.12)
+    shift, bias = faults.get("shift", 0.0) * JND, faults.get("bias", 0.0) * JND / ndtri(0.75)
+    assert np.median([fit.pse - REFERENCE for fit in fits]) == pytest.approx(shift, abs=0.2 * JND)
+    assert np.median([fit.bias for fit in fits]) == pytest.approx(bias, abs=0.2 * JND)
+
+
+def test_levels_on_one_side_are_said_to_be():
+    assert fitted("above", 1).one_sided
+    assert not fitted("staircase", 1).one_sided
+
+
+def test_lapses_are_fitted_where_easy_levels_tell_them():
+    rng = np.random.default_rng(3)
+    levels = np.repeat([1.2, 1.4, 1.8, 1.9, 2.1, 2.2, 2.6, 2.8], 200)
+    lapse = 0.08
+    chance = lapse / 2 + (1 - lapse) * ndtr((levels - 2.0) / 0.2)
+    fit = fit_comparisons(levels, rng.random(len(levels)) < chance, REFERENCE)
+    assert fit.lapse == pytest.approx(lapse, abs=0.025)
+    assert fit.jnd == pytest.approx(0.2 * ndtri(0.75), rel=0.12)
+
+
+def test_the_deviance_finds_a_subject_who_changes_and_no_other():
+    rng = np.random.default_rng(5)
+    levels = np.tile([1.6, 1.8, 1.9, 2.1, 2.2, 2.4], 40)
+    steady = [fit_comparisons(levels, rng.random(240) < ndtr((levels - 2.0) / 0.2), REFERENCE) for _ in range(60)]
+    shares = np.array([fit.probability for fit in steady])
+    assert np.sum(shares < 0.05) <= 8
+    assert 0.3 < np.median(shares) < 0.7
+    assert np.mean([fit.overdispersion for fit in steady]) == pytest.approx(1.0, abs=0.2)
+    chance = np.where(np.isin(levels, [1.8, 2.2]), 0.5, ndtr((levels - 2.0) / 0.2))
+    odd = fit_comparisons(levels, rng.random(240) < chance, REFERENCE)
+    assert odd.probability < 0.05
+    assert odd.overdispersion > 2
+
+
+def test_the_same_answers_give_the_same_fit():
+    assert fitted("staircase", 4, shift=0.3).as_dict() == fitted("staircase", 4, shift=0.3).as_dict()
+
+
+@pytest.mark.parametrize("kind", ["constant", "staircase"])
+def test_intervals_are_no_wider_than_those_of_psignifit(kind):
+    psignifit = pytest.importorskip("psignifit", reason="psignifit is not installed; it is a comparison only")
+    for seed in range(5):
         rng = np.random.default_rng([20, seed])
-        fit = fit_comparisons(*simulated(METHODS[kind](rng), rng), REFERENCE)
-        low, high = fit.jnd_95
-        held += (low or 0.0) <= JND <= (high or np.inf)
-        found.append(fit.jnd)
-    assert 90 <= held <= 99
-    assert np.median(found) == pytest.approx(JND, rel=0.1)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_quest_shows_the_level_that_its_equation_asks_for(seed):
-    quick = simulated(QuickQuest(), np.random.default_rng([20, seed]))
-    assert simulated(Quest(REFERENCE, (2.0, 3.2), 80, LAPSE), np.random.default_rng([20, seed])) == quick
-    assert len(set(quick[0])) > 5
+        levels, larger, _ = simulated(METHODS[kind](rng), rng)
+        ours, x = fit_comparisons(levels, larger, REFERENCE), np.array(levels)
+        table = [[level, np.sum(np.array(larger)[x == level]), np.sum(x == level)] for level in np.unique(x)]
+        theirs = psignifit.psignifit(np.array(table, float), experiment_type="equal asymptote", sigmoid="norm")
+        low, high = theirs.confidence_intervals["width"]["0.95"]  # from 5 to 95 %: twice 1.645 sigma
+        assert 0.4 < np.log(ours.jnd_95[1] / ours.jnd_95[0]) / np.log(high / low) < 1.1
+        sigma = theirs.parameter_estimate["width"] / (2 * ndtri(0.95))
+        assert ours.jnd == pytest.approx(sigma * ndtri(0.75), rel=0.25)
 
 
 def test_a_fit_is_told_with_its_bias_and_weber_fraction():

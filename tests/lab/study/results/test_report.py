@@ -10,8 +10,9 @@ from scipy.special import ndtri
 from coulombus.cli.main import main
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.results.pictures import write_figures
-from coulombus.lab.study.results.report import _mixed, _study_of, lines, report
+from coulombus.lab.study.results.report import _mixed, _study_of, report
 from coulombus.lab.study.results.report_markdown import page
+from coulombus.lab.study.results.report_text import lines
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
 from coulombus.lab.study.study_folder import StudyFolderError, SubjectFolder

@@ -1,0 +1,174 @@
+"""How often the intervals of a study hold the truth: simulated observers, whose truth is known.
+
+Each observer answers all trials of a study of its method. Its JND is drawn around 0.15 Nm (log normal,
+0.2). It is ideal, or its point of subjective equality is a third of a JND off, or its interval bias is
+half a sigma, or all is drawn at random: the point of subjective equality up to half a JND off, a bias up
+to half a sigma, lapses up to 4 %. Levels, orders and answers come from the classes that a session
+uses; no display is shown (examples/study_coverage.py shows them).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from scipy.special import ndtri
+
+from coulombus.lab.study.observer import Faults, Observer
+from coulombus.lab.study.results.fit import Fit, fit_answers
+from coulombus.lab.study.results.hierarchy import hierarchical
+from coulombus.lab.study.results.posterior import Posterior
+from coulombus.lab.study.study import Study, read_study
+from coulombus.lab.study.trials import Trials
+
+__all__ = ["METHODS", "answered", "observers"]
+
+Show: TypeAlias = Callable[..., None]
+
+SEED, REFERENCE, JND, SPREAD = 20, 2.0, 0.15, 0.2
+SIGMAS_A_JND = 1 / float(ndtri(0.75))
+GROUP = 8
+METHODS = {
+    "constant stimuli, 180 trials": 'kind = "constant"\nlevels = [1.6, 1.8, 1.9, 2.1, 2.2, 2.4]\nrepeats = 30\n',
+    "staircases 1 up 2 down, 120 trials": 'kind = "staircase"\nstart = 2.8\nlow = 2.0\nhigh = 3.2\n'
+    "steps = [0.2, 0.1, 0.05]\ntrials = 120\n",
+    "weighted staircases 3 : 1, 120 trials": 'kind = "staircase"\nstart = 2.8\nlow = 2.0\nhigh = 3.2\n'
+    "steps = [0.1, 0.05]\ndown = 1\nup_ratio = 3.0\ntrials = 120\n",
+    "QUEST+, 80 trials": 'kind = "quest"\nlow = 2.0\nhigh = 3.2\ntrials = 80\n',
+}
+"""Name of a method -> its table of the study file."""
+CASES = ("ideal", "PSE off by JND/3", "bias of sigma/2", "all at random")
+STUDY = """name = "observers"
+seconds = 0.1
+seed = {seed}
+reference = {reference}
+question = "Which one had more friction?"
+[level]
+"mode.{{mode}}.F_s_Nm" = 1.0
+"mode.{{mode}}.F_d_Nm" = 1.0
+[method]
+{method}
+[[condition]]
+name = "hybrid"
+"""
+START, END = "<!-- observers: begin -->", "<!-- observers: end -->"
+
+
+@dataclass(frozen=True)
+class Result:
+    """An observer's truth, and what the analysis makes of its answers."""
+
+    jnd: float
+    pse: float
+    fit: Fit
+    posterior: Posterior
+
+
+@lru_cache
+def _study(method: str) -> Study:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "study.toml"
+        path.write_text(STUDY.format(seed=SEED, reference=REFERENCE, method=METHODS[method]))
+        return read_study(path)
+
+
+def _faults(case: str, jnd: float, random: np.random.Generator) -> Faults:
+    sigma = jnd * SIGMAS_A_JND
+    if case == "PSE off by JND/3":
+        return Faults(shift=jnd / 3)
+    if case == "bias of sigma/2":
+        return Faults(bias=sigma / 2)
+    if case == "all at random":
+        shift, bias, lapse = random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), random.uniform(0, 0.04)
+        return Faults(shift=shift * jnd, bias=bias * sigma, lapse=lapse)
+    return Faults()
+
+
+def answered(method: str, case: str, subject: int) -> Result:
+    """Let observer number `subject` answer all trials of a method, and fit its answers."""
+    random = np.random.default_rng([SEED, subject])
+    jnd = JND * float(np.exp(random.normal(0.0, SPREAD)))
+    faults = _faults(case, jnd, random)
+    observer, trials = Observer(jnd, SEED, subject, faults=faults), Trials(_study(method), subject)
+    levels, larger, second = [], [], []
+    while (trial := trials.next()) is not None:
+        answer = observer.answer(trial)
+        levels.append(trial.level)
+        larger.append(trial.right(answer))
+        second.append(trial.first == 2)
+        trials.answer(answer)
+    fit, posterior = fit_answers(levels, larger, REFERENCE, second)
+    return Result(jnd, REFERENCE + faults.shift, fit, posterior)
+
+
+def _share(held: Iterable[bool]) -> str:
+    return f"{np.mean(list(held)):.1%}"
+
+
+def _within(bounds: tuple[float | None, float | None], truth: float) -> bool:
+    low, high = bounds
+    return (low is None or low <= truth) and (high is None or truth <= high)
+
+
+def _groups(results: list[Result]) -> str:
+    """Return how often the hierarchical fit of groups holds the JND that they were drawn around."""
+    groups = [results[k : k + GROUP] for k in range(0, len(results) - GROUP + 1, GROUP)]
+    fits = [hierarchical({str(k): each.posterior for k, each in enumerate(group)}) for group in groups]
+    held = [fit.jnd_95[0] <= JND <= fit.jnd_95[1] for fit in fits if fit is not None]
+    return f"{sum(held)} of {len(held)}"
+
+
+def _row(method: str, case: str, results: list[Result]) -> tuple[str, ...]:
+    ratio = [each.fit.jnd / each.jnd for each in results]
+    return (
+        method,
+        case,
+        _share(_within(each.fit.jnd_95, each.jnd) for each in results),
+        _share(_within(each.fit.pse_95, each.pse) for each in results),
+        f"{np.median(ratio) - 1:+.1%}",
+        f"{np.exp(np.mean(np.log(ratio))) - 1:+.1%}",
+        _share(each.fit.probability < 0.05 for each in results),
+        _groups(results),
+    )
+
+
+HEAD = (
+    "method",
+    "observers",
+    "JND held",
+    "PSE held",
+    "JND, median error",
+    "JND, mean log error",
+    "p < 0.05",
+    f"groups of {GROUP}: JND held",
+)
+
+
+def observers(show: Show, count: int, document: Path | None = None, processes: int = 2) -> None:
+    """Show the coverage of each method with `count` observers of each kind; write it into `document`."""
+    rows = []
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        for method in METHODS:
+            for case in CASES:
+                results = list(pool.map(partial(answered, method, case), range(count), chunksize=4))
+                rows.append(_row(method, case, results))
+                held, pse, error = rows[-1][2], rows[-1][3], rows[-1][4]
+                show(f"{method}, {case}: JND held, PSE held, median error", f"{held}, {pse}, {error}", "90 to 99 %")
+    if document is not None:
+        _write(document, count, rows)
+
+
+def _write(document: Path, count: int, rows: list[tuple[str, ...]]) -> None:
+    """Replace the table between the marks of a document."""
+    lines = [HEAD, ("---",) * len(HEAD), *rows]
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    said = f"{count} observers in each row, seed {SEED}:"
+    before, _, rest = document.read_text().partition(START)
+    document.write_text(f"{before}{START}\n{said}\n\n{table}\n{END}{rest.partition(END)[2]}")

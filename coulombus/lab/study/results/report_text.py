@@ -1,0 +1,77 @@
+"""A study's report as lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+__all__ = ["between", "lines"]
+
+POOR = 0.05
+"""Below this probability of the deviance the fit is said to be poor."""
+
+
+def _hand_text(hand: Mapping[str, Any]) -> str:
+    text = f"path {hand['path_rad']:.3g} rad, {hand['reversals']:.3g} reversals, moving {hand['moving']:.0%}"
+    text += f" at {hand['speed_rad_s']:.3g} rad/s"
+    return text if hand["work_J"] is None else f"{text}, peak {hand['peak_Nm']:.3g} Nm, work {hand['work_J']:.3g} J"
+
+
+def between(bounds: Sequence[float | None] | None) -> str:
+    """Return an interval as text: " (0.1 to 0.2)", with `?` for an end that nothing bounds."""
+    if bounds is None:
+        return ""
+    low, high = ("?" if bound is None else f"{bound:.4g}" for bound in bounds)
+    return f" ({low} to {high})"
+
+
+def lines(results: Mapping[str, Any]) -> Iterable[str]:
+    """Yield a report as text."""
+    unit = f" {results['level']['unit']}".rstrip()
+    for subject, conditions in results["subjects"].items():
+        for name, condition in conditions.items():
+            text = f"{subject} {name}: {condition['trials']} trials"
+            fit, magnitudes = condition["fit"], condition["magnitudes"]
+            if fit is not None:
+                text += _fit_text(fit, unit)
+            elif condition["levels"]:
+                text += f", not fitted: {condition['no_fit']}"
+            if magnitudes is not None:
+                text += f", exponent {magnitudes['exponent']:.3g}{between(magnitudes['exponent_95'])}"
+            if condition["staircase"] is not None:
+                turned = condition["staircase"]
+                text += f", {turned['turns']} turns around {turned['threshold']:.4g}{unit} ({turned['right']:.1%} right there)"
+            yield text
+            for level, hand in (condition["exploration"] or {}).items():
+                yield f"  level {level}{unit}: {_hand_text(hand)}"
+    for name, condition in results["conditions"].items():
+        if condition["subjects"] > 1:
+            text = f"{name}: JND {condition['jnd']:.4g}{unit}{between(condition['jnd_95'])}"
+            yield f"{text}, geometric mean of {condition['subjects']} subjects{_left_out(condition)}"
+        if condition["hierarchical"] is not None:
+            group = condition["hierarchical"]
+            text = f"{name}: JND {group['jnd']:.4g}{unit}{between(group['jnd_95'])}, hierarchical fit of the answers"
+            yield f"{text} of {group['subjects']} subjects, spread of log JND {group['spread']:.2g}{between(group['spread_95'])}"
+    model = results["mixed_model"]
+    for name, effect in (model or {"jnd_ratio": {}})["jnd_ratio"].items():
+        text = f"{name}: JND {effect['ratio']:.3g}{between(effect['ratio_95'])} times that of {model['against']}"
+        yield f"{text}, mixed model of {model['subjects']} subjects"
+
+
+def _fit_text(fit: Mapping[str, Any], unit: str) -> str:
+    text = f", JND {fit['jnd']:.4g}{unit}{between(fit['jnd_95'])}, PSE {fit['pse']:.4g}{unit}{between(fit['pse_95'])}"
+    text += "" if fit["weber"] is None else f", Weber fraction {fit['weber']:.3g}"
+    text += f", {fit['right']:.1%} right, lapses {fit['lapse']:.1%}"
+    if fit["bias"] is not None:
+        text += f", interval bias {fit['bias']:.2g}{unit}{between(fit['bias_95'])}"
+    text += f", deviance {fit['deviance']:.3g} (p = {fit['probability']:.2g}, overdispersion {fit['overdispersion']:.2g})"
+    if fit["probability"] < POOR:
+        text += "; the function does not describe these answers"
+    if fit["one_sided"]:
+        text += "; levels on one side of the reference: PSE and slope are hardly told apart"
+    return text
+
+
+def _left_out(condition: Mapping[str, Any]) -> str:
+    named = "; ".join(f"{subject}: {reason}" for subject, reason in condition["left_out"].items())
+    return f"; left out: {named}" if named else ""
