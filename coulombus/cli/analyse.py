@@ -75,8 +75,9 @@ def _all(options: dict[str, Any]) -> None:
 def study(folder: Path, figures: Path | None, exploration: bool, as_json: bool) -> None:
     """Thresholds of a study that `coulombus experiment` has kept in FOLDER.
 
-    Just noticeable differences with intervals of 95 % (profile likelihood), Weber fractions,
-    exponents of magnitudes, all subjects together, and a mixed model where statsmodels is installed.
+    Points of subjective equality, just noticeable differences, lapses and interval biases with
+    intervals of 95 %, goodness of fit, Weber fractions, exponents of magnitudes; groups by geometric
+    mean and hierarchical fit, and a mixed model where statsmodels is installed.
     How the hands explored is told where nothing was asked, or with --exploration. With --figures the
     report is written there with its pictures, as report.md.
 

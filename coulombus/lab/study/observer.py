@@ -62,7 +62,7 @@ class Observer:
         seed: int,
         subject: int,
         judged: Callable[[Trial], Sequence[float]] = _levels,
-        faults: Faults = Faults(),  # noqa: B008
+        faults: Faults = Faults(),
     ) -> None:
         self._sigma, self._seed, self._judged = jnd / float(ndtri(0.75)), (seed, subject), judged
         self._faults = faults

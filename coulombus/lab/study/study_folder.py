@@ -206,10 +206,8 @@ class SubjectFolder:
         return [session for session in sessions if isinstance(session, dict)] if isinstance(sessions, list) else []
 
     def _tell(self) -> None:
-        units = dict.fromkeys(SECONDS, {"Units": "s"})
-        sidecar: dict[str, Any] = {
-            name: {"Description": text, **units.get(name, {})} for name, text in COLUMNS.items()
-        }
+        units = {column: {"Units": "s"} for column in SECONDS}
+        sidecar: dict[str, Any] = {name: {"Description": text, **units.get(name, {})} for name, text in COLUMNS.items()}
         sidecar["TaskName"] = self.study.file.name
         sidecar["StimulusPresentation"] = {"SoftwareName": "coulombus", "SoftwareVersion": project_version()}
         sidecar["sessions"] = self._sessions

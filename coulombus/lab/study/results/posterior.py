@@ -73,8 +73,8 @@ def counted(
     trials = np.stack([np.asarray(levels, float) - reference, order], axis=1)
     cells, where = np.unique(trials, axis=0, return_inverse=True)
     where = where.ravel()
-    hits = np.bincount(where, judged, len(cells))
-    return Answers(cells[:, 0], cells[:, 1], hits, np.bincount(where, ~judged, len(cells)))
+    hits, misses = (np.asarray(np.bincount(where, given, len(cells)), float) for given in (judged, ~judged))
+    return Answers(cells[:, 0], cells[:, 1], hits, misses)
 
 
 @dataclass(frozen=True)
@@ -136,8 +136,8 @@ def posterior(answers: Answers) -> Posterior:
     span = float(np.max(np.abs(answers.distance), initial=0.0))
     if span == 0:
         raise ValueError("no level differs from the reference; expected trials with levels that do")
-    edges = np.log([span * NARROWEST, span * WIDEST])
-    axes = [np.linspace(*edges, 25), np.linspace(-3, 3, 17), np.zeros(1)]
+    edges = float(np.log(span * NARROWEST)), float(np.log(span * WIDEST))
+    axes: list[Floats] = [np.linspace(edges[0], edges[1], 25), np.linspace(-3, 3, 17), np.zeros(1)]
     if answers.order.any():
         axes[2] = np.linspace(-2, 2, 11)
     coarse = _log_posterior(answers, axes, _lapses(4), span)
@@ -150,7 +150,9 @@ def posterior(answers: Answers) -> Posterior:
     peak = float(likelihood.max())
     bounded = 1.92  # half the 95 % quantile of chi-squared with one degree of freedom [Wilks 1938]
     return Posterior(
-        *axes,
+        axes[0],
+        axes[1],
+        axes[2],
         lapse,
         weight / weight.sum(),
         likelihood - peak,
@@ -173,9 +175,7 @@ def _log_prior_of_sigma(log_sigma: Floats, span: float) -> Floats:
 def _log_posterior(answers: Answers, axes: Sequence[Floats], lapses: Floats, span: float) -> Floats:
     log_sigma, shift, bias = axes
     scaled = answers.distance / np.exp(log_sigma)[:, None]
-    chance = ndtr(
-        scaled[:, None, None, :] - shift[None, :, None, None] + answers.order * bias[None, None, :, None]
-    )
+    chance = ndtr(scaled[:, None, None, :] - shift[None, :, None, None] + answers.order * bias[None, None, :, None])
     whole = np.empty((*chance.shape[:3], len(lapses)))
     for k, lapse in enumerate(lapses):
         p = np.clip(lapse / 2 + (1 - lapse) * chance, TINY, 1 - TINY)

@@ -28,9 +28,9 @@ def page(results: Mapping[str, Any], paths: Sequence[Path] = ()) -> str:
     parts = [f"# {results['study'] or 'What the study came to'}"]
     if results["level"]["unit"]:
         parts.append(f"The level is {results['level']['quantity']}{unit}. Intervals are of 95 %.")
-    head = ("subject", "condition", "trials", f"JND{unit}", f"PSE{unit}", "Weber fraction", "right")
-    head += ("lapses", f"interval bias{unit}", "deviance p", "overdispersion", "exponent")
-    parts.append(_table((*head, f"staircase{unit}"), rows))
+    head = ["subject", "condition", "trials", f"JND{unit}", f"PSE{unit}", "Weber fraction", "right", "lapses"]
+    head += [f"interval bias{unit}", "deviance p", "overdispersion", "exponent", f"staircase{unit}"]
+    parts.append(_table(head, rows))
     together = list(lines({**results, "subjects": {}}))
     if together:
         parts.append("All subjects:\n\n" + "\n".join(f"- {line}" for line in together))

@@ -64,7 +64,9 @@ def _fit_text(fit: Mapping[str, Any], unit: str) -> str:
     text += f", {fit['right']:.1%} right, lapses {fit['lapse']:.1%}"
     if fit["bias"] is not None:
         text += f", interval bias {fit['bias']:.2g}{unit}{between(fit['bias_95'])}"
-    text += f", deviance {fit['deviance']:.3g} (p = {fit['probability']:.2g}, overdispersion {fit['overdispersion']:.2g})"
+    text += (
+        f", deviance {fit['deviance']:.3g} (p = {fit['probability']:.2g}, overdispersion {fit['overdispersion']:.2g})"
+    )
     if fit["probability"] < POOR:
         text += "; the function does not describe these answers"
     if fit["one_sided"]:

@@ -5,14 +5,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from coulombus.cli.main import main
+from coulombus.lab.study.methods import Mirrored, Staircase
 from coulombus.lab.study.observer import Observer
+from coulombus.lab.study.results.fit import LEAST_TRIALS
 from coulombus.lab.study.results.pictures import write_figures
 from coulombus.lab.study.results.report import _mixed, _study_of, report
 from coulombus.lab.study.results.report_markdown import page
 from coulombus.lab.study.results.report_text import lines
+from coulombus.lab.study.results.staircase import staircases
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
 from coulombus.lab.study.study_folder import StudyFolderError, SubjectFolder
@@ -57,7 +60,7 @@ def test_staircases_come_to_the_observers_thresholds(keep, tmp_path):
     for jnd, conditions in zip(jnds, found["subjects"].values(), strict=True):
         for one in conditions.values():
             assert one["fit"]["trials"] == one["trials"] == 80
-            assert one["fit"]["jnd"] == pytest.approx(jnd, rel=0.5)
+            assert one["fit"]["jnd_95"][0] < jnd < one["fit"]["jnd_95"][1]
             assert one["fit"]["right"] == pytest.approx(0.7071, abs=0.08)
             assert one["staircase"]["right"] == pytest.approx(0.7071, abs=0.1)
             at_707 = 2.0 + jnd / ndtri(0.75) * ndtri(0.7071)
@@ -66,6 +69,8 @@ def test_staircases_come_to_the_observers_thresholds(keep, tmp_path):
     assert low < 0.15 < high
     assert "2 subjects" in "\n".join(lines(found))
     assert f"JND {found['conditions']['a']['jnd']:.4g} Nm (" in "\n".join(lines(found))
+    assert [found["conditions"]["a"][key] for key in ("subjects", "left_out")] == [2, {}]
+    assert found["conditions"]["a"]["hierarchical"]["subjects"] == 2
     told = page(found)
     assert "The level is F_s [Nm]." in told
     assert "| JND [Nm] | PSE [Nm] |" in told
@@ -90,7 +95,7 @@ def test_the_level_is_the_key_that_it_is_set_to(tmp_path, level, told):
 
 
 def test_pictures_are_the_same_for_the_same_answers(keep, tmp_path):
-    keep(TEXT, 0.15)
+    keep(TEXT.replace("repeats = 2", "repeats = 15"), 0.15)
     first, second = (write_figures(report(tmp_path / "out"), tmp_path / name) for name in ("one", "two"))
     assert [path.name for path in first] == ["sub-S01_psychometric.png", "sub-S01_psychometric.svg", "report.md"]
     assert "JND" in first[-1].read_text()
@@ -147,3 +152,44 @@ def test_a_folder_of_no_study_and_a_broken_row_are_told(keep, tmp_path):
     path.write_text(path.read_text().replace("\t2.4\t", "\tx\t"))
     with pytest.raises(StudyFolderError, match="is no number"):
         report(tmp_path / "out")
+
+
+def test_a_mean_counts_who_entered_it_and_names_who_did_not(keep, tmp_path):
+    keep(TWO, 0.13, 0.17, 1e-4, 0.15)
+    events = sorted((tmp_path / "out").glob("sub-*/*_events.tsv"))
+    few = events[3].read_text().splitlines(keepends=True)
+    events[3].write_text("".join(few[: 1 + LEAST_TRIALS - 1]))
+    results = report(tmp_path / "out")
+    condition = results["conditions"]["a"]
+    assert condition["subjects"] == 2
+    assert condition["left_out"] == {
+        "S03": "its answers bound the JND on one side only, or on none",
+        "S04": "no trial",
+    }
+    jnds = [results["subjects"][subject]["a"]["fit"]["jnd"] for subject in ("S01", "S02")]
+    assert condition["jnd"] == pytest.approx(np.sqrt(jnds[0] * jnds[1]))
+    assert results["subjects"]["S04"]["b"]["fit"] is None  # the first block of S04
+    assert condition["hierarchical"]["subjects"] == 3
+    text = "\n".join(lines(results))
+    assert "geometric mean of 2 subjects; left out: S03: its answers bound" in text
+    assert f"S04 b: {LEAST_TRIALS - 1} trials, not fitted" in text
+    assert results["conditions"]["b"]["left_out"]["S04"] == f"{LEAST_TRIALS - 1} answers; a fit needs {LEAST_TRIALS}"
+    assert "not fitted" in page(results)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_two_staircases_come_to_one_threshold_and_a_shift_cancels(shift):
+    rng = np.random.default_rng(3)
+    both = Mirrored(2.0, *(Staircase(2.6, (2.0, 3.2), [0.1, 0.05], 2, 1.0, 400) for _ in range(2)), rng)
+    levels, larger = [], []
+    while not both.done:
+        levels.append(both.level())
+        larger.append(bool(rng.random() < ndtr((levels[-1] - 2.0 - shift) / 0.3)))
+        both.take(levels[-1], larger[-1] if levels[-1] >= 2.0 else not larger[-1])
+    turned = staircases(levels, larger, 2.0)
+    assert turned["threshold"] == pytest.approx(2.0 + 0.3 * ndtri(0.7071), abs=0.04)
+    assert turned["right"] == pytest.approx(0.7071, abs=0.05)
+    folded = staircases(
+        [x for x in levels if x > 2.0], [took for x, took in zip(levels, larger, strict=True) if x > 2.0], 2.0
+    )
+    assert folded["turns"] < turned["turns"]
