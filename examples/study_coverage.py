@@ -1,8 +1,9 @@
 """Studies with a simulated observer of known threshold, through the whole chain: how often is it found?
 
-Each study is a staircase of its own, shown on the simulated rig: bring-up, arming, friction through
-PDOs, a recording. The observer judges the torque that its hand felt, out of the recordings. Each study
-is then analysed as any other. Given again, the same command goes on where it was stopped.
+Each study is a pair of staircases of its own, shown on the simulated rig: bring-up, arming, friction through
+PDOs, a recording. The observer judges the torque that its hand felt, out of the recordings; its point of
+subjective equality is up to half a JND off, its interval bias up to half a sigma, and it draws up to 4 % of
+its answers at random. Each study is then analysed as any other. Given again, the same command goes on where it was stopped.
 
 python examples/study_coverage.py out/coverage --studies 100 --processes 2
 """
@@ -24,7 +25,7 @@ from scipy.special import ndtri
 
 from coulombus.lab.study.displays import VirtualDisplays
 from coulombus.lab.study.felt_torque import felt_Nm
-from coulombus.lab.study.observer import Observer
+from coulombus.lab.study.observer import Faults, Observer
 from coulombus.lab.study.results.report import report
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
@@ -56,6 +57,13 @@ set = ['''phase=[{{kind="rest",duration_s=0.8}},{{kind="stroke",duration_s=0.4,s
 """
 
 
+def faults_of(seed: int) -> Faults:
+    """Return what the observer of study number `seed` does other than an ideal one."""
+    random = np.random.default_rng([20, seed])
+    shift, bias, lapse = random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), random.uniform(0.0, 0.04)
+    return Faults(shift=shift * JND_NM, bias=bias * JND_NM / float(ndtri(0.75)), lapse=lapse)
+
+
 def study(folder: Path, trials: int, seed: int) -> dict[str, Any]:
     """Carry out what is left of study number `seed`; return what its analysis tells."""
     own = folder / f"study-{seed:03d}"
@@ -68,6 +76,7 @@ def study(folder: Path, trials: int, seed: int) -> dict[str, Any]:
             seed,
             kept.number,
             lambda trial: [felt_Nm(kept.recording(trial, one)) for one in range(1, len(trial.levels) + 1)],
+            faults_of(seed),
         )
         people = People(tell=lambda text: None, ask=observer.answer, go_on=lambda text: True)
         came = run_session(SubjectSession(kept, VirtualDisplays()), people)
@@ -75,19 +84,21 @@ def study(folder: Path, trials: int, seed: int) -> dict[str, Any]:
             raise RuntimeError(f"study {seed}: {came.ended_by}")
         shutil.rmtree(kept.own / "recordings")  # 0.8 MB a display; what was felt of them is in the answers
     found: dict[str, Any] = report(own / "kept")["subjects"][SUBJECT]["hybrid"]
-    return found
+    return found | {"true_pse_Nm": REFERENCE_NM + faults_of(seed).shift}
 
 
 def figures(found: list[dict[str, Any]]) -> dict[str, Any]:
     """Return what the studies come to together."""
     fits = [one["fit"] for one in found]
     held = [(fit["jnd_95"][0] or 0.0) <= JND_NM <= (fit["jnd_95"][1] or np.inf) for fit in fits]
+    pse = [one["fit"]["pse_95"][0] <= one["true_pse_Nm"] <= one["fit"]["pse_95"][1] for one in found]
     bounded = [None not in fit["jnd_95"] for fit in fits]
     stairs = [one["staircase"] for one in found if one["staircase"] is not None]
     rest = REFERENCE_NM + JND_NM / ndtri(0.75) * ndtri(np.sqrt(0.5))
     return {
         "studies": len(found),
         "interval_holds": sum(held),
+        "pse_interval_holds": sum(pse),
         "interval_bounded": sum(bounded),
         "median_jnd_Nm": float(np.median([fit["jnd"] for fit in fits])),
         "true_jnd_Nm": JND_NM,
