@@ -135,7 +135,6 @@ def _row(method: str, case: str, results: list[Result]) -> tuple[str, ...]:
         f"{np.median(ratio) - 1:+.1%}",
         f"{np.exp(np.mean(np.log(ratio))) - 1:+.1%}",
         _share(each.fit.probability < 0.05 for each in results),
-        _groups(results),
     )
 
 
@@ -147,7 +146,6 @@ HEAD = (
     "JND, median error",
     "JND, mean log error",
     "p < 0.05",
-    f"groups of {GROUP}: JND held",
 )
 
 
@@ -161,6 +159,7 @@ def observers(show: Show, count: int, document: Path | None = None, processes: i
                 rows.append(_row(method, case, results))
                 held, pse, error = rows[-1][2], rows[-1][3], rows[-1][4]
                 show(f"{method}, {case}: JND held, PSE held, median error", f"{held}, {pse}, {error}", "90 to 99 %")
+                show(f"... groups of {GROUP}, hierarchical fit: JND held", _groups(results))
     if document is not None:
         _write(document, count, rows)
 

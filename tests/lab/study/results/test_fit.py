@@ -61,9 +61,10 @@ def test_the_intervals_hold_the_truth_in_90_to_99_of_100_studies(kind):
         fit = fitted(kind, seed, shift=shift, bias=bias, lapse=lapse)
         held += holds(fit.jnd_95, JND), holds(fit.pse_95, REFERENCE + shift * JND)
         fits.append(fit.jnd)
-    assert held.min() >= 90
-    if kind != "above":  # there the prior bounds the shift, and its interval is wide
-        assert held.max() <= 99
+    if kind == "above":  # levels on one side do not tell the shift
+        assert held[0] >= 90
+    else:
+        assert 90 <= held.min() <= held.max() <= 99
     assert np.median(fits) == pytest.approx(JND, rel=0.25 if kind == "above" else 0.1)
 
 
@@ -85,10 +86,10 @@ def test_levels_on_one_side_are_said_to_be():
 def test_lapses_are_fitted_where_easy_levels_tell_them():
     rng = np.random.default_rng(3)
     levels = np.repeat([1.2, 1.4, 1.8, 1.9, 2.1, 2.2, 2.6, 2.8], 200)
-    lapse = 0.08
+    lapse = 0.05
     chance = lapse / 2 + (1 - lapse) * ndtr((levels - 2.0) / 0.2)
     fit = fit_comparisons(levels, rng.random(len(levels)) < chance, REFERENCE)
-    assert fit.lapse == pytest.approx(lapse, abs=0.025)
+    assert fit.lapse == pytest.approx(lapse, abs=0.02)
     assert fit.jnd == pytest.approx(0.2 * ndtri(0.75), rel=0.12)
 
 
