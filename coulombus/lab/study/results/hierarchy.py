@@ -28,7 +28,7 @@ from scipy.special import ndtri
 
 from coulombus.lab.study.results.posterior import Posterior
 
-__all__ = ["Group", "hierarchical"]
+__all__ = ["GroupFit", "hierarchical"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -39,7 +39,7 @@ NOTHING = -50.0
 
 
 @dataclass(frozen=True)
-class Group:
+class GroupFit:
     """The hierarchical fit of a condition.
 
     Attributes
@@ -62,7 +62,7 @@ class Group:
         return asdict(self)
 
 
-def hierarchical(posteriors: Mapping[str, Posterior]) -> Group | None:
+def hierarchical(posteriors: Mapping[str, Posterior]) -> GroupFit | None:
     """Return the group of subjects; None of fewer than two."""
     if len(posteriors) < 2:
         return None
@@ -81,7 +81,7 @@ def hierarchical(posteriors: Mapping[str, Posterior]) -> Group | None:
     tau = _quantiles(spread, weight.sum(axis=0))
     means = (kernel @ (likelihood * log_sigma).T) / each_subject
     own = np.exp(np.einsum("mt,mts->s", weight, means)) * QUARTER
-    return Group(
+    return GroupFit(
         subjects=len(posteriors),
         jnd=float(np.exp(theta[1]) * QUARTER),
         jnd_95=(float(np.exp(theta[0]) * QUARTER), float(np.exp(theta[2]) * QUARTER)),
