@@ -19,7 +19,7 @@ doi:10.1016/j.visres.2016.02.002]. The priors are
 - :math:`\delta/\sigma` and :math:`\beta/\sigma`: standard normal;
 - :math:`\lambda`: Beta(1, 40), mean 2.4 %, at eight of its quantiles, from 0.2 to 6.7 %.
 
-A coarse grid finds where the posterior is above :math:`e^{-9}` of its peak, a fine grid covers that.
+Two coarse grids find where the posterior is above :math:`e^{-9}` of its peak, a fine grid covers that.
 `python -m benchmarks observers` measures how often the intervals hold the truth.
 """
 
@@ -41,9 +41,11 @@ LAPSES_BETA = 40.0
 NARROWEST, WIDEST = 0.01, 5.0
 """Range of sigma, as shares of the largest distance of a level from the reference."""
 NEGLIGIBLE = 9.0
-"""The fine grid leaves out what is less likely than the peak by this factor of e."""
-POINTS = (41, 40, 14)
-"""Of the fine grid. Even numbers: no point of every sigma stands at a shift of 0."""
+"""The fine grid leaves out what is less likely than the peak by this factor of e, and by a share of each
+answer on top: many answers have a narrow peak, which may stand between the points of a coarse grid.
+"""
+COARSE, POINTS = (25, 17, 11), (41, 40, 14)
+"""Of a coarse and of the fine grid. Even numbers: no point of every sigma stands at a shift of 0."""
 TINY = 1e-12
 
 
@@ -140,8 +142,11 @@ def posterior(answers: Answers) -> Posterior:
     axes: list[Floats] = [np.linspace(edges[0], edges[1], 25), np.linspace(-3, 3, 17), np.zeros(1)]
     if answers.order.any():
         axes[2] = np.linspace(-2, 2, 11)
-    coarse = _log_posterior(answers, axes, _lapses(4), span)
-    axes = [_zoomed(coarse, axis, k, POINTS[k]) for k, axis in enumerate(axes)]
+    trials = float((answers.larger + answers.smaller).sum())
+    for points, an_answer in ((COARSE, 0.05), (POINTS, 0.01)):
+        coarse = _log_posterior(answers, axes, _lapses(4), span)
+        negligible = NEGLIGIBLE + an_answer * trials
+        axes = [_zoomed(coarse, axis, k, points[k], negligible) for k, axis in enumerate(axes)]
     lapse = _lapses(8)
     fine = _log_posterior(answers, axes, lapse, span)
     weight = np.exp(fine - fine.max())
@@ -185,10 +190,10 @@ def _log_posterior(answers: Answers, axes: Sequence[Floats], lapses: Floats, spa
     return whole
 
 
-def _zoomed(log_posterior: Floats, axis: Floats, k: int, count: int) -> Floats:
+def _zoomed(log_posterior: Floats, axis: Floats, k: int, count: int, negligible: float) -> Floats:
     """Return an axis of `count` values over what is not negligible."""
     if len(axis) == 1:
         return axis
     profile = log_posterior.max(axis=tuple(other for other in range(4) if other != k))
-    inside = np.flatnonzero(profile > profile.max() - NEGLIGIBLE)
+    inside = np.flatnonzero(profile > profile.max() - negligible)
     return np.linspace(axis[max(inside[0] - 1, 0)], axis[min(inside[-1] + 1, len(axis) - 1)], count)
