@@ -84,15 +84,16 @@ def test_levels_on_one_side_are_said_to_be():
 
 
 def test_lapses_are_fitted_where_easy_levels_tell_them():
-    rng = np.random.default_rng(3)
     levels = np.repeat([1.2, 1.4, 1.8, 1.9, 2.1, 2.2, 2.6, 2.8], 200)
-    lapse = 0.05
-    chance = lapse / 2 + (1 - lapse) * ndtr((levels - 2.0) / 0.2)
-    fit = fit_comparisons(levels, rng.random(len(levels)) < chance, REFERENCE)
-    ideal = fit_comparisons(levels, rng.random(len(levels)) < ndtr((levels - 2.0) / 0.2), REFERENCE)
-    assert fit.lapse_95[0] < lapse < fit.lapse_95[1]
-    assert ideal.lapse_95[1] < lapse
-    assert fit.jnd == pytest.approx(0.2 * ndtri(0.75), rel=0.12)
+
+    def fit_of(lapse):  # as many answers as are expected
+        chance = lapse / 2 + (1 - lapse) * ndtr((levels - 2.0) / 0.2)
+        return fit_comparisons(levels, np.tile(np.arange(200) + 0.5, 8) < 200 * chance, REFERENCE)
+
+    for lapse in (0.0, 0.05):
+        fit = fit_of(lapse)
+        assert fit.lapse == pytest.approx(lapse, abs=0.015)
+        assert fit.jnd == pytest.approx(0.2 * ndtri(0.75), rel=0.05)
 
 
 def test_the_deviance_finds_a_subject_who_changes_and_no_other():
