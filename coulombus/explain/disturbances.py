@@ -11,11 +11,25 @@ import numpy as np
 from coulombus.explain.bus import Bus
 from coulombus.explain.frames import ERROR, Block, Integers
 from coulombus.wire.can_flags import CAN_ERR_FLAG
+from coulombus.wire.error_frames import (
+    ACTIVE_AGAIN,
+    BUS_ERROR,
+    BUS_OFF,
+    CONTROLLER,
+    NO_ACK,
+    RESTARTED,
+    RX_OVERFLOW,
+    RX_PASSIVE,
+    RX_WARNING,
+    TX_OVERFLOW,
+    TX_PASSIVE,
+    TX_WARNING,
+    VIOLATION,
+)
 
 __all__ = ["Disturbances"]
 
-CONTROLLER, PROTOCOL, NO_ACK, BUS_OFF, BUS_ERROR, RESTARTED = 0x004, 0x008, 0x020, 0x040, 0x080, 0x100
-OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x03, 0x0C, 0x30, 0x40
+OVERFLOW, WARNING, PASSIVE = RX_OVERFLOW | TX_OVERFLOW, RX_WARNING | TX_WARNING, RX_PASSIVE | TX_PASSIVE
 STATE_NS = 1_000_000_000
 DENSE = 8
 """Error frames within a second that are more than a disturbed bit now and then."""
@@ -40,7 +54,7 @@ class Disturbances:
         can_id = np.ascontiguousarray(block.frames["can_id"])
         local = group.rows - block.first_row
         classes = can_id[local]
-        kinds = classes & (PROTOCOL | BUS_ERROR | NO_ACK) != 0
+        kinds = classes & (VIOLATION | BUS_ERROR | NO_ACK) != 0
         following = _following(can_id, local)
         unacknowledged = kinds & (classes & NO_ACK != 0)
         self.unacknowledged += int(unacknowledged.sum())
@@ -83,10 +97,10 @@ class Disturbances:
         if not classes & CONTROLLER:
             return
         if data[1] & PASSIVE:
-            side = "it sends" if data[1] & 0x20 else "it receives"
+            side = "it sends" if data[1] & TX_PASSIVE else "it receives"
             text = f"a controller became error passive: errors in what {side} (TEC {data[6]}, REC {data[7]})"
             self.clues.begin("error_passive", None, t_ns, text, row=row, subject=station)
-        if data[1] & ACTIVE or (data[1] & WARNING and not data[1] & PASSIVE):
+        if data[1] & ACTIVE_AGAIN or (data[1] & WARNING and not data[1] & PASSIVE):
             self.clues.end("error_passive", None, t_ns, "it is error active again", subject=station)
             self.clues.end("bus_off", None, t_ns, "it is back", subject=station)
         if data[1] & OVERFLOW:

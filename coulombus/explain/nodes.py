@@ -15,8 +15,10 @@ S = 1_000_000_000
 LOST_KINDS = ("node_lost", "host_lost", "heartbeat_lost")
 SAME_NS = 300_000
 """Two frames within this time are one that came twice."""
-LATE, LOST = 1.5, 2.5
-"""A heartbeat is late, and lost, after so many of its periods."""
+LOST = 2.5
+"""A heartbeat is lost after so many of its periods."""
+USUAL = 8
+"""Intervals of heartbeats that show how far they spread; before them none is called late."""
 ANSWERED_NS = 10 * S
 """A boot-up answers a reset that was ordered within this time."""
 STATES = {
@@ -148,6 +150,7 @@ class Nodes:
         configured = node.objects.get((0x1017, 0), 0) * 1_000_000
         if configured and configured != node.period_ns:
             node.period_ns = configured
+            node.gaps.clear()
             return  # the first one by a new period
         if not node.period_ns:
             node.gaps.append(gap)
@@ -158,6 +161,7 @@ class Nodes:
         period = node.period_ns
         if gap > LOST * period and self._said_goodbye(node):
             return
+        late_ns = self._late_after(node) if gap > 1.3 * period else 0
         if gap > LOST * period:
             due = node.heartbeat_ns + period
             last = self.bus.last_heard(block, number, round(node.heartbeat_ns + LOST * period))
@@ -167,9 +171,11 @@ class Nodes:
             text += ", and none of its other frames" if silent else "; its other frames came"
             self.clues.begin(kind, number, max(last, node.heartbeat_ns) if silent else due, text, row=row)
             self.clues.end(kind, number, t_ns, "its heartbeats come again")
-        elif gap > LATE * period:
+        elif late_ns and gap > late_ns:
             text = f"a heartbeat came after {gap / 1e6:.1f} ms, its period is {period / 1e6:g} ms"
             self.clues.note("heartbeat_late", number, t_ns, text, row=row)
+        else:
+            node.gaps = [*node.gaps[1 - USUAL :], gap]
         soon = self._short.setdefault(number, [])
         before, node.last_gap_ns = node.last_gap_ns, gap
         soon.append(SAME_NS < gap < 0.7 * period and 0.8 * period < gap + before < 1.2 * period)
@@ -177,6 +183,22 @@ class Nodes:
         if sum(soon) >= 4:
             text = f"heartbeats come twice within a period of {period / 1e6:g} ms: two devices send them"
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="heartbeat")
+
+    def _late_after(self, node: SeenNode) -> int:
+        """Return after what time [ns] a heartbeat is late: half a period behind the longest of the
+        usual intervals, and never before half the time of every consumer that the log shows (1016h);
+        0 where the usual ones are not known yet. A producer may send in its own cycle only: then
+        intervals of one and two cycles are usual.
+        """
+        if len(node.gaps) < USUAL:
+            return 0
+        waiting = [
+            (value & 0xFFFF) * 1_000_000
+            for consumer in self.bus.nodes.values()
+            for (index, _), value in consumer.objects.items()
+            if index == 0x1016 and value >> 16 & 0x7F == node.number
+        ]
+        return max(max(node.gaps) + node.period_ns // 2, min(waiting, default=0) // 2)
 
     def _state(self, row: int, t_ns: int, node: SeenNode, state: int) -> None:
         before, node.state = node.state, state

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
+from coulombus.eds import sdo_forms as forms
 from coulombus.eds.cia301 import Abort, abort_text
+from coulombus.eds.sdo_answers import named
+from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.bus import SDO_RX, Bus
 from coulombus.explain.device_errors import ABORT_CHECKS
@@ -20,7 +24,12 @@ SCAN = 8
 """So many node ids without an answer are a scan."""
 SETTINGS = (range(0x1005, 0x1008), range(0x1012, 0x1018), range(0x1400, 0x1C00))
 OPTIONAL = (Abort.NO_OBJECT, Abort.NO_SUBINDEX, Abort.WRITE_ONLY)
-REQUEST_WORDS = {1: "write", 2: "read", 5: "read", 6: "write"}
+READS = (forms.UPLOAD_INITIATE.phase, forms.BLOCK_UPLOAD_INITIATE.phase)
+WRITES = (forms.DOWNLOAD_INITIATE.phase, forms.BLOCK_DOWNLOAD_INITIATE.phase)
+INITIATED = (
+    *(forms.UPLOAD_INITIATED.phase, forms.BLOCK_UPLOAD_INITIATED.phase),
+    *(forms.DOWNLOAD_INITIATED.phase, forms.BLOCK_DOWNLOAD_INITIATED.phase),
+)
 
 
 @dataclass
@@ -28,24 +37,20 @@ class _Request:
     t_ns: int
     row: int
     data: bytes
-    command: int
+    writes: bool
     index: int
     subindex: int
-    value: int | None
-
-    @property
-    def writes(self) -> bool:
-        return self.command in (1, 6)
+    value: int | None  # of an expedited write
 
 
 @dataclass
 class _Server:
-    """One node's SDO server, as its channel shows it."""
+    """One node's SDO server: its channel, and what it still owes."""
 
+    channel: SdoChannel = field(default_factory=lambda: SdoChannel(None))
     request: _Request | None = None
     running: _Request | None = None  # a segmented or block transfer under way
-    block: bool = False
-    closing: bool = False  # the block transfer's end was sent
+    kind: str = ""  # of it
     last_ns: int = 0
     answer: bytes = b""
     answer_ns: int = -1
@@ -64,14 +69,23 @@ class SdoTransfers:
         """Go through a request or an answer."""
         if length != 8:
             return
-        number = key & 0x7F
+        number, from_server = key & 0x7F, key < SDO_RX
         server = self._servers.setdefault(number, _Server())
         data = data_bytes(word, 8)
-        if key >= SDO_RX:
-            self._request(row, t_ns, number, server, data)
-        else:
+        says = server.channel.row(data, from_server)
+        phase = says["phase"]
+        if from_server:
             self.bus.node(number, t_ns)
+            self.bus.canopen += 1
+        if "code" in says:
+            self._abort(row, t_ns, number, server, data, "the node" if from_server else "the client")
+        elif not from_server and (phase in READS or phase in WRITES):
+            self._request(number, server, _Request(t_ns, row, data, phase in WRITES, *named(data), _expedited(says)))
+        elif phase in INITIATED:
             self._answer(row, t_ns, number, server, data)
+        if server.running is not None and server.channel.transfer is None:
+            self._done(t_ns, number, server.running)
+            server.running = None
         server.last_ns = t_ns
 
     def look(self, t_ns: int) -> None:
@@ -93,72 +107,33 @@ class SdoTransfers:
                 text = f"{len(requests)} SDO requests to it, and no frame of it in the log"
                 self.clues.begin("node_missing", number, requests[0].t_ns, text, row=requests[0].row)
 
-    def _request(self, row: int, t_ns: int, number: int, server: _Server, data: bytes) -> None:
-        command = data[0] >> 5
-        if data[0] == 0x80:
-            self._abort(row, t_ns, number, server, data, "the client")
-            return
-        if server.block:
-            if data[0] & 0xE3 == 0xC1 or data[0] == 0xA1:
-                server.closing = data[0] & 0xE3 == 0xC1
-                if data[0] == 0xA1:
-                    server.running, server.block = None, False
-            return
-        if server.running is not None and command in (0, 3):
-            server.request = None
-            return  # a segment
-        if command not in REQUEST_WORDS or (command == 5 and data[0] & 3 != 0):
-            return
-        index, subindex = int.from_bytes(data[1:3], "little"), data[3]
-        size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-        value = int.from_bytes(data[4 : 4 + size], "little") if command == 1 and data[0] & 2 else None
-        request = _Request(t_ns, row, data, command, index, subindex, value)
+    def _request(self, number: int, server: _Server, request: _Request) -> None:
         before = server.request
         if before is not None:
-            if before.data == data and t_ns - before.t_ns < REPEATED_NS:
+            if before.data == request.data and request.t_ns - before.t_ns < REPEATED_NS:
                 return
             self._silent(number, server, before)
         if server.running is not None:
-            self._unfinished(number, server, t_ns)
+            self._unfinished(number, server, request.t_ns)
         server.request = request
 
     def _answer(self, row: int, t_ns: int, number: int, server: _Server, data: bytes) -> None:
-        self.bus.canopen += 1
-        if data[0] == 0x80:
-            self._abort(row, t_ns, number, server, data, "the node")
-            return
-        if server.block:
-            if data[0] == 0xA1 and server.closing:
-                server.running, server.block = None, False
-            elif data[0] & 0xE3 == 0xC1 and server.running is not None and not server.running.writes:
-                server.closing = True
-            return
-        request, command = server.request, data[0] >> 5
+        request, transfer = server.request, server.channel.transfer
         if request is None:
-            if server.running is not None and command in (0, 1):
-                if (command == 0 and data[0] & 1) or (command == 1 and server.closing):
-                    self._done(t_ns, number, server.running)
-                    server.running = None
-                return
             self._second_answer(row, t_ns, number, server, data)
             return
-        if (int.from_bytes(data[1:3], "little"), data[3]) != (request.index, request.subindex):
+        if named(data) != (request.index, request.subindex):
             return
         server.request, server.answer, server.answer_ns = None, data, t_ns
         self.clues.end_all("sdo_timeout", number, t_ns, "it answers again")
-        if command in (5, 6):  # block transfer
-            server.running, server.block, server.closing = request, True, False
-        elif command == 2 and not data[0] & 2:
-            server.running, server.closing = request, False
-        elif request.command == 1 and request.value is None:
-            server.running, server.closing = request, True
-        else:
-            value = request.value
-            if command == 2:
-                size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-                value = int.from_bytes(data[4 : 4 + size], "little")
-            self._value(row, t_ns, number, server, request, value)
-            self._done(t_ns, number, request)
+        if transfer is not None:
+            server.running, server.kind = request, transfer.kind
+            return
+        if not request.writes:
+            size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
+            request.value = int.from_bytes(data[4 : 4 + size], "little")
+        self._value(row, t_ns, number, server, request, request.value)
+        self._done(t_ns, number, request)
 
     def _done(self, t_ns: int, number: int, request: _Request) -> None:
         subject = (request.index, request.subindex)
@@ -219,8 +194,7 @@ class SdoTransfers:
         code = int.from_bytes(data[4:8], "little")
         request = server.request or server.running
         server.request = server.running = None
-        server.block = False
-        at = (int.from_bytes(data[1:3], "little"), data[3])
+        at = named(data)
         if code == Abort.TIMEOUT:
             if request is not None:
                 server.unanswered.append(request)
@@ -243,20 +217,19 @@ class SdoTransfers:
     def _silent(self, number: int, server: _Server, request: _Request) -> None:
         server.unanswered.append(request)
         if number in self.bus.nodes:
-            text = f"no answer to the {REQUEST_WORDS[request.command]} of {self._object(number, request.data)}"
+            text = f"no answer to the {'write' if request.writes else 'read'} of {self._object(number, request.data)}"
             self.clues.begin("sdo_timeout", number, request.t_ns, text, row=request.row)
 
     def _unfinished(self, number: int, server: _Server, t_ns: int) -> None:
         running = server.running
         assert running is not None
-        how = "block" if server.block else "segmented"
-        text = f"the {how} transfer of {self._object(number, running.data)} ends half way"
+        text = f"the {server.kind} transfer of {self._object(number, running.data)} ends half way"
         subject = (running.index, running.subindex)
         self.clues.begin("sdo_incomplete", number, t_ns, text, row=running.row, subject=subject)
-        server.running, server.block = None, False
+        server.running = None
 
     def _object(self, number: int, data: bytes) -> str:
-        index, subindex = int.from_bytes(data[1:3], "little"), data[3]
+        index, subindex = named(data)
         description = self.bus.describe(number)
         name = ""
         if description is not None and description.has(index, subindex):
@@ -280,6 +253,12 @@ NAMES = {
     **{index: f"TPDO{index - 0x19FF} map" for index in range(0x1A00, 0x1A08)},
 }  # fmt: skip
 """Objects of CiA 301 and 402 by name, for nodes without an EDS file."""
+
+
+def _expedited(says: dict[str, Any]) -> int | None:
+    """Return the value of an expedited write, None of any other request."""
+    value = says.get("value")
+    return value if isinstance(value, int) else None
 
 
 def _number(value: int | None) -> str:

@@ -21,17 +21,17 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import Description
+from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.eds_files import EdsFiles
 from coulombus.explain.log_maps import LogMaps
-from coulombus.monitor.error_frames import error_frame
-from coulombus.monitor.sdo_channel import SdoChannel
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync
 from coulombus.recording.bus_match import Channel, channel_texts, one_bus
 from coulombus.recording.pdo_columns import PdoTable
 from coulombus.recording.reading import captures
 from coulombus.recording.signals import Recording, Source, epoch_of
 from coulombus.rigs.rig import Rig
+from coulombus.wire.error_frames import error_frame
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
 __all__ = ["Row", "as_json", "as_text", "bare_rows", "fitted", "rows"]

@@ -20,9 +20,8 @@ import numpy.typing as npt
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.drive_axis import first_axis_object
+from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.monitor.error_frames import error_frame
-from coulombus.monitor.sdo_channel import SdoChannel
 from coulombus.monitor.services import STATES, emcy, lss, nmt
 from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
 from coulombus.recording.pdo_columns import decode_field
@@ -30,6 +29,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
+from coulombus.wire.error_frames import BUS_OFF, error_frame
 from coulombus.wire.frame_batches import Block
 
 __all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value", "values_of"]
@@ -38,7 +38,6 @@ WINDOW_NS = 1_000_000_000
 SYNC_SILENT_NS = 100_000_000
 NEVER_NS = 1 << 62
 STATUSWORD = 0x6041
-CAN_ERR_BUSOFF = 0x40
 CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
 """What makes a node known that the rig does not have."""
 TPDOS = (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
@@ -278,7 +277,7 @@ class Live:
         self.error_frames += 1
         kind = can_id & 0x1FF
         if kind != self._error_class:  # a bad cable sends thousands of them each second
-            self._note(t_ns, f"error frame: {error_frame(can_id, data)['text']}", grave=bool(kind & CAN_ERR_BUSOFF))
+            self._note(t_ns, f"error frame: {error_frame(can_id, data)['text']}", grave=bool(kind & BUS_OFF))
         self._error_class = kind
 
     def snapshot(self, t_ns: int) -> Snapshot:

@@ -1,7 +1,7 @@
 """What a frame says that is no PDO and no SDO: NMT, SYNC, EMCY, heartbeat, LSS (CiA 301, CiA 305).
 
 Each decoder turns eight bytes into the keys of a row; a frame too short for its service says so
-under "malformed". SDO has a state: `monitor.sdo_channel`.
+under "malformed". SDO has a state: `eds.sdo_channel`.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ import can
 from can.bus import BusState
 from can.typechecking import AutoDetectedConfig, CanFilters
 
+from coulombus.wire import error_frames
 from coulombus.wire.address import AddressError, BusAddress, BusUnavailable, live_bus_names, parse_address
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG
 from coulombus.wire.client import BusDown, BusFull, Client, Echo, Received, pack_frame
@@ -28,10 +29,6 @@ from coulombus.wire.python_can_messages import can_id_of, data_of, is_classical,
 
 __all__ = ["CoulombusBus"]
 
-ERR_BUSOFF, ERR_RESTARTED = 0x40, 0x100
-"""Classes of error frames (``linux/can/error.h``); data[5] is the
-number of the station that it is about.
-"""
 _log = logging.getLogger(__name__)
 
 
@@ -134,7 +131,7 @@ class CoulombusBus(can.BusABC):
             os.eventfd_read(self._more)
         error = bool(can_id & CAN_ERR_FLAG)
         if error and data[5] == self._client.station & 0xFF:
-            self._off = bool(can_id & ERR_BUSOFF) or (self._off and not can_id & ERR_RESTARTED)
+            self._off = bool(can_id & error_frames.BUS_OFF) or (self._off and not can_id & error_frames.RESTARTED)
         is_rx = not isinstance(received, Echo)
         message = message_of(stamp / 1e9, can_id, length, data, channel=self.channel, is_rx=is_rx)
         # until the bus has taken new filters, frames that passed the old ones still come

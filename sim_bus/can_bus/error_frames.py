@@ -23,12 +23,21 @@ from __future__ import annotations
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.records import ControllerRecord
+from coulombus.wire.error_frames import (
+    ACTIVE_AGAIN,
+    BUS_OFF,
+    CONTROLLER,
+    COUNTERS,
+    LOST_ARBITRATION,
+    RESTARTED,
+    RX_PASSIVE,
+    RX_WARNING,
+    TX_PASSIVE,
+    TX_WARNING,
+)
 from coulombus.wire.frame import CAN_ERR_FLAG
 
-__all__ = ["ERR_CNT", "ERR_LOSTARB", "error_frame", "lost_frame", "state_frame", "with_counters"]
-
-ERR_LOSTARB, ERR_CRTL, ERR_BUSOFF, ERR_RESTARTED, ERR_CNT = 0x002, 0x004, 0x040, 0x100, 0x200
-RX_WARNING, TX_WARNING, RX_PASSIVE, TX_PASSIVE, ACTIVE_AGAIN = 0x04, 0x08, 0x10, 0x20, 0x40
+__all__ = ["error_frame", "lost_frame", "state_frame", "with_counters"]
 
 
 @inlined
@@ -43,7 +52,7 @@ def with_counters(word: int, c: ControllerRecord) -> int:
 def error_frame(c: ControllerRecord, station: int, classes: int, kind: int, place: int) -> tuple[int, int]:
     """Return identifier and bytes of the frame that tells an error on the bus."""
     word = kind << 16 | place << 24 | (station & 0xFF) << 40
-    return CAN_ERR_FLAG | ERR_CNT | classes, with_counters(word, c)
+    return CAN_ERR_FLAG | COUNTERS | classes, with_counters(word, c)
 
 
 @kernel
@@ -51,7 +60,7 @@ def lost_frame(c: ControllerRecord, station: int, bit: int) -> tuple[int, int]:
     """Return identifier and bytes of the frame that tells a station that its frame was given up:
     the arbitration was lost in `bit`.
     """
-    return CAN_ERR_FLAG | ERR_CNT | ERR_LOSTARB, with_counters(bit | (station & 0xFF) << 40, c)
+    return CAN_ERR_FLAG | COUNTERS | LOST_ARBITRATION, with_counters(bit | (station & 0xFF) << 40, c)
 
 
 @kernel
@@ -59,17 +68,17 @@ def state_frame(c: ControllerRecord, station: int) -> tuple[int, int]:
     """Return identifier and bytes of the frame that tells the state that a controller has changed
     to.
     """
-    classes = ERR_CNT
+    classes = COUNTERS
     how = 0
     if c.recovered:
-        classes |= ERR_RESTARTED
+        classes |= RESTARTED
     if c.state == CanState.BUS_OFF:
-        classes |= ERR_BUSOFF
+        classes |= BUS_OFF
     elif c.state == CanState.ERROR_ACTIVE:
-        classes |= ERR_CRTL
+        classes |= CONTROLLER
         how = ACTIVE_AGAIN
     else:
-        classes |= ERR_CRTL
+        classes |= CONTROLLER
         passive = c.state == CanState.ERROR_PASSIVE
         if c.tec >= c.rec:
             how |= TX_PASSIVE if passive else TX_WARNING

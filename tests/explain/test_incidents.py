@@ -366,3 +366,22 @@ def test_every_kind_has_three_steps_and_no_rank_is_shared_by_a_cause_and_a_repor
         assert len(kind.checks) == 3, name
         assert all((kind.title, kind.cause, kind.why, kind.clause, *kind.checks)), name
     assert KINDS["rpdo_missing"].rank > KINDS["drive_fault"].rank > KINDS["emcy"].rank > KINDS["host_trip"].rank
+
+
+def test_a_producer_that_beats_in_its_own_cycle_is_not_late():
+    log = Log().boot(3).order(50, 1)
+    ms = 60.0
+    for gap in (40, 40, 40, 40, 60, 40, 60, 60, 40, 40, 60, 40, 60, 60.1, 40, 60):
+        log.add(ms, 0x703, b"\5")
+        ms += gap
+    assert log.explained().verdict == "ok"
+
+
+@pytest.mark.parametrize(("consumer_ms", "expected"), [(0, ["heartbeat_late"]), (100, ["heartbeat_late"]), (400, [])])
+def test_a_heartbeat_is_late_by_its_usual_spread_and_its_consumer(consumer_ms, expected):
+    log = machine(3, 4)
+    log.rows = [row for row in log.rows if not (row[1] == 0x703 and row[0] > 1500e6)]
+    if consumer_ms:
+        words = 3 << 16 | consumer_ms
+        log.ask(4, 20, "23161001" + words.to_bytes(4, "little").hex(), "6016100100000000")
+    assert kinds(log.beats(3, 1630, 3000).explained()) == expected

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from coulombus.eds.reader import Description, Object, Variable
+from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.monitor.decode import as_json, as_text, rows
-from coulombus.monitor.sdo_channel import SdoChannel
 from coulombus.monitor.services import lss
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read

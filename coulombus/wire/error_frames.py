@@ -13,21 +13,41 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
-from coulombus.monitor.services import Row
-
-__all__ = ["error_frame"]
+__all__ = [
+    "ACTIVE_AGAIN",
+    "BUS_ERROR",
+    "BUS_OFF",
+    "CONTROLLER",
+    "COUNTERS",
+    "KINDS",
+    "LOST_ARBITRATION",
+    "NO_ACK",
+    "RESTARTED",
+    "RX_OVERFLOW",
+    "RX_PASSIVE",
+    "RX_WARNING",
+    "TX_OVERFLOW",
+    "TX_PASSIVE",
+    "TX_WARNING",
+    "VIOLATION",
+    "error_frame",
+]
 
 LOST_ARBITRATION, CONTROLLER, VIOLATION, TRANSCEIVER, COUNTERS = 0x002, 0x004, 0x008, 0x010, 0x200
+NO_ACK, BUS_OFF, BUS_ERROR, RESTARTED = 0x020, 0x040, 0x080, 0x100
+RX_OVERFLOW, TX_OVERFLOW, RX_WARNING, TX_WARNING, RX_PASSIVE, TX_PASSIVE = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
+ACTIVE_AGAIN = 0x40
 CLASSES = {
     0x001: "transmission timed out", LOST_ARBITRATION: "arbitration lost", CONTROLLER: "controller problem",
-    VIOLATION: "protocol violation", TRANSCEIVER: "transceiver problem", 0x020: "no acknowledgement", 0x040: "bus off",
-    0x080: "bus error", 0x100: "restarted",
+    VIOLATION: "protocol violation", TRANSCEIVER: "transceiver problem", NO_ACK: "no acknowledgement", BUS_OFF: "bus off",
+    BUS_ERROR: "bus error", RESTARTED: "restarted",
 }  # fmt: skip
 STATES = {
-    0x01: "receive buffer overflow", 0x02: "transmit buffer overflow", 0x04: "receive warning", 0x08: "transmit warning",
-    0x10: "receive error passive", 0x20: "transmit error passive", 0x40: "error active again",
+    RX_OVERFLOW: "receive buffer overflow", TX_OVERFLOW: "transmit buffer overflow", RX_WARNING: "receive warning",
+    TX_WARNING: "transmit warning", RX_PASSIVE: "receive error passive", TX_PASSIVE: "transmit error passive",
+    ACTIVE_AGAIN: "error active again",
 }  # fmt: skip
 KINDS = {
     0x01: "single bit", 0x02: "form", 0x04: "bit stuffing", 0x08: "dominant bit not sent", 0x10: "recessive bit not sent",
@@ -43,6 +63,9 @@ CANH = {4: "CANH no wire", 5: "CANH short to battery", 6: "CANH short to supply"
 CANL = {
     4: "CANL no wire", 5: "CANL short to battery", 6: "CANL short to supply", 7: "CANL short to ground", 8: "CANL short to CANH",
 }  # fmt: skip
+
+
+Row: TypeAlias = dict[str, Any]
 
 
 def error_frame(can_id: int, data: bytes) -> Row:

@@ -14,15 +14,15 @@ import struct
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+from coulombus.eds import sdo_forms as forms
 from coulombus.eds.cia301 import DATA_TYPES, abort_text
-from coulombus.eds.reader import Description
+from coulombus.eds.description import Description
 from coulombus.eds.sdo_answers import named
+from coulombus.eds.sdo_forms import Form, form_of
 from coulombus.eds.sdo_frames import where
-from coulombus.monitor import sdo_forms as forms
-from coulombus.monitor.sdo_forms import Form, form_of
-from coulombus.monitor.sdo_joining import Joined, Segments, SubBlocks
+from coulombus.eds.sdo_joining import Joined, Segments, SubBlocks
 
-__all__ = ["SdoChannel"]
+__all__ = ["SdoChannel", "Transfer"]
 
 Row: TypeAlias = dict[str, Any]
 
@@ -97,6 +97,11 @@ class SdoChannel:
         self._row: Row = {}
         self._number = 0
         """Of the frame before, if it may be a segment of a block transfer that began unseen; else 0."""
+
+    @property
+    def transfer(self) -> Transfer | None:
+        """The transfer under way; None where none is, or it ended with the last frame."""
+        return self._transfer
 
     def row(self, data: bytes, from_server: bool) -> Row:
         """Return what a frame says, and what it brings its transfer to.

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import SdoProtocolError, SdoRefused, SdoSilent
-from coulombus.monitor.sdo_channel import SdoChannel
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.sdo_server import SdoServer
 from devices_bench import DevicesLink
