@@ -81,6 +81,8 @@ class Bus:
         self.tripped = False
         self.canopen = 0  # frames that only CANopen has
         self.stale = True
+        self.bitrate = 0
+        """Bit rate [bit/s] that a rig gives; 0: not known."""
         self.host = -1
         """The host's node id, where its heartbeat is known; -1: not known."""
         self.words: list[tuple[int, int, int, int, int]] = []

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from coulombus.wire.error_frames import (
     BUS_ERROR,
     BUS_OFF,
     CONTROLLER,
+    KINDS,
     NO_ACK,
     RESTARTED,
     RX_OVERFLOW,
@@ -37,6 +39,19 @@ SHARE = 0.8
 """Of the destroyed frames: so many of one identifier are no accident."""
 
 
+KIND_BITS = 0x3F
+
+
+class _Destroyed(NamedTuple):
+    """An error frame: `can_id` is that of the frame behind it, usually the destroyed one again."""
+
+    t_ns: int
+    row: int
+    can_id: int
+    alone: bool  # no acknowledgement
+    violation: int
+
+
 class Disturbances:
     """Counts error frames, and follows what controllers say of themselves."""
 
@@ -44,7 +59,8 @@ class Disturbances:
         self.bus, self.clues = bus, bus.clues
         self.destroyed = 0
         self.unacknowledged = 0
-        self._recent: list[tuple[int, int, int, bool]] = []  # time, row, identifier that follows, no acknowledgement
+        self._recent: list[_Destroyed] = []
+        self._told: dict[int, tuple[Counter[str], Counter[int]]] = {}  # kinds and identifiers of a clue
 
     def take(self, block: Block) -> None:
         """Go through a block."""
@@ -59,33 +75,40 @@ class Disturbances:
         unacknowledged = kinds & (classes & NO_ACK != 0)
         self.unacknowledged += int(unacknowledged.sum())
         self.destroyed += int(kinds.sum())
-        self._dense(group.t_ns[kinds], group.rows[kinds], following[kinds], unacknowledged[kinds])
+        violations = np.where(classes & VIOLATION, group.word >> 16 & KIND_BITS, 0)
+        columns = (group.t_ns, group.rows, following, unacknowledged, violations)
+        for values in zip(*(column[kinds].tolist() for column in columns), strict=True):
+            self._dense(_Destroyed(*values))
         states = np.flatnonzero(classes & (CONTROLLER | BUS_OFF | RESTARTED) != 0)
         for i in states.tolist():
             self._state(int(group.t_ns[i]), int(group.rows[i]), int(classes[i]), group.data(i))
 
-    def _dense(self, t_ns: Integers, rows: Integers, following: Integers, alone: np.ndarray) -> None:
-        """Note error frames where many come within a second."""
-        for t, row, can_id, no_ack in zip(
-            t_ns.tolist(), rows.tolist(), following.tolist(), alone.tolist(), strict=True
-        ):
-            self._recent.append((t, row, can_id, no_ack))
-            if len(self._recent) > DENSE:
-                self._recent.pop(0)
-            if len(self._recent) < DENSE or t - self._recent[0][0] > STATE_NS:
-                continue
-            alone_often = sum(recent[3] for recent in self._recent) >= SHARE * DENSE
-            kind = "no_ack" if alone_often else "error_frames"
-            begin_ns, begin_row, _, _ = self._recent[0]
-            ids = Counter(recent[2] for recent in self._recent)
-            usual, times = ids.most_common(1)[0]
-            node = self.bus.sender(usual) if times >= SHARE * DENSE and usual >= 0 else None
-            clue = self.clues.note(kind, node, t, "", row=row)
-            if clue.count == 1:
-                clue.begin_ns, clue.rows, clue.count = begin_ns, [begin_row, *clue.rows], DENSE
-            whose = f"; most of them hit the identifier {usual:03X}h" if node is not None else ""
-            what = "frames that nobody acknowledged" if alone_often else "destroyed frames"
-            clue.text = f"{clue.count} {what}{whose}"
+    def _dense(self, frame: _Destroyed) -> None:
+        """Note an error frame where many come within a second."""
+        recent = self._recent
+        recent.append(frame)
+        if len(recent) > DENSE:
+            recent.pop(0)
+        if len(recent) < DENSE or frame.t_ns - recent[0].t_ns > STATE_NS:
+            return
+        alone_often = sum(destroyed.alone for destroyed in recent) >= SHARE * DENSE
+        usual, times = Counter(destroyed.can_id for destroyed in recent).most_common(1)[0]
+        node = self.bus.sender(usual) if times >= SHARE * DENSE and usual >= 0 else None
+        clue = self.clues.note("no_ack" if alone_often else "error_frames", node, frame.t_ns, "", row=frame.row)
+        first = clue.count == 1
+        if first:
+            clue.begin_ns, clue.rows, clue.count = recent[0].t_ns, [recent[0].row, *clue.rows], DENSE
+            self._told[id(clue)] = Counter(), Counter()
+        kinds, identifiers = self._told[id(clue)]
+        for destroyed in recent if first else (frame,):
+            kinds.update(text for bit, text in KINDS.items() if destroyed.violation & bit)
+            identifiers[destroyed.can_id] += 1
+        what = "frames that nobody acknowledged" if alone_often else "destroyed frames"
+        clue.text = f"{clue.count} {what}"
+        if kinds:
+            clue.text += " (" + ", ".join(f"{kind} {count}" for kind, count in kinds.most_common(3)) + ")"
+        hit = [f"{can_id:03X}h {count} times" for can_id, count in identifiers.most_common(3) if can_id >= 0]
+        clue.text += f"; before {', '.join(hit)}" if hit else ""
 
     def _state(self, t_ns: int, row: int, classes: int, data: bytes) -> None:
         data = data.ljust(8, b"\0")

@@ -18,7 +18,12 @@ STUCK_NS = 1_000_000_000
 """A drive that a command does not move on within this time does not follow it."""
 STATUS, CONTROL, ERROR_CODE = 0x41, 0x40, 0x3F
 STATE_BITS, COMMAND_BITS, RESET = 0x6F, 0x8F, 0x80
-LIMIT = 0x0800
+STEPS = {
+    PowerState.SWITCH_ON_DISABLED: "transition 2 to Ready To Switch On",
+    PowerState.READY_TO_SWITCH_ON: "transition 3 to Switched On",
+    PowerState.SWITCHED_ON: "transition 4 to Operation Enabled",
+}
+"""The next step of enabling."""
 FAULTS = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
 WORD = 0xFFFF
 AXES = 8
@@ -32,6 +37,15 @@ class _Axis:
     row: int = -1
     resets: int = 0
     reset_ns: int = -1
+
+    @property
+    def command(self) -> Command:
+        return Command(COMMAND_OF_CONTROLWORD[max(self.control, 0) & 0xF])
+
+    @property
+    def enabling(self) -> bool:
+        """The controlword leads, or should lead, towards Operation Enabled, and the drive is not there."""
+        return self.state in STEPS and self.command in (Command.SWITCH_ON, Command.ENABLE_OPERATION)
 
 
 class Drives:
@@ -62,8 +76,10 @@ class Drives:
                 continue
             if self.clues.stands("not_following", node, axis) or self._away(node, t_ns):
                 continue
-            command = Command(COMMAND_OF_CONTROLWORD[drive.control & 0xF])
-            text = f"controlword {drive.control:04X}h ({_words(command)}), and the drive stays {_words(PowerState(drive.state))}"
+            text = f"controlword {drive.control:04X}h ({_words(drive.command)}), and the drive stays {_words(PowerState(drive.state))}"
+            if drive.enabling:
+                text += f": {STEPS[PowerState(drive.state)]} does not come"
+                text += ", 0006h (shutdown) leads there" if drive.state == PowerState.SWITCH_ON_DISABLED else ""
             clue = self.clues.begin("not_following", node, drive.since_ns, text, row=drive.row, subject=axis)
             clue.axis = axis
 
@@ -77,7 +93,7 @@ class Drives:
             known = self.bus.maps.get(key)
             if known is None or not known.fields:
                 continue
-            for low, mask in ((STATUS, STATE_BITS | LIMIT), (CONTROL, COMMAND_BITS), (ERROR_CODE, WORD)):
+            for low, mask in ((STATUS, STATE_BITS), (CONTROL, COMMAND_BITS), (ERROR_CODE, WORD)):
                 for axis, field in known.find(low):
                     words = group.word >> field.start & mask
                     before = self._last.get((key, low, axis), -1)
@@ -113,7 +129,7 @@ class Drives:
         before, drive.state = drive.state, state
         if state == before or state < 0:
             return
-        command = Command(COMMAND_OF_CONTROLWORD[drive.control & 0xF]) if drive.control >= 0 else None
+        command = drive.command if drive.control >= 0 else None
         if state in FAULTS and before not in FAULTS:
             came = f", it was {_words(PowerState(before))}" if before >= 0 else " when the log begins"
             clue = self.clues.begin("drive_fault", node, t_ns, f"the drive goes to FAULT{came}", row=row, subject=axis)
@@ -138,8 +154,8 @@ class Drives:
         """Note since when the command should move the drive on."""
         moves = False
         if drive.control >= 0 and drive.state >= 0 and drive.state not in FAULTS:
-            command = int(COMMAND_OF_CONTROLWORD[drive.control & 0xF])
-            moves = int(NEXT_STATE[drive.state, command]) != drive.state
+            moves = int(NEXT_STATE[drive.state, drive.command]) != drive.state
+            moves |= drive.enabling and drive.state == PowerState.SWITCH_ON_DISABLED
         if not moves:
             drive.since_ns = -1
             self.clues.end("not_following", node, t_ns, "the drive follows", subject=axis)

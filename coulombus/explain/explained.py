@@ -10,14 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from coulombus.explain.bus import Bus, product
+from coulombus.explain.bus_load import BusLoad
 from coulombus.explain.disturbances import Disturbances
 from coulombus.explain.drive_states import Drives
+from coulombus.explain.drive_values import DriveValues
 from coulombus.explain.eds_files import EdsFiles
 from coulombus.explain.frames import ERROR, EXTENDED, Block, Pieces
 from coulombus.explain.host_markers import HostMarkers
+from coulombus.explain.identifiers import IdentifierRow, Identifiers
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
 from coulombus.explain.nodes import STATES
+from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
 from coulombus.explain.seen_maps import maps_of_rig
@@ -59,6 +63,8 @@ class Explanation:
     shown: dict[int, tuple[int, int, bytes]]
     """Time [ns], identifier and data of the frames that incidents name, by number."""
     bus: Bus
+    identifiers: tuple[IdentifierRow, ...] = ()
+    """Those of a log that is no CANopen, the most frequent first."""
 
     def at_s(self, t_ns: int | None) -> float | None:
         """Return a time [s] since the log's beginning; None for None."""
@@ -100,15 +106,25 @@ class Explainer:
         self.bus.host = rig.host.node_id if rig is not None else -1
         self._rare = RareFrames(self.bus)
         self._timing, self._drives = Timing(self.bus), Drives(self.bus)
-        self._others = (Disturbances(self.bus), HostMarkers(self.bus), self._timing, Lengths(self.bus), self._drives)
+        if rig is not None:
+            self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
+        self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
+        self._others = (
+            *(Disturbances(self.bus), self._host, BusLoad(self.bus), self._timing, PdoTimers(self.bus)),
+            *(Lengths(self.bus), self._drives, DriveValues(self.bus), self._identifiers),
+        )
         self._pieces = Pieces()
         self._span = span
         self._epoch_ns: int | None = None
         self._shown: dict[int, tuple[int, int, bytes]] = {}
         self._rows: set[int] = set()
 
-    def take(self, frames: Records, comments: Iterable[tuple[int, str]] = ()) -> None:
-        """Go through frames; `comments` are (row of `frames`, text)."""
+    def take(self, frames: Records, comments: Iterable[tuple[int, str]] = (), inside: Records | None = None) -> None:
+        """Go through frames; `comments` are (row of `frames`, text), `inside` what the host told of its
+        cycles meanwhile.
+        """
+        if inside is not None:
+            self._host.take_inside(inside)
         remarks = list(comments)
         for block in self._pieces.take(*self._inside(frames, remarks)):
             self._block(block)
@@ -144,7 +160,13 @@ class Explainer:
             remarks=(*remarks, *self._remarks()),
             shown=dict(self._shown),
             bus=self.bus,
+            identifiers=() if self._is_canopen else self._identifiers.rows(),
         )
+
+    @property
+    def _is_canopen(self) -> bool:
+        """Whether there is a frame that only CANopen has, or SYNC."""
+        return bool(self.bus.canopen or 0x080 in self.bus.counts)
 
     def _inside(self, frames: Records, comments: list[tuple[int, str]]) -> tuple[Records, list[tuple[int, str]]]:
         """Return what is within the span; time 0 is that of the log."""
@@ -194,7 +216,7 @@ class Explainer:
         bus = self.bus
         remarks = []
         extended = bus.counts.get(EXTENDED, 0)
-        if bus.frames and not bus.canopen and 0x080 not in bus.counts:
+        if bus.frames and not self._is_canopen:
             what = (
                 "29-bit identifiers, as J1939 has them"
                 if extended > bus.frames / 2
@@ -215,7 +237,7 @@ class Explainer:
         if assumed:
             nodes = ", ".join(map(str, assumed))
             remarks.append(
-                f"PDO maps of node {nodes} are assumed (CiA 402's defaults): give --eds NODE=FILE to be sure"
+                f"PDO maps of node {nodes} are assumed (the defaults of CiA 402 and 404): give --eds NODE=FILE to be sure"
             )
         return remarks
 
@@ -257,7 +279,7 @@ def explain(
         capture, left_out = one_bus(stretch, texts)
         if explainer is None:
             explainer = Explainer(rig or attached_rig(capture, warnings), eds, span)
-        explainer.take(capture.frames, capture.comments)
+        explainer.take(capture.frames, capture.comments, capture.inside)
         warnings += capture.warnings
     explainer = explainer or Explainer(rig, eds, span)
     explainer.end()

@@ -20,6 +20,7 @@ VERDICT_TEXT = {
     "unresolved": "unresolved: something went wrong, and it still is at the end of the log",
 }
 SHOWN_EVENTS = 40
+SHOWN_IDENTIFIERS = 24
 
 
 def title(explanation: Explanation, incident: Incident) -> str:
@@ -59,6 +60,13 @@ def as_dict(explanation: Explanation) -> dict[str, Any]:
             for node in explanation.nodes
         ],
         "incidents": [_incident(explanation, incident) for incident in explanation.incidents],
+        "identifiers": [
+            {
+                "can_id": row.can_id, "extended": row.extended, "frames": row.frames, "period_s": row.period_ns / 1e9,
+                "pgn": row.group if row.extended else None, "source": row.source if row.extended else None,
+            }
+            for row in explanation.identifiers
+        ],
         "remarks": list(explanation.remarks),
     }  # fmt: skip
 
@@ -104,6 +112,7 @@ def screen(explanation: Explanation, source: str) -> Iterator[str]:
     length = explanation.at_s(explanation.end_ns) or 0.0
     yield f"{explanation.frames} frames until {length:.3f} s"
     yield from (f"note: {remark}" for remark in explanation.remarks)
+    yield from _identifier_table(explanation)
     serious = [incident for incident in explanation.incidents if incident.status != "warning"]
     warnings = [incident for incident in explanation.incidents if incident.status == "warning"]
     for incident in serious:
@@ -126,6 +135,19 @@ def screen(explanation: Explanation, source: str) -> Iterator[str]:
     if explanation.incidents:
         yield ""
         yield f"next: coulombus explain {source} 1"
+
+
+def _identifier_table(explanation: Explanation) -> Iterator[str]:
+    """Yield the identifiers of a log that is no CANopen."""
+    rows = explanation.identifiers
+    if rows:
+        yield ""
+        yield f"{'identifier':>10}  {'frames':>8}  {'every':>10}  J1939"
+    for row in rows[:SHOWN_IDENTIFIERS]:
+        every = f"{row.period_ns / 1e6:.2f} ms" if row.period_ns else ""
+        yield f"{row.can_id:>9X}h  {row.frames:>8}  {every:>10}  {row.text}".rstrip()
+    if len(rows) > SHOWN_IDENTIFIERS:
+        yield f"... and {len(rows) - SHOWN_IDENTIFIERS} more"
 
 
 def detail_lines(explanation: Explanation, incident: Incident, source: str) -> Iterator[str]:

@@ -1,20 +1,51 @@
-"""The host's own words: the markers of a recording of this project."""
+"""The host's own words in a recording of this project: its markers, and what it tells of each cycle."""
 
 from __future__ import annotations
 
+from collections import Counter
+
+import numpy as np
+
 from coulombus.explain.bus import Bus
 from coulombus.explain.frames import Block
+from coulombus.recording.host_telemetry import FIRST, PER_AXIS, PHASE_RUN, Limit
+from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["HostMarkers"]
 
 TRIP, SAFE, PHASE = "trip ", "safe", "phase "
+BEFORE_NS, KEPT_NS = 1_000_000_000, 5_000_000_000
+"""What the host told within this time before a trip may have led to it; so much is kept."""
+WORDS = {
+    Limit.TORQUE_CLIPPED: "torque clipped",
+    Limit.TORQUE_SLOWED: "torque held back by rate or speed limit",
+    Limit.BY_DRIVE: "the drive told of a limit",
+    Limit.SETPOINT_CLIPPED: "brake set-point clipped",
+    Limit.SETPOINT_NEGATIVE: "brake set-point negative",
+    Limit.COMPENSATION_WITHHELD: "compensation withheld",
+    Limit.TPDO_MISSED: "TPDO missed",
+    Limit.DEADMAN_OPEN: "dead-man open",
+}
+"""What acted in a cycle."""
 
 
 class HostMarkers:
-    """Reads trips and ordered ends from the comments; what was injected there is not read."""
+    """Reads trips and ordered ends from the comments; what was injected there is not read.
+
+    `take_inside` gets what the host told of its cycles (`recording.host_telemetry`), before the
+    frames of the same time.
+    """
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
+        self._inside: Records = np.zeros(0, FRAME)
+
+    def take_inside(self, inside: Records) -> None:
+        """Keep what the host told of its latest cycles: phase, trip and limits of each axis."""
+        heads = inside[(inside["can_id"] - FIRST) % PER_AXIS == 0]
+        if len(heads):
+            kept = np.concatenate((self._inside, heads))
+            self._inside = kept[kept["t_ns"] > kept["t_ns"][-1] - KEPT_NS]
 
     def take(self, block: Block) -> None:
         """Go through a block."""
@@ -25,8 +56,25 @@ class HostMarkers:
                 plain = line.partition(".")[2] if "." in line.split(" ")[0] else line
                 if line.startswith(TRIP):
                     self.bus.tripped = True
-                    self.clues.begin("host_trip", None, t_ns, line.removeprefix(TRIP), row=block.first_row + max(at, 0))
+                    self._trip(t_ns, line.removeprefix(TRIP), block.first_row + max(at, 0))
                 elif line == SAFE:
                     self.bus.safe_ns = t_ns
                 elif plain.startswith(PHASE) and plain != "phase end":
                     self.clues.end("host_trip", None, t_ns, "it displays again")
+
+    def _trip(self, t_ns: int, text: str, row: int) -> None:
+        inside = self._inside
+        near = inside[(inside["t_ns"] >= t_ns - BEFORE_NS) & (inside["t_ns"] <= t_ns + BEFORE_NS)]
+        word = np.ascontiguousarray(near["word"]).astype(np.int64)
+        tripped = np.flatnonzero(word >> 8 & 0xFF)
+        if len(tripped):  # the marker stands at the end of the cycle: the axis' own word is the first doubt
+            first = int(tripped[0])
+            axis = (int(near["can_id"][first]) - FIRST) // PER_AXIS + 1
+            earlier = word[:first][near["can_id"][:first] == near["can_id"][first]]
+            phase = int(earlier[-1] & 0xFF) if len(earlier) else -1
+            text += f"; first doubt of axis {axis}" + (" while it displayed" if phase == PHASE_RUN else "")
+            counts = Counter({limit: int((earlier >> 16 & limit != 0).sum()) for limit in WORDS})
+            acted = [f"{WORDS[limit]} in {count}" for limit, count in counts.most_common(3) if count]
+            if acted:
+                text += f"; in the {len(earlier)} cycles before: {', '.join(acted)}"
+        self.clues.begin("host_trip", None, t_ns, text, row=row)

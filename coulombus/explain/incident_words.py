@@ -72,6 +72,12 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
              "Update the firmware of the sender."),
             "Frames of lower priority wait, and come too late or never.", "CiA 301, 7.2.2.2 (inhibit time)", "bus",
         ),
+        "bus_load": Kind(
+            48, "The bus was full", "More frames than the bit rate carries.",
+            ("Compare which identifiers come most often: coulombus hz.", "Lengthen event timers and SYNC period, or map fewer PDOs.",
+             "Raise the bit rate of all nodes."),
+            "Frames of low priority come late or never: heartbeats first.", "CiA 301, 7.2.2; docs/planner.md", "bus",
+        ),
         "sync_lost": Kind(
             80, "SYNC stopped", "The SYNC producer, usually the host, stopped or was cut off.",
             ("Check whether the host's program still runs, and what it said last.", "Check the host's cable and interface.",
@@ -127,6 +133,51 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             62, "A node left OPERATIONAL unordered", "An error made it stop its PDOs (1029h), or its firmware did.",
             ("Look at its EMCY around this time.", "Read 1003h (error history) and 1001h.", "Read 1029h: it decides what an error leads to."),
             "It sends and takes no PDOs any more.", "CiA 301, 7.3.2.2 and 7.5.2.32 (1029h)",
+        ),
+        "starved": Kind(
+            39, "Frames of a node do not get through", "Identifiers with a higher priority fill the bus.",
+            ("See which identifier goes before it: coulombus hz.", "Give that PDO an inhibit time (1800h:03).",
+             "Give the starved frame a lower identifier."),
+            "Whoever waits for it takes its sender for dead.", "ISO 11898-1, 10.8 (arbitration)",
+        ),
+        "guard_toggle": Kind(
+            21, "The toggle bit of node guarding did not alternate", "An answer was lost, came twice, or the node restarted.",
+            ("Look for a boot-up of the node just before.", "Look for a second guarding master.", TERMINATION),
+            "The master takes it for a lost node.", "CiA 301, 7.2.8.3.2.1",
+        ),
+        "error_history": Kind(
+            7, "A node remembers an error", "The node's own diagnosis of an earlier error (1003h).",
+            ("Look whether that error came in this log, too.", MANUAL, "Write 0 to 1003h:00 once it is understood: that clears the history."),
+            "An error that came once may come again.", "CiA 301, 7.5.2.4 (1003h)",
+        ),
+        "event_timer": Kind(
+            26, "A PDO does not keep its event timer", "Its sender is busy, or the bus is full.",
+            ("Read 1800h:05 of the node again.", "Look at the bus load at that time.",
+             "Check that its inhibit time is shorter than the event timer."),
+            "Whoever watches this PDO takes it for lost.", "CiA 301, 7.5.2.37 (1800h:05)",
+        ),
+        "inhibit_time": Kind(
+            24, "A PDO does not keep its inhibit time", "The device ignores 1800h:03, or took it in another unit.",
+            ("Read 1800h:03 of the node again: its unit is 100 us.", "Write it with the PDO switched off (1800h:01, bit 31).",
+             "Update the firmware of the device."),
+            "It takes more of the bus than was planned.", "CiA 301, 7.5.2.37 (1800h:03)",
+        ),
+        "following_error": Kind(
+            49, "A drive does not follow its set-point", "The load is too large, something blocks, or the set-points are too fast.",
+            ("Turn the axis by hand, supply off: does it move freely?", "Compare the set-point's speed with the limits of the drive.",
+             "Read 6065h and 6066h: window and time-out."),
+            "The drive stops, or goes to FAULT with 8611h.", "CiA 402-2, statusword bit 13",
+        ),
+        "limit_active": Kind(
+            17, "A drive worked at an internal limit", "A set-point was beyond torque, speed or position limits.",
+            ("Compare the set-point with 6072h (torque) and 607Dh (position).", "Check the limits of current and temperature.",
+             "Ask less of the drive, or raise the limit."),
+            "The drive does less than it is commanded.", "CiA 402-2, statusword bit 11",
+        ),
+        "torque_when_off": Kind(
+            43, "A drive shows torque without being enabled", "The current sensor has an offset, or the motor is driven from outside.",
+            ("Look whether the axis turns.", "Compare 6077h with the drive at rest.", "Let the drive calibrate its current sensors."),
+            "What is measured is wrong, or the power stage is not off.", "CiA 402-2, 6077h",
         ),
         "not_started": Kind(
             51, "A node did not start", "It refused the NMT start, or did not get it.",

@@ -23,7 +23,8 @@ PROMPT = frozenset({"rpdo_missing", "pdo_length"})
 AT_ONCE_NS = 2_000_000
 """Two nodes that lack the same within this time lack it for one reason."""
 FEW = 3
-"""Repeated frames, at least, that are told of."""
+OFTEN = frozenset({"repeated", "event_timer", "inhibit_time"})
+"""Kinds that are told of from so many times on."""
 TOLERANCE_NS = 60_000_000
 """A cause may be seen so much later than its first consequence."""
 
@@ -35,14 +36,27 @@ FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost"
 SILENCE = frozenset({"node_lost", "heartbeat_lost", "host_lost"})
 SILENCE_NS = 300_000_000
 """A silence begins with the last frame that was heard: so much sooner than its cause, at most."""
-MINOR = frozenset({"repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late"})
+MINOR = frozenset(
+    {
+        *("repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late"),
+        *("error_history", "guard_toggle", "limit_active", "event_timer", "inhibit_time", "starved"),
+    }
+)
 """Kinds that stop no machine, by themselves."""
 GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational"})
 """After these a node does not answer as before."""
-OF_AXES = frozenset({"drive_fault", "quick_stop", "left_enabled", "not_following", "error_code"})
+OF_AXES = frozenset(
+    {
+        *("drive_fault", "quick_stop", "left_enabled", "not_following", "error_code"),
+        *("following_error", "limit_active", "torque_when_off", "mode_refused"),
+    }
+)
 TOLD_BY_NODE = OF_AXES | {"emcy", "left_operational"}
 """Kinds whose cause a node may tell by EMCY or 603Fh."""
-SURE = {"emcy": "reported", "error_code": "reported", "host_trip": "reported", "sdo_abort": "reported"}
+REPORTED = frozenset(
+    {"emcy", "error_code", "host_trip", "sdo_abort", "error_history", "following_error", "limit_active"}
+)
+"""Kinds in which a node, or the host, says so itself."""
 
 
 @dataclass
@@ -110,7 +124,7 @@ class Incident:
     @property
     def sure(self) -> str:
         """How sure the cause is."""
-        if self.diagnosis.kind in SURE:
+        if self.diagnosis.kind in REPORTED:
             return "reported"
         return "at the same moment" if len(self.clues) > 1 else "likely"
 
@@ -118,7 +132,8 @@ class Incident:
 MOMENTARY = frozenset(
     {
         *("repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late", "babble"),
-        *("error_frames", "no_ack", "pdo_length", "sdo_abort", "reset_failed"),
+        *("error_frames", "no_ack", "pdo_length", "sdo_abort", "reset_failed", "error_history", "guard_toggle"),
+        *("limit_active", "event_timer", "inhibit_time", "starved"),
     }
 )
 """Kinds that are over as soon as they are seen."""
@@ -127,7 +142,7 @@ MOMENTARY = frozenset(
 def join(clues: Iterable[Clue]) -> list[Incident]:
     """Return the incidents, the most important first, numbered from 1."""
     incidents: list[Incident] = []
-    kept = [clue for clue in clues if clue.kind != "repeated" or clue.count >= FEW]
+    kept = [clue for clue in clues if clue.kind not in OFTEN or clue.count >= FEW]
     for clue in sorted(kept, key=_order):
         parents = [incident for incident in incidents if _explains(incident, clue)]
         if parents:

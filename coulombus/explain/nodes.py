@@ -13,6 +13,8 @@ __all__ = ["Nodes"]
 
 S = 1_000_000_000
 LOST_KINDS = ("node_lost", "host_lost", "heartbeat_lost")
+UNANSWERED = 3
+"""Node guarding requests without an answer, after which a node is lost: the usual life time factor."""
 SAME_NS = 300_000
 """Two frames within this time are one that came twice."""
 LOST = 2.5
@@ -34,6 +36,7 @@ class Nodes:
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._asked: dict[int, list[int]] = {}  # guarding requests without an answer
+        self._toggles: dict[int, tuple[int, int]] = {}  # of the last answer to guarding, and when; -1: none
         self._short: dict[int, list[bool]] = {}  # whether the last heartbeats came far too soon
 
     def frame(self, block: Block, row: int, t_ns: int, key: int, word: int, length: int) -> None:
@@ -41,9 +44,10 @@ class Nodes:
         if key == NMT:
             self._order(row, t_ns, word, length)
         elif key & REMOTE:
-            self._guard(row, t_ns, key & 0x7F)
+            self._guard(block, row, t_ns, key & 0x7F)
         elif key >= HEARTBEAT:
             if length == 1:
+                self._toggle(row, t_ns, key & 0x7F, word)
                 self._heartbeat(block, row, t_ns, key & 0x7F, word & 0x7F)
         else:
             self._emcy(row, t_ns, key - EMCY, data_bytes(word, length))
@@ -62,7 +66,12 @@ class Nodes:
         """Note heartbeats that are overdue at a time."""
         for node in list(self.bus.nodes.values()):
             due = node.heartbeat_ns + node.period_ns
-            if node.heartbeat_ns < 0 or not node.period_ns or t_ns < node.heartbeat_ns + LOST * node.period_ns:
+            if (
+                node.number in self._toggles
+                or node.heartbeat_ns < 0
+                or not node.period_ns
+                or t_ns < node.heartbeat_ns + LOST * node.period_ns
+            ):
                 continue
             if self.bus.ordered(node.number, node.heartbeat_ns, t_ns, NmtState.INITIALISING):
                 continue
@@ -144,8 +153,8 @@ class Nodes:
         number = node.number
         for kind in LOST_KINDS:
             self.clues.end(kind, number, t_ns, "its heartbeats come again")
-        if node.heartbeat_ns < 0:
-            return
+        if node.heartbeat_ns < 0 or number in self._toggles:
+            return  # who is guarded answers when asked
         gap = t_ns - node.heartbeat_ns
         configured = node.objects.get((0x1017, 0), 0) * 1_000_000
         if configured and configured != node.period_ns:
@@ -229,11 +238,31 @@ class Nodes:
             if not self.clues.stands("not_started", number):
                 self.clues.begin("not_started", number, last.t_ns, text, row=row)
 
-    def _guard(self, row: int, t_ns: int, number: int) -> None:
+    def _guard(self, block: Block, row: int, t_ns: int, number: int) -> None:
+        """Take a request of node guarding (CiA 301, 7.2.8.3.2.1)."""
+        self._toggles.setdefault(number, (-1, -1))
         waiting = self._asked.setdefault(number, [])
         waiting.append(t_ns)
-        if len(waiting) == 3 and number in self.bus.nodes:
-            self.clues.begin("heartbeat_lost", number, waiting[0], "three node guarding requests unanswered", row=row)
+        if len(waiting) == UNANSWERED and number in self.bus.nodes:
+            silent = self.bus.last_heard(block, number, t_ns) <= waiting[0]
+            kind = self._lost(number) if silent else "heartbeat_lost"
+            text = "three node guarding requests are unanswered" + (
+                ", and nothing else comes from it" if silent else ""
+            )
+            self.clues.begin(kind, number, waiting[0], text, row=row)
+
+    def _toggle(self, row: int, t_ns: int, number: int, word: int) -> None:
+        """Hold the toggle bit of an answer to node guarding against that of the one before."""
+        if number not in self._toggles:
+            return
+        if word & 0x7F == NmtState.INITIALISING:
+            self._toggles[number] = -1, t_ns
+            return
+        (before, before_ns), toggle = self._toggles[number], word >> 7 & 1
+        if toggle == before and t_ns - before_ns >= SAME_NS:
+            text = f"two answers to node guarding in a row have toggle bit {toggle}"
+            self.clues.note("guard_toggle", number, t_ns, text, row=row)
+        self._toggles[number] = toggle, t_ns
 
     def _emcy(self, row: int, t_ns: int, number: int, data: bytes) -> None:
         if len(data) < 2:

@@ -11,7 +11,7 @@ from coulombus.eds.sdo_answers import named
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.bus import SDO_RX, Bus
-from coulombus.explain.device_errors import ABORT_CHECKS
+from coulombus.explain.device_errors import ABORT_CHECKS, error_text
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["SdoTransfers"]
@@ -154,6 +154,9 @@ class SdoTransfers:
                 self.clues.begin("not_applied", number, t_ns, text, row=row, subject=at)
             else:
                 self.clues.end("not_applied", number, t_ns, "it reads as written", subject=at)
+        if at[0] == 0x1003 and at[1] and value and not request.writes:
+            text = f"{where(*at)} (error history) has {error_text(value & 0xFFFF)}"
+            self.clues.note("error_history", number, t_ns, text, row=row, subject=value)
         if at == (0x1000, 0):
             node.device_type = value
         if at[0] == 0x1016 and request.writes and at[1]:

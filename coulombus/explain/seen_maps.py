@@ -1,11 +1,12 @@
-"""What the bytes of a PDO mean: by SDO configuration seen, an EDS file, a rig, or CiA 402's default
-maps.
+"""What the bytes of a PDO mean: by SDO configuration seen, an EDS file, a rig, or the default maps of
+CiA 402 and 404.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.description import Description, EdsError
@@ -17,12 +18,19 @@ __all__ = ["Field", "Map", "maps_of", "maps_of_rig"]
 
 PDOS = 8
 BASES = {"tpdo": int(CobId.TPDO1), "rpdo": int(CobId.RPDO1)}
-DRIVE = 402
-DEFAULTS_402 = {
+Maps: TypeAlias = Mapping[str, Mapping[int, tuple[int, ...]]]
+DEFAULTS_402: Maps = {
     "rpdo": {1: (0x60400010,), 2: (0x60400010, 0x60600008), 3: (0x60400010, 0x607A0020), 4: (0x60400010, 0x60FF0020)},
     "tpdo": {1: (0x60410010,), 2: (0x60410010, 0x60610008), 3: (0x60410010, 0x60640020), 4: (0x60410010, 0x606C0020)},
 }
 """CiA 402-3's generic maps of the first PDOs, for a drive of whose maps nothing is seen."""
+DEFAULTS_404: Maps = {
+    "rpdo": {},
+    "tpdo": {1: (0x91300120, 0x61500108)} | {number: (0x91300020 | number << 8,) for number in (2, 3, 4)},
+}
+"""... of a measuring device (CiA 404): the process values of its channels, the first with its status."""
+DEFAULTS: Mapping[int, Maps] = {402: DEFAULTS_402, 404: DEFAULTS_404}
+"""By the profile, the low half of the device type (1000h)."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,8 @@ class Map:
     """A PDO: whose, which, and what is in it.
 
     `source` is "SDO seen in the log", "EDS", "rig" or "assumed"; `synchronous` is None where the
-    transmission type is not known; `event_ns` is 0 where no event timer is known.
+    transmission type is not known; `event_ns` and `inhibit_ns` are 0 where no event timer and no
+    inhibit time is known.
     """
 
     can_id: int
@@ -51,6 +60,7 @@ class Map:
     source: str
     synchronous: bool | None = None
     event_ns: int = 0
+    inhibit_ns: int = 0
 
     @property
     def name(self) -> str:
@@ -85,6 +95,7 @@ def maps_of_rig(rig: Rig) -> dict[int, Map]:
             "rig",
             synchronous=layout.transmission <= 240,
             event_ns=layout.event_ns if layout.direction == "tpdo" else 0,
+            inhibit_ns=layout.inhibit_ns if layout.direction == "tpdo" else 0,
         )
     return maps
 
@@ -119,7 +130,9 @@ def _map(node: SeenNode, description: Description | None, direction: str, number
     objects = node.objects
     cob_id = objects.get((communication, 1))
     transmission = objects.get((communication, 2))
-    event = objects.get((communication, 5), 0) if direction == "tpdo" else 0
+    sends = direction == "tpdo"
+    event_ns = objects.get((communication, 5), 0) * 1_000_000 if sends else 0
+    inhibit_ns = objects.get((communication, 3), 0) * 100_000 if sends else 0
     fields: tuple[Field, ...] = ()
     source = "SDO seen in the log"
     count = objects.get((mapping, 0))
@@ -137,16 +150,20 @@ def _map(node: SeenNode, description: Description | None, direction: str, number
             fields = _fields_of(layout)
             cob_id = (layout.cob_id if layout.cob_id >= 0 else 1 << 31) if cob_id is None else cob_id
             transmission = layout.transmission if transmission is None else transmission
-            event = event or (layout.event_ns // 1_000_000 if direction == "tpdo" else 0)
-    if not fields and node.device_type & 0xFFFF == DRIVE and number in DEFAULTS_402[direction] and count is None:
-        fields, source = _fields(list(DEFAULTS_402[direction][number])), "assumed"
+            if sends and (communication, 5) not in objects:
+                event_ns = layout.event_ns
+            if sends and (communication, 3) not in objects:
+                inhibit_ns = layout.inhibit_ns
+    usual = DEFAULTS.get(node.device_type & 0xFFFF, {}).get(direction, {})
+    if not fields and number in usual and count is None:
+        fields, source = _fields(list(usual[number])), "assumed"
     if not fields and cob_id is None:
         return None
     if cob_id is None:
         cob_id = BASES[direction] + 0x100 * (number - 1) + node.number if number <= 4 else 1 << 31
     can_id = -1 if cob_id & 1 << 31 else cob_id & 0x7FF
     synchronous = None if transmission is None else transmission <= 240
-    return Map(can_id, node.number, direction, number, fields, source, synchronous, event * 1_000_000)
+    return Map(can_id, node.number, direction, number, fields, source, synchronous, event_ns, inhibit_ns)
 
 
 def _fields_of(layout: PdoLayout) -> tuple[Field, ...]:

@@ -5,26 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.explain.incident_words import KINDS
-from explain_log import Log, kinds, machine
-
-FAULT, ENABLED, DISABLED = 0x0218, 0x0637, 0x0250
-TYPE_402 = "4300100092010200"
-
-
-def only(explanation):
-    assert len(explanation.incidents) == 1, kinds(explanation)
-    return explanation.incidents[0]
-
-
-def drive(log, node, words, until=3000, step=10.0):
-    """Add a drive's device type and its statuswords: (from ms, word)."""
-    log.ask(node, 20, "4000100000000000", TYPE_402)
-    ms = 70.0
-    while ms < until:
-        word = [w for begin, w in words if begin <= ms][-1]
-        log.add(ms, 0x180 + node, word.to_bytes(2, "little"))
-        ms += step
-    return log
+from explain_log import DISABLED, ENABLED, FAULT, TYPE_402, Log, drive, kinds, machine, only
 
 
 def test_a_machine_at_work_is_ok():

@@ -13,6 +13,8 @@ from coulombus.wire.frame import Frame, new_records
 
 MS = 1_000_000
 BEAT = 100
+FAULT, ENABLED, DISABLED = 0x0218, 0x0637, 0x0250
+TYPE_402 = "4300100092010200"
 
 
 class Log:
@@ -60,13 +62,13 @@ class Log:
         frames[:] = sorted(self.rows, key=lambda row: row[0])
         return frames
 
-    def explained(self, comments=(), pieces=1, **knowledge):
+    def explained(self, comments=(), pieces=1, inside=None, **knowledge):
         """Return the explanation, of the whole or of so many pieces one after the other."""
         explainer = Explainer(**knowledge)
         cuts = np.linspace(0, len(self.rows), pieces + 1).astype(int)
         for start, end in pairwise(cuts):
-            inside = [(row - start, text) for row, text in comments if start <= row < end]
-            explainer.take(self.frames[start:end], inside)
+            remarks = [(row - start, text) for row, text in comments if start <= row < end]
+            explainer.take(self.frames[start:end], remarks, inside)
         explainer.end()
         return explainer.explanation()
 
@@ -84,3 +86,19 @@ def machine(*nodes, until=3000, beats=True):
 
 def kinds(explanation):
     return [incident.root.kind for incident in explanation.incidents]
+
+
+def only(explanation):
+    assert len(explanation.incidents) == 1, kinds(explanation)
+    return explanation.incidents[0]
+
+
+def drive(log, node, words, until=3000, step=10.0):
+    """Add a drive's device type and its statuswords: (from ms, word)."""
+    log.ask(node, 20, "4000100000000000", TYPE_402)
+    ms = 70.0
+    while ms < until:
+        word = [w for begin, w in words if begin <= ms][-1]
+        log.add(ms, 0x180 + node, word.to_bytes(2, "little"))
+        ms += step
+    return log

@@ -1,0 +1,119 @@
+"""The load of the bus, and who does not get through."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coulombus.explain.bus import Bus
+from coulombus.explain.frames import REMOTE, Block, Integers
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG
+
+__all__ = ["BusLoad"]
+
+RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+"""Bit rates of CiA 301 [bit/s]."""
+WINDOW_NS = 100_000_000
+FULL, FILLED = 0.9, 3
+"""Load of windows in a row that is a full bus."""
+LEARN = 2000
+"""Frames that show the bit rate."""
+FASTER, CLOSE = 0.01, 0.05
+"""Share of frames that may follow sooner than the bit rate allows; share that must follow directly."""
+REGULAR = 5
+"""Frames of an identifier that a window usually has, at least, for its absence to be noted."""
+STUFFING = 1.06
+"""Stuff bits of usual contents, over the bits of a frame."""
+
+
+class BusLoad:
+    """Adds up the bits of windows of 100 ms.
+
+    Without a rig the bit rate is taken from frames that follow each other directly; where there are
+    none, the bus is not full.
+    """
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.clues = bus, bus.clues
+        self.bitrate = bus.bitrate
+        self._learned = 0
+        self._bits: dict[int, float] = {}  # by window: those that the last block began
+        self._full = 0
+        self._usual: dict[int, float] = {}  # frames of an identifier in a window that is not full
+        self._windows = 0
+
+    def take(self, block: Block) -> None:
+        """Go through a block."""
+        if len(block.t_ns) < 2:
+            return
+        can_id = np.ascontiguousarray(block.frames["can_id"])
+        length = np.ascontiguousarray(block.frames["length"]).astype(np.int64)
+        error = can_id & CAN_ERR_FLAG != 0
+        bits = np.where(error, 0, STUFFING * (47 + 8 * length) + np.where(can_id & CAN_EFF_FLAG, 20, 0))
+        if not self.bus.bitrate and self._learned < 10 * LEARN:
+            self._learn(block.t_ns, bits)
+        if not self.bitrate:
+            return
+        self._fill(block, bits)
+
+    def _learn(self, t_ns: Integers, bits: np.ndarray) -> None:
+        """Find the lowest bit rate at which these frames can have followed each other."""
+        gaps = np.diff(t_ns)
+        self._learned += len(gaps)
+        for rate in RATES:
+            share = gaps * rate / 1e9 / np.maximum(bits[1:], 47)
+            if (share < 0.8).mean() <= FASTER:
+                if rate >= self.bitrate and (share < 1.25).mean() >= CLOSE and len(gaps) >= LEARN:
+                    self.bitrate = rate
+                return
+
+    def _fill(self, block: Block, bits: np.ndarray) -> None:
+        window = block.t_ns // WINDOW_NS
+        first, last = int(window[0]), int(window[-1])
+        if last - first > 100_000:
+            return  # a log with a hole
+        sums = np.bincount(window - first, weights=bits)
+        sums[0] += self._bits.pop(first, 0.0)
+        self._bits = {last: float(sums[-1])}
+        full = sums[:-1] / (self.bitrate * WINDOW_NS / 1e9) >= FULL
+        free = int(full.argmax()) if full.any() else len(full)
+        if not self._full:
+            self._count(block, free, block.first_row + int(np.searchsorted(window, first + free)))
+        if not full.any():
+            self._full = 0
+            if self.clues.stands("bus_load", None):
+                self.clues.end("bus_load", None, (first + 1) * WINDOW_NS, "the load is lower again")
+            return
+        for i in range(len(full)):
+            self._full = self._full + 1 if full[i] else 0
+            if not full[i]:
+                self.clues.end("bus_load", None, (first + i) * WINDOW_NS, "the load is lower again")
+            elif self._full == FILLED:
+                self._note(block, window, (first + i - FILLED + 1) * WINDOW_NS, first + i)
+
+    def _count(self, block: Block, windows: int, behind_row: int) -> None:
+        """Learn how often each identifier comes in windows that are not full."""
+        if windows < 1:
+            return
+        for key, group in block.groups.items():
+            if key < REMOTE:
+                frames = self._usual.get(key, 0.0) * self._windows + int(np.searchsorted(group.rows, behind_row))
+                self._usual[key] = frames / (self._windows + windows)
+        self._windows += windows
+
+    def _note(self, block: Block, window: Integers, begin_ns: int, last: int) -> None:
+        """Note a full bus, which identifier takes most of it, and which ones do not come."""
+        first, behind = np.searchsorted(window, (last, last + 1))
+        rows = block.first_row + first, block.first_row + behind
+        counts = {
+            key: int(np.searchsorted(group.rows, rows[1]) - np.searchsorted(group.rows, rows[0]))
+            for key, group in block.groups.items()
+        }
+        top = max(counts, key=lambda key: counts[key])
+        share = counts[top] / max(int(behind - first), 1)
+        text = f"the bus is full for {FILLED * WINDOW_NS // 1_000_000} ms at {self.bitrate // 1000} kbit/s"
+        text += f": {share:.0%} of the frames are {top:03X}h" if share > 0.5 else ""
+        self.clues.begin("bus_load", None, max(begin_ns, self.bus.first_ns), text, row=int(rows[0]))
+        for key, usual in self._usual.items():
+            if usual >= REGULAR and not counts.get(key) and key > top:
+                text = f"{key:03X}h does not come, {top:03X}h goes before it"
+                self.clues.note("starved", self.bus.sender(key), begin_ns, text, row=int(rows[0]), subject=key)

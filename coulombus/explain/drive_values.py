@@ -1,0 +1,131 @@
+"""What drives show beside their state: following error, internal limit, mode, torque (CiA 402-2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds.cia402 import INTERNAL_LIMIT, STATE_OF_STATUSWORD, PowerState
+from coulombus.eds.sdo_frames import where
+from coulombus.explain.bus import Bus
+from coulombus.explain.frames import Block, Frames, Integers
+from coulombus.explain.seen_maps import Field, Map
+
+__all__ = ["DriveValues"]
+
+STATUS, MODE, MODE_SHOWN, TORQUE = 0x41, 0x60, 0x61, 0x77
+DEVIATION = 0x2000
+"""Statusword bit 13: what it says depends on the mode."""
+DEVIATIONS = {1: "following error", 3: "slip too large", 6: "homing error", 7: "following error", 8: "following error"}
+HELD_NS, MODE_NS = 200_000_000, 1_000_000_000
+"""A bit or a value counts after this time; a mode after this."""
+OFF_TORQUE = 100
+"""Torque [per mille of the rated one] that a drive without power stage does not have."""
+OFF = [PowerState.SWITCH_ON_DISABLED, PowerState.READY_TO_SWITCH_ON, PowerState.SWITCHED_ON, PowerState.FAULT]
+Holds = npt.NDArray[np.bool_]
+
+
+class DriveValues:
+    """Watches the statuswords' other bits, and the values that are mapped beside them."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.clues = bus, bus.clues
+        self._since: dict[tuple[str, int, int], tuple[int, int]] = {}  # time and row since when it holds
+        self._noted: dict[tuple[str, int, int], int] = {}  # the last of these times that was noted
+        self._modes: dict[tuple[int, int], int] = {}  # shown last
+        self._wishes: dict[tuple[int, int], tuple[int, int]] = {}  # mode of the RPDO, and since when
+
+    def take(self, block: Block) -> None:
+        """Go through a block."""
+        for group, known in self._pdos(block, "rpdo"):
+            for axis, field in known.find(MODE):
+                self._wish(known.node, axis, group.t_ns, _column(group, field))
+        for group, known in self._pdos(block, "tpdo"):
+            fields = {(low, axis): field for low in (STATUS, MODE_SHOWN, TORQUE) for axis, field in known.find(low)}
+            axes = {axis for low, axis in fields if low == STATUS}
+            for axis in axes:
+                status = _column(group, fields[STATUS, axis])
+                state = STATE_OF_STATUSWORD[status & 0x7F]
+                if (MODE_SHOWN, axis) in fields:
+                    self._mode(group, known.node, axis, state, _column(group, fields[MODE_SHOWN, axis]))
+                if (TORQUE, axis) in fields:
+                    self._torque(group, known.node, axis, state, _column(group, fields[TORQUE, axis]))
+                self._status(group, known.node, axis, status)
+
+    def _pdos(self, block: Block, direction: str) -> Iterator[tuple[Frames, Map]]:
+        for key, group in block.groups.items():
+            known = self.bus.maps.get(key)
+            if known is not None and known.direction == direction and (group.length >= known.length).all():
+                yield group, known
+
+    def _status(self, group: Frames, node: int, axis: int, status: Integers) -> None:
+        mode = self._modes.get((node, axis), self._shown(node, axis))
+        what = DEVIATIONS.get(mode, "" if mode in (4, 10) else "following error")
+        enabled = STATE_OF_STATUSWORD[status & 0x7F] == PowerState.OPERATION_ENABLED
+        holds = enabled & (status & DEVIATION != 0) if what else np.zeros(len(status), bool)
+        self._held("following_error", node, axis, group, holds, 0, f"{what} (statusword bit 13)")
+        holds = enabled & (status & INTERNAL_LIMIT != 0)
+        self._held("limit_active", node, axis, group, holds, HELD_NS, "internal limit active (statusword bit 11)")
+
+    def _torque(self, group: Frames, node: int, axis: int, state: Integers, torque: Integers) -> None:
+        shown = (torque ^ 0x8000) - 0x8000
+        holds = np.isin(state, OFF) & (np.abs(shown) > OFF_TORQUE)
+        text = f"{where(0x6077 + 0x800 * axis, 0)} shows more than {OFF_TORQUE / 10:g} % of the rated torque, and the power stage is off"
+        self._held("torque_when_off", node, axis, group, holds, HELD_NS, text)
+
+    def _mode(self, group: Frames, node: int, axis: int, state: Integers, shown: Integers) -> None:
+        self._modes[node, axis] = int(shown[-1])
+        wish, since_ns = self._wishes.get((node, axis), (-1, 0))
+        if wish < 0:
+            wish = self._written(node, axis)
+        holds = (shown != wish) & (state == PowerState.OPERATION_ENABLED) & (group.t_ns > since_ns)
+        text = f"mode of operation {wish} is commanded, {where(0x6061 + 0x800 * axis, 0)} shows {int(shown[-1])}"
+        self._held("mode_refused", node, axis, group, holds if wish > 0 else np.zeros(len(holds), bool), MODE_NS, text)
+
+    def _wish(self, node: int, axis: int, t_ns: Integers, wish: Integers) -> None:
+        value, since_ns = self._wishes.get((node, axis), (-1, 0))
+        changed = np.flatnonzero(wish != np.concatenate(([value], wish[:-1])))
+        if len(changed):
+            value, since_ns = int(wish[-1]), int(t_ns[changed[-1]])
+        self._wishes[node, axis] = value, since_ns
+
+    def _written(self, node: int, axis: int) -> int:
+        known = self.bus.nodes.get(node)
+        return known.objects.get((0x6060 + 0x800 * axis, 0), -1) if known is not None else -1
+
+    def _shown(self, node: int, axis: int) -> int:
+        known = self.bus.nodes.get(node)
+        return known.objects.get((0x6061 + 0x800 * axis, 0), -1) if known is not None else -1
+
+    def _held(self, kind: str, node: int, axis: int, group: Frames, holds: Holds, least_ns: int, text: str) -> None:
+        """Note the times in which something holds for long enough."""
+        key = (kind, node, axis)
+        if key not in self._since and not holds.any():
+            return
+        before = key in self._since
+        for i in np.flatnonzero(holds != np.concatenate(([before], holds[:-1]))).tolist():
+            t_ns = int(group.t_ns[i])
+            if holds[i]:
+                self._since[key] = t_ns, int(group.rows[i])
+                continue
+            since_ns, _ = self._since[key]
+            if t_ns - since_ns >= least_ns:
+                self._begin(key, text)
+                self.clues.end(kind, node, t_ns, "it is over", subject=(axis, "PDO"))
+            del self._since[key]
+        if key in self._since and int(group.t_ns[-1]) - self._since[key][0] >= least_ns:
+            self._begin(key, text)
+
+    def _begin(self, key: tuple[str, int, int], text: str) -> None:
+        (kind, node, axis), (t_ns, row) = key, self._since[key]
+        if self._noted.get(key) == t_ns:
+            return
+        self._noted[key] = t_ns
+        note = self.clues.note if kind == "limit_active" else self.clues.begin  # a limit is no fault
+        note(kind, node, t_ns, text, row=row, subject=(axis, "PDO")).axis = axis
+
+
+def _column(group: Frames, field: Field) -> Integers:
+    return group.word >> field.start & (1 << field.bits) - 1

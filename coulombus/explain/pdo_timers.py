@@ -1,0 +1,50 @@
+"""Event timers and inhibit times that are not kept (CiA 301, 7.5.2.37: 1800h:03 and :05)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coulombus.explain.bus import Bus
+from coulombus.explain.frames import Block, Frames
+from coulombus.explain.seen_maps import Map
+
+__all__ = ["PdoTimers"]
+
+MS = 1_000_000
+LATE, SOON = 1.5, 0.75
+"""Of the event timer and of the inhibit time: what waits for the bus does not count."""
+STOPPED = 5
+"""Event timers without the PDO: it has stopped, and is not late."""
+
+
+class PdoTimers:
+    """Holds the intervals of event-driven TPDOs against their event timer and inhibit time."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.clues = bus, bus.clues
+        self._last_ns: dict[int, int] = {}
+
+    def take(self, block: Block) -> None:
+        """Go through a block."""
+        for key, group in block.groups.items():
+            known = self.bus.maps.get(key)
+            if known is None or known.synchronous is not False or not (known.event_ns or known.inhibit_ns):
+                continue
+            self._hold(key, group, known)
+            self._last_ns[key] = int(group.t_ns[-1])
+
+    def _hold(self, key: int, group: Frames, known: Map) -> None:
+        before = self._last_ns.get(key)
+        stamps = group.t_ns if before is None else np.concatenate(([before], group.t_ns))
+        gaps, first = np.diff(stamps), len(stamps) - len(group)
+        soon = gaps < SOON * known.inhibit_ns
+        late = (gaps > LATE * known.event_ns) & (gaps < STOPPED * known.event_ns) & (known.event_ns > 0)
+        for kind, which, limit in (("inhibit_time", soon, known.inhibit_ns), ("event_timer", late, known.event_ns)):
+            for i in np.flatnonzero(which)[:200].tolist():
+                begin, end = int(stamps[i]), int(stamps[i + 1])
+                if kind == "event_timer" and self.bus.ordered(known.node, begin, end) is not None:
+                    continue
+                setting = "inhibit time" if kind == "inhibit_time" else "event timer"
+                text = f"{known.name} comes after {(end - begin) / MS:.1f} ms; its {setting} is {limit / MS:g} ms"
+                row = int(group.rows[max(i + 1 - first, 0)])
+                self.clues.note(kind, known.node, end, text, row=row, subject=key)
