@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 from benchmarks.explain_bus import Machine
-from benchmarks.explain_truths import main as truths
+from benchmarks.explain_runs import main as truths
 from coulombus.explain.explained import Explainer
 from coulombus.wire.frame import Records
 

@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks.explain_devices import DEVICES
 from coulombus.eds.cia301 import NmtCommand
-from coulombus.eds.reader import Description, read_eds
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
-from coulombus.node.kinds import GENERIC
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.clock import own_ns
 from coulombus.wire.frame import Records
@@ -25,15 +24,6 @@ HEARTBEAT_MS = 40
 ENABLE = (0x06, 0x07, 0x0F)
 BEGIN_MS, CLEAR = 260, 0x80
 """When a fault begins, after the machine is at work."""
-
-_descriptions: dict[str, Description] = {}
-
-
-def description(name: str) -> Description:
-    """Return an EDS file of the project, read once."""
-    if name not in _descriptions:
-        _descriptions[name] = read_eds(f"eds/{name}.eds")
-    return _descriptions[name]
 
 
 @dataclass
@@ -48,16 +38,17 @@ class Machine:
 
     def __post_init__(self) -> None:
         dice = self.dice
-        self.period_ns = dice.choice((2, 4, 5, 10, 20)) * MS
-        most = 8 if self.period_ns >= 4 * MS else 4
+        self.period_ns = dice.choice((1, 2, 3, 4, 5, 10, 20)) * MS
+        most = {1: 2, 2: 4, 3: 6}.get(self.period_ns // MS, 8)  # the drive sends a second TPDO, too
         self.ids = sorted(dice.sample(range(1, 60), dice.randint(1, most)))
         self.jitter_ns = dice.choice((0, 20_000, 80_000))
         self.maps_by_sdo = dice.random() < 0.7
-        self.drives = dice.random() < 0.8
+        self.kind = dice.choices(DEVICES, (6, 1, 2, 2))[0]
+        self.drives = self.kind.profile is DRIVE402
         self.watches = dice.random() < 0.6  # nodes watch the master and their set-points
         self.network = VirtualNetwork(1_000_000, capacity=len(self.ids) + 1, on_frames=self._keep)
-        kind = DRIVE402 if self.drives else GENERIC
-        self.devices = {number: self.network.add(description("motor"), number, kind) for number in self.ids}
+        kind = self.kind
+        self.devices = {number: self.network.add(kind.description, number, kind.profile) for number in self.ids}
         self.master = self.network.station(())
         self.client = self.network.station({0x580 + number for number in range(1, 128)})
         self.syncing = self.beating = True
@@ -133,8 +124,8 @@ class Machine:
         self.read(number, 0x1018, 2)
         if self.maps_by_sdo:
             for communication, mapping, base, words in (
-                (0x1400, 0x1600, 0x200, (0x60400010, 0x60710010)),
-                (0x1800, 0x1A00, 0x180, (0x60410010, 0x60640020, 0x60770010)),
+                (0x1400, 0x1600, 0x200, self.kind.rpdo),
+                (0x1800, 0x1A00, 0x180, self.kind.tpdo),
             ):
                 self.write(number, communication, 1, 1 << 31 | base + number, 4)
                 self.write(number, mapping, 0, 0, 1)

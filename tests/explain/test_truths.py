@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.explain_truths import RIG_FAULTS, SCENARIOS, Score, outcome, rig_outcome
+from benchmarks.explain_runs import RIG_FAULTS, outcome, rig_outcome
+from benchmarks.explain_scenarios import PAIR, SCENARIOS
+from benchmarks.explain_truths import Score
 from coulombus.explain.explained import explain
 from coulombus.lab.simulate import simulate
 
@@ -18,13 +20,13 @@ def test_a_hundred_runs_are_told_as_they_were():
     for seed in range(100):
         score.add(rig_outcome(seed) if seed % 5 == 0 else outcome(seed))
     assert score.runs + score.healthy == 100
-    assert score.cause >= 0.95 * score.runs, "\n".join(score.lines())
+    assert score.cause >= 0.95 * score.runs, score.matrix
     assert score.node >= 0.95 * score.runs
     assert score.state >= 0.95 * score.runs
     assert (score.invented, score.healthy > 5) == (0, True)
 
 
-@pytest.mark.parametrize("name", [*SCENARIOS, *RIG_FAULTS])
+@pytest.mark.parametrize("name", [*SCENARIOS, PAIR, *RIG_FAULTS])
 def test_each_thing_that_is_done_is_told(name):
     result = rig_outcome(3, name) if name in RIG_FAULTS else outcome(3, name)
     assert result.name == name
