@@ -8,20 +8,24 @@ how fast it is.
 from __future__ import annotations
 
 import argparse
-import resource
+import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.explain_bus import Machine
 from benchmarks.explain_runs import main as truths
 from coulombus.explain.explained import Explainer
-from coulombus.wire.frame import Records
+from coulombus.explain.live_bus import Followed, records_of
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.wire.bits import frame_bits
+from coulombus.wire.client import Received
+from coulombus.wire.frame import Records, data_bytes
 
 CAUSE, NODE, STATE, INVENTED = 0.95, 0.98, 0.98, 1 / 200
-STRETCH = 22_000
-"""Frames that a reader of a recording hands over at a time."""
 
 
 def cyclic(frames: int) -> Records:
@@ -45,18 +49,52 @@ def cyclic(frames: int) -> Records:
 
 
 def speed(frames: int) -> None:
-    """Print how long so many frames take, and what memory."""
-    log = cyclic(frames)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    begin, cpu = time.perf_counter(), time.process_time()
-    explainer = Explainer()
-    for start in range(0, len(log), STRETCH):
-        explainer.take(log[start : start + STRETCH])
-    explainer.end()
-    told = explainer.explanation()
-    wall, used = time.perf_counter() - begin, time.process_time() - cpu
-    more = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    print(f"{len(log)} frames: {wall:.2f} s, {used:.2f} s of CPU, {more:.0f} MB more; verdict {told.verdict}")
+    """Print how long a recording of so many frames takes, and the peak memory, in a process of its own;
+    then the share of a core at the full load of a live bus.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "long.pcapng"
+        with PcapngWriter(path, attachments={}) as writer:
+            writer.write(cyclic(frames))
+        child = [sys.executable, "-c", EXPLAIN_A_FILE, str(path)]
+        print(subprocess.run(child, check=True, capture_output=True, text=True).stdout, end="")
+    live()
+
+
+EXPLAIN_A_FILE = """
+import sys, time
+from coulombus.explain.explained import explain
+begin, cpu = time.perf_counter(), time.process_time()
+told = explain(sys.argv[1])
+wall, used = time.perf_counter() - begin, time.process_time() - cpu
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]
+print(f"{told.frames} frames of a file: {wall:.2f} s, {used:.2f} s of CPU; peak memory {int(peak) // 1024} MB; {told.verdict}")
+"""
+"""What the child runs: its peak memory is its own (getrusage has the parent's, too)."""
+
+
+def live(seconds: float = 20.0) -> None:
+    """Print the share of a core that a bus at the full load of 1 Mbit/s takes: its frames come as a
+    client receives them, in batches of 0.1 s of virtual time.
+    """
+    frames = cyclic(400_000)
+    bits = [frame_bits(int(f["can_id"]), data_bytes(int(f["word"]), int(f["length"]))) for f in frames[:1000]]
+    every_ns = round(1000 * sum(bits) / len(bits))
+    count = round(seconds * 1e9 / every_ns)
+    received: list[Received] = [
+        ((k + 1) * every_ns, can_id, length, word.to_bytes(8, "little", signed=True))
+        for k, (_, can_id, length, word, _) in enumerate(frames[:count].tolist())
+    ]
+    explainer, followed = Explainer(), Followed(lambda explanation, incident: None)
+    batch = max(round(1e8 / every_ns), 1)
+    begin = time.process_time()
+    for number, start in enumerate(range(0, count, batch), 1):
+        explainer.take(records_of(received[start : start + batch]))
+        if number % 5 == 0:
+            explainer.look()
+            followed.look(explainer.explanation())
+    used = time.process_time() - begin
+    print(f"live, {count / seconds:.0f} frames a second for {seconds:g} s: {100 * used / seconds:.1f} % of a core")
 
 
 def run() -> None:

@@ -6,27 +6,35 @@ import numpy as np
 
 from coulombus.explain.bus import Bus
 from coulombus.explain.frames import REMOTE, Block, Integers
-from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG
+from coulombus.kernels.decorator import kernel
+from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.can_flags import CAN_ERR_FLAG
 
 __all__ = ["BusLoad"]
 
 RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 1_000_000)
 """Bit rates of CiA 301 [bit/s]; 800 kbit/s is too near to 1 Mbit/s to be told from it, and rare."""
-WINDOW_NS = 100_000_000
-FULL, FILLED = 0.9, 3
+WINDOW_NS = 20_000_000
+FULL, FILLED = 0.9, 5
 """Load of windows in a row that is a full bus."""
 LEARN = 2000
 """Frames that show the bit rate."""
 FASTER, CLOSE = 0.01, 0.05
 """Share of frames that may follow sooner than the bit rate allows; share that must follow directly."""
 REGULAR = 5
-"""Frames of an identifier that a window usually has, at least, for its absence to be noted."""
-STUFFING = 1.06
-"""Stuff bits of usual contents, over the bits of a frame."""
+"""Frames of an identifier that usually come in so many windows, at least, for their absence to be noted."""
+
+
+@kernel
+def _bits_of(can_id: Integers, length: Integers, word: Integers, bits: Integers) -> None:
+    """Fill in how many bits each frame had on the wire; an error frame 0."""
+    for i in range(len(can_id)):
+        if can_id[i] & CAN_ERR_FLAG == 0:
+            bits[i] = data_frame_bits(can_id[i], length[i], word[i])
 
 
 class BusLoad:
-    """Adds up the bits of windows of 100 ms.
+    """Adds up the bits of windows of 20 ms.
 
     Without a rig the bit rate is taken from frames that follow each other directly; where there are
     none, the bus is not full.
@@ -45,17 +53,18 @@ class BusLoad:
         """Go through a block."""
         if len(block.t_ns) < 2:
             return
-        can_id = np.ascontiguousarray(block.frames["can_id"])
-        length = np.ascontiguousarray(block.frames["length"]).astype(np.int64)
-        error = can_id & CAN_ERR_FLAG != 0
-        bits = np.where(error, 0, STUFFING * (47 + 8 * length) + np.where(can_id & CAN_EFF_FLAG, 20, 0))
+        can_id, length, word = (
+            np.ascontiguousarray(block.frames[name], np.int64) for name in ("can_id", "length", "word")
+        )
+        bits = np.zeros(len(block.t_ns), np.int64)
+        _bits_of(can_id, length, word, bits)
         if not self.bus.bitrate and self._learned < 10 * LEARN:
             self._learn(block.t_ns, bits)
         if not self.bitrate:
             return
         self._fill(block, bits)
 
-    def _learn(self, t_ns: Integers, bits: np.ndarray) -> None:
+    def _learn(self, t_ns: Integers, bits: Integers) -> None:
         """Find the lowest bit rate at which these frames can have followed each other."""
         gaps = np.diff(t_ns)
         self._learned += len(gaps)
@@ -66,7 +75,7 @@ class BusLoad:
                     self.bitrate = rate
                 return
 
-    def _fill(self, block: Block, bits: np.ndarray) -> None:
+    def _fill(self, block: Block, bits: Integers) -> None:
         window = block.t_ns // WINDOW_NS
         first, last = int(window[0]), int(window[-1])
         if last - first > 100_000:
@@ -102,7 +111,7 @@ class BusLoad:
 
     def _note(self, block: Block, window: Integers, begin_ns: int, last: int) -> None:
         """Note a full bus, which identifier takes most of it, and which ones do not come."""
-        first, behind = np.searchsorted(window, (last, last + 1))
+        first, behind = np.searchsorted(window, (last - FILLED + 1, last + 1))
         rows = block.first_row + first, block.first_row + behind
         counts = {
             key: int(np.searchsorted(group.rows, rows[1]) - np.searchsorted(group.rows, rows[0]))
@@ -114,6 +123,6 @@ class BusLoad:
         text += f": {share:.0%} of the frames are {top:03X}h" if share > 0.5 else ""
         self.clues.begin("bus_load", None, max(begin_ns, self.bus.first_ns), text, row=int(rows[0]))
         for key, usual in self._usual.items():
-            if usual >= REGULAR and not counts.get(key) and key > top:
+            if usual * FILLED >= REGULAR and not counts.get(key) and key > top:
                 text = f"{key:03X}h does not come, {top:03X}h goes before it"
                 self.clues.note("starved", self.bus.sender(key), begin_ns, text, row=int(rows[0]), subject=key)

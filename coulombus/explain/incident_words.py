@@ -73,7 +73,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             "Frames of lower priority wait, and come too late or never.", "CiA 301, 7.2.2.2 (inhibit time)", "bus",
         ),
         "bus_load": Kind(
-            48, "The bus was full", "More frames than the bit rate carries.",
+            84, "The bus was full", "More frames than the bit rate carries.",
             ("Compare which identifiers come most often: coulombus hz.", "Lengthen event timers and SYNC period, or map fewer PDOs.",
              "Raise the bit rate of all nodes."),
             "Frames of low priority come late or never: heartbeats first.", "CiA 301, 7.2.2; docs/planner.md", "bus",
@@ -97,7 +97,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             "A cycle without SYNC is a cycle without measurement.", "CiA 301, 7.2.5", "bus",
         ),
         "two_sync": Kind(
-            83, "Two nodes produce SYNC", "Two masters, or a node whose 1005h bit 30 is set.",
+            86, "Two nodes produce SYNC", "Two masters, or a node whose 1005h bit 30 is set.",
             ("Check whether a second program or tool runs.", "Read 1005h of every node: bit 30 makes it a producer.",
              "Unplug the other master."),
             "Nodes sample and act twice per cycle, at wrong times.", "CiA 301, 7.5.2.6 (1005h)", "bus",

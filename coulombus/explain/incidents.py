@@ -31,7 +31,7 @@ TOLERANCE_NS = 60_000_000
 BUS_WIDE = frozenset(kind for kind, words in KINDS.items() if words.group == "bus")
 SDO = frozenset(kind for kind, words in KINDS.items() if words.group == "sdo")
 AT_NODE = frozenset(kind for kind, words in KINDS.items() if words.group == "node")
-FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost", "two_sync"})
+FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost", "two_sync", "bus_load"})
 """Kinds from which something follows at every node."""
 SILENCE = frozenset({"node_lost", "heartbeat_lost", "host_lost"})
 SILENCE_NS = 300_000_000
