@@ -41,8 +41,10 @@ def cause(incident: Incident) -> str:
 
 def checks(incident: Incident) -> tuple[str, ...]:
     """Return what to check first, the cheapest first."""
-    usual = KINDS[incident.root.kind].checks
+    usual, diagnosis = KINDS[incident.root.kind].checks, incident.diagnosis
     first = incident.root.check
+    if not first and diagnosis is not incident.root:  # the code is known: it need not be read
+        first = KINDS[diagnosis.kind].checks[0]
     return (first, *usual[1:]) if first else usual
 
 

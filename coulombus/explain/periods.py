@@ -33,6 +33,7 @@ PDO_KEYS = range(CobId.TPDO1, CobId.SDO_TX)
 class _Pdo:
     """A PDO: whose it is, by the map known now, and what is carried over from block to block."""
 
+    key: int  # its identifier: the name changes with what is known
     node: int | None = None
     name: str = ""
     sends: bool = False  # the node sends it: a TPDO
@@ -59,7 +60,8 @@ class Timing:
         self._sync = np.zeros(0, np.int64)  # the last one of the block before
         self._gaps: list[int] = []
         self._pdos: dict[int, _Pdo] = {}
-        self._doubled_sync = False  # in this block: its intervals say nothing of PDOs
+        self._doubled_sync = False  # in this block: the intervals behind that say nothing of PDOs
+        self._doubled_ns = -1  # since when, if it began in this block
         self._last_ns = -1
         self._quiet: list[tuple[int, int, int]] = []  # silences that no SYNC has ended yet: begin, end, row
         self._rapid: dict[int, tuple[int, int, int]] = {}  # frames in rapid succession, since when, first row
@@ -87,13 +89,13 @@ class Timing:
             )
             self.sync_row = int(sync.rows[-1])
         if self._doubled_sync:
-            edges = edges[:0]
+            edges = edges[edges < self._doubled_ns]
         for key, group in block.groups.items():
             self._babble(key, group)
             known = self.bus.maps.get(key)
             if known is None and key not in PDO_KEYS:
                 continue
-            pdo = self._pdos.setdefault(key, _Pdo())
+            pdo = self._pdos.setdefault(key, _Pdo(key))
             self._identify(key, pdo, known)
             self._repeated(key, group, pdo)
             if len(edges) > 1 and self.period_ns:
@@ -171,6 +173,7 @@ class Timing:
         if self._doubled_sync:
             row, at = int(sync.rows[close[0] + 1 - first]), int(stamps[close[0] + 1])
             text = f"SYNC comes more than once within its period of {self.period_ns / MS:g} ms: two nodes produce it"
+            self._doubled_ns = -1 if stands else at
             self.clues.begin("two_sync", None, at, text, row=row)
         elif len(close):
             row, at = int(sync.rows[close[0] + 1 - first]), int(stamps[close[0] + 1])
@@ -275,12 +278,12 @@ class Timing:
         row = int(group.rows[place - 1]) if place else pdo.last_row
         kind = "tpdo_missing" if pdo.sends else "rpdo_missing"
         text = f"no {pdo.name} after SYNC" if pdo.sends else f"no {pdo.name}: set-points do not come"
-        self.clues.begin(kind, pdo.node, begin, text, row=row, subject=pdo.name)
+        self.clues.begin(kind, pdo.node, begin, text, row=row, subject=pdo.key)
 
     def _again(self, pdo: _Pdo, t_ns: int) -> None:
         kind = "tpdo_missing" if pdo.sends else "rpdo_missing"
         text = f"{pdo.name} comes again, {max(pdo.missing, 1)} were missing"
-        self.clues.end(kind, pdo.node, t_ns, text, subject=pdo.name)
+        self.clues.end(kind, pdo.node, t_ns, text, subject=pdo.key)
         pdo.missing_ns, pdo.missing = -1, 0
 
     def _doubled(self, counts: Integers, sync: Integers, pdo: _Pdo, group: Frames) -> None:
@@ -304,7 +307,7 @@ class Timing:
             what = "two devices have its node id" if pdo.sends else "two masters command it"
             text = f"{pdo.name} comes twice within a SYNC period, with contents that differ: {what}"
             at, row = pdo.doubled_at
-            self.clues.begin(kind, pdo.node, at, text, row=row, subject=pdo.name)
+            self.clues.begin(kind, pdo.node, at, text, row=row, subject=pdo.key)
 
     def _latency(self, group: Frames, pdo: _Pdo, sync: Integers, place: Integers, counts: Integers) -> None:
         """Note PDOs that come much later after SYNC than usually."""
@@ -328,7 +331,7 @@ class Timing:
             )
             kind = "tpdo_late" if pdo.sends else "rpdo_late"
             clue = self.clues.note(
-                kind, pdo.node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=pdo.name, count=len(worst)
+                kind, pdo.node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=pdo.key, count=len(worst)
             )
             clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(complete)[worst[-1]]])
 

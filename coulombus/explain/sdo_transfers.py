@@ -104,7 +104,8 @@ class SdoTransfers:
         for number in absent if len(absent) < SCAN else ():
             requests = self._servers[number].unanswered or [r for r in [self._servers[number].request] if r]
             if requests:
-                text = f"{len(requests)} SDO requests to it, and no frame of it in the log"
+                number_of = "an SDO request" if len(requests) == 1 else f"{len(requests)} SDO requests"
+                text = f"{number_of} to it, and no frame of it in the log"
                 self.clues.begin("node_missing", number, requests[0].t_ns, text, row=requests[0].row)
 
     def _request(self, number: int, server: _Server, request: _Request) -> None:

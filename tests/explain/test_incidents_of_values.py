@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from coulombus.explain.explanation_text import checks, screen
+from coulombus.explain.explanation_text import checks, detail_lines, screen
 from coulombus.recording.host_telemetry import FIRST, SOURCE_INSIDE
 from coulombus.wire.can_flags import CAN_RTR_FLAG
 from coulombus.wire.frame import Frame, new_records
@@ -208,3 +209,85 @@ def test_a_log_of_j1939_has_a_table_of_its_parameter_groups():
     text = "\n".join(screen(explanation, "a.log"))
     assert "CF00400h       500    10.00 ms  PGN 61444 from 0, engine controller 1" in text
     assert machine(3).explained().identifiers == ()
+
+
+def set_points(log, node, begin, end, period=2.0, delay=1.0):
+    for ms in np.arange(begin, end, period):
+        log.add(ms + delay, 0x200 + node, word(0x0F))
+    return log
+
+
+def bus_off():
+    return machine(3).error(1000, 0x040, bytes(8))
+
+
+def no_ack():
+    log = machine(3)
+    for k in range(20):
+        log.error(1000 + 5 * k, 0x0A0, bytes(8))
+    return log
+
+
+def error_passive():
+    return machine(3).error(1000, 0x204, bytes((0, 0x20, 0, 0, 0, 1, 130, 0)))
+
+
+def overrun():
+    return machine(3).error(1000, 0x004, bytes((0, 0x01, 0, 0, 0, 0, 0, 0)))
+
+
+def host_lost():
+    return machine(3, 4).ask(3, 20, "2316100164007f00", "6016100100000000").beats(0x7F, 60, 1500)
+
+
+def error_code():
+    log = mapped(machine(5), 5, 1, (0x60410010, 0x603F0010))
+    return shown(log, 5, [(0, word(ENABLED))], [[(0, word(0)), (1000, word(0x4310))]])
+
+
+def left_enabled():
+    return set_points(drive(machine(5), 5, [(0, ENABLED), (1000, 0x0231)]), 5, 60, 1500)
+
+
+def rpdo_late():
+    log = machine(3).cycles(60, 3000, (3,))
+    for ms in range(60, 3000, 2):
+        log.add(ms + (1.0 if not 1000 < ms < 1200 else 1.9), 0x203, word(ms % 7))
+    return log
+
+
+def pdo_stopped():
+    log = machine(3)
+    for ms in range(60, 1000, 10):
+        log.add(ms, 0x283, bytes((ms % 7,)))
+    return log
+
+
+@pytest.mark.parametrize(
+    ("log", "node", "status", "check"),
+    [
+        (bus_off, None, "unresolved", "Check that all nodes have the same bit rate."),
+        (no_ack, 3, "warning", "Check that the other nodes have power."),
+        (error_passive, None, "unresolved", "Look at plugs and cable to the node"),
+        (overrun, None, "warning", "Record with fewer other programs running."),
+        (host_lost, 0x7F, "unresolved", "Check whether the host's program still runs"),
+        (error_code, 5, "unresolved", "Look the code up in the maker's manual."),
+        (left_enabled, 5, "unresolved", "Check the enable input and the emergency stop."),
+        (rpdo_late, 3, "warning", "Look at what else ran on the host."),
+        (pdo_stopped, 3, "unresolved", "Check the node's NMT state."),
+    ],
+)
+def test_each_of_these_kinds_has_an_example(log, node, status, check):
+    explanation = log().explained()
+    incident = explanation.incidents[0]
+    assert (incident.root.kind, incident.node, incident.status) == (log.__name__, node, status)
+    assert first_check(explanation).startswith(check)
+
+
+def test_an_incident_tells_cause_consequence_steps_clause_and_frames_apart():
+    explanation = machine(5).add(1000, 0x085, bytes.fromhex("1042010000000000")).explained()
+    lines = list(detail_lines(explanation, explanation.incidents[0], "a.log"))
+    heads = [line.partition(":")[0] for line in lines if line and not line.startswith(" ")]
+    assert heads[1:] == ["cause (reported)", "what happened", "check first", "why it matters", "see", "frames", "next"]
+    assert [line[2:5] for line in lines if line.startswith(("  1. ", "  2. ", "  3. "))] == ["1. ", "2. ", "3. "]
+    assert any("  085  10 42 01" in line for line in lines)
