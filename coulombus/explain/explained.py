@@ -17,7 +17,7 @@ from coulombus.explain.drive_values import DriveValues
 from coulombus.explain.eds_files import EdsFiles
 from coulombus.explain.frames import ERROR, EXTENDED, Block, Pieces
 from coulombus.explain.host_markers import HostMarkers
-from coulombus.explain.identifiers import IdentifierRow, Identifiers
+from coulombus.explain.identifier_table import IdentifierRow, Identifiers
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
 from coulombus.explain.nodes import STATES
