@@ -43,6 +43,8 @@ MINOR = frozenset(
     }
 )
 """Kinds that stop no machine, by themselves."""
+REMARKS = frozenset({"limit_active", "error_history"})
+"""Kinds that name an incident only where it has no other clue."""
 GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational"})
 """After these a node does not answer as before."""
 OF_AXES = frozenset(
@@ -72,10 +74,9 @@ class Incident:
     @property
     def root(self) -> Clue:
         """The clue that names it."""
-        begin = min(clue.begin_ns for clue in self.clues)
-        early = [
-            clue for clue in self.clues if clue.begin_ns <= begin + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)
-        ]
+        telling = [clue for clue in self.clues if clue.kind not in REMARKS] or self.clues
+        begin = min(clue.begin_ns for clue in telling)
+        early = [clue for clue in telling if clue.begin_ns <= begin + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
         return max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
 
     @property
