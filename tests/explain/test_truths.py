@@ -28,7 +28,7 @@ def test_a_hundred_runs_are_told_as_they_were():
 
 @pytest.mark.parametrize("name", [*SCENARIOS, PAIR, *RIG_FAULTS])
 def test_each_thing_that_is_done_is_told(name):
-    result = rig_outcome(3, name) if name in RIG_FAULTS else outcome(3, name)
+    result = rig_outcome(3, name) if name in RIG_FAULTS else outcome(4, name)  # three drives
     assert result.name == name
     assert result.right == (True, True, True), [vars(i.root) for i in result.told.incidents]
 
