@@ -71,7 +71,7 @@ def simulation() -> None:
         path = Path(directory) / "run.pcapng"
 
         def plain() -> None:
-            untripped(simulate("bench", "hybrid", seconds))
+            untripped(simulate("bench", "hybrid", seconds, measured=False))
 
         def recorded() -> None:
             untripped(simulate("bench", "hybrid", seconds, record=path, force=True))

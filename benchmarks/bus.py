@@ -61,8 +61,8 @@ def against_real_time(show: Callable[..., None], noise: Path, recording: Path) -
     """Show how much faster than real time the rig runs."""
     worlds: list[VirtualRig] = []
     runs: dict[str, Callable[[], RunResult]] = {
-        "plain": lambda: simulate("bench", "hybrid", SIMULATED_S),
-        "noisy": lambda: simulate("bench", "hybrid", SIMULATED_S, faults=noise, script=worlds.append),
+        "plain": lambda: simulate("bench", "hybrid", SIMULATED_S, measured=False),
+        "noisy": lambda: simulate("bench", "hybrid", SIMULATED_S, faults=noise, script=worlds.append, measured=False),
         "recorded": lambda: simulate("bench", "hybrid", SIMULATED_S, faults=noise, record=recording, force=True),
     }
     times: dict[str, list[float]] = {name: [] for name in runs}
@@ -98,7 +98,7 @@ def long_run(show: Callable[..., None], hours: float) -> None:
             show(f"... hour {len(sizes)}: memory", f"{sizes[-1] / 2**20:.0f} MiB", f"{cpu:.0f} s of CPU so far")
 
     begin = time.process_time()
-    result = simulate("bench", "hybrid", hours * HOUR_S, progress=look)
+    result = simulate("bench", "hybrid", hours * HOUR_S, progress=look, measured=False)
     taken = time.process_time() - begin
     came_to = f"{result.trip or 'no trip'}, {result.lost_pdos} PDOs lost"
     show(f"{hours:g} hours of bus time in one run", f"{hours * HOUR_S / taken:.0f} x", came_to)

@@ -19,14 +19,13 @@ from typing import Any, NoReturn
 
 import click
 
-from coulombus.cli.exit_status import FAULT, STATUSES
+from coulombus.cli.exit_status import FAULT
 from coulombus.cli.tables import echo
 from coulombus.system.c_library import NeedsLinux
 from coulombus.system.errors import CoulombusError
 from coulombus.system.exit import abandon_stdout, say, verdict
 from coulombus.system.foreign_text import printable
 from coulombus.system.stop_signals import Stopped, as_exceptions, raised, status_of, told
-from coulombus.system.wrap_text import hanging
 
 __all__ = [
     "EXIT_STATUS",
@@ -37,13 +36,8 @@ __all__ = [
     "remark",
 ]
 
-EXIT_STATUS = (
-    "\b\nExit status:\n"
-    + "".join(hanging(f"{status:>3}  {text}", 76, 5) + "\n" for status, text in STATUSES.items())
-    + """With --json, what ends a verb before its result is an object on stdout, too:
-{"event": "error", "error": TEXT, "exit_status": N}
-"""
-)
+EXIT_STATUS = "Exit status: 0 is ok; 'coulombus help exit' lists the others."
+"""The last line of a verb's help."""
 
 LINUX_MODULES = ("fcntl", "resource", "termios", "tty")
 
@@ -138,8 +132,6 @@ def _option_meant(error: click.UsageError) -> str:
     """Return what was meant, or is missing, as the end of the error's sentence; nothing where that
     is not known.
     """
-    if re.match(r"No such command '(help|\?)'", error.message, re.IGNORECASE):
-        return " The list of verbs is coulombus --help."
     verb = re.fullmatch(r"No such command '(\S+)'\.?", error.message)  # click has found none that is like it
     if verb is not None and error.ctx is not None and isinstance(error.ctx.command, click.Group):
         known = verb[1].lower().removesuffix("_command").replace("_", "-")

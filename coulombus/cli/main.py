@@ -10,7 +10,7 @@ from importlib import import_module
 
 import click
 
-from coulombus.cli.errors import EXIT_STATUS, Verbs
+from coulombus.cli.errors import Verbs
 from coulombus.cli.tables import echo
 
 __all__ = ["main"]
@@ -31,7 +31,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "mark": "Mark the recording of a running host",
         "set": "Change the law's parameters of a running host",
     },
-    "Look at a bus and its devices": {
+    "Bus and devices": {
         "watch": "Show a bus live, in SI units",
         "hz": "Measure rate and jitter of each identifier",
         "scan": "Find the devices on a bus",
@@ -42,7 +42,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "bridge": "Join two buses",
         "conformance": "Test a CANopen device against its EDS and CiA 301, 305, 402",
     },
-    "Use recordings": {
+    "Recordings": {
         "explain": "Say what went wrong in a log or on a bus, and what to check",
         "decode": "Print a recording frame by frame, in SI units",
         "plot": "Draw a recording's signals",
@@ -51,7 +51,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "replay": "Play a recording onto a bus, or check it bit for bit",
         "identify": "Identify friction from a recording, with intervals",
     },
-    "Describe and set up a rig": {
+    "Set up a rig": {
         "init": "Draft a rig file from EDS files or from live devices",
         "check": "Check a rig file and its EDS files",
         "plan": "Compute whether a rig's traffic fits on its bus",
@@ -61,14 +61,19 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "systemd": "Write systemd units for host, simulation and bridge",
         "eds": "Check EDS and DCF files",
     },
-    "Names for other tools, and theory": {
+    "Theory, tools, help": {
         "pdo": "Draw the rig's PDOs bit by bit",
         "dbc": "Write a DBC file of the rig's PDOs",
         "tools": "Write files for Wireshark, cantools, PlotJuggler, Foxglove",
         "analyse": "Compute the theory of the paper, with figures",
+        "help": "Explain a command, list them all, or the exit statuses",
     },
 }
 """The verbs, each a module of this folder, and what they do, in a line each."""
+
+
+FIRST = ("demo", "simulate", "run", "watch", "explain", "check")
+"""The verbs to begin with."""
 
 
 class Commands(Mapping[str, click.Command]):
@@ -95,15 +100,28 @@ class Commands(Mapping[str, click.Command]):
 
 
 class Coulombus(Verbs):
-    """All verbs, listed by what one wants to do."""
+    """All verbs; the help fits a terminal of 24 lines."""
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the verbs of each section, a line each; none is imported."""
-        widest = max(map(len, self.commands))
-        for title, verbs in SECTIONS.items():
-            with formatter.section(title):
-                formatter.write_dl([(name.ljust(widest), text) for name, text in verbs.items()])
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the verbs to begin with, the names of all, and where more stands; none is
+        imported.
+        """
+        texts = {name: text for verbs in SECTIONS.values() for name, text in verbs.items()}
+        formatter.write("Friction you can feel, over a CAN bus.\n\nUsage: coulombus COMMAND [OPTIONS] [ARGUMENTS], or coulombus --version\n")
+        with formatter.section("Start with"):
+            formatter.write_dl([(name, texts[name]) for name in FIRST])
+        with formatter.section("All commands"):
+            formatter.write_dl([(title, " ".join(verbs)) for title, verbs in SECTIONS.items()])
+        with formatter.section("Help"):
+            formatter.write_dl([(f"coulombus help {topic}", text) for topic, text in TOPICS.items()])
 
+
+TOPICS: Mapping[str, str] = {
+    "COMMAND": "its options (also COMMAND --help)",
+    "all": "each command in a line",
+    "exit": "the exit statuses",
+}
+"""What `coulombus help` explains."""
 
 LIBRARIES = ("numba", "llvmlite", "numpy", "scipy", "pydantic", "python-can", "canopen")
 """Whose versions a report needs."""
@@ -125,7 +143,6 @@ def _tell_versions(context: click.Context, option: click.Parameter, given: bool)
     cls=Coulombus,
     commands=Commands(),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog=EXIT_STATUS,
 )
 @click.option(
     "--version",
@@ -136,19 +153,6 @@ def _tell_versions(context: click.Context, option: click.Parameter, given: bool)
     help="Show the versions and exit.",
 )
 def main() -> None:
-    """Friction you can feel, over a CAN bus.
-
-    A DC motor drive and an MR brake as CANopen nodes, a host that runs a friction law at 1 kHz
-    through PDOs, and a bit-exact virtual bus with a simulated rig that stands in for the hardware.
-
-    \b
-    Examples:
-      coulombus demo
-      coulombus sim                                  # in a terminal of its own
-      coulombus run --mode hybrid --seconds 13       # when sim says ready
-      coulombus simulate --mode hybrid --seconds 13 --record run.pcapng
-      coulombus decode run.pcapng | less
-      coulombus check --rig my-rig.toml
-    """
+    """Friction you can feel, over a CAN bus."""
     for library in ("can", "canopen"):  # what goes wrong there comes as an exception, whose text is told
         logging.getLogger(library).addHandler(logging.NullHandler())

@@ -94,8 +94,7 @@ def simulate_command(
 ) -> None:
     """Run the rig in virtual time: bring-up, arming, display, safe end - over real PDOs.
 
-    The run lasts from the drive's Operation Enabled, where the operator's schedule begins. The
-    display's figures are computed from the recording; without --record they are null.
+    The run lasts from the drive's Operation Enabled, where the operator's schedule begins.
 
     \b
     Examples:

@@ -203,7 +203,7 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     force: bool = False,
     simulated: Rig | None = None,
-    measured: bool = False,
+    measured: bool | None = None,
 ) -> RunResult:
     """Run the rig in virtual time and return what came of it.
 
@@ -212,7 +212,7 @@ def simulate(
     rig : a rig, the name of a packaged one, or a path
     mode : ``active``, ``passive`` or ``hybrid``
     seconds : length of the display, from Operation Enabled on
-    record : write a pcapng recording there; the display's figures are computed from it
+    record : write a pcapng recording there, and compute the display's figures from it
     seed : of everything random; same seed, same bytes
     truth : save the plant's true course there (npz, the arrays of
         `sim_bus.rig.plant.TRUTH_COLUMNS`)
@@ -223,8 +223,9 @@ def simulate(
     force : replace `record` and `truth` where they exist
     simulated : the rig as it truly is, where the host's `rig` believes something else of it: plant,
         hand and devices are this one's; same buses, same nodes
-    measured : compute the display's figures of the frames in memory, with or without a recording;
-        a file that is recorded beside has then no sum (`RunResult.recording_sha256`)
+    measured : compute the display's figures of the frames in memory, 48 bytes for each cycle of an
+        axis; a file that is recorded has then no sum (`RunResult.recording_sha256`). None: where
+        nothing is recorded. False without a recording: no figures
 
     Raises
     ------
@@ -281,7 +282,8 @@ def simulate(
         faults=wrong,
         progress=progress,
         force=force,
-        measured=measured,
+        measured=record is None if measured is None else measured,
+        only_figures=bool(measured) and all(option is None for option in (record, truth, script, faults)),
     )
     return _simulate_bus(order) if len(chosen.channels) == 1 else _simulate_buses(order)
 
@@ -306,13 +308,10 @@ class _Order:
     progress: Callable[[float], None] | None
     force: bool
     measured: bool
-
-    @property
-    def only_figures(self) -> bool:
-        """Whether nobody sees more of the run than its figures: then the set-up may be an earlier
-        run's, and what follows the host's end is left out.
-        """
-        return self.measured and all(option is None for option in (self.record, self.truth, self.script, self.faults))
+    only_figures: bool
+    """Whether nobody sees more of the run than its figures: then the set-up may be an earlier
+    run's, and what follows the host's end is left out.
+    """
 
     def on(self, channel: str, stop_ns: int | None) -> _Order:
         """Return what that is on one bus, whose host is stopped at `stop_ns`.

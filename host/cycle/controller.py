@@ -13,7 +13,7 @@ from coulombus.eds.codec import PdoRecord
 from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
-from coulombus.host.cycle.output_limits import brake_end_Nm, brake_limit_raw, motor_limit_Nm
+from coulombus.host.cycle.output_limits import brake_end_Nm, brake_limit_raw, law_pushes, motor_limit_Nm
 from coulombus.host.cycle.records import (
     AXIS,
     DRIVE_PDOS,
@@ -278,6 +278,7 @@ class Controller:
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
+        c["stores"] = int(law_pushes(axis))
         c["travel_rad"] = math.inf if limits.travel_rad == "unlimited" else float(limits.travel_rad)
         handle = axis.allocation.bound.get("handle_torque") is not None
         observed = handle and self.mode in ("active", "hybrid")

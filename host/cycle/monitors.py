@@ -76,9 +76,19 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
     if abs(h.counts * c.rad_count) > c.travel_rad:
         return Trip.TRAVEL
 
-    # net work of the motor on the handle, over a sliding window
+    # net work of the motor on the handle, over a sliding window. The push of a law that stores has a
+    # sum of its own for each contact; it goes into the window as a whole when the contact ends.
     torque = h.image[Image.TORQUE] * c.torque_Nm_raw + c.torque_commanded * h.torque_Nm
-    work = torque * h.moved_counts * c.rad_count if h.fresh else 0.0
+    way = h.moved_counts * c.rad_count if h.fresh else 0.0
+    work = torque * way
+    if c.stores:
+        work += h.pushed_Nm * way
+        h.contact_J -= h.pushed_Nm * way
+        if h.pushed_Nm == 0.0:
+            work += h.contact_J
+            h.contact_J = 0.0
+        elif h.contact_J > c.net_work_J:
+            return Trip.NET_WORK
     row = h.work_row
     h.work_sum += work - h.work[row]
     h.work[row] = work

@@ -72,7 +72,7 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
         state.x_stuck = h.counts * c.rad_count
         state.psi_Nm = 0.0
         state.brake_Nm = state.motor_Nm = 0.0
-        h.gain = h.pushed_Nm = 0.0
+        h.gain = h.pushed_Nm = h.contact_J = 0.0
         h.share, h.port_J, h.track_length = 1.0, 0.0, 0
         for k in range(KINETIC_CYCLES):
             h.port_kinetic_J[k] = 0.0

@@ -203,6 +203,7 @@ class ControlRecord(Record):
     jump_counts: int  # more in a cycle is no motion
     net_work_J: float  # that the motor may give within the window
     net_work_cycles: int  # length of that window
+    stores: int  # 1: the law gives back what the hand has put into it, as a spring does
     travel_rad: float  # inf: unlimited
     motor_mismatch_Nm: float  # measured torque beyond the command; inf: not measured
     motor_mismatch_cycles: int  # so many in a row trip
@@ -329,6 +330,7 @@ class HostRecord(Record):
     work_sum: float  # of the window [J]
     work_row: int  # where the next one goes
     work: Annotated[FloatField, WORK_WINDOW_CYCLES]  # of the motor in each cycle of the window [J]
+    contact_J: float  # work of a storing law's push since it began
     # counters
     clipped: int  # 1: a limit acts on what the law asks for in this cycle
     clipped_balance: int  # clipped cycles less unclipped ones, not below 0

@@ -43,7 +43,7 @@ def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
     limit, whose = motor_limit(axis, mode)
     for key, torque_Nm in demands:
         if torque_Nm > limit + scale:
-            yield axis.mistake(key, _expected(limit, torque_Nm, whose))
+            yield axis.mistake(key, _expected(limit, torque_Nm, whose, key))
 
 
 def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
@@ -55,7 +55,7 @@ def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
     scale, (limit, whose) = scale_Nm(axis, "brake.setpoint_Nm"), brake_limit(axis)
     for key, torque_Nm in _law(axis, mode):
         if torque_Nm > limit + scale:
-            yield axis.mistake(key, _expected(limit, torque_Nm, whose))
+            yield axis.mistake(key, _expected(limit, torque_Nm, whose, key))
 
 
 def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
@@ -67,8 +67,9 @@ def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
     return tuple(Demand(f"{place}.{key}", getattr(values, key)) for key in own.extremes)
 
 
-def _expected(limit_Nm: float, torque_Nm: float, whose: str) -> str:
-    return f"a torque of at most {limit_Nm:.6g} Nm, not {torque_Nm:.6g} Nm: {whose} ends there and would cut it off"
+def _expected(limit_Nm: float, torque_Nm: float, whose: str, key: str) -> str:
+    cut = f"{whose} ends there and would cut it off; raise that limit, or lower {key}"
+    return f"a torque of at most {limit_Nm:.6g} Nm, not {torque_Nm:.6g} Nm: {cut}"
 
 
 def cut_off(rig: Rig, mode: str) -> list[str]:

@@ -301,9 +301,24 @@ def test_what_the_demo_names_next_can_be_done(tmp_path, monkeypatch):
     assert "--rig my-rig.toml " in next_steps("my-rig.toml", Path("out"))[1][0]
 
 
-def test_the_help_has_a_line_for_each_verb_that_80_columns_hold():
-    result = CliRunner().invoke(main, ["--help"], terminal_width=80)
-    listed = result.output.partition("Simulate:")[2].splitlines()
+def test_the_list_of_commands_has_a_line_for_each_that_80_columns_hold():
+    listed = CliRunner().invoke(main, ["help", "all"]).output.splitlines()
+    assert max(map(len, listed)) <= 80
     for name, verb in main.commands.items():
         (line,) = (line for line in listed if line.startswith(f"  {name} "))
-        assert line.split(None, 1)[1] == verb.short_help, name  # neither cut nor broken
+        assert line.split(None, 1)[1] == verb.short_help, name
+
+
+def test_the_help_names_each_command_and_fits_a_terminal():
+    shown = CliRunner().invoke(main, ["--help"], terminal_width=80).output
+    assert shown.count("\n") <= 24
+    assert set(main.commands) <= set(shown.partition("All commands:")[2].split())
+    assert CliRunner().invoke(main, ["help"], terminal_width=80).output == shown
+    assert CliRunner().invoke(main, [], terminal_width=80).output == shown
+
+
+def test_help_explains_a_command_and_a_command_of_a_command():
+    for words in (["run"], ["eds", "check"]):
+        shown = CliRunner().invoke(main, ["help", *words], terminal_width=80).output
+        assert shown == CliRunner().invoke(main, [*words, "--help"], terminal_width=80).output
+        assert shown.startswith(f"Usage: main {' '.join(words)} ")

@@ -219,6 +219,50 @@ def test_the_motors_net_work_is_summed_over_a_sliding_window(sign, polarity):
     assert watch_motion(c, h) == Trip.NET_WORK
 
 
+@BOTH
+def test_a_wall_gives_back_what_the_hand_has_put_into_it(sign):
+    bench = binary(stores=1, net_work_J=1.0)
+    bench.h.handle_Nm = 0.0
+
+    def cycle(pushed_Nm: float, counts: int, measured_Nm: float | None = None) -> int:
+        bench.h.pushed_Nm = sign * pushed_Nm
+        bench.h.v_counts = bench.h.moved_counts = sign * counts
+        bench.h.image[Image.TORQUE] = round(-sign * (pushed_Nm if measured_Nm is None else measured_Nm) * 2**8)
+        return int(watch_motion(bench.c, bench.h))
+
+    for _ in range(20):  # 10 J in, 8 J out
+        assert cycle(2.0, 16) == Trip.NONE
+    for _ in range(16):
+        assert cycle(2.0, -16) == Trip.NONE
+    assert bench.h.contact_J == -2.0
+    assert cycle(0.0, -16) == Trip.NONE  # what is left is in the window
+    assert (bench.h.contact_J, bench.h.work_sum) == (0.0, -2.0)
+    for _ in range(4):
+        assert cycle(0.0, 0) == Trip.NONE
+    assert bench.h.work_sum == 0.0
+    assert cycle(2.0, -16) == Trip.NONE
+    assert cycle(2.0, -16) == Trip.NONE  # 1 J that nobody has put in
+    assert cycle(2.0, -1) == Trip.NET_WORK
+
+
+def test_a_wall_whose_motor_has_the_wrong_sign_trips_in_the_window():
+    bench = binary(stores=1, net_work_J=1.0)
+    bench.h.pushed_Nm, bench.h.handle_Nm = 2.0, 0.0
+    bench.h.v_counts = bench.h.moved_counts = 16
+    bench.h.image[Image.TORQUE] = 2 * 2**8
+    assert watch_motion(bench.c, bench.h) == Trip.NONE  # 0.5 J measured where -0.5 J is the law's
+    assert bench.h.work_sum == 1.0
+    assert watch_motion(bench.c, bench.h) == Trip.NET_WORK
+
+
+def test_a_law_that_stores_nothing_has_no_sum_of_its_own():
+    bench = binary(stores=0, net_work_J=0.4)
+    bench.h.pushed_Nm, bench.h.v_counts, bench.h.moved_counts = 2.0, -16, -16
+    bench.h.image[Image.TORQUE] = -2 * 2**8
+    assert watch_motion(bench.c, bench.h) == Trip.NET_WORK
+    assert bench.h.contact_J == 0.0
+
+
 def test_work_that_the_handle_does_on_the_motor_trips_never():
     bench = binary(net_work_J=0.0)
     bench.h.image[Image.TORQUE], bench.h.v_counts, bench.h.moved_counts = 512, -640.0, -640

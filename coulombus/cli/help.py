@@ -1,0 +1,58 @@
+"""`coulombus help`: a command's options, the list of all commands, the exit statuses."""
+
+from __future__ import annotations
+
+import click
+
+from coulombus.cli.errors import EXIT_STATUS
+from coulombus.cli.exit_status import STATUSES
+from coulombus.cli.main import SECTIONS, main
+from coulombus.cli.tables import echo
+from coulombus.system.wrap_text import hanging
+
+__all__ = ["help_"]
+
+JSON = """With --json, an error that ends a command before its result is also an object on
+stdout:
+  {"event": "error", "error": TEXT, "exit_status": N}
+"""
+
+
+@click.command("help", epilog=EXIT_STATUS)
+@click.argument("topic", nargs=-1, metavar="[COMMAND [SUBCOMMAND] | all | exit]")
+@click.pass_context
+def help_(context: click.Context, topic: tuple[str, ...]) -> None:
+    """Explain a COMMAND, list all of them (all), or the exit statuses (exit)."""
+    assert context.parent is not None
+    if topic == ("all",):
+        echo(_all_commands())
+    elif topic == ("exit",):
+        echo(_exit_statuses())
+    else:
+        echo(_explained(context.parent, topic))
+
+
+def _all_commands() -> str:
+    widest = max(len(name) for verbs in SECTIONS.values() for name in verbs)
+    sections = (
+        "\n".join([f"{title}:", *(f"  {name:{widest}}  {text}" for name, text in verbs.items())])
+        for title, verbs in SECTIONS.items()
+    )
+    return "\n\n".join(sections)
+
+
+def _exit_statuses() -> str:
+    lines = (hanging(f"{status:>3}  {text}", 80, 5) for status, text in STATUSES.items())
+    return "\n".join([*lines, "", JSON.rstrip()])
+
+
+def _explained(context: click.Context, topic: tuple[str, ...]) -> str:
+    """Return the help of the command that the words of `topic` name; of none, of the program."""
+    command: click.Command = main
+    for name in topic:
+        if not isinstance(command, click.Group):
+            raise click.UsageError(f"{context.command_path} has no commands; got {name!r}.", context)
+        _, subcommand, _ = click.Group.resolve_command(command, context, [name])  # fails with what is like it
+        assert subcommand is not None
+        command, context = subcommand, click.Context(subcommand, info_name=name, parent=context)
+    return command.get_help(context)
