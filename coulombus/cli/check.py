@@ -276,7 +276,23 @@ class _Findings:
             refused = "; `run` refuses a real bus until it is gone" if guess.moves_hand else ""
             echo(on_terminal(f"{CHECK}: {self.rig.path}:{guess.line}: {guess}{refused}", 4, PROSE))
         if self.ok:
-            echo("ok, if the devices answer what is open above" if self.questions else "ok")
+            echo(on_terminal(self._verdict(), 4, PROSE))
+
+    def _verdict(self) -> str:
+        """Return "ok", or what a rehearsal may use and a real rig not yet: guesses, losses,
+        questions.
+        """
+        if not self.guesses and not self.losses:
+            return "ok, if the devices answer what is open above" if self.questions else "ok"
+        lines = ", ".join(str(guess.line) for guess in self.guesses)
+        parts = (
+            (len(self.guesses), "guess", "guesses", f" unproved (lines {lines})"),
+            (len(self.losses), "protection", "protections", " lost"),
+            (len(self.questions), "question", "questions", " to the devices open"),
+        )
+        return "ok to rehearse: " + ", ".join(
+            f"{count} {single if count == 1 else several}{state}" for count, single, several, state in parts if count
+        )
 
     def _tell_pdos(self) -> None:
         decided = {

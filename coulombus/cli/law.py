@@ -137,7 +137,7 @@ def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
     samples, work_J = driven.samples, driven.work_J
     document = {
         "law": given.name,
-        "parameters": {} if given.parameters is None else given.parameters.model_dump(),
+        "parameters": given.parameters.model_dump(),
         "samples": len(samples),
         "seconds": float(samples["t_s"][-1] - samples["t_s"][0]),
         "peak_Nm": driven.peak_Nm,
@@ -150,6 +150,11 @@ def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
         print_json(document)
         return
     echo(f"law {given.name}: {document['samples']} samples in {document['seconds']:g} s")
+    if given.declaration is None:
+        values = ", ".join(
+            f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}" for key, value in given.parameters
+        )
+        echo(on_terminal(f"parameters      {values}, as in [mode.*] of a rig file; --set changes them", 16))
     echo(f"largest torque  {document['peak_Nm']:.6g} Nm")
     echo(f"work taken up   {document['work_J']:.6g} J, at least {document['least_work_J']:.6g} J on the way")
     for key in ("csv", "plot"):

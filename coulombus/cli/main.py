@@ -107,7 +107,9 @@ class Coulombus(Verbs):
         imported.
         """
         texts = {name: text for verbs in SECTIONS.values() for name, text in verbs.items()}
-        formatter.write("Friction you can feel, over a CAN bus.\n\nUsage: coulombus COMMAND [OPTIONS] [ARGUMENTS], or coulombus --version\n")
+        formatter.write(
+            "Friction you can feel, over a CAN bus.\n\nUsage: coulombus COMMAND [OPTIONS] [ARGUMENTS], or coulombus --version\n"
+        )
         with formatter.section("Start with"):
             formatter.write_dl([(name, texts[name]) for name in FIRST])
         with formatter.section("All commands"):

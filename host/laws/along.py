@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.laws.law import Declaration, LawFunction, LawRecord, LawStateRecord, MotionRecord, Parameters
-from coulombus.host.laws.laws import LawError, load_declared
+from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import set_parameters
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import Record, RecordArray, Records, new_records
@@ -29,6 +29,9 @@ from coulombus.kernels.records import Record, RecordArray, Records, new_records
 __all__ = ["COUNT_RAD", "Driven", "GivenLaw", "drive", "given_law"]
 
 Floats = npt.NDArray[np.float64]
+
+OF_MODE = "karnopp"
+"""Its parameters are those of [mode.*], which a law without parameters of its own sees, too."""
 
 COUNT_RAD = 2 * math.pi / 8192 / 9.587
 """An encoder count at the handle of the rig ``bench`` [rad]."""
@@ -109,7 +112,8 @@ class GivenLaw:
     name: str
     pointer: LawFunction
     declaration: Declaration | None
-    parameters: Parameters | None
+    """None: it names no parameters."""
+    parameters: Parameters
 
     def along(self, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float = COUNT_RAD) -> Driven:
         """Drive the law along a motion, from its relaxed state.
@@ -128,8 +132,7 @@ class GivenLaw:
         inputs, samples = new_records(Asked), new_records(Sample, len(t_s))
         samples["t_s"], samples["x_rad"] = t_s, x_rad
         inputs[0]["count_rad"] = count_rad
-        if self.declaration is not None and self.parameters is not None:
-            self.declaration.fill(inputs[0]["law"], self.parameters)
+        (self.declaration or BUILTIN_LAWS[OF_MODE]).fill(inputs[0]["law"], self.parameters)
         return _driven(self.name, self.pointer, inputs, samples)
 
 
@@ -155,7 +158,8 @@ def _driven(name: str, pointer: LawFunction, inputs: Records, samples: RecordArr
 
 
 def given_law(name: str, overrides: Sequence[str] = (), directory: Path | None = None) -> GivenLaw:
-    """Return a law by its name, with its defaults but for "KEY=VALUE".
+    """Return a law by its name, with its defaults but for "KEY=VALUE"; of a law that names no
+    parameters those of [mode.*], with the defaults of `karnopp`.
 
     Raises
     ------
@@ -165,11 +169,5 @@ def given_law(name: str, overrides: Sequence[str] = (), directory: Path | None =
         a parameter is none of this law's, or its value is refused
     """
     loaded = load_declared(name, directory)
-    if loaded.declaration is None:
-        if overrides:
-            raise LawError(
-                f"--set {overrides[0]}: the law {name} names no parameters; declare them with "
-                "coulombus.host.laws.law.friction_law (docs/laws.md)"
-            )
-        return GivenLaw(name, loaded.pointer, None, None)
-    return GivenLaw(name, loaded.pointer, loaded.declaration, set_parameters(loaded.declaration, overrides))
+    parameters = set_parameters(loaded.declaration or BUILTIN_LAWS[OF_MODE], overrides)
+    return GivenLaw(name, loaded.pointer, loaded.declaration, parameters)

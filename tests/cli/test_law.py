@@ -152,3 +152,13 @@ def test_a_law_that_returns_no_number_is_told_with_its_place(tmp_path):
     done = run(f"{path}:f", "--motion", "sine")
     assert done.exit_code == 3
     assert "returned nan Nm and 0 Nm for the brake at t_s=0, x_rad=0" in done.stderr
+
+
+def test_a_law_without_parameters_sees_those_of_a_mode(tmp_path):
+    (tmp_path / "my.py").write_text("def f(motion, law, state):\n    return law.F_d if motion.v_rad_s > 0 else -law.F_s\n")
+    words = ["law", f"{tmp_path}/my.py:f", "--motion", "sine", "--set", "F_d_Nm=0.7", "--set", "F_s_Nm=0.9"]
+    shown = CliRunner().invoke(main, words).output
+    assert "largest torque  0.9 Nm" in shown
+    assert "F_s_Nm = 0.9, F_d_Nm = 0.7" in " ".join(shown.split())
+    told = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)
+    assert (told["parameters"]["F_s_Nm"], told["parameters"]["F_d_Nm"], told["peak_Nm"]) == (0.9, 0.7, 0.9)

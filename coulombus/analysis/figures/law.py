@@ -19,7 +19,7 @@ PARAMETERS_IN_A_LINE = 4
 
 def titled(given: GivenLaw) -> str:
     """Return a law's name and its parameters, in lines that a picture has room for."""
-    values = {} if given.parameters is None else given.parameters.model_dump()
+    values = given.parameters.model_dump()
     texts = [
         f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}" for name, value in values.items()
     ]

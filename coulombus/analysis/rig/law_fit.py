@@ -183,7 +183,6 @@ class _Search:
     def law(self, values: Floats) -> GivenLaw:
         """Return the law with these parameters."""
         new = dict(zip(self.names, map(float, values), strict=True))
-        assert self.given.parameters is not None
         try:
             parameters = type(self.given.parameters)(**{**self.given.parameters.model_dump(), **new})
         except ValidationError as error:  # a rule of the law's own
@@ -268,7 +267,7 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
         there is no such law, or a parameter that is held is refused
     """
     given = given_law(name, overrides)
-    if given.declaration is None or given.parameters is None:
+    if given.declaration is None:
         raise LawError(f"law {name!r} names no parameters: there is nothing to identify (docs/laws.md)")
     if given.declaration.uses_mode_keys:
         raise LawError(
@@ -370,7 +369,7 @@ def _fit_of(search: _Search, best: Any, residual: Any, rest: tuple[Floats, Float
         estimates[name] = Estimate(float(values[k]), max(float(low), float(search.low[k])), float(high))
     left, linear = rest
     extra = np.linalg.lstsq(linear, left, rcond=None)[0] if linear.shape[1] else None
-    dumped = search.given.parameters.model_dump() if search.given.parameters is not None else {}
+    dumped = search.given.parameters.model_dump()
     return LawFit(
         law=search.given.name,
         estimates=estimates,
