@@ -281,7 +281,7 @@ def _real(bus_name: str | None, as_json: bool) -> Runner:
                 bus=address,
                 outputs=Outputs(record=path, force=True),
                 signals=signals,
-                progress=lambda t: bar(exercise.name, t, exercise.seconds),
+                progress=lambda t, _: bar(exercise.name, t, exercise.seconds),
             )
 
     return run

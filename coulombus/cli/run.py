@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -79,6 +79,7 @@ def run_command(
         from coulombus.recording.output_file import check as check_output
         from coulombus.rigs.overrides import shared_machine as wider
         from coulombus.rigs.rig import load_rig
+        from coulombus.system.keyboard import in_foreground
         from coulombus.system.stop_signals import Signals
 
         rig = chosen.load(*(wider(load_rig(chosen.rig_name, chosen.overrides)) if shared_machine else ()))
@@ -100,7 +101,9 @@ def run_command(
                 check_output(path, force=outputs.overwrite)  # of all buses before the first one starts
             _run_buses([*words, *outputs.words()], addresses, outputs.files, mode, as_json)
         (address,) = addresses.values()
-        with page.beside(chosen, address), Signals() as signals, progress(not as_json) as report:
+        if not as_json and in_foreground():
+            say("q or Escape stops safely; 1 to 9 mark the recording")
+        with page.beside(chosen, address), Signals() as signals, progress(not as_json, width=10) as report:
             result = real_run(
                 rig,
                 mode,
@@ -108,7 +111,7 @@ def run_command(
                 bus=address,
                 outputs=out,
                 signals=signals,
-                progress=lambda t: report(mode, t, seconds),
+                progress=lambda t, axes: report(mode, t, seconds, _state(axes)),
                 cpu=cpu,
             )
         with verdict(result.exit_status, f"trip: {printable(result.trip)}" if result.trip else ""):
@@ -117,6 +120,15 @@ def run_command(
                 print_json(result.as_dict())
             else:
                 print_runs({mode: result})
+
+
+def _state(axes: list[dict[str, Any]]) -> str:
+    """Return what is felt now, in words that a line of 80 columns holds."""
+    shown = ", ".join(
+        f"{axis['axis']} {axis['phase']}: brake {axis['brake_torque_Nm']:.2f}, handle {axis['handle_torque_Nm']:.2f} Nm".lstrip()
+        for axis in axes
+    )
+    return f"{shown}, lost {sum(axis['lost_pdos'] for axis in axes)}"
 
 
 def _say_what_to_do(trip: str | None, anchor: Callable[[str], str | None], shared_machine: bool) -> None:

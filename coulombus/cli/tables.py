@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import click
 
@@ -27,6 +27,13 @@ __all__ = [
     "running",
     "table_console",
 ]
+
+
+class Report(Protocol):
+    """Takes a bar's label, the time reached, the whole time, and what is said of it."""
+
+    def __call__(self, label: str, t: float, total: float | None, told: str = ..., /) -> None: ...
+
 
 PROSE = 100
 """Columns of what is read in a file or a pipe."""
@@ -84,9 +91,9 @@ def on_terminal(line: str, indent: int, piped: int | None = None) -> str:
 
 
 @contextmanager
-def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, float, float | None], None]]:
-    """Show live bars on stderr: call what is yielded with a label, the time reached and the whole
-    time (None: nobody knows); `done` is what is said of it.
+def progress(enabled: bool, done: str = "displayed", width: int = 40) -> Iterator[Report]:
+    """Show live bars of `width` columns on stderr: call what is yielded with a label, the time
+    reached, the whole time (None: nobody knows), and what is said of it instead of `done`.
     """
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
@@ -94,11 +101,11 @@ def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, 
 
     console = PrintableConsole(stderr=True)
     if not enabled or not console.is_terminal:
-        yield lambda label, t, total: None
+        yield lambda label, t, total, told=done: None
         return
     columns = (
         TextColumn("{task.description:<8}"),
-        BarColumn(40),
+        BarColumn(width),
         TextColumn("{task.fields[told]}"),
         TimeElapsedColumn(),
     )
@@ -107,14 +114,14 @@ def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, 
     tasks: dict[str, TaskID] = {}
     with running(bars) as shown:
 
-        def report(label: str, t: float, total: float | None) -> None:
+        def report(label: str, t: float, total: float | None, told: str = done) -> None:
             with shown:
                 if label not in tasks:
                     bars.update(starting, visible=False)
                     tasks[label] = bars.add_task(label, total=total, told="")
                 t = t if total is None else min(t, total)
                 whole = "" if total is None else f" of {total:.0f}"
-                bars.update(tasks[label], completed=t, told=f"{t:5.1f}{whole} s {done}")
+                bars.update(tasks[label], completed=t, told=f"{t:5.1f}{whole} s {told}")
 
         try:
             yield report

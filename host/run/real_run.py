@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import check_no_delay, check_no_guess, check_no_rehearsal, refusing
-from coulombus.host.run.realtime_sequence import RealCourse
+from coulombus.host.run.realtime_sequence import Progress, RealCourse
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
 from coulombus.host.setup.law_demand import check_demand
@@ -30,7 +28,7 @@ def real_run(
     bus: BusAddress | None = None,
     outputs: Outputs = NOTHING,
     signals: Signals | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
     cpu: int | None = None,
 ) -> RunResult:
     """Run the host on a bus and return what came of it.
@@ -42,7 +40,7 @@ def real_run(
     bus : the bus; default is the virtual one of the rig's name
     outputs : what is written; the display's figures are computed from the recording
     signals : entered by the caller; a signal then ends the run safely
-    progress : called with the display's time in s
+    progress : called with the display's time in s and each axis' state (`run_state.axis_state`)
     cpu : for the data plane; default is the last one that this process may use
 
     Raises

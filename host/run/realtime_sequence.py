@@ -14,7 +14,7 @@ import termios
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from typing import Any
+from typing import Any, TypeAlias
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import Change, LiveParameters
@@ -36,6 +36,7 @@ from coulombus.host.run.preflight import place_of
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run_recording import StampOrder, begin_recording
 from coulombus.host.run.run_sequence import SAFE_TIMEOUT_NS, Course, Figures
+from coulombus.host.run.run_state import axis_state
 from coulombus.host.setup.bringup import bring_up, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.recording.measures import Measures
@@ -59,6 +60,10 @@ HAND_TIMEOUT_S = 30.0
 STUCK_S = 2.0  # a data plane that does not cycle for so long stands still
 
 
+Progress: TypeAlias = Callable[[float, list[dict[str, Any]]], None]
+"""Takes the display's time in s and the state of each axis."""
+
+
 class RealCourse(Course):
     """The course against the wall clock: times are CLOCK_MONOTONIC's, and in them the data plane is
     looked after.
@@ -72,13 +77,15 @@ class RealCourse(Course):
         outputs: Outputs,
         *,
         signals: Signals,
-        progress: Callable[[float], None] | None,
+        progress: Progress | None,
         cpu: int | None,
     ) -> None:
         self.rig, self.address, self.signals = rig, address, signals
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
-        super().__init__(Controllers(rig, mode), outputs.record, progress)
+        controllers = Controllers(rig, mode)
+        show = None if progress is None else lambda t: progress(t, [axis_state(axis) for axis in controllers])
+        super().__init__(controllers, outputs.record, show)
         self.error: str | None = None  # of this process, while the rig was armed
         self._fate = ""  # of a data plane that cycles no more
         self.stopped_by: str | None = None

@@ -155,7 +155,9 @@ def test_a_law_that_returns_no_number_is_told_with_its_place(tmp_path):
 
 
 def test_a_law_without_parameters_sees_those_of_a_mode(tmp_path):
-    (tmp_path / "my.py").write_text("def f(motion, law, state):\n    return law.F_d if motion.v_rad_s > 0 else -law.F_s\n")
+    (tmp_path / "my.py").write_text(
+        "def f(motion, law, state):\n    return law.F_d if motion.v_rad_s > 0 else -law.F_s\n"
+    )
     words = ["law", f"{tmp_path}/my.py:f", "--motion", "sine", "--set", "F_d_Nm=0.7", "--set", "F_s_Nm=0.9"]
     shown = CliRunner().invoke(main, words).output
     assert "largest torque  0.9 Nm" in shown

@@ -140,7 +140,7 @@ def run_real_demo(
             sim.wait_ready()
         for mode, sim in sims.items():
 
-            def report(t_s: float, mode: str = mode) -> None:
+            def report(t_s: float, _: object, mode: str = mode) -> None:
                 if progress is not None:
                     progress(mode, t_s)
 
