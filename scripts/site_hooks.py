@@ -91,7 +91,7 @@ PYTHON = {
 def verbs_page() -> str:
     """Return the reference of the command line, from click."""
     parts = [
-        "# The verbs\n\nAfter this page you know each verb of `coulombus`, its options and its examples. The page is",
+        "# The verbs\n\nEach verb of `coulombus`, with its options and examples. The page is",
         "made from the program itself: `coulombus VERB --help` says the same.\n\n## Exit statuses\n",
         "| status | meaning |\n|---|---|",
         *(f"| {status} | {_cell(text)} |" for status, text in STATUSES.items()),
@@ -128,7 +128,7 @@ def _verb(command: click.Command, name: str, head: str) -> Iterator[str]:
 def rig_keys_page() -> str:
     """Return all keys of the rig file, from its models."""
     parts = [
-        "# The keys of the rig file\n\nAfter this page you can look up any key: what it accepts, its unit, its default. The page is",
+        "# The keys of the rig file\n\nEach key: what it accepts, its unit, its default. The page is",
         "made from the models that check the file. What a key is for stands in [the rig file](../rig-file.md).\n",
     ]
     for section, model in _sections(Sections, ()):
@@ -165,7 +165,7 @@ def _sections(model: type[BaseModel], above: tuple[str, ...]) -> Iterator[tuple[
 def python_page() -> str:
     """Return the page that mkdocstrings fills with signatures, units, shapes and sources."""
     parts = [
-        "# Python\n\nAfter this page you know what a script may import, with units, shapes and errors. The page is made from",
+        "# Python\n\nWhat a script may import, with units, shapes and errors. The page is made from",
         "the docstrings. The six names of `import coulombus` are `Device`, `VirtualNetwork`, `live`,",
         "`load_rig`, `read` and `simulate`; the others are imported from where they stand here.",
     ]

@@ -62,7 +62,7 @@ def _kind(annotation: ast.expr) -> str:
 def records_page() -> str:
     """Return a table of the fields of each record."""
     parts = [
-        "# The compiled records\n\nAfter this page you can look up what a kernel reads and writes. The page is made from the classes",
+        "# The compiled records\n\nWhat a kernel reads and writes. The page is made from the classes",
         "that declare the records. `int` is 64 bits wide, a time is in ns, and all else has its unit in its name.\n",
     ]
     for record in SHOWN:

@@ -248,9 +248,12 @@ def test_the_settings_for_a_shared_machine_are_those_of_the_option():
     assert tuple(found) == SHARED_MACHINE
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "README.md"])
-def test_a_page_begins_with_what_the_reader_can_do_after_it(name):
-    assert text_of(name).split("\n\n")[1].startswith("After this page "), name
+@pytest.mark.parametrize("name", NAMES)
+def test_a_page_begins_with_what_its_subject_is(name):
+    """Its first paragraph is a sentence of its own, neither a command nor a formula of all pages."""
+    first = text_of(name).split("\n\n")[1]
+    assert not first.startswith(("After this page", "    ", "|", "```", "![")), name
+    assert first.rstrip(":").endswith((".", ")")) or first.endswith(":"), name
 
 
 @pytest.mark.parametrize("name", WITH_CHANGES)

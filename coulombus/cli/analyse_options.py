@@ -18,8 +18,8 @@ __all__ = ["figures_option", "loop_options", "parameters_of", "rig_of"]
 F = TypeVar("F", bound=Callable[..., Any])
 
 LOOP_OPTIONS = (
-    click.option("--mass", default=0.1, show_default=True, metavar="KG", help="Device's mass m."),
-    click.option("--damping", default=0.5, show_default=True, metavar="NS/M", help="Device's damping b."),
+    click.option("--mass", default=0.1, show_default=True, metavar="KG", help="Mass m of the device."),
+    click.option("--damping", default=0.5, show_default=True, metavar="NS/M", help="Damping b of the device."),
     click.option(
         "--operator",
         nargs=3,
@@ -32,12 +32,12 @@ LOOP_OPTIONS = (
     click.option(
         "--operator-rational",
         metavar="NUM/DEN",
-        help="Any passive Z_o instead, as 1.287,29.33,178/1,0 (powers of s fall).",
+        help="Any passive Z_o instead, as 1.287,29.33,178/1,0 (highest power first).",
     ),
     click.option("--friction", default=10.0, show_default=True, metavar="N", help="Coulomb friction c."),
     click.option("--sample-time", default=1e-3, show_default=True, metavar="S", help="Period T."),
     click.option("--delay", default=0.0, show_default=True, metavar="S", help="Delay from sampling to actuation."),
-    click.option("--encoder", default=0.0, show_default=True, metavar="M", help="Encoder's resolution; 0: none."),
+    click.option("--encoder", default=0.0, show_default=True, metavar="M", help="Resolution of the encoder; 0: none."),
     click.option("--window", default=10.0, show_default=True, metavar="S", help="Length of the simulation of Fig. 10."),
 )
 LOOP_NAMES = (

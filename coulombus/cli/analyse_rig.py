@@ -44,7 +44,7 @@ def _hold(rig: Rig, figures: Path | None, as_json: bool) -> None:
         tell_paths(write_fig12(figures) + write_fig14(figures, result) + write_stick_figure(figures, result))
 
 
-@click.command(epilog=EXIT_STATUS, short_help="How right the display is, and what that depends on.")
+@click.command(epilog=EXIT_STATUS, short_help="Errors of the display, and what they depend on.")
 @rig_option
 @set_option
 @seed_option
@@ -65,7 +65,7 @@ def _felt(rig: Rig, seed: int, as_json: bool) -> None:
     tell(as_json, lambda: result, result.lines)
 
 
-@click.command("z-width", epilog=EXIT_STATUS, short_help="How stiff a virtual wall may be, active and hybrid.")
+@click.command("z-width", epilog=EXIT_STATUS, short_help="Largest stiffness of a virtual wall, active and hybrid.")
 @rig_option
 @set_option
 @seed_option

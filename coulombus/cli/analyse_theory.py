@@ -119,7 +119,12 @@ def limit_cycle(**options: Any) -> None:
 @click.command(epilog=EXIT_STATUS, short_help="The spring of the stick phase: rho and K_max.")
 @loop_options
 @click.option(
-    "--stiffness", type=click.FloatRange(0, 1e12), default=1e4, show_default=True, metavar="N/M", help="Its K_p."
+    "--stiffness",
+    type=click.FloatRange(0, 1e12),
+    default=1e4,
+    show_default=True,
+    metavar="N/M",
+    help="Stiffness K_p of the spring.",
 )
 @json_option
 def stuck(**options: Any) -> None:
@@ -172,7 +177,7 @@ def fig10(**options: Any) -> None:
             tell_paths(write_fig10(options["figures"], runs))
 
 
-@click.command("laws", epilog=EXIT_STATUS, short_help="The friction laws held against the literature.")
+@click.command("laws", epilog=EXIT_STATUS, short_help="The friction laws compared with the literature.")
 @json_option
 def laws_command(as_json: bool) -> None:
     """Compute the published benchmarks of the friction laws, their describing functions (v = 1 rad/s,

@@ -47,9 +47,9 @@ disturbance_options = bundle(
         metavar="RATE",
         type=click.FloatRange(0, 1),
         default=0.0,
-        help="Share with one data bit turned around.",
+        help="Share to send with one data bit inverted.",
     ),
-    click.option("--seed", default=0, show_default=True, help="Start of what is random."),
+    click.option("--seed", default=0, show_default=True, help="Random seed."),
 )
 
 

@@ -27,7 +27,9 @@ __all__ = ["check"]
 @rig_option
 @set_option
 @click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")
-@click.option("--bus", "bus_name", metavar="B", help="Hold the drives' own scale on this bus against the rig file.")
+@click.option(
+    "--bus", "bus_name", metavar="B", help="Compare the position scale of the drives on this bus with the rig file."
+)
 @json_option
 def check(rig_name: str, overrides: tuple[str, ...], steps: bool, bus_name: str | None, as_json: bool) -> None:
     """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle

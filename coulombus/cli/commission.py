@@ -135,7 +135,7 @@ own_options = bundle(
         help="The rig file to commission; it is written.",
     ),
     bus_option,
-    click.option("--axis", metavar="NAME", help="The axis, where the rig file names axes."),
+    click.option("--axis", metavar="NAME", help="Axis of a rig file with several."),
     set_option,
     shared_machine_option,
 )
@@ -144,8 +144,8 @@ doing_options = bundle(
     Doing,
     click.option("--step", "names", multiple=True, metavar="NAME", help="Only this step; may be given several times."),
     click.option("--list", "listed", is_flag=True, help="Print the steps, and which are done; nothing moves."),
-    click.option("--again", is_flag=True, help="Do the steps that are done once more."),
-    click.option("--yes", is_flag=True, help="Ask nothing: for a rehearsal, or a rig that nobody touches."),
+    click.option("--again", is_flag=True, help="Repeat steps that are done."),
+    click.option("--yes", is_flag=True, help="Do not ask for confirmation. Nobody may touch the rig."),
 )
 weighed_options = bundle(
     "weighed",

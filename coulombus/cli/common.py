@@ -98,13 +98,17 @@ def display_s(rig: Rig, seconds: float | None) -> float:
 
 
 mode_option = click.option(
-    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
+    "--mode",
+    type=click.Choice(MODES),
+    default="hybrid",
+    show_default=True,
+    help="The device that displays the friction.",
 )
 seconds_option = click.option(
     "--seconds",
     type=SECONDS,
     default=None,
-    help="Length of the display.  [default: the rig's schedule]",
+    help="Duration of the display.  [default: the rig's schedule]",
 )
 record_option = click.option(
     "--record", type=OutputFile(".pcapng"), metavar="F.pcapng", help="Record every frame there, in a new file."
@@ -119,7 +123,7 @@ signals_option = click.option(
     help="Only these signals, by their names.  [default: all]",
 )
 force_option = click.option(
-    "--force", "overwrite", is_flag=True, is_eager=True, help="Replace files that exist; else they are refused."
+    "--overwrite", "--force", "overwrite", is_flag=True, is_eager=True, help="Overwrite existing files."
 )
 rig_option = click.option(
     "--rig",
@@ -138,7 +142,7 @@ set_option = click.option(
     help="Set any key of the rig file, as in --set plant.inertia_kg_m2=3e-3. May be given several times.",
 )
 shared_machine_option = click.option(
-    "--shared-machine", is_flag=True, help="Wider limits, for simulated nodes on a machine that does other work, too."
+    "--shared-machine", is_flag=True, help="Relaxed time limits, for simulated nodes on a busy machine."
 )
 faults_option = click.option(
     "--faults",
@@ -146,9 +150,7 @@ faults_option = click.option(
     metavar="F.toml",
     help="A fault file: what goes wrong on the bus, and when.",
 )
-seed_option = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Start of everything random."
-)
+seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")
 bus_option = click.option(
     "--bus",
     "bus_name",
@@ -162,12 +164,12 @@ buses_option = click.option(
     multiple=True,
     envvar=BUS_VARIABLE,
     metavar="B",
-    help="coulombus:NAME or socketcan:IF; CHANNEL=B for each bus of a rig that has several.  [default: coulombus:RIG]",
+    help="coulombus:NAME or socketcan:IF; CHANNEL=B for each bus of a rig with several.  [default: coulombus:RIG]",
 )
 channel_option = click.option(
     "--channel",
     metavar="C",
-    help="Only the axes on this bus of a rig that has several.  [default: all, a process each]",
+    help="Only the axes on this bus, of a rig with several.  [default: all, one process each]",
 )
 script_option = click.option(
     "--script",
@@ -180,7 +182,7 @@ file_channel_option = click.option(
     "channels",
     multiple=True,
     metavar="NAME",
-    help="Which bus of a file that has several; RIG_BUS=NAME for a rig that has several.",
+    help="Bus of a file with several; RIG_BUS=NAME for a rig with several.",
 )
 log_eds_option = click.option(
     "--eds",

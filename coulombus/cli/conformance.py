@@ -71,10 +71,10 @@ tested_options = bundle(
         required=True,
         type=click.Path(readable=False, path_type=Path),
         metavar="E",
-        help="Its EDS, DCF, XDD or XDC file.",
+        help="EDS, DCF, XDD or XDC file of the device.",
     ),
-    click.option("--timeout", default=1.0, show_default=True, metavar="S", help="How long an answer may take."),
-    click.option("--seed", default=0, show_default=True, help="Start of everything random."),
+    click.option("--timeout", default=1.0, show_default=True, metavar="S", help="Time limit for an answer."),
+    click.option("--seed", default=0, show_default=True, help="Random seed."),
     click.option(
         "--force",
         is_flag=True,
@@ -88,7 +88,7 @@ reports_options = bundle(
         "--overwrite",
         is_flag=True,
         is_eager=True,
-        help="Replace reports that exist; else they are refused. --force is about the device.",
+        help="Overwrite existing reports. --force is about the device.",
     ),
     click.option("--junit", type=OutputFile(), metavar="F.xml", help="Write JUnit XML there."),
     click.option(

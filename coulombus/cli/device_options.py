@@ -36,7 +36,7 @@ devices_bus_option = click.option(
     "--bus", "bus_name", required=True, metavar="B", envvar=BUS_VARIABLE, help="coulombus:NAME or socketcan:IF."
 )
 beside_option = click.option(
-    "--beside-host", "beside", is_flag=True, help="Also while a host is at work on the bus, at your own risk."
+    "--beside-host", "beside", is_flag=True, help="Also while a host runs on the bus, at your own risk."
 )
 eds_folder_option = click.option(
     "--eds",
@@ -64,7 +64,7 @@ timeout_option = click.option(
     default=1.0,
     show_default=True,
     metavar="S",
-    help="How long an answer may take; to a write of 1010h or 1011h, 10 s at least.",
+    help="Time limit for an answer; after a write of 1010h or 1011h, 10 s at least.",
 )
 
 

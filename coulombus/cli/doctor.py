@@ -35,7 +35,7 @@ WIDTH, INDENT = 80, 8
     help="Also measure for this time how late the cycle would wake while every CPU is busy.",
 )
 @click.option("--cpu", type=CPU, default=None, help="CPU for the cycle.  [default: the one that run takes]")
-@click.option("--fix", is_flag=True, help="Print only a shell script of the commands that mend; nothing is run.")
+@click.option("--fix", is_flag=True, help="Print only a shell script with the fixes; nothing is run.")
 @json_option
 def doctor(
     rig_name: str,

@@ -85,7 +85,7 @@ answering_options = bundle(
         metavar="JND",
         help="A simulated observer of this just noticeable difference answers.",
     ),
-    click.option("--felt", is_flag=True, help="It judges the torque that was felt, as recorded; JND is in Nm."),
+    click.option("--felt", is_flag=True, help="The simulated observer judges the recorded torque; its JND is in Nm."),
     click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed."),
     click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]"),
     click.option("--lsl", is_flag=True, help="Send markers and signals by the lab streaming layer."),
@@ -100,7 +100,7 @@ answering_options = bundle(
     type=click.Path(readable=False, file_okay=False, path_type=Path),
     required=True,
     metavar="DIR",
-    help="Keep the study there.",
+    help="Folder of the study.",
 )
 @click.option("--subject", required=True, metavar="S", help="The subject, by letters and digits: S01.")
 @where_options

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +36,17 @@ class _Time(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
         return ns
 
 
+def _kind_of(out: Path | None, suffixes: Mapping[str, str]) -> str:
+    """Return the format that the ending of `out` names."""
+    kinds = {suffix: kind for kind, suffix in suffixes.items()}
+    if out is not None and out.suffix.lower() in kinds:
+        return kinds[out.suffix.lower()]
+    raise click.UsageError(f"Name the format: --to {'|'.join(suffixes)}, or --out FILE with one of {' '.join(kinds)}")
+
+
 @click.command("export", epilog=EXIT_STATUS)
 @recording_argument
-@click.option("--to", "kind", type=click.Choice(KINDS), required=True, help="What to write.")
+@click.option("--to", "kind", type=click.Choice(KINDS), help="Format to write.  [default: that of --out's ending]")
 @signals_option
 @click.option(
     "--grid",
@@ -46,14 +55,14 @@ class _Time(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
     metavar="TIME",
     help="A row each 1ms (us, ms, s), values held.  [default: a row for each frame of a PDO, as it came]",
 )
-@click.option("-o", "--out", type=OutputFile(), metavar="F", help="Write there.  [default: FILE, with another ending]")
+@click.option("-o", "--out", type=OutputFile(), metavar="F", help="Output file.  [default: FILE, with another ending]")
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @file_channel_option
 @force_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON to stdout.")
 def export_command(
     file: Path,
-    kind: str,
+    kind: str | None,
     signals: tuple[str, ...] | None,
     grid_ns: int | None,
     out: Path | None,
@@ -80,6 +89,8 @@ def export_command(
         from coulombus.recording.export.export import export
         from coulombus.recording.output_file import reason_against
 
+        if kind is None:
+            kind = _kind_of(out, SUFFIXES)
         if kind in ("candump", "asc", "blf") and (signals is not None or grid_ns is not None):
             raise click.UsageError(f"{kind} has whole frames: leave --signals and --grid out")
         place = out or (Path(f"{file}{SUFFIXES[kind]}") if file.is_dir() else file.with_suffix(SUFFIXES[kind]))

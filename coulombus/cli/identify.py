@@ -19,10 +19,12 @@ __all__ = ["identify"]
 @click.command("identify", epilog=EXIT_STATUS)
 @click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
-@click.option("--figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf).")
+@click.option(
+    "--picture", "--figure", "figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf)."
+)
 @file_channel_option
 @force_option
-@click.option("--axis", metavar="A", help="Which axis of a rig that has several.")
+@click.option("--axis", metavar="A", help="Axis of a rig with several.")
 @click.option("--law", "law", metavar="NAME", help="Fit this law's parameters instead.")
 @click.option("--iron", is_flag=True, help="Fit the magnetic hysteresis of the brake instead.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="With --law: hold a parameter at a value.")

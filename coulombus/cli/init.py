@@ -77,10 +77,10 @@ wishes_options = bundle(
     "wishes",
     Wishes,
     click.option(
-        "--drive", default="", metavar="F.eds", help="EDS or XDD file of the motor's drive; `bench`: our own."
+        "--drive", default="", metavar="F.eds", help="EDS or XDD file of the motor's drive; `bench`: this project's."
     ),
     click.option(
-        "--brake", default="", metavar="G.eds", help="EDS or XDD file of the brake's driver; `bench`: our own."
+        "--brake", default="", metavar="G.eds", help="EDS or XDD file of the brake's driver; `bench`: this project's."
     ),
     click.option(
         "--sensor",
@@ -107,12 +107,12 @@ wishes_options = bundle(
 
 @click.command(epilog=EXIT_STATUS)
 @wishes_options
-@click.option("--like", default="bench", show_default=True, metavar="R", help="The rig that all else is taken from.")
-@click.option("--bus", "bus_name", metavar="B", help="Ask who is on coulombus:NAME or socketcan:IF.")
+@click.option("--like", default="bench", show_default=True, metavar="R", help="Rig that gives all other values.")
+@click.option("--bus", "bus_name", metavar="B", help="Identify the devices on coulombus:NAME or socketcan:IF.")
 @click.option(
     "--eds-folder",
     type=InputPath(file_okay=False),
-    help="Folder with the EDS files of the devices on the bus; those of our own devices are known.",
+    help="Folder with the EDS files of the devices on the bus; this project's are known.",
 )
 @click.option(
     "--accept",
@@ -121,13 +121,21 @@ wishes_options = bundle(
     metavar="TEXT",
     help='Acknowledge this of a device (host.accept): "motor: 6071h can be mapped". May be given several times.',
 )
-@click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")
+@click.option("--rehearse", is_flag=True, help="Add a simulated rig, for `coulombus simulate`; refused on a real bus.")
 @click.option(
     "--no-trials",
     is_flag=True,
     help="With --rehearse: do not try the guesses with their other readings.",
 )
-@click.option("-o", "--output", type=OutputFile(".toml"), metavar="MY.toml", help="A new file.  [default: stdout]")
+@click.option(
+    "-o",
+    "--out",
+    "--output",
+    "output",
+    type=OutputFile(".toml"),
+    metavar="MY.toml",
+    help="A new file.  [default: stdout]",
+)
 def init(
     wishes: Wishes,
     like: str,

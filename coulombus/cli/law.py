@@ -47,13 +47,15 @@ MOST_SAMPLES = 10_000_000
     "--amplitude", type=POSITIVE, default=0.1, show_default=True, metavar="RAD", help="Amplitude of the sine."
 )
 @click.option("--frequency", type=POSITIVE, default=1.0, show_default=True, metavar="HZ", help="Frequency of the sine.")
-@click.option("--speed", type=_Finite(-1e9, 1e9), default=1.0, show_default=True, metavar="RAD/S", help="Of the ramp.")
+@click.option(
+    "--speed", type=_Finite(-1e9, 1e9), default=1.0, show_default=True, metavar="RAD/S", help="Speed of the ramp."
+)
 @click.option("--seconds", type=SECONDS, default=2.0, show_default=True, help="Length of sine or ramp.")
 @click.option(
     "--rate", type=POSITIVE, default=1000.0, show_default=True, metavar="HZ", help="Samples per second of sine or ramp."
 )
 @click.option("--csv", "csv", type=OutputFile(), metavar="OUT", help="Write t_s,x_rad,v_rad_s,torque_Nm there.")
-@click.option("--plot", "plot", type=PICTURE, metavar="F.png", help="Draw motion, torque and loop there.")
+@click.option("--picture", "--plot", "plot", type=PICTURE, metavar="F.png", help="Draw motion, torque and loop there.")
 @force_option
 @json_option
 def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **options: Any) -> None:

@@ -85,7 +85,7 @@ assignment_options = bundle(
     "assignment",
     Assignment,
     click.option("--set-id", "node_id", type=click.IntRange(1, 127), metavar="N", help="Give the device this node id."),
-    click.option("--all", "everybody", is_flag=True, help="All devices without a node id: N, N + 1, and so on."),
+    click.option("--all", "everybody", is_flag=True, help="Number all devices without a node id: N, N + 1, and so on."),
     click.option(
         "--device",
         "identity",
@@ -94,7 +94,7 @@ assignment_options = bundle(
         help="The device of this identity (1018h, hexadecimal), with a node id or without.",
     ),
     click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Give the device this bit rate; needs --store."),
-    click.option("--store", is_flag=True, help="Let the device keep it when it is switched off."),
+    click.option("--store", is_flag=True, help="Let the device store it."),
 )
 
 

@@ -92,7 +92,7 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 page_options = bundle(
     "page",
     PageOptions,
-    click.option("--web", is_flag=True, help="Serve a page with it to a browser; its address is printed."),
+    click.option("--web", is_flag=True, help="Serve a page to a browser; its address is printed."),
     click.option(
         "--web-port",
         type=click.IntRange(0, 65535),
@@ -106,7 +106,7 @@ page_options = bundle(
         metavar="H",
         default=LOOPBACK,
         show_default=True,
-        help="Serve the page at this address of the machine: others of its network reach it.",
+        help="Serve the page at this address of the machine, for others of its network.",
     ),
 )
 

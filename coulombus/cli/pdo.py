@@ -21,7 +21,7 @@ __all__ = ["pdo"]
 @click.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
-@click.option("--bus", "bus_name", metavar="B", help="Fill it with what this bus carries now; nothing is sent.")
+@click.option("--bus", "bus_name", metavar="B", help="Fill in the values on this bus now; nothing is sent.")
 @click.option("--seconds", type=SECONDS, default=1.0, show_default=True, help="How long to listen to the bus.")
 @one_channel_option
 @json_option

@@ -273,7 +273,7 @@ traffic_options = bundle(
         type=click.FloatRange(100, 1e6),
         help="SYNC period; the TPDO window and the watches keep their share of it.  [default: the rig's]",
     ),
-    click.option("--axes", type=click.IntRange(1, 16), help="Number of axes like the rig's.  [default: the rig's]"),
+    click.option("--axes", type=click.IntRange(1, 16), help="Number of axes.  [default: the rig's]"),
 )
 times_options = bundle(
     "times",
@@ -295,12 +295,12 @@ times_options = bundle(
     click.option(
         "--host-us",
         type=click.FloatRange(0, 1e6),
-        help="Longest time of the host's computing.  [default: the rig's host.compute_s]",
+        help="Longest computing time of the host.  [default: the rig's host.compute_s]",
     ),
     click.option(
         "--sporadic-ms",
         type=click.FloatRange(0.1, 1e6),
-        help="Least interval of EMCYs, SDO transfers, NMT.  [default: 10 periods]",
+        help="Shortest interval of EMCYs, SDO transfers, NMT.  [default: 10 periods]",
     ),
 )
 

@@ -99,11 +99,13 @@ playing_options = bundle(
     Playing,
     click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="2: twice as fast."),
     click.option(
-        "--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="How often; 0: for ever."
+        "--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="Number of times; 0: for ever."
     ),
-    click.option("--to-rig", is_flag=True, help="Let the host's frames go to a real interface: they move the motor."),
     click.option(
-        "--priority", type=click.IntRange(0, 99), default=70, show_default=True, help="SCHED_FIFO; 0: ordinary."
+        "--to-rig", is_flag=True, help="Also send the host's frames to a real interface: they move the motor."
+    ),
+    click.option(
+        "--priority", type=click.IntRange(0, 99), default=70, show_default=True, help="SCHED_FIFO priority; 0: none."
     ),
 )
 
@@ -153,8 +155,8 @@ otherwise_options = bundle(
 @click.command("replay", epilog=EXIT_STATUS)
 @click.argument("file", type=InputPath())
 @click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
-@click.option("--host", "as_host", is_flag=True, help="Feed the host with it: do its outputs come out again?")
-@click.option("--virtual", is_flag=True, help="Feed the bus with it in virtual time: do its frames come out again?")
+@click.option("--host", "as_host", is_flag=True, help="Feed the host with it, and compare its outputs.")
+@click.option("--virtual", is_flag=True, help="Feed a virtual bus with it, and compare the frames.")
 @playing_options
 @choice_options
 @otherwise_options

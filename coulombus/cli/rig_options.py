@@ -70,7 +70,7 @@ class BusesOptions(RigOptions):
         return bus_addresses(rig, self.bus_names, self.channel)
 
 
-one_channel_option = click.option("--channel", metavar="C", help="Which bus of a rig, or of a file, that has several.")
+one_channel_option = click.option("--channel", metavar="C", help="Bus of a rig, or of a file, with several.")
 
 rig_options = bundle("chosen", RigOptions, rig_option, set_option)
 one_bus_options = bundle("chosen", OneBusOptions, rig_option, set_option, bus_option, one_channel_option)

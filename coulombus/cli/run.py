@@ -36,7 +36,7 @@ __all__ = ["run_command"]
 @click.command("run", epilog=EXIT_STATUS)
 @buses_options
 @mode_option
-@click.option("--seconds", type=SECONDS, default=None, help="Length of the display.  [default: until it is stopped]")
+@click.option("--seconds", type=SECONDS, default=None, help="Duration of the display.  [default: until it is stopped]")
 @outputs_options
 @shared_machine_option
 @click.option(

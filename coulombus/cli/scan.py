@@ -42,7 +42,7 @@ MISSING = 5
     default=0.5,
     show_default=True,
     metavar="S",
-    help="How long an SDO answer may take.",
+    help="Time limit for an SDO answer.",
 )
 @click.option("--no-lss", is_flag=True, help="Do not look for devices without a node id.")
 @click.option(

@@ -49,7 +49,7 @@ part_option = click.option(
 
 
 storing_option = click.option(
-    "--timeout", "timeout_s", type=SECONDS, default=10.0, show_default=True, metavar="S", help="How long it may take."
+    "--timeout", "timeout_s", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Time limit."
 )
 
 
@@ -85,7 +85,13 @@ def sdo() -> None:
 @object_argument
 @device_options
 @click.option(
-    "-o", "--output", type=OutputFile(), metavar="F", help="Write the object's bytes there; for long objects."
+    "-o",
+    "--out",
+    "--output",
+    "output",
+    type=OutputFile(),
+    metavar="F",
+    help="Write the object's bytes there; for long objects.",
 )
 @force_option
 @json_option

@@ -68,7 +68,7 @@ class Manner:
 manner_options = bundle(
     "manner",
     Manner,
-    click.option("--axis", default="", metavar="NAME", help="The axis, where the rig has several."),
+    click.option("--axis", default="", metavar="NAME", help="Axis of a rig with several."),
     click.option(
         "--over",
         "over_s",

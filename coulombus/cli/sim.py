@@ -62,12 +62,12 @@ simulated_options = bundle(
         "--mode",
         type=click.Choice(MODES),
         default=None,
-        help="Whose F_s sizes the operator's pushes.  [default: the last]",
+        help="Mode whose F_s scales the simulated hand's push.  [default: the last]",
     ),
     script_option,
     faults_option,
     seed_option,
-    click.option("--unpaced", is_flag=True, help="Frames take no time: for measurements."),
+    click.option("--unpaced", is_flag=True, help="Zero transmission time, for benchmarks only."),
     click.option(
         "--no-node-ids", is_flag=True, help="The devices have no node id yet: `coulombus lss` gives them theirs."
     ),
@@ -90,7 +90,7 @@ realtime_options = bundle(
     "realtime",
     Realtime,
     click.option(
-        "--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary."
+        "--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO priority; 0: none."
     ),
     click.option("--cpu", type=CPU, default=None, help="Keep the bus on this CPU."),
 )

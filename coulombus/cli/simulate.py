@@ -67,7 +67,7 @@ files_options = bundle(
         "--truth",
         type=OutputFile(),
         metavar="F.npz",
-        help="Save the plant's true course there, at its own step: time, angle, speed, torques, works.",
+        help="Save the plant's true states there, at its own step: time, angle, speed, torques, works.",
     ),
 )
 events_options = bundle("events", Events, faults_option, script_option)

@@ -33,7 +33,7 @@ TOLD_EVERY_S = 10.0
     type=click.Path(readable=False, file_okay=False, path_type=Path),
     required=True,
     metavar="DIR",
-    help="Keep the runs there.",
+    help="Folder of the runs.",
 )
 @click.option(
     "--processes",

@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 
-class Report(Protocol):
+class ShowProgress(Protocol):
     """Takes a bar's label, the time reached, the whole time, and what is said of it."""
 
     def __call__(self, label: str, t: float, total: float | None, told: str = ..., /) -> None: ...
@@ -91,7 +91,7 @@ def on_terminal(line: str, indent: int, piped: int | None = None) -> str:
 
 
 @contextmanager
-def progress(enabled: bool, done: str = "displayed", width: int = 40) -> Iterator[Report]:
+def progress(enabled: bool, done: str = "displayed", width: int = 40) -> Iterator[ShowProgress]:
     """Show live bars of `width` columns on stderr: call what is yielded with a label, the time
     reached, the whole time (None: nobody knows), and what is said of it instead of `done`.
     """

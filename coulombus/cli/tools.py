@@ -18,7 +18,7 @@ __all__ = ["tools"]
 @click.argument("folder", metavar="DIR", type=OutputDirectory())
 @rig_option
 @set_option
-@click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
+@click.option("--channel", metavar="C", help="Bus of a rig with several.")
 @force_option
 @json_option
 def tools(

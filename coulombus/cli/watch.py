@@ -97,7 +97,7 @@ view_options = bundle(
         "--interval",
         type=click.FloatRange(0.02),
         default=None,
-        help="Seconds between two looks.  [default: 0.1 in a terminal, else 1]",
+        help="Refresh interval in s.  [default: 0.1 in a terminal, else 1]",
     ),
     click.option(
         "--pcapng",

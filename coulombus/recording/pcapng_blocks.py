@@ -18,6 +18,7 @@ big-endian order::
 from __future__ import annotations
 
 import hashlib
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -41,6 +42,7 @@ __all__ = [
     "attachment_block",
     "block",
     "iter_options",
+    "next_block",
     "option",
     "read_attachment",
 ]
@@ -71,6 +73,19 @@ HOST_INTERFACE = "coulombus-host"
 SOURCE_INSIDE = -2
 """`source` of these frames in a log."""
 
+OTHER_FORMATS = {
+    **dict.fromkeys(
+        ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23c4d"),
+        "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
+    ),
+    "1f8b": "compressed with gzip: unpack it with 'gunzip'",
+    "28b52ffd": "compressed with zstd: unpack it with 'unzstd'",
+}
+"""First bytes of a file that is no pcapng -> what it is."""
+KINDS = (INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)
+KNOWN_BLOCK = {
+    order: re.compile(b"|".join(re.escape(struct.pack(order + "I", kind)) for kind in KINDS)) for order in "<>"
+}
 ATTACHMENT_HEAD = struct.Struct("<8s32sIII")  # see attachment_block
 ATTACHMENT_MAGIC = b"CoulAtt1"
 
@@ -162,3 +177,17 @@ def read_attachment(body: bytes, most: int = 4 * MAX_BLOCK) -> tuple[str, bytes]
     if len(content) != size or hashlib.sha256(content).digest() != digest:
         return f"attachment {name!r} is damaged (its SHA-256 differs) and was left out"
     return name, content
+
+
+def next_block(data: bytes, begin: int, order: str, longest: int) -> int | None:
+    """Return where the first whole block of a known type begins in `data`, from byte `begin` on; it
+    has at most `longest` bytes.
+    """
+    for match in KNOWN_BLOCK[order].finditer(data, begin):
+        place = match.start()
+        size = data[place + 4 : place + 8]
+        length = int.from_bytes(size, "little" if order == "<" else "big")
+        whole = 12 <= length <= longest and length % 4 == 0 and place + length <= len(data)
+        if whole and data[place + length - 4 : place + length] == size:
+            return place
+    return None

@@ -9,7 +9,6 @@ length.
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -34,6 +33,7 @@ from coulombus.recording.pcapng_blocks import (
     LINKTYPE_CAN_SOCKETCAN,
     MAX_BLOCK,
     OPT_COMMENT,
+    OTHER_FORMATS,
     OWN_APPLICATION,
     PACKET,
     SHB_APPLICATION,
@@ -43,6 +43,7 @@ from coulombus.recording.pcapng_blocks import (
     PcapngError,
     TooLarge,
     iter_options,
+    next_block,
     read_attachment,
 )
 from coulombus.recording.pcapng_packets import BadPacketError, Integers, Interface, Words, column, decode_packets
@@ -60,18 +61,6 @@ BLOCKS = 1 << 15  # walked at a time
 RESUMED = 1 << 16
 """Behind damage, the next block has so many bytes at most."""
 END, FULL, SECTION, BAD = range(4)
-KINDS = (INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)
-KNOWN_BLOCK = {
-    order: re.compile(b"|".join(re.escape(struct.pack(order + "I", kind)) for kind in KINDS)) for order in "<>"
-}
-OTHER_FORMATS = {
-    "d4c3b2a1": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
-    "a1b2c3d4": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
-    "4d3cb2a1": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
-    "a1b23c4d": "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
-    "1f8b": "compressed with gzip: unpack it with 'gunzip'",
-    "28b52ffd": "compressed with zstd: unpack it with 'unzstd'",
-}
 
 
 @dataclass(frozen=True)
@@ -368,7 +357,7 @@ def _resume(reader: _Reader, at: int, what: str) -> bool:
     """
     reader.leave(4 * at)
     offset, begin = reader.base, min(4, len(reader.data))
-    while (place := _next_block(reader, begin)) is None:
+    while (place := next_block(reader.data, begin, reader.order, RESUMED)) is None:
         reader.leave(max(len(reader.data) - RESUMED, begin))
         begin = 0
         with naming(reader.path):
@@ -380,18 +369,6 @@ def _resume(reader: _Reader, at: int, what: str) -> bool:
     reader.leave(place)
     reader.warnings.append(f"{reader.path}: offset {offset}: {reader.base - offset} bytes were left out: {what}")
     return True
-
-
-def _next_block(reader: _Reader, begin: int) -> int | None:
-    """Return where the first whole block begins in the reader's data, from byte `begin` on."""
-    for match in KNOWN_BLOCK[reader.order].finditer(reader.data, begin):
-        place = match.start()
-        size = reader.data[place + 4 : place + 8]
-        length = int.from_bytes(size, "little" if reader.order == "<" else "big")
-        whole = 12 <= length <= RESUMED and length % 4 == 0 and place + length <= len(reader.data)
-        if whole and reader.data[place + length - 4 : place + length] == size:
-            return place
-    return None
 
 
 def _take(reader: _Reader, offsets: Integers) -> None:

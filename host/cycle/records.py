@@ -42,7 +42,7 @@ __all__ = [
 
 
 class Phase(IntEnum):
-    """What the cycle is doing; each phase leads to the next one, and any doubt leads to SAFE."""
+    """What the cycle is doing; each phase leads to the next one, and any failed check leads to SAFE."""
 
     OFF = 0  # outputs zero, controlword "disable voltage"
     STILL = 1  # drive switched on; the handle must be still before anything else

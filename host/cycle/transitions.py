@@ -121,6 +121,6 @@ def diagram() -> str:
             if phase is not Phase.OFF:  # before the start: nothing to be drawn
                 arrows.setdefault((phase, row.following), []).append(row.condition)
     for (phase, following), conditions in arrows.items():
-        text = "any doubt, or the end" if following is Phase.SAFE else "; ".join(conditions)
+        text = "a failed check, or the end" if following is Phase.SAFE else "; ".join(conditions)
         lines.append(f"    {phase.name} --> {following.name}: {text}")
     return "\n".join((*lines, "    DONE --> [*]"))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import check_no_delay, check_no_guess, check_no_rehearsal, refusing
-from coulombus.host.run.realtime_sequence import Progress, RealCourse
+from coulombus.host.run.realtime_sequence import RealCourse
 from coulombus.host.run.result import RunResult
+from coulombus.host.run.run_state import Progress
 from coulombus.host.setup.bringup import check_plan
 from coulombus.host.setup.law_demand import check_demand
 from coulombus.recording.output_file import new_file

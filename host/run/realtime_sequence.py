@@ -14,7 +14,7 @@ import termios
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from typing import Any, TypeAlias
+from typing import Any
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import Change, LiveParameters
@@ -36,7 +36,7 @@ from coulombus.host.run.preflight import place_of
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run_recording import StampOrder, begin_recording
 from coulombus.host.run.run_sequence import SAFE_TIMEOUT_NS, Course, Figures
-from coulombus.host.run.run_state import axis_state
+from coulombus.host.run.run_state import Progress, axis_state
 from coulombus.host.setup.bringup import bring_up, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.recording.measures import Measures
@@ -58,10 +58,6 @@ LEAD_NS = 20_000_000
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
 HAND_TIMEOUT_S = 30.0
 STUCK_S = 2.0  # a data plane that does not cycle for so long stands still
-
-
-Progress: TypeAlias = Callable[[float, list[dict[str, Any]]], None]
-"""Takes the display's time in s and the state of each axis."""
 
 
 class RealCourse(Course):

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.run.histogram import coarse_dict
 
-__all__ = ["axis_state", "plane_state"]
+__all__ = ["Progress", "axis_state", "plane_state"]
+
+Progress: TypeAlias = Callable[[float, list[dict[str, Any]]], None]
+"""Takes the display's time in s and the state of each axis (`axis_state`)."""
 
 
 def plane_state(plane: DataPlane, period_ns: int) -> dict[str, Any]:

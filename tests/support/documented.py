@@ -121,7 +121,7 @@ def as_page() -> str:
     found = documented()
     run = sum("run by " in one.fate for one in found)
     lines = [
-        "# All commands\n\nAfter this page you know which command of these documents is run by which test, and why",
+        "# All commands\n\nWhich command of these documents is run by which test, and why",
         f"the others are not. Of {len(found)} commands tests run {run}. Commands within sentences are not run:",
         "`tests/test_docs.py` compares their verbs and options with the program.\n\n| page | command | |\n|---|---|---|",
     ]
