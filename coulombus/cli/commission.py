@@ -299,7 +299,7 @@ def _agree(step: Step, risk: Risk, yes: bool) -> bool:
     if yes:
         return True
     try:
-        return click.confirm("  begin?", default=True, err=True)
+        return click.confirm("  begin?", default=None, err=True)
     except click.Abort:  # Ctrl-C, or the terminal is gone
         raise KeyboardInterrupt from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import BUS_VARIABLE, load, say
+from coulombus.cli.common import BUS_VARIABLE, RIG_VARIABLE, load, say
+from coulombus.cli.errors import errors
 from coulombus.cli.option_types import SECONDS, InputPath
 from coulombus.system.foreign_text import printable
 
@@ -23,10 +25,12 @@ if TYPE_CHECKING:
 __all__ = [
     "DeviceOptions",
     "LiveLine",
+    "NodeId",
     "beside_option",
     "device_options",
     "devices_bus_option",
     "eds_folder_option",
+    "node_argument",
     "open_link",
     "timeout_option",
     "waiting_option",
@@ -55,8 +59,40 @@ eds_option = click.option(
     help="Its EDS, DCF, XDD or XDC file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
 )
 rig_option = click.option(
-    "--rig", "rig_name", metavar="R", help="A rig file that has the node: its EDS file and its SI units."
+    "--rig",
+    "rig_name",
+    metavar="R",
+    is_eager=True,
+    help="A rig that has the node: its name, its EDS file, its SI units.",
 )
+
+
+class NodeId(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """A node id, or the name of a node in the rig of --rig or COULOMBUS_RIG."""
+
+    name = "node"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Return the node id."""
+        text = str(value)
+        if text.isdecimal() and 1 <= int(text) <= 127:
+            return int(text)
+        given = None if ctx is None else ctx.params.get("rig_name")
+        rig_name = given if isinstance(given, str) else os.environ.get(RIG_VARIABLE)
+        if text.lstrip("+-").isdecimal() or rig_name is None:
+            self.fail(
+                f"{text!r}: expected a node id, 1 to 127, or a node's name in the rig of COULOMBUS_RIG (or --rig)",
+                param,
+                ctx,
+            )
+        with errors():
+            ids = {node.name: node.node_id for node in load(rig_name, ()).nodes}
+        if text not in ids:
+            self.fail(f"{text!r}: the rig {rig_name} has the nodes {', '.join(ids)}", param, ctx)
+        return ids[text]
+
+
+node_argument = click.argument("node_id", type=NodeId(), metavar="NODE")
 timeout_option = click.option(
     "--timeout",
     "timeout_s",

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import json
 import os
@@ -141,8 +142,13 @@ def _option_meant(error: click.UsageError) -> str:
     if isinstance(error, click.MissingParameter) and error.param is not None and "--bus" in error.param.opts:
         return " Say --bus coulombus:bench, which coulombus sim serves, or --bus socketcan:can0."
     if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
-        known = (re.match(r"'([^']*)' is not one of", error.message) or ("", ""))[1].lower()
-        return f" Did you mean '{known}'?" if known in error.param.type.choices else ""
+        given = (re.match(r"'([^']*)' is not one of", error.message) or ("", ""))[1].lower()
+        near = difflib.get_close_matches(given, map(str, error.param.type.choices), 1, 0.6)
+        return f" Did you mean '{near[0]}'?" if near else ""
+    comma = re.match(r"'?([-+]?\d+),(\d+)'?\b.*(a number|float|integer|range)", error.message)
+    if isinstance(error, click.BadParameter) and comma:
+        point = f"id you mean {comma[1]}.{comma[2]}?"
+        return f" D{point}" if error.message.endswith(".") else f"; d{point}"
     extra = re.fullmatch(r"Got unexpected extra arguments? \((\S+).*\)", error.message)
     if extra is None or error.ctx is None:
         return ""

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from coulombus.cli.common import json_option, say, verdict
-from coulombus.cli.device_options import beside_option, devices_bus_option, open_link, waiting_option
+from coulombus.cli.device_options import NodeId, beside_option, devices_bus_option, open_link, waiting_option
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.tables import echo
 
@@ -17,16 +17,12 @@ WORDS = ("start", "stop", "preop", "reset", "reset-communication")
 MISSING = 5
 
 
-class NodeOrAll(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
-    """A node id, or "all"."""
-
-    name = "node"
+class NodeOrAll(NodeId):
+    """A node as `NodeId` takes it, or "all"."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Return the node id, 0 for all."""
-        if value != "all" and not (str(value).isdecimal() and 1 <= int(value) <= 127):
-            self.fail(f"{value!r}: expected a node id, 1 to 127, or all", param, ctx)
-        return 0 if value == "all" else int(value)
+        return 0 if value == "all" else super().convert(value, param, ctx)
 
 
 @click.command(epilog=EXIT_STATUS)

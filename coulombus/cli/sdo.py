@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from coulombus.cli.device_options import (
     beside_option,
     device_options,
     devices_bus_option,
+    node_argument,
     open_link,
     timeout_option,
 )
@@ -34,7 +36,6 @@ CHECK_FAILED, ABORTED = 1, 6
 STATE_BEHIND_COMMAND = (0x1010, 0x1011, 0x1023, 0x1024, 0x1F50, 0x1F51)
 """A write of these is a command (CiA 301, 7.5.2.13); a read tells a state, never what was written."""
 
-node_argument = click.argument("node_id", type=click.IntRange(1, 127), metavar="NODE")
 object_argument = click.argument("name", metavar="OBJECT")
 type_option = click.option(
     "--type", "type_name", default="", metavar="T", help="Data type without an EDS file, as UNSIGNED16."
@@ -54,11 +55,11 @@ storing_option = click.option(
 
 
 class SdoGroup(click.Group):
-    """The verbs; a node id in the place of one opens the shell."""
+    """The verbs; a node in the place of one opens the shell."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the word `shell` before a node id."""
-        if args and args[0].isdecimal():
+        """Put the word `shell` before a node."""
+        if args and not args[0].startswith("-") and not difflib.get_close_matches(args[0], self.commands):
             args = ["shell", *args]
         return super().parse_args(ctx, args)
 
@@ -67,7 +68,8 @@ class SdoGroup(click.Group):
 def sdo() -> None:
     """Read and write the objects of a device by SDO; `coulombus sdo NODE` opens a shell.
 
-    Objects are named by number (6041h, 0x6041, 1018h:01; sub-indices are hexadecimal, too) or by
+    NODE is a node id, or a name of the rig in --rig or COULOMBUS_RIG (sdo get motor 1008h). Objects
+    are named by number (6041h, 0x6041, 1018h:01; sub-indices are hexadecimal, too) or by
     their name in the EDS file. Values are typed and have units. Long ones go by block transfer.
 
     \b
@@ -108,6 +110,7 @@ def get(
     \b
     Examples:
       coulombus sdo get 1 6041h --bus coulombus:bench
+      coulombus sdo get motor 1008h --rig bench --bus coulombus:bench
       coulombus sdo get 2 7130h:01 --bus coulombus:bench --json
       coulombus sdo get 1 1021h --bus coulombus:bench -o device.eds
     """

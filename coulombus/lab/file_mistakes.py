@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.errors import nearest, shown
 from coulombus.rigs.rig import Rig, RigError, load_rig
+from coulombus.rigs.toml_kind import of_another_kind
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 from coulombus.sim_bus.faults.error_text import WANTED
 
@@ -91,6 +92,8 @@ def read_checked(path: Path, what: str, model: type[M], error: type[Exception]) 
     document = read_toml(text)
     if document.problems:
         raise error("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
+    if other := of_another_kind(document.values, what):
+        raise error(f"{path}: {other}")
     mistakes = FileMistakes(str(path), document, error)
     try:
         return text, model.model_validate(document.values), mistakes

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from coulombus.eds.reader import Description
 from coulombus.rigs.axis import Axis, Origin, Sections
 from coulombus.rigs.errors import Source
-from coulombus.rigs.field_help import explain
+from coulombus.rigs.field_help import explain, misspelt_sections
 from coulombus.rigs.files import read_descriptions, read_schedules
 from coulombus.rigs.pdo_maps import AxisPdos, allocate
 from coulombus.rigs.rules import check, check_roles
@@ -59,6 +59,7 @@ class AxisParts:
     ) -> AxisParts:
         """Validate the values of one axis; mistakes are noted in `source`."""
         read_schedules(values, source, attached=attached)
+        misspelt_sections(values, Sections, source)
         sections: Sections | None = None
         try:
             sections = Sections.model_validate(values)

@@ -93,10 +93,9 @@ class Source:
         for length in range(len(key), 0, -1):
             if key[:length] in self.overrides:  # of this key, or of all that holds it
                 return float("inf"), f"--set {self.overrides[key[:length]]}"
-        for length in range(len(key), 0, -1):
-            if key[:length] in self.document.lines:
-                line = self.document.lines[key[:length]]
-                return line, f"{self.path}:{line}"
+        line = self.document.find(key)
+        if line is not None:
+            return line, f"{self.path}:{line}"
         for given, text in self.overrides.items():
             if given[: len(key)] == key:
                 return float("inf"), f"--set {text}"

@@ -4,6 +4,7 @@ reads them.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, get_args, get_origin
 
@@ -14,7 +15,17 @@ from coulombus.rigs.errors import Source, dotted, nearest, number_hint
 from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.toml_lines import Key, Table
 
-__all__ = ["accepted_range", "expected", "explain", "fields_of", "kinds_of", "named_in", "unit_of", "without_unit"]
+__all__ = [
+    "accepted_range",
+    "expected",
+    "explain",
+    "fields_of",
+    "kinds_of",
+    "misspelt_sections",
+    "named_in",
+    "unit_of",
+    "without_unit",
+]
 
 UNITS = {
     "push_F_s": "F_s",
@@ -137,6 +148,16 @@ def expected(name: str, info: FieldInfo) -> str:
         most = next(item.max_length for item in info.metadata if hasattr(item, "max_length"))
         text = f"a list of at most {most} numbers" + (f", in {unit}" if unit else "")
     return f"{text} ({info.description})" if info.description else text
+
+
+def misspelt_sections(values: Table, schema: type[BaseModel], source: Source) -> None:
+    """Note each unknown section whose name is nearly that of one that is missing: one mistake, not two."""
+    known = fields_of(schema)
+    for name in [name for name in values if name not in known]:
+        meant = difflib.get_close_matches(name, known.keys() - values.keys(), 1, 0.75)
+        if meant:
+            source.say((name,), f"unknown section; did you mean [{meant[0]}]?")
+            source.wrong.add((meant[0],))
 
 
 def explain(error: ValidationError, values: Table, schema: type[BaseModel], source: Source) -> None:

@@ -29,6 +29,7 @@ from coulombus.rigs.rig_file import known_rigs, named_rig, packaged_rig, read_ri
 from coulombus.rigs.rules import remarks
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override, emit
+from coulombus.rigs.toml_kind import of_another_kind
 from coulombus.rigs.toml_lines import Table, read_toml
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
@@ -377,6 +378,8 @@ def _load(
     source = Source(path, document, found=list(broken))
     source.found += [(line, f"{path}:{line}: {problem}") for line, problem in document.problems]
     values = document.values
+    if not attached and (other := of_another_kind(values, "rig")):
+        raise RigError([f"{path}: {other}"])
     axes_of_file = set(values["axis"]) if isinstance(values.get("axis"), dict) else set()
     for override in overrides:
         apply_override(values, override, source)

@@ -214,7 +214,7 @@ def check(values: Table, source: Source) -> None:
     if len(device_keys(values)) > MOST_DEVICES:
         source.say(("sensor",), f"got {len(device_keys(values)) - 2} sensors, expected at most {MOST_DEVICES - 2}")
     for section, other in permutations(SIMULATION):
-        if section in values and other not in values:
+        if section in values and other not in values and not source.is_wrong((other,)):
             source.say(
                 (other,),
                 f"the section is missing; expected [{other}] beside [{section}], or none of them: a simulated rig needs both",

@@ -67,13 +67,19 @@ class Document:
     problems: list[tuple[int, str]] = field(default_factory=list)
 
     def line(self, key: Key) -> int:
-        """Return the line of the key, or of the nearest section or value that holds it; 1 where
-        there is none.
+        """Return the line of the key (`find`); 1 where there is none."""
+        return self.find(key) or 1
+
+    def find(self, key: Key) -> int | None:
+        """Return the line of the key, or of the first key in it, or of the nearest section or value
+        that holds it.
         """
         for length in range(len(key), 0, -1):
-            if key[:length] in self.lines:
-                return self.lines[key[:length]]
-        return 1
+            part = key[:length]
+            inside = [line for place, line in self.lines.items() if place[:length] == part]
+            if inside:
+                return self.lines.get(part, min(inside))
+        return None
 
     def is_broken(self, key: Key) -> bool:
         """Tell whether the key, or a section that holds it, stands in a statement that could not be

@@ -33,6 +33,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.toml_kind import of_another_kind
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 from coulombus.sim_bus.can_bus.faults import TAIL_BIT
 from coulombus.sim_bus.can_bus.records import MAX_FAULTS
@@ -375,6 +376,8 @@ def read_faults(path: Path) -> FaultPlan:
     document = read_toml(text)
     if document.problems:
         raise FaultError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
+    if other := of_another_kind(document.values, "faults"):
+        raise FaultError(f"{path}: {other}")
     try:
         file = TypeAdapter(_File).validate_python(document.values)
     except ValidationError as error:

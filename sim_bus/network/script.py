@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.toml_kind import of_another_kind
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, read_toml
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.system.errors import CoulombusError
@@ -106,10 +107,11 @@ def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
     if document.problems:
         raise ScriptError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
     table = document.values
+    if other := of_another_kind(table, "script"):
+        raise ScriptError(f"{path}: {other}")
     entries = table.pop("at", [])
     if table or not isinstance(entries, list):
-        other = "; a fault file is given by --faults" if {"fault", "noise", "seed"} & set(table) else ""
-        raise ScriptError(f"{path}: {', '.join(table) or 'at'}; expected nothing but entries [[at]]{other}")
+        raise ScriptError(f"{path}: {', '.join(table) or 'at'}; expected nothing but entries [[at]]")
     if not entries:
         raise ScriptError(
             f"{path}: there is no entry in it; expected [[at]] with t_s, node and action, once for each thing that happens"

@@ -1,0 +1,40 @@
+"""Which kind of file a TOML document is: a rig, faults, a script, a sweep or a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+__all__ = ["of_another_kind"]
+
+
+class FileKind(NamedTuple):
+    """What a kind of file is called, how it is given, and keys of which it has one at least."""
+
+    name: str
+    given_by: str
+    keys: frozenset[str]
+
+
+KINDS: Mapping[str, FileKind] = MappingProxyType(
+    {
+        "rig": FileKind("a rig file", "--rig FILE", frozenset({"mechanics", "motor", "brake", "axis"})),
+        "faults": FileKind("a fault file", "--faults FILE", frozenset({"fault", "controller", "noise"})),
+        "script": FileKind("a script", "--script FILE", frozenset({"at"})),
+        "sweep": FileKind("a sweep", "coulombus sweep FILE", frozenset({"vary", "design"})),
+        "study": FileKind("a study", "coulombus experiment FILE", frozenset({"method", "question", "condition"})),
+    }
+)
+
+
+def of_another_kind(values: Mapping[str, Any], kind: str) -> str | None:
+    """Return what a document is that is not of `kind`, with the way to give it; None where nothing
+    speaks against `kind`.
+    """
+    if KINDS[kind].keys & values.keys():
+        return None
+    other = next((known for known in KINDS.values() if known.keys & values.keys()), None)
+    if other is None:
+        return None
+    return f"this is {other.name} ({other.given_by}); expected {KINDS[kind].name} ({KINDS[kind].given_by})"
