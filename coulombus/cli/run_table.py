@@ -17,7 +17,8 @@ __all__ = ["print_remark", "print_runs", "print_verdict"]
 WIDTH = 80
 """Of the table in a file or a pipe."""
 
-REAL_TIME_ROWS = ("stopped_by", "wakeup_us", "sync_to_rpdo_us", "cpu_us_per_cycle", "deadman")
+ALWAYS = ("recording", "trip")
+"""Rows that are shown without a value, too."""
 
 
 def _columns(results: dict[str, RunResult]) -> Iterator[tuple[str, RunResult]]:
@@ -80,7 +81,7 @@ def print_runs(results: dict[str, RunResult]) -> None:
             for result, cell in zip(results.values(), cells, strict=True)
         ):
             beneath += [f"{label}, {mode}: {cell}" for mode, cell in zip(results, cells, strict=True) if cell != "-"]
-        elif field not in REAL_TIME_ROWS or any(cell != "-" for cell in cells):
+        elif field in ALWAYS or any(cell != "-" for cell in cells):
             table.add_row(label, *cells)
     console.print(table)
     for line in beneath:  # paths and sentences, whole
