@@ -26,7 +26,7 @@ from coulombus.system.keyboard import in_foreground
 if TYPE_CHECKING:
     from coulombus.lab.study.displays import Displays
     from coulombus.lab.study.lsl import LslMarkers, LslSignals
-    from coulombus.lab.study.observer import Observer
+    from coulombus.lab.study.observer import Observer, levels
     from coulombus.lab.study.session import People, Session, SubjectSession
     from coulombus.lab.study.study import Study
     from coulombus.lab.study.study_folder import SubjectFolder
@@ -188,13 +188,13 @@ def _streams(folder: SubjectFolder, lsl: bool) -> tuple[()] | tuple[LslMarkers, 
 @contextmanager
 def _people(session: SubjectSession, answering: Answering) -> Iterator[People]:
     from coulombus.lab.study.displays import VirtualDisplays
-    from coulombus.lab.study.observer import Observer
+    from coulombus.lab.study.observer import Observer, levels
     from coulombus.lab.study.session import People
 
     study = session.study
     if answering.observer is not None:
-        judged = [_felt(session.folder)] if answering.felt else []
-        yield _simulated(Observer(answering.observer, study.file.seed, session.folder.number, *judged))
+        judged = _felt(session.folder) if answering.felt else levels
+        yield _simulated(Observer(answering.observer, study.file.seed, session.folder.number, judged))
     elif answering.page:
         from coulombus.lab.study.page import AnswerPage
 

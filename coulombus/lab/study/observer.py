@@ -22,10 +22,10 @@ from scipy.special import ndtri
 
 from coulombus.lab.study.trials import Trial
 
-__all__ = ["Faults", "Observer"]
+__all__ = ["Faults", "Observer", "levels"]
 
 
-def _levels(trial: Trial) -> Sequence[float]:
+def levels(trial: Trial) -> Sequence[float]:
     return trial.levels
 
 
@@ -61,7 +61,7 @@ class Observer:
         jnd: float,
         seed: int,
         subject: int,
-        judged: Callable[[Trial], Sequence[float]] = _levels,
+        judged: Callable[[Trial], Sequence[float]] = levels,
         faults: Faults = Faults(),
     ) -> None:
         self._sigma, self._seed, self._judged = jnd / float(ndtri(0.75)), (seed, subject), judged
