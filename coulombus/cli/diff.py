@@ -75,7 +75,7 @@ def diff(
         from coulombus.recording.comparison import compare
         from coulombus.recording.output_file import new_file, reason_against
 
-        remedy = "choose another name by -o, or replace it with --force"
+        remedy = "choose another name by -o, or replace it with --overwrite"
         reason = None if out is None else reason_against(out, force=overwrite, remedy=remedy)
         if reason is not None:  # before two long recordings are read
             raise click.UsageError(reason)

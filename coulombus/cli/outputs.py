@@ -58,7 +58,7 @@ class OutputOptions:
 
     def words(self) -> list[str]:
         """Return the words that say all but the files."""
-        words = ["--force"] if self.overwrite else []
+        words = ["--overwrite"] if self.overwrite else []
         if self.segmented:
             words += ["--rotate", self.rotate or SEGMENT, *(["--keep", self.keep] if self.keep else [])]
         return words + repeated("--meta", self.meta) + repeated("--mark-on", self.mark_on)

@@ -38,7 +38,7 @@ def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: 
 
     Nothing is installed: INSTALL.txt says how. The host's unit is never restarted, as nothing
     re-arms by itself after a trip; its watchdog is fed only while the cycle goes on. A file that
-    exists is left as it is without --force.
+    exists is left as it is without --overwrite.
 
     \b
     Examples:

@@ -32,7 +32,7 @@ def tools(
     \b
     Examples:
       coulombus tools out/tools
-      coulombus tools out/tools --rig my-rig.toml --force
+      coulombus tools out/tools --rig my-rig.toml --overwrite
       tshark -X lua_script:out/tools/bench.lua -r run.pcapng -Y 'coulombus.motor.position > 1'
     """
     with errors():
@@ -45,7 +45,7 @@ def tools(
         files = {folder / name: text for name, text in tool_files(rig).items()}
         for path in files:
             path.parent.mkdir(parents=True, exist_ok=True)
-            reason = reason_against(path, force=overwrite, remedy="choose another folder, or replace it with --force")
+            reason = reason_against(path, force=overwrite, remedy="choose another folder, or replace it with --overwrite")
             if reason is not None:
                 raise click.UsageError(reason)
         for path, text in files.items():

@@ -20,7 +20,7 @@ from coulombus.eds.unfinished_file import remove_unfinished, unfinished
 
 __all__ = ["check", "is_stream", "new_file", "open_new", "reason_against"]
 
-FORCE = "choose another name, or replace it with --force (in Python: force=True)"
+FORCE = "choose another name, or replace it with --overwrite (in Python: force=True)"
 
 
 def is_stream(path: Path) -> bool:

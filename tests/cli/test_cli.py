@@ -216,7 +216,7 @@ def test_ctrl_c_while_a_verb_still_loads(monkeypatch, verb):
 def test_a_fault_file_given_as_a_script_is_told_so():
     result = call("simulate", "--script", "examples/faults.toml")
     assert result.exit_code == 3
-    assert "a fault file is given by --faults" in result.output
+    assert "this is a fault file (--faults FILE); expected a script (--script FILE)" in " ".join(result.output.split())
 
 
 @pytest.mark.parametrize(("options", "cycles", "told"), [((), 3, True), (("--shared-machine",), 50, False)])

@@ -78,7 +78,7 @@ def test_another_sweep_is_refused_and_replaced_by_force(call, tmp_path):
     (tmp_path / "sweep.toml").write_text(TEXT.replace("runs = 4", "runs = 2"))
     refused = call()
     assert refused.exit_code == 2
-    assert "--force" in refused.output
+    assert "--overwrite" in refused.output
     assert "2 runs" in call("--force").stdout
 
 

@@ -467,7 +467,7 @@ def test_a_recording_is_not_overwritten_unless_asked(tmp_path: Path):
     with PcapngWriter(path, attachments={"a": b"first"}):
         pass
     before = path.read_bytes()
-    with pytest.raises(RecordingError, match=r"a\.pcapng exists; .*--force"):
+    with pytest.raises(RecordingError, match=r"a\.pcapng exists; .*--overwrite"):
         PcapngWriter(path, attachments={})
     assert path.read_bytes() == before
     with PcapngWriter(path, attachments={"a": b"second"}, force=True):

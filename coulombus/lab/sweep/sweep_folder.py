@@ -305,7 +305,7 @@ class Folder:
 
 
 LOCK = ".lock"
-_REMEDY = "name another folder, or replace what is there with --force"
+_REMEDY = "name another folder, or replace what is there with --overwrite"
 
 
 @contextmanager

@@ -219,7 +219,7 @@ def test_a_folder_of_another_sweep_is_not_mixed(sweep_file, tmp_path, at_once):
     (out / "mine.txt").write_text("mine")
     before = (out / "runs.parquet").read_bytes()
     other = read_sweep(sweep_file(**{"seed = 3": "seed = 4"}))
-    with pytest.raises(SweepFolderError, match=r"runs of another sweep.*--force"):
+    with pytest.raises(SweepFolderError, match=r"runs of another sweep.*--overwrite"):
         run_sweep(other, out)
     assert (out / "runs.parquet").read_bytes() == before
     run_sweep(other, out, force=True)

@@ -275,7 +275,7 @@ def test_command_writes_the_folder_and_replaces_nothing_unasked(tmp_path):
     (tmp_path / "t" / "bench.lua").write_text("mine")
     refused = call()
     assert refused.exit_code == 2
-    assert "--force" in refused.output
+    assert "--overwrite" in refused.output
     assert (tmp_path / "t" / "bench.lua").read_text() == "mine"
     assert call("--force").exit_code == 0
     assert (tmp_path / "t" / "bench.lua").read_text() != "mine"
