@@ -26,7 +26,7 @@ from coulombus.system.keyboard import in_foreground
 if TYPE_CHECKING:
     from coulombus.lab.study.displays import Displays
     from coulombus.lab.study.lsl import LslMarkers, LslSignals
-    from coulombus.lab.study.observer import Observer, levels
+    from coulombus.lab.study.observer import Observer
     from coulombus.lab.study.session import People, Session, SubjectSession
     from coulombus.lab.study.study import Study
     from coulombus.lab.study.study_folder import SubjectFolder

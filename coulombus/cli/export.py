@@ -94,7 +94,9 @@ def export_command(
         if kind in ("candump", "asc", "blf") and (signals is not None or grid_ns is not None):
             raise click.UsageError(f"{kind} has whole frames: leave --signals and --grid out")
         place = out or (Path(f"{file}{SUFFIXES[kind]}") if file.is_dir() else file.with_suffix(SUFFIXES[kind]))
-        reason = reason_against(place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite")
+        reason = reason_against(
+            place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
+        )
         if reason is not None:
             raise click.UsageError(reason)
         with progress(not as_json, "exported") as report:

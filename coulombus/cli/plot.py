@@ -55,7 +55,9 @@ def plot_command(
         from coulombus.recording.reading import blocks
 
         place = out or (Path(f"{file}.png") if file.is_dir() else file.with_suffix(".png"))
-        reason = reason_against(place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite")
+        reason = reason_against(
+            place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
+        )
         if reason is not None:
             raise click.UsageError(reason)
         source = blocks(file, rig_name, channels)

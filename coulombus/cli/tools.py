@@ -45,7 +45,9 @@ def tools(
         files = {folder / name: text for name, text in tool_files(rig).items()}
         for path in files:
             path.parent.mkdir(parents=True, exist_ok=True)
-            reason = reason_against(path, force=overwrite, remedy="choose another folder, or replace it with --overwrite")
+            reason = reason_against(
+                path, force=overwrite, remedy="choose another folder, or replace it with --overwrite"
+            )
             if reason is not None:
                 raise click.UsageError(reason)
         for path, text in files.items():

@@ -26,6 +26,7 @@ __all__ = ["Faults", "Observer", "levels"]
 
 
 def levels(trial: Trial) -> Sequence[float]:
+    """Return the levels of a trial's displays."""
     return trial.levels
 
 
