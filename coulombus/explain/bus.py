@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from coulombus.explain.seen_node import SeenNode
 
 __all__ = ["Bus", "Order", "product"]
 
+ENDING_NS = 1_000_000_000
+"""Within this time behind its last cycle a host that ends orders its nodes out of OPERATIONAL."""
 TARGET = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
@@ -85,6 +88,8 @@ class Bus:
         """Bit rate [bit/s] that a rig gives; 0: not known."""
         self.host = -1
         """The host's node id, where its heartbeat is known; -1: not known."""
+        self.powered: list[tuple[int, int]] = []
+        """Drives in Operation Enabled, from each time [ns] at which their number changed."""
         self.words: list[tuple[int, int, int, int, int]] = []
         """Drives' objects that SDO transfers showed: row, time, node, index, value."""
 
@@ -155,6 +160,14 @@ class Bus:
         """Tell whether the last order to a node before this time was not to start."""
         order = self.ordered(number, -1, before_ns)
         return order is not None and order.command != NmtCommand.START
+
+    def order_due_ns(self, stop_ns: int, at_once_ns: int) -> int:
+        """Return until when [ns] an order excuses that cyclic frames stop: `at_once_ns` behind the
+        stop; while no drive is in Operation Enabled, a host that ends takes its time.
+        """
+        place = bisect.bisect_left(self.powered, (stop_ns + 1,)) - 1
+        disarmed = place >= 0 and self.powered[place][1] == 0
+        return stop_ns + max(at_once_ns, ENDING_NS if disarmed else 0)
 
     def renew(self) -> None:
         """Make the PDO maps anew, of all that is known by now."""

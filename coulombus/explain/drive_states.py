@@ -129,6 +129,9 @@ class Drives:
         before, drive.state = drive.state, state
         if state == before or state < 0:
             return
+        number = sum(axis.state == PowerState.OPERATION_ENABLED for axis in self._axes.values())
+        if not self.bus.powered or self.bus.powered[-1][1] != number:
+            self.bus.powered.append((t_ns, number))
         command = drive.command if drive.control >= 0 else None
         if state in FAULTS and before not in FAULTS:
             came = f", it was {_words(PowerState(before))}" if before >= 0 else " when the log begins"

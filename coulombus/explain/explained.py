@@ -110,8 +110,8 @@ class Explainer:
             self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
         self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
         self._others = (
-            *(Disturbances(self.bus), self._host, BusLoad(self.bus), self._timing, PdoTimers(self.bus)),
-            *(Lengths(self.bus), self._drives, DriveValues(self.bus), self._identifiers),
+            *(Disturbances(self.bus), self._host, BusLoad(self.bus), self._drives, self._timing),
+            *(PdoTimers(self.bus), Lengths(self.bus), DriveValues(self.bus), self._identifiers),
         )
         self._pieces = Pieces()
         self._span = span

@@ -41,6 +41,7 @@ class _Pdo:
     regular: bool = False
     missing_ns: int = -1  # since when it is missing
     missing: int = 0
+    held: tuple[int, int] | None = None  # time and row of a stop that an order may yet excuse
     last_ns: int = -1
     last_word: int = 0
     last_row: int = -1
@@ -62,7 +63,7 @@ class Timing:
         self._pdos: dict[int, _Pdo] = {}
         self._doubled_sync = False  # in this block: the intervals behind that say nothing of PDOs
         self._doubled_ns = -1  # since when, if it began in this block
-        self._last_ns = -1
+        self._last_ns = self._end_ns = -1
         self._quiet: list[tuple[int, int, int]] = []  # silences that no SYNC has ended yet: begin, end, row
         self._rapid: dict[int, tuple[int, int, int]] = {}  # frames in rapid succession, since when, first row
         self._last_of: dict[int, int] = {}
@@ -74,6 +75,8 @@ class Timing:
         """Go through a block."""
         if len(block.t_ns) == 0:
             return
+        self._end_ns = int(block.t_ns[-1])
+        self._settle(self._end_ns)
         sync = block.groups.get(SYNC)
         edges = np.zeros(0, np.int64)
         if sync is not None:
@@ -118,16 +121,18 @@ class Timing:
 
     def look(self, t_ns: int) -> None:
         """Note what is overdue at a time."""
+        self._settle(t_ns)
         if self.period_ns and len(self._sync) and not self.clues.stands("sync_lost", None):
             last = int(self._sync[-1])
-            if t_ns - last > max(SILENT * self.period_ns, 20 * MS) and not self._stopped(last):
+            overdue_ns = self.bus.order_due_ns(last, max(SILENT * self.period_ns, 20 * MS))
+            if t_ns > overdue_ns and not self._stopped(last):
                 self.clues.begin(
                     "sync_lost", None, last, "SYNC stops, and nobody had stopped the nodes", row=self.sync_row
                 )
         for key, pdo in self._pdos.items():
             if pdo.regular or not pdo.period_ns or pdo.last_ns < 0:
                 continue
-            if t_ns - pdo.last_ns > 5 * pdo.period_ns:
+            if t_ns > self.bus.order_due_ns(pdo.last_ns, 5 * pdo.period_ns):
                 self._identify(key, pdo, self.bus.maps.get(key))
                 self._gap(key, pdo, pdo.last_ns, None)
 
@@ -181,7 +186,7 @@ class Timing:
 
     def _stopped(self, begin: int) -> bool:
         """Tell whether orders explain that cyclic frames stop after `begin`."""
-        soon = begin + max(5 * self.period_ns, 20 * MS)
+        soon = self.bus.order_due_ns(begin, max(5 * self.period_ns, 20 * MS))
         nodes = [node.number for node in self.bus.nodes.values() if node.number != self.bus.host]
         running = [number for number in nodes if not self.bus.left_on_order(number, soon)]
         started = any(order.command == 1 for order in self.bus.orders)
@@ -270,17 +275,38 @@ class Timing:
 
     def _excused(self, node: int | None, begin: int) -> bool:
         """Tell whether an order explains that a PDO stops at this time."""
-        return node is None or self.bus.left_on_order(node, begin + max(3 * self.period_ns, 20 * MS))
+        due_ns = self.bus.order_due_ns(begin, max(3 * self.period_ns, 20 * MS))
+        return node is None or self.bus.left_on_order(node, due_ns)
 
     def _missing(self, pdo: _Pdo, begin: int, number: int, group: Frames) -> None:
         pdo.missing_ns, pdo.missing = begin, number
         place = int(group.t_ns.searchsorted(begin))
         row = int(group.rows[place - 1]) if place else pdo.last_row
+        pdo.held = begin, row
+        self._settle(self._end_ns, pdo)
+
+    def _settle(self, t_ns: int, *pdos: _Pdo) -> None:
+        """Note the stops, of `pdos` or of all, that no order has excused in time."""
+        for pdo in pdos or self._pdos.values():
+            if pdo.held is None:
+                continue
+            begin, row = pdo.held
+            if self._excused(pdo.node, begin):
+                pdo.held, pdo.regular, pdo.missing_ns = None, False, -1
+            elif t_ns > self.bus.order_due_ns(begin, 0):
+                pdo.held = None
+                self._begin_missing(pdo, begin, row)
+
+    def _begin_missing(self, pdo: _Pdo, begin: int, row: int) -> None:
         kind = "tpdo_missing" if pdo.sends else "rpdo_missing"
         text = f"no {pdo.name} after SYNC" if pdo.sends else f"no {pdo.name}: set-points do not come"
         self.clues.begin(kind, pdo.node, begin, text, row=row, subject=pdo.key)
 
     def _again(self, pdo: _Pdo, t_ns: int) -> None:
+        if pdo.held is not None:
+            begin, row = pdo.held
+            pdo.held = None
+            self._begin_missing(pdo, begin, row)
         kind = "tpdo_missing" if pdo.sends else "rpdo_missing"
         text = f"{pdo.name} comes again, {max(pdo.missing, 1)} were missing"
         self.clues.end(kind, pdo.node, t_ns, text, subject=pdo.key)
