@@ -132,7 +132,7 @@ rig_option = click.option(
     show_default=True,
     envvar=RIG_VARIABLE,
     metavar="R",
-    help="A packaged rig (bench, paper, two_axes) or the path of a rig file.",
+    help="A packaged rig (bench, paper, plane, two_axes) or the path of a rig file.",
 )
 set_option = click.option(
     "--set",

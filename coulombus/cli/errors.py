@@ -163,7 +163,7 @@ def _option_meant(error: click.UsageError) -> str:
         ("--bus", re.match(r"(coulombus|socketcan):", word)),
         ("--record", word.endswith(".pcapng")),
         ("--mode", word in modes),
-        ("--rig", word.endswith(".toml") or word in ("bench", "paper", "two_axes")),
+        ("--rig", word.endswith(".toml") or word in ("bench", "paper", "plane", "two_axes")),
     )
     meant = next((option for option, fits in kinds if fits and option in known), None)
     return f"; did you mean {meant} {word}?" if meant else ""

@@ -17,7 +17,9 @@ from coulombus.system.foreign_text import printable
 __all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
 
 LONGEST = 60
-_KEY = re.compile(r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|law|mode|limits|plant|operator)(?:\.\w+)+")
+_KEY = re.compile(
+    r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|kinematics|law|mode|limits|plane|plant|operator)(?:\.\w+)+"
+)
 """What reads as a key of the rig file in a text."""
 _WITH_UNIT = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z\u00b5\u03bc%\u00b0][^\d]*)")
 _WITH_COMMA = re.compile(r"[+-]?\d+,\d+")

@@ -34,7 +34,10 @@ UNITS = {
     "_kg_m2": "kg m2",
     "_Nms_rad": "Nm s/rad",
     "_Nm_rad": "Nm/rad",
+    "_m_rad": "m/rad",
     "_Nm_s": "Nm/s",
+    "_Ns_m": "N s/m",
+    "_N_m": "N/m",
     "_A_Nm": "A/Nm",
     "_1_K": "1/K",
     "_1_s": "1/s",
@@ -51,6 +54,8 @@ UNITS = {
     "_ohm": "ohm",
     "_rad": "rad",
     "_Nm": "Nm",
+    "_m": "m",
+    "_kg": "kg",
     "_Hz": "Hz",
     "_A": "A",
     "_J": "J",
@@ -93,7 +98,7 @@ def kinds_of(info: FieldInfo | None) -> dict[str, type[BaseModel]]:
         candidate = pending.pop(0)
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             kind = candidate.model_fields.get("kind")
-            kinds.update((word, candidate) for word in (get_args(kind.annotation) if kind else ("",)))
+            kinds.update((word, candidate) for word in ((kind and get_args(kind.annotation)) or ("",)))
         else:
             pending = [*get_args(candidate), *pending]
     return kinds
@@ -133,10 +138,10 @@ def expected(name: str, info: FieldInfo) -> str:
         text = str(extra["expected"])
     elif _choices(info):
         text = f"one of {accepted_range(info)}"
-    elif info.annotation in (int, float):
+    elif info.annotation in (int, float, int | None, float | None):
         limits = accepted_range(info)
         between = "from " if " to " in limits else ""
-        text = f"{'an integer' if info.annotation is int else 'a number'} {between}{limits}".rstrip()
+        text = f"{'an integer' if info.annotation in (int, int | None) else 'a number'} {between}{limits}".rstrip()
         text += (f", in {unit}" if unit else "") + (f", {extra['grid']}" if "grid" in extra else "")
     elif info.annotation is str:
         text = "a text in double quotes"
@@ -209,7 +214,7 @@ def _follow(
     named: type[BaseModel] | None = None
     for part in loc:
         if isinstance(part, int):
-            values = values[part]
+            values = values[part] if part < len(values) else None  # a list that is too short
             kinds = kinds_of(info)
             kind = values.get("kind", "") if isinstance(values, Mapping) else ""
             here = kinds.get(kind) if isinstance(kind, str) else None

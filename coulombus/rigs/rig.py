@@ -24,6 +24,8 @@ from coulombus.rigs.axis_parts import AxisParts
 from coulombus.rigs.devices import DeviceSection
 from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.errors import RigError, Source
+from coulombus.rigs.kinematics.kinematics_rules import PLANE_SECTIONS, PlaneSections, read_plane
+from coulombus.rigs.kinematics.kinematics_section import Kinematics
 from coulombus.rigs.model import About, Bus, Host
 from coulombus.rigs.rig_file import known_rigs, named_rig, packaged_rig, read_rig_file
 from coulombus.rigs.rules import remarks
@@ -75,11 +77,14 @@ class Rig:
         Where the values come from.
     warnings : tuple of str
         What is allowed, and yet may not be meant, with ``file:line``.
+    in_plane : PlaneSections or None
+        How the axes, as joints, move one tip in a plane; None where they are independent.
     """
 
     axes: tuple[Axis, ...]
     origin: Origin
     warnings: tuple[str, ...] = ()
+    in_plane: PlaneSections | None = None
     _spelled: str = ""
     """The values of a rig whose axes have names, as TOML: what is shared stands there once."""
 
@@ -198,7 +203,13 @@ class Rig:
             raise KeyError(f"the rig has no bus '{channel}'; it has {', '.join(self.channels)}")
         values = read_toml(self._spelled).values
         values["axis"] = {axis.name: values["axis"][axis.name] for axis in there}
-        return replace(self, axes=there, _spelled=_spelled(self.name, values))
+        values = {name: section for name, section in values.items() if name not in PLANE_SECTIONS}
+        return replace(self, axes=there, in_plane=None, _spelled=_spelled(self.name, values))
+
+    @property
+    def kinematics(self) -> Kinematics | None:
+        """How the axes move one tip in a plane; None where they are independent."""
+        return None if self.in_plane is None else self.in_plane.kinematics
 
     @property
     def path(self) -> str:
@@ -388,8 +399,9 @@ def _load(
         source.say(("axis", name), f"there is no such axis; the rig's axes are {known}")
         if axes_of_file:
             del values["axis"][name]
-    named = split_axes(values, source)
-    own_values = {"": values} if named is None else named
+    separate = {name: section for name, section in values.items() if name not in PLANE_SECTIONS}
+    named = split_axes(separate, source)
+    own_values = {"": separate} if named is None else named
     sources = {"": source} if named is None else {name: source.of_axis(name) for name in named}
     before = {axis.name: axis for axis in earlier}
     parts = [
@@ -402,10 +414,11 @@ def _load(
             source.found += part_source.found
             source.lacking += part_source.lacking
             source.problems += part_source.problems
+    in_plane = read_plane(values, tuple(named or ()), source, attached=attached)
     source.raise_all()
     law_named = any(override.partition("=")[0].strip().endswith("law.function") for override in overrides)
     origin = Origin(path, text, tuple(overrides), attached, law_named)
     axes = tuple(part.axis(name, origin) for name, part in zip(own_values, parts, strict=True))
     warnings = [text for name, own in own_values.items() for text in remarks(own, sources[name])]
     spelled = "" if named is None else _spelled(axes[0].rig.name, values)
-    return Rig(axes, origin, tuple(dict.fromkeys(warnings)), spelled)
+    return Rig(axes, origin, tuple(dict.fromkeys(warnings)), in_plane, spelled)

@@ -1,0 +1,122 @@
+"""What [kinematics] must be beside the ranges of its keys: the joints, the lengths, the start."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from pydantic import Field, ValidationError
+
+from coulombus.kernels.records import new_records
+from coulombus.rigs.errors import Source, shown
+from coulombus.rigs.field_help import expected, explain, fields_of
+from coulombus.rigs.kinematics.kinematics_section import LENGTHS, Kinematics, PlanePlant
+from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
+from coulombus.rigs.kinematics.mechanisms import MECHANISMS, condition, locate
+from coulombus.rigs.model import Section
+from coulombus.rigs.toml_lines import Table
+
+__all__ = ["PLANE_SECTIONS", "PlaneSections", "check_kinematics", "read_plane"]
+
+PLANE_SECTIONS = frozenset(("kinematics", "plane"))
+"""The sections that belong to all axes together, as the joints of one mechanism."""
+
+
+class PlaneSections(Section):
+    """The sections of a rig whose axes are the joints of one mechanism."""
+
+    kinematics: Kinematics = Field(description="how the joints move the tip in the plane")
+    plane: PlanePlant | None = Field(None, description="links and hand, for the simulation")
+
+
+def read_plane(values: Table, axes: tuple[str, ...], source: Source, *, attached: bool) -> PlaneSections | None:
+    """Return [kinematics] and [plane] of a rig file's values; None of a rig that has neither.
+
+    Mistakes are noted in `source`.
+
+    Parameters
+    ----------
+    values : the rig file's
+    axes : the names of the rig's axes, the joints
+    attached : the text is of a recording: a mechanism of the user's own is not run
+    """
+    file: Table = {name: values[name] for name in sorted(PLANE_SECTIONS & set(values))}
+    if not file:
+        return None
+    sections: PlaneSections | None = None
+    try:
+        sections = PlaneSections.model_validate(file)
+    except ValidationError as error:
+        explain(error, file, PlaneSections, source)
+    if len(axes) != JOINTS:
+        has = f"has the axes {', '.join(axes)}" if axes else "has one axis without a name"
+        source.say(("kinematics",), f"the rig {has}; expected {JOINTS} joints: [axis.NAME], once for each")
+    if isinstance(file.get("kinematics"), dict):
+        _check_lengths(file["kinematics"], source)
+    if sections is not None:
+        check_kinematics(sections.kinematics, source, attached=attached)
+    return sections
+
+
+def _check_lengths(values: Table, source: Source) -> None:
+    """Note which measures the kind needs and has not, and which it does not know."""
+    kind = values.get("kind")
+    if not isinstance(kind, str) or kind.strip() not in (*LENGTHS, kind.strip() if ":" in kind else ""):
+        return
+    needed = LENGTHS.get(kind.strip(), ())
+    fields = fields_of(Kinematics)
+    for name in dict.fromkeys(name for names in LENGTHS.values() for name in names):
+        key = ("kinematics", name)
+        if name in needed and name not in values:
+            source.lacks(key, expected(name, fields[name]))
+        elif name not in needed and name in values and ":" not in kind and not source.is_wrong(key):
+            source.say(key, f'no key of kind = "{kind.strip()}"; expected {", ".join(needed)}')
+
+
+def check_kinematics(kinematics: Kinematics, source: Source, *, attached: bool = False) -> None:
+    """Note what the values are not together: limits that do not grow, signs, a start that is singular or
+    outside, a Jacobian that is not that of its kinematics.
+    """
+    for name in ("x_m", "y_m"):
+        limits = getattr(kinematics, name)
+        if limits is not None and not limits[0] < limits[1]:
+            source.stands(("kinematics", name), limits, "two numbers that grow, in m")
+    if not set(kinematics.signs) <= {1, -1}:
+        source.stands(("kinematics", "signs"), kinematics.signs, "two numbers, each 1 or -1")
+    if kinematics.radii_m_rad is not None and 0.0 in kinematics.radii_m_rad:
+        source.stands(("kinematics", "radii_m_rad"), kinematics.radii_m_rad, "two numbers that are not 0, in m/rad")
+    if any(key[0] == "kinematics" for key in source.wrong):
+        return
+    if kinematics.function is None:
+        pose = new_records(PoseRecord)[0]
+        pose["q_rad"] = kinematics.start_rad
+        locate(MECHANISMS[kinematics.kind.strip()], kinematics.record()[0], pose)
+    elif attached:
+        return
+    else:
+        from coulombus.rigs.kinematics.load_mechanism import MechanismMistake, load_mechanism
+
+        try:
+            pose = load_mechanism(kinematics, Path(source.path).parent).pose(*kinematics.start_rad)
+        except MechanismMistake as mistake:
+            source.say(("kinematics", "kind"), f"got '{kinematics.kind}', but {mistake}")
+            return
+    _check_start(kinematics, pose, source)
+
+
+def _check_start(kinematics: Kinematics, pose: PoseRecord, source: Source) -> None:
+    """Note a start that the mechanism cannot take, that is singular, or outside the workspace."""
+    key, start = ("kinematics", "start_rad"), kinematics.start_rad
+    x_m, y_m = (float(value) for value in pose["x_m"])
+    found = condition(pose)
+    if not (math.isfinite(x_m) and math.isfinite(y_m)):
+        source.stands(key, start, "angles that the mechanism can take: its links do not meet there")
+    elif found <= max(kinematics.least_condition, 1e-9):
+        least = f"kinematics.least_condition, which is {shown(kinematics.least_condition)}"
+        source.stands(
+            key,
+            start,
+            f"a start that is not singular: the Jacobian's condition is {found:.3g} there, not above {least}",
+        )
+    elif not kinematics.contains(x_m, y_m):
+        source.stands(key, start, f"a start in the workspace x_m, y_m: the tip is at ({x_m:.3g}, {y_m:.3g}) m")
