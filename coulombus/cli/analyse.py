@@ -9,6 +9,7 @@ import click
 
 from coulombus.cli.analyse_options import figures_option, loop_options, parameters_of, rig_of
 from coulombus.cli.analyse_output import steps, tell, tell_paths
+from coulombus.cli.analyse_plane import plane
 from coulombus.cli.analyse_rig import felt, hold, map_command, z_width
 from coulombus.cli.analyse_theory import fig10, laws_command, limit_cycle, nyquist, stuck
 from coulombus.cli.common import json_option, printed, rig_option, say, seed_option, set_option
@@ -103,5 +104,5 @@ def study(folder: Path, figures: Path | None, exploration: bool, as_json: bool) 
                 echo("\n".join(lines(result)))
 
 
-for verb in (nyquist, limit_cycle, stuck, fig10, laws_command, hold, felt, z_width, map_command):
+for verb in (nyquist, limit_cycle, stuck, fig10, laws_command, hold, felt, z_width, map_command, plane):
     analyse.add_command(verb)

@@ -82,6 +82,7 @@ BASE = {
     "analyse felt": "analyse felt",
     "analyse z-width": "analyse z-width",
     "analyse map": "analyse map",
+    "analyse plane": "analyse plane",
     "analyse study": "analyse study STUDIED",
     "identify": "identify RECORDING",
     "law": "law lugre --motion sine",
@@ -109,7 +110,7 @@ WITH_RIG = (
     "systemd",
     "plan",
 )
-WITH_RIG += ("analyse", "analyse hold", "analyse felt", "analyse z-width", "analyse map", "identify")
+WITH_RIG += ("analyse", "analyse hold", "analyse felt", "analyse z-width", "analyse map", "analyse plane", "identify")
 WITH_SET = (
     "demo",
     "simulate",
@@ -130,6 +131,7 @@ WITH_SET = (
     "analyse felt",
     "analyse z-width",
     "analyse map",
+    "analyse plane",
 )
 WITH_RECORDING = (
     "explain",

@@ -31,6 +31,7 @@ SHARED = {
     "analyse_output": "what the verbs of analyse print",
     "analyse_theory": "the verbs of analyse that need no rig",
     "analyse_rig": "the verbs of analyse that run a rig",
+    "analyse_plane": "the verb of analyse for two coupled joints",
 }
 """The modules that are no verb, and what they hold."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import Field, ValidationError
 
 from coulombus.kernels.records import new_records
-from coulombus.rigs.errors import Source, shown
+from coulombus.rigs.errors import Source
 from coulombus.rigs.field_help import expected, explain, fields_of
 from coulombus.rigs.kinematics.kinematics_section import LENGTHS, Kinematics, PlanePlant
 from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
@@ -20,6 +20,10 @@ __all__ = ["PLANE_SECTIONS", "PlaneSections", "check_kinematics", "read_plane"]
 
 PLANE_SECTIONS = frozenset(("kinematics", "plane"))
 """The sections that belong to all axes together, as the joints of one mechanism."""
+SINGULAR = 0.02
+"""A start with less of the Jacobian's condition is singular, an elbow of 5 degrees. Whether a pose is far enough
+from that for a display is kinematics.least_condition's.
+"""
 
 
 class PlaneSections(Section):
@@ -111,12 +115,7 @@ def _check_start(kinematics: Kinematics, pose: PoseRecord, source: Source) -> No
     found = condition(pose)
     if not (math.isfinite(x_m) and math.isfinite(y_m)):
         source.stands(key, start, "angles that the mechanism can take: its links do not meet there")
-    elif found <= max(kinematics.least_condition, 1e-9):
-        least = f"kinematics.least_condition, which is {shown(kinematics.least_condition)}"
-        source.stands(
-            key,
-            start,
-            f"a start that is not singular: the Jacobian's condition is {found:.3g} there, not above {least}",
-        )
+    elif found < SINGULAR:
+        source.stands(key, start, f"a start that is not singular: the Jacobian's condition is {found:.2g} there")
     elif not kinematics.contains(x_m, y_m):
         source.stands(key, start, f"a start in the workspace x_m, y_m: the tip is at ({x_m:.3g}, {y_m:.3g}) m")

@@ -131,7 +131,7 @@ def test_joints_that_are_missing_or_too_many_are_refused(tmp_path, axes, words):
     [
         ("kinematics.start_rad=[0.3, 0.0]", "not singular"),
         ("kinematics.start_rad=[0.3, 3.141592653589793]", "not singular"),
-        ("kinematics.start_rad=[0.3, 0.5]", "condition is 0.102"),
+        ("kinematics.start_rad=[0.3, -0.05]", "condition is 0.01"),
         ("kinematics.y_m=[0.3, -0.3]", "two numbers that grow"),
         ("kinematics.signs=[1, 2]", "each 1 or -1"),
         ("kinematics.signs=[1]", "each 1 or -1"),
@@ -148,7 +148,9 @@ def test_what_makes_no_mechanism_is_refused(override, words):
 
 
 def test_a_start_outside_the_workspace_is_refused():
-    (text,) = refusal("plane", "kinematics.x_m=[0.3, 0.35]")
+    inside = ("kinematics.x_m=[0.2, 0.35]", "kinematics.y_m=[-0.1, 0.1]")
+    assert load_rig("plane", inside).kinematics is not None
+    (text,) = refusal("plane", *inside, "kinematics.x_m=[0.3, 0.35]")
     assert "plane.toml:" in text
     assert "kinematics.start_rad: got '[-0.95, 1.92]', expected a start in the workspace" in text
 

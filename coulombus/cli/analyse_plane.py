@@ -1,0 +1,93 @@
+"""`coulombus analyse plane`: what a rig in the plane can display."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coulombus.cli.analyse_output import tell
+from coulombus.cli.common import force_option, json_option, rig_option, say, set_option
+from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.option_types import PICTURE
+
+__all__ = ["plane"]
+
+
+class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """The joints' angles in degrees, as 30,90; the value is in rad."""
+
+    name = "pose"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            angles = [float(part) for part in str(value).split(",")]
+        except ValueError:
+            angles = []
+        if len(angles) != 2 or not all(abs(angle) <= 1e6 for angle in angles):
+            self.fail(f"{value!r}: expected two angles in degrees, as 30,90", param, ctx)
+        return math.radians(angles[0]), math.radians(angles[1])
+
+
+@click.command("plane", epilog=EXIT_STATUS, short_help="What two coupled joints can display in the plane.")
+@rig_option
+@set_option
+@click.option(
+    "--pose",
+    "poses",
+    type=_Pose(),
+    multiple=True,
+    metavar="Q1,Q2",
+    help="Angles of the joints in degrees; several are possible.  [default: kinematics.start_rad]",
+)
+@click.option(
+    "--grid",
+    type=click.IntRange(2, 200),
+    default=24,
+    show_default=True,
+    help="Angles of each joint on the map of the workspace.",
+)
+@click.option(
+    "--friction",
+    "friction_N",
+    type=click.FloatRange(0.0, 1e6, min_open=True),
+    metavar="N",
+    help="Friction of the picture.  [default: the largest of hybrid]",
+)
+@click.option("--picture", type=PICTURE, metavar="F.png", help="Draw the first pose there.")
+@force_option
+@json_option
+def plane(**options: Any) -> None:
+    """Analyse friction in the plane: where brakes alone are wrong, what the motors must give, and the
+    largest friction, in poses and over the workspace.
+
+    \b
+    Examples:
+      coulombus analyse plane --rig plane
+      coulombus analyse plane --rig plane --pose 0,90 --pose 0,60 --json
+      coulombus analyse plane --rig plane --pose 0,60 --picture plane.png
+    """
+    with errors():
+        from coulombus.analysis.rig.plane_display import plane_display
+        from coulombus.rigs.rig import load_rig
+
+        rig = load_rig(options["rig_name"], options["overrides"])
+        result = plane_display(rig, options["poses"], options["grid"])
+        if options["picture"] is not None:
+            _draw(result, options["friction_N"], options["picture"], overwrite=options["overwrite"])
+        tell(options["as_json"], result.as_dict, result.lines)
+
+
+def _draw(result: Any, friction_N: float | None, picture: Path, *, overwrite: bool) -> None:
+    from coulombus.analysis.figures.plane import draw_plane
+    from coulombus.recording.output_file import new_file
+    from coulombus.recording.pictures.plot import save_picture
+
+    made = draw_plane(result, friction_N)
+    with new_file(picture, force=overwrite) as path:
+        save_picture(made, path)
+    say(f"figure: {picture}")

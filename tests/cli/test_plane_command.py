@@ -1,0 +1,89 @@
+"""`coulombus analyse plane`: the figures of poses and workspace, the picture, what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from click.testing import CliRunner
+
+from coulombus.cli.main import main
+
+
+def analyse(*arguments):
+    return CliRunner().invoke(main, ["analyse", "plane", *arguments])
+
+
+def poses(*arguments):
+    result = analyse("--rig", "plane", "--grid", "4", "--json", *arguments)
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)["poses"]
+
+
+def test_poses_are_in_degrees_and_told_in_radians():
+    first, second = poses("--pose", "0,90", "--pose", "-30,60")
+    assert first["q_rad"] == pytest.approx([0, math.pi / 2])
+    assert (first["share_wrong"], first["worst_angle_deg"]) == pytest.approx((0.5, 45))
+    assert first["motor_power_per_cv"] == pytest.approx(0.20711, abs=1e-5)
+    assert second["q_rad"] == pytest.approx([-math.pi / 6, math.pi / 3])
+    assert (second["share_wrong"], second["worst_angle_deg"]) == pytest.approx((2 / 3, 60))
+
+
+def test_other_links_are_set():
+    (pose,) = poses("--pose", "0,90", "--set", "kinematics.l1_m=0.3", "--set", "kinematics.l2_m=0.4")
+    off = 90 - math.degrees(math.atan2(0.3, 0.4))
+    assert pose["worst_angle_deg"] == pytest.approx(off)
+    assert pose["share_wrong"] == pytest.approx(off / 90)
+
+
+def test_without_a_pose_the_start_is_analysed():
+    (pose,) = poses()
+    assert pose["q_rad"] == [-0.95, 1.92]
+    assert pose["allowed"] is True
+
+
+def test_a_singular_pose_has_no_bound_of_the_motors():
+    (pose,) = poses("--pose", "20,0")
+    assert (pose["share_wrong"], pose["worst_angle_deg"], pose["allowed"]) == (1.0, 90.0, False)
+    assert pose["motor_power_per_cv"] is None
+
+
+def test_the_map_has_the_allowed_poses_alone():
+    found = json.loads(analyse("--rig", "plane", "--grid", "12", "--set", "kinematics.x_m=[0.0, 0.3]", "--json").stdout)["map"]
+    assert 0 < found["allowed"] == len(found["rows"]) < found["tried"] == 144
+    assert all(row["condition"] >= 0.15 and 0 <= row["x_m"][0] <= 0.3 for row in found["rows"])
+    assert found["ranges"]["share_wrong"]["most"] == max(row["share_wrong"] for row in found["rows"])
+
+
+def test_the_table_says_what_the_json_does():
+    text = " ".join(analyse("--rig", "plane", "--pose", "0,90", "--grid", "4").stdout.split())
+    assert "wrong in 50.0 % of the directions, by up to 45.0 deg" in text
+    assert "at most 0.207 c |v|" in text
+
+
+def test_the_picture_is_drawn_and_not_replaced(tmp_path):
+    path = str(tmp_path / "plane.png")
+    assert analyse("--rig", "plane", "--pose", "0,60", "--grid", "2", "--picture", path).exit_code == 0
+    assert (tmp_path / "plane.png").read_bytes().startswith(b"\x89PNG")
+    assert analyse("--rig", "plane", "--grid", "2", "--picture", path).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["--rig", "bench"], 3, "has no [kinematics]"),
+        (["--rig", "plane", "--pose", "90"], 2, "expected two angles"),
+        (["--rig", "plane", "--pose", "a,b"], 2, "expected two angles"),
+        (["--rig", "plane", "--pose", "nan,1"], 2, "expected two angles"),
+        (["--rig", "plane", "--set", "kinematics.l1_m=0"], 3, "kinematics.l1_m"),
+        (["--rig", "plane", "--grid", "1"], 2, "--grid"),
+        (["--rig", "plane", "--pose", "0,0", "--picture", "x.png"], 3, "singular"),
+    ],
+)
+def test_what_is_wrong_is_said(arguments, status, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = analyse(*arguments)
+    assert result.exit_code == status
+    assert words in " ".join(result.stderr.split())
+    assert not list(tmp_path.iterdir())
