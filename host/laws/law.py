@@ -45,6 +45,7 @@ __all__ = [
     "declaration_of",
     "described",
     "friction_law",
+    "state_fields",
 ]
 
 
@@ -192,7 +193,10 @@ class Declaration:
     pushes : in mode hybrid the motor displays its ``state.motor_Nm``
     """
 
-    function: Callable[..., float]
+    BASES: ClassVar[tuple[np.dtype[Any], np.dtype[Any]]] = (LAW, LAW_STATE)
+    """The records of parameters and of state, without these names."""
+
+    function: Callable[..., Any]
     parameters: type[Parameters]
     state: tuple[tuple[str, int], ...] = ()
     extremes: tuple[str, ...] = ()
@@ -201,7 +205,8 @@ class Declaration:
 
     def __post_init__(self) -> None:
         names, kept = self.names, sum(size for _, size in self.state)
-        clashes = {*(LAW.names or ()), *(LAW_STATE.names or ())} & {*names, *(name for name, _ in self.state)}
+        law, kept_by_all = self.BASES
+        clashes = {*(law.names or ()), *(kept_by_all.names or ())} & {*names, *(name for name, _ in self.state)}
         if not self.uses_mode_keys and (len(names) > USER or kept > USER or clashes):
             what = (
                 f"{', '.join(sorted(clashes))}: taken"
@@ -223,12 +228,12 @@ class Declaration:
     @property
     def law_dtype(self) -> np.dtype[Any]:
         """`LAW` with the parameters' names."""
-        return LAW if self.uses_mode_keys else _view(LAW, ((name, 1) for name in self.names))
+        return LAW if self.uses_mode_keys else _view(self.BASES[0], ((name, 1) for name in self.names))
 
     @property
     def state_dtype(self) -> np.dtype[Any]:
         """`LAW_STATE` with the names of what it keeps."""
-        return _view(LAW_STATE, self.state) if self.state else LAW_STATE
+        return _view(self.BASES[1], self.state) if self.state else self.BASES[1]
 
     @property
     def title(self) -> str:
@@ -257,13 +262,13 @@ class Declaration:
             else:
                 record["user"][k] = number
 
-    def plain(self) -> Callable[..., float]:
+    def plain(self) -> Callable[..., Any]:
         """Return the law as a plain Python function of records without these names."""
         if self.uses_mode_keys:
             return self.function
         of_law, of_state = _places((name, 1) for name in self.names), _places(self.state)
 
-        def law(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+        def law(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> Any:
             return self.function(motion, _Named(law, of_law), _Named(state, of_state))
 
         return law
@@ -293,7 +298,7 @@ def friction_law(
         more than 16 numbers, or a name that the records have already
     """
     if isinstance(state, type):
-        kept = tuple(_state_fields(state))
+        kept = tuple(state_fields(state, LAW_STATE))
     else:
         kept = tuple((field, 1) if isinstance(field, str) else field for field in state)
 
@@ -304,12 +309,12 @@ def friction_law(
     return declare
 
 
-def _state_fields(state: type[LawStateRecord]) -> Iterator[tuple[str, int]]:
-    """Yield name and length of each field that a law's state has beside those of all laws."""
+def state_fields(state: type[Record], base: np.dtype[Any]) -> Iterator[tuple[str, int]]:
+    """Yield name and length of each field that a law's state has beside those of all laws, `base`."""
     dtype = dtype_of(state)
     assert dtype.names is not None
     for name in dtype.names:
-        if name not in (LAW_STATE.names or ()):
+        if name not in (base.names or ()):
             yield name, int(np.prod(dtype[name].shape))
 
 

@@ -43,6 +43,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from coulombus.host.laws.bliman_sorine import bliman_sorine
 from coulombus.host.laws.coulomb import COULOMB, coulomb
 from coulombus.host.laws.dahl import dahl
@@ -83,11 +85,14 @@ __all__ = [
     "MOTION",
     "LawError",
     "LoadedLaw",
+    "bounds_checked",
     "coulomb",
     "find_law",
     "karnopp",
+    "law_function",
     "load_declared",
     "load_law",
+    "why_not",
 ]
 
 OLD_PLACE = "host.laws"
@@ -144,7 +149,7 @@ _CHECKING = threading.Lock()
 
 
 @contextmanager
-def _bounds_checked() -> Iterator[None]:
+def bounds_checked() -> Iterator[None]:
     """Let all that is compiled meanwhile check its indices, also functions that have a decorator of
     their own.
     """
@@ -169,7 +174,8 @@ def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
 
     def guarded(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
         try:
-            return inner(motion, law, state)
+            psi_Nm: float = inner(motion, law, state)
+            return psi_Nm
         except Exception:
             return math.nan
 
@@ -183,7 +189,7 @@ def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
         dispatcher = numba.njit(cache=cacheable(function), **options)(function)
         dispatcher.compile(signature.args)
     else:
-        with _bounds_checked():
+        with bounds_checked():
             inner = numba.njit(**options)(function)
             inner.compile(signature.args)
             returned = inner.nopython_signatures[0].return_type
@@ -200,7 +206,7 @@ def _line(function: Any, line: int | None = None) -> str:
     return f"{code.co_filename}:{line or code.co_firstlineno}"
 
 
-def _unknown_field(function: Any, name: str) -> str | None:
+def _unknown_field(function: Any, name: str, motion: np.dtype[Any]) -> str | None:
     """Say where a law uses a field that its records do not have; None where that is not to be
     found.
     """
@@ -210,7 +216,7 @@ def _unknown_field(function: Any, name: str) -> str | None:
         return None
     declared = declaration_of(function)
     named = (LAW, LAW_STATE) if declared is None else (declared.law_dtype, declared.state_dtype)
-    arguments = dict(zip(inspect.signature(function).parameters, (MOTION, *named), strict=False))
+    arguments = dict(zip(inspect.signature(function).parameters, (motion, *named), strict=False))
     uses = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == name]
     if not uses:
         return None
@@ -224,12 +230,12 @@ def _unknown_field(function: Any, name: str) -> str | None:
     return f"{_line(function, use.lineno)}: {record} has no field '{name}'{has}{hint}"
 
 
-def _why_not(function: Any, error: Exception) -> str:
+def why_not(function: Any, error: Exception, motion: np.dtype[Any] = MOTION) -> str:
     """Return why `function` does not compile: the user's ``file:line``, and one sentence."""
     if (
         isinstance(error, KeyError) and error.args and isinstance(error.args[0], str)
     ):  # numba: no such field in a record
-        reason = _unknown_field(function, error.args[0])
+        reason = _unknown_field(function, error.args[0], motion)
         if reason:
             return reason
     text = COLOURS.sub("", str(error))
@@ -307,7 +313,7 @@ def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
         names = ", ".join(map(repr, BUILTIN_LAWS))
         raise LawError(f"law {name!r}: expected {names}, 'file.py:function' or 'module:function'{hint}")
     own_law = place in (__name__, EXERCISES)
-    plain = _function(name, place, attribute, directory, own_law=own_law)
+    plain = law_function(name, place, attribute, directory, own_law=own_law)
     declared = next((law for law in BUILTIN_LAWS.values() if law.function is plain), declaration_of(plain))
     return LoadedLaw(_compiled(name, plain, own_law=own_law), declared)
 
@@ -318,10 +324,10 @@ def _own(name: str) -> LawFunction:
     return _compiled(name, BUILTIN_LAWS[name].function, own_law=True)
 
 
-def _function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> LawFunction:
+def law_function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> Any:
     """Return the plain Python function that `name` says."""
     checked = (
-        nullcontext() if own_law or JIT_DISABLED else _bounds_checked()
+        nullcontext() if own_law or JIT_DISABLED else bounds_checked()
     )  # a decorator with a signature compiles at once
     try:
         if place.endswith(".py"):
@@ -365,8 +371,7 @@ def _function(name: str, place: str, attribute: str, directory: Path | None, *, 
         raise LawError(
             f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({given})"
         )
-    law: LawFunction = plain
-    return law
+    return plain
 
 
 def _compiled(name: str, plain: Any, *, own_law: bool) -> LawFunction:
@@ -376,4 +381,4 @@ def _compiled(name: str, plain: Any, *, own_law: bool) -> LawFunction:
     except Exception as error:  # numba raises many kinds
         if isinstance(error, (CoulombusError, MemoryError)):
             raise
-        raise LawError(f"law {name!r} does not compile: {_why_not(plain, error)}; see docs/laws.md") from error
+        raise LawError(f"law {name!r} does not compile: {why_not(plain, error)}; see docs/laws.md") from error

@@ -197,7 +197,6 @@ def directions(jacobian: Floats, friction_N: float, levels: Levels, count: int =
     rest = np.clip(torque - brake, -motor_Nm, motor_Nm)
     tip = np.linalg.inv(jacobian).T
     power = np.maximum(rest * speed, 0.0).sum(axis=0) / friction_N
-    forces = (
-        np.asarray((tip @ shown).T, np.float64) for shown in (np.clip(torque, -motor_Nm, motor_Nm), brake, brake + rest)
-    )
-    return Directions(angle, wanted.T, *forces, power)
+    shown = (np.clip(torque, -motor_Nm, motor_Nm), brake, brake + rest)
+    active, passive, hybrid = (np.asarray((tip @ torques).T, np.float64) for torques in shown)
+    return Directions(angle, wanted.T, active, passive, hybrid, power)

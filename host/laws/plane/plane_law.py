@@ -1,0 +1,112 @@
+r"""What a law in the plane is: a function of one fixed signature, its records, and its declaration.
+
+It is a law as on one axis (`host.laws.law`), with vectors::
+
+    class MyLaw(Parameters):
+        F_c_N: float = Field(1.0, gt=0, le=1e4, description="Coulomb friction")
+
+    @plane_law(MyLaw)
+    def my_law(motion, law, state):
+        vx, vy = motion.v_m_s[0], motion.v_m_s[1]
+        speed = math.hypot(vx, vy)
+        state.hold_N = law.F_c_N
+        if speed == 0.0:
+            return 0.0, 0.0
+        return law.F_c_N * vx / speed, law.F_c_N * vy / speed
+
+It returns :math:`\psi` [N], the friction to be displayed: :math:`\psi \cdot v > 0` opposes the motion.
+The hand feels :math:`-\psi`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar
+
+import numpy as np
+
+from coulombus.host.laws.law import USER, Declaration, Field, Parameters, declaration_of, state_fields
+from coulombus.kernels.records import FloatField, Record, dtype_of
+
+__all__ = [
+    "PLANE_MOTION",
+    "Field",
+    "Parameters",
+    "PlaneDeclaration",
+    "PlaneLawFunction",
+    "PlaneLawRecord",
+    "PlaneMotionRecord",
+    "PlaneStateRecord",
+    "declaration_of",
+    "plane_law",
+]
+
+
+class PlaneMotionRecord(Record):
+    """What a law in the plane sees."""
+
+    x_m: Annotated[FloatField, 2]  # the tip
+    v_m_s: Annotated[FloatField, 2]  # its velocity
+    hand_N: Annotated[FloatField, 2]  # the hand's force on the tip, by the joints' transducers
+    dt_s: float  # the cycle
+
+
+class PlaneLawRecord(Record):
+    """A law's parameters."""
+
+    user: Annotated[FloatField, USER]  # in the order of its declaration
+
+
+class PlaneStateRecord(Record):
+    """What a law keeps from cycle to cycle, and its further outputs."""
+
+    stuck: int  # 1: the tip sticks
+    psi_N: Annotated[FloatField, 2]  # what the law returned last; kept by the host
+    motor_N: Annotated[FloatField, 2]  # the part of psi that pushes back, for the motors alone
+    hold_N: float  # the level that brakes hold at rest, against the hand's present direction; 0: they hold nothing
+    user: Annotated[FloatField, USER]  # what a law keeps by names of its own
+
+
+PLANE_MOTION = dtype_of(PlaneMotionRecord)
+
+PlaneLawFunction: TypeAlias = Callable[[PlaneMotionRecord, PlaneLawRecord, PlaneStateRecord], tuple[float, float]]
+"""A compiled law in the plane (`host.laws.plane.plane_laws`): the force that it asks for [N]."""
+
+
+class PlaneDeclaration(Declaration):
+    """A law in the plane: its function, its parameters by name, and what it keeps."""
+
+    BASES: ClassVar[tuple[np.dtype[Any], np.dtype[Any]]] = (dtype_of(PlaneLawRecord), dtype_of(PlaneStateRecord))
+
+
+F = TypeVar("F", bound=Callable[..., tuple[float, float]])
+
+
+def plane_law(
+    parameters: type[Parameters],
+    state: type[PlaneStateRecord] | None = None,
+    extremes: Iterable[str] = (),
+    *,
+    pushes: bool = False,
+) -> Callable[[F], F]:
+    """Declare a law in the plane with named parameters.
+
+    Parameters
+    ----------
+    parameters : the model of its parameters
+    state : what the law keeps from cycle to cycle: a class of a `PlaneStateRecord` with further fields
+    extremes : the parameters that say how much it displays at most [N]
+    pushes : the motors display ``state.motor_N``
+
+    Raises
+    ------
+    ValueError
+        more than 16 numbers, or a name that the records have already
+    """
+    kept = () if state is None else tuple(state_fields(state, dtype_of(PlaneStateRecord)))
+
+    def declare(function: F) -> F:
+        function.declaration = PlaneDeclaration(function, parameters, kept, tuple(extremes), pushes=pushes)  # type: ignore[attr-defined]
+        return function
+
+    return declare

@@ -1,0 +1,224 @@
+"""The laws in the plane by their names, compiled: the project's, and functions of the user's own files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.host.laws.law import Declaration, Parameters, declaration_of
+from coulombus.host.laws.laws import LawError, bounds_checked, law_function, why_not
+from coulombus.host.laws.parameters import set_parameters
+from coulombus.host.laws.plane.plane_coulomb import plane_coulomb
+from coulombus.host.laws.plane.plane_dahl import plane_dahl
+from coulombus.host.laws.plane.plane_karnopp import plane_karnopp
+from coulombus.host.laws.plane.plane_law import (
+    PLANE_MOTION,
+    PlaneDeclaration,
+    PlaneLawFunction,
+    PlaneLawRecord,
+    PlaneMotionRecord,
+    PlaneStateRecord,
+)
+from coulombus.host.laws.plane.plane_line import plane_line
+from coulombus.host.laws.plane.plane_lugre import plane_lugre
+from coulombus.host.laws.plane.plane_viscous import plane_viscous
+from coulombus.host.laws.plane.plane_wall import plane_wall
+from coulombus.kernels.decorator import JIT_DISABLED, cacheable, kernel
+from coulombus.kernels.records import RecordArray, new_records
+from coulombus.system.errors import CoulombusError
+
+import numba  # isort: skip  (after kernels.decorator, which names the cache directory)
+import numba.experimental.function_type  # isort: skip  (what the type of a compiled law is)
+
+__all__ = ["PLANE_LAWS", "PlaneLaw", "compile_plane_law", "load_plane_law"]
+
+PLANE_LAWS: Mapping[str, Declaration] = MappingProxyType(
+    {
+        law.name: law
+        for law in map(
+            declaration_of,
+            (plane_coulomb, plane_karnopp, plane_viscous, plane_wall, plane_line, plane_lugre, plane_dahl),
+        )
+        if law is not None
+    }
+)
+"""The project's laws in the plane by their names."""
+
+
+@lru_cache(64)
+def _signature(declared: Declaration | None = None) -> Any:
+    """Return the one signature of a law in the plane, with the names of its parameters in the records."""
+    named = PlaneDeclaration.BASES if declared is None else (declared.law_dtype, declared.state_dtype)
+    return numba.types.UniTuple(numba.float64, 2)(*map(numba.from_dtype, (PLANE_MOTION, *named)))
+
+
+class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
+    """A compiled law as a function pointer of the one signature."""
+
+    def signature(self) -> Any:
+        """Return the signature that every law in the plane has."""
+        return _signature()
+
+
+def compile_plane_law(function: Callable[..., Any], cache: bool = False) -> PlaneLawFunction:
+    """Compile `function` for the one signature of a law in the plane, as `host.laws.laws.compile_law` does
+    for one axis: with `cache` for the project's own laws, else with checked indices.
+
+    A law that raises returns NaN.
+    """
+
+    def guarded(motion: PlaneMotionRecord, law: PlaneLawRecord, state: PlaneStateRecord) -> tuple[float, float]:
+        try:
+            fx, fy = inner(motion, law, state)
+            return float(fx), float(fy)
+        except Exception:
+            return math.nan, math.nan
+
+    declared = declaration_of(function)
+    inner: Any
+    if JIT_DISABLED:
+        inner = function if declared is None else declared.plain()
+        return guarded
+    signature, options = _signature(declared), {"nogil": True, "error_model": "numpy"}
+    if cache:
+        dispatcher = numba.njit(cache=cacheable(function), **options)(function)
+        dispatcher.compile(signature.args)
+    else:
+        with bounds_checked():
+            inner = numba.njit(**options)(function)
+            inner.compile(signature.args)
+            returned = inner.nopython_signatures[0].return_type
+            if not (isinstance(returned, numba.types.BaseTuple) and len(returned) == 2):
+                raise TypeError(f"a law in the plane returns two numbers, psi [N], on every path, not {returned}")
+            dispatcher = numba.njit(signature, **options)(guarded)
+    pointer: PlaneLawFunction = _Pointer(dispatcher.overloads[dispatcher.signatures[0]])
+    return pointer
+
+
+@cache
+def _own(name: str) -> PlaneLawFunction:
+    return compile_plane_law(PLANE_LAWS[name].function, cache=True)
+
+
+@kernel
+def _drive(
+    law_function: PlaneLawFunction,
+    motion: PlaneMotionRecord,
+    law: PlaneLawRecord,
+    state: PlaneStateRecord,
+    t_s: npt.NDArray[np.float64],
+    x_m: npt.NDArray[np.float64],
+    psi_N: npt.NDArray[np.float64],
+) -> int:
+    """Ask the law along a motion; return the first sample with no finite force, -1 where there is none."""
+    for k in range(len(t_s)):
+        before = max(k - 1, 0)
+        motion.dt_s = t_s[k] - t_s[before] if k > 0 else t_s[1] - t_s[0]
+        for i in range(2):
+            motion.x_m[i] = x_m[k, i]
+            motion.v_m_s[i] = (x_m[k, i] - x_m[before, i]) / motion.dt_s
+        fx, fy = law_function(motion, law, state)
+        psi_N[k, 0], psi_N[k, 1] = fx, fy
+        if not (math.isfinite(fx) and math.isfinite(fy)):
+            return k
+        state.psi_N[0], state.psi_N[1] = fx, fy
+    return -1
+
+
+@dataclass(frozen=True)
+class PlaneLaw:
+    """A compiled law in the plane with its parameters.
+
+    Attributes
+    ----------
+    name : as the rig file spells it
+    function : the compiled function, as kernels take it
+    declaration, parameters : None of a law that names none
+    """
+
+    name: str
+    function: PlaneLawFunction
+    declaration: Declaration | None
+    parameters: Parameters | None
+
+    def record(self) -> RecordArray[PlaneLawRecord]:
+        """Return the parameters as kernels take them, as an array of one record."""
+        record = new_records(PlaneLawRecord)
+        if self.declaration is not None and self.parameters is not None:
+            for k, number in enumerate(self.declaration.numbers(self.parameters).values()):
+                record[0]["user"][k] = number
+        return record
+
+    def along(self, t_s: npt.ArrayLike, x_m: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return the force at each sample of a motion [N], shape (n, 2), from the relaxed state.
+
+        A sample's velocity is the slope of the interval that ends there, 0 at the first.
+
+        Parameters
+        ----------
+        t_s : times that grow, two or more [s]
+        x_m : places there, shape (n, 2) [m]
+
+        Raises
+        ------
+        coulombus.host.laws.laws.LawError
+            it returned no finite force
+        """
+        times, places = np.ascontiguousarray(t_s, np.float64), np.ascontiguousarray(x_m, np.float64)
+        forces = np.zeros_like(places)
+        motion, state = new_records(PlaneMotionRecord), new_records(PlaneStateRecord)
+        wrong = _drive(self.function, motion[0], self.record()[0], state[0], times, places, forces)
+        if wrong >= 0:
+            raise LawError(
+                f"law {self.name!r} returned {forces[wrong].tolist()} N at t_s={times[wrong]:g}; "
+                "expected two finite numbers"
+            )
+        return forces
+
+
+def load_plane_law(name: str, overrides: Sequence[str] = (), directory: Path | None = None) -> PlaneLaw:
+    """Return a law in the plane by its name, with its defaults but for "KEY=VALUE".
+
+    Parameters
+    ----------
+    name : one of `PLANE_LAWS`, ``file.py:function`` or ``module:function``
+    directory : where a file is looked for before the current folder
+
+    Raises
+    ------
+    coulombus.host.laws.laws.LawError
+        there is no such law, or it does not compile
+    coulombus.rigs.rig.RigError
+        a parameter is none of this law's, or its value is refused
+    """
+    if name in PLANE_LAWS:
+        declared: Declaration | None = PLANE_LAWS[name]
+        function = _own(name)
+    else:
+        place, _, attribute = name.rpartition(":")
+        if not place or not attribute:
+            raise LawError(f"law {name!r}: expected {', '.join(PLANE_LAWS)}, 'file.py:function' or 'module:function'")
+        plain = law_function(name, place, attribute, directory, own_law=False)
+        declared = declaration_of(plain)
+        if declared is not None and not isinstance(declared, PlaneDeclaration):
+            raise LawError(f"law {name!r} is declared for one axis; expected the decorator plane_law")
+        try:
+            function = compile_plane_law(plain)
+        except Exception as error:  # numba raises many kinds
+            if isinstance(error, (CoulombusError, MemoryError)):
+                raise
+            reason = why_not(plain, error, PLANE_MOTION)
+            raise LawError(f"law {name!r} does not compile: {reason}; see docs/plane.md") from error
+    if declared is None:
+        if overrides:
+            raise LawError(f"--set {overrides[0]}: the law {name} names no parameters; declare them with plane_law")
+        return PlaneLaw(name, function, None, None)
+    return PlaneLaw(name, function, declared, set_parameters(declared, overrides))
