@@ -1,0 +1,251 @@
+r"""Friction in the plane without a bus: host and plant in one compiled loop, a cycle of delay between them.
+
+The loop stands in for the bus: what the encoders and transducers tell at the begin of a cycle goes to the
+host, and its commands act from the begin of the next cycle on. Encoders count, transducers are exact. The
+host is `host.plane.plane_step`, the plant `sim_bus.rig.plane_plant`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.host.laws.plane.plane_laws import PlaneLaw, load_plane_law
+from coulombus.host.laws.plane.plane_law import PlaneLawFunction
+from coulombus.host.plane.plane_step import ACTIVE, HYBRID, PASSIVE, PlaneHostRecord, plane_step
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Floats, RecordArray, new_records
+from coulombus.rigs.errors import RigError
+from coulombus.rigs.kinematics.load_mechanism import Mechanism, load_mechanism
+from coulombus.rigs.kinematics.mechanism_records import MechanismFunction
+from coulombus.rigs.rig import Rig
+from coulombus.sim_bus.rig.plane_plant import advance_plane, tip_force
+from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
+
+__all__ = ["COLUMNS", "PLANE_MODES", "PlaneCourse", "PlaneRun", "circle", "new_plane_plant", "simulate_plane"]
+
+PLANE_MODES = {"active": ACTIVE, "passive": PASSIVE, "hybrid": HYBRID}
+
+COLUMNS = (
+    *("x_m", "y_m", "vx_m_s", "vy_m_s", "shown_x_N", "shown_y_N", "hand_x_N", "hand_y_N"),
+    *("brake_1_Nm", "brake_2_Nm", "motor_1_Nm", "motor_2_Nm", "stuck", "v1_rad_s", "v2_rad_s"),
+)
+"""Columns of a course, at the end of each cycle; all true, but for stuck: what the law says."""
+
+
+@dataclass(frozen=True)
+class PlaneRun:
+    """How a rig in the plane is run without a bus.
+
+    Attributes
+    ----------
+    mode : "active", "passive" or "hybrid"
+    law : the law in the plane
+    period_s : the cycle
+    window_cycles : cycles over which the joints' speeds are taken
+    models_lag : whether the host knows the lags of the brakes
+    reversal_lags : a joint that comes to rest within so many of its brake's lags has its brake let go before
+    """
+
+    mode: str = "hybrid"
+    law: PlaneLaw | None = None
+    period_s: float = 1e-3
+    window_cycles: int = 6
+    models_lag: bool = True
+    reversal_lags: float = 4.0
+
+
+@dataclass(frozen=True)
+class PlaneCourse:
+    """A course, and the plant and the host at its end.
+
+    Attributes
+    ----------
+    t_s : end of each cycle
+    values : shape (n, len(COLUMNS))
+    host, plant : arrays of one record
+    residual_J : works of all torques less the change of the kinetic energy
+    """
+
+    t_s: npt.NDArray[np.float64]
+    values: npt.NDArray[np.float64]
+    host: RecordArray[PlaneHostRecord]
+    plant: RecordArray[PlanePlantRecord]
+    residual_J: float
+
+    def column(self, name: str) -> npt.NDArray[np.float64]:
+        """Return one of `COLUMNS`."""
+        values: npt.NDArray[np.float64] = self.values[:, COLUMNS.index(name)]
+        return values
+
+    def vectors(self, x: str, y: str) -> npt.NDArray[np.float64]:
+        """Return two of `COLUMNS` as vectors, shape (n, 2)."""
+        return np.stack((self.column(x), self.column(y)), axis=1)
+
+    def display_errors(self, from_s: float = 0.0, least_m_s: float = 0.05) -> dict[str, float]:
+        """Return how far the displayed force is off the direction against the true velocity, and its size.
+
+        Samples before `from_s` and slower than `least_m_s` are left out. Median and 95th percentile of
+        the angle [deg] and of the size [N].
+        """
+        v, shown = self.vectors("vx_m_s", "vy_m_s"), self.vectors("shown_x_N", "shown_y_N")
+        speed, size = np.hypot(*v.T), np.hypot(*shown.T)
+        kept = (speed > least_m_s) & (self.t_s >= from_s)
+        cross = shown[:, 0] * v[:, 1] - shown[:, 1] * v[:, 0]
+        off = np.degrees(np.arctan2(np.abs(cross), -(shown * v).sum(axis=1)))[kept]
+        return {
+            "median_deg": float(np.median(off)),
+            "p95_deg": float(np.percentile(off, 95)),
+            "median_N": float(np.median(size[kept])),
+            "p95_N": float(np.percentile(size[kept], 95)),
+        }
+
+
+@kernel
+def _run(
+    mechanism: MechanismFunction,
+    law: PlaneLawFunction,
+    h: PlaneHostRecord,
+    p: PlanePlantRecord,
+    hand: Floats,
+    steps: int,
+    rows: Floats,
+) -> None:
+    """Run `len(rows)` cycles of `steps` of the plant's steps; ``hand`` has the hand's goal [m] and its muscles' force
+    [N] at each begin and at the end.
+
+    h : the host, p : the plant
+    """
+    for k in range(len(rows)):
+        motor = h.split.motor_Nm[0], h.split.motor_Nm[1]
+        brake = h.split.brake_Nm[0], h.split.brake_Nm[1]
+        for i in range(2):
+            q = h.mechanism.sign[i] * (p.angle[i] - h.mechanism.offset_rad[i])
+            h.counts[i] = int(math.floor((q - h.start_rad[i]) / h.count_rad[i] + 0.5))
+            h.hand_Nm[i] = h.mechanism.sign[i] * p.transduced_Nm[i]
+            p.motor_want[i] = h.mechanism.sign[i] * motor[i]
+            p.brake_want[i] = brake[i]
+            p.goal_m[i] = hand[k, i]
+            p.goal_m_s[i] = (hand[k + 1, i] - hand[k, i]) / h.control.period_s
+            p.push_N[i] = 0.5 * (hand[k, 2 + i] + hand[k + 1, 2 + i])
+        plane_step(mechanism, law, h)
+        advance_plane(p, steps)
+        tip_force(p)
+        row = rows[k]
+        for i in range(2):
+            row[i], row[2 + i], row[4 + i], row[6 + i] = p.tip_m[i], p.tip_m_s[i], p.shown_N[i], p.hand_N[i]
+            row[8 + i], row[10 + i], row[13 + i] = p.brake_Nm[i], p.motor[i], p.v[i]
+        row[12] = h.state.stuck
+
+
+def new_plane_plant(rig: Rig, period_s: float) -> RecordArray[PlanePlantRecord]:
+    """Return the plant of a rig of two links at rest in its start, as an array of one record.
+
+    Raises
+    ------
+    RigError
+        the rig has no [plane], no [plant], or another mechanism than two links in series
+    """
+    kinematics, truth = rig.kinematics, None if rig.in_plane is None else rig.in_plane.plane
+    if kinematics is None or truth is None or kinematics.kind.strip() != "serial_2r":
+        raise RigError([f'{rig.path}: the rig {rig.name} has no [plane] with kinematics.kind = "serial_2r"'])
+    joints = [axis.simulation.plant for axis in rig.axes]
+    record = new_records(PlanePlantRecord)
+    p = record[0]
+    (m1, m2), (c1, c2), (i1, i2) = truth.link_mass_kg, truth.link_centre_m, truth.link_inertia_kg_m2
+    l1, l2 = kinematics.l1_m or 0.0, kinematics.l2_m or 0.0
+    p["h"], p["l1"], p["l2"] = joints[0].step_s, l1, l2
+    p["a2"] = i2 + m2 * c2**2 + truth.hand_mass_kg * l2**2
+    p["a3"] = p["a2"] + joints[1].inertia_kg_m2
+    p["a1"] = p["a2"] + i1 + m1 * c1**2 + (m2 + truth.hand_mass_kg) * l1**2 + joints[0].inertia_kg_m2
+    p["k"] = l1 * (m2 * c2 + truth.hand_mass_kg * l2)
+    p["viscous"] = [joint.viscous_Nms_rad for joint in joints]
+    p["inherent"] = [joint.coulomb_Nm + joint.brake_off_state_Nm for joint in joints]
+    p["stiffness"], p["damping"] = truth.hand_stiffness_N_m, truth.hand_damping_Ns_m
+    p["hand_kg"] = truth.hand_mass_kg
+    lags = (joints[0].motor_lag_s, joints[0].brake_coil_lag_s, joints[0].brake_fluid_lag_s)
+    decays = [math.exp(-joints[0].step_s / lag) if lag > 0.0 else 0.0 for lag in lags]
+    p["motor_decay"], p["coil_decay"], p["fluid_decay"] = decays
+    start = zip(kinematics.offsets_rad, kinematics.signs, kinematics.start_rad, strict=True)
+    p["angle"] = [offset + sign * q for offset, sign, q in start]
+    tip_force(p)
+    p["goal_m"] = p["tip_m"]
+    if abs(period_s / joints[0].step_s - round(period_s / joints[0].step_s)) > 1e-9:
+        raise RigError([f"{rig.path}: plant.step_s: expected a whole number of steps in a cycle of {period_s:g} s"])
+    return record
+
+
+def _new_host(rig: Rig, run: PlaneRun, law: PlaneLaw, mechanism: Mechanism) -> RecordArray[PlaneHostRecord]:
+    """Return the host's record of a rig: its beliefs, at the start."""
+    kinematics = rig.kinematics
+    assert kinematics is not None
+    record = new_records(PlaneHostRecord)
+    h = record[0]
+    h["mechanism"], h["law"] = mechanism.record[0], law.record()[0]
+    h["mode"], h["window_cycles"] = PLANE_MODES[run.mode], run.window_cycles
+    h["start_rad"], h["least_condition"] = kinematics.start_rad, kinematics.least_condition
+    h["count_rad"] = [2 * math.pi / (axis.motor.encoder_counts_rev * axis.mechanics.ratio) for axis in rig.axes]
+    c, modes = h["control"], [axis.mode[run.mode] for axis in rig.axes]
+    brakes = 0.0 if run.mode == "active" else 1.0
+    c["brake_limit_Nm"] = [brakes * axis.limits.brake_torque_Nm for axis in rig.axes]
+    c["motor_limit_Nm"] = [0.0 if run.mode == "passive" else mode.motor_limit_Nm for mode in modes]
+    c["friction_Nm"] = [axis.mechanics.friction_Nm for axis in rig.axes]
+    c["compensation"], c["period_s"] = modes[0].compensation, run.period_s
+    c["passivity_J"] = min(axis.limits.passivity_J for axis in rig.axes)
+    plant = rig.axes[0].simulation.plant
+    c["reversal_s"] = run.reversal_lags * (plant.brake_coil_lag_s + plant.brake_fluid_lag_s)
+    for name, lag in (("coil_step", plant.brake_coil_lag_s), ("fluid_step", plant.brake_fluid_lag_s)):
+        c[name] = 1.0 - math.exp(-run.period_s / lag) if run.models_lag and lag > 0.0 else 1.0
+    return record
+
+
+def circle(
+    centre_m: tuple[float, float], radius_m: float, frequency_Hz: float, seconds: float, period_s: float = 1e-3
+) -> npt.NDArray[np.float64]:
+    """Return goals on a circle, from its rightmost point on, at each cycle's begin and at the end [m]."""
+    phase = 2 * math.pi * frequency_Hz * period_s * np.arange(round(seconds / period_s) + 1)
+    return np.array(centre_m) + radius_m * np.stack((np.cos(phase), np.sin(phase)), axis=1)
+
+
+def simulate_plane(
+    rig: Rig, goal_m: npt.ArrayLike, run: PlaneRun | None = None, push_N: npt.ArrayLike = 0.0
+) -> PlaneCourse:
+    """Run a rig in the plane along a motion of the hand, without a bus.
+
+    Parameters
+    ----------
+    rig : with [kinematics] of two links in series, and [plane]
+    goal_m : where the hand wants to be at each cycle's begin and at the end, shape (cycles + 1, 2)
+    run : mode, law, cycle
+    push_N : the force of the hand's muscles beside its spring and damper, at the same instants
+
+    Raises
+    ------
+    RigError
+        the rig is not in the plane
+    """
+    run = PlaneRun() if run is None else run
+    plant = new_plane_plant(rig, run.period_s)
+    assert rig.kinematics is not None
+    mechanism = load_mechanism(rig.kinematics, rig.law_directory)
+    law = load_plane_law("plane_karnopp") if run.law is None else run.law
+    host, goals = _new_host(rig, run, law, mechanism), np.asarray(goal_m, np.float64)
+    hand = np.hstack((goals, np.broadcast_to(np.asarray(push_N, np.float64), goals.shape)))
+    rows = np.zeros((len(goals) - 1, len(COLUMNS)))
+    steps = round(run.period_s / plant[0]["h"])
+    before = _kinetic(plant[0])
+    _run(mechanism.function, law.function, host[0], plant[0], hand, steps, rows)
+    p = plant[0]
+    works = p["work_hand"] + sum(p[name].sum() for name in ("work_motor", "work_brake", "work_friction"))
+    residual = float(works - p["loss_viscous"] - (_kinetic(p) - before))
+    return PlaneCourse(run.period_s * np.arange(1, len(goals)), rows, host, plant, residual)
+
+
+def _kinetic(p: Any) -> float:
+    v1, v2 = p["v"]
+    m11, m12 = p["a1"] + 2 * p["k"] * math.cos(p["angle"][1]), p["a2"] + p["k"] * math.cos(p["angle"][1])
+    return float(0.5 * (m11 * v1**2 + 2 * m12 * v1 * v2 + p["a3"] * v2**2))

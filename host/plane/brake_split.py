@@ -1,0 +1,162 @@
+r"""A wanted force in the plane, shared out over the brakes and motors of two joints.
+
+The law wants :math:`\psi`; the hand is to feel :math:`F = -\psi`. At the joints that is
+:math:`\tau = J^T F`. A joint's own friction :math:`f_i` is a brake that is always on.
+
+In slip, with the sense :math:`s_i = \mathrm{sgn}\,\dot q_i`:
+
+.. math::
+
+    b_i &= \max(0, -\tau_i s_i - f_i) \\
+    \tau_{m,i} &= \tau_i + s_i (\hat b_i + f_i)
+
+:math:`\hat b_i` is what brake i gives by the host's model: the set-point behind the bus, the coil's lag
+and the fluid's. So the motors give what the brakes do not give, while these lag and where they would
+have to push. A joint that stands still while the other one moves has no sense: its motor has all.
+
+At rest, under the hand's force :math:`F_h` with the joint torques :math:`\tau_h = J^T F_h`:
+
+.. math::
+
+    b_i = |\tau_{h,i}| + (F_s - |F_h|)\,\|J_i\| - f_i \quad (|F_h| \le F_s), \qquad
+    b_i = |\tau_{h,i}|\,F_s/|F_h| - f_i \quad (|F_h| > F_s)
+
+A box in the joints' torques never cuts the disc :math:`|F_h| \le F_s`, because
+:math:`|J_i \cdot \Delta F| \le \|J_i\||\Delta F|`. At its edge both joints let go together.
+
+Three bounds hold whatever is wanted. No command exceeds its limit. A set-point is never negative. The
+motors' torques, with those that the brakes are expected to give, take up power: where a limit would
+make the whole active, the pushing torques are shortened until it takes none (``push_N``, the spring of a
+wall, is exempt). Where the motors have given more energy than the whole has taken up, and
+``passivity_J``, they push no more.
+
+    c : the `SplitControlRecord`      s : the `SplitStateRecord`      pose : a `PoseRecord`
+"""
+
+from __future__ import annotations
+
+import math
+
+from coulombus.host.plane.split_records import SplitControlRecord, SplitStateRecord
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import FloatField, Floats
+from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
+
+__all__ = ["expect_brakes", "hold", "observe", "slip"]
+
+FLUID_LEAD, COIL_LEAD = 3.0, 2.0
+"""How much sooner than by its lags a brake's torque comes to a level (`host.cycle.brake_model`)."""
+
+
+@kernel
+def _seen(c: SplitControlRecord, before: float, now: float) -> float:
+    """Return the coil's torque that the fluid follows in a cycle: the mean, or all of one without a lag."""
+    return now if c.coil_step >= 1.0 else 0.5 * (before + now)
+
+
+@kernel
+def _lead(c: SplitControlRecord, s: SplitStateRecord, joint: int, level_Nm: float) -> float:
+    """Return the set-point with which a brake comes to a level sooner than its lags let it."""
+    seen, wish = s.expected_Nm[joint], level_Nm
+    if c.fluid_step < 1.0:
+        wish = seen + FLUID_LEAD * (level_Nm - seen)
+    if c.coil_step < 1.0:
+        wish = s.coil_Nm[joint] + COIL_LEAD * (wish - s.coil_Nm[joint])
+    return min(max(wish, 0.0), c.brake_limit_Nm[joint])
+
+
+@kernel
+def expect_brakes(c: SplitControlRecord, s: SplitStateRecord) -> None:
+    """Step the brakes' expected torques along by a cycle; call it once a cycle, before `slip` or `hold`.
+
+    A set-point acts a cycle after it was sent, and so do the motors' commands: these are made for what the
+    brakes give by then.
+    """
+    for i in range(JOINTS):
+        before = s.coil_Nm[i]
+        s.coil_Nm[i] += c.coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
+        s.expected_Nm[i] += c.fluid_step * (_seen(c, before, s.coil_Nm[i]) - s.expected_Nm[i])
+        s.sent_Nm[i] = s.brake_Nm[i]
+        coil = s.coil_Nm[i] + c.coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
+        s.ahead_Nm[i] = s.expected_Nm[i] + c.fluid_step * (_seen(c, s.coil_Nm[i], coil) - s.expected_Nm[i])
+
+
+@kernel
+def observe(c: SplitControlRecord, s: SplitStateRecord, v_rad_s: FloatField) -> None:
+    """Add up the energies of the cycle that has passed: each motor's, and what the whole has taken up."""
+    for i in range(JOINTS):
+        given = s.motor_Nm[i] * v_rad_s[i] * c.period_s
+        s.motor_J[i] += given
+        s.taken_J += (s.expected_Nm[i] + c.friction_Nm[i]) * abs(v_rad_s[i]) * c.period_s - given
+
+
+@kernel
+def slip(
+    c: SplitControlRecord,
+    s: SplitStateRecord,
+    pose: PoseRecord,
+    psi_N: Floats,
+    push_N: Floats,
+    v_rad_s: FloatField,
+    rate_rad_s2: FloatField,
+) -> None:
+    """Set the commands for a moving tip.
+
+    Parameters
+    ----------
+    psi_N : the friction to be displayed, against the motion
+    push_N : the part of it that pushes back whatever the motion: the motors' alone
+    v_rad_s, rate_rad_s2 : the joints' speeds, and how these change
+    """
+    power = 0.0
+    pushing = 0.0
+    for i in range(JOINTS):
+        a, b = pose.jacobian[0, i], pose.jacobian[1, i]
+        push = -(a * push_N[0] + b * push_N[1])
+        torque = -(a * psi_N[0] + b * psi_N[1]) - push
+        v = v_rad_s[i]
+        sense = 1.0 if v > 0.0 else -1.0 if v < 0.0 else 0.0
+        part = 1.0
+        if c.motor_limit_Nm[i] > 0.0 and v * rate_rad_s2[i] < 0.0:
+            part = min(abs(v) / (c.reversal_s * abs(rate_rad_s2[i])), 1.0) if c.reversal_s > 0.0 else 1.0
+        level = max(-torque * sense - c.friction_Nm[i], 0.0) * part
+        s.brake_Nm[i] = min(level, c.brake_limit_Nm[i])
+        passive = -sense * (s.ahead_Nm[i] + c.friction_Nm[i])
+        most = max(c.motor_limit_Nm[i] - abs(push), 0.0)
+        rest = torque + sense * (s.ahead_Nm[i] + c.compensation * c.friction_Nm[i])
+        s.motor_Nm[i] = min(max(rest, -most), most)
+        power += (s.motor_Nm[i] + passive) * v
+        pushing += max(s.motor_Nm[i] * v, 0.0)
+    owed = s.motor_J[0] + s.motor_J[1] - max(s.taken_J, 0.0) > c.passivity_J
+    keep = 1.0
+    if pushing > 0.0 and (power > 0.0 or owed):
+        keep = 0.0 if owed else max(1.0 - power / pushing, 0.0)
+        s.withheld += 1
+    for i in range(JOINTS):
+        if s.motor_Nm[i] * v_rad_s[i] > 0.0:
+            s.motor_Nm[i] *= keep
+        push = -(pose.jacobian[0, i] * push_N[0] + pose.jacobian[1, i] * push_N[1])
+        s.motor_Nm[i] += min(max(push, -c.motor_limit_Nm[i]), c.motor_limit_Nm[i])
+
+
+@kernel
+def hold(c: SplitControlRecord, s: SplitStateRecord, pose: PoseRecord, level_N: float, hand_Nm: FloatField) -> None:
+    """Set the commands for a tip at rest, which the brakes hold up to a force of the hand.
+
+    Parameters
+    ----------
+    level_N : F_s, against the direction in which the hand pushes
+    hand_Nm : the hand's torques on the joints, by their transducers
+    """
+    a, b, d, e = pose.jacobian[0, 0], pose.jacobian[0, 1], pose.jacobian[1, 0], pose.jacobian[1, 1]
+    determinant = a * e - b * d
+    fx = (e * hand_Nm[0] - d * hand_Nm[1]) / determinant
+    fy = (a * hand_Nm[1] - b * hand_Nm[0]) / determinant
+    force = math.hypot(fx, fy)
+    spare = max(level_N - force, 0.0)
+    share = level_N / force if force > level_N else 1.0
+    for i in range(JOINTS):
+        length = math.hypot(pose.jacobian[0, i], pose.jacobian[1, i])
+        level = share * abs(hand_Nm[i]) + spare * length - c.friction_Nm[i]
+        s.brake_Nm[i] = _lead(c, s, i, min(max(level, 0.0), c.brake_limit_Nm[i]))
+        s.motor_Nm[i] = 0.0

@@ -1,0 +1,99 @@
+"""One cycle of friction in the plane: from encoders and transducers to the commands of brakes and motors.
+
+h : the `PlaneHostRecord`
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from coulombus.host.laws.plane.plane_law import (
+    PlaneLawFunction,
+    PlaneLawRecord,
+    PlaneMotionRecord,
+    PlaneStateRecord,
+)
+from coulombus.host.plane.brake_split import expect_brakes, hold, observe, slip
+from coulombus.host.plane.split_records import SplitControlRecord, SplitStateRecord
+from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import FloatField, IntegerField, Record
+from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismFunction, MechanismRecord, PoseRecord
+from coulombus.rigs.kinematics.pose_kernels import condition, locate
+
+__all__ = ["ACTIVE", "HYBRID", "PASSIVE", "TRACK", "PlaneHostRecord", "plane_step"]
+
+ACTIVE, PASSIVE, HYBRID = 0, 1, 2
+TRACK = 64
+"""Positions that the speeds can look back over."""
+
+
+class PlaneHostRecord(Record):
+    """A host of two joints: what it believes, measures and commands."""
+
+    mechanism: MechanismRecord
+    control: SplitControlRecord
+    law: PlaneLawRecord
+    mode: int
+    window_cycles: int  # cycles over which the joints' speeds are taken, at most TRACK // 2 - 1
+    count_rad: Annotated[FloatField, JOINTS]  # an encoder count at the joint
+    start_rad: Annotated[FloatField, JOINTS]  # the joints' angles at a count of 0
+    least_condition: float  # no force in a pose that is nearer to a singular one
+
+    counts: Annotated[IntegerField, JOINTS]  # encoders
+    hand_Nm: Annotated[FloatField, JOINTS]  # transducers: the hand's torques on the joints
+    track: Annotated[IntegerField, (TRACK, JOINTS)]  # counts of the last cycles
+    cycle: int
+    v_rad_s: Annotated[FloatField, JOINTS]
+    rate_rad_s2: Annotated[FloatField, JOINTS]  # change of the speeds, over two windows
+    pose: PoseRecord
+    motion: PlaneMotionRecord
+    state: PlaneStateRecord
+    split: SplitStateRecord
+    condition: float
+    outside: int  # cycles in a pose without force
+
+
+@kernel
+def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHostRecord) -> None:
+    """Do one cycle: measure, ask the law, share its force out."""
+    _measure(mechanism, h)
+    expect_brakes(h.control, h.split)
+    observe(h.control, h.split, h.v_rad_s)
+    fx, fy = law(h.motion, h.law, h.state)
+    h.state.psi_N[0], h.state.psi_N[1] = fx, fy
+    if not (h.condition >= h.least_condition and math.isfinite(fx) and math.isfinite(fy)):
+        h.outside += 1
+        for i in range(JOINTS):
+            h.split.brake_Nm[i] = h.split.motor_Nm[i] = 0.0
+    elif h.mode != ACTIVE and h.state.stuck == 1 and h.state.hold_N > 0.0:
+        hold(h.control, h.split, h.pose, h.state.hold_N, h.hand_Nm)
+    else:
+        slip(h.control, h.split, h.pose, h.state.psi_N, h.state.motor_N, h.v_rad_s, h.rate_rad_s2)
+
+
+@kernel
+def _measure(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
+    """Set pose, speeds and the law's view from the encoders' counts and the transducers."""
+    window = min(h.window_cycles, h.cycle)
+    for i in range(JOINTS):
+        moved = h.counts[i] - h.track[(h.cycle - window) % TRACK, i] if window > 0 else 0
+        h.v_rad_s[i] = moved * h.count_rad[i] / (window * h.control.period_s) if window > 0 else 0.0
+        h.rate_rad_s2[i] = 0.0
+        if 0 < window <= h.cycle // 2:
+            earlier = h.track[(h.cycle - window) % TRACK, i] - h.track[(h.cycle - 2 * window) % TRACK, i]
+            h.rate_rad_s2[i] = (moved - earlier) * h.count_rad[i] / (window * h.control.period_s) ** 2
+        h.track[h.cycle % TRACK, i] = h.counts[i]
+        h.pose.q_rad[i] = h.start_rad[i] + h.counts[i] * h.count_rad[i]
+    h.cycle += 1
+    locate(mechanism, h.mechanism, h.pose)
+    h.condition = condition(h.pose)
+    a, b, d, e = h.pose.jacobian[0, 0], h.pose.jacobian[0, 1], h.pose.jacobian[1, 0], h.pose.jacobian[1, 1]
+    determinant = a * e - b * d
+    motion = h.motion
+    motion.dt_s = h.control.period_s
+    motion.x_m[0], motion.x_m[1] = h.pose.x_m[0], h.pose.x_m[1]
+    motion.v_m_s[0] = a * h.v_rad_s[0] + b * h.v_rad_s[1]
+    motion.v_m_s[1] = d * h.v_rad_s[0] + e * h.v_rad_s[1]
+    motion.hand_N[0] = (e * h.hand_Nm[0] - d * h.hand_Nm[1]) / determinant
+    motion.hand_N[1] = (a * h.hand_Nm[1] - b * h.hand_Nm[0]) / determinant
