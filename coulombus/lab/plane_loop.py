@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.host.laws.plane.plane_laws import PlaneLaw, load_plane_law
 from coulombus.host.laws.plane.plane_law import PlaneLawFunction
+from coulombus.host.laws.plane.plane_laws import PlaneLaw, load_plane_law
 from coulombus.host.plane.plane_step import ACTIVE, HYBRID, PASSIVE, PlaneHostRecord, plane_step
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import Floats, RecordArray, new_records
@@ -125,7 +125,7 @@ def _run(
         brake = h.split.brake_Nm[0], h.split.brake_Nm[1]
         for i in range(2):
             q = h.mechanism.sign[i] * (p.angle[i] - h.mechanism.offset_rad[i])
-            h.counts[i] = int(math.floor((q - h.start_rad[i]) / h.count_rad[i] + 0.5))
+            h.counts[i] = math.floor((q - h.start_rad[i]) / h.count_rad[i] + 0.5)
             h.hand_Nm[i] = h.mechanism.sign[i] * p.transduced_Nm[i]
             p.motor_want[i] = h.mechanism.sign[i] * motor[i]
             p.brake_want[i] = brake[i]
@@ -194,6 +194,7 @@ def _new_host(rig: Rig, run: PlaneRun, law: PlaneLaw, mechanism: Mechanism) -> R
     c["brake_limit_Nm"] = [brakes * axis.limits.brake_torque_Nm for axis in rig.axes]
     c["motor_limit_Nm"] = [0.0 if run.mode == "passive" else mode.motor_limit_Nm for mode in modes]
     c["friction_Nm"] = [axis.mechanics.friction_Nm for axis in rig.axes]
+    c["lead_s"] = run.period_s * (0.5 * run.window_cycles + 1.5)
     c["compensation"], c["period_s"] = modes[0].compensation, run.period_s
     c["passivity_J"] = min(axis.limits.passivity_J for axis in rig.axes)
     plant = rig.axes[0].simulation.plant
@@ -242,7 +243,8 @@ def simulate_plane(
     p = plant[0]
     works = p["work_hand"] + sum(p[name].sum() for name in ("work_motor", "work_brake", "work_friction"))
     residual = float(works - p["loss_viscous"] - (_kinetic(p) - before))
-    return PlaneCourse(run.period_s * np.arange(1, len(goals)), rows, host, plant, residual)
+    t_s: npt.NDArray[np.float64] = run.period_s * np.arange(1, len(goals), dtype=np.float64)
+    return PlaneCourse(t_s, rows, host, plant, residual)
 
 
 def _kinetic(p: Any) -> float:

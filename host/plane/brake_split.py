@@ -7,12 +7,16 @@ In slip, with the sense :math:`s_i = \mathrm{sgn}\,\dot q_i`:
 
 .. math::
 
-    b_i &= \max(0, -\tau_i s_i - f_i) \\
-    \tau_{m,i} &= \tau_i + s_i (\hat b_i + f_i)
+    b_i &= \max(0, -\tau_i s_i - f_i)\,\min\left(1, \frac{|\dot q_i|}{T_r |\ddot q_i|}\right) \\
+    \tau_{m,i} &= \tau_i + \hat s_i (\hat b_i + f_i)
 
 :math:`\hat b_i` is what brake i gives by the host's model: the set-point behind the bus, the coil's lag
 and the fluid's. So the motors give what the brakes do not give, while these lag and where they would
-have to push. A joint that stands still while the other one moves has no sense: its motor has all.
+have to push. The second factor is below 1 only for a joint that comes to rest within :math:`T_r`: its
+brake lets go before, because a brake that lags behind a reversal pulls the other way.
+:math:`\hat s_i` is the sense when the commands act, :math:`\mathrm{sgn}(\dot q_i + \ddot q_i T_l)`: the
+measured speed is some milliseconds old. A joint that stands still while the other one moves has no sense:
+its motor has all. Without motors (passive) the second factor is 1.
 
 At rest, under the hand's force :math:`F_h` with the joint torques :math:`\tau_h = J^T F_h`:
 
@@ -55,6 +59,12 @@ def _seen(c: SplitControlRecord, before: float, now: float) -> float:
 
 
 @kernel
+def _sense(v_rad_s: float) -> float:
+    """Return the sense of a speed: 1, -1, or 0 at rest."""
+    return 1.0 if v_rad_s > 0.0 else -1.0 if v_rad_s < 0.0 else 0.0
+
+
+@kernel
 def _lead(c: SplitControlRecord, s: SplitStateRecord, joint: int, level_Nm: float) -> float:
     """Return the set-point with which a brake comes to a level sooner than its lags let it."""
     seen, wish = s.expected_Nm[joint], level_Nm
@@ -67,7 +77,8 @@ def _lead(c: SplitControlRecord, s: SplitStateRecord, joint: int, level_Nm: floa
 
 @kernel
 def expect_brakes(c: SplitControlRecord, s: SplitStateRecord) -> None:
-    """Step the brakes' expected torques along by a cycle; call it once a cycle, before `slip` or `hold`.
+    """Step the brakes' expected torques along by a cycle; call it once a cycle, before
+    `slip` or `hold`.
 
     A set-point acts a cycle after it was sent, and so do the motors' commands: these are made for what the
     brakes give by then.
@@ -76,16 +87,19 @@ def expect_brakes(c: SplitControlRecord, s: SplitStateRecord) -> None:
         before = s.coil_Nm[i]
         s.coil_Nm[i] += c.coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
         s.expected_Nm[i] += c.fluid_step * (_seen(c, before, s.coil_Nm[i]) - s.expected_Nm[i])
-        s.sent_Nm[i] = s.brake_Nm[i]
+        s.sent_Nm[i], s.motor_sent_Nm[i] = s.brake_Nm[i], s.motor_Nm[i]
         coil = s.coil_Nm[i] + c.coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
         s.ahead_Nm[i] = s.expected_Nm[i] + c.fluid_step * (_seen(c, s.coil_Nm[i], coil) - s.expected_Nm[i])
 
 
 @kernel
 def observe(c: SplitControlRecord, s: SplitStateRecord, v_rad_s: FloatField) -> None:
-    """Add up the energies of the cycle that has passed: each motor's, and what the whole has taken up."""
+    """Add up the energies of the cycle that has passed: each motor's, and what the whole has taken up.
+
+    Call it once a cycle, before `expect_brakes`.
+    """
     for i in range(JOINTS):
-        given = s.motor_Nm[i] * v_rad_s[i] * c.period_s
+        given = s.motor_sent_Nm[i] * v_rad_s[i] * c.period_s
         s.motor_J[i] += given
         s.taken_J += (s.expected_Nm[i] + c.friction_Nm[i]) * abs(v_rad_s[i]) * c.period_s - given
 
@@ -115,28 +129,41 @@ def slip(
         push = -(a * push_N[0] + b * push_N[1])
         torque = -(a * psi_N[0] + b * psi_N[1]) - push
         v = v_rad_s[i]
-        sense = 1.0 if v > 0.0 else -1.0 if v < 0.0 else 0.0
-        part = 1.0
-        if c.motor_limit_Nm[i] > 0.0 and v * rate_rad_s2[i] < 0.0:
-            part = min(abs(v) / (c.reversal_s * abs(rate_rad_s2[i])), 1.0) if c.reversal_s > 0.0 else 1.0
+        sense = _sense(v)
+        soon = _sense(v + rate_rad_s2[i] * c.lead_s)
+        part, soonest = 1.0, c.reversal_s * abs(rate_rad_s2[i])
+        if c.motor_limit_Nm[i] > 0.0 and v * rate_rad_s2[i] < 0.0 and abs(v) < soonest:
+            part = abs(v) / soonest
         level = max(-torque * sense - c.friction_Nm[i], 0.0) * part
         s.brake_Nm[i] = min(level, c.brake_limit_Nm[i])
         passive = -sense * (s.ahead_Nm[i] + c.friction_Nm[i])
         most = max(c.motor_limit_Nm[i] - abs(push), 0.0)
-        rest = torque + sense * (s.ahead_Nm[i] + c.compensation * c.friction_Nm[i])
+        rest = torque + soon * (s.ahead_Nm[i] + c.compensation * c.friction_Nm[i])
         s.motor_Nm[i] = min(max(rest, -most), most)
         power += (s.motor_Nm[i] + passive) * v
         pushing += max(s.motor_Nm[i] * v, 0.0)
-    owed = s.motor_J[0] + s.motor_J[1] - max(s.taken_J, 0.0) > c.passivity_J
-    keep = 1.0
-    if pushing > 0.0 and (power > 0.0 or owed):
-        keep = 0.0 if owed else max(1.0 - power / pushing, 0.0)
-        s.withheld += 1
+    keep = _kept_share(c, s, power, pushing)
     for i in range(JOINTS):
         if s.motor_Nm[i] * v_rad_s[i] > 0.0:
             s.motor_Nm[i] *= keep
         push = -(pose.jacobian[0, i] * push_N[0] + pose.jacobian[1, i] * push_N[1])
         s.motor_Nm[i] += min(max(push, -c.motor_limit_Nm[i]), c.motor_limit_Nm[i])
+
+
+@kernel
+def _kept_share(c: SplitControlRecord, s: SplitStateRecord, power: float, pushing: float) -> float:
+    """Return which share of the pushing torques is left, for the whole to take up power.
+
+    Parameters
+    ----------
+    power : of motors, brakes and friction on the joints [W]
+    pushing : the part of it that motors give to the motion [W]
+    """
+    owed = s.motor_J[0] + s.motor_J[1] - max(s.taken_J, 0.0) > c.passivity_J
+    if pushing <= 0.0 or not (power > 0.0 or owed):
+        return 1.0
+    s.withheld += 1
+    return 0.0 if owed else max(1.0 - power / pushing, 0.0)
 
 
 @kernel

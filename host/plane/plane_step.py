@@ -58,8 +58,8 @@ class PlaneHostRecord(Record):
 def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHostRecord) -> None:
     """Do one cycle: measure, ask the law, share its force out."""
     _measure(mechanism, h)
-    expect_brakes(h.control, h.split)
     observe(h.control, h.split, h.v_rad_s)
+    expect_brakes(h.control, h.split)
     fx, fy = law(h.motion, h.law, h.state)
     h.state.psi_N[0], h.state.psi_N[1] = fx, fy
     if not (h.condition >= h.least_condition and math.isfinite(fx) and math.isfinite(fy)):

@@ -20,6 +20,7 @@ class SplitControlRecord(Record):
     coil_step: float  # 1 - exp(-period / coil lag), 1 without a lag
     fluid_step: float  # 1 - exp(-period / fluid lag), 1 without a lag
     reversal_s: float  # a joint that comes to rest within this time lets its brake go before
+    lead_s: float  # from the instant that the measured speeds are of to that when the commands act
     period_s: float
     passivity_J: float  # energy that the motors may have given more than the whole has taken up
 
@@ -30,6 +31,7 @@ class SplitStateRecord(Record):
     brake_Nm: Annotated[FloatField, JOINTS]  # set-points of the brakes, >= 0
     motor_Nm: Annotated[FloatField, JOINTS]  # torques of the motors
     sent_Nm: Annotated[FloatField, JOINTS]  # set-points of the cycle before, which act now
+    motor_sent_Nm: Annotated[FloatField, JOINTS]  # and the motors' torques
     coil_Nm: Annotated[FloatField, JOINTS]  # behind the coil's lag
     expected_Nm: Annotated[FloatField, JOINTS]  # behind the fluid's lag, too: what the brake can bear now
     ahead_Nm: Annotated[FloatField, JOINTS]  # what it can bear when the next commands act

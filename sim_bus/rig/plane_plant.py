@@ -67,9 +67,11 @@ def _torques(p: PlanePlantRecord, dt: float, w1: float, w2: float) -> None:
     for i in range(2):
         place = x1 + x2 if i == 0 else y1 + y2
         speed = vx if i == 0 else vy
-        p.hand_N[i] = p.stiffness[i] * (p.goal_m[i] + t * p.goal_m_s[i] - place) + p.damping[i] * (
-            p.goal_m_s[i] - speed
-        ) + p.push_N[i]
+        p.hand_N[i] = (
+            p.stiffness[i] * (p.goal_m[i] + t * p.goal_m_s[i] - place)
+            + p.damping[i] * (p.goal_m_s[i] - speed)
+            + p.push_N[i]
+        )
     p.hand_Nm[0] = -(y1 + y2) * p.hand_N[0] + (x1 + x2) * p.hand_N[1]
     p.hand_Nm[1] = -y2 * p.hand_N[0] + x2 * p.hand_N[1]
 
