@@ -111,7 +111,7 @@ def test_options_named_alone_exist(name):
 def test_rig_keys_of_set_are_accepted(name):
     """`--set KEY=VALUE` in a document loads; paths of laws are shortened to a law that exists."""
     for line in commands(text_of(name)):
-        rig = re.search(r"--rig (bench|paper)\b", line)
+        rig = re.search(r"--rig (bench|paper|plane)\b", line)
         if "my-rig.toml" in line:
             continue
         for override in re.findall(r"--set (\S+)", line):

@@ -16,6 +16,7 @@ import pytest
 
 from bench_recording import record
 from coulombus.host.laws.law import Field, LawRecord, MotionRecord, Parameters, declaration_of, friction_law
+from coulombus.host.laws.plane.plane_law import plane_law
 from coulombus.kernels import records
 from coulombus.lab.study.study import read_study
 from coulombus.lab.sweep.sweep_file import read_sweep
@@ -96,6 +97,11 @@ def of_a_law(names):
     assert (law.name, law.names, law.state) == ("my_law", ("F_c_Nm",), (("z_rad", 1),))
 
 
+def of_a_law_in_the_plane(names):
+    law = declaration_of(names["my_law"])
+    assert (law.name, law.names, law.state) == ("my_law", ("F_c_N",), ())
+
+
 def of_a_plain_law(names):
     motion, law, state = records.new_records(MotionRecord)[0], records.new_records(LawRecord)[0], SimpleNamespace()
     motion.v_rad_s, law.F_d = -0.1, 2.0
@@ -115,6 +121,10 @@ RUN = {
     "host/laws/law.py": (
         lambda: {"Parameters": Parameters, "Field": Field, "friction_law": friction_law, "math": math},
         of_a_law,
+    ),
+    "host/laws/plane/plane_law.py": (
+        lambda: {"Parameters": Parameters, "Field": Field, "plane_law": plane_law, "math": math},
+        of_a_law_in_the_plane,
     ),
     "sim_bus/network/network.py": (dict, of_the_network),
 }

@@ -3,6 +3,8 @@ r"""Friction in the plane without a bus: host and plant in one compiled loop, a 
 The loop stands in for the bus: what the encoders and transducers tell at the begin of a cycle goes to the
 host, and its commands act from the begin of the next cycle on. Encoders count, transducers are exact. The
 host is `host.plane.plane_step`, the plant `sim_bus.rig.plane_plant`.
+
+    h : the `PlaneHostRecord`      p : the `PlanePlantRecord`
 """
 
 from __future__ import annotations
@@ -117,8 +119,6 @@ def _run(
 ) -> None:
     """Run `len(rows)` cycles of `steps` of the plant's steps; ``hand`` has the hand's goal [m] and its muscles' force
     [N] at each begin and at the end.
-
-    h : the host, p : the plant
     """
     for k in range(len(rows)):
         motor = h.split.motor_Nm[0], h.split.motor_Nm[1]

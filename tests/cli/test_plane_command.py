@@ -50,7 +50,9 @@ def test_a_singular_pose_has_no_bound_of_the_motors():
 
 
 def test_the_map_has_the_allowed_poses_alone():
-    found = json.loads(analyse("--rig", "plane", "--grid", "12", "--set", "kinematics.x_m=[0.0, 0.3]", "--json").stdout)["map"]
+    found = json.loads(
+        analyse("--rig", "plane", "--grid", "12", "--set", "kinematics.x_m=[0.0, 0.3]", "--json").stdout
+    )["map"]
     assert 0 < found["allowed"] == len(found["rows"]) < found["tried"] == 144
     assert all(row["condition"] >= 0.15 and 0 <= row["x_m"][0] <= 0.3 for row in found["rows"])
     assert found["ranges"]["share_wrong"]["most"] == max(row["share_wrong"] for row in found["rows"])

@@ -21,6 +21,7 @@ INTERNAL = {
     "CannotRead": "a check of the doctor makes a finding of it",
     "CaseFailed": "ends a case of the conformance test, which makes a verdict of it",
     "Failure": "what the command line makes of each error: its text and its exit status",
+    "MechanismMistake": "the reader of a rig file makes a RigError of it, with the file's line",
     "NoRegularFile": "an OSError of a file as any: told with the file's name and what is wrong",
     "NotApplicable": "ends a case of the conformance test, which makes a verdict of it",
     "SdoAbort": "the device answers the client with its code",
