@@ -54,9 +54,16 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
 @click.option(
     "--friction",
     "friction_N",
-    type=click.FloatRange(0.0, 1e6, min_open=True),
+    type=click.FloatRange(0.0, 1e4, min_open=True),
     metavar="N",
-    help="Friction of the picture.  [default: the largest of hybrid]",
+    help="Friction of picture and circle.  [default: the largest of hybrid; 3 N]",
+)
+@click.option(
+    "--circle",
+    "circle_Hz",
+    type=click.FloatRange(0.05, 5.0),
+    metavar="HZ",
+    help="Simulate a hand that draws a circle about the start, without a bus, in each mode.",
 )
 @click.option("--picture", type=PICTURE, metavar="F.png", help="Draw the first pose there.")
 @force_option
@@ -70,6 +77,7 @@ def plane(**options: Any) -> None:
       coulombus analyse plane --rig plane
       coulombus analyse plane --rig plane --pose 0,90 --pose 0,60 --json
       coulombus analyse plane --rig plane --pose 0,60 --picture plane.png
+      coulombus analyse plane --rig plane --circle 0.5
     """
     with errors():
         from coulombus.analysis.rig.plane_display import plane_display
@@ -79,7 +87,16 @@ def plane(**options: Any) -> None:
         result = plane_display(rig, options["poses"], options["grid"])
         if options["picture"] is not None:
             _draw(result, options["friction_N"], options["picture"], overwrite=options["overwrite"])
-        tell(options["as_json"], result.as_dict, result.lines)
+        drawn = None
+        if options["circle_Hz"] is not None:
+            from coulombus.analysis.rig.plane_circle import circle_study
+
+            drawn = circle_study(rig, options["circle_Hz"], options["friction_N"] or 3.0)
+        tell(
+            options["as_json"],
+            lambda: result.as_dict() | {"circle": drawn},
+            lambda: result.lines() + ([] if drawn is None else drawn.lines()),
+        )
 
 
 def _draw(result: Any, friction_N: float | None, picture: Path, *, overwrite: bool) -> None:

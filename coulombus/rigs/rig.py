@@ -37,6 +37,10 @@ from coulombus.rigs.toml_lines import Table, read_toml
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
 
+UNCOUPLED = "run, sim and simulate drive each joint by its own law, and simulate it alone (docs/plane.md)"
+"""What is not done yet with the joints of a mechanism."""
+
+
 @dataclass(frozen=True)
 class RigNode:
     """One device of a rig: "motor", "brake" or a sensor's name, with its axis before it ("x.motor")
@@ -420,5 +424,7 @@ def _load(
     origin = Origin(path, text, tuple(overrides), attached, law_named)
     axes = tuple(part.axis(name, origin) for name, part in zip(own_values, parts, strict=True))
     warnings = [text for name, own in own_values.items() for text in remarks(own, sources[name])]
+    if in_plane is not None:
+        warnings.append(f"{source.where(('kinematics',))[1]}: kinematics: {UNCOUPLED}")
     spelled = "" if named is None else _spelled(axes[0].rig.name, values)
     return Rig(axes, origin, tuple(dict.fromkeys(warnings)), in_plane, spelled)

@@ -71,6 +71,20 @@ def test_the_picture_is_drawn_and_not_replaced(tmp_path):
     assert analyse("--rig", "plane", "--grid", "2", "--picture", path).exit_code == 2
 
 
+@pytest.mark.slow
+def test_a_circle_is_drawn_in_each_mode():
+    result = analyse("--rig", "plane", "--grid", "2", "--circle", "1", "--friction", "2.5", "--json")
+    circle = json.loads(result.stdout)["circle"]
+    assert (circle["frequency_Hz"], circle["friction_N"]) == (1.0, 2.5)
+    assert list(circle["modes"]) == ["hybrid", "passive", "active"]
+    hybrid, passive, active = circle["modes"].values()
+    assert hybrid["median_deg"] < 2.0 < passive["median_deg"]
+    assert hybrid["median_N"] == pytest.approx(2.5, rel=0.03)
+    assert passive["motor_work_J"] == 0.0 > active["motor_work_J"]
+    text = analyse("--rig", "plane", "--grid", "2", "--circle", "1", "--friction", "2.5").stdout
+    assert f"hybrid {hybrid['median_deg']:7.1f} deg ({hybrid['p95_deg']:.1f})" in text
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
@@ -80,6 +94,7 @@ def test_the_picture_is_drawn_and_not_replaced(tmp_path):
         (["--rig", "plane", "--pose", "nan,1"], 2, "expected two angles"),
         (["--rig", "plane", "--set", "kinematics.l1_m=0"], 3, "kinematics.l1_m"),
         (["--rig", "plane", "--grid", "1"], 2, "--grid"),
+        (["--rig", "plane", "--circle", "0"], 2, "--circle"),
         (["--rig", "plane", "--pose", "0,0", "--picture", "x.png"], 3, "singular"),
     ],
 )

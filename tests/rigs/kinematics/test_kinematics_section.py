@@ -7,8 +7,11 @@ import pickle
 import numpy as np
 import pytest
 
+from coulombus.rigs.field_help import accepted_range, fields_of, unit_of
+from coulombus.rigs.kinematics.kinematics_section import Kinematics, PlanePlant
 from coulombus.rigs.kinematics.load_mechanism import load_mechanism
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text, packaged_rig
+from places import ROOT
 
 MECHANISM = """
 import math
@@ -212,3 +215,22 @@ def test_a_recordings_mechanism_is_not_run(tmp_path):
     assert attached.kinematics.kind == "arm.py:arm"
     with pytest.raises(RigError, match="cannot be imported"):
         load_rig_text(text, str(tmp_path / "x.toml"), rig.eds_texts)
+
+
+@pytest.mark.parametrize(("heading", "model"), [("`[kinematics]`", Kinematics), ("`[plane]`", PlanePlant)])
+def test_every_key_is_documented(heading, model):
+    page = (ROOT / "docs" / "rig-file.md").read_text(encoding="utf-8")
+    part = next(part for part in page.split("\n## ") if part.splitlines()[0].endswith(heading))
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in part.splitlines() if row.startswith("| `")]
+    assert [row[0].strip("`") for row in rows] == list(fields_of(model))
+    for (_, unit, accepted, _, meaning), (name, info) in zip(rows, fields_of(model).items(), strict=True):
+        assert unit == unit_of(name)
+        assert accepted == accepted_range(info) or not accepted_range(info)
+        assert len(meaning) > 8
+
+
+def test_a_rig_in_the_plane_says_what_is_not_coupled_yet():
+    (text,) = load_rig("plane").warnings
+    assert "plane.toml:" in text
+    assert "each joint by its own law" in text
+    assert load_rig("two_axes").warnings == ()
