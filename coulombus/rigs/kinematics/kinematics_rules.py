@@ -20,8 +20,8 @@ __all__ = ["PLANE_SECTIONS", "PlaneSections", "check_kinematics", "read_plane"]
 
 PLANE_SECTIONS = frozenset(("kinematics", "plane"))
 """The sections that belong to all axes together, as the joints of one mechanism."""
-SINGULAR = 0.02
-"""A start with less of the Jacobian's condition is singular, an elbow of 5 degrees. Whether a pose is far enough
+SINGULAR = 0.005
+"""A start with less of the Jacobian's condition is singular, an elbow of 1.4 degrees where both links are equal. Whether a pose is far enough
 from that for a display is kinematics.least_condition's.
 """
 

@@ -134,7 +134,7 @@ def test_joints_that_are_missing_or_too_many_are_refused(tmp_path, axes, words):
     [
         ("kinematics.start_rad=[0.3, 0.0]", "not singular"),
         ("kinematics.start_rad=[0.3, 3.141592653589793]", "not singular"),
-        ("kinematics.start_rad=[0.3, -0.05]", "condition is 0.01"),
+        ("kinematics.start_rad=[0.3, -0.02]", "condition is 0.004"),
         ("kinematics.y_m=[0.3, -0.3]", "two numbers that grow"),
         ("kinematics.signs=[1, 2]", "each 1 or -1"),
         ("kinematics.signs=[1]", "each 1 or -1"),
