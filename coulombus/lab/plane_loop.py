@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from coulombus.host.laws.plane.plane_law import PlaneLawFunction
 from coulombus.host.laws.plane.plane_laws import PlaneLaw, load_plane_law
-from coulombus.host.plane.plane_step import ACTIVE, HYBRID, PASSIVE, PlaneHostRecord, plane_step
+from coulombus.host.plane.plane_step import ACTIVE, HYBRID, PASSIVE, TRACK, PlaneHostRecord, plane_step
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import Floats, RecordArray, new_records
 from coulombus.rigs.errors import RigError
@@ -49,6 +49,7 @@ class PlaneRun:
     law : the law in the plane
     period_s : the cycle
     window_cycles : cycles over which the joints' speeds are taken
+    turn_s : time over which the change of the speeds is taken, to foresee the tip's direction; 0: it is not
     models_lag : whether the host knows the lags of the brakes
     reversal_lags : a joint that comes to rest within so many of its brake's lags has its brake let go before
     """
@@ -57,6 +58,7 @@ class PlaneRun:
     law: PlaneLaw | None = None
     period_s: float = 1e-3
     window_cycles: int = 6
+    turn_s: float = 0.024
     models_lag: bool = True
     reversal_lags: float = 4.0
 
@@ -187,6 +189,7 @@ def _new_host(rig: Rig, run: PlaneRun, law: PlaneLaw, mechanism: Mechanism) -> R
     h = record[0]
     h["mechanism"], h["law"] = mechanism.record[0], law.record()[0]
     h["mode"], h["window_cycles"] = PLANE_MODES[run.mode], run.window_cycles
+    h["turn_cycles"] = min(round(run.turn_s / run.period_s), TRACK - run.window_cycles - 1)
     h["start_rad"], h["least_condition"] = kinematics.start_rad, kinematics.least_condition
     h["count_rad"] = [2 * math.pi / (axis.motor.encoder_counts_rev * axis.mechanics.ratio) for axis in rig.axes]
     c, modes = h["control"], [axis.mode[run.mode] for axis in rig.axes]

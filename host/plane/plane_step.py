@@ -36,6 +36,7 @@ class PlaneHostRecord(Record):
     law: PlaneLawRecord
     mode: int
     window_cycles: int  # cycles over which the joints' speeds are taken, at most TRACK // 2 - 1
+    turn_cycles: int  # cycles over which the speeds' change is taken for the law; with the window below TRACK
     count_rad: Annotated[FloatField, JOINTS]  # an encoder count at the joint
     start_rad: Annotated[FloatField, JOINTS]  # the joints' angles at a count of 0
     least_condition: float  # no force in a pose that is nearer to a singular one
@@ -85,7 +86,6 @@ def _measure(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
             h.rate_rad_s2[i] = (moved - earlier) * h.count_rad[i] / (window * h.control.period_s) ** 2
         h.track[h.cycle % TRACK, i] = h.counts[i]
         h.pose.q_rad[i] = h.start_rad[i] + h.counts[i] * h.count_rad[i]
-    h.cycle += 1
     locate(mechanism, h.mechanism, h.pose)
     h.condition = condition(h.pose)
     a, b, d, e = h.pose.jacobian[0, 0], h.pose.jacobian[0, 1], h.pose.jacobian[1, 0], h.pose.jacobian[1, 1]
@@ -93,7 +93,22 @@ def _measure(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
     motion = h.motion
     motion.dt_s = h.control.period_s
     motion.x_m[0], motion.x_m[1] = h.pose.x_m[0], h.pose.x_m[1]
-    motion.v_m_s[0] = a * h.v_rad_s[0] + b * h.v_rad_s[1]
-    motion.v_m_s[1] = d * h.v_rad_s[0] + e * h.v_rad_s[1]
+    v1, v2 = _soon(h, 0), _soon(h, 1)
+    motion.v_m_s[0], motion.v_m_s[1] = a * v1 + b * v2, d * v1 + e * v2
     motion.hand_N[0] = (e * h.hand_Nm[0] - d * h.hand_Nm[1]) / determinant
     motion.hand_N[1] = (a * h.hand_Nm[1] - b * h.hand_Nm[0]) / determinant
+    h.cycle += 1
+
+
+@kernel
+def _soon(h: PlaneHostRecord, joint: int) -> float:
+    """Return a joint's speed when the commands act: the measured one, and its change over ``turn_cycles``.
+
+    The change over so many cycles has little of the encoder's counts, and follows a turning motion.
+    """
+    v, window, back = h.v_rad_s[joint], h.window_cycles, h.turn_cycles
+    if back <= 0 or h.cycle < back + window or v == 0.0:
+        return v
+    moved = h.track[(h.cycle - back) % TRACK, joint] - h.track[(h.cycle - back - window) % TRACK, joint]
+    earlier = moved * h.count_rad[joint] / (window * h.control.period_s)
+    return v + (v - earlier) * h.control.lead_s / (back * h.control.period_s)
