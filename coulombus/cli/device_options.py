@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DeviceOptions",
     "LiveLine",
-    "NodeId",
+    "NodeArgument",
     "beside_option",
     "device_options",
     "devices_bus_option",
@@ -67,7 +67,7 @@ rig_option = click.option(
 )
 
 
-class NodeId(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
     """A node id, or the name of a node in the rig of --rig or COULOMBUS_RIG."""
 
     name = "node"
@@ -92,7 +92,7 @@ class NodeId(click.ParamType):  # type: ignore[type-arg]  # generic to some vers
         return ids[text]
 
 
-node_argument = click.argument("node_id", type=NodeId(), metavar="NODE")
+node_argument = click.argument("node_id", type=NodeArgument(), metavar="NODE")
 timeout_option = click.option(
     "--timeout",
     "timeout_s",

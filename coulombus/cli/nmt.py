@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from coulombus.cli.common import json_option, say, verdict
-from coulombus.cli.device_options import NodeId, beside_option, devices_bus_option, open_link, waiting_option
+from coulombus.cli.device_options import NodeArgument, beside_option, devices_bus_option, open_link, waiting_option
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.tables import echo
 
@@ -17,8 +17,8 @@ WORDS = ("start", "stop", "preop", "reset", "reset-communication")
 MISSING = 5
 
 
-class NodeOrAll(NodeId):
-    """A node as `NodeId` takes it, or "all"."""
+class NodeOrAll(NodeArgument):
+    """A node as `NodeArgument` takes it, or "all"."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Return the node id, 0 for all."""

@@ -56,8 +56,10 @@ LISTEN_S = 1.0
 """How long a host is listened for, before it counts as alone on its bus."""
 LEAD_NS = 20_000_000
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
-HAND_TIMEOUT_S = 30.0
-STUCK_S = 2.0  # a data plane that does not cycle for so long stands still
+HAND_TIMEOUT_S, STUCK_S = (
+    30.0,
+    2.0,
+)  # how long a hand is waited for; a data plane that does not cycle for so long stands still
 
 
 class RealCourse(Course):
@@ -79,9 +81,8 @@ class RealCourse(Course):
         self.rig, self.address, self.signals = rig, address, signals
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
-        controllers = Controllers(rig, mode)
-        show = None if progress is None else lambda t: progress(t, [axis_state(axis) for axis in controllers])
-        super().__init__(controllers, outputs.record, show)
+        self._show = progress
+        super().__init__(Controllers(rig, mode), outputs.record, None)
         self.error: str | None = None  # of this process, while the rig was armed
         self._fate = ""  # of a data plane that cycles no more
         self.stopped_by: str | None = None
@@ -308,9 +309,9 @@ class RealCourse(Course):
             self.mark(t_ns, text)
             say(f"coulombus: {text}" if self.recorder is not None else f"coulombus: {text}: nothing is recorded")
         enabled = self.enabled_ns
-        if enabled is not None and self.progress is not None:
+        if enabled is not None and self._show is not None:
             with suppress(OSError):  # of a terminal that was closed
-                self.progress((time.monotonic_ns() - enabled) * 1e-9)
+                self._show((time.monotonic_ns() - enabled) * 1e-9, [axis_state(axis) for axis in self.k])
         self.drain(seen_ns)
         self.answers.tell(seen_ns)
         with suppress(BusUnavailable):  # the data plane notices
