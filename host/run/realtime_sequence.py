@@ -56,10 +56,7 @@ LISTEN_S = 1.0
 """How long a host is listened for, before it counts as alone on its bus."""
 LEAD_NS = 20_000_000
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
-HAND_TIMEOUT_S, STUCK_S = (
-    30.0,
-    2.0,
-)  # how long a hand is waited for; a data plane that does not cycle for so long stands still
+HAND_TIMEOUT_S, STUCK_S = 30.0, 2.0  # until a hand is there; without a cycle of the data plane
 
 
 class RealCourse(Course):
