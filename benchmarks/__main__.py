@@ -1,7 +1,8 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
 ``python -m benchmarks WHAT`` with one of `virtual`, `first`, `bus`, `nodes`, `eds`, `exports`,
-`clients`, `network`, `page`, `detail`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`;
+`clients`, `network`, `page`, `detail`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`,
+`coverage` (how often the intervals of commissioning hold the truth);
 real time is `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a
@@ -204,6 +205,7 @@ def main() -> None:
             "disturbed",
             "faulty",
             "observers",
+            "coverage",
         ),
         default="all",
     )
@@ -213,6 +215,8 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=0.0, help="of bus time in one run, in virtual time")
     parser.add_argument("--observers", type=int, default=200, help="of each method and kind")
     parser.add_argument("--document", type=Path, help="write the table of the observers there, between its marks")
+    parser.add_argument("--rigs", type=int, default=10, help="random rigs that are commissioned")
+    parser.add_argument("--seed", type=int, default=1, help="of the random rigs")
     parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")
     parser.add_argument("--smallest", action="store_true", help="as little as shows that it runs; no figure means much")
     options = parser.parse_args()
@@ -248,6 +252,10 @@ def main() -> None:
         clients(show)
     if options.what == "bits":
         million_frames()
+    if options.what in ("all", "coverage"):
+        from benchmarks.coverage import coverage
+
+        coverage(options.rigs, options.seed)
     if options.what == "loss":
         from benchmarks.loss import loss
 

@@ -48,6 +48,8 @@ class Given:
     """Torque of a known weight on an arm of known length at the handle, in its positive sense."""
     marks_rad: float | None = None
     """Angle between two marks at the handle."""
+    marks_reach_rad: float = 0.002
+    """Half of the 95 % interval of that angle, as the hand sets it."""
 
 
 @dataclass(frozen=True)

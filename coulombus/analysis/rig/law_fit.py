@@ -36,7 +36,7 @@ from scipy.stats import t as student
 from coulombus.host.laws.along import GivenLaw, given_law
 from coulombus.host.laws.law import Declaration
 from coulombus.host.laws.laws import LawError
-from coulombus.recording.friction.friction_fit import Estimate
+from coulombus.recording.friction.regression import Estimate
 from coulombus.recording.friction.sliding import IdentifyError, stretches
 from coulombus.recording.signals import Source
 from coulombus.rigs.field_help import unit_of

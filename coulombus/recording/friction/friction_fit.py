@@ -1,15 +1,9 @@
 r"""The regression of `recording.friction.identify`: coefficients, honest intervals, and whether the
 data bear Stribeck's term.
 
-The encoder's quantisation makes v and a wrong by a known variance, which would shrink their
-coefficients: it is taken off the normal equations (W. A. Fuller, Measurement Error Models, 1987,
-section 2.2).
-
-Equations of neighbours share samples, the sensors' quantisation and whatever the model leaves out.
-So the covariance is that of clusters: a slide, or each `CLUSTER_EQUATIONS` of a long one. Each
-cluster's residuals are corrected for its own leverage (CR2), and the intervals are 95 % of
-Student's t with the degrees of freedom that the coefficient's clusters have (Satterthwaite): R. M.
-Bell, D. F. McCaffrey, Survey Methodology 28(2):169-181, 2002.
+The encoder's quantisation makes v and a wrong by a known variance; `recording.friction.regression`
+takes it off, and has intervals for correlated residuals. A motor that cogs adds a sine and a cosine
+of its angle to the columns (`recording.friction.cogging`).
 
 Stribeck's term is the one of a grid of speeds v_S that fits best. The best of many is never 0 by
 chance alone, so it stays only if it lowers Schwarz's criterion clearly *and* its interval at
@@ -19,7 +13,8 @@ chance alone, so it stays only if it lowers Schwarz's criterion clearly *and* it
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -27,19 +22,21 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
+from coulombus.recording.friction.regression import (
+    CONFIDENCE,
+    LEAST_CLUSTERS,
+    Column,
+    Estimate,
+    clusters_of,
+    solve,
+    standard_errors,
+)
 from coulombus.recording.friction.sliding import Equations, IdentifyError
 
-__all__ = ["Estimate", "Fit", "fit_friction"]
+__all__ = ["Fit", "fit_friction"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
-Integers: TypeAlias = npt.NDArray[np.int64]
 
-CLUSTER_EQUATIONS = 15
-"""About 0.2 s of a slide: an equation comes each quarter of a window."""
-LEAST_EQUATIONS = 4
-"""Of a cluster: a window's length."""
-LEAST_CLUSTERS = 6
-CONFIDENCE = 0.95
 STRIBECK_LEVEL = 0.999
 """The best of 24 speeds passes this by chance in about 1 % of recordings."""
 STRIBECK_GAIN = 10.0
@@ -50,18 +47,6 @@ LEAST_SPREAD = 0.1
 """Standard deviation of the speed over its mean from which on viscous friction can be told."""
 SIGNAL_TO_ERROR = 10.0
 """An acceleration is told from the encoder's quantisation from this ratio of variances on."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A fitted value and its 95 % confidence interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.value:#.4g} [{self.low:#.4g}, {self.high:#.4g}]"
 
 
 @dataclass(frozen=True)
@@ -76,6 +61,8 @@ class Fit:
     """F_s - c: what static friction has above Coulomb's."""
     stribeck_rad_s: float | None
     residual_rms_Nm: float
+    others: Mapping[str, Estimate] = field(default_factory=dict)
+    """The coefficients of further columns."""
 
     def friction_Nm(self, v: Floats) -> Floats:
         """Return the fitted friction [Nm] at the speeds `v`, inertia and offset left out."""
@@ -98,74 +85,6 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class _Solution:
-    """Least squares with errors of known variance in the regressors.
-
-    Columns of Z have unit mean square.
-    """
-
-    Z: Floats
-    scale: Floats
-    inverse: Floats
-    error: Floats
-    """Variances of the errors in the columns of Z, on the diagonal."""
-    beta: Floats
-    residual: Floats
-
-    @property
-    def rss(self) -> float:
-        return float(self.residual @ self.residual)
-
-
-def _solve(X: Floats, y: Floats, variances: Floats) -> _Solution:
-    scale = np.sqrt(np.mean(X**2, axis=0))
-    Z = X / scale
-    error = np.diag(variances / scale**2)
-    try:
-        inverse = np.linalg.inv(Z.T @ Z - len(y) * error)
-    except np.linalg.LinAlgError:
-        raise IdentifyError(
-            "the strokes do not tell the parameters apart: record strokes at two speeds or more"
-        ) from None
-    beta = inverse @ (Z.T @ y)
-    return _Solution(Z, scale, inverse, error, beta, y - Z @ beta)
-
-
-def _clusters(slide: Integers) -> list[Integers]:
-    """Return the rows of each cluster: a slide, cut in equal parts where it is long."""
-    long = min(max(len(slide) // (2 * LEAST_CLUSTERS), LEAST_EQUATIONS), CLUSTER_EQUATIONS)  # of few data, shorter ones
-    clusters: list[Integers] = []
-    for rows in np.split(np.arange(len(slide)), np.flatnonzero(np.diff(slide)) + 1):
-        clusters += np.array_split(rows, max(round(len(rows) / long), 1))
-    return clusters
-
-
-def _errors(s: _Solution, clusters: list[Integers]) -> tuple[Floats, Floats]:
-    """Return standard errors (CR2) and degrees of freedom (Satterthwaite) of the
-    coefficients of X.
-    """
-    Z, inverse = s.Z, s.inverse
-    meat = np.zeros_like(inverse)
-    spread = []  # of each cluster: what its corrected residuals are weighted with
-    for rows in clusters:
-        part = Z[rows]
-        values, vectors = np.linalg.eigh(np.eye(len(rows)) - part @ inverse @ part.T)
-        corrected = (vectors / np.sqrt(np.maximum(values, 1e-8))) @ vectors.T
-        score = part.T @ corrected @ s.residual[rows] + len(rows) * (s.error @ s.beta)
-        meat += np.outer(score, score)
-        spread.append(corrected @ part @ inverse)
-    covariance = inverse @ meat @ inverse
-    freedom = np.empty(Z.shape[1])
-    for j in range(Z.shape[1]):
-        Q = np.column_stack([-Z @ (inverse @ (Z[r].T @ w[:, j])) for r, w in zip(clusters, spread, strict=True)])
-        for k, (rows, weight) in enumerate(zip(clusters, spread, strict=True)):
-            Q[rows, k] += weight[:, j]
-        gram = Q.T @ Q
-        freedom[j] = np.trace(gram) ** 2 / np.sum(gram**2)
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0)) / s.scale, freedom
-
-
-@dataclass(frozen=True)
 class _Stribeck:
     speed: float
     shape: Floats
@@ -185,7 +104,7 @@ def _stribeck(equations: Equations, X: Floats, y: Floats, variances: Floats) -> 
 
     def rss(v_s: float) -> float:
         try:
-            return _solve(np.column_stack([X, _shape(equations, v_s)]), y, wide).rss
+            return solve(np.column_stack([X, _shape(equations, v_s)]), y, wide).rss
         except IdentifyError:
             return math.inf
 
@@ -203,13 +122,15 @@ def _stribeck(equations: Equations, X: Floats, y: Floats, variances: Floats) -> 
     def criterion(rss: float, parameters: int) -> float:
         return independent * math.log(max(rss, 1e-300) / len(y)) + parameters * math.log(independent)
 
-    without = criterion(_solve(X, y, variances).rss, X.shape[1])
+    without = criterion(solve(X, y, variances).rss, X.shape[1])
     if criterion(rss(refined), X.shape[1] + 2) >= without - STRIBECK_GAIN:
         return None
     return _Stribeck(refined, _shape(equations, refined))
 
 
-def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None = None) -> Fit:
+def fit_friction(
+    equations: Equations, torque: Floats, remarks: list[str] | None = None, others: Mapping[str, Column] | None = None
+) -> Fit:
     """Fit friction to the equations of what slides.
 
     Parameters
@@ -217,6 +138,7 @@ def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None
     equations : of the slides
     torque : each equation's torque [Nm]: the transducer's, or with the motor's added
     remarks : sentences on what the data do not carry are appended
+    others : more columns, such as those of cogging
 
     Raises
     ------
@@ -225,12 +147,12 @@ def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None
     """
     notes = [] if remarks is None else remarks
     sign, v, a = np.sign(equations.v), equations.v, equations.a
-    clusters = _clusters(equations.slide)
+    clusters = clusters_of(equations.slide)
     if len(clusters) < LEAST_CLUSTERS:
         raise IdentifyError(
             f"the handle slides in {len(clusters)} separate pieces; expected at least {LEAST_CLUSTERS}: record more strokes, to and fro"
         )
-    columns: dict[str, tuple[Floats, float]] = {"coulomb": (sign, 0.0)}
+    columns: dict[str, Column] = {"coulomb": (sign, 0.0)}
     speed = np.abs(v)
     if np.std(speed) > LEAST_SPREAD * np.mean(speed):
         columns["viscous"] = v, equations.v_variance
@@ -246,21 +168,22 @@ def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None
         notes.append(
             "one direction only: a bias of the transducer cannot be told from Coulomb friction and is counted to it"
         )
+    columns |= others or {}
     X, variances = np.column_stack([c for c, _ in columns.values()]), np.array([e for _, e in columns.values()])
-    solution = _solve(X, torque, variances)
-    error, freedom = _errors(solution, clusters)
+    solution = solve(X, torque, variances)
+    error, freedom = standard_errors(solution, clusters)
     stribeck = _stribeck(equations, X, torque, variances) if "viscous" in columns else None
     if stribeck is not None:
         wide, known = np.column_stack([X, stribeck.shape]), np.append(variances, 0.0)
-        chosen = _solve(wide, torque, known)
+        chosen = solve(wide, torque, known)
         # v_S is fitted as well: its tangent belongs to what the covariance knows
         step = 1e-4 * stribeck.speed
         tangent = (_shape(equations, stribeck.speed + step) - _shape(equations, stribeck.speed - step)) / (2 * step)
         height = chosen.beta[-1] / chosen.scale[-1]
-        full = _solve(np.column_stack([wide, height * tangent]), torque, np.append(known, 0.0))
+        full = solve(np.column_stack([wide, height * tangent]), torque, np.append(known, 0.0))
         # at the optimum the tangent's own coefficient is 0: residuals and the others are those of
         # `chosen`
-        wide_error, wide_freedom = _errors(full, clusters)
+        wide_error, wide_freedom = standard_errors(full, clusters)
         low = height - stdtrit(wide_freedom[-2], 0.5 + STRIBECK_LEVEL / 2) * wide_error[-2]
         if low > 0.0:
             columns["stribeck"] = stribeck.shape, 0.0
@@ -288,4 +211,5 @@ def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None
         stribeck_Nm=estimate("stribeck"),
         stribeck_rad_s=None if stribeck is None else stribeck.speed,
         residual_rms_Nm=math.sqrt(solution.rss / len(torque)),
+        others={name: other for name in others or {} if (other := estimate(name)) is not None},
     )

@@ -9,6 +9,10 @@ which is what the hand *feels*: the device's own friction, less what the motor c
 plus whatever is displayed. With the motor's torque (6077h) added to the left it is the *device's*
 friction, compensated or not. Both are fitted.
 
+A motor that cogs adds :math:`A\,\sin(\kappa x + \varphi)`, where it stands out
+(`recording.friction.cogging`). The drive's measured torque may be late by :math:`\delta`: the
+device's fit has :math:`\delta\,\dot\tau_m`, too, so that it is not taken for inertia.
+
 `recording.friction.sliding` takes the samples for which that is true and makes equations of them,
 `recording.friction.friction_fit` solves these. :math:`f_0` (the transducer's bias) is fitted when
 both directions are there. The intervals are 95 %; docs/theory.md has how often they hold the truth.
@@ -25,12 +29,22 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.friction.cogging import Cogging, find_cogging
 from coulombus.recording.friction.friction_fit import Fit, fit_friction
-from coulombus.recording.friction.sliding import WINDOW_S, IdentifyError, equations, sliding
+from coulombus.recording.friction.regression import Column
+from coulombus.recording.friction.sliding import (
+    REVERSAL_S,
+    WINDOW_S,
+    Equations,
+    IdentifyError,
+    Sliding,
+    equations,
+    sliding,
+)
 from coulombus.recording.reading import blocks
 from coulombus.recording.signals import Source
 
-__all__ = ["Identification", "IdentifyError", "identify", "lines"]
+__all__ = ["Identification", "IdentifyError", "identified", "identify", "lines", "torque_delay"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -50,6 +64,8 @@ class Identification:
     left_out: dict[str, int]
     """Samples that were left out, by why."""
     remarks: tuple[str, ...]
+    cogging: Cogging | None
+    """The motor's, where it stands out; its coefficients are those of `device`."""
     v_rad_s: Floats
     felt_Nm: Floats
     """The samples, inertia and offset taken off; for the plot."""
@@ -65,8 +81,12 @@ class Identification:
         }
 
 
-def identify(recording: Source | str | Path, *, window_s: float = WINDOW_S) -> Identification:
+def identify(
+    recording: Source | str | Path, *, window_s: float = WINDOW_S, reversal_s: float = REVERSAL_S
+) -> Identification:
     """Identify friction from a recording (or its path): any run in which the handle slides.
+
+    `reversal_s`: a slide counts from so long after its beginning (`recording.friction.sliding`).
 
     Raises
     ------
@@ -75,30 +95,50 @@ def identify(recording: Source | str | Path, *, window_s: float = WINDOW_S) -> I
     """
     if isinstance(recording, str | Path):
         recording = blocks(recording)
-    samples_sliding = sliding(recording, window_s)
-    rows = equations(samples_sliding.slides, samples_sliding.period_s, samples_sliding.count_rad, window_s)
-    notes = list(samples_sliding.remarks)
+    slides = sliding(recording, window_s, reversal_s)
     try:
-        felt = fit_friction(rows, rows.hand_Nm, notes)
-        device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm)
+        return identified(slides, recording.path, window_s, recording.rig.one_axis().mechanics.ratio)
     except IdentifyError as error:
         raise IdentifyError(f"{recording.path}: {error}") from error
+
+
+def identified(slides: Sliding, path: str, window_s: float, ratio: float | None) -> Identification:
+    """Identify friction from slides; `ratio`: of the motor, None: no cogging is looked for.
+
+    Raises
+    ------
+    IdentifyError
+        they do not carry it
+    """
+    rows = equations(slides.slides, slides.period_s, slides.count_rad, window_s)
+    notes = list(slides.remarks)
+    cogging = None if ratio is None else find_cogging(slides, ratio)
+    waves = {} if cogging is None else cogging.columns(rows, slides.slides)
+    felt = fit_friction(rows, rows.hand_Nm, notes, waves)
+    device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | torque_delay(rows, slides))
     rest = rows.hand_Nm.copy()
     if felt.inertia_kg_m2 is not None:
         rest -= felt.inertia_kg_m2.value * rows.a
     if felt.offset_Nm is not None:
         rest -= felt.offset_Nm.value
     return Identification(
-        path=recording.path,
+        path=path,
         felt=felt,
         device=device,
-        samples=samples_sliding.samples,
-        coil_off=samples_sliding.coil_off,
-        left_out=samples_sliding.left_out,
+        samples=slides.samples,
+        coil_off=slides.coil_off,
+        left_out=slides.left_out,
         remarks=tuple(notes),
+        cogging=cogging,
         v_rad_s=rows.v,
         felt_Nm=rest,
     )
+
+
+def torque_delay(rows: Equations, slides: Sliding) -> dict[str, Column]:
+    """Return the column of a delay of the motor's measured torque; nothing where it never changes."""
+    rate = rows.rate([slide.motor_Nm for slide in slides.slides if len(slide.t_s) >= len(rows.weight)])
+    return {"torque's delay": (rate, 0.0)} if np.any(rate != 0.0) else {}
 
 
 def lines(identification: Identification) -> list[str]:

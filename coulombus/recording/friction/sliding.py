@@ -74,6 +74,10 @@ SPEED_SHARE = 0.8
 Above it the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`).
 """
 LEAST_SAMPLES = 100
+EXERCISES = "coulombus.host.laws.exercises:"
+"""The laws that display nothing: with them the handle slides at any speed."""
+TRAVEL_RAD_S, TRAVEL_COUNTS = 0.25, 6
+"""At this speed an exercise's slide gives so many counts, none of them back, around each sample."""
 
 
 class IdentifyError(CoulombusError, ValueError):
@@ -303,8 +307,25 @@ def _apart(first: int, end: int, gaps: Flags) -> list[tuple[int, int]]:
     return list(pairwise([first, *cuts.tolist(), end]))
 
 
-def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
+def _one_sense(moved: Floats, slow_counts: float) -> tuple[Flags, Floats]:
+    """Tell which samples are in the midst of a motion in one sense, and in which.
+
+    `slow_counts`: counts in a cycle at `TRAVEL_RAD_S`.
+    """
+    n, half = len(moved), max(math.ceil(0.5 * TRAVEL_COUNTS / slow_counts), 1)
+    window = np.ones(2 * half + 1)
+    span = np.convolve(moved, window, "same")
+    ways = [np.convolve(moved * sign > 0.0, window, "same") > 0.5 for sign in (1, -1)]
+    flags = (np.abs(span) >= TRAVEL_COUNTS) & ~(ways[0] & ways[1])
+    whole = np.convolve(flags, window, "same") > 2 * half + 0.5  # the samples around it slide, too
+    return whole & (np.arange(n) >= half), np.sign(span)
+
+
+def sliding(recording: Source, window_s: float = WINDOW_S, reversal_s: float = REVERSAL_S) -> Sliding:
     """Return the samples of a recording that obey the regression.
+
+    `reversal_s`: a slide counts from so long after its beginning. What is felt at the handle needs
+    `REVERSAL_S`. With the motor's torque as the drive measures it, a few milliseconds will do.
 
     Raises
     ------
@@ -322,13 +343,16 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     samples.keep("a signal is missing in the cycle, or no number", whole)
     even = np.abs(np.diff(t, prepend=t[:1] - period) - period) < 0.5 * period
     samples.keep("a cycle is missing before it", even & (np.abs(moved) <= axis.limits.encoder_jump_counts))
-    samples.keep("the handle does not slide", np.abs(moved) > axis.law.velocity_band_counts)
+    slides, sense = np.abs(moved) > axis.law.velocity_band_counts, moved
+    if axis.law.function.startswith(EXERCISES):
+        slides, sense = _one_sense(moved, TRAVEL_RAD_S * period / count)
+    samples.keep("the handle does not slide", slides)
     slow = np.abs(moved) * count / period <= SPEED_SHARE * axis.limits.speed_rad_s
     samples.keep(f"faster than {SPEED_SHARE:g} of the speed limit", slow)
-    one_way = samples.good & np.concatenate(([False], moved[1:] * moved[:-1] > 0.0))
+    one_way = samples.good & np.concatenate(([False], sense[1:] * sense[:-1] > 0.0))
     one_way[1:] &= samples.good[:-1]
     samples.keep(
-        f"within {REVERSAL_S * 1e3:g} ms of a stop or a reversal", since(one_way) >= round(REVERSAL_S / period)
+        f"within {reversal_s * 1e3:g} ms of a stop or a reversal", since(one_way) >= round(reversal_s / period)
     )
     constant = since(np.concatenate(([True], brake[1:] == brake[:-1]))) >= round(COIL_S / period)
     off = constant & (brake == 0.0)
@@ -338,7 +362,7 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     long = np.zeros(len(t), bool)
     spans = []
     for first, end in runs(samples.good):
-        for a, b in _one_way(first, end, moved):
+        for a, b in _one_way(first, end, sense):
             if b - a >= max(size, SPEED_SAMPLES):
                 spans.append((a, b))
                 long[a:b] = True
@@ -357,9 +381,9 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     return Sliding(slides, period, count, coil_off, samples.left_out, notes)
 
 
-def _one_way(first: int, end: int, moved: Floats) -> list[tuple[int, int]]:
+def _one_way(first: int, end: int, sense: Floats) -> list[tuple[int, int]]:
     """Split a run of samples where the direction changes (it cannot, but by a jump)."""
-    turns = first + 1 + np.flatnonzero(np.sign(moved[first + 1 : end]) != np.sign(moved[first : end - 1]))
+    turns = first + 1 + np.flatnonzero(np.sign(sense[first + 1 : end]) != np.sign(sense[first : end - 1]))
     edges = [first, *turns.tolist(), end]
     return list(pairwise(edges))
 
@@ -382,9 +406,16 @@ class Equations:
     weight: Floats
     hop: int
 
+    first: Floats
+    """Weights of a derivative behind the same filter."""
+
     def smooth(self, samples: list[Floats]) -> Floats:
         """Return what each slide's samples are behind the equations' filter."""
         return _filtered(samples, self.weight, self.hop)
+
+    def rate(self, samples: list[Floats]) -> Floats:
+        """Return their time derivative behind the filter [1/s]."""
+        return _filtered(samples, self.first, self.hop)
 
 
 def _filtered(samples: list[Floats], weight: Floats, hop: int) -> Floats:
@@ -424,4 +455,5 @@ def equations(slides: tuple[Slide, ...], period_s: float, count_rad: float, wind
         speeds=tuple(savgol_filter(x, short, 2, deriv=1, delta=period_s) for x in positions),
         weight=weight,
         hop=hop,
+        first=first,
     )

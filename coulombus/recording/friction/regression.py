@@ -1,0 +1,173 @@
+r"""Least squares whose regressors have errors of known variance, and whose residuals are correlated.
+
+An error of known variance in a regressor shrinks its coefficient: it is taken off the normal
+equations (W. A. Fuller, Measurement Error Models, 1987, section 2.2),
+
+.. math:: \hat\beta = (X^T X - n \Sigma)^{-1} X^T y.
+
+Neighbouring rows share samples, the sensors' quantisation and whatever the model leaves out. So the
+covariance is that of clusters: a slide, or each `CLUSTER_EQUATIONS` of a long one. Each cluster's
+residuals are corrected for its own leverage (CR2), and the intervals are 95 % of Student's t with
+the degrees of freedom that the coefficient's clusters have (Satterthwaite): R. M. Bell, D. F.
+McCaffrey, Survey Methodology 28(2):169-181, 2002.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import stdtrit
+
+from coulombus.recording.friction.sliding import IdentifyError
+
+__all__ = ["CONFIDENCE", "Column", "Estimate", "Solution", "clusters_of", "regress", "solve", "standard_errors", "widened"]
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Integers: TypeAlias = npt.NDArray[np.int64]
+Column: TypeAlias = tuple[Floats, float]
+"""A regressor, and the variance of the errors in it."""
+
+CONFIDENCE = 0.95
+CLUSTER_EQUATIONS = 15
+"""About 0.2 s of a slide: an equation comes each quarter of a window."""
+LEAST_EQUATIONS = 4
+"""Of a cluster: a window's length."""
+LEAST_CLUSTERS = 6
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted value and its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def reach(self) -> float:
+        """Half of the interval."""
+        return 0.5 * (self.high - self.low)
+
+    def __str__(self) -> str:
+        return f"{self.value:#.4g} [{self.low:#.4g}, {self.high:#.4g}]"
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Least squares with errors of known variance in the regressors.
+
+    Columns of Z have unit mean square.
+    """
+
+    Z: Floats
+    scale: Floats
+    inverse: Floats
+    error: Floats
+    """Variances of the errors in the columns of Z, on the diagonal."""
+    beta: Floats
+    residual: Floats
+
+    @property
+    def rss(self) -> float:
+        """Sum of the squared residuals."""
+        return float(self.residual @ self.residual)
+
+
+def solve(X: Floats, y: Floats, variances: Floats) -> Solution:
+    """Solve least squares; `variances`: of the errors in the columns of `X`.
+
+    Raises
+    ------
+    IdentifyError
+        the rows do not tell the coefficients apart
+    """
+    scale = np.sqrt(np.mean(X**2, axis=0))
+    Z = X / scale
+    error = np.diag(variances / scale**2)
+    try:
+        inverse = np.linalg.inv(Z.T @ Z - len(y) * error)
+    except np.linalg.LinAlgError:
+        raise IdentifyError(
+            "the strokes do not tell the parameters apart: record strokes at two speeds or more"
+        ) from None
+    beta = inverse @ (Z.T @ y)
+    return Solution(Z, scale, inverse, error, beta, y - Z @ beta)
+
+
+def clusters_of(slide: Integers) -> list[Integers]:
+    """Return the rows of each cluster: a slide, cut in equal parts where it is long."""
+    long = min(max(len(slide) // (2 * LEAST_CLUSTERS), LEAST_EQUATIONS), CLUSTER_EQUATIONS)  # of few data, shorter ones
+    clusters: list[Integers] = []
+    for rows in np.split(np.arange(len(slide)), np.flatnonzero(np.diff(slide)) + 1):
+        clusters += np.array_split(rows, max(round(len(rows) / long), 1))
+    return clusters
+
+
+def standard_errors(s: Solution, clusters: list[Integers]) -> tuple[Floats, Floats]:
+    """Return standard errors (CR2) and degrees of freedom (Satterthwaite) of the
+    coefficients of X.
+    """
+    Z, inverse = s.Z, s.inverse
+    meat = np.zeros_like(inverse)
+    spread = []  # of each cluster: what its corrected residuals are weighted with
+    for rows in clusters:
+        part = Z[rows]
+        values, vectors = np.linalg.eigh(np.eye(len(rows)) - part @ inverse @ part.T)
+        corrected = (vectors / np.sqrt(np.maximum(values, 1e-8))) @ vectors.T
+        score = part.T @ corrected @ s.residual[rows] + len(rows) * (s.error @ s.beta)
+        meat += np.outer(score, score)
+        spread.append(corrected @ part @ inverse)
+    covariance = inverse @ meat @ inverse
+    freedom = np.empty(Z.shape[1])
+    for j in range(Z.shape[1]):
+        Q = np.column_stack([-Z @ (inverse @ (Z[r].T @ w[:, j])) for r, w in zip(clusters, spread, strict=True)])
+        for k, (rows, weight) in enumerate(zip(clusters, spread, strict=True)):
+            Q[rows, k] += weight[:, j]
+        gram = Q.T @ Q
+        freedom[j] = np.trace(gram) ** 2 / np.sum(gram**2)
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0)) / s.scale, freedom
+
+
+def regress(columns: Mapping[str, Column], y: Floats, slide: Integers) -> dict[str, Estimate]:
+    """Return each column's coefficient with its 95 % interval.
+
+    `slide`: which slide each row is of.
+
+    Raises
+    ------
+    IdentifyError
+        too few clusters for an interval, or the rows do not tell the coefficients apart
+    """
+    clusters = clusters_of(slide)
+    if len(clusters) < LEAST_CLUSTERS:
+        raise IdentifyError(
+            f"the handle slides in {len(clusters)} separate pieces; expected at least {LEAST_CLUSTERS}: record more strokes, to and fro"
+        )
+    solution = solve(
+        np.column_stack([values for values, _ in columns.values()]),
+        y,
+        np.array([variance for _, variance in columns.values()]),
+    )
+    error, freedom = standard_errors(solution, clusters)
+    reach = stdtrit(freedom, 0.5 + CONFIDENCE / 2) * error
+    beta = solution.beta / solution.scale
+    return {
+        name: Estimate(float(beta[i]), float(beta[i] - reach[i]), float(beta[i] + reach[i]))
+        for i, name in enumerate(columns)
+    }
+
+
+def widened(estimate: Estimate, *shares: float) -> Estimate:
+    r"""Return an estimate with what was measured before it, and has a share in it as a factor.
+
+    .. math:: r^2 = r_0^2 + x^2 \sum_i s_i^2
+
+    (the delta method for a product): `shares` are relative 95 % reaches :math:`s_i`.
+    """
+    reach = math.hypot(estimate.reach, *(estimate.value * share for share in shares))
+    return Estimate(estimate.value, estimate.value - reach, estimate.value + reach)
