@@ -1,9 +1,17 @@
 r"""Delays: from the SYNC whose samples a set-point was computed from, to the torque that it makes.
 
 Torque and brake are switched to and fro, below the friction, so that nothing moves. What the device
-measures answers like :math:`y = 1 - e^{-(t - d)/\tau}`: motor's torque (6077h) and coil's current
-are sampled at each SYNC, so :math:`\ln(1 - y)` over the SYNCs' times is a straight line that tells
-delay d and time constant :math:`\tau`. With actuation on the next SYNC, d is one period.
+measures answers with one lag,
+
+.. math:: y(t) = A\,(1 - e^{-(t - d)/\tau}), \quad t > d,
+
+sampled at each SYNC: delay d, time constant :math:`\tau` and size A are fitted by least squares to
+the mean over all steps. With actuation on the next SYNC, d is one period.
+
+The covariance is the delta method's, :math:`\sigma^2 (J^T J)^{-1}` with the fit's Jacobian J. A
+sample's :math:`\sigma^2` has the scatter from step to step, divided by their number, and the error
+of its count, :math:`\Delta^2/12`, which does not average out over steps that are all alike
+(`host.commission.samples.counted_reach`).
 """
 
 from __future__ import annotations
@@ -13,10 +21,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
+from coulombus.host.commission.earlier import rounded
 from coulombus.host.commission.friction import FREE_HAND
-from coulombus.host.commission.samples import Floats, sync_before
+from coulombus.host.commission.samples import Floats, counted_reach, sync_before
 from coulombus.host.commission.step import (
     CommissionError,
     Curve,
@@ -39,20 +49,21 @@ HALF_S, SECONDS, SKIP_S = 0.04, 5.0, 1.5
 FRICTION_SHARE = 0.5
 """The motor stays so far below the friction: the handle does not move."""
 BRAKE_NM = 1.0
-SHARES = (0.03, 0.96)
-"""Of the answer: what is below is noise, what is above quantisation."""
+LEAST_SHARE = 0.03
+"""Of the answer: what is below is noise."""
 LEAST_EDGES = 10
 SETTLED = 5
 AFTER = 25
 
 
 class _Answer(NamedTuple):
-    """What the device answers to a step."""
+    """What the device answers to a step; half of the 95 % intervals beside the figures."""
 
     delay_us: float
-    reach_us: float
+    delay_reach_us: float
     tau_ms: float | None
     """None: it answers within a cycle."""
+    tau_reach_ms: float | None
     t_ms: list[float]
     y: list[float]
 
@@ -107,42 +118,80 @@ class Delay(Step):
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return delays and time constants; the rig file has no key for them."""
         rows = [
-            ("motor's torque", "motor.target_torque_Nm", "motor.torque_Nm", bool(self._motor(axis))),
-            ("coil's current", "brake.setpoint_Nm", "brake.coil_current_A", bool(self._brake(axis))),
+            ("motor's torque", "motor.target_torque_Nm", "motor.torque_Nm", 2 * self._motor(axis)),
+            ("coil's current", "brake.setpoint_Nm", "brake.coil_current_A", self._brake(axis)),
         ]
         findings: list[Finding] = []
         lines: dict[str, tuple[Sequence[float], Sequence[float], str]] = {}
-        for run, (name, command, answered) in zip(runs, (row[:3] for row in rows if row[3]), strict=True):
-            answer = _answer(run.recording, command, answered)
+        for run, (name, command, answered, size) in zip(runs, (row for row in rows if row[3]), strict=True):
+            answer = _answer(run.recording, command, answered, size)
             basis = f"steps of {command}, answered by {answered}, at each SYNC"
-            tau = None if answer.tau_ms is None else round(answer.tau_ms, 3)
-            findings += [
-                Finding("", f"SYNC to {name}", None, round(answer.delay_us, 1), "us", answer.reach_us, basis),
-                Finding("", f"time constant of the {name}", None, tau, "ms", None, basis),
-            ]
+            delay = rounded(answer.delay_us, answer.delay_reach_us)
+            findings.append(Finding("", f"SYNC to {name}", None, delay, "us", answer.delay_reach_us, basis))
+            tau, reach = answer.tau_ms, answer.tau_reach_ms
+            tau = None if tau is None or reach is None else rounded(tau, reach)
+            findings.append(Finding("", f"time constant of the {name}", None, tau, "ms", reach, basis))
             lines[name] = (answer.t_ms, answer.y, "o-")
         curve = Curve("Answer to a step", "time since the SYNC before it was sent [ms]", "share", lines)
         return Outcome(tuple(findings), curves=(curve,))
 
 
-def _answer(recording: Recording, command_name: str, answered: str) -> _Answer:
-    """Return the answer of `answered` to the steps of `command_name`.
+def _answer(recording: Recording, command_name: str, answered: str, size: float) -> _Answer:
+    """Return the answer of `answered` to the steps of `command_name`, which are of `size`.
 
     Raises
     ------
     CommissionError
         there are hardly any steps
     """
+    t, answers = _steps(recording, command_name, answered, size)
+    if len(answers) < LEAST_EDGES:
+        raise CommissionError(f"{answered}: {len(answers)} steps were answered; expected at least {LEAST_EDGES}")
+    mean = np.mean(answers, axis=0)
+    top = float(np.mean(mean[-SETTLED:]))
+    t_ms, shares = [round(float(v) * 1e3, 3) for v in t], [round(float(v / top), 4) for v in mean]
+    count = abs(recording.scale(answered))
+    scatter = float(np.sqrt(np.mean(np.var(answers, axis=0, ddof=1))))
+    # a difference of two counts, the mean before a step and the sample behind it, and the scatter
+    sigma = float(np.hypot(2 * counted_reach(scatter, count) / np.sqrt(12), scatter / np.sqrt(len(answers))))
+    first = int(np.argmax(mean > max(LEAST_SHARE * top, 2 * sigma)))
+    if mean[first] > (1 - LEAST_SHARE) * top:  # within a cycle: no line can be laid through it
+        reached, cycle = float(t[first]), float(t[1] - t[0])
+        return _Answer(1e6 * (reached - cycle / 2), 1e6 * cycle / 2, None, None, t_ms, shares)
+    delay, tau, reach = _fitted(t[first:], mean[first:], top, sigma)
+    return _Answer(1e6 * delay, 1e6 * float(reach[0]), 1e3 * tau, 1e3 * float(reach[1]), t_ms, shares)
+
+
+def _fitted(t: Floats, y: Floats, top: float, sigma: float) -> tuple[float, float, Floats]:
+    """Return delay and time constant of samples that answer, and half of their 95 % intervals [s]."""
+    half = float(np.interp(0.63 * top, y, t))
+    fit = least_squares(
+        lambda p: (p[2] * (1 - np.exp(-(t - p[0] * half) / (p[1] * half))) - y) / top,
+        (0.5 * t[0] / half, 0.5, top),
+        x_scale=(1.0, 1.0, top),
+    )
+    covariance = (sigma / top) ** 2 * np.linalg.pinv(fit.jac.T @ fit.jac)
+    reach = stdtrit(max(len(t) - 3, 1), 0.975) * np.sqrt(np.diag(covariance)[:2]) * half
+    return float(fit.x[0] * half), float(fit.x[1] * half), reach
+
+
+def _steps(recording: Recording, command_name: str, answered: str, size: float) -> tuple[Floats, list[Floats]]:
+    """Return times since the SYNC before a step was sent, and each step's answer, its sign taken off.
+
+    Raises
+    ------
+    CommissionError
+        nothing was recorded
+    """
     target, value = recording[command_name], recording[answered]
     if not (len(target) and len(value)):
         raise CommissionError(f"{answered}: nothing was recorded of it")
     sampled, sent = sync_before(recording, value.t_s), sync_before(recording, target.t_s)
     y, command = np.asarray(value.values, np.float64), np.asarray(target.values, np.float64)
-    size = 0.5 * (np.max(command) - np.min(command))
-    edges = 1 + np.flatnonzero(np.abs(np.diff(command)) > size)
+    edges = 1 + np.flatnonzero(np.abs(np.diff(command)) > 0.5 * size)  # the sign check ramps: it has none
     begin_s = target.t_s[edges[0]] + SKIP_S if len(edges) else 0.0
-    lags, delays, sizes = [], [], []
-    shares: list[Floats] = []
+    lags: list[Floats] = []
+    answers: list[Floats] = []
     for edge, following in itertools.pairwise(edges):
         if target.t_s[edge] < begin_s or target.t_s[following] - target.t_s[edge] < 0.9 * HALF_S:
             continue
@@ -151,31 +200,9 @@ def _answer(recording: Recording, command_name: str, answered: str) -> _Answer:
         last = int(np.searchsorted(sampled, until_s)) - 1
         if first < SETTLED or last - first < AFTER:
             continue
-        before, after = np.mean(y[first - SETTLED : first]), np.mean(y[last - SETTLED : last])
-        if before != after:
-            shares.append((y[first : first + AFTER] - before) / (after - before))
+        answer = y[first : first + AFTER] - np.mean(y[first - SETTLED : first])
+        sign = np.sign(np.mean(answer[-SETTLED:]))
+        if sign != 0.0:
+            answers.append(sign * answer)
             lags.append(sampled[first : first + AFTER] - sent[edge])
-            sizes.append(abs(after - before))
-    if len(shares) < LEAST_EDGES:
-        raise CommissionError(f"{answered}: {len(shares)} steps were answered; expected at least {LEAST_EDGES}")
-    mean, at = np.mean(shares, axis=0), np.mean(lags, axis=0)
-    rising = (mean > SHARES[0]) & (mean < SHARES[1])
-    t_ms, y_mean = [round(float(v) * 1e3, 3) for v in at], [round(float(v), 4) for v in mean]
-    if np.count_nonzero(rising) < 2:  # within a cycle: no line can be laid through it
-        reached, cycle = float(at[int(np.argmax(mean > 0.5))]), float(at[1] - at[0])
-        return _Answer(1e6 * reached, 1e6 * cycle, None, t_ms, y_mean)
-    slope, offset = np.polyfit(at[rising], np.log(1 - mean[rising]), 1)
-    # the scatter of the delay: of each step with the common time constant
-    for lag, share in zip(lags, shares, strict=True):
-        inside = rising & (share < 1.0)
-        if np.any(inside):
-            delays.append(float(np.mean(lag[inside] - np.log(1 - share[inside]) / slope)))
-    reach = stdtrit(len(delays) - 1, 0.975) * np.std(delays, ddof=1) / np.sqrt(len(delays))
-    rounding = abs(recording.scale(answered)) / float(np.mean(sizes)) / abs(slope)  # half a count at either end
-    return _Answer(
-        delay_us=float(-offset / slope * 1e6),
-        reach_us=float(f"{max(reach, rounding) * 1e6:.2g}"),
-        tau_ms=float(-1e3 / slope),
-        t_ms=t_ms,
-        y=y_mean,
-    )
+    return (np.mean(lags, axis=0) if lags else np.zeros(0)), answers

@@ -3,6 +3,9 @@
 The angle between the marks is known. The encoder's counts for it give its sign, and how many of
 them the handle's turn has. That is one figure: the counts of the motor's turn times the
 transmission's ratio. The data sheet's counts are believed, and the ratio is corrected.
+
+The interval has the hand's setting of the marks, which only the operator knows
+(`Given.marks_reach_rad`), the counts, and the scatter of the readings.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from coulombus.host.commission.earlier import rounded
 from coulombus.host.commission.samples import mean_in, span_of, thinned
 from coulombus.host.commission.step import (
     CommissionError,
@@ -31,8 +35,8 @@ __all__ = ["FIRM_HAND", "Encoder"]
 
 FIRM_HAND = (
     "operator.inertia_kg_m2=5e-4",
-    "operator.stiffness_Nm_rad=400.0",
-    "operator.damping_Nms_rad=4.0",
+    "operator.stiffness_Nm_rad=4000.0",
+    "operator.damping_Nms_rad=20.0",
     "operator.tremor_Nm=0.0",
 )
 """The simulated hand looks where it goes."""
@@ -41,8 +45,6 @@ REST_S, MOVE_S, STAY_S = 3.0, 5.0, 5.0
 SETTLED_S = 2.0
 LEAST_RAD, MOST_RAD = 0.05, 50.0
 LEAST_SHARE = 0.1
-LEAST_CHANGE = 0.002
-"""From this share on the ratio counts as another one."""
 
 
 class Encoder(Step):
@@ -85,22 +87,22 @@ class Encoder(Step):
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return sign and ratio."""
         recording, marks = runs[0].recording, given.marks_rad or 0.0
+        position = axis.allocation.bound["position"]
+        count = abs(position.scale)
         angle = recording["motor.position_rad"]
         rest, stroke = span_of(recording, "rest"), span_of(recording, "stroke")
-        first = mean_in(angle, rest.end_s - SETTLED_S, rest.end_s, "the first mark")
-        second = mean_in(angle, stroke.end_s - SETTLED_S, stroke.end_s, "the second mark")
+        first = mean_in(angle, rest.end_s - SETTLED_S, rest.end_s, "the first mark", count)
+        second = mean_in(angle, stroke.end_s - SETTLED_S, stroke.end_s, "the second mark", count)
         turned = second.value - first.value
         if abs(turned) < LEAST_SHARE * marks:
             raise CommissionError(
                 f"the encoder counts {turned:.4f} rad between marks {marks:g} rad apart: did the handle turn?"
             )
-        position = axis.allocation.bound["position"]
-        count = abs(position.scale)
         counts = round(abs(turned) / count)
-        reach = (first.reach + second.reach + count) / abs(turned)
+        share = math.hypot(first.reach, second.reach, given.marks_reach_rad) / abs(turned)
         factor = abs(turned) / marks
-        other = abs(factor - 1) > max(reach, LEAST_CHANGE)
-        basis = f"{counts} counts between marks {marks:g} rad apart; as exact as the marks"
+        other = abs(factor - 1) > share
+        basis = f"{counts} counts between marks {marks:g} +- {given.marks_reach_rad:g} rad apart"
         polarity = axis.mechanics.encoder_polarity
         sign = polarity if turned > 0 else -polarity
         findings = [
@@ -116,20 +118,23 @@ class Encoder(Step):
             )
         ]
         if position.decided.startswith("role."):
-            new = float(f"{count / factor:.6g}")
+            reach = share * count / factor
+            new = rounded(count / factor, reach)
             key = "role.position.scale_rad"
-            findings.append(Finding(key, "angle of a count", count, new, "rad", new * reach, basis, changed=other))
+            findings.append(Finding(key, "angle of a count", count, new, "rad", reach, basis, changed=other))
         else:
             ratio = axis.mechanics.ratio
-            new = round(ratio * factor, 4)
-            findings.append(Finding("mechanics.ratio", "ratio", ratio, new, "", new * reach, basis, changed=other))
-        counts_turn = float(f"{counts * 2 * math.pi / marks:.6g}")
+            reach = share * ratio * factor
+            new = rounded(ratio * factor, reach)
+            findings.append(Finding("mechanics.ratio", "ratio", ratio, new, "", reach, basis, changed=other))
+        turn_reach = share * counts * 2 * math.pi / marks
+        counts_turn = rounded(counts * 2 * math.pi / marks, turn_reach)
         was = axis.mechanics.counts_turn
         findings.append(
             Finding(
                 *("mechanics.counts_turn", "counts of a turn of the handle", was, counts_turn, ""),
-                *(counts_turn * reach, basis),
-                changed=was is None or abs(was / counts_turn - 1) > max(reach, LEAST_CHANGE),
+                *(turn_reach, basis),
+                changed=was is None or abs(was - counts_turn) > turn_reach,
             )
         )
         curve = Curve(

@@ -9,15 +9,21 @@ The motor sweeps to and fro at three speeds with the handle free. The belief in 
 part in it: the exercise is in mode active, whose sign check may push with
 ``limits.sign_check_torque_Nm``, and compensates nothing. Samples of the sign check, of the gain's
 ramp and of reversals are left out (`recording.friction.sliding`).
+
+Cogging is part of the fit where it stands out, and so is a delay of the measured torque. Each
+interval is that of the fit (`recording.friction.regression`), with the intervals of the motor's
+torque and of the angle, which the steps before have measured (`host.commission.earlier`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from coulombus.host.commission.earlier import ANGLE, HANDLE_TORQUE, INERTIA, rounded
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
     TRAVEL_SHARE,
@@ -34,10 +40,10 @@ from coulombus.host.commission.step import (
     lacks_roles,
 )
 from coulombus.host.cycle.output_limits import HYBRID_MARGIN
-from coulombus.recording.friction.cogging import Cogging, find_cogging
-from coulombus.recording.friction.friction_fit import Estimate
-from coulombus.recording.friction.identify import Identification, identify
-from coulombus.recording.friction.sliding import Floats, IdentifyError, Sliding, equations, sliding
+from coulombus.recording.friction.equations import Equations, equations
+from coulombus.recording.friction.identify import Identification, identified
+from coulombus.recording.friction.regression import Column, Estimate, regress, widened
+from coulombus.recording.friction.sliding import Floats, IdentifyError, Sliding, sliding
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
@@ -56,10 +62,10 @@ SPEEDS_RAD_S, SPEED_SHARE = (0.4, 1.0, 2.0), 0.2
 RESPONSE_S, INTEGRAL_S = 0.02, 0.05
 """Of the sweep's speed loop: time constant by the inertia that is believed, and of its integral."""
 SECONDS = 21.0
+WINDOW_S, REVERSAL_S = 0.031, 0.003
+"""Of the regression: shorter than for what is felt, because the motor's torque is measured."""
 SECTORS = 8
 LEAST_SECTOR = 12
-LEAST_CHANGE = 0.005
-"""From this share on a figure counts as another one: the model is no better."""
 UNEVEN = 0.1
 """From this share on the friction counts as different from sector to sector."""
 
@@ -117,76 +123,102 @@ class Friction(Step):
 
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return friction, and the motor's limit that goes with it."""
-        recording = runs[0].recording
+        recording, mechanics = runs[0].recording, axis.mechanics
         try:
-            identification = identify(recording)
-            slides = sliding(recording)
+            slides = sliding(recording, WINDOW_S, REVERSAL_S)
+            identification = identified(slides, recording.path, WINDOW_S, mechanics.ratio)
         except IdentifyError as error:
             raise CommissionError(
                 f"{error}; is the handle free, and sign_check_torque_Nm more than its friction?"
             ) from error
         basis = f"{identification.samples} samples that slide, motor's sweep, coil off"
-        coulomb, viscous = identification.device.coulomb_Nm, identification.device.viscous_Nms_rad
-        cogging = find_cogging(slides, axis.mechanics.ratio)
-        if cogging is not None:
-            coulomb, viscous = cogging.coulomb_Nm, cogging.viscous_Nms_rad
-        wave = None if cogging is None else cogging.wave(axis.mechanics.ratio)
-        edges, sectors = _by_sector(slides, identification, viscous, wave)
-        remarks: list[str] = []
-        value = coulomb.value
-        known = [Nm for Nm in sectors if math.isfinite(Nm)]
-        if known and min(known) < (1 - UNEVEN) * value:
-            remarks.append(
-                f"the friction is uneven, {min(known):.4f} to {max(known):.4f} Nm by angle; the smallest is taken, "
-                "so that the compensation nowhere pushes by itself"
+        device, torque, angle = identification.device, given.share(HANDLE_TORQUE), given.share(*ANGLE)
+        edges, sectors = _by_sector(slides, identification)
+        coulomb, remarks = _written(widened(device.coulomb_Nm, torque), sectors, torque)
+        remarks += given.exact({"the motor's torque (step motor)": (HANDLE_TORQUE,), "the ratio (step encoder)": ANGLE})
+        rows = [("mechanics.friction_Nm", "Coulomb friction", mechanics.friction_Nm, "Nm", coulomb)]
+        if device.viscous_Nms_rad is not None:
+            viscous = widened(device.viscous_Nms_rad, torque, angle)
+            rows.append(
+                ("mechanics.viscous_Nms_rad", "viscous friction", mechanics.viscous_Nms_rad, "Nm s/rad", viscous)
             )
-            value = min(known)
-        if coulomb.high < 0:
-            raise CommissionError(
-                f"Coulomb friction {coulomb} Nm: what brakes seems to push; do the steps zero, weight and motor first"
-            )
-        friction = round(max(value, 0.0), 4)
-        mechanics = axis.mechanics
-        findings = [
-            _finding("mechanics.friction_Nm", "Coulomb friction", mechanics.friction_Nm, friction, "Nm", coulomb, basis)
-        ]
-        if viscous is not None:
-            slope = round(max(viscous.value, 0.0), 5)
-            old = mechanics.viscous_Nms_rad
-            findings.append(
-                _finding("mechanics.viscous_Nms_rad", "viscous friction", old, slope, "Nm s/rad", viscous, basis)
-            )
-        inertia = identification.device.inertia_kg_m2
-        if inertia is not None and inertia.value > 0:
-            old, new = mechanics.inertia_kg_m2, float(f"{inertia.value:.3g}")
-            findings.append(_finding("mechanics.inertia_kg_m2", "inertia", old, new, "kg m2", inertia, basis))
-        findings += _limit(axis, friction)
-        findings += _cogging(axis, cogging, basis)
+        if device.inertia_kg_m2 is not None and device.inertia_kg_m2.value > 0:
+            inertia = widened(device.inertia_kg_m2, torque, angle)
+            rows.append((INERTIA, "inertia", mechanics.inertia_kg_m2, "kg m2", inertia))
+        findings = [_finding(key, name, old, unit, estimate, basis) for key, name, old, unit, estimate in rows]
+        wave = _Wave.of(identification, torque)
+        findings += _limit(axis, findings[0].new)
+        findings += _cogging(axis, wave, basis)
         middles = 0.5 * (edges[:-1] + edges[1:])
+        rows_of, _, bare = _device(slides, identification)
         curves: tuple[Curve, ...] = (
             Curve(
                 "Friction against speed",
                 "speed [rad/s]",
                 "motor + hand, inertia taken off [Nm]",
-                {"samples": (*thinned(*_device(slides, identification)), "."), "fit": (*_line(identification), "-")},
+                {"samples": (*thinned(rows_of.v, bare), "."), "fit": (*_line(identification), "-")},
             ),
             Curve(
                 "Coulomb friction by angle",
                 "angle [rad]",
                 "[Nm]",
-                {"sector": (middles.tolist(), [Nm if math.isfinite(Nm) else 0.0 for Nm in sectors], "o-")},
+                {"sector": (middles.tolist(), [0.0 if Nm is None else Nm.value for Nm in sectors], "o-")},
             ),
         )
-        if cogging is not None:
-            curves = (*curves, _cogging_curve(cogging, axis.mechanics.ratio))
+        if wave is not None:
+            curves = (*curves, _cogging_curve(slides, identification, wave, mechanics.ratio))
         return Outcome(tuple(findings), (*remarks, *identification.remarks), curves)
 
 
-def _finding(key: str, name: str, old: float, new: float, unit: str, estimate: Estimate, basis: str) -> Finding:
-    reach = 0.5 * (estimate.high - estimate.low)
-    return Finding(
-        key, name, old, new, unit, reach, basis, changed=abs(new - old) > max(reach, LEAST_CHANGE * abs(new))
+@dataclass(frozen=True)
+class _Wave:
+    """The cogging: its periods in a revolution, its amplitude, and the torque at an angle."""
+
+    periods: int
+    amplitude: Estimate
+    at: Callable[[Floats], Floats]
+
+    @classmethod
+    def of(cls, identification: Identification, torque_share: float) -> _Wave | None:
+        """Return it with the interval of its amplitude, by the delta method; None where there is none."""
+        if identification.cogging is None:
+            return None
+        sine, cosine = (identification.device.others[f"cogging {name}"] for name in ("sine", "cosine"))
+        size = math.hypot(sine.value, cosine.value)
+        reach = math.hypot(sine.value * sine.reach, cosine.value * cosine.reach) / size
+        amplitude = widened(Estimate(size, size - reach, size + reach), torque_share)
+        return cls(identification.cogging.periods, amplitude, identification.cogging.wave(sine.value, cosine.value))
+
+
+def _written(
+    coulomb: Estimate, sectors: Sequence[Estimate | None], torque_share: float
+) -> tuple[Estimate, tuple[str, ...]]:
+    """Return the Coulomb friction that is written, and a remark where it is a sector's.
+
+    Raises
+    ------
+    CommissionError
+        what brakes seems to push
+    """
+    if coulomb.high < 0:
+        raise CommissionError(
+            f"Coulomb friction {coulomb} Nm: what brakes seems to push; do the steps zero, weight and motor first"
+        )
+    known = [sector for sector in sectors if sector is not None]
+    least = min(known, key=lambda sector: sector.value, default=coulomb)
+    if least.high >= (1 - UNEVEN) * coulomb.value:
+        return coulomb, ()
+    most = max(sector.value for sector in known)
+    remark = (
+        f"the friction is uneven, {least.value:.4f} to {most:.4f} Nm by angle; the smallest is taken, "
+        "so that the compensation nowhere pushes by itself"
     )
+    return widened(least, torque_share), (remark,)
+
+
+def _finding(key: str, name: str, old: float, unit: str, estimate: Estimate, basis: str) -> Finding:
+    new = max(rounded(estimate.value, estimate.reach), 0.0)
+    return Finding(key, name, old, new, unit, estimate.reach, basis, changed=abs(new - old) > estimate.reach)
 
 
 def _limit(axis: Axis, friction_Nm: float) -> list[Finding]:
@@ -201,18 +233,19 @@ def _limit(axis: Axis, friction_Nm: float) -> list[Finding]:
     ]
 
 
-def _cogging(axis: Axis, cogging: Cogging | None, basis: str) -> list[Finding]:
+def _cogging(axis: Axis, wave: _Wave | None, basis: str) -> list[Finding]:
     """Return amplitude and periods; nothing where none stands out and none was believed."""
     mechanics = axis.mechanics
-    if cogging is None and mechanics.cogging_Nm == 0:
+    if wave is None and mechanics.cogging_Nm == 0:
         return []
     amplitude, periods, reach = 0.0, 0, None
-    if cogging is not None:
-        amplitude, periods, reach = round(cogging.amplitude_Nm, 5), cogging.periods, cogging.reach_Nm
+    if wave is not None:
+        reach = wave.amplitude.reach
+        amplitude, periods = rounded(wave.amplitude.value, reach), wave.periods
     return [
         Finding(
             *("mechanics.cogging_Nm", "motor's cogging", mechanics.cogging_Nm, amplitude, "Nm", reach, basis),
-            changed=abs(amplitude - mechanics.cogging_Nm) > max(reach or 0.0, LEAST_CHANGE * amplitude),
+            changed=abs(amplitude - mechanics.cogging_Nm) > (reach or 0.0),
         ),
         Finding(
             *("mechanics.cogging_periods", "its periods a revolution", mechanics.cogging_periods, periods, "", None),
@@ -222,54 +255,64 @@ def _cogging(axis: Axis, cogging: Cogging | None, basis: str) -> list[Finding]:
     ]
 
 
-def _cogging_curve(cogging: Cogging, ratio: float) -> Curve:
+def _cogging_curve(slides: Sliding, identification: Identification, wave: _Wave, ratio: float) -> Curve:
     """Return the cogging against the motor's angle, all revolutions one above the other."""
-    turn = np.mod(cogging.x_rad * ratio, 2 * math.pi)
+    rows, x, torque = _device(slides, identification)
+    device = identification.device
+    viscous = 0.0 if device.viscous_Nms_rad is None else device.viscous_Nms_rad.value
+    rest = torque - np.sign(rows.v) * device.coulomb_Nm.value - viscous * rows.v
     angle = np.linspace(0, 2 * math.pi, 200)
-    fit = cogging.wave(ratio)(angle / ratio)
+    fit = wave.at(angle / ratio)
     return Curve(
         "Cogging by the motor's angle",
         "motor's angle [rad]",
         "motor + hand, friction and inertia taken off [Nm]",
-        {"samples": (*thinned(turn, cogging.torque_Nm), "."), "fit": (angle.tolist(), fit.tolist(), "-")},
+        {
+            "samples": (*thinned(np.mod(x * ratio, 2 * math.pi), rest), "."),
+            "fit": (angle.tolist(), fit.tolist(), "-"),
+        },
     )
 
 
-def _by_sector(
-    slides: Sliding, identification: Identification, viscous: Estimate | None, wave: Callable[[Floats], Floats] | None
-) -> tuple[Floats, list[float]]:
-    """Return the edges of the angle's sectors, and the Coulomb friction in each; NaN where there
-    are hardly any samples.
-
-    `wave`: the cogging at an angle, which is taken off.
+def _by_sector(slides: Sliding, identification: Identification) -> tuple[Floats, list[Estimate | None]]:
+    """Return the edges of the angle's sectors, and the Coulomb friction in each, all fitted together;
+    None where there are hardly any samples.
     """
-    rows = equations(slides.slides, slides.period_s, slides.count_rad)
-    x = rows.smooth([slide.x_rad - slide.x_rad[0] for slide in slides.slides])
-    start = np.array([slide.x_rad[0] for slide in slides.slides])
-    x = x / rows.weight.sum() + start[rows.slide]
-    inertia = identification.device.inertia_kg_m2
-    torque = rows.hand_Nm + rows.motor_Nm
-    torque = (
-        torque
-        - (0.0 if viscous is None else viscous.value) * rows.v
-        - (0.0 if inertia is None else inertia.value) * rows.a
-    )
-    if wave is not None:
-        torque = torque - rows.smooth([wave(slide.x_rad) for slide in slides.slides])
+    rows, x, _ = _device(slides, identification)
     edges = np.linspace(x.min(), x.max(), SECTORS + 1)
-    by_sector = []
-    for k in range(SECTORS):
-        inside = (x >= edges[k]) & (x <= edges[k + 1])
-        ways = [torque[inside & (np.sign(rows.v) == sign)] * sign for sign in (1, -1)]
-        enough = min(map(len, ways)) >= LEAST_SECTOR
-        by_sector.append(float(np.mean([np.mean(way) for way in ways])) if enough else math.nan)
-    return edges, by_sector
+    sense = np.sign(rows.v)
+    sector = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, SECTORS - 1)
+    names = [
+        f"sector {k}" if min(np.sum((sector == k) & (sense == sign)) for sign in (1, -1)) >= LEAST_SECTOR else None
+        for k in range(SECTORS)
+    ]
+    columns: dict[str, Column] = {
+        name: (sense * (sector == k), 0.0) for k, name in enumerate(names) if name is not None
+    }
+    columns |= {
+        "viscous": (rows.v, rows.v_variance),
+        "inertia": (rows.a, rows.a_variance),
+        "offset": (np.ones_like(x), 0.0),
+    }
+    if identification.cogging is not None:
+        columns |= identification.cogging.columns(rows, slides.slides)
+    inside = np.isin(sector, [k for k, name in enumerate(names) if name is not None])
+    some = {name: (values[inside], variance) for name, (values, variance) in columns.items()}
+    try:
+        fitted = regress(some, (rows.hand_Nm + rows.motor_Nm)[inside], rows.slide[inside])
+    except IdentifyError:
+        return edges, [None] * SECTORS
+    return edges, [None if name is None else fitted[name] for name in names]
 
 
-def _device(slides: Sliding, identification: Identification) -> tuple[Floats, Floats]:
-    rows = equations(slides.slides, slides.period_s, slides.count_rad)
+def _device(slides: Sliding, identification: Identification) -> tuple[Equations, Floats, Floats]:
+    """Return the equations, each one's angle, and its torque without the inertia's part."""
+    rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
+    used = [slide for slide in slides.slides if len(slide.t_s) >= len(rows.weight)]
+    start = np.array([slide.x_rad[0] for slide in used])
+    x = rows.smooth([slide.x_rad - slide.x_rad[0] for slide in used]) / rows.weight.sum() + start[rows.slide]
     inertia = identification.device.inertia_kg_m2
-    return rows.v, rows.hand_Nm + rows.motor_Nm - (0.0 if inertia is None else inertia.value) * rows.a
+    return rows, x, rows.hand_Nm + rows.motor_Nm - (0.0 if inertia is None else inertia.value) * rows.a
 
 
 def _line(identification: Identification) -> tuple[list[float], list[float]]:

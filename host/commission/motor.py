@@ -1,21 +1,28 @@
 r"""The motor: its sign and its torque constant, against the transducer, with a hand that gives way.
 
-While the handle slides, :math:`f = -k\,\tau_m + c\,\mathrm{sgn}(v) + b v + J\dot v + f_0`, with the
-motor's torque :math:`\tau_m` as it is believed and the hand's torque f as the transducer reads it:
-k is what the belief is short of. The hand must resist, so that f and the motor's torque go from one
+While the handle slides,
+
+.. math:: f = -k\,(\tau_m + \delta\,\dot\tau_m) + c\,\mathrm{sgn}(v) + b v + J\dot v + f_0 + A \sin(\kappa x + \varphi)
+
+with the motor's torque :math:`\tau_m` as it is believed, late by :math:`\delta`, its cogging
+(`recording.friction.cogging`), and the hand's torque f as the transducer reads it: k is what the
+belief is short of. The interval of k is that of clusters (`recording.friction.regression`), with
+the transducer's scale. The torque constant has the ratio's besides. The hand must resist, so that f and the motor's torque go from one
 end to the other. The sign check, which comes first, tells a motor that turns the wrong way; the
 encoder's sign is known from the step encoder.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from coulombus.host.commission.friction import sweep_exercise, sweep_risk
-from coulombus.host.commission.samples import fit, thinned
+from coulombus.host.commission.earlier import ANGLE, HANDLE_TORQUE, SCALE, rounded
+from coulombus.host.commission.friction import REVERSAL_S, WINDOW_S, sweep_exercise, sweep_risk
+from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
     CommissionError,
     Curve,
@@ -28,18 +35,17 @@ from coulombus.host.commission.step import (
     Step,
     lacks_roles,
 )
-from coulombus.recording.friction.sliding import IdentifyError, equations, sliding
+from coulombus.recording.friction.cogging import find_cogging
+from coulombus.recording.friction.equations import equations
+from coulombus.recording.friction.identify import torque_delay
+from coulombus.recording.friction.regression import Column, regress, widened
+from coulombus.recording.friction.sliding import IdentifyError, sliding
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
 __all__ = ["Motor"]
 
-WINDOW_S = 0.021
-"""Length of the window behind each equation: the hand lets the handle go a short way only."""
-BLOCK = 4
-"""Neighbours overlap by three quarters."""
 LEAST_SHARE = 0.3
-LEAST_CHANGE = 0.01
 MOST_REACH = 0.03
 """A wider interval tells nothing: the motor's torque changed with the sense of motion alone, as
 friction does.
@@ -74,21 +80,32 @@ class Motor(Step):
             why = f"the sign check: {SIGN}; the encoder's sign is as the step encoder left it"
             return Outcome((Finding("mechanics.motor_polarity", "motor's sign", old, -old, "", None, why),), again=True)
         try:
-            slides = sliding(runs[0].recording, WINDOW_S)
+            slides = sliding(runs[0].recording, WINDOW_S, REVERSAL_S)
             rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
+            cogging = find_cogging(slides, mechanics.ratio, None)
+            columns: dict[str, Column] = {
+                "motor": (-rows.motor_Nm, 0.0),
+                "coulomb": (np.sign(rows.v), 0.0),
+                "viscous": (rows.v, rows.v_variance),
+                "inertia": (rows.a, rows.a_variance),
+                "offset": (np.ones_like(rows.v), 0.0),
+            }
+            columns |= torque_delay(rows, slides) | ({} if cogging is None else cogging.columns(rows, slides.slides))
+            coefficients = regress(columns, rows.hand_Nm, rows.slide)
         except IdentifyError as error:
             raise CommissionError(f"{error}; hold the handle more loosely") from error
-        columns = [rows.motor_Nm, np.sign(rows.v), rows.v, rows.a, np.ones_like(rows.v)]
-        solution = fit(columns, rows.hand_Nm, BLOCK)
-        k, reach = -float(solution.beta[0]), float(solution.reach[0])
+        gain = widened(coefficients["motor"], given.share(SCALE))
+        k, reach = gain.value, gain.reach
         if reach > MOST_REACH or k < LEAST_SHARE:
             raise CommissionError(
                 f"the motor's torque reads {k:.3f} +- {reach:.3f} of what is believed: hold the handle, so that it "
                 "resists the motor, and give way slowly"
             )
-        new = float(f"{rated * k:.4g}")
+        rated_reach = rated * k * math.hypot(reach / k, given.share(*ANGLE))
+        new = rounded(rated * k, rated_reach)
+        at_handle = rated * mechanics.ratio
         basis = f"{len(rows.v)} windows, the hand's torque against the motor's; ratio {mechanics.ratio:g}"
-        changed = abs(k - 1) > max(reach, LEAST_CHANGE)
+        changed = abs(new - rated) > rated_reach
         findings = (
             Finding(
                 "mechanics.motor_polarity",
@@ -100,11 +117,16 @@ class Motor(Step):
                 basis,
                 False,
             ),
+            Finding("motor.rated_torque_Nm", "torque at 1000 per mille", rated, new, "Nm", rated_reach, basis, changed),
             Finding(
-                "motor.rated_torque_Nm", "torque at 1000 per mille", rated, new, "Nm", rated * reach, basis, changed
+                *("", HANDLE_TORQUE, at_handle, rounded(k * at_handle, reach * at_handle), "Nm", reach * at_handle),
+                basis,
+                changed,
             ),
         )
-        rest = rows.hand_Nm - np.column_stack(columns[1:]) @ solution.beta[1:]
+        rest = rows.hand_Nm - sum(
+            coefficients[name].value * values for name, (values, _) in columns.items() if name != "motor"
+        )
         ends = [float(np.min(rows.motor_Nm)), float(np.max(rows.motor_Nm))]
         curve = Curve(
             "Hand against motor",
@@ -112,4 +134,5 @@ class Motor(Step):
             "hand's torque, friction taken off [Nm]",
             {"windows": (*thinned(rows.motor_Nm, rest), "."), "fit": (ends, [-k * torque for torque in ends], "-")},
         )
-        return Outcome(findings, curves=(curve,))
+        exact = given.exact({"the transducer's scale (step weight)": (SCALE,), "the ratio (step encoder)": ANGLE})
+        return Outcome(findings, exact, (curve,))

@@ -1,4 +1,4 @@
-"""What the steps read out of a recording: figures of each cycle, windows, and small regressions."""
+"""What the steps read out of a recording: figures of each cycle, and windows."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from coulombus.recording.measures import PhaseSpan, phases
 from coulombus.recording.signals import Recording, Series
 
 __all__ = [
-    "Fit",
     "Floats",
     "Mean",
-    "fit",
+    "counted_reach",
     "handle_torque",
     "held",
+    "independent",
     "mean_in",
     "motion",
     "span_of",
@@ -31,8 +31,6 @@ __all__ = [
 Floats: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
-INDEPENDENT_S = 0.02
-"""Samples of a sensor so far apart count as independent of each other."""
 CONFIDENCE = 0.95
 CURVE_POINTS = 400
 
@@ -46,8 +44,42 @@ class Mean:
     deviation: float
 
 
-def mean_in(series: Series, begin_s: float, end_s: float, what: str) -> Mean:
-    """Return the mean of a signal in a window.
+def independent(values: Floats) -> float:
+    r"""Return how many independent samples a stationary signal is worth.
+
+    .. math:: n_{eff} = n \Big/ \Bigl(1 + 2 \sum_{k=1}^{K} \rho_k\Bigr)
+
+    with the autocorrelations :math:`\rho_k` up to the first pair of neighbours whose sum is not
+    positive (C. J. Geyer, Statistical Science 7(4):473-483, 1992, doi:10.1214/ss/1177011137).
+    """
+    n = len(values)
+    centred = values - np.mean(values)
+    spectrum = np.fft.rfft(centred, 2 * n)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[:n]
+    if covariance[0] <= 1e-20 * n:
+        return float(n)
+    rho = covariance / covariance[0]
+    pairs = rho[1 : 2 * ((n - 1) // 2) + 1].reshape(-1, 2).sum(axis=1)
+    end = np.flatnonzero(pairs <= 0.0)
+    total = float(np.sum(pairs[: end[0] if len(end) else len(pairs)]))
+    return n / (1.0 + 2.0 * total)
+
+
+def counted_reach(deviation: float, count: float) -> float:
+    r"""Return by how much the mean of a signal may be off because it comes in whole counts.
+
+    Noise of :math:`\sigma` dithers it: the error is below
+    :math:`\tfrac{\Delta}{2} e^{-2 \pi^2 \sigma^2/\Delta^2}` (B. Widrow, I. Kollar, Quantization Noise,
+    2008, chapter 19). The counts' own :math:`\Delta^2/12` is taken off the observed variance first.
+    """
+    if count == 0.0:
+        return 0.0
+    noise = max(deviation**2 - count**2 / 12, 0.0)
+    return float(0.5 * count * np.exp(-2 * np.pi**2 * noise / count**2))
+
+
+def mean_in(series: Series, begin_s: float, end_s: float, what: str, count: float = 0.0) -> Mean:
+    """Return the mean of a signal in a window; `count`: of the signal, in its unit.
 
     Raises
     ------
@@ -55,15 +87,12 @@ def mean_in(series: Series, begin_s: float, end_s: float, what: str) -> Mean:
         there are hardly any samples in it
     """
     values = np.asarray(series.values, np.float64)[(series.t_s >= begin_s) & (series.t_s < end_s)]
-    independent = (end_s - begin_s) / INDEPENDENT_S
-    if len(values) < 10 or independent < 3:
+    worth = independent(values) if len(values) >= 10 else 0.0
+    if worth < 3:
         raise CommissionError(f"{what}: {len(values)} samples in {max(end_s - begin_s, 0):.2f} s; do the step again")
     deviation = float(np.std(values, ddof=1))
-    return Mean(
-        float(np.mean(values)),
-        float(stdtrit(independent - 1, 0.5 + CONFIDENCE / 2) * deviation / np.sqrt(independent)),
-        deviation,
-    )
+    scatter = float(stdtrit(worth - 1, 0.5 + CONFIDENCE / 2)) * deviation / float(np.sqrt(worth))
+    return Mean(float(np.mean(values)), float(np.hypot(scatter, counted_reach(deviation, count))), deviation)
 
 
 def held(series: Series, t: Floats) -> Floats:
@@ -124,38 +153,6 @@ def span_of(recording: Recording, kind: str, number: int = 0) -> PhaseSpan:
     if len(spans) <= number or spans[number].end_s <= spans[number].begin_s:
         raise CommissionError(f"the run ended before its phase '{kind}' was over; do the step again")
     return spans[number]
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Coefficients of a least-squares fit, half of their 95 % intervals, and the residual."""
-
-    beta: Floats
-    reach: Floats
-    residual: Floats
-
-
-def fit(columns: list[Floats], y: Floats, block: int) -> Fit:
-    """Solve least squares; the intervals are those of means over `block` neighbours, which share
-    their errors.
-
-    Raises
-    ------
-    CommissionError
-        the samples do not tell the coefficients apart
-    """
-    n = len(y) // block
-    X = np.column_stack([np.asarray(c)[: n * block].reshape(n, block).mean(axis=1) for c in columns])
-    Y = y[: n * block].reshape(n, block).mean(axis=1)
-    freedom = n - X.shape[1]
-    if freedom < 3 or np.linalg.matrix_rank(X) < X.shape[1]:
-        raise CommissionError("the handle moved too little for this: let it move freely, to and fro")
-    inverse = np.linalg.inv(X.T @ X)
-    beta = inverse @ (X.T @ Y)
-    residual = Y - X @ beta
-    variance = float(residual @ residual) / freedom
-    reach = stdtrit(freedom, 0.5 + CONFIDENCE / 2) * np.sqrt(variance * np.diag(inverse))
-    return Fit(beta, reach, residual)
 
 
 def thinned(x: Floats, y: Floats, points: int = CURVE_POINTS) -> tuple[list[float], list[float]]:

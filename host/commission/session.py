@@ -7,10 +7,11 @@ disk - leaves the rig file as it was, and the steps before it done.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from coulombus.host.commission.earlier import shares
 from coulombus.host.commission.progress import Progress, folder_of
 from coulombus.host.commission.step import (
     Exercise,
@@ -146,7 +147,8 @@ class Session:
             self.state.folder.mkdir(parents=True, exist_ok=True)
             exercises = step.exercises(rig, self.given)
             runs = [self._take(step, exercise) for exercise in exercises]
-            outcome = step.analyse(runs, axis, self.given)
+            given = replace(self.given, shares=shares(self.state.steps))
+            outcome = step.analyse(runs, axis, given)
             written = self._write(step, outcome)
             if not outcome.again or last:
                 break

@@ -50,6 +50,22 @@ class Given:
     """Angle between two marks at the handle."""
     marks_reach_rad: float = 0.002
     """Half of the 95 % interval of that angle, as the hand sets it."""
+    weight_reach_Nm: float = 0.0
+    """Half of the 95 % interval of the weight's torque."""
+    shares: Mapping[str, float] = field(default_factory=dict)
+    """Relative 95 % reaches of what earlier steps have measured (`host.commission.earlier`)."""
+
+    def share(self, *names: str) -> float:
+        """Return the relative reach of the first of the figures that was measured; 0 if none was."""
+        return next((self.shares[name] for name in names if name in self.shares), 0.0)
+
+    def exact(self, figures: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+        """Return a remark on the figures that no step has measured, and that count as exact.
+
+        `figures`: words for each, and the keys or names under which a step has it.
+        """
+        missing = [words for words, names in figures.items() if not any(name in self.shares for name in names)]
+        return (f"not measured, so the interval takes it as exact: {', '.join(missing)}",) if missing else ()
 
 
 @dataclass(frozen=True)

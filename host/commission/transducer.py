@@ -8,8 +8,10 @@ the weight hangs, the brake holds the handle.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+from coulombus.host.commission.earlier import SCALE, rounded
 from coulombus.host.commission.friction import FREE_HAND
 from coulombus.host.commission.samples import handle_torque, mean_in, span_of, thinned
 from coulombus.host.commission.step import (
@@ -31,7 +33,7 @@ from coulombus.rigs.roles import Binding
 
 __all__ = ["Weight", "Zero"]
 
-OFFSET, SCALE, POLARITY = "role.handle_torque.offset_Nm", "role.handle_torque.scale_Nm", "mechanics.transducer_polarity"
+OFFSET, POLARITY = "role.handle_torque.offset_Nm", "mechanics.transducer_polarity"
 ZERO_S = 4.0
 REST_S, HANG_S, TAIL_S = 3.0, 9.0, 3.0
 HANGING = "a weight that hangs still"
@@ -42,8 +44,6 @@ HOLDS = 1.5
 HOLDS_NM = 0.5
 """... and so much on top [Nm]."""
 LEAST_SHARE = 0.1
-LEAST_CHANGE = 0.005
-"""From this share on the scale counts as another one."""
 
 
 def _binding(axis: Axis) -> Binding:
@@ -77,10 +77,11 @@ class Zero(Step):
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the offset that makes the mean zero, and the noise."""
         series = handle_torque(runs[0].recording)
-        mean = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer's zero")
         binding, turned = _binding(axis), axis.mechanics.transducer_polarity
-        new = round((binding.offset - mean.value) * turned, 5) + 0.0  # no -0
-        reach = max(mean.reach, abs(binding.scale) / 2)
+        span = float(series.t_s[0]), float(series.t_s[-1])
+        mean = mean_in(series, *span, "the transducer's zero", abs(binding.scale))
+        new = rounded((binding.offset - mean.value) * turned, mean.reach) + 0.0  # no -0
+        reach = mean.reach
         basis = f"mean of {len(series)} samples with nobody at the handle"
         old = binding.offset * turned
         findings = (
@@ -138,32 +139,32 @@ class Weight(Step):
         recording, weight = runs[0].recording, given.weight_Nm or 0.0
         series = handle_torque(recording)
         rest, hang = span_of(recording, "rest"), span_of(recording, "file")
-        zero = mean_in(series, rest.begin_s + 1.0, rest.end_s, "the free handle")
+        binding, turned = _binding(axis), axis.mechanics.transducer_polarity
+        count = abs(binding.scale)
+        zero = mean_in(series, rest.begin_s + 1.0, rest.end_s, "the free handle", count)
         end = hang.end_s - 1.0
-        loaded = mean_in(series, end - SETTLED_S, end, HANGING)
+        loaded = mean_in(series, end - SETTLED_S, end, HANGING, count)
         difference = loaded.value - zero.value
         if abs(difference) < LEAST_SHARE * weight:
             raise CommissionError(
                 f"the transducer shows {difference:.4f} Nm of the {weight:g} Nm: did the weight hang?"
             )
-        binding, turned = _binding(axis), axis.mechanics.transducer_polarity
         factor = weight / abs(difference)
         polarity = turned if difference > 0 else -turned
-        reach = (loaded.reach + zero.reach) / abs(difference)
-        old = abs(binding.scale)
-        new = float(f"{old * factor:.5g}")
-        other = abs(factor - 1) > max(reach, LEAST_CHANGE)
+        share = math.hypot(math.hypot(loaded.reach, zero.reach) / abs(difference), given.weight_reach_Nm / weight)
+        reach = share * count * factor
+        new = rounded(count * factor, reach)
+        other = abs(factor - 1) > share
         basis = f"{weight:g} Nm reads {difference:.4f} Nm"
         findings = [
             Finding(POLARITY, "transducer's sign", turned, polarity, "", None, basis, changed=polarity != turned),
-            Finding(SCALE, "transducer's scale", old, new, "Nm/count", new * reach, basis, changed=other),
+            Finding(SCALE, "transducer's scale", count, new, "Nm/count", reach, basis, changed=other),
         ]
         if other and binding.offset:
             offset = binding.offset * turned
-            findings.append(
-                Finding(
-                    OFFSET, "transducer's zero", offset, round(offset * factor, 5), "Nm", None, "with the new scale"
-                )
-            )
+            zero_reach = abs(offset) * factor * math.hypot(given.share(OFFSET), share)
+            moved = rounded(offset * factor, zero_reach)
+            stated = zero_reach if OFFSET in given.shares else None  # not by this session: it has no interval
+            findings.append(Finding(OFFSET, "transducer's zero", offset, moved, "Nm", stated, "with the new scale"))
         curve = Curve("Weight", "time [s]", "[Nm]", {"as it read": (*thinned(series.t_s, series.values), "-")})
         return Outcome(tuple(findings), curves=(curve,))

@@ -18,14 +18,15 @@ columns is biased: `Cogging.columns` goes into each of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from coulombus.recording.friction.regression import Column
-from coulombus.recording.friction.sliding import Equations, Floats, Slide, Sliding, equations
+from coulombus.recording.friction.equations import Equations, equations
+from coulombus.recording.friction.regression import Column, Estimate
+from coulombus.recording.friction.sliding import Floats, Slide, Sliding
 
 __all__ = ["Cogging", "find_cogging"]
 
@@ -63,6 +64,11 @@ class Cogging:
             name: (rows.smooth([function(self.wave_rad * slide.x_rad) for slide in used]), 0.0)
             for name, function in (("cogging sine", np.sin), ("cogging cosine", np.cos))
         }
+
+    def stands_out(self, coefficients: Mapping[str, Estimate]) -> bool:
+        """Tell whether its coefficients in a fit with the intervals of clusters are far from 0."""
+        sine, cosine = coefficients["cogging sine"], coefficients["cogging cosine"]
+        return math.hypot(sine.value, cosine.value) > STANDS_OUT / 1.96 * max(sine.reach, cosine.reach)
 
     def wave(self, sine: float, cosine: float) -> Callable[[Floats], Floats]:
         """Return the cogging [Nm] as a function of the handle's angle [rad], by its coefficients."""

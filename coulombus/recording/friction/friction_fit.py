@@ -22,6 +22,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
+from coulombus.recording.friction.equations import Equations
 from coulombus.recording.friction.regression import (
     CONFIDENCE,
     LEAST_CLUSTERS,
@@ -31,7 +32,7 @@ from coulombus.recording.friction.regression import (
     solve,
     standard_errors,
 )
-from coulombus.recording.friction.sliding import Equations, IdentifyError
+from coulombus.recording.friction.sliding import IdentifyError
 
 __all__ = ["Fit", "fit_friction"]
 

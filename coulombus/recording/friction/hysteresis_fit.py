@@ -27,17 +27,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares, lsq_linear
 
-from coulombus.recording.friction.sliding import (
-    REVERSAL_S,
-    WINDOW_S,
-    Equations,
-    IdentifyError,
-    Slide,
-    equations,
-    runs,
-    signals,
-    since,
-)
+from coulombus.recording.friction.equations import Equations, equations
+from coulombus.recording.friction.sliding import REVERSAL_S, WINDOW_S, IdentifyError, Slide, runs, signals, since
 from coulombus.recording.signals import Source
 
 __all__ = ["IronFit", "identify_iron", "iron_lines", "play"]

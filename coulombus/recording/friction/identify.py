@@ -30,17 +30,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.recording.friction.cogging import Cogging, find_cogging
+from coulombus.recording.friction.equations import Equations, equations
 from coulombus.recording.friction.friction_fit import Fit, fit_friction
 from coulombus.recording.friction.regression import Column
-from coulombus.recording.friction.sliding import (
-    REVERSAL_S,
-    WINDOW_S,
-    Equations,
-    IdentifyError,
-    Sliding,
-    equations,
-    sliding,
-)
+from coulombus.recording.friction.sliding import REVERSAL_S, WINDOW_S, IdentifyError, Sliding, sliding
 from coulombus.recording.reading import blocks
 from coulombus.recording.signals import Source
 
@@ -114,8 +107,12 @@ def identified(slides: Sliding, path: str, window_s: float, ratio: float | None)
     notes = list(slides.remarks)
     cogging = None if ratio is None else find_cogging(slides, ratio)
     waves = {} if cogging is None else cogging.columns(rows, slides.slides)
+    delay = torque_delay(rows, slides)
+    device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | delay)
+    if cogging is not None and not cogging.stands_out(device.others):
+        cogging, waves = None, {}
+        device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, delay)
     felt = fit_friction(rows, rows.hand_Nm, notes, waves)
-    device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | torque_delay(rows, slides))
     rest = rows.hand_Nm.copy()
     if felt.inertia_kg_m2 is not None:
         rest -= felt.inertia_kg_m2.value * rows.a

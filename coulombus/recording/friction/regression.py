@@ -25,7 +25,18 @@ from scipy.special import stdtrit
 
 from coulombus.recording.friction.sliding import IdentifyError
 
-__all__ = ["CONFIDENCE", "Column", "Estimate", "Solution", "clusters_of", "regress", "solve", "standard_errors", "widened"]
+__all__ = [
+    "CONFIDENCE",
+    "Column",
+    "Estimate",
+    "Solution",
+    "clusters_of",
+    "covariance_of",
+    "regress",
+    "solve",
+    "standard_errors",
+    "widened",
+]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
@@ -113,6 +124,25 @@ def standard_errors(s: Solution, clusters: list[Integers]) -> tuple[Floats, Floa
     coefficients of X.
     """
     Z, inverse = s.Z, s.inverse
+    covariance, spread = _sandwich(s, clusters)
+    freedom = np.empty(Z.shape[1])
+    for j in range(Z.shape[1]):
+        Q = np.column_stack([-Z @ (inverse @ (Z[r].T @ w[:, j])) for r, w in zip(clusters, spread, strict=True)])
+        for k, (rows, weight) in enumerate(zip(clusters, spread, strict=True)):
+            Q[rows, k] += weight[:, j]
+        gram = Q.T @ Q
+        freedom[j] = np.trace(gram) ** 2 / np.sum(gram**2)
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0)) / s.scale, freedom
+
+
+def covariance_of(s: Solution, clusters: list[Integers]) -> Floats:
+    """Return the covariance (CR2) of the coefficients of X."""
+    return _sandwich(s, clusters)[0] / np.outer(s.scale, s.scale)
+
+
+def _sandwich(s: Solution, clusters: list[Integers]) -> tuple[Floats, list[Floats]]:
+    """Return the covariance of the coefficients of Z, and the weights of each cluster's residuals."""
+    Z, inverse = s.Z, s.inverse
     meat = np.zeros_like(inverse)
     spread = []  # of each cluster: what its corrected residuals are weighted with
     for rows in clusters:
@@ -122,15 +152,7 @@ def standard_errors(s: Solution, clusters: list[Integers]) -> tuple[Floats, Floa
         score = part.T @ corrected @ s.residual[rows] + len(rows) * (s.error @ s.beta)
         meat += np.outer(score, score)
         spread.append(corrected @ part @ inverse)
-    covariance = inverse @ meat @ inverse
-    freedom = np.empty(Z.shape[1])
-    for j in range(Z.shape[1]):
-        Q = np.column_stack([-Z @ (inverse @ (Z[r].T @ w[:, j])) for r, w in zip(clusters, spread, strict=True)])
-        for k, (rows, weight) in enumerate(zip(clusters, spread, strict=True)):
-            Q[rows, k] += weight[:, j]
-        gram = Q.T @ Q
-        freedom[j] = np.trace(gram) ** 2 / np.sum(gram**2)
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0)) / s.scale, freedom
+    return inverse @ meat @ inverse, spread
 
 
 def regress(columns: Mapping[str, Column], y: Floats, slide: Integers) -> dict[str, Estimate]:

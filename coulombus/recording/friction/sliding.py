@@ -1,5 +1,4 @@
-r"""Which samples of a recording obey the regression of `recording.friction.identify`, and the
-equations that come of them.
+r"""Which samples of a recording obey the regression of `recording.friction.identify`.
 
 The equation :math:`f = J\,\dot v + [c + b\,|v|]\,\mathrm{sgn}(v) + f_0` holds for what the hand
 feels only while the host displays one thing. So a sample is taken only
@@ -13,15 +12,6 @@ feels only while the host displays one thing. So a sample is taken only
 - while the brake's set-point has been the same for `COIL_S`, by which its fluid has followed.
 
 What was left out is counted by its first reason.
-
-Equations. Encoder and transducer go through *one* weight :math:`F`, a window of `WINDOW_S`:
-
-.. math:: \textstyle\sum F f = J \sum F'' x\,T + b \sum F' x\,T + c\,\mathrm{sgn}(v) + f_0
-
-:math:`F''` is Savitzky and Golay's second derivative of a quadratic, and :math:`F` is what it is
-the second difference of, so speed, acceleration and torque are filtered alike at every frequency
-(but for :math:`(\omega T)^4/240`). The encoder's quantisation makes :math:`v` and :math:`a` wrong
-by a known variance, :math:`\Delta^2/12` times the weight's squared norm.
 """
 
 from __future__ import annotations
@@ -40,12 +30,11 @@ from coulombus.recording.signals import Series, Source, series
 from coulombus.system.errors import CoulombusError
 
 __all__ = [
-    "Equations",
     "Floats",
     "IdentifyError",
     "Slide",
     "Sliding",
-    "equations",
+    "one_sense",
     "runs",
     "signals",
     "since",
@@ -307,12 +296,12 @@ def _apart(first: int, end: int, gaps: Flags) -> list[tuple[int, int]]:
     return list(pairwise([first, *cuts.tolist(), end]))
 
 
-def _one_sense(moved: Floats, slow_counts: float) -> tuple[Flags, Floats]:
+def one_sense(moved: Floats, period_s: float, count_rad: float) -> tuple[Flags, Floats]:
     """Tell which samples are in the midst of a motion in one sense, and in which.
 
-    `slow_counts`: counts in a cycle at `TRAVEL_RAD_S`.
+    `moved`: counts since the sample before.
     """
-    n, half = len(moved), max(math.ceil(0.5 * TRAVEL_COUNTS / slow_counts), 1)
+    n, half = len(moved), max(math.ceil(0.5 * TRAVEL_COUNTS / (TRAVEL_RAD_S * period_s / count_rad)), 1)
     window = np.ones(2 * half + 1)
     span = np.convolve(moved, window, "same")
     ways = [np.convolve(moved * sign > 0.0, window, "same") > 0.5 for sign in (1, -1)]
@@ -330,7 +319,7 @@ def sliding(recording: Source, window_s: float = WINDOW_S, reversal_s: float = R
     Raises
     ------
     IdentifyError
-            the rig has no transducer; hardly a sample does, the text counts why; or the recording's
+        the rig has no transducer; hardly a sample does, the text counts why; or the recording's
         stamps go back
     """
     axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
@@ -343,10 +332,10 @@ def sliding(recording: Source, window_s: float = WINDOW_S, reversal_s: float = R
     samples.keep("a signal is missing in the cycle, or no number", whole)
     even = np.abs(np.diff(t, prepend=t[:1] - period) - period) < 0.5 * period
     samples.keep("a cycle is missing before it", even & (np.abs(moved) <= axis.limits.encoder_jump_counts))
-    slides, sense = np.abs(moved) > axis.law.velocity_band_counts, moved
+    moves, sense = np.abs(moved) > axis.law.velocity_band_counts, moved
     if axis.law.function.startswith(EXERCISES):
-        slides, sense = _one_sense(moved, TRAVEL_RAD_S * period / count)
-    samples.keep("the handle does not slide", slides)
+        moves, sense = one_sense(moved, period, count)
+    samples.keep("the handle does not slide", moves)
     slow = np.abs(moved) * count / period <= SPEED_SHARE * axis.limits.speed_rad_s
     samples.keep(f"faster than {SPEED_SHARE:g} of the speed limit", slow)
     one_way = samples.good & np.concatenate(([False], sense[1:] * sense[:-1] > 0.0))
@@ -386,74 +375,3 @@ def _one_way(first: int, end: int, sense: Floats) -> list[tuple[int, int]]:
     turns = first + 1 + np.flatnonzero(np.sign(sense[first + 1 : end]) != np.sign(sense[first : end - 1]))
     edges = [first, *turns.tolist(), end]
     return list(pairwise(edges))
-
-
-@dataclass(frozen=True)
-class Equations:
-    """Filtered samples: one row of each array is one equation."""
-
-    v: Floats
-    a: Floats
-    hand_Nm: Floats
-    motor_Nm: Floats
-    slide: npt.NDArray[np.int64]
-    """Which slide an equation is of."""
-    v_variance: float
-    a_variance: float
-    """Of the errors that the encoder's quantisation makes in v and a."""
-    speeds: tuple[Floats, ...]
-    """Each slide's speed, sample by sample."""
-    weight: Floats
-    hop: int
-
-    first: Floats
-    """Weights of a derivative behind the same filter."""
-
-    def smooth(self, samples: list[Floats]) -> Floats:
-        """Return what each slide's samples are behind the equations' filter."""
-        return _filtered(samples, self.weight, self.hop)
-
-    def rate(self, samples: list[Floats]) -> Floats:
-        """Return their time derivative behind the filter [1/s]."""
-        return _filtered(samples, self.first, self.hop)
-
-
-def _filtered(samples: list[Floats], weight: Floats, hop: int) -> Floats:
-    return np.concatenate([np.correlate(values, weight, "valid")[::hop] for values in samples])
-
-
-def weights(size: int, period_s: float) -> tuple[Floats, Floats, Floats]:
-    """Return the weights F (of torques), F' and F'' (of positions), `size` samples each."""
-    from scipy.signal import savgol_coeffs  # takes a second to load: an import for the few who fit
-
-    second = np.asarray(savgol_coeffs(size, 2, deriv=2, delta=period_s, use="dot"), np.float64)
-    window = np.cumsum(np.cumsum(second))[:-2] * period_s**2  # its second difference is `second`
-    first = np.convolve(window, [-0.5, 0.0, 0.5]) / period_s
-    # a second difference is the mean of the acceleration under a triangle of +- one period: so is
-    # the torque's mean (Numerov)
-    return np.convolve(window, [1 / 12, 10 / 12, 1 / 12]), first, second
-
-
-def equations(slides: tuple[Slide, ...], period_s: float, count_rad: float, window_s: float = WINDOW_S) -> Equations:
-    """Return the equations of slides, each a quarter of a window after the one before."""
-    from scipy.signal import savgol_filter
-
-    size = 2 * max(round(0.5 * (window_s / period_s - 1)), 2) + 1
-    hop = max(size // 4, 1)
-    weight, first, second = weights(size, period_s)
-    slides = tuple(slide for slide in slides if len(slide.t_s) >= size)
-    positions = [slide.x_rad - slide.x_rad[0] for slide in slides]
-    short = min(SPEED_SAMPLES, size)
-    return Equations(
-        v=_filtered(positions, first, hop),
-        a=_filtered(positions, second, hop),
-        hand_Nm=_filtered([slide.hand_Nm for slide in slides], weight, hop),
-        motor_Nm=_filtered([slide.motor_Nm for slide in slides], weight, hop),
-        slide=np.concatenate([np.full((len(s.t_s) - size) // hop + 1, i) for i, s in enumerate(slides)]),
-        v_variance=count_rad**2 / 12 * float(first @ first),
-        a_variance=count_rad**2 / 12 * float(second @ second),
-        speeds=tuple(savgol_filter(x, short, 2, deriv=1, delta=period_s) for x in positions),
-        weight=weight,
-        hop=hop,
-        first=first,
-    )

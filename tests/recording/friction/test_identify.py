@@ -12,9 +12,10 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.eds.cia402 import PowerState
+from coulombus.recording.friction.equations import equations, weights
 from coulombus.recording.friction.friction_fit import fit_friction
 from coulombus.recording.friction.identify import identify, lines
-from coulombus.recording.friction.sliding import IdentifyError, Slide, equations, weights
+from coulombus.recording.friction.sliding import IdentifyError, Slide
 from coulombus.recording.signals import Series, Source
 from coulombus.rigs.rig import load_rig
 

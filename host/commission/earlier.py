@@ -1,0 +1,49 @@
+r"""What the steps before have measured, for the intervals of those behind.
+
+A step computes with the rig file's figures, each of which is a factor of what it finds. So their
+intervals belong to its own: by the delta method, relative 95 % reaches add in squares,
+
+.. math:: \Bigl(\frac{r}{x}\Bigr)^2 = \Bigl(\frac{r_0}{x}\Bigr)^2 + \sum_i s_i^2
+
+(JCGM 100:2008, GUM, 5.1.6). A figure that was measured and not written, because it did not differ
+significantly, counts with that difference on top: the file has the old value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["ANGLE", "HANDLE_TORQUE", "INERTIA", "SCALE", "rounded", "shares"]
+
+SCALE = "role.handle_torque.scale_Nm"
+HANDLE_TORQUE = "torque at the handle at 1000 per mille"
+"""The motor's torque times the ratio: it is measured as a whole, so the ratio has no part in it."""
+ANGLE = ("mechanics.ratio", "role.position.scale_rad")
+INERTIA = "mechanics.inertia_kg_m2"
+
+
+def shares(steps: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Return the relative 95 % reach of each figure of the rig file that the steps have measured.
+
+    `steps`: of `Progress`.
+    """
+    known: dict[str, float] = {}
+    for step in steps.values():
+        for finding in step["findings"]:
+            old, new, reach = finding["old"], finding["new"], finding["uncertainty"]
+            name = finding["key"] or finding["name"]
+            if reach is None or not isinstance(new, int | float):
+                continue
+            kept = new if finding["changed"] else old
+            if isinstance(kept, int | float) and kept:
+                known[name] = (reach + abs(new - kept)) / abs(kept)
+    return known
+
+
+def rounded(value: float, reach: float) -> float:
+    """Return a value without the digits that its 95 % reach says nothing about."""
+    if not reach > 0.0:
+        return float(f"{value:.6g}")
+    return round(value, math.ceil(-math.log10(reach)) + 1)

@@ -1,0 +1,266 @@
+r"""Two lags in series, coil and fluid, from a handle that slides while the brake is switched.
+
+In slip the hand bears the device's friction, the inertia and the brake,
+
+.. math:: f - J\,\dot v = \mathrm{sgn}(v)\,(c + b\,|v| + D\,B(t)) + f_0 + A \sin(\kappa x + \varphi),
+
+where B is the recorded set-point, late by d since the SYNC before it was sent, behind two lags,
+
+.. math:: \frac{B(s)}{u(s)} = \frac{e^{-d s}}{1 + S s + P s^2}, \quad S = \tau_c + \tau_f, \; P = \tau_c \tau_f.
+
+B is computed along the whole recording. Both sides go through one filter
+(`recording.friction.equations`), so inertia and torque are smoothed alike. For d, S and
+:math:`q = 4 P/S^2` least squares has the other coefficients by projection (G. H. Golub, V. Pereyra,
+SIAM Journal on Numerical Analysis 10(2):413-432, 1973, doi:10.1137/0710036). In S and q the model
+is smooth where the lags are equal (q = 1); in the time constants,
+
+.. math:: \tau_{f,c} = \tfrac{S}{2} \bigl(1 \pm \sqrt{\max(1 - q, 0)}\bigr),
+
+it is not. So their intervals are those of draws from the normal distribution of (d, S, q). Its
+covariance is that of clusters with the model's tangents as columns
+(`recording.friction.regression`), plus what the inertia's own interval moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import cont2discrete, lfilter
+
+from coulombus.host.commission.samples import Floats, held, sync_before
+from coulombus.host.commission.step import CommissionError
+from coulombus.recording.friction.equations import Equations, equations
+from coulombus.recording.friction.regression import clusters_of, covariance_of, solve
+from coulombus.recording.friction.sliding import IdentifyError, Slide, one_sense, runs, signals
+from coulombus.recording.signals import Recording, Series
+
+__all__ = ["LagFit", "fit_lags", "step_answer"]
+
+WINDOW_S = 0.011
+SKIP_S, MARGIN_S = 0.5, 0.01
+LEAST_STEPS = 12
+LEAST_ROWS = 400
+DRAWS, SEED = 4000, 0
+LOW, HIGH = (0.0, 5e-4, 1e-3), (0.03, 0.3, 2.0)
+"""Bounds of d [s], S [s] and q."""
+STARTS = ((1e-3, 0.012, 0.8), (1e-3, 0.025, 0.4))
+CURVE_S = 0.15
+TOGETHER = 0.025
+"""From this share of draws with equal lags on, the two cannot be told apart."""
+
+
+def step_answer(t: Floats, delay_s: float, total_s: float, q: float) -> Floats:
+    """Return the answer of the two lags to a step of 1 at the time 0."""
+    s = np.maximum(t - delay_s, 0.0)
+    spread = np.sqrt(complex(1.0 - min(max(q, 1e-6), 4.0)))
+    if abs(spread) < 1e-4:
+        spread = complex(1e-4)
+    slow, fast = 0.5 * total_s * (1 + spread), 0.5 * total_s * (1 - spread)
+    answer: Floats = np.real(1 - (slow * np.exp(-s / slow) - fast * np.exp(-s / fast)) / (slow - fast))
+    return answer
+
+
+@dataclass(frozen=True)
+class LagFit:
+    """The fit.
+
+    Attributes
+    ----------
+    best : delay d [s], sum of the time constants S [s], q
+    covariance : of `best`
+    samples : that slide
+    curve : times since the SYNC [s] and shares, the mean of the steps up
+    """
+
+    best: Floats
+    covariance: Floats
+    samples: int
+    curve: tuple[Floats, Floats]
+
+    @cached_property
+    def draws(self) -> Floats:
+        """`best` as often as its covariance has it, (3, n)."""
+        rng = np.random.default_rng(SEED)
+        drawn = rng.multivariate_normal(self.best, self.covariance, DRAWS, method="eigh").T
+        return np.clip(drawn, np.array(LOW)[:, None], np.array([1.0, 1.0, 4.0])[:, None])
+
+    @property
+    def together(self) -> bool:
+        """Whether the two time constants may be equal."""
+        return bool(np.mean(self.draws[2] >= 1.0) > TOGETHER)
+
+    def figures(self) -> dict[str, tuple[float, float]]:
+        """Return each time [s] with half of its 95 % interval."""
+        names: dict[str, Callable[[float, float, float], float]] = {
+            "brake: 63 % after": lambda delay, total, q: _reached(1 - math.exp(-1), delay, total, q),
+            "brake: 95 % after": lambda delay, total, q: _reached(0.95, delay, total, q),
+            "brake: delay": lambda delay, total, q: delay,
+            "brake: faster lag (coil)": lambda delay, total, q: 0.5 * total * (1 - math.sqrt(max(1 - q, 0.0))),
+            "brake: slower lag (fluid)": lambda delay, total, q: 0.5 * total * (1 + math.sqrt(max(1 - q, 0.0))),
+        }
+        figures = {}
+        for name, figure in names.items():
+            value = float(figure(*self.best))
+            every = self.draws.T if "after" not in name else self.draws.T[: DRAWS // 20]
+            low, high = np.percentile([figure(*draw) for draw in every], (2.5, 97.5))
+            figures[name] = value, float(max(high - value, value - low))
+        return figures
+
+
+def _reached(share: float, delay: float, total: float, q: float) -> float:
+    t = np.linspace(0.0, delay + 8 * total, 2000)
+    return float(np.interp(share, step_answer(t, delay, total, q), t))
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What the regression is made of."""
+
+    rows: Equations
+    slides: tuple[Slide, ...]
+    first: tuple[int, ...]
+    """Of each slide, the sample with which it begins."""
+    setpoint: Floats
+    """At the SYNC of each sample of the recording [Nm]."""
+    period_s: float
+    linear: Floats
+    """Columns that do not depend on the lags."""
+
+    def brake(self, parameters: Floats) -> Floats:
+        """Return the column of the brake's torque for (d, S, q)."""
+        course = _lagged(self.setpoint, self.period_s, *parameters)
+        parts = [course[k : k + len(slide.t_s)] for k, slide in zip(self.first, self.slides, strict=True)]
+        return np.sign(self.rows.v) * self.rows.smooth(parts)
+
+
+def _lagged(u: Floats, period_s: float, delay_s: float, total_s: float, q: float) -> Floats:
+    """Return the set-point behind delay and lags, at the SYNCs."""
+    whole, part = divmod(delay_s / period_s, 1.0)
+    late = np.concatenate([np.full(int(whole) + 1, u[0]), u])
+    end = len(late)
+    shifted = (1 - part) * late[1:end][: len(u)] + part * late[: end - 1][: len(u)]
+    product = 0.25 * q * total_s**2
+    numerator, denominator, _ = cont2discrete(([1.0], [product, total_s, 1.0]), period_s)
+    answer: Floats = lfilter(np.ravel(numerator), denominator, shifted)
+    return answer
+
+
+def _gathered(recording: Recording, wave_rad: float | None) -> _Rows:
+    """Return the rows.
+
+    Raises
+    ------
+    CommissionError
+        the handle slides through too few steps
+    """
+    period = recording.rig.bus.period_s
+    try:
+        seen = signals(recording)
+    except IdentifyError as error:
+        raise CommissionError(str(error)) from error
+    setpoints = recording["brake.setpoint_Nm"]
+    sampled, sent = sync_before(recording, seen.t), sync_before(recording, setpoints.t_s)
+    setpoint = held(Series(sent, setpoints.values, setpoints.unit), sampled + 1e-9)
+    moves, sense = one_sense(seen.moved, period, seen.count_rad)
+    good = seen.shown & np.isfinite(seen.x) & np.isfinite(seen.hand) & moves
+    good &= np.abs(np.diff(seen.t, prepend=seen.t[:1] - period) - period) < 0.5 * period
+    margin = round(MARGIN_S / period)
+    edges = [(a + margin, b - margin) for a, b in runs(good) if b - a > 4 * margin]
+    begin = seen.t[0] + SKIP_S
+    spans = [(a, b) for a, b in edges if seen.t[a] > begin and np.ptp(sense[a:b]) == 0.0]
+    jumps = np.abs(np.diff(setpoint)) > 0.5 * np.ptp(setpoint) + 1e-9
+    steps = sum(int(np.sum(jumps[a:b])) for a, b in spans)
+    slides = tuple(Slide(seen.t[a:b], seen.x[a:b], seen.hand[a:b], seen.motor[a:b]) for a, b in spans)
+    if steps < LEAST_STEPS:
+        raise CommissionError(
+            f"the handle slid through {steps} steps; expected {LEAST_STEPS}: stroke it with a firmer hand"
+        )
+    rows = equations(slides, period, seen.count_rad, WINDOW_S)
+    if len(rows.v) < LEAST_ROWS or rows.v.min() >= 0 or rows.v.max() <= 0:
+        raise CommissionError("the handle slid too little, or in one sense alone: stroke it to and fro")
+    size = len(rows.weight)
+    kept = [(slide, a) for slide, (a, _) in zip(slides, spans, strict=True) if len(slide.t_s) >= size]
+    linear = [np.sign(rows.v), rows.v, np.ones_like(rows.v)]
+    if wave_rad is not None:
+        linear += [rows.smooth([wave(wave_rad * slide.x_rad) for slide, _ in kept]) for wave in (np.sin, np.cos)]
+    return _Rows(rows, tuple(s for s, _ in kept), tuple(a for _, a in kept), setpoint, period, np.column_stack(linear))
+
+
+def _best(gathered: _Rows, torque: Floats, starts: tuple[tuple[float, ...], ...]) -> tuple[Floats, float]:
+    """Return (d, S, q) that leave least, and the brake's coefficient."""
+    base, _ = np.linalg.qr(gathered.linear)
+    left = torque - base @ (base.T @ torque)
+
+    def projected(parameters: Floats) -> tuple[Floats, float]:
+        column = gathered.brake(parameters)
+        column = column - base @ (base.T @ column)
+        size = float(column @ left) / max(float(column @ column), 1e-12)
+        return left - size * column, size
+
+    fits = [
+        least_squares(lambda p: projected(p)[0], start, bounds=(LOW, HIGH), x_scale=(1e-3, 1e-2, 0.3))
+        for start in starts
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost)).x
+    return np.asarray(best, np.float64), projected(best)[1]
+
+
+def fit_lags(recording: Recording, inertia: float, inertia_share: float, wave_rad: float | None) -> LagFit:
+    """Fit delay and lags.
+
+    Parameters
+    ----------
+    inertia : at the handle [kg m2]
+    inertia_share : relative 95 % reach of it
+    wave_rad : of the motor's cogging for each rad of the handle, None: it has none
+
+    Raises
+    ------
+    CommissionError
+        the recording does not carry it
+    """
+    gathered = _gathered(recording, wave_rad)
+    rows = gathered.rows
+    torque = rows.hand_Nm - inertia * rows.a
+    best, size = _best(gathered, torque, STARTS)
+    if not size > 0.05:
+        raise CommissionError("the brake has hardly answered: is the coil connected, and the hand firm?")
+    tangents = []
+    for j, step in enumerate((1e-5, 1e-5, 1e-3)):
+        shift = np.eye(3)[j] * step * (1 if best[j] + step <= HIGH[j] else -1)
+        tangents.append(size * (gathered.brake(best + shift) - gathered.brake(best)) / shift[j])
+    columns = np.column_stack([gathered.linear, gathered.brake(best), *tangents])
+    variances = np.zeros(columns.shape[1])
+    variances[1] = rows.v_variance
+    try:
+        solution = solve(columns, torque, variances)
+    except IdentifyError as error:
+        raise CommissionError(str(error)) from error
+    covariance = covariance_of(solution, clusters_of(rows.slide))[-3:, -3:]
+    moved, _ = _best(gathered, torque - inertia * inertia_share * rows.a, (tuple(best),))
+    covariance = covariance + np.outer(moved - best, moved - best) / 1.96**2
+    rest = np.sign(rows.v) * (torque - gathered.linear @ (solution.beta / solution.scale)[: gathered.linear.shape[1]])
+    return LagFit(best, covariance, sum(len(s.t_s) for s in gathered.slides), _curve(gathered, rest / size))
+
+
+def _curve(gathered: _Rows, share: Floats) -> tuple[Floats, Floats]:
+    """Return the mean answer to the steps up, for the picture."""
+    rows, period, half = gathered.rows, gathered.period_s, len(gathered.rows.weight) // 2
+    counts = [(len(slide.t_s) - len(rows.weight)) // rows.hop + 1 for slide in gathered.slides]
+    at = np.concatenate(
+        [first + half + rows.hop * np.arange(n) for first, n in zip(gathered.first, counts, strict=True)]
+    )
+    jumps = np.diff(gathered.setpoint)
+    lags, shares = [], []
+    for edge in 1 + np.flatnonzero(jumps > 0.5 * np.ptp(gathered.setpoint) + 1e-9):
+        inside = (at >= edge) & (at < edge + round(CURVE_S / period))
+        lags.append((at[inside] - edge) * period)
+        shares.append(share[inside] / np.ptp(gathered.setpoint))
+    t, y = np.concatenate(lags), np.concatenate(shares)
+    bins = np.unique(t)
+    return bins, np.array([float(np.mean(y[t == time])) for time in bins])
