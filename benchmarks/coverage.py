@@ -40,6 +40,8 @@ MEASURED = ("zero", "weight", "encoder", "motor", "friction", "brake", "response
 WEIGHT_NM, MARKS_RAD = 1.5, 1.5
 NOMINAL_RATIO, NOMINAL_RATED_NM = 9.587, 0.180
 BELIEVED_SCALE = 0.001
+PLANT_STEP_MS = 0.05
+"""The simulated coil and fluid lead by half a step each."""
 PERIOD_US = 1000.0
 """Actuation on the next SYNC: the delay of torque and coil."""
 
@@ -141,7 +143,7 @@ def random_rig(seed: int) -> RandomRig:
         "SYNC to coil's current": PERIOD_US,
         "time constant of the motor's torque": 1e3 * motor_lag,
         "time constant of the coil's current": 1e3 * coil,
-        "brake: delay": 1e-3 * PERIOD_US,
+        "brake: delay": 1e-3 * PERIOD_US - PLANT_STEP_MS,
         "brake: faster lag (coil)": 1e3 * min(coil, fluid),
         "brake: slower lag (fluid)": 1e3 * max(coil, fluid),
     }

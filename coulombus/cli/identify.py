@@ -26,6 +26,9 @@ __all__ = ["identify"]
 @force_option
 @click.option("--axis", metavar="A", help="Axis of a rig with several.")
 @click.option("--law", "law", metavar="NAME", help="Fit this law's parameters instead.")
+@click.option("--column", "columns", multiple=True, metavar="C=NAME", help="Of a table: t, angle, torque or brake.")
+@click.option("--unit", "units", multiple=True, metavar="C=UNIT", help="Of a table: the unit of a column.")
+@click.option("--ratio", type=float, metavar="N", help="Of a table: motor turns for one of the angle; finds cogging.")
 @click.option("--iron", is_flag=True, help="Fit the magnetic hysteresis of the brake instead.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="With --law: hold a parameter at a value.")
 @json_option
@@ -39,8 +42,11 @@ def identify(
     second, each with its 95 % confidence interval. The recording needs strokes, to and fro, best at
     several speeds and with the coil off.
 
+    FILE may be a table, too: CSV, Parquet or MAT, with the columns t, angle, torque, and brake where
+    there is one. A unit stands in the column's name (angle_deg, "torque [mNm]") or in --unit.
+
     With --law the parameters of that law are sought that give the hand's torque along the recorded
-    angle. FILE may be a CSV file with the columns t_s,x_rad,torque_Nm, too.
+    angle, or along that of a table.
 
     With --iron the brake's magnetic hysteresis is sought, as [brake.iron] of the rig file takes it.
     The brake's set-point must change up and down while the handle slides.
@@ -51,6 +57,7 @@ def identify(
       coulombus identify strokes.pcapng --json
       coulombus identify strokes.pcapng --figure friction.png
       coulombus identify strokes.csv --law lugre --set sigma_2_Nms_rad=0
+      coulombus identify bench.mat --column angle=phi --unit angle=deg
       coulombus identify damper.pcapng --iron
     """
     as_json = options["as_json"]
@@ -68,6 +75,10 @@ def identify(
         return
     if options["overrides"]:
         raise click.UsageError("--set holds a parameter of a law: give --law NAME, too")
+    if _is_table(file):
+        with errors():
+            _identify_table(file, figure, overwrite, options)
+        return
     with errors():
         from coulombus.recording.friction import identify as friction
         from coulombus.recording.output_file import new_file
@@ -91,6 +102,33 @@ def identify(
                 print_json(fit.as_dict())
             else:
                 _print(friction.lines(fit))
+
+
+def _is_table(file: Path) -> bool:
+    from coulombus.recording.friction.torque_table import is_table
+
+    with errors():
+        return is_table(file)
+
+
+def _identify_table(file: Path, figure: Path | None, overwrite: bool, options: dict[str, Any]) -> None:
+    from coulombus.recording.friction.table_identify import identify_table, table_lines
+    from coulombus.recording.friction.torque_table import read_table
+    from coulombus.recording.output_file import new_file
+
+    table = read_table(file, options["columns"], options["units"])
+    fit = identify_table(table, options["ratio"])
+    if figure is not None:
+        from coulombus.analysis.figures.rig import write_identification
+
+        with new_file(figure, force=overwrite) as path:
+            write_identification(path, fit.identification)
+        say(f"figure: {figure}")
+    with printed():
+        if options["as_json"]:
+            print_json(fit.as_dict())
+        else:
+            _print(table_lines(fit))
 
 
 def _print(lines: Iterable[str]) -> None:
@@ -119,15 +157,16 @@ def _identify_iron(
 
 def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
     from coulombus.analysis.rig.law_fit import Stretch, fit_law, lines, stretches_of
-    from coulombus.host.laws.path import read_columns
     from coulombus.recording.friction.sliding import IdentifyError
+    from coulombus.recording.friction.torque_table import read_table
     from coulombus.recording.reading import blocks
     from coulombus.rigs.rig import load_rig
 
-    table = file.suffix.lower() == ".csv"
     data: tuple[Stretch, ...]
+    table = _is_table(file)
     if table:
-        data = (Stretch(*read_columns(file, ("t_s", "x_rad", "torque_Nm"))),)
+        rows = read_table(file, options["columns"], options["units"])
+        data = (Stretch(rows.t_s, rows.angle_rad, rows.torque_Nm),)
     else:
         recording = blocks(file, None if rig_name is None else load_rig(rig_name), options["channels"])
         seen = recording.one_axis(axis)

@@ -4,17 +4,23 @@ A hand strokes the handle to and fro while the brake climbs a stair of set-point
 again. In slip the hand bears the brake's torque, the device's own friction and the inertia: what it
 bears more than on the first stair, with the brake off, is the brake's torque. Up and down differ by
 the brake's hysteresis; the table has the mean of both.
+
+The interval of a point has the scatter of its stairs' means over independent samples
+(`host.commission.samples.independent`), that of the first stair, and the transducer's scale. The
+table is stated with the widest of them.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.host.commission.samples import Floats, handle_torque, held, motion
+from coulombus.host.commission.earlier import SCALE, rounded
+from coulombus.host.commission.samples import Floats, handle_torque, held, independent, motion
 from coulombus.host.commission.step import (
     CommissionError,
     Curve,
@@ -62,7 +68,8 @@ class _Stair:
     up: bool
     slip_Nm: float
     """Mean of both senses."""
-    scatter_Nm: float
+    reach_Nm: float
+    """Half of its 95 % interval."""
     breakaway_Nm: float
     """NaN where the handle never stuck."""
 
@@ -114,10 +121,13 @@ class Brake(Step):
         stairs = _stairs(runs[0].recording, axis)
         zero = stairs[0].slip_Nm  # before the iron has anything to remember
         table: list[list[float]] = [[stairs[0].raw, 0.0]]
+        reaches = [0.0]
         for raw in sorted({stair.raw for stair in stairs} - {stairs[0].raw}, key=lambda raw: abs(raw - stairs[0].raw)):
-            table.append(
-                [raw, round(float(np.mean([stair.slip_Nm for stair in stairs if stair.raw == raw])) - zero, 4)]
-            )
+            here = [stair for stair in stairs if stair.raw == raw]
+            torque = float(np.mean([stair.slip_Nm for stair in here])) - zero
+            of_mean = math.hypot(*(stair.reach_Nm for stair in here)) / len(here)
+            reaches.append(math.hypot(of_mean, stairs[0].reach_Nm, torque * given.share(SCALE)))
+            table.append([raw, rounded(torque, reaches[-1])])
         if len(table) < 3:
             raise CommissionError(
                 f"the handle slid on {len(table)} stairs only: stroke it without a stop, harder where it binds"
@@ -130,7 +140,8 @@ class Brake(Step):
         ups = {stair.raw: stair.slip_Nm for stair in stairs if stair.up}
         downs = {stair.raw: stair.slip_Nm for stair in stairs if not stair.up}
         gap = max((abs(ups[raw] - downs[raw]) for raw in ups.keys() & downs.keys()), default=0.0)
-        scatter = max(stair.scatter_Nm for stair in stairs)
+        reach = max(reaches)
+        gap_reach = math.sqrt(2) * max(stair.reach_Nm for stair in stairs)
         lets = [
             stair.breakaway_Nm / stair.slip_Nm
             for stair in stairs
@@ -138,20 +149,18 @@ class Brake(Step):
         ]
         setpoint = axis.allocation.bound["brake_setpoint"]
         believed = [_believed(axis, raw) for raw, _ in table]
-        other = any(
-            abs(was - Nm) > max(0.01 * table[-1][1], scatter) for was, (_, Nm) in zip(believed, table, strict=True)
-        )
+        other = any(abs(was - Nm) > wide for was, (_, Nm), wide in zip(believed, table, reaches, strict=True))
         basis = f"{len(stairs)} stairs, slip both ways, up and down"
         old = [list(point) for point in setpoint.table] or None
         findings = (
-            Finding(
-                "role.brake_setpoint.table", "brake's table", old, table, "[raw, Nm]", scatter, basis, changed=other
-            ),
-            Finding("", "brake's hysteresis, up against down", None, round(gap, 4), "Nm", scatter, basis),
+            Finding("role.brake_setpoint.table", "brake's table", old, table, "[raw, Nm]", reach, basis, changed=other),
+            Finding("", "brake's hysteresis, up against down", None, round(gap, 4), "Nm", gap_reach, basis),
             Finding(
                 "", "break-away against slip", None, round(float(np.mean(lets)), 3) if lets else None, "", None, basis
             ),
-            Finding("", "inherent friction in the stroke, coil off", None, round(zero, 4), "Nm", None, basis),
+            Finding(
+                "", "inherent friction in the stroke, coil off", None, round(zero, 4), "Nm", stairs[0].reach_Nm, basis
+            ),
         )
         lines = {
             "up": (
@@ -166,7 +175,8 @@ class Brake(Step):
             ),
             "believed": ([float(raw) for raw, _ in table], believed, ":"),
         }
-        return Outcome(findings, curves=(Curve("Brake's torque", "set-point [counts]", "[Nm]", lines),))
+        exact = given.exact({"the transducer's scale (step weight)": (SCALE,)})
+        return Outcome(findings, exact, (Curve("Brake's torque", "set-point [counts]", "[Nm]", lines),))
 
 
 def _believed(axis: Axis, raw: float) -> float:
@@ -226,6 +236,6 @@ def _stair(raw: int, up: bool, v: Floats, torque: Floats, slip: float) -> _Stair
         raw=raw,
         up=up,
         slip_Nm=float(np.mean([np.mean(way) for way in ways])),
-        scatter_Nm=float(max(2 * np.std(way) / np.sqrt(len(way) / 20) for way in ways)),
+        reach_Nm=0.5 * math.hypot(*(1.96 * float(np.std(way)) / math.sqrt(independent(way)) for way in ways)),
         breakaway_Nm=float(np.median(peaks)) if peaks else float("nan"),
     )

@@ -296,12 +296,14 @@ def _apart(first: int, end: int, gaps: Flags) -> list[tuple[int, int]]:
     return list(pairwise([first, *cuts.tolist(), end]))
 
 
-def one_sense(moved: Floats, period_s: float, count_rad: float) -> tuple[Flags, Floats]:
+def one_sense(
+    moved: Floats, period_s: float, count_rad: float, slow_rad_s: float = TRAVEL_RAD_S
+) -> tuple[Flags, Floats]:
     """Tell which samples are in the midst of a motion in one sense, and in which.
 
-    `moved`: counts since the sample before.
+    `moved`: counts since the sample before; `slow_rad_s`: the slowest motion that is seen.
     """
-    n, half = len(moved), max(math.ceil(0.5 * TRAVEL_COUNTS / (TRAVEL_RAD_S * period_s / count_rad)), 1)
+    n, half = len(moved), max(math.ceil(0.5 * TRAVEL_COUNTS / (slow_rad_s * period_s / count_rad)), 1)
     window = np.ones(2 * half + 1)
     span = np.convolve(moved, window, "same")
     ways = [np.convolve(moved * sign > 0.0, window, "same") > 0.5 for sign in (1, -1)]
