@@ -52,6 +52,8 @@ BRAKE_NM = 1.0
 LEAST_SHARE = 0.03
 """Of the answer: what is below is noise."""
 LEAST_EDGES = 10
+CLEAN_SHARE = 0.02
+"""The command is constant to this share before and behind a step that counts."""
 SETTLED = 5
 AFTER = 25
 
@@ -195,8 +197,11 @@ def _steps(recording: Recording, command_name: str, answered: str, size: float) 
     for edge, following in itertools.pairwise(edges):
         if target.t_s[edge] < begin_s or target.t_s[following] - target.t_s[edge] < 0.9 * HALF_S:
             continue
+        level = command[max(edge - SETTLED, 0) : edge], command[edge : edge + AFTER // 2]
+        if max(map(np.ptp, level)) > CLEAN_SHARE * size:  # a brake that is let go falls in several steps
+            continue
         first = int(np.searchsorted(sampled, sent[edge]))
-        until_s = min(target.t_s[following], target.t_s[edge] + HALF_S)  # a brake that falls slowly has no edge down
+        until_s = min(target.t_s[following], target.t_s[edge] + HALF_S)
         last = int(np.searchsorted(sampled, until_s)) - 1
         if first < SETTLED or last - first < AFTER:
             continue

@@ -126,7 +126,8 @@ class Friction(Step):
         recording, mechanics = runs[0].recording, axis.mechanics
         try:
             slides = sliding(recording, WINDOW_S, REVERSAL_S)
-            identification = identified(slides, recording.path, WINDOW_S, mechanics.ratio)
+            count = abs(recording.scale("motor.torque_Nm")) if recording.has("motor.torque_Nm") else 0.0
+            identification = identified(slides, recording.path, WINDOW_S, mechanics.ratio, count)
         except IdentifyError as error:
             raise CommissionError(
                 f"{error}; is the handle free, and sign_check_torque_Nm more than its friction?"

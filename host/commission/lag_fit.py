@@ -41,7 +41,7 @@ from coulombus.recording.signals import Recording, Series
 
 __all__ = ["LagFit", "fit_lags", "step_answer"]
 
-WINDOW_S = 0.011
+WINDOW_S = 0.021
 SKIP_S, MARGIN_S = 0.5, 0.01
 LEAST_STEPS = 12
 LEAST_ROWS = 400

@@ -34,7 +34,8 @@ from coulombus.rigs.rig import Rig
 
 __all__ = ["Response"]
 
-BRAKE_NM, HALF_S, SECONDS = 0.6, 0.2, 24.0
+BRAKE_NM, HALF_S, SECONDS = 0.6, 0.187, 24.0
+"""The steps are no whole number in a stroke: each falls on another angle."""
 SPEED_RAD_S, MOVE_S, DWELL_S = 1.5, 1.5, 0.1
 
 

@@ -28,6 +28,7 @@ from coulombus.recording.friction.regression import (
     LEAST_CLUSTERS,
     Column,
     Estimate,
+    Levels,
     clusters_of,
     solve,
     standard_errors,
@@ -130,7 +131,11 @@ def _stribeck(equations: Equations, X: Floats, y: Floats, variances: Floats) -> 
 
 
 def fit_friction(
-    equations: Equations, torque: Floats, remarks: list[str] | None = None, others: Mapping[str, Column] | None = None
+    equations: Equations,
+    torque: Floats,
+    remarks: list[str] | None = None,
+    others: Mapping[str, Column] | None = None,
+    levels: Levels | None = None,
 ) -> Fit:
     """Fit friction to the equations of what slides.
 
@@ -140,6 +145,7 @@ def fit_friction(
     torque : each equation's torque [Nm]: the transducer's, or with the motor's added
     remarks : sentences on what the data do not carry are appended
     others : more columns, such as those of cogging
+    levels : rows that share the error of a count of the torque
 
     Raises
     ------
@@ -193,6 +199,8 @@ def fit_friction(
             stribeck = None
     if stribeck is None:
         notes.append("the data do not carry Stribeck's term")
+    if levels is not None:
+        error = np.sqrt(error**2 + levels.variance(solution))
     reach = stdtrit(freedom, 0.5 + CONFIDENCE / 2) * error
     beta = solution.beta / solution.scale
 

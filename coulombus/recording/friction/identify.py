@@ -32,7 +32,7 @@ import numpy.typing as npt
 from coulombus.recording.friction.cogging import Cogging, find_cogging
 from coulombus.recording.friction.equations import Equations, equations
 from coulombus.recording.friction.friction_fit import Fit, fit_friction
-from coulombus.recording.friction.regression import Column
+from coulombus.recording.friction.regression import Column, Levels
 from coulombus.recording.friction.sliding import REVERSAL_S, WINDOW_S, IdentifyError, Sliding, sliding
 from coulombus.recording.reading import blocks
 from coulombus.recording.signals import Source
@@ -89,14 +89,23 @@ def identify(
     if isinstance(recording, str | Path):
         recording = blocks(recording)
     slides = sliding(recording, window_s, reversal_s)
+    measured = recording.has("motor.torque_Nm")
+    count = abs(recording.scale("motor.torque_Nm")) if measured else 0.0
     try:
-        return identified(slides, recording.path, window_s, recording.rig.one_axis().mechanics.ratio)
+        return identified(slides, recording.path, window_s, recording.rig.one_axis().mechanics.ratio, count)
     except IdentifyError as error:
         raise IdentifyError(f"{recording.path}: {error}") from error
 
 
-def identified(slides: Sliding, path: str, window_s: float, ratio: float | None) -> Identification:
-    """Identify friction from slides; `ratio`: of the motor, None: no cogging is looked for.
+def identified(
+    slides: Sliding, path: str, window_s: float, ratio: float | None, count_Nm: float = 0.0
+) -> Identification:
+    """Identify friction from slides.
+
+    Parameters
+    ----------
+    ratio : of the motor, None: no cogging is looked for
+    count_Nm : in which the motor's measured torque comes
 
     Raises
     ------
@@ -108,10 +117,11 @@ def identified(slides: Sliding, path: str, window_s: float, ratio: float | None)
     cogging = None if ratio is None else find_cogging(slides, ratio)
     waves = {} if cogging is None else cogging.columns(rows, slides.slides)
     delay = torque_delay(rows, slides)
-    device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | delay)
+    levels = Levels.of(rows.v, count_Nm, _deviation(rows, slides)) if count_Nm > 0 else None
+    device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | delay, levels)
     if cogging is not None and not cogging.stands_out(device.others):
         cogging, waves = None, {}
-        device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, delay)
+        device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, delay, levels)
     felt = fit_friction(rows, rows.hand_Nm, notes, waves)
     rest = rows.hand_Nm.copy()
     if felt.inertia_kg_m2 is not None:
@@ -130,6 +140,13 @@ def identified(slides: Sliding, path: str, window_s: float, ratio: float | None)
         v_rad_s=rows.v,
         felt_Nm=rest,
     )
+
+
+def _deviation(rows: Equations, slides: Sliding) -> Floats:
+    """Return the deviation of the motor's torque in the slide of each row, its beginning left out."""
+    used = [slide for slide in slides.slides if len(slide.t_s) >= len(rows.weight)]
+    of_slide = np.array([np.std(slide.motor_Nm[len(slide.t_s) // 2 :]) for slide in used])
+    return of_slide[rows.slide]
 
 
 def torque_delay(rows: Equations, slides: Sliding) -> dict[str, Column]:

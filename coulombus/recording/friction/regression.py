@@ -29,6 +29,7 @@ __all__ = [
     "CONFIDENCE",
     "Column",
     "Estimate",
+    "Levels",
     "Solution",
     "clusters_of",
     "covariance_of",
@@ -49,6 +50,8 @@ CLUSTER_EQUATIONS = 15
 LEAST_EQUATIONS = 4
 """Of a cluster: a window's length."""
 LEAST_CLUSTERS = 6
+LEVEL_WIDTH = 0.25
+"""Of the logarithm of the speed: speeds so near to each other are of one level."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,47 @@ def standard_errors(s: Solution, clusters: list[Integers]) -> tuple[Floats, Floa
         gram = Q.T @ Q
         freedom[j] = np.trace(gram) ** 2 / np.sum(gram**2)
     return np.sqrt(np.maximum(np.diag(covariance), 0.0)) / s.scale, freedom
+
+
+@dataclass(frozen=True)
+class Levels:
+    r"""Rows that share the error of a count: those of one steady torque, at one speed and sense.
+
+    A torque that comes in counts :math:`\Delta` and hardly changes has the same error each time, at
+    most :math:`\Delta/2`, however long it is recorded. What swings with a deviation :math:`\sigma`
+    averages over it; for a sine the envelope of :math:`J_0` leaves (B. Widrow, I. Kollar,
+    Quantization Noise, 2008, appendix G)
+
+    .. math:: \frac{\Delta}{\sqrt{12}} \min\bigl(1, 0.21 \sqrt{\Delta/\sigma}\bigr).
+
+    Attributes
+    ----------
+    of_row : which level each row is of
+    error : of each level, its standard deviation
+    """
+
+    of_row: Integers
+    error: Floats
+
+    @classmethod
+    def of(cls, v: Floats, count: float, deviation: Floats) -> Levels:
+        """Return the levels of rows at the speeds `v`, of a torque with counts of `count`.
+
+        `deviation`: of the torque around each row.
+        """
+        speed_class = np.floor(np.log(np.maximum(np.abs(v), 1e-9)) / LEVEL_WIDTH).astype(np.int64)
+        _, of_row = np.unique(np.stack([speed_class, np.sign(v).astype(np.int64)]), axis=1, return_inverse=True)
+        of_row = np.ravel(of_row)
+        sigma = np.array([np.median(deviation[of_row == k]) for k in range(int(of_row.max()) + 1)])
+        swing = 0.21 * np.sqrt(count / np.maximum(sigma, 1e-3 * count)) if count > 0 else np.zeros(len(sigma))
+        return cls(of_row, count / math.sqrt(12) * np.minimum(1.0, swing))
+
+    def variance(self, s: Solution) -> Floats:
+        """Return what they add to the variance of each coefficient of X."""
+        weights = s.Z @ s.inverse.T
+        sums = np.stack([np.bincount(self.of_row, weights=column) for column in weights.T])
+        variances: Floats = (sums**2 @ self.error**2) / s.scale**2
+        return variances
 
 
 def covariance_of(s: Solution, clusters: list[Integers]) -> Floats:
