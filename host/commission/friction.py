@@ -47,7 +47,7 @@ from coulombus.recording.friction.sliding import Floats, IdentifyError, Sliding,
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["FREE_HAND", "Friction", "sweep_exercise"]
+__all__ = ["FREE_HAND", "REVERSAL_S", "SECONDS", "WINDOW_S", "Friction", "sweep_exercise", "sweep_risk"]
 
 FREE_HAND = (
     "operator.inertia_kg_m2=0.0",
@@ -70,16 +70,18 @@ UNEVEN = 0.1
 """From this share on the friction counts as different from sector to sector."""
 
 
-def sweep_exercise(rig: Rig, name: str, hand: Sequence[str]) -> Exercise:
+def sweep_exercise(rig: Rig, name: str, hand: Sequence[str], phases: Sequence[str] = ()) -> Exercise:
     """Return a run in which the motor sweeps the handle to and fro, within the sign check's
     torque.
+
+    `phases`: what the hand does, for `SECONDS`; nothing where there are none.
     """
     axis = rig.one_axis()
     risk = sweep_risk(axis)
     gain = axis.mechanics.inertia_kg_m2 / RESPONSE_S
     user = (risk.motor_Nm, risk.travel_rad, gain, gain / INTEGRAL_S, *_speeds(axis))
     rest = f'{{kind="rest", duration_s={SECONDS}}}'
-    return exercise(name, rig, "sweep", user, [rest], motor_Nm=risk.motor_Nm, hand=hand)
+    return exercise(name, rig, "sweep", user, phases or [rest], motor_Nm=risk.motor_Nm, hand=hand)
 
 
 def sweep_risk(axis: Axis) -> Risk:

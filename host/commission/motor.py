@@ -7,9 +7,11 @@ While the handle slides,
 with the motor's torque :math:`\tau_m` as it is believed, late by :math:`\delta`, its cogging
 (`recording.friction.cogging`), and the hand's torque f as the transducer reads it: k is what the
 belief is short of. The interval of k is that of clusters (`recording.friction.regression`), with
-the transducer's scale. The torque constant has the ratio's besides. The hand must resist, so that f and the motor's torque go from one
-end to the other. The sign check, which comes first, tells a motor that turns the wrong way; the
-encoder's sign is known from the step encoder.
+the transducer's scale. The torque constant has the ratio's besides.
+
+The hand must resist, so that f and the motor's torque go from one end to the other, and turn the
+handle slowly, so that the cogging is seen over an angle. The sign check, which comes first, tells a
+motor that turns the wrong way; the encoder's sign is known from the step encoder.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from coulombus.host.commission.earlier import ANGLE, HANDLE_TORQUE, SCALE, rounded
-from coulombus.host.commission.friction import REVERSAL_S, WINDOW_S, sweep_exercise, sweep_risk
+from coulombus.host.commission.friction import REVERSAL_S, SECONDS, WINDOW_S, sweep_exercise, sweep_risk
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
     CommissionError,
@@ -34,6 +36,8 @@ from coulombus.host.commission.step import (
     Risk,
     Step,
     lacks_roles,
+    move_s,
+    strokes,
 )
 from coulombus.recording.friction.cogging import find_cogging
 from coulombus.recording.friction.equations import equations
@@ -51,6 +55,14 @@ MOST_REACH = 0.03
 friction does.
 """
 SIGN = "SIGN_ENCODER"
+STILL_S, SPEED_RAD_S, MOVE_S, DWELL_S = 4.0, 0.2, 2.3, 0.2
+"""The hand waits for the sign check. Then it moves: a cogging of few periods that is only seen near
+one angle cannot be told from the hand's own stiffness, and would be taken for the motor's torque.
+"""
+
+
+def _move_s(axis: Axis) -> float:
+    return move_s(axis, SPEED_RAD_S, MOVE_S)
 
 
 class Motor(Step):
@@ -65,12 +77,20 @@ class Motor(Step):
 
     def risk(self, axis: Axis, given: Given) -> Risk:
         """Return what the sweep moves."""
-        operator = "Hold the handle loosely: give way as a soft spring does, and keep holding it."
+        operator = (
+            f"Hold the handle loosely, as a soft spring does, and keep holding it. Leave it where it is for {STILL_S:g} s; "
+            f"then turn it slowly to and fro, about {SPEED_RAD_S:g} rad/s, {_move_s(axis):g} s each way, "
+            "and let the motor push it off its way."
+        )
         return replace(sweep_risk(axis), operator=operator)
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
         """Return the sweep against the hand."""
-        return (replace(sweep_exercise(rig, self.name, ()), may_trip=(SIGN,)),)
+        phases = (
+            f'{{kind="rest", duration_s={STILL_S}}}',
+            strokes(SECONDS - STILL_S, SPEED_RAD_S, _move_s(rig.one_axis()), DWELL_S),
+        )
+        return (replace(sweep_exercise(rig, self.name, (), phases), may_trip=(SIGN,)),)
 
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
         """Return the sign, or the torque constant."""

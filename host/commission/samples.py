@@ -62,7 +62,7 @@ def independent(values: Floats) -> float:
     pairs = rho[1 : 2 * ((n - 1) // 2) + 1].reshape(-1, 2).sum(axis=1)
     end = np.flatnonzero(pairs <= 0.0)
     total = float(np.sum(pairs[: end[0] if len(end) else len(pairs)]))
-    return n / (1.0 + 2.0 * total)
+    return n / (1.0 + 2.0 * max(total, 0.0))
 
 
 def counted_reach(deviation: float, count: float) -> float:
