@@ -18,6 +18,7 @@ from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.lab.rehearsal import rehearsed
 from coulombus.lab.simulate import simulate
+from coulombus.recording.friction.regression import Estimate
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig, packaged_rig
@@ -85,8 +86,9 @@ def test_cogging_is_told_from_friction(afternoon, amplitude_Nm, periods):
     """What depends on the angle has no part in the friction, and friction none in it."""
     cogging = (f"plant.cogging_Nm={amplitude_Nm}", f"plant.cogging_periods={periods}")
     _, (done,) = afternoon("friction", truth=(*TRUTH, *cogging))
-    assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.20, rel=0.05)
-    assert found(done, "mechanics.cogging_Nm").new == pytest.approx(amplitude_Nm, rel=0.1)
+    assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.20, rel=0.01)
+    assert found(done, "mechanics.inertia_kg_m2").new == pytest.approx(4e-3, rel=0.03)
+    assert found(done, "mechanics.cogging_Nm").new == pytest.approx(amplitude_Nm, rel=0.05)
     assert found(done, "mechanics.cogging_periods").new == periods
     assert "Cogging by the motor's angle" in [curve.title for curve in done.outcome.curves]
 
@@ -97,10 +99,12 @@ def test_a_motor_without_cogging_has_none(afternoon):
 
 
 def test_where_the_friction_is_uneven_the_smallest_sector_is_written(afternoon, monkeypatch):
-    edges, sectors = np.linspace(-0.6, 0.6, 9), [0.20] * 4 + [0.17] + [0.22] * 3
+    torques = [0.20] * 4 + [0.17] + [0.22] * 3
+    edges, sectors = np.linspace(-0.6, 0.6, 9), [Estimate(Nm, Nm - 0.002, Nm + 0.002) for Nm in torques]
     monkeypatch.setattr("coulombus.host.commission.friction._by_sector", lambda *_: (edges, sectors))
     _, (done,) = afternoon("friction", truth=TRUTH)
     assert found(done, "mechanics.friction_Nm").new == 0.17
+    assert found(done, "mechanics.friction_Nm").uncertainty == pytest.approx(0.002)
     assert "uneven, 0.1700 to 0.2200 Nm by angle" in done.outcome.remarks[0]
 
 
@@ -290,7 +294,7 @@ def test_the_motor_step_finds_a_motor_that_turns_the_wrong_way_and_its_torque(af
     session, (done,) = afternoon("motor", truth=truth)
     axis = session.rig().one_axis()
     assert axis.mechanics.motor_polarity == sign
-    assert axis.motor.rated_torque_Nm == pytest.approx(0.150, rel=0.03)
+    assert axis.motor.rated_torque_Nm == pytest.approx(0.150, rel=0.01)
     assert done.what == "done"
 
 
@@ -315,9 +319,19 @@ def test_the_brakes_table_is_found_within_3_percent(afternoon):
 def test_the_brakes_answer_to_a_step_is_found(afternoon):
     truth = ("plant.brake_coil_lag_s=4e-3", "plant.brake_fluid_lag_s=25e-3")
     _, (done,) = afternoon("response", truth=truth)
-    assert found(done, "brake: slower lag (fluid)").new == pytest.approx(25, rel=0.1)
-    assert found(done, "brake: 63 % after").new == pytest.approx(31, abs=3)
-    assert found(done, "brake: 95 % after").new == pytest.approx(81, rel=0.1)
+    assert found(done, "brake: slower lag (fluid)").new == pytest.approx(25, rel=0.03)
+    assert found(done, "brake: faster lag (coil)").new == pytest.approx(4, rel=0.1)
+    assert found(done, "brake: 63 % after").new == pytest.approx(31, abs=1.5)
+    assert found(done, "brake: 95 % after").new == pytest.approx(81, rel=0.05)
+    assert not any("told apart" in remark for remark in done.outcome.remarks)
+
+
+def test_lags_that_are_equal_are_said_not_to_be_told_apart(afternoon):
+    truth = ("plant.brake_coil_lag_s=6e-3", "plant.brake_fluid_lag_s=6e-3")
+    _, (done,) = afternoon("response", truth=truth)
+    assert any("told apart" in remark for remark in done.outcome.remarks)
+    coil, fluid = (found(done, f"brake: {name}") for name in ("faster lag (coil)", "slower lag (fluid)"))
+    assert coil.new - coil.uncertainty <= 6.0 <= fluid.new + fluid.uncertainty
 
 
 # delays, limits, display
@@ -332,6 +346,16 @@ def test_the_delay_from_sync_to_torque_is_found_within_50_us(afternoon, actuatio
     assert found(done, "SYNC to motor's torque").new == pytest.approx(delay_us, abs=50)
     assert found(done, "time constant of the motor's torque").new == pytest.approx(2.0, rel=0.05)
     assert found(done, "time constant of the coil's current").new == pytest.approx(5.0, rel=0.05)
+
+
+@pytest.mark.parametrize("friction_Nm", [0.03, 0.08])
+def test_the_delay_is_found_with_little_friction(afternoon, friction_Nm):
+    """The sign check pushes with more than the steps that are answered: it is no step."""
+    truth = (f"plant.coulomb_Nm={friction_Nm - 0.01}", "plant.brake_off_state_Nm=0.01", "plant.motor_lag_s=2e-3")
+    _, (done,) = afternoon("delay", truth=truth, believed=(f"mechanics.friction_Nm={friction_Nm}",))
+    for name, value in (("SYNC to motor's torque", 1000.0), ("time constant of the motor's torque", 2.0)):
+        figure = found(done, name)
+        assert abs(figure.new - value) <= figure.uncertainty
 
 
 def rpdo_after_sync_s(path):

@@ -90,11 +90,11 @@ def read_table(path: Path, columns: Sequence[str] = (), units: Sequence[str] = (
     TableError
         a column lacks, is no series of numbers, or has another length; the times do not grow
     """
+    chosen, given = _pairs(path, "--column", columns), _pairs(path, "--unit", units)
     try:
         raw = {".csv": _csv, ".parquet": _parquet, ".mat": _mat}[path.suffix.lower()](path)
     except OSError as error:
         raise TableError(f"{path}: cannot be read ({error.strerror or error})") from error
-    chosen, given = _pairs(path, "--column", columns), _pairs(path, "--unit", units)
     values: dict[str, Floats] = {}
     for what in NAMES:
         name = chosen.get(what) or next((name for name in raw if _split(name)[0].lower() in NAMES[what]), None)
@@ -197,9 +197,10 @@ def _mat(path: Path) -> dict[str, Any]:
     except (ValueError, NotImplementedError, TypeError, IndexError) as error:
         raise TableError(f"{path}: no MAT file that can be read ({error}); save it with -v7") from error
     vectors: dict[str, Any] = {}
-    for name, value in content.items():
+    for name, raw in content.items():
         if name.startswith("__"):
             continue
+        value = np.asarray(raw)
         if value.dtype.names:
             vectors |= {field: np.ravel(value[field].item()) for field in value.dtype.names if value.size == 1}
         elif value.dtype.kind in "fiu" and value.ndim == 1:
