@@ -122,6 +122,8 @@ class Weighed:
 
     weight_Nm: float | None
     marks_rad: float | None
+    weight_reach_Nm: float
+    marks_reach_rad: float
 
 
 own_options = bundle(
@@ -155,6 +157,22 @@ weighed_options = bundle(
     ),
     click.option(
         "--marks-rad", "marks_rad", type=float, help="Angle between two marks at the handle, for the step encoder."
+    ),
+    click.option(
+        "--weight-reach-Nm",
+        "weight_reach_Nm",
+        type=click.FloatRange(min=0.0),
+        default=0.0,
+        show_default=True,
+        help="Half of the 95 % interval of the weight's torque.",
+    ),
+    click.option(
+        "--marks-reach-rad",
+        "marks_reach_rad",
+        type=click.FloatRange(min=0.0),
+        default=0.002,
+        show_default=True,
+        help="Half of the 95 % interval of the marks' angle, as your hand sets it.",
     ),
 )
 
@@ -208,7 +226,7 @@ def commission(
             raise click.UsageError("nobody is there to be asked: give --yes")
         load(str(path.resolve()), overrides)
         run = rehearsal.runner(own.axis) if rehearsal.virtual else _real(own.bus_name, as_json)
-        given = Given(weighed.weight_Nm, weighed.marks_rad)
+        given = Given(weighed.weight_Nm, weighed.marks_rad, weighed.marks_reach_rad, weighed.weight_reach_Nm)
         session = Session(path, run, given, _now, overrides, own.axis)
         done = _commission(session, chosen, doing, report)
         asked_for_what_lacks = bool(doing.names) and any(result.what == "lacking" for result in done)

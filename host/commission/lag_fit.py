@@ -17,7 +17,7 @@ is smooth where the lags are equal (q = 1); in the time constants,
 .. math:: \tau_{f,c} = \tfrac{S}{2} \bigl(1 \pm \sqrt{\max(1 - q, 0)}\bigr),
 
 it is not. So their intervals are those of draws from the normal distribution of (d, S, q). Its
-covariance is that of clusters with the model's tangents as columns
+covariance is that of clusters, a stroke each, with the model's tangents as columns
 (`recording.friction.regression`), plus what the inertia's own interval moves.
 """
 
@@ -31,11 +31,12 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
+from scipy.special import stdtrit
 
 from coulombus.host.commission.samples import Floats, held, sync_before
 from coulombus.host.commission.step import CommissionError
 from coulombus.recording.friction.equations import Equations, equations
-from coulombus.recording.friction.regression import clusters_of, covariance_of, solve
+from coulombus.recording.friction.regression import covariance_of, solve
 from coulombus.recording.friction.sliding import IdentifyError, Slide, one_sense, runs, signals
 from coulombus.recording.signals import Recording, Series
 
@@ -241,7 +242,9 @@ def fit_lags(recording: Recording, inertia: float, inertia_share: float, wave_ra
         solution = solve(columns, torque, variances)
     except IdentifyError as error:
         raise CommissionError(str(error)) from error
-    covariance = covariance_of(solution, clusters_of(rows.slide))[-3:, -3:]
+    strokes = np.split(np.arange(len(torque)), np.flatnonzero(np.diff(rows.slide)) + 1)
+    student = float(stdtrit(max(len(strokes) - 1, 2), 0.975)) / 1.96
+    covariance = student**2 * covariance_of(solution, strokes)[-3:, -3:]
     moved, _ = _best(gathered, torque - inertia * inertia_share * rows.a, (tuple(best),))
     covariance = covariance + np.outer(moved - best, moved - best) / 1.96**2
     rest = np.sign(rows.v) * (torque - gathered.linear @ (solution.beta / solution.scale)[: gathered.linear.shape[1]])

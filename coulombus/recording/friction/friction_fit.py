@@ -30,6 +30,7 @@ from coulombus.recording.friction.regression import (
     Estimate,
     Levels,
     clusters_of,
+    correction_reach,
     solve,
     standard_errors,
 )
@@ -202,6 +203,8 @@ def fit_friction(
     if levels is not None:
         error = np.sqrt(error**2 + levels.variance(solution))
     reach = stdtrit(freedom, 0.5 + CONFIDENCE / 2) * error
+    wide = X if stribeck is None else np.column_stack([X, stribeck.shape])
+    reach = np.hypot(reach, correction_reach(solution, wide, torque))
     beta = solution.beta / solution.scale
 
     def estimate(name: str) -> Estimate | None:

@@ -117,7 +117,7 @@ def identified(
     cogging = None if ratio is None else find_cogging(slides, ratio)
     waves = {} if cogging is None else cogging.columns(rows, slides.slides)
     delay = torque_delay(rows, slides)
-    levels = Levels.of(rows.v, count_Nm, _deviation(rows, slides)) if count_Nm > 0 else None
+    levels = Levels.of(rows.v, count_Nm) if count_Nm > 0 else None
     device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | delay, levels)
     if cogging is not None and not cogging.stands_out(device.others):
         cogging, waves = None, {}
@@ -140,13 +140,6 @@ def identified(
         v_rad_s=rows.v,
         felt_Nm=rest,
     )
-
-
-def _deviation(rows: Equations, slides: Sliding) -> Floats:
-    """Return the deviation of the motor's torque in the slide of each row, its beginning left out."""
-    used = [slide for slide in slides.slides if len(slide.t_s) >= len(rows.weight)]
-    of_slide = np.array([np.std(slide.motor_Nm[len(slide.t_s) // 2 :]) for slide in used])
-    return of_slide[rows.slide]
 
 
 def torque_delay(rows: Equations, slides: Sliding) -> dict[str, Column]:

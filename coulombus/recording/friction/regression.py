@@ -32,6 +32,7 @@ __all__ = [
     "Levels",
     "Solution",
     "clusters_of",
+    "correction_reach",
     "covariance_of",
     "regress",
     "solve",
@@ -52,6 +53,8 @@ LEAST_EQUATIONS = 4
 LEAST_CLUSTERS = 6
 LEVEL_WIDTH = 0.25
 """Of the logarithm of the speed: speeds so near to each other are of one level."""
+LEVEL_SHARE = 0.3
+"""Measured on simulated rigs: the rest averages over cogging, noise and changes of speed."""
 
 
 @dataclass(frozen=True)
@@ -140,43 +143,46 @@ def standard_errors(s: Solution, clusters: list[Integers]) -> tuple[Floats, Floa
 
 @dataclass(frozen=True)
 class Levels:
-    r"""Rows that share the error of a count: those of one steady torque, at one speed and sense.
+    r"""Rows that share the error of a count: those at one speed, with the sign of their sense.
 
-    A torque that comes in counts :math:`\Delta` and hardly changes has the same error each time, at
-    most :math:`\Delta/2`, however long it is recorded. What swings with a deviation :math:`\sigma`
-    averages over it; for a sine the envelope of :math:`J_0` leaves (B. Widrow, I. Kollar,
-    Quantization Noise, 2008, appendix G)
-
-    .. math:: \frac{\Delta}{\sqrt{12}} \min\bigl(1, 0.21 \sqrt{\Delta/\sigma}\bigr).
+    A controller that holds a speed repeats the same swing of a few counts :math:`\Delta`, or none. So
+    the error of its torque's count does not average over the samples of a level: of a uniform error,
+    :math:`\Delta/\sqrt{12}`, the share `LEVEL_SHARE` is counted as common to them.
 
     Attributes
     ----------
     of_row : which level each row is of
-    error : of each level, its standard deviation
+    sense : sign of each row's speed: rounding is symmetrical
+    error : its standard deviation [Nm]
     """
 
     of_row: Integers
-    error: Floats
+    sense: Floats
+    error: float
 
     @classmethod
-    def of(cls, v: Floats, count: float, deviation: Floats) -> Levels:
-        """Return the levels of rows at the speeds `v`, of a torque with counts of `count`.
-
-        `deviation`: of the torque around each row.
-        """
+    def of(cls, v: Floats, count: float) -> Levels:
+        """Return the levels of rows at the speeds `v`, of a torque that comes in `count` [Nm]."""
         speed_class = np.floor(np.log(np.maximum(np.abs(v), 1e-9)) / LEVEL_WIDTH).astype(np.int64)
-        _, of_row = np.unique(np.stack([speed_class, np.sign(v).astype(np.int64)]), axis=1, return_inverse=True)
-        of_row = np.ravel(of_row)
-        sigma = np.array([np.median(deviation[of_row == k]) for k in range(int(of_row.max()) + 1)])
-        swing = 0.21 * np.sqrt(count / np.maximum(sigma, 1e-3 * count)) if count > 0 else np.zeros(len(sigma))
-        return cls(of_row, count / math.sqrt(12) * np.minimum(1.0, swing))
+        return cls(speed_class - speed_class.min(), np.sign(v), LEVEL_SHARE * count / math.sqrt(12))
 
     def variance(self, s: Solution) -> Floats:
         """Return what they add to the variance of each coefficient of X."""
         weights = s.Z @ s.inverse.T
-        sums = np.stack([np.bincount(self.of_row, weights=column) for column in weights.T])
-        variances: Floats = (sums**2 @ self.error**2) / s.scale**2
+        sums = np.stack([np.bincount(self.of_row, weights=column * self.sense) for column in weights.T])
+        variances: Floats = np.sum(sums**2, axis=1) * self.error**2 / s.scale**2
         return variances
+
+
+def correction_reach(s: Solution, X: Floats, y: Floats) -> Floats:
+    """Return by how much taking the errors of the regressors off has moved each coefficient of X.
+
+    How white the error of a count is depends on the speed, so the correction is known to its own
+    size only.
+    """
+    plain = solve(X, y, np.zeros(X.shape[1]))
+    moved: Floats = np.abs(s.beta - plain.beta) / s.scale
+    return moved
 
 
 def covariance_of(s: Solution, clusters: list[Integers]) -> Floats:
@@ -214,13 +220,10 @@ def regress(columns: Mapping[str, Column], y: Floats, slide: Integers) -> dict[s
         raise IdentifyError(
             f"the handle slides in {len(clusters)} separate pieces; expected at least {LEAST_CLUSTERS}: record more strokes, to and fro"
         )
-    solution = solve(
-        np.column_stack([values for values, _ in columns.values()]),
-        y,
-        np.array([variance for _, variance in columns.values()]),
-    )
+    X = np.column_stack([values for values, _ in columns.values()])
+    solution = solve(X, y, np.array([variance for _, variance in columns.values()]))
     error, freedom = standard_errors(solution, clusters)
-    reach = stdtrit(freedom, 0.5 + CONFIDENCE / 2) * error
+    reach = np.hypot(stdtrit(freedom, 0.5 + CONFIDENCE / 2) * error, correction_reach(solution, X, y))
     beta = solution.beta / solution.scale
     return {
         name: Estimate(float(beta[i]), float(beta[i] - reach[i]), float(beta[i] + reach[i]))

@@ -89,20 +89,21 @@ def test_rounding_leaves_the_digits_that_the_interval_carries(value, reach):
 
 
 def test_the_count_of_a_steady_torque_does_not_average_out():
-    """A quantised torque at each of four speeds: the fit's own interval is too narrow, that with
-    levels holds.
+    """A quantised torque at each of three speeds, both ways: the fit's own interval is too narrow, that
+    with levels holds.
     """
     rng, count = np.random.default_rng(11), 2e-3
     held, narrow = [], []
     for _ in range(60):
         c, b = rng.uniform(0.02, 0.1), rng.uniform(0.005, 0.01)
         v = np.repeat([0.4, 1.0, 2.0, -0.4, -1.0, -2.0], 200)
-        torque = np.rint((c * np.sign(v) + b * v) / count) * count
+        swing = 1.5 * count * np.sin(0.9 * np.arange(len(v)))
+        torque = np.rint((c * np.sign(v) + b * v + swing) / count) * count - swing
         slide = np.repeat(np.arange(6), 200)
         columns = {"c": (np.sign(v), 0.0), "b": (v, 0.0)}
         fitted = regress(columns, torque, slide)
         solution = solve(np.column_stack([np.sign(v), v]), torque, np.zeros(2))
-        extra = Levels.of(v, count, np.zeros(len(v))).variance(solution)
+        extra = Levels.of(v, count).variance(solution)
         wide = np.hypot(fitted["c"].reach, 1.96 * np.sqrt(extra[0]))
         held.append(abs(fitted["c"].value - c) <= wide)
         narrow.append(abs(fitted["c"].value - c) <= fitted["c"].reach)
