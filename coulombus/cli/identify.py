@@ -105,7 +105,7 @@ def identify(
 
 
 def _is_table(file: Path) -> bool:
-    from coulombus.recording.friction.torque_table import is_table
+    from coulombus.recording.friction.tables import is_table
 
     with errors():
         return is_table(file)
@@ -113,7 +113,7 @@ def _is_table(file: Path) -> bool:
 
 def _identify_table(file: Path, figure: Path | None, overwrite: bool, options: dict[str, Any]) -> None:
     from coulombus.recording.friction.table_identify import identify_table, table_lines
-    from coulombus.recording.friction.torque_table import read_table
+    from coulombus.recording.friction.tables import read_table
     from coulombus.recording.output_file import new_file
 
     table = read_table(file, options["columns"], options["units"])
@@ -158,7 +158,7 @@ def _identify_iron(
 def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
     from coulombus.analysis.rig.law_fit import Stretch, fit_law, lines, stretches_of
     from coulombus.recording.friction.sliding import IdentifyError
-    from coulombus.recording.friction.torque_table import read_table
+    from coulombus.recording.friction.tables import read_table
     from coulombus.recording.reading import blocks
     from coulombus.rigs.rig import load_rig
 

@@ -33,7 +33,7 @@ from coulombus.recording.friction.sliding import (
     runs,
     since,
 )
-from coulombus.recording.friction.torque_table import TorqueTable
+from coulombus.recording.friction.tables import TorqueTable
 
 __all__ = ["TableIdentification", "identify_table", "table_lines"]
 
