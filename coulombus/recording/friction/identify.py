@@ -41,6 +41,9 @@ __all__ = ["Identification", "IdentifyError", "identified", "identify", "lines",
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
+LEAST_RATE_NM_S = 1e-3
+"""A torque that changes by less, in the mean, tells no delay."""
+
 
 @dataclass(frozen=True)
 class Identification:
@@ -145,7 +148,8 @@ def identified(
 def torque_delay(rows: Equations, slides: Sliding) -> dict[str, Column]:
     """Return the column of a delay of the motor's measured torque; nothing where it never changes."""
     rate = rows.rate([slide.motor_Nm for slide in slides.slides if len(slide.t_s) >= len(rows.weight)])
-    return {"torque's delay": (rate, 0.0)} if np.any(rate != 0.0) else {}
+    changes = float(np.sqrt(np.mean(rate**2))) > LEAST_RATE_NM_S
+    return {"torque's delay": (rate, 0.0)} if changes else {}
 
 
 def lines(identification: Identification) -> list[str]:
