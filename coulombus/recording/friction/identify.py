@@ -92,10 +92,8 @@ def identify(
     if isinstance(recording, str | Path):
         recording = blocks(recording)
     slides = sliding(recording, window_s, reversal_s)
-    measured = recording.has("motor.torque_Nm")
-    count = abs(recording.scale("motor.torque_Nm")) if measured else 0.0
     try:
-        return identified(slides, recording.path, window_s, recording.rig.one_axis().mechanics.ratio, count)
+        return identified(slides, recording.path, window_s, recording.rig.one_axis().mechanics.ratio)
     except IdentifyError as error:
         raise IdentifyError(f"{recording.path}: {error}") from error
 
@@ -108,7 +106,8 @@ def identified(
     Parameters
     ----------
     ratio : of the motor, None: no cogging is looked for
-    count_Nm : in which the motor's measured torque comes
+    count_Nm : of the motor's measured torque, where a controller holds the speeds; 0: its error
+        averages out
 
     Raises
     ------
