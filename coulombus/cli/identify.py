@@ -105,15 +105,15 @@ def identify(
 
 
 def _is_table(file: Path) -> bool:
-    from coulombus.recording.friction.tables import is_table
+    from coulombus.recording.friction.columns import is_table
 
     with errors():
         return is_table(file)
 
 
 def _identify_table(file: Path, figure: Path | None, overwrite: bool, options: dict[str, Any]) -> None:
+    from coulombus.recording.friction.columns import read_table
     from coulombus.recording.friction.table_identify import identify_table, table_lines
-    from coulombus.recording.friction.tables import read_table
     from coulombus.recording.output_file import new_file
 
     table = read_table(file, options["columns"], options["units"])
@@ -157,8 +157,8 @@ def _identify_iron(
 
 def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
     from coulombus.analysis.rig.law_fit import Stretch, fit_law, lines, stretches_of
+    from coulombus.recording.friction.columns import read_table
     from coulombus.recording.friction.sliding import IdentifyError
-    from coulombus.recording.friction.tables import read_table
     from coulombus.recording.reading import blocks
     from coulombus.rigs.rig import load_rig
 

@@ -68,7 +68,7 @@ CoulombusError
 +-- StudyFolderError             2   lab.study.study_folder       ValueError
 +-- SweepError                   3   lab.sweep.sweep_file         ValueError
 +-- SweepFolderError             2   lab.sweep.sweep_folder
-+-- TableError                   3   recording.friction.tables    ValueError
++-- TableError                   3   recording.friction.columns   ValueError
 +-- TruthError                   2   lab.simulate
 +-- UnknownCase                  2   conformance.runner           ValueError
 +-- UnknownSignal                2   recording.signal_names       KeyError

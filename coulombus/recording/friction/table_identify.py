@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from coulombus.recording.friction.columns import TorqueTable
 from coulombus.recording.friction.identify import Identification, identified
 from coulombus.recording.friction.regression import CONFIDENCE, Estimate
 from coulombus.recording.friction.sliding import (
@@ -33,7 +34,6 @@ from coulombus.recording.friction.sliding import (
     runs,
     since,
 )
-from coulombus.recording.friction.tables import TorqueTable
 
 __all__ = ["TableIdentification", "identify_table", "table_lines"]
 

@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
+from coulombus.recording.friction.columns import TableError, TorqueTable, is_table, read_table
 from coulombus.recording.friction.sliding import IdentifyError
 from coulombus.recording.friction.table_identify import identify_table, table_lines
-from coulombus.recording.friction.tables import TableError, TorqueTable, is_table, read_table
 
 C, B, J, BIAS, T = 0.12, 0.01, 2e-3, 0.01, 1e-3
 
