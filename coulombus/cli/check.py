@@ -286,9 +286,9 @@ class _Findings:
         """
         if not self.guesses and not self.losses:
             return "ok, if the devices answer what is open above" if self.questions else "ok"
-        lines = ", ".join(str(guess.line) for guess in self.guesses)
+        lines = ("line " if len(self.guesses) == 1 else "lines ") + ", ".join(str(guess.line) for guess in self.guesses)
         parts = (
-            (len(self.guesses), "guess", "guesses", f" unproved (lines {lines})"),
+            (len(self.guesses), "guess", "guesses", f" unproved ({lines})"),
             (len(self.losses), "protection", "protections", " lost"),
             (len(self.questions), "question", "questions", " to the devices open"),
         )
