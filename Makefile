@@ -43,7 +43,7 @@ coverage: $(VENV)/.dev  ## which lines those tests reach, kernels included
 wheel: $(VENV)/.dev  ## build the wheel, install it somewhere else, and run it there
 	@scripts/try-wheel
 
-check: $(VENV)/.dev  ## lint, format, types, import contracts
+check: $(VENV)/.dev  ## lint, format, types, import contracts, words
 	@scripts/check
 
 docs: $(VENV)/.docs  ## the site of the documents, in out/site; fails on a warning
