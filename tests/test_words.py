@@ -91,6 +91,7 @@ NOT_YET = {  # whose sentences are still to be gone through: only their spelling
     "docs/experiment.md",
     "docs/explain.md",
     "docs/page.md",
+    "docs/plane.md",
     "docs/tutorials/my-machine-stopped.md",
 }
 PAGES = [
