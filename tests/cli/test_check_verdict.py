@@ -29,7 +29,7 @@ def checked(path):
 def test_a_draft_with_a_guess_is_ok_to_rehearse_alone(draft):
     last, told = checked(draft)
     (guess,) = told["guesses"]
-    assert "# CHECK:" in "".join(draft.read_text().splitlines()[guess["line"] - 2 : guess["line"]])
+    assert "# CHECK:" in "".join(draft.read_text().splitlines()[guess["line"] - 5 : guess["line"]])
     assert last == f"ok to rehearse: 1 guess unproved (line {guess['line']})"
 
 
