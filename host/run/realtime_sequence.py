@@ -36,7 +36,7 @@ from coulombus.host.run.preflight import place_of
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run_recording import StampOrder, begin_recording
 from coulombus.host.run.run_sequence import SAFE_TIMEOUT_NS, Course, Figures
-from coulombus.host.run.run_state import Progress, axis_state
+from coulombus.host.run.run_state import Progress, with_states
 from coulombus.host.setup.bringup import bring_up, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.recording.measures import Measures
@@ -78,8 +78,8 @@ class RealCourse(Course):
         self.rig, self.address, self.signals = rig, address, signals
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
-        self._show = progress
-        super().__init__(Controllers(rig, mode), outputs.record, None)
+        controllers = Controllers(rig, mode)
+        super().__init__(controllers, outputs.record, with_states(progress, controllers))
         self.error: str | None = None  # of this process, while the rig was armed
         self._fate = ""  # of a data plane that cycles no more
         self.stopped_by: str | None = None
@@ -306,9 +306,9 @@ class RealCourse(Course):
             self.mark(t_ns, text)
             say(f"coulombus: {text}" if self.recorder is not None else f"coulombus: {text}: nothing is recorded")
         enabled = self.enabled_ns
-        if enabled is not None and self._show is not None:
+        if enabled is not None and self.progress is not None:
             with suppress(OSError):  # of a terminal that was closed
-                self._show((time.monotonic_ns() - enabled) * 1e-9, [axis_state(axis) for axis in self.k])
+                self.progress((time.monotonic_ns() - enabled) * 1e-9)
         self.drain(seen_ns)
         self.answers.tell(seen_ns)
         with suppress(BusUnavailable):  # the data plane notices

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.run.histogram import coarse_dict
 
-__all__ = ["Progress", "axis_state", "plane_state"]
+__all__ = ["Progress", "axis_state", "plane_state", "with_states"]
 
 Progress: TypeAlias = Callable[[float, list[dict[str, Any]]], None]
 """Takes the display's time in s and the state of each axis (`axis_state`)."""
@@ -49,3 +49,10 @@ def axis_state(controller: Controller) -> dict[str, Any]:
         "deadman_held": bool(h["deadman_ok"]),
         "lost_pdos": int(h["lost_pdos"]),
     }
+
+
+def with_states(progress: Progress | None, controllers: Iterable[Controller]) -> Callable[[float], None] | None:
+    """Return what calls `progress` with the state of each controller's axis, too; None for None."""
+    if progress is None:
+        return None
+    return lambda t_s: progress(t_s, [axis_state(controller) for controller in controllers])
