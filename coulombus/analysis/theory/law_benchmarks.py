@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.analysis.theory.law_passivity import CLAIMS
 from coulombus.host.laws.along import Asked, GivenLaw, given_law
 from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.kernels.decorator import kernel
@@ -283,7 +284,9 @@ class SineResponse:
 
     @property
     def passive(self) -> bool:
-        """Whether it never gave more than it had taken, but for a share of 1e-6."""
+        """Whether it never gave more than it had taken along these sines, but for a share of 1e-6;
+        `law_passivity.CLAIMS` says it for every motion.
+        """
         return self.least_J >= -1e-6 * self.turned_J
 
 
@@ -303,11 +306,12 @@ def lines(results: Sequence[Benchmark], swept: Sequence[SineResponse]) -> Iterat
         expected, by, unit = f"{benchmark.expected:.4g}", benchmark.by, benchmark.unit
         yield f"| `{benchmark.law}` | {benchmark.what} | {expected} {unit} | {by} | {value} {unit} | {verdict} |"
     yield ""
-    yield "| law | Re Psi [Nm s/rad] | Im Psi [Nm s/rad] | passive |"
-    yield "|---|---|---|---|"
+    yield "| law | Re Psi [Nm s/rad] | Im Psi [Nm s/rad] | gave back too much, five sines | passive |"
+    yield "|---|---|---|---|---|"
     for each in swept:
         imaginary = each.psi.imag if abs(each.psi.imag) >= 5e-4 else 0.0
-        yield f"| `{each.law}` | {each.psi.real:.3f} | {imaginary:.3f} | {'yes' if each.passive else 'no'} |"
+        gave = "no" if each.passive else "yes"
+        yield f"| `{each.law}` | {each.psi.real:.3f} | {imaginary:.3f} | {gave} | {CLAIMS[each.law].verdict} |"
 
 
 def plain(results: Sequence[Benchmark], swept: Sequence[SineResponse]) -> dict[str, Any]:
@@ -321,6 +325,8 @@ def plain(results: Sequence[Benchmark], swept: Sequence[SineResponse]) -> dict[s
                 "least_J": response.least_J,
                 "turned_J": response.turned_J,
                 "passive": response.passive,
+                "passive_if": CLAIMS[response.law].verdict,
+                "passive_why": CLAIMS[response.law].why,
             }
             for response in swept
         ],
