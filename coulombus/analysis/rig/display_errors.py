@@ -6,7 +6,10 @@ torque between hand and handle, not by what the host believes:
 - *breakaway*: a hand without a spring pushes a stuck handle with a ramp of so many Nm/s. What
   counts is the hand's torque when the handle has come to `SLIDES_RAD_S`, against F_s.
 - *sliding*: a damped hand draws the handle at a constant speed, one way and back. What counts is
-  the mean torque once the brake has settled, against F_d.
+  the mean torque once the brake has settled, against F_d; here F_s is F_d, so stick is not seen.
+- *falling*: the same with F_d of `FALL` F_s. The hand pulls the handle loose, and then lets it slow
+  down to the speed. A display that takes slow sliding for stick holds it there: the handle stands,
+  and the hand feels the F_s that it takes to move it on.
 
 The control ``brake`` is the law's level as the brake's set-point, with the paper's band of
 velocity. The control ``felt`` takes the device's own friction off it, estimates slow velocities, and
@@ -32,14 +35,21 @@ from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 
-__all__ = ["Felt", "FeltStudy", "broke_away", "felt_control", "felt_study", "iron_of", "slid"]
+__all__ = ["Felt", "FeltStudy", "broke_away", "falling_rows", "felt_control", "felt_study", "iron_of", "slid"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
+EXPERIMENTS = ("breakaway", "sliding", "falling")
 LEVELS_NM = (1.0, 2.0, 4.0)
 RATES_NM_S = (1.0, -1.0, 30.0, -30.0)
 SPEEDS_RAD_S = (0.02, 0.05, 0.2, 1.0)
 BUDGET_NM = 2.0
+FALL = 0.75
+"""F_d as a share of F_s, where friction falls with the speed."""
+STANDS = 0.5
+"""A handle below this share of the speed that it is drawn at stands or creeps."""
+LOOSE = 1.1
+"""So many times F_s and the device's own friction the hand gives to pull the handle loose."""
 IRON = (0.1, 0.4), (0.2, 0.2)
 """Half plays [Nm] and weights of an iron with hysteresis."""
 SLIDES_RAD_S = 1e-4
@@ -89,10 +99,11 @@ class FeltStudy:
     def lines(self) -> Iterator[str]:
         """Yield the largest errors for people."""
         yield f"rig {self.rig}; largest error of what the hand feels, as a share of F_s or F_d"
-        yield f"{'control':<34} {'breakaway':>10} {'sliding':>10}"
+        yield f"{'control':<34} " + " ".join(f"{name:>10}" for name in EXPERIMENTS)
         worst = self.worst()
         for control in dict.fromkeys(row.control for row in self.rows):
-            yield f"{control:<34} {worst[control, 'breakaway']:>10.2%} {worst[control, 'sliding']:>10.2%}"
+            yield f"{control:<34} " + " ".join(f"{worst[control, name]:>10.2%}" for name in EXPERIMENTS)
+        yield f"sliding: F_d is F_s; falling: F_d is {FALL:g} F_s"
 
 
 def felt_control(rig: Rig) -> Rig:
@@ -187,21 +198,38 @@ def broke_away(rig: Rig, F_s_Nm: float, rate_Nm_s: float, *, mode: str = "hybrid
 
 
 def slid(
-    rig: Rig, F_d_Nm: float, speeds_rad_s: Iterable[float], *, mode: str = "hybrid", seed: int = 0
+    rig: Rig,
+    F_d_Nm: float,
+    speeds_rad_s: Iterable[float],
+    *,
+    F_s_Nm: float | None = None,
+    mode: str = "hybrid",
+    seed: int = 0,
 ) -> list[tuple[float, float]]:
     """Return for each speed and both senses, (speed, the hand's mean torque against it) once the
     display has settled: signed speed in rad/s, Nm.
+
+    Parameters
+    ----------
+    F_s_Nm : default is `F_d_Nm`; above it, the hand first pulls the handle loose
     """
     legs = [sign * speed for speed in speeds_rad_s for sign in (1.0, -1.0)]
+    plant = rig.one_axis().simulation.plant
+    F_s = F_d_Nm if F_s_Nm is None else F_s_Nm
+    loose = LOOSE * (F_s + plant.coulomb_Nm + plant.brake_off_state_Nm)
     points, t = [(0.0, 0.0)], 0.0
     for speed in legs:
         push = np.sign(speed) * F_d_Nm + HAND_NMS_RAD * speed
-        points += [(t + 0.3, push), (t + SETTLE_S + SLIDE_S, push)]
+        if F_s > F_d_Nm:
+            points += [(t + 0.2, np.sign(speed) * max(loose, abs(push))), (t + 0.3, push)]
+        else:
+            points.append((t + 0.3, push))
+        points.append((t + SETTLE_S + SLIDE_S, push))
         t += SETTLE_S + SLIDE_S
     drawn = _levels(
         rig,
         mode,
-        F_d_Nm,
+        F_s,
         F_d_Nm,
         f"operator.damping_Nms_rad={HAND_NMS_RAD}",
         f'phase=[{{kind="rest", duration_s={REST_S}}}, {_torque(points)}]',
@@ -226,6 +254,17 @@ def _rows(rig: Rig, control: str, levels_Nm: Iterable[float], seed: int) -> Iter
             yield Felt(control, "breakaway", rate, level, broke_away(rig, level, rate, seed=seed))
         for speed, torque in slid(rig, level, SPEEDS_RAD_S, seed=seed):
             yield Felt(control, "sliding", speed, level, torque)
+        yield from falling_rows(rig, control, level, seed)
+
+
+def falling_rows(rig: Rig, control: str, F_s_Nm: float, seed: int) -> Iterator[Felt]:
+    """Yield what the hand feels at each speed, both ways, of a friction that falls from `F_s_Nm`."""
+    F_d_Nm = FALL * F_s_Nm
+    slides = slid(rig, F_d_Nm, SPEEDS_RAD_S, F_s_Nm=F_s_Nm, seed=seed)
+    wanted = [sign * speed for speed in SPEEDS_RAD_S for sign in (1.0, -1.0)]
+    for drawn, (speed, torque) in zip(wanted, slides, strict=True):
+        stands = abs(speed) < STANDS * abs(drawn)
+        yield Felt(control, "falling", drawn, F_d_Nm, max(F_s_Nm, torque) if stands else torque)
 
 
 def felt_study(rig: Rig | None = None, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> FeltStudy:

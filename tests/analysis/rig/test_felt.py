@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from coulombus.analysis.rig import display_errors
 from coulombus.analysis.rig.display_errors import Felt, FeltStudy, broke_away, felt_control, iron_of, slid
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import load_rig
@@ -34,6 +35,32 @@ def test_sliding_is_felt_as_F_d_to_3_percent_from_20_mrad_s_on(bench):
     for speed, torque in slid(felt_control(bench), 1.0, (0.02, 0.1, 1.0)):
         assert abs(speed) >= 0.02
         assert torque == pytest.approx(1.0, rel=0.03)
+
+
+@pytest.mark.parametrize("F_s", [1.0, 4.0])
+def test_a_friction_that_falls_is_felt_as_F_d_however_slow(bench, F_s):
+    for speed, torque in slid(felt_control(bench), 0.75 * F_s, (0.02, 1.0), F_s_Nm=F_s):
+        assert abs(speed) >= 0.02
+        assert torque == pytest.approx(0.75 * F_s, rel=0.03)
+
+
+@pytest.mark.parametrize("window", [1, 6])
+def test_a_speed_within_the_band_is_held_as_stick(bench, window):
+    """2 counts of 80 urad in 6 cycles of 1 ms are 0.027 rad/s."""
+    rig = felt_control(bench).variant(f"law.velocity_window_cycles={window}")
+    for speed, _ in slid(rig, 1.5, (0.02,), F_s_Nm=2.0):
+        assert speed == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_study_sees_that_the_papers_control_holds_slow_sliding(bench, monkeypatch):
+    monkeypatch.setattr(display_errors, "SPEEDS_RAD_S", (0.05,))
+    rows = {
+        name: list(display_errors.falling_rows(rig, name, 2.0, 0))
+        for name, rig in (("brake", bench), ("felt", felt_control(bench)))
+    }
+    assert all(row.error >= 1 / 3 - 1e-9 for row in rows["brake"])
+    assert all(abs(row.error) < 0.01 for row in rows["felt"])
+    assert [row.of for row in rows["felt"]] == [0.05, -0.05]
 
 
 IRON = (0.1, 0.4), (0.2, 0.2)
