@@ -1,0 +1,102 @@
+r"""A brake that follows late under a hand that pushes: up to which slope of damping it slides evenly.
+
+*Ideal brake.* The handle is :math:`J\dot v + \beta v = f_h - F_b\,\mathrm{Sgn}(v)`, with
+:math:`\beta` the damping of device and hand together. If the brake has the level
+:math:`F_b = \lambda(v) \ge 0` at once, and :math:`\lambda(|v|) + \beta |v|` never falls with the
+speed, two motions under the same :math:`f_h(t)` come together,
+
+.. math:: \frac{d}{dt}\,\tfrac12 J (v_1 - v_2)^2 \le 0
+
+because :math:`\lambda\,\mathrm{Sgn} + \beta` is monotone. So nothing oscillates but what the hand
+shakes.
+
+*Brake with a lag.* A brake whose level comes late, :math:`F_b = B\,L(s)\,|v|`, still opposes every
+motion, but no longer grows while the speed does. Against a hand that pushes on at a mean speed V,
+a ripple :math:`v = V + a \sin\omega t` with :math:`a < V` has :math:`|v| = v`: the describing
+function of the brake is :math:`B\,L(j\omega)` at any such amplitude, and the force of the hand does
+not enter. With a coil, a fluid and a delay,
+
+.. math:: L(s) = \frac{e^{-s\tau}}{(1 + s T_1)(1 + s T_2)}, \qquad
+          J s + \beta + B\,L(s) = 0
+
+the ripple grows beyond the least B at which a root lies on the imaginary axis,
+
+.. math:: \arg\{(J j\omega + \beta)(1 + j\omega T_1)(1 + j\omega T_2)\} + \omega\tau = \pi, \qquad
+          B_{max} = |(J j\omega + \beta)(1 + j\omega T_1)(1 + j\omega T_2)|
+
+The work comes from the hand's mean push. It grows until the handle stops in every turn, and there
+this describing function ends. A sampled brake has its delay in cycles and one cycle more: half of
+one is the backward difference, half the hold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from scipy.optimize import brentq
+
+from coulombus.analysis.theory.parameters import ParameterError
+
+__all__ = ["BrakeLag", "RippleLimit", "ripple_limit"]
+
+
+@dataclass(frozen=True)
+class BrakeLag:
+    """The handle, the hand on it, and how late the brake is; defaults are those of the rig ``bench``.
+
+    Raises
+    ------
+    ParameterError
+        an inertia that is not positive, or a damping, lag or delay that is negative or not finite
+    """
+
+    inertia_kg_m2: float = 3e-3
+    """Of handle and hand together."""
+    damping_Nms_rad: float = 0.105
+    """Of device and hand together."""
+    coil_lag_s: float = 3e-3
+    fluid_lag_s: float = 15e-3
+    delay_s: float = 2e-3
+    """Whole delay from a speed to the brake's set-point, difference and hold included."""
+
+    def __post_init__(self) -> None:
+        for name in ("inertia_kg_m2", "damping_Nms_rad", "coil_lag_s", "fluid_lag_s", "delay_s"):
+            value = getattr(self, name)
+            if not math.isfinite(value) or value < 0.0 or (name == "inertia_kg_m2" and value == 0.0):
+                raise ParameterError(f"{name} = {value}: expected a finite number that is not negative")
+
+    def phase_rad(self, omega_rad_s: float) -> float:
+        """Return by how much the brake's torque lags behind the way it acts on [rad], inertia included."""
+        lags = math.atan(omega_rad_s * self.coil_lag_s) + math.atan(omega_rad_s * self.fluid_lag_s)
+        return math.atan2(omega_rad_s * self.inertia_kg_m2, self.damping_Nms_rad) + lags + omega_rad_s * self.delay_s
+
+
+@dataclass(frozen=True)
+class RippleLimit:
+    """Where a ripple begins to grow."""
+
+    damping_Nms_rad: float
+    """B_max: the steepest slope of the brake at which sliding is even; infinite where each is."""
+    frequency_Hz: float
+    """Of the ripple there; NaN where there is none."""
+
+
+def ripple_limit(brake: BrakeLag) -> RippleLimit:
+    r"""Return the steepest damping that a late brake displays evenly to a hand that pushes.
+
+    Without a delay it is Routh's, with :math:`a_3 = J T_1 T_2`,
+    :math:`a_2 = J (T_1 + T_2) + \beta T_1 T_2`, :math:`a_1 = J + \beta (T_1 + T_2)`:
+    :math:`B_{max} = a_1 a_2/a_3 - \beta`. With at most one of the lags and no delay every slope is
+    even.
+    """
+    late = (brake.coil_lag_s > 0) + (brake.fluid_lag_s > 0)
+    if brake.delay_s == 0.0 and late < 2:
+        return RippleLimit(math.inf, math.nan)
+    omega = 1.0
+    while brake.phase_rad(omega) < math.pi:
+        omega *= 2.0
+    crossing = float(brentq(lambda w: brake.phase_rad(w) - math.pi, 0.0, omega, xtol=1e-12 * omega))
+    size = math.hypot(crossing * brake.inertia_kg_m2, brake.damping_Nms_rad)
+    size *= math.hypot(1.0, crossing * brake.coil_lag_s) * math.hypot(1.0, crossing * brake.fluid_lag_s)
+    return RippleLimit(size, crossing / (2.0 * math.pi))
