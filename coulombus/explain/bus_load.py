@@ -76,7 +76,7 @@ class BusLoad:
                 return
 
     def _fill(self, block: Block, bits: Integers) -> None:
-        window = block.t_ns // WINDOW_NS
+        window = np.maximum.accumulate(block.t_ns // WINDOW_NS)  # stamps may step back
         first, last = int(window[0]), int(window[-1])
         if last - first > 100_000:
             return  # a log with a hole

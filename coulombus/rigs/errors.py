@@ -95,13 +95,12 @@ class Source:
         for length in range(len(key), 0, -1):
             if key[:length] in self.overrides:  # of this key, or of all that holds it
                 return float("inf"), f"--set {self.overrides[key[:length]]}"
-        line = self.document.find(key)
-        if line is not None:
-            return line, f"{self.path}:{line}"
-        for given, text in self.overrides.items():
-            if given[: len(key)] == key:
-                return float("inf"), f"--set {text}"
-        return 1, f"{self.path}:1"
+        if not any(place[: len(key)] == key for place in self.document.lines):
+            for given, text in self.overrides.items():
+                if given[: len(key)] == key:
+                    return float("inf"), f"--set {text}"
+        line = self.document.line(key)
+        return line, f"{self.path}:{line}"
 
     def say(self, key: Key, text: str) -> None:
         """Note a mistake of `key`; `text` follows the key's name."""

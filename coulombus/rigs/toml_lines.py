@@ -67,19 +67,15 @@ class Document:
     problems: list[tuple[int, str]] = field(default_factory=list)
 
     def line(self, key: Key) -> int:
-        """Return the line of the key (`find`); 1 where there is none."""
-        return self.find(key) or 1
-
-    def find(self, key: Key) -> int | None:
         """Return the line of the key, or of the first key in it, or of the nearest section or value
-        that holds it.
+        that holds it; 1 where there is none.
         """
         for length in range(len(key), 0, -1):
             part = key[:length]
             inside = [line for place, line in self.lines.items() if place[:length] == part]
             if inside:
                 return self.lines.get(part, min(inside))
-        return None
+        return 1
 
     def is_broken(self, key: Key) -> bool:
         """Tell whether the key, or a section that holds it, stands in a statement that could not be

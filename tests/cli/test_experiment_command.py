@@ -58,6 +58,6 @@ def test_the_same_seed_gives_the_same_bytes(call, tmp_path):
     for folder in ("one", "two"):
         assert call("--observer", "0.1", folder=folder).exit_code == 0
     paths = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*") if path.is_file())
-    assert len(paths) == 11
+    assert len(paths) == 13
     for path in paths:
         assert (tmp_path / "one" / path).read_bytes() == (tmp_path / "two" / path).read_bytes(), path

@@ -25,6 +25,7 @@ real_run, run_verb = import_module("coulombus.host.run.real_run"), import_module
 EDS = shlex.quote(str(ROOT / "eds" / "motor.eds"))
 
 ENDS = {
+    "help": ("help exit", 0),
     "demo": ("demo --virtual --out /dev/null/out", 2),
     "simulate": ("simulate --seconds -1", 2),
     "sweep": ("sweep NONE.toml -o /dev/null/sweep", 3),

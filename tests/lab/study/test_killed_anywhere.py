@@ -100,7 +100,7 @@ while (told := killed(place / "parts", at)) is not None:
         (place / "parts" / name).read_bytes() == (place / "whole" / name).read_bytes()
         for name in ("participants.tsv", "participants.json", "study.toml", "dataset_description.json")
     )
-    left = sorted(path.name for path in (place / "parts").rglob(".*") if path.name != ".lock")
+    left = sorted(path.name for path in (place / "parts").rglob(".*") if path.name not in (".lock", ".bidsignore"))
     found.append({"at": at, "left": left, "told": told, "rows": len(rows), "complete": came.complete, "same": same,
                   "bytes": events.read_bytes() == whole})
     shutil.rmtree(place / "parts")
