@@ -74,9 +74,9 @@ def test_every_example_is_run():
 
 def test_study_coverage_goes_on_where_it_was_stopped(tmp_path):
     program = runpy.run_path(str(EXAMPLES / "study_coverage.py"))
-    found = [program["study"](tmp_path, 4, seed) for seed in (0, 0)]
+    found = [program["study"](tmp_path, 20, seed) for seed in (0, 0)]
     assert found[0] == found[1]  # nothing was left for the second time
-    assert found[0]["fit"]["trials"] == 4
+    assert found[0]["fit"]["trials"] == 20
     told = program["figures"](found)
     assert (told["studies"], told["true_jnd_Nm"], told["mean_of_turns_Nm"]) == (2, 0.15, None)
 
