@@ -126,6 +126,7 @@ class _Findings:
         from coulombus.host.setup.limit_meanings import meanings_of
         from coulombus.host.setup.release import release_of
         from coulombus.host.setup.settings import torque_limits
+        from coulombus.rigs.devices import drive_axis_of
         from coulombus.rigs.draft.marks import guesses
         from coulombus.rigs.plan.rig_plan import plans
 
@@ -142,7 +143,7 @@ class _Findings:
             for mode in axis.mode:
                 controller = Controller(axis, mode)
                 self.limits[axis.prefix + mode] = controller.drive_limit_pm()
-                number = axis.motor.drive_axis
+                number = drive_axis_of(axis.motor)
                 further = axis_of(axis.allocation.bound["torque_setpoint"].entry.index) not in (0, number)
                 limits = () if further else torque_limits(axis.description("motor"), number)
                 named = [f"{index:04X}h" for index in limits]

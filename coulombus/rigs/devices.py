@@ -117,8 +117,8 @@ class _Actuator(DeviceSection):
         description="mode of operation 6060h of a CiA 402 drive",
         json_schema_extra={"expected": "an integer from -128 to 127", "range": "-128 to 127"},
     )
-    drive_axis: int = Field(
-        1, ge=1, le=MOST_DRIVE_AXES, description="which axis of a CiA 402 drive: objects from 6000h, 6800h ..."
+    drive_axis: int | None = Field(
+        None, ge=1, le=MOST_DRIVE_AXES, description="which axis of a CiA 402 drive: objects from 6000h, 6800h ..."
     )
 
 
@@ -159,8 +159,8 @@ class Sensor(DeviceSection):
 
 
 def drive_axis_of(part: DeviceSection) -> int:
-    """Return which axis of a drive a device is in the rig, from 1 on; 1 of what is no drive."""
-    return part.drive_axis if isinstance(part, _Actuator) else 1
+    """Return which axis of a drive a device is in the rig, from 1 on; 1 where the rig file names none."""
+    return (part.drive_axis or 1) if isinstance(part, _Actuator) else 1
 
 
 class Role(Section):

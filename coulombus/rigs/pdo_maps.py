@@ -290,7 +290,7 @@ def mode_of(part: Motor | Brake, description: Description) -> int:
     """
     if part.mode is not None:
         return part.mode
-    index = of_axis(SUPPORTED_MODES, part.drive_axis)
+    index = of_axis(SUPPORTED_MODES, drive_axis_of(part))
     modes = description.variable(index, 0).default if description.has(index, 0) else None
     if not isinstance(modes, int) or modes == 0 or modes >> (CST - 1) & 1:
         return CST

@@ -267,7 +267,7 @@ class _Planner:
         """Return the mode of operation, and hold it against 6502h."""
         assert isinstance(self.part, Motor | Brake)
         mode, description = mode_of(self.part, self.description), self.description
-        index = of_axis(SUPPORTED_MODES, self.part.drive_axis)
+        index = of_axis(SUPPORTED_MODES, drive_axis_of(self.part))
         if not description.has(index):
             return mode
         modes = description.default(index, 0, self.part.node_id) if description.has(index, 0) else None
@@ -295,7 +295,7 @@ class _Planner:
 
     def _further_axis(self) -> None:
         """Refuse a set-point of another axis of the drive than the one that bring-up sets."""
-        entry, own = self.axis.allocation.bound["torque_setpoint"].entry, self.axis.motor.drive_axis
+        entry, own = self.axis.allocation.bound["torque_setpoint"].entry, drive_axis_of(self.axis.motor)
         number = axis_of(entry.index)
         if number != own and first_axis_object(entry.index) == TARGET_TORQUE:
             objects = ", ".join(f"{of_axis(index, number):04X}h" for index in (0x6060, MAX_TORQUE, 0x605A))
@@ -325,7 +325,7 @@ class _Planner:
 
     def _limits(self) -> None:
         """Demand a torque limit that the drive itself keeps."""
-        number = self.axis.motor.drive_axis
+        number = drive_axis_of(self.axis.motor)
         indices, max_torque = torque_limits(self.description, number), of_axis(MAX_TORQUE, number)
         if not indices:
             names = [f"{of_axis(index, number):04X}h" for index in (MAX_TORQUE, 0x60E0, 0x60E1, 0x6073)]

@@ -11,7 +11,7 @@ from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.host.setup.settings import Setting
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.devices import Brake, Motor
+from coulombus.rigs.devices import Brake, Motor, drive_axis_of
 from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.roles import CIA402, profile_of
 
@@ -48,7 +48,7 @@ def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Re
     set_there = {(s.index, s.subindex): s.value for s in settings}
     ours = is_own(node, told_identity(description))
     watches = [*_watches(axis, node, part, set_there)]
-    acts = ours or (of_axis(0x6007, part.drive_axis), 0) in set_there
+    acts = ours or (of_axis(0x6007, drive_axis_of(part)), 0) in set_there
     what, ramp_s = "torque 0, disabled" if acts else "the drive's own reaction", 0.0
     if node == "brake" and profile_of(description, "brake") != CIA402:
         acts = any(

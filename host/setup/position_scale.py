@@ -18,6 +18,7 @@ from coulombus.eds.drive_scale import SCALE_OBJECTS, PositionScale, defaults, po
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.host.errors import SdoAborted
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.devices import drive_axis_of
 
 __all__ = ["OWN_SCALE", "BelievedScale", "believed_scale", "early_wrap", "remark_of", "scale_differences"]
 
@@ -91,7 +92,7 @@ def believed_scale(axis: Axis, who: str, name: str) -> BelievedScale | None:
     if binding is None or binding.node != "motor" or is_own("motor", told_identity(axis.description("motor"))):
         return None
     place = binding.entry.index, binding.entry.subindex
-    number = axis.motor.drive_axis
+    number = drive_axis_of(axis.motor)
     if place not in [(of_axis(index, number), subindex) for index, subindex in (POSITION, INCREMENTS)]:
         return None
     counts_rev = 2 * math.pi / (abs(binding.scale) * axis.mechanics.ratio)
@@ -129,7 +130,7 @@ def early_wrap(axis: Axis, who: str) -> str:
     does not say so.
     """
     binding, description = axis.allocation.bound["position"], axis.description("motor")
-    index = of_axis(RANGE_LIMIT, axis.motor.drive_axis)
+    index = of_axis(RANGE_LIMIT, drive_axis_of(axis.motor))
     low, high = (description.default(index, sub, 0) if description.has(index, sub) else None for sub in (1, 2))
     if binding.node != "motor" or not (isinstance(low, int) and isinstance(high, int)):
         return ""

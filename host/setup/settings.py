@@ -242,7 +242,7 @@ def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bo
     description = axis.description(setpoint.node)
 
     def at(index: int) -> int:
-        return of_axis(index, part.drive_axis)
+        return of_axis(index, drive_axis_of(part))
 
     mode = mode_of(part, description)
     readable = not description.has(at(0x6060), 0) or description.variable(at(0x6060), 0).access != "wo"
@@ -294,7 +294,7 @@ def torque_limits(description: Description, drive_axis: int = 1) -> tuple[int, .
 def _motor_settings(axis: Axis, mode: str, limit_pm: int, ours: bool) -> Iterator[Setting]:
     description = axis.description("motor")
     yield from _drive_settings(axis, axis.motor, axis.allocation.bound["torque_setpoint"], ours)
-    for index in torque_limits(description, axis.motor.drive_axis):
+    for index in torque_limits(description, drive_axis_of(axis.motor)):
         low = description.variable(index, 0).low
         value, note = limit_pm, ""
         if low is not None and limit_pm < low:

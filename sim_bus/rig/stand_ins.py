@@ -128,7 +128,7 @@ def _own_scale(axis: Axis) -> _OwnScale:
     """Return the scale of another maker's drive, as its file and the objects have it that the rig
     file writes to it.
     """
-    description, number = axis.description("motor"), axis.motor.drive_axis
+    description, number = axis.description("motor"), drive_axis_of(axis.motor)
     if is_own("motor", told_identity(description)):
         return _OwnScale()
     stored, written = defaults(description, number), {(row.index, row.sub): row.value for row in axis.motor.sdo}
@@ -153,7 +153,7 @@ def _drive(axis: Axis, setpoint: Binding) -> Profile:
     mode = mode_of(part, axis.description(setpoint.node))
     own = _own_key(part, setpoint)
     drive = DRIVE402 if own == _SETPOINT and mode in MODES else with_own_mode(mode, own, _per_mille(axis, setpoint))
-    return on_axis(drive, part.drive_axis)
+    return on_axis(drive, drive_axis_of(part))
 
 
 def _per_mille(axis: Axis, setpoint: Binding) -> float:
