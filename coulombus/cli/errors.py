@@ -76,8 +76,6 @@ class Verbs(click.Group):
             with _failures():
                 return super().make_context(info_name, args, parent, **extra)
         except Failure as failure:
-            if isinstance(failure.__cause__, OSError):
-                abandon_stdout()  # it has taken nothing: that is told now, and need not be told at the end
             _end(failure)
         except click.ClickException as error:
             raise _printable(error) from None
@@ -254,6 +252,11 @@ def _end(failure: Failure) -> NoReturn:
     """Tell what ended a verb, a mistake of this program with its traceback, and end with its
     status.
     """
+    if isinstance(failure.__cause__, OSError):
+        try:
+            sys.stdout.flush()
+        except (OSError, ValueError):
+            abandon_stdout()  # it takes nothing: that is told now, and not once more at the end
     with verdict(failure.status):
         if failure.status == FAULT and failure.__cause__ is not None:
             say("".join(traceback.format_exception(failure.__cause__)).rstrip())
