@@ -153,9 +153,7 @@ def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
         return
     echo(f"law {given.name}: {document['samples']} samples in {document['seconds']:g} s")
     if given.declaration is None:
-        values = ", ".join(
-            f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}" for key, value in given.parameters
-        )
+        values = ", ".join(given.parameter_texts)
         echo(on_terminal(f"parameters      {values}, as in [mode.*] of a rig file; --set changes them", 16))
     echo(f"largest torque  {document['peak_Nm']:.6g} Nm")
     echo(f"work taken up   {document['work_J']:.6g} J, at least {document['least_work_J']:.6g} J on the way")

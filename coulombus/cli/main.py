@@ -70,6 +70,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     },
 }
 """The verbs, each a module of this folder, and what they do, in a line each."""
+TEXTS: Mapping[str, str] = {name: text for verbs in SECTIONS.values() for name, text in verbs.items()}
 
 
 FIRST = ("demo", "simulate", "run", "watch", "explain", "check")
@@ -79,24 +80,21 @@ FIRST = ("demo", "simulate", "run", "watch", "explain", "check")
 class Commands(Mapping[str, click.Command]):
     """The verbs by name, in the order of `SECTIONS`; each is imported when it is looked up."""
 
-    def __init__(self) -> None:
-        self._texts = {name: text for section in SECTIONS.values() for name, text in section.items()}
-
     def __getitem__(self, name: str) -> click.Command:
-        text = self._texts[name]
+        text = TEXTS[name]
         things = vars(import_module(f"{__package__}.{name}")).values()
         verb = next(thing for thing in things if isinstance(thing, click.Command) and thing.name == name)
         verb.short_help = text
         return verb
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._texts)
+        return iter(TEXTS)
 
     def __len__(self) -> int:
-        return len(self._texts)
+        return len(TEXTS)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._texts
+        return name in TEXTS
 
 
 class Coulombus(Verbs):
@@ -106,12 +104,11 @@ class Coulombus(Verbs):
         """Write the verbs to begin with, the names of all, and where more stands; none is
         imported.
         """
-        texts = {name: text for verbs in SECTIONS.values() for name, text in verbs.items()}
         formatter.write(
             "Friction you can feel, over a CAN bus.\n\nUsage: coulombus COMMAND [OPTIONS] [ARGUMENTS], or coulombus --version\n"
         )
         with formatter.section("Start with"):
-            formatter.write_dl([(name, texts[name]) for name in FIRST])
+            formatter.write_dl([(name, TEXTS[name]) for name in FIRST])
         with formatter.section("All commands"):
             formatter.write_dl([(title, " ".join(verbs)) for title, verbs in SECTIONS.items()])
         with formatter.section("Help"):

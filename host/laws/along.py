@@ -115,6 +115,13 @@ class GivenLaw:
     """None: it names no parameters."""
     parameters: Parameters
 
+    @property
+    def parameter_texts(self) -> list[str]:
+        """Each parameter as "KEY = VALUE"."""
+        return [
+            f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}" for key, value in self.parameters
+        ]
+
     def along(self, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float = COUNT_RAD) -> Driven:
         """Drive the law along a motion, from its relaxed state.
 

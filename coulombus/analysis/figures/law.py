@@ -19,10 +19,7 @@ PARAMETERS_IN_A_LINE = 4
 
 def titled(given: GivenLaw) -> str:
     """Return a law's name and its parameters, in lines that a picture has room for."""
-    values = given.parameters.model_dump()
-    texts = [
-        f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}" for name, value in values.items()
-    ]
+    texts = given.parameter_texts
     lines = [texts[k : k + PARAMETERS_IN_A_LINE] for k in range(0, len(texts), PARAMETERS_IN_A_LINE)]
     return "\n".join([f"law {given.name}", *(", ".join(line) for line in lines)])
 
