@@ -256,7 +256,7 @@ def _end(failure: Failure) -> NoReturn:
         try:
             sys.stdout.flush()
         except (OSError, ValueError):
-            abandon_stdout()  # it takes nothing: that is told now, and not once more at the end
+            abandon_stdout()  # stdout is broken: `failure` says so, and the end does not repeat it
     with verdict(failure.status):
         if failure.status == FAULT and failure.__cause__ is not None:
             say("".join(traceback.format_exception(failure.__cause__)).rstrip())
