@@ -70,12 +70,13 @@ class Browser:
         raise OSError("chromium did not start: " + "".join(lines[-5:]))
 
     async def __aexit__(self, *_: object) -> None:
+        if hasattr(self, "_listener"):
+            self._socket.close()
+            await asyncio.wait({self._listener}, timeout=10)  # until the browser has closed it, too
+            self._listener.cancel()
         self.process.kill()
         await asyncio.to_thread(self.process.wait)
         self.process.stderr.close()
-        if hasattr(self, "_listener"):
-            self._listener.cancel()
-            self._socket.close()
 
     async def _listen(self) -> None:
         while (text := await self._socket.read_message()) is not None:

@@ -13,7 +13,7 @@ import socket
 import struct
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 
@@ -67,6 +67,8 @@ async def batch_of(url):
             await connection.write_message(f"took {head['n']}")
     finally:
         connection.close()
+        while await asyncio.wait_for(connection.read_message(), 60) is not None:
+            pass  # the socket is closed when the server has answered
 
 
 def masked(opcode, data, noise, final=True):
@@ -105,6 +107,8 @@ async def said(url, message, upgraded=False):
         pass
     finally:
         writer.close()
+        with suppress(OSError):
+            await writer.wait_closed()
 
 
 async def stays(url, process):

@@ -40,6 +40,8 @@ class Page:
 
     async def __aexit__(self, *_):
         self.socket.close()
+        while await self.socket.read_message() is not None:
+            pass  # it is closed when the server has answered
 
     async def until(self, condition):
         """Take batches until one has a state for which the condition holds; return its head."""
