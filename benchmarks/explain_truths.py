@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from benchmarks.explain_bus import Machine
-from coulombus.explain.eds_files import EdsFiles
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.incidents import Incident
 from coulombus.rigs.rig import Rig

@@ -38,9 +38,9 @@ def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tup
       coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
     """
     with errors():
-        from coulombus.explain.eds_files import eds_files
         from coulombus.monitor.decode import as_json as as_json_line
         from coulombus.monitor.decode import as_text, bare_rows, fitted, rows
+        from coulombus.recording.maps.eds_files import eds_files
         from coulombus.recording.reading import blocks, has_rig
         from coulombus.rigs.rig import load_rig
 

@@ -15,9 +15,9 @@ from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
 from coulombus.cli.tables import PROSE, echo, on_terminal
 
 if TYPE_CHECKING:
-    from coulombus.explain.eds_files import EdsFiles
     from coulombus.explain.explained import Explanation
     from coulombus.explain.incidents import Incident
+    from coulombus.recording.maps.eds_files import EdsFiles
     from coulombus.rigs.rig import Rig
 
 __all__ = ["explain"]
@@ -47,7 +47,7 @@ class Knowledge:
 
     def load(self) -> tuple[Rig | None, EdsFiles]:
         """Load rig and EDS files; say which files of a folder cannot be read."""
-        from coulombus.explain.eds_files import eds_files
+        from coulombus.recording.maps.eds_files import eds_files
 
         files = eds_files(self.eds)
         remark(files.refused)

@@ -12,8 +12,8 @@ import click
 from click.core import ParameterSource
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import force_option, listed, say
-from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.common import force_option, listed, log_eds_option, say
+from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
 from coulombus.cli.page_options import PageOptions, page_options, serve_page, serve_recording_page
 from coulombus.cli.rig_options import OneBusOptions, one_bus_options
@@ -64,6 +64,7 @@ class View:
     scope: tuple[str, ...]
     foxglove: int | None
     plotjuggler: int | None
+    eds: tuple[str, ...]
 
     def check(self, page: PageOptions, as_json: bool) -> None:
         """Refuse what does not go together.
@@ -88,6 +89,8 @@ class View:
             raise click.UsageError(f"--interval is of the table in a terminal: leave it or {given[0]} out")
         if self.pcapng is not None and as_json:
             raise click.UsageError("--pcapng shows nothing: leave --json out")
+        if self.eds and (given or self.scope):
+            raise click.UsageError(f"--eds is of a bus without a rig: leave {(given or ['--scope'])[0]} out")
 
 
 view_options = bundle(
@@ -130,6 +133,7 @@ view_options = bundle(
         metavar="[PORT]",
         help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
     ),
+    log_eds_option,
 )
 
 
@@ -153,7 +157,9 @@ def watch(
     """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes,
     emergencies, losses.
 
-    Nothing is sent. A live table in a terminal (p holds the picture, b shows raw bytes, those that
+    Nothing is sent. Without --rig it is rig bench, until the bus turns out to be another one's:
+    then nodes are numbers, and PDOs have their objects as far as SDO configuration seen, an EDS
+    file or CiA 402 tells their maps. A live table in a terminal (p holds the picture, b shows raw bytes, those that
     changed stand out, w names the bits of status- and controlwords, 1 to 9 open an incident of
     `coulombus explain`, q ends it), else lines; with
     --web a page in a browser, whose STOP does what `coulombus stop` does. With a recording FILE and
@@ -164,6 +170,7 @@ def watch(
     Examples:
       coulombus watch --bus coulombus:bench
       coulombus watch --bus socketcan:can0 --rig my-rig.toml
+      coulombus watch --bus socketcan:can0 --eds 5=drive.eds
       coulombus watch --json --seconds 5 | jq .signals
       coulombus watch --pcapng - | wireshark -k -i -
       coulombus watch --bus coulombus:bench --scope motor.position_rad
@@ -174,9 +181,12 @@ def watch(
     with errors():
         from coulombus.monitor.watch import LiveView
         from coulombus.monitor.watch import watch as run
+        from coulombus.recording.maps.eds_files import eds_files
 
         view.check(page, as_json)
         named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
+        if named and view.eds:
+            raise click.UsageError("--rig and --eds: the rig has EDS files; leave one of them out")
         if file is not None:
             _open(file, chosen, page, rig_name=chosen.rig_name if named else None, seconds=seconds, as_json=as_json)
             return
@@ -201,8 +211,13 @@ def watch(
                 force=view.overwrite,
             )
         else:
+            files = eds_files(view.eds)
+            remark(files.refused)
+            assumed = not (named or view.scope or chosen.overrides)
             run(
-                *(rig, address, LiveView(as_json, view.interval, named, view.scope)),
+                None if view.eds else rig,
+                address,
+                LiveView(as_json, view.interval, named, view.scope, assumed, files),
                 seconds=seconds,
                 host=lambda: host_line(address),
             )

@@ -12,8 +12,8 @@ from coulombus.eds.eds_folder import fitting
 from coulombus.eds.own_devices import told_identity
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import Block
-from coulombus.explain.seen_maps import Map, maps_of
 from coulombus.explain.seen_node import SeenNode
+from coulombus.recording.maps.seen_maps import Map, maps_of
 
 __all__ = ["Bus", "Order", "product"]
 
@@ -174,11 +174,11 @@ class Bus:
         if self.stale:
             self.stale = False
             for node in self.nodes.values():
-                identity = node.objects.get((0x1018, 1), 0), node.objects.get((0x1018, 2), 0)
+                identity = node.identity
                 if node.number in self.of_rig and any(identity):
                     self._compare(node.number, identity)
                 if node.number not in self.descriptions and any(identity):
-                    description = fitting(self.candidates, identity, node.objects.get((0x1018, 3), 0))
+                    description = fitting(self.candidates, identity, node.revision)
                     if description is not None:
                         self.descriptions[node.number] = description
                         self.names.setdefault(node.number, product(description))

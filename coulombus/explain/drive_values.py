@@ -11,7 +11,7 @@ from coulombus.eds.cia402 import INTERNAL_LIMIT, STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.bus import Bus
 from coulombus.explain.frames import Block, Frames, Integers
-from coulombus.explain.seen_maps import Field, Map
+from coulombus.recording.maps.seen_maps import Field, Map
 
 __all__ = ["DriveValues"]
 

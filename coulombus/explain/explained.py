@@ -14,7 +14,6 @@ from coulombus.explain.bus_load import BusLoad
 from coulombus.explain.disturbances import Disturbances
 from coulombus.explain.drive_states import Drives
 from coulombus.explain.drive_values import DriveValues
-from coulombus.explain.eds_files import EdsFiles
 from coulombus.explain.frames import ERROR, EXTENDED, Block, Pieces
 from coulombus.explain.host_markers import HostMarkers
 from coulombus.explain.identifier_table import IdentifierRow, Identifiers
@@ -24,8 +23,9 @@ from coulombus.explain.nodes import STATES
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
-from coulombus.explain.seen_maps import maps_of_rig
 from coulombus.recording.bus_match import Channel, channel_texts, one_bus
+from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.seen_maps import maps_of_rig
 from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.reading import HOST, RIG, captures
 from coulombus.rigs.rig import Rig, RigError, load_rig_text

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from coulombus.explain.eds_files import EdsFiles
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.incidents import Incident
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress

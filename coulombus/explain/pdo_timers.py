@@ -6,7 +6,7 @@ import numpy as np
 
 from coulombus.explain.bus import Bus
 from coulombus.explain.frames import Block, Frames
-from coulombus.explain.seen_maps import Map
+from coulombus.recording.maps.seen_maps import Map
 
 __all__ = ["PdoTimers"]
 

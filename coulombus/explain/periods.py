@@ -10,7 +10,7 @@ import numpy as np
 from coulombus.eds.cia301 import CobId
 from coulombus.explain.bus import EMCY, NMT, SDO_TX, Bus
 from coulombus.explain.frames import SYNC, Block, Frames, Integers
-from coulombus.explain.seen_maps import Map
+from coulombus.recording.maps.seen_maps import Map
 
 __all__ = ["Timing"]
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
-__all__ = ["Objects", "SeenNode"]
+from coulombus.recording.maps.seen_maps import MappedNode
 
-Objects: TypeAlias = dict[tuple[int, int], int]
-"""Values of a node's objects by (index, sub-index), as SDO transfers showed them."""
+__all__ = ["SeenNode"]
 
 
 @dataclass
-class SeenNode:
+class SeenNode(MappedNode):
     """A node as its frames show it; stamps are ns, -1 where there is none."""
 
-    number: int
     first_ns: int
     last_ns: int
     state: int = -1  # of the last heartbeat; -1: not known
@@ -27,5 +24,3 @@ class SeenNode:
     gaps: list[int] = field(default_factory=list)
     boots: int = 0
     booted_ns: int = -1
-    objects: Objects = field(default_factory=dict)
-    device_type: int = 0

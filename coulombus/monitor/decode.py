@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import struct
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -20,24 +21,24 @@ from typing import Any
 import numpy as np
 
 from coulombus.eds.cia301 import CobId
+from coulombus.eds.codec import get_field
 from coulombus.eds.reader import Description
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.explain.eds_files import EdsFiles
-from coulombus.explain.log_maps import LogMaps
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync
 from coulombus.recording.bus_match import Channel, channel_texts, one_bus
+from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pdo_columns import PdoTable
 from coulombus.recording.reading import captures
 from coulombus.recording.signals import Recording, Source, epoch_of
 from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
 from coulombus.wire.error_frames import error_frame
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
 __all__ = ["Row", "as_json", "as_text", "bare_rows", "fitted", "rows"]
 
-LEARNED = 4096
-"""Frames of which PDO maps are learned at a time."""
 NODE_ID = 0x7F
 FUNCTION = 0x780
 PDO_NAMES = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
@@ -105,14 +106,14 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles) -> Iterator[Row]:
     """Yield one dict for each frame of a log without a rig, in the file's order.
 
     Nodes are numbers. A PDO has its mapped objects by index where the log or an EDS file shows its
-    map (`explain.log_maps`); a map of CiA 402's defaults is called assumed.
+    map (`recording.maps.log_maps`); a map of CiA 402's defaults is called assumed.
 
     Raises
     ------
     coulombus.recording.bus_match.ChannelError
         The file has several buses, and `channel` names none of them.
     """
-    services, maps = _Services(None), LogMaps(eds)
+    services, maps, pdos = _Services(None), LogMaps(eds), dict[int, RigPdo]()
     texts, epoch_ns = channel_texts(channel), None
     for stretch in captures(path):
         capture, _ = one_bus(stretch, texts)
@@ -120,22 +121,35 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles) -> Iterator[Row]:
         epoch_ns = epoch_of(capture.frames) if epoch_ns is None and len(capture.frames) else epoch_ns
         for start in range(0, len(capture.frames), LEARNED):
             frames = capture.frames[start : start + LEARNED]
-            maps.take(frames)
+            if maps.take(frames):
+                pdos.clear()
             columns = ((frames["t_ns"] - (epoch_ns or 0)) / 1e9, frames["can_id"], frames["length"], frames["word"])
             for i, (t_s, can_id, length, word) in enumerate(zip(*(c.tolist() for c in columns), strict=True), start):
                 row = services.row(t_s, can_id, length, word)
                 known = maps.pdo(can_id)
                 if known is not None:
-                    row |= {
-                        "node": str(known.node),
-                        "pdo": known.name,
-                        "service": "pdo",
-                        **maps.values(known, word, length),
-                    }
+                    row |= {"node": str(known.node), "pdo": known.name, "service": "pdo"}
+                    if can_id not in pdos:
+                        pdos[can_id] = maps.rig_pdo(known)
+                    row |= _objects(pdos[can_id], word, length)
                     row |= {"map": "assumed"} if known.source == "assumed" else {}
                 if i in comments:
                     row["marker"] = comments[i].replace("\n", "; ")
                 yield row
+
+
+def _objects(pdo: RigPdo, word: int, length: int) -> Row:
+    """Return the raw values of the mapped objects that a frame has."""
+    data, values = (word & (1 << 64) - 1).to_bytes(8, "little"), {}
+    for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True):
+        if start + entry.bits > 8 * length or entry.dummy:
+            continue
+        raw = int(get_field(word, start, entry.bits, int(entry.signed)))
+        real = entry.kind == "real" and start % 8 == 0
+        values[where(entry.index, entry.subindex)] = (
+            struct.unpack_from("<f" if entry.bits == 32 else "<d", data, start // 8)[0] if real else raw
+        )
+    return values
 
 
 class _Services:

@@ -22,6 +22,7 @@ from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.drive_axis import first_axis_object
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
+from coulombus.monitor.learned_pdos import LearnedPdos
 from coulombus.monitor.services import STATES, emcy, lss, nmt
 from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
 from coulombus.recording.pdo_columns import decode_field
@@ -56,6 +57,7 @@ class _Line:
     """Frames of one identifier."""
 
     length: int = -1  # expected, -1: any
+    last_length: int = 0
     count: int = 0
     malformed: int = 0
     t_ns: int = 0
@@ -83,29 +85,33 @@ class _Node:
 
 
 class Live:
-    """The state of a rig's bus; `take` frames, look at `snapshot`."""
+    """The state of a bus; `take` frames, look at `snapshot`.
 
-    def __init__(self, rig: Rig) -> None:
+    Parameters
+    ----------
+    rig
+        Gives names, PDOs and what is expected. None: nodes are numbers, PDOs are learned from the
+        frames.
+    learned
+        With a rig that is only assumed: what is learned meanwhile, for the rig is left when the bus
+        turns out to be another one's.
+    """
+
+    def __init__(self, rig: Rig | None, learned: LearnedPdos | None = None) -> None:
         self.rig = rig
-        self._pdos = rig.pdos()
-        self._lines = {pdo.layout.cob_id: _Line(pdo.layout.length) for pdo in self._pdos}
+        self._learned = learned or (LearnedPdos() if rig is None else None)
+        self._pdos: tuple[RigPdo, ...] = () if rig is None else rig.pdos()
+        self._lines: dict[int, _Line] = {}
         self._sync = self._lines[CobId.SYNC] = _Line()
-        self._nodes = [_Node(n.name, n.node_id, round(n.part.heartbeat_timeout_s * 1e9)) for n in rig.nodes]
-        self._nodes.append(_Node("host", rig.host.node_id, round(3e9 * rig.host.heartbeat_s)))
+        self._nodes: list[_Node] = []
+        if rig is not None:
+            self._nodes = [_Node(n.name, n.node_id, round(n.part.heartbeat_timeout_s * 1e9)) for n in rig.nodes]
+            self._nodes.append(_Node("host", rig.host.node_id, round(3e9 * rig.host.heartbeat_s)))
         self._by_id = {node.node_id: node for node in self._nodes}
-        self._emergencies = {node.emcy_id: self._by_id[node.node_id] for node in rig.nodes}
-        self._sends = {
-            n.node_id: [p.layout.cob_id for p in self._pdos if p.layout.direction == "tpdo" and p.node_id == n.node_id]
-            for n in self._nodes
-        }
-        rpdos = [p.layout.cob_id for p in self._pdos if p.layout.direction == "rpdo"]
-        self._sends[rig.host.node_id] = [int(CobId.SYNC), *rpdos]
-        self._statuswords = {
-            pdo.layout.cob_id: (self._by_id[pdo.node_id], start // 8)
-            for pdo in self._pdos
-            for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True)
-            if first_axis_object(entry.index) == STATUSWORD
-        }
+        self._emergencies = {node.emcy_id: self._by_id[node.node_id] for node in (() if rig is None else rig.nodes)}
+        self._sends: dict[int, list[int]] = {}
+        self._statuswords: dict[int, tuple[_Node, int]] = {}
+        self._arrange()
         self._waiting: list[Block] = []
         self._waiting_frames = 0
         self._row = 0  # of the frame that is looked at
@@ -115,6 +121,57 @@ class Live:
         self._error_class = 0
         self.frames = self.bits = self.error_frames = self.unknown = 0
         self._foreign: set[int] = set()
+
+    def _arrange(self) -> None:
+        """Give each PDO its line, its sender and its statusword."""
+        for pdo in self._pdos:
+            line = self._lines.setdefault(pdo.layout.cob_id, _Line())
+            line.length = pdo.layout.length if pdo.layout.entries else -1
+        tpdos = [pdo for pdo in self._pdos if pdo.layout.direction == "tpdo"]
+        self._sends = {n.node_id: [p.layout.cob_id for p in tpdos if p.node_id == n.node_id] for n in self._nodes}
+        if self.rig is not None:
+            rpdos = [p.layout.cob_id for p in self._pdos if p.layout.direction == "rpdo"]
+            self._sends[self.rig.host.node_id] = [int(CobId.SYNC), *rpdos]
+        self._statuswords = {
+            pdo.layout.cob_id: (self._by_id[pdo.node_id], start // 8)
+            for pdo in self._pdos
+            for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True)
+            if first_axis_object(entry.index) == STATUSWORD and start % 8 == 0 and pdo.node_id in self._by_id
+        }
+
+    def _learn(self, block: Block) -> None:
+        """Learn PDOs; without a rig they are those that are shown."""
+        if self._learned is not None and self._learned.take(block) and self.rig is None:
+            self._pdos = self._learned.pdos()
+            for pdo in self._pdos:
+                if pdo.layout.direction == "tpdo" and pdo.node_id not in self._by_id:
+                    self._stranger(pdo.node_id)
+            self._arrange()
+
+    def _is_another(self) -> bool:
+        """Tell whether the bus is not that of the rig that was assumed."""
+        if self._learned is None or self.rig is None:
+            return False
+        heard = {n.node_id for n in self._nodes if n.known and n.state >= 0} - {self.rig.host.node_id}
+        heard |= {p.node_id for p in self._pdos if p.layout.direction == "tpdo" and self._lines[p.layout.cob_id].count}
+        strangers = any(not node.known for node in self._nodes)
+        foreign = any(can_id & 0x7F not in heard for can_id in self._foreign)
+        unfit = any(line.malformed and not line.count for line in self._lines.values())
+        return unfit or foreign or (strangers and not heard) or self._learned.other_devices(self.rig)
+
+    def _leave_rig(self, t_ns: int) -> None:
+        """Go on without the rig: nodes are numbers."""
+        if self.rig is None or self._learned is None:
+            return
+        self._note(t_ns, f"this is not rig {self.rig.name}: nodes are numbers here; --rig says which rig it is")
+        self.rig, self._lines = None, {int(CobId.SYNC): self._sync}
+        self._nodes = [node for node in self._nodes if node.state >= 0 or node.services]
+        for node in self._nodes:
+            node.name, node.timeout_ns, node.known = str(node.node_id), NEVER_NS, True
+        self._by_id, self._emergencies = {node.node_id: node for node in self._nodes}, {}
+        self._learn(Block.of(()))
+        self._pdos = self._learned.pdos()
+        self._arrange()
 
     def take(self, received: Block | Sequence[Received]) -> None:
         """Take frames; nothing in them raises.
@@ -134,6 +191,7 @@ class Live:
         block, self._waiting, self._waiting_frames = Block.joined(self._waiting), [], 0
         if not len(block):
             return
+        self._learn(block)
         self.frames += len(block)
         real = block.lengths[block.can_ids & CAN_ERR_FLAG == 0]
         self.bits += int(BITS[real].sum())
@@ -159,8 +217,10 @@ class Live:
                 self._row = int(wrong[0])
                 if not line.malformed:
                     length = block.lengths[wrong[0]]
-                    text = f"{can_id:03X}h has {length} bytes, the rig's has {line.length}: another rig?"
-                    self._note(int(block.t_ns[wrong[0]]), text, grave=True)
+                    expected = (
+                        f"its map {line.length}" if self.rig is None else f"the rig's has {line.length}: another rig?"
+                    )
+                    self._note(int(block.t_ns[wrong[0]]), f"{can_id:03X}h has {length} bytes, {expected}", grave=True)
                 line.malformed += len(wrong)
                 if not len(rows):
                     return
@@ -178,7 +238,7 @@ class Live:
             for k in (0, *(np.flatnonzero(words[1:] != words[:-1]) + 1).tolist()):
                 self._row = row = int(rows[k])
                 self._power_state(int(block.t_ns[row]), motor, start, block.data(row))
-        line.data = block.data(rows[-1])
+        line.data, line.last_length = block.data(rows[-1]), int(block.lengths[rows[-1]])
 
     def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
         """Note an event that is seen elsewhere, as the bus going away; it stands behind those of the
@@ -225,7 +285,8 @@ class Live:
             self._note(t_ns, f"{node.name}: {can_id:03X}h comes, which the rig does not have", grave=True)
         if node is None and function in CALLS and can_id & 0x7F:
             node = self._stranger(can_id & 0x7F)
-            self._note(t_ns, f"{node.name}: a node that the rig does not have; --rig says which rig it is")
+            if self.rig is not None:
+                self._note(t_ns, f"{node.name}: a node that the rig does not have; --rig says which rig it is")
         if node is not None and function in SENT_BY_NODES:
             node.services += 1
         if function == CobId.HEARTBEAT and node is not None and len(data) == 1:
@@ -255,7 +316,7 @@ class Live:
 
         How often its heartbeat comes is not known, so it is not watched.
         """
-        node = self._by_id[node_id] = _Node(str(node_id), node_id, timeout_ns=0, known=False)
+        node = self._by_id[node_id] = _Node(str(node_id), node_id, timeout_ns=NEVER_NS, known=self.rig is None)
         self._sends[node_id] = []
         self._nodes.append(node)
         self._nodes.sort(key=lambda entry: (not entry.known, entry.node_id if not entry.known else 0))
@@ -283,6 +344,8 @@ class Live:
     def snapshot(self, t_ns: int) -> Snapshot:
         """Return what is known at `t_ns`, with the events since the last call."""
         self._catch_up()
+        if self._is_another():
+            self._leave_rig(t_ns)
         self._watch(t_ns)
         counts = {can_id: line.count for can_id, line in self._lines.items()}
         sent = {n.node_id: n.services + sum(counts[can_id] for can_id in self._sends[n.node_id]) for n in self._nodes}
@@ -305,7 +368,7 @@ class Live:
             unknown=self.unknown,
             bits_per_s=rate(self.bits, bits),
             pdos=tuple(
-                self._pdo_row(pdo, t_ns, rate(counts[pdo.layout.cob_id], before[pdo.layout.cob_id]))
+                self._pdo_row(pdo, t_ns, rate(counts[pdo.layout.cob_id], before.get(pdo.layout.cob_id, 0)))
                 for pdo in self._pdos
             ),
             nodes=tuple(
@@ -345,7 +408,7 @@ class Live:
             values=tuple(Value(signal.name, values.get(signal.name), signal.unit) for signal in pdo.signals),
             least_s=None if most_ns < 0 else least_ns / 1e9,
             most_s=None if most_ns < 0 else most_ns / 1e9,
-            data=line.data[: layout.length],
+            data=line.data[: line.last_length],
             changed=changed,
         )
 

@@ -18,6 +18,7 @@ from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.explanation_text import cause, checks, course, title
 from coulombus.explain.incidents import Incident
 from coulombus.explain.live_bus import LATE_NS, same_incident
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.wire.client import Received
 from coulombus.wire.frame import FRAME, Records
@@ -67,10 +68,12 @@ class LiveIncidents:
     ----------
     rig
         Gives names and PDO maps of the nodes that are its own.
+    eds
+        EDS files of nodes that are no rig's.
     """
 
-    def __init__(self, rig: Rig) -> None:
-        self._explainer = Explainer(rig)
+    def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
+        self._explainer = Explainer(rig, eds)
 
     def take(self, block: Block) -> None:
         """Go through frames."""
@@ -112,11 +115,11 @@ class IncidentReader:
     rows : the incidents at the last look
     """
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
         self.rows: tuple[IncidentRow, ...] = ()
         self.failure = ""
         """Why it looks no more; empty while it does."""
-        self._incidents = LiveIncidents(rig)
+        self._incidents = LiveIncidents(rig, eds)
         self._lock = threading.Lock()
         self._waiting: list[Block] = []
         self._frames = 0

@@ -24,10 +24,12 @@ from rich.live import Live as Display
 
 from coulombus.monitor.incident_lines import OpenedIncident, news
 from coulombus.monitor.live import Live
+from coulombus.monitor.learned_pdos import LearnedPdos
 from coulombus.monitor.live_incidents import IncidentReader, IncidentRow
 from coulombus.monitor.screen import Screen, as_dict, as_lines
 from coulombus.monitor.snapshot import Event, HostLine, Snapshot
 from coulombus.monitor.traces import Trace, Traces
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.system.foreign_text import printable
 from coulombus.system.keyboard import Keys, in_foreground
@@ -62,13 +64,17 @@ class LiveView:
     """Show also the nodes of the rig that were never heard."""
     scope: Sequence[str] = ()
     """Signals that a terminal draws over the last ten seconds."""
+    assumed: bool = False
+    """Nobody named the rig: it is left when the bus turns out to be another one's."""
+    eds: EdsFiles | None = None
+    """EDS files of nodes that are no rig's."""
 
 
 EVERYTHING = LiveView()
 
 
 def watch(
-    rig: Rig,
+    rig: Rig | None,
     address: BusAddress,
     view: LiveView = EVERYTHING,
     *,
@@ -80,6 +86,7 @@ def watch(
 
     Parameters
     ----------
+    rig : None: nodes are numbers, PDOs are learned from the frames and from ``view.eds``
     host : tells what the bus' host does, or how the last one ended, None where there was none; it is
         asked twice a second in a thread of its own
 
@@ -91,22 +98,22 @@ def watch(
         the rig has no signal of ``view.scope``
     """
     console = console or PrintableConsole()
-    live = Live(rig)
-    traces = Traces(rig, view.scope)
+    live = Live(rig, LearnedPdos(view.eds) if rig is None or view.assumed else None)
+    traces = None if rig is None else Traces(rig, view.scope)
     begin_ns = time.time_ns()
     live.snapshot(begin_ns)  # rates count from here
     hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
     with (
         Client(address, hello) as client,
         StopSignals() as stop,
-        IncidentReader(rig) as incidents,
+        IncidentReader(rig, view.eds) as incidents,
         _Reader(client, live, traces, incidents) as reader,
     ):
 
         def look() -> tuple[Snapshot, dict[str, Any]]:
             with reader.lock:
                 snapshot = live.snapshot(time.time_ns())
-                seen = traces.look(snapshot.t_ns) if terminal else ()
+                seen = traces.look(snapshot.t_ns) if terminal and traces is not None else ()
             facts = {"bus": str(address), "bitrate_bit_s": client.bitrate_bit_s}
             return snapshot, facts | {"lost": client.lost, "malformed": client.malformed} | (
                 {"traces": seen} if terminal else {}

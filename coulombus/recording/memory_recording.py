@@ -76,7 +76,7 @@ class MeasuredFrames:
                     signals[signal.name] = Series(t_s, values, signal.unit)
         return Recording(
             path=NAME,
-            rig=rig,
+            known_rig=rig,
             capture=Capture(NAME, new_records(Frame, 0), comments=[], attachments={}),
             epoch_ns=0,
             tables=(),

@@ -4,7 +4,7 @@ units.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.pdo import Entry
+from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.unwrap import POSITION, Turns, fastest, follow
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
 
-__all__ = ["PdoTable", "behind", "decode_field", "signals_of", "table_of"]
+__all__ = ["PdoTable", "bare_tables", "behind", "decode_field", "rig_tables", "signals_of", "table_of"]
 
 Array: TypeAlias = npt.NDArray[Any]
 Integers: TypeAlias = npt.NDArray[np.int64]
@@ -41,7 +42,7 @@ class PdoTable:
     inside: bool = False
 
 
-def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig, before: Mapping[str, Turns]) -> PdoTable:
+def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig | None, before: Mapping[str, Turns]) -> PdoTable:
     """Return the signals of a PDO in the frames, each position from where it was `before` on."""
     layout = pdo.layout
     came = np.flatnonzero(can_ids == layout.cob_id)
@@ -52,11 +53,31 @@ def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig, before: 
     return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, stamps, 2 * rows, columns, len(came) - len(rows), turns)
 
 
+def rig_tables(capture: Capture, can_ids: Integers, rig: Rig, before: Mapping[str, Turns]) -> Iterator[PdoTable]:
+    """Yield the signals of each PDO of a rig."""
+    ids_on = dict.fromkeys(rig.channels, can_ids)
+    if capture.channels is not None:
+        ids_on = {channel: np.where(capture.frames_on(channel), can_ids, -1) for channel in rig.channels}
+    for axis in rig.axes:
+        for pdo in axis.pdos():
+            yield table_of(pdo, capture.frames, ids_on[axis.bus.channel], rig, before)
+
+
+def bare_tables(
+    frames: Records, can_ids: Integers, pdos: tuple[RigPdo, ...], begins: Mapping[int, int]
+) -> Iterator[PdoTable]:
+    """Yield the signals of PDOs without a rig, each from the row on at which its map begins."""
+    for pdo in pdos:
+        ids = can_ids.copy()
+        ids[: max(begins.get(pdo.layout.cob_id, 0), 0)] = -1
+        yield table_of(pdo, frames, ids, None, {})
+
+
 def signals_of(
     pdo: RigPdo,
     words: Integers,
     t_ns: Integers,
-    rig: Rig,
+    rig: Rig | None,
     before: Mapping[str, Turns],
     keys: Collection[str] | None = None,
 ) -> tuple[list[tuple[Signal, Array]], dict[str, Turns]]:
@@ -68,7 +89,7 @@ def signals_of(
         if keys is not None and signal.key not in keys:
             continue
         raw, name = decode_field(words, start, entry), signal.name
-        if signal.key == POSITION:
+        if signal.key == POSITION and rig is not None:
             raw, last = follow(raw, t_ns, entry, before.get(name), fastest(rig, name))
             if last is not None:
                 turns[name] = last

@@ -82,8 +82,8 @@ class Readable(Protocol):
         """The file."""
 
     @property
-    def rig(self) -> Rig:
-        """The rig whose PDOs these are."""
+    def known_rig(self) -> Rig | None:
+        """The rig whose PDOs these are; None: there is none."""
 
     @property
     def pdos(self) -> tuple[RigPdo, ...]:

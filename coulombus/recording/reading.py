@@ -1,7 +1,8 @@
 """A recording read from its file: whole (`read`), or some seconds at a time (`blocks`).
 
 What the bits mean comes from the rig file and the EDS files attached to the recording; of a file
-without them (candump's, Wireshark's, or one that editcap has rewritten) from the rig that is given.
+without them (candump's, Wireshark's, or one that editcap has rewritten) from the rig that is given,
+else from what the log tells of its PDOs (`recording.maps`).
 
 `read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes
 through the file without keeping it, a `Recording` of some seconds at a time; figures and rows come
@@ -17,13 +18,15 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
-from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, recorded_channel
+from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, one_bus, recorded_channel
 from coulombus.recording.host_telemetry import NAME as INSIDE
 from coulombus.recording.host_telemetry import inside_pdos, of_axis
 from coulombus.recording.log_files import LogError, is_log, read_log
+from coulombus.recording.maps.eds_files import eds_files
+from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
 from coulombus.recording.remarks import remarks_on
-from coulombus.recording.signals import Recording, Source, decode, epoch_of, left_out_of, markers_of
+from coulombus.recording.signals import GIVE_RIG, Recording, Source, decode, epoch_of, left_out_of, markers_of
 from coulombus.recording.unwrap import Turns
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
@@ -42,7 +45,7 @@ class Blocks(Source):
     """
 
     path: str
-    rig: Rig
+    known_rig: Rig | None
     remarks: tuple[str, ...] = field(default=(), init=False)
     """As `Recording.remarks`, of the last iteration that came to its end."""
 
@@ -57,23 +60,33 @@ class Blocks(Source):
     recorded: str = ""
     """The rig's bus of which the recording says that it is."""
 
+    maps: LogMaps | None = None
+    """Without a rig: what the log tells of its PDOs."""
+
     def __post_init__(self) -> None:
-        self._whole, self.rig = self.rig, self.rig.alone(self.axis) if self.axis else self.rig
+        self._whole = self.known_rig
+        if self.axis and self._whole is not None:
+            self.known_rig = self._whole.alone(self.axis)
+        self.bare = () if self.maps is None else self.maps.pdos()
 
     def __iter__(self) -> Iterator[Recording]:
         epoch_ns, left_out, warnings, turns = None, Counter[str](), list[str](), dict[str, Turns]()
-        match = BusMatch(self.path, self._whole.channels, self.channel, self.recorded)
+        match = _match(self.path, self._whole, self.channel, self.recorded)
+        row = 0
         for capture in map(match.take, captures(self.path)):
             if epoch_ns is None and len(capture.frames):
                 epoch_ns = epoch_of(capture.frames)
-            block = decode(capture, self.rig, epoch_ns, turns, self.inside)
+            begins = _begins(self.maps, self.bare, row)
+            block = decode(capture, self.known_rig, epoch_ns, turns, self.inside, self.bare, begins)
+            row += len(capture.frames)
             turns |= block.turns
-            if self.axis:
+            if self.axis and self._whole is not None:
                 block = replace(block, markers=markers_of(self.axis, self._whole, block.markers))
             left_out.update(left_out_of(block))
             warnings += capture.warnings
             yield block
-        self.remarks = remarks_on(self.path, [*warnings, *match.remarks()], left_out)
+        told = [*warnings, *match.remarks(), *_remaps(self.path, self.maps, self.bare)]
+        self.remarks = remarks_on(self.path, told, left_out)
 
     def seen_by(self, axis: str) -> Blocks:
         """Return the recording as the axis of this name sees it, with the signals' plain names.
@@ -86,9 +99,17 @@ class Blocks(Source):
 
 
 def read(
-    path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None, channel: Channel = None
+    path: str | os.PathLike[str],
+    rig: Rig | str | os.PathLike[str] | None = None,
+    channel: Channel = None,
+    *,
+    eds: Iterable[str] = (),
 ) -> Recording:
     """Read a recording whole.
+
+    Without a rig, attached or given, nodes are numbers, and a signal is called by its PDO and
+    object, as ``"5.TPDO1.6064h:00"``, with raw values: as far as the log's SDO configuration, an
+    EDS file or a profile's defaults tell the maps.
 
     Parameters
     ----------
@@ -101,30 +122,43 @@ def read(
     channel
         Which bus of a file that has more of them than the rig: its name in the file, as ``"can0"``.
         Of a rig with several buses ``"a=can0"``, or several of these (`recording.bus_match`).
+    eds
+        EDS files for a log without a rig: ``"5=drive.eds"``, or a folder of which each node takes
+        the file that fits its identity.
 
     Raises
     ------
     coulombus.rigs.rig.RigError
-        No rig is attached and none is given, or the attached one cannot be read.
+        The rig cannot be read.
     coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
         The file is damaged, or is of another kind.
     coulombus.recording.bus_match.ChannelError
         The file has other buses than the rig, and `channel` does not say which are meant.
     coulombus.rigs.arguments.WrongCall
         `path` is no file's name, or `rig` is neither a rig nor its name.
+    coulombus.eds.description.EdsError
+        A text of `eds` is neither, or its file cannot be read.
     """
     path = path_text(path, "path", 'read("run.pcapng")')
     capture = next(captures(path)) if is_log(path) else read_pcapng(path)
     known = _attached_rig((capture,)) if rig is None else _rig(rig)
     recorded = recorded_channel(capture.attachments)
-    match = BusMatch(path, known.channels, channel_texts(channel), recorded)
+    match = _match(path, known, channel_texts(channel), recorded)
     capture = match.take(capture)
-    capture = replace(capture, warnings=(*capture.warnings, *match.remarks()))
+    maps = _learned([capture], eds) if known is None else None
+    pdos = () if maps is None else maps.pdos()
+    capture = replace(capture, warnings=(*capture.warnings, *match.remarks(), *_remaps(path, maps, pdos)))
+    if known is None:
+        return decode(capture, None, bare=pdos, begins=_begins(maps, pdos, 0))
     return decode(capture, known, inside=_inside(known, recorded, capture.attachments.get(INSIDE)))
 
 
 def blocks(
-    path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None, channel: Channel = None
+    path: str | os.PathLike[str],
+    rig: Rig | str | os.PathLike[str] | None = None,
+    channel: Channel = None,
+    *,
+    eds: Iterable[str] = (),
 ) -> Blocks:
     """Return a recording to go through, as often as needed, in a memory that does not grow with it.
 
@@ -137,14 +171,15 @@ def blocks(
     if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
     texts = channel_texts(channel)
-    if is_log(path):
-        return Blocks(str(path), _attached_rig(captures(path)) if rig is None else _rig(rig), channel=texts)
     stretches = captures(path)
     first = next(stretches)  # what the host tells of is attached in front
     known = _attached_rig(chain([first], stretches)) if rig is None else _rig(rig)
     recorded = recorded_channel(first.attachments)
+    if known is None:
+        match = _match(path, None, texts, recorded)
+        return Blocks(path, None, channel=texts, recorded=recorded, maps=_learned(map(match.take, captures(path)), eds))
     inside = _inside(known, recorded, first.attachments.get(INSIDE))
-    return Blocks(str(path), known, inside=inside, channel=texts, recorded=recorded)
+    return Blocks(path, known, inside=inside, channel=texts, recorded=recorded)
 
 
 def has_rig(path: str | Path) -> bool:
@@ -178,24 +213,70 @@ def _rig(rig: Rig | str | os.PathLike[str]) -> Rig:
     return rig if isinstance(rig, Rig) else load_rig(rig)
 
 
-def _attached_rig(captures: Iterable[Capture]) -> Rig:
-    """Return the rig attached to a recording, of which no more is read than its beginning."""
-    give = "give one: read(path, rig=...), or --rig on the command line"
-    texts: dict[str, str] = {}
-    warnings: list[str] = []
+class _OneBus:
+    """Takes the one bus of a log without a rig, as `BusMatch` takes those of a rig."""
+
+    def __init__(self, channel: tuple[str, ...]) -> None:
+        self._channel = channel
+
+    def take(self, capture: Capture) -> Capture:
+        """Return the bus' frames."""
+        return one_bus(capture, self._channel)[0]
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return none: a bus that is left out was named."""
+        return ()
+
+
+def _match(path: str, rig: Rig | None, channel: tuple[str, ...], recorded: str) -> BusMatch | _OneBus:
+    return _OneBus(channel) if rig is None else BusMatch(path, rig.channels, channel, recorded)
+
+
+def _learned(captures: Iterable[Capture], eds: Iterable[str]) -> LogMaps:
+    """Return the PDO maps that a log tells, learned some frames at a time: a map may change."""
+    maps = LogMaps(eds_files(eds))
     for capture in captures:
-        warnings += capture.warnings
+        for start in range(0, len(capture.frames), LEARNED):
+            maps.take(capture.frames[start : start + LEARNED])
+    return maps
+
+
+def _begins(maps: LogMaps | None, pdos: Iterable[RigPdo], row: int) -> dict[int, int]:
+    """Return from which row of a stretch on each PDO has its map; the stretch begins at `row`."""
+    return {} if maps is None else {pdo.layout.cob_id: maps.begin(pdo.layout.cob_id) - row for pdo in pdos}
+
+
+def _remaps(path: str, maps: LogMaps | None, pdos: Iterable[RigPdo]) -> Iterator[str]:
+    """Say which PDOs had another map before, whose frames are in no signal."""
+    begins = _begins(maps, pdos, 0)
+    for pdo in pdos:
+        begin = begins.get(pdo.layout.cob_id, 0)
+        if begin:
+            yield f"{path}: {pdo.node}.{pdo.name} got another map at frame {begin}: its signals begin there"
+
+
+def _attached_rig(captures: Iterable[Capture]) -> Rig | None:
+    """Return the rig attached to a recording, of which no more is read than its beginning; None where
+    none is.
+    """
+    texts: dict[str, str] = {}
+    damage: list[str] = []
+    frames = 0
+    for capture in captures:
+        frames += len(capture.frames)
+        damage += [warning for warning in capture.warnings if RIG in warning]
         files = (name for name in capture.attachments if not name.startswith(HOST))
         texts |= {name: capture.attachments[name].decode(errors="replace") for name in files}
         if RIG in texts and len(capture.frames):  # its EDS files stand before the frames, too
             break
     if RIG not in texts:
-        if capture.torn:
-            warnings.append(f"the file breaks off: its last block is unfinished, {capture.torn} bytes of it are there")
-        damaged = f" ({'; '.join(warnings)})" if warnings else ""
-        raise RigError([f"{capture.path}: no {RIG} is attached, so its PDOs have no meaning{damaged}; {give}"])
+        if capture.torn and not frames:
+            damage.append(f"the file breaks off: its last block is unfinished, {capture.torn} bytes of it are there")
+        if damage:
+            raise RigError([f"{capture.path}: no {RIG} is attached ({'; '.join(damage)}); {GIVE_RIG}"])
+        return None
     try:
         return load_rig_text(texts.pop(RIG), f"{capture.path}[{RIG}]", texts, attached=True)
     except RigError as error:
-        remedy = f"{capture.path}: its attached rig cannot be read by this version; {give}"
+        remedy = f"{capture.path}: its attached rig cannot be read by this version; {GIVE_RIG}"
         raise RigError([*error.errors, remedy]) from error

@@ -27,13 +27,13 @@ import numpy.typing as npt
 from coulombus.recording.host_telemetry import of_axis
 from coulombus.recording.log_files import WALL_CLOCK_NS
 from coulombus.recording.pcapng_reader import Capture
-from coulombus.recording.pdo_columns import PdoTable, behind, table_of
+from coulombus.recording.pdo_columns import PdoTable, bare_tables, behind, rig_tables, table_of
 from coulombus.recording.remarks import UNSURE, remarks_on
 from coulombus.recording.signal_names import UnknownSignal, are_texts, one_signal, signal_of
 from coulombus.recording.unwrap import Turns
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import WrongCall
-from coulombus.rigs.rig import Rig
+from coulombus.rigs.rig import Rig, RigError
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
 
@@ -56,6 +56,7 @@ __all__ = [
     "signal_of",
 ]
 
+GIVE_RIG = "give one: read(path, rig=...), or --rig on the command line"
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
@@ -89,14 +90,30 @@ class Source:
     """
 
     path: str
-    rig: Rig
+    known_rig: Rig | None
+    """The rig; None: none is attached, and none was given."""
     inside: tuple[RigPdo, ...] = ()
     """What the host tells of itself (`recording.host_telemetry`), as PDOs of a node "host"."""
+    bare: tuple[RigPdo, ...] = ()
+    """Without a rig: the PDOs whose maps the log or an EDS file tells (`recording.maps`)."""
+
+    @property
+    def rig(self) -> Rig:
+        """The rig whose PDOs these are: the attached one, or the one given.
+
+        Raises
+        ------
+        coulombus.rigs.rig.RigError
+            There is none; the error says what to do.
+        """
+        if self.known_rig is None:
+            raise RigError([f"{self.path}: no rig.toml is attached, and this needs one; {GIVE_RIG}"])
+        return self.known_rig
 
     @property
     def pdos(self) -> tuple[RigPdo, ...]:
         """All that has signals: the rig's PDOs, and what the host tells of itself."""
-        return (*self.rig.pdos(), *self.inside)
+        return (*(self.bare if self.known_rig is None else self.known_rig.pdos()), *self.inside)
 
     def __iter__(self) -> Iterator[Recording]:
         """Yield the blocks."""
@@ -125,16 +142,16 @@ class Source:
     @property
     def axes(self) -> tuple[Self, ...]:
         """The recording as each axis of the rig sees it, with the signals' plain names."""
-        if not self.rig.axis_names:
+        if self.known_rig is None or not self.known_rig.axis_names:
             return (self,)
         return tuple(self.seen_by(name) for name in self.rig.axis_names)
 
     def has(self, name: str) -> bool:
-        """Tell whether the rig has a signal: one whose role is absent is in no PDO."""
+        """Tell whether there is such a signal: one whose role is absent is in no PDO."""
         return any(signal.name == name for pdo in self.pdos for signal in pdo.signals)
 
     def signal(self, name: str) -> Signal:
-        """Return what the rig says of a signal: object, scale, offset, unit; `UnknownSignal` names
+        """Return what rig or map says of a signal: object, scale, offset, unit; `UnknownSignal` names
         the nearest ones.
         """
         return signal_of(self.pdos, name, self.path)
@@ -152,8 +169,9 @@ class Recording(Source):
     ----------
     path
         The file.
-    rig
-        The rig whose PDOs these are: the attached one, or the one given.
+    known_rig
+        The rig whose PDOs these are: the attached one, or the one given; None: there is none, and
+        `rig` raises.
     capture
         The file's content as it stands: frames, comments, attachments, torn bytes.
     epoch_ns
@@ -170,7 +188,7 @@ class Recording(Source):
     """
 
     path: str
-    rig: Rig
+    known_rig: Rig | None
     capture: Capture
     epoch_ns: int
     tables: tuple[PdoTable, ...]
@@ -179,6 +197,7 @@ class Recording(Source):
     malformed: Mapping[str, int]
     before: Mapping[str, Turns]
     inside: tuple[RigPdo, ...] = ()
+    bare: tuple[RigPdo, ...] = ()
 
     def __iter__(self) -> Iterator[Recording]:
         """Yield the recording itself: it is one block."""
@@ -239,11 +258,11 @@ class Recording(Source):
 
     def __repr__(self) -> str:
         """Return it in one line."""
-        return f"<recording {self.path} of rig {self.rig.name}: {self._summary()}>"
+        return f"<recording {self.path} {self._of()}: {self._summary()}>"
 
     def _repr_html_(self) -> str:
         """Return the signals as a table, for notebooks."""
-        head = f"<p>{escape(self.path)}: rig {escape(self.rig.name)}, {self._summary()}</p>"
+        head = f"<p>{escape(self.path)} {escape(self._of())}, {self._summary()}</p>"
         rows = "".join(
             f"<tr><td>{escape(name)}</td><td>{escape(signal.unit)}</td><td>{len(signal)}</td>"
             + "".join(f"<td>{value:.6g}</td>" for value in _range(signal.values))
@@ -252,6 +271,9 @@ class Recording(Source):
         )
         columns = "".join(f"<th>{text}</th>" for text in ("signal", "unit", "samples", "least", "largest"))
         return f"{head}<table><tr>{columns}</tr>{rows}</table>"
+
+    def _of(self) -> str:
+        return "without a rig" if self.known_rig is None else f"of rig {self.known_rig.name}"
 
     def _summary(self) -> str:
         """Say how long it is, and what is in it."""
@@ -360,23 +382,22 @@ def epoch_of(frames: Records) -> int:
 
 def decode(
     capture: Capture,
-    rig: Rig,
+    rig: Rig | None,
     epoch_ns: int | None = None,
     before: Mapping[str, Turns] = MappingProxyType({}),
     inside: tuple[RigPdo, ...] = (),
+    bare: tuple[RigPdo, ...] = (),
+    begins: Mapping[int, int] = MappingProxyType({}),
 ) -> Recording:
     """Return the capture with the signals of the rig's PDOs, and of what the host tells of itself
     (`inside`); `epoch_ns` and where the positions were `before`, where it is a stretch of a longer
-    one.
+    one. Without a rig, with those of `bare`, each from the row on at which its map `begins`.
     """
     frames = capture.frames
     epoch_ns = epoch_of(frames) if epoch_ns is None else epoch_ns
     can_ids = np.ascontiguousarray(frames["can_id"])
-    ids_on = dict.fromkeys(rig.channels, can_ids)
-    if capture.channels is not None:
-        ids_on = {channel: np.where(capture.frames_on(channel), can_ids, -1) for channel in rig.channels}
     tables = tuple(
-        table_of(pdo, frames, ids_on[axis.bus.channel], rig, before) for axis in rig.axes for pdo in axis.pdos()
+        rig_tables(capture, can_ids, rig, before) if rig is not None else bare_tables(frames, can_ids, bare, begins)
     )
     if inside:
         ids = np.ascontiguousarray(capture.inside["can_id"])
@@ -393,7 +414,7 @@ def decode(
             signals[signal.name] = Series(at, values, signal.unit)
     return Recording(
         path=capture.path,
-        rig=rig,
+        known_rig=rig,
         capture=capture,
         epoch_ns=epoch_ns,
         tables=tables,
@@ -402,6 +423,7 @@ def decode(
         malformed=MappingProxyType({table.name: table.malformed for table in tables if not table.inside}),
         before=MappingProxyType(dict(before)),
         inside=inside,
+        bare=bare,
     )
 
 

@@ -312,6 +312,8 @@ class Worker:
         """Let the loop go on from what Python has made of the whole world."""
         for python, loop in self._twins:
             _copy_record(loop, python)
+        if self._twins:  # what waits to be sent is the loop's now; Python's next job begins with none
+            self.shared.python.out["count"] = 0
         self.loop.state["stale"] = 1
 
     # in the thread

@@ -110,7 +110,7 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
         )
     if recording.rig.law_of_recording and recording.rig.law_function not in BUILTIN_LAWS:
         recording = replace(
-            recording, rig=recording.rig.with_law(next(iter(BUILTIN_LAWS)))
+            recording, known_rig=recording.rig.with_law(next(iter(BUILTIN_LAWS)))
         )  # nobody asks it: the host's frames are the recorded ones
     seed, mode = (attachments[name].decode(errors="replace") for name in ("seed", "mode"))
     if not seed.isdecimal() or mode not in recording.rig.modes:

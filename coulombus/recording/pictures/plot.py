@@ -126,8 +126,10 @@ def traces_of(
         The recording has no frame in the span.
     """
     signals, span = None if signals is None else texts(signals, "signals", EXAMPLE), checked_span(span)
-    known = {signal.name: signal for pdo in source.rig.pdos() for signal in pdo.signals}
-    names = [name for name, signal in known.items() if signal.unit] if signals is None else list(signals)
+    pdos = source.pdos if source.known_rig is None else source.known_rig.pdos()
+    known = [signal for pdo in pdos for signal in pdo.signals]
+    measured = [signal.name for signal in known if signal.unit] or [signal.name for signal in known]
+    names = measured if signals is None else list(signals)
     units = {name: source.signal(name).unit for name in names}
     first, last = _extent(source)
     begin = first if span[0] is None else max(span[0], first)

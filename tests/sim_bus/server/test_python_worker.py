@@ -128,6 +128,16 @@ def test_more_requests_than_may_wait_are_lost_and_counted_and_the_bus_goes_on(se
     assert server.result.unserved == 20
 
 
+def test_each_frame_is_sent_once_whoever_put_it_there(server):
+    """Boot-ups came a second time with what Python did first, and looked like a restart."""
+    with running(server), Client() as client:
+        for count in (1, 2):
+            client.send(frame(0x601, UPLOAD_NAME))
+            client.until(0x581)
+            assert server._worker.shared.state["served"] == count
+    assert server.result.frames == 2 + 4
+
+
 def test_frames_that_are_no_lss_request_are_not_python_s(server, monkeypatch):
     go = held_up(server, monkeypatch)
     go.set()

@@ -5,16 +5,15 @@ CiA 402 and 404.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.description import Description, EdsError
 from coulombus.eds.pdo import COMMUNICATION, MAPPING, PdoLayout, read_layout
-from coulombus.explain.seen_node import SeenNode
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Field", "Map", "maps_of", "maps_of_rig"]
+__all__ = ["Field", "Map", "MappedNode", "Objects", "maps_of", "maps_of_rig"]
 
 PDOS = 8
 BASES = {"tpdo": int(CobId.TPDO1), "rpdo": int(CobId.RPDO1)}
@@ -31,6 +30,30 @@ DEFAULTS_404: Maps = {
 """... of a measuring device (CiA 404): the process values of its channels, the first with its status."""
 DEFAULTS: Mapping[int, Maps] = {402: DEFAULTS_402, 404: DEFAULTS_404}
 """By the profile, the low half of the device type (1000h)."""
+
+
+Objects: TypeAlias = dict[tuple[int, int], int]
+"""Values of a node's objects by (index, sub-index), as SDO transfers showed them."""
+
+
+@dataclass
+class MappedNode:
+    """What a node's PDO maps follow from."""
+
+    number: int
+    objects: Objects = field(default_factory=dict, kw_only=True)
+    device_type: int = field(default=0, kw_only=True)
+    """1000h; 0: not known."""
+
+    @property
+    def identity(self) -> tuple[int, int]:
+        """Vendor id and product code (1018h:01, :02), 0 where they are not known."""
+        return self.objects.get((0x1018, 1), 0), self.objects.get((0x1018, 2), 0)
+
+    @property
+    def revision(self) -> int:
+        """Revision number (1018h:03), 0 where it is not known."""
+        return self.objects.get((0x1018, 3), 0)
 
 
 @dataclass(frozen=True)
@@ -70,13 +93,13 @@ class Map:
     @property
     def length(self) -> int:
         """Data bytes; 0 where nothing is known of its fields."""
-        return (sum(field.bits for field in self.fields) + 7) // 8
+        return (sum(mapped.bits for mapped in self.fields) + 7) // 8
 
     def find(self, low: int) -> Iterator[tuple[int, Field]]:
         """Yield (axis from 0, field) of an object of CiA 402 by its distance from 6000h."""
-        for field in self.fields:
-            if 0x6000 <= field.index < 0xA000 and (field.index - 0x6000) % 0x800 == low:
-                yield (field.index - 0x6000) // 0x800, field
+        for mapped in self.fields:
+            if 0x6000 <= mapped.index < 0xA000 and (mapped.index - 0x6000) % 0x800 == low:
+                yield (mapped.index - 0x6000) // 0x800, mapped
 
 
 def maps_of_rig(rig: Rig) -> dict[int, Map]:
@@ -101,7 +124,7 @@ def maps_of_rig(rig: Rig) -> dict[int, Map]:
 
 
 def maps_of(
-    nodes: Mapping[int, SeenNode], descriptions: Mapping[int, Description], fixed: Mapping[int, Map]
+    nodes: Mapping[int, MappedNode], descriptions: Mapping[int, Description], fixed: Mapping[int, Map]
 ) -> dict[int, Map]:
     """Return the maps of a bus by identifier: SDO configuration before EDS, before the rig, before
     defaults.
@@ -125,7 +148,7 @@ def _same(one: Map, other: Map) -> bool:
     return (one.node, one.direction, one.number) == (other.node, other.direction, other.number)
 
 
-def _map(node: SeenNode, description: Description | None, direction: str, number: int) -> Map | None:
+def _map(node: MappedNode, description: Description | None, direction: str, number: int) -> Map | None:
     communication, mapping = COMMUNICATION[direction] + number - 1, MAPPING[direction] + number - 1
     objects = node.objects
     cob_id = objects.get((communication, 1))

@@ -1,0 +1,48 @@
+"""The PDOs of a live bus without a rig: by their maps where these are known, else as raw bytes."""
+
+from __future__ import annotations
+
+from coulombus.eds.own_devices import told_identity
+from coulombus.monitor.live_incidents import records_of
+from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.log_maps import LogMaps, pdo_without_map
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.frame_batches import Block
+
+__all__ = ["LearnedPdos"]
+
+
+class LearnedPdos:
+    """Learns PDOs from frames (`recording.maps`).
+
+    Parameters
+    ----------
+    eds
+        EDS files of nodes, or of which each node takes the one that fits.
+    """
+
+    def __init__(self, eds: EdsFiles | None = None) -> None:
+        self._maps = LogMaps(eds)
+        self._came: set[int] = set()
+
+    def take(self, block: Block) -> bool:
+        """Learn from frames; tell whether `pdos` returns others now."""
+        changed = self._maps.take(records_of(block))
+        new = {can_id for can_id in block.rows if can_id < 0x800} - self._came
+        self._came |= new
+        return changed or any(pdo_without_map(can_id) or self._maps.pdo(can_id) for can_id in new)
+
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """Return the PDOs that came, in the order of their identifiers; one without a map has no signal."""
+        mapped = {pdo.layout.cob_id: pdo for pdo in self._maps.pdos()}
+        pdos = (mapped.get(can_id) or pdo_without_map(can_id) for can_id in sorted(self._came))
+        return tuple(pdo for pdo in pdos if pdo is not None)
+
+    def other_devices(self, rig: Rig) -> bool:
+        """Tell whether a node of the bus is another device than the rig's (1018h)."""
+        for node in rig.nodes:
+            seen, own = self._maps.identity(node.node_id), told_identity(node.description)
+            if any(has not in (0, of_rig) for has, of_rig in zip(seen, own, strict=True) if of_rig):
+                return True
+        return False

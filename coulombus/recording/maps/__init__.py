@@ -1,0 +1,1 @@
+"""PDO maps of a bus or log of which no rig is known."""

@@ -1,0 +1,227 @@
+"""The PDO maps of a log without a rig, as far as it has been gone through."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds import sdo_forms as forms
+from coulombus.eds.cia301 import DUMMY_TYPES, CobId
+from coulombus.eds.description import Description
+from coulombus.eds.eds_folder import fitting
+from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
+from coulombus.eds.sdo_channel import SdoChannel
+from coulombus.eds.sdo_frames import where
+from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, maps_of
+from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.data_word import data_bytes
+from coulombus.wire.frame import Records
+
+__all__ = ["LEARNED", "LogMaps", "pdo_without_map"]
+
+LEARNED = 4096
+"""Frames of which PDO maps are learned at a time."""
+
+Integers = npt.NDArray[np.int64]
+SDO_TX, SDO_RX, HEARTBEAT = int(CobId.SDO_TX), int(CobId.SDO_RX), int(CobId.HEARTBEAT)
+SIGNED_402 = frozenset(
+    {
+        *(0x42, 0x43, 0x44, 0x60, 0x61, 0x62, 0x63, 0x64, 0x6B, 0x6C, 0x71, 0x74, 0x77, 0x78, 0x7A, 0x7C),
+        *(0xB0, 0xB1, 0xB2, 0xF4, 0xFF),
+    }
+)
+"""Signed objects of CiA 402, by their distance from 6000h (each axis 800h further)."""
+UNMAPPED = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
+"""Identifiers of the predefined connection set (CiA 301, section 7.3.5), without their node id."""
+
+
+class LogMaps:
+    """Learns PDO maps from SDO configuration, EDS files and the profiles' defaults (`seen_maps`).
+
+    Parameters
+    ----------
+    eds
+        EDS files of nodes, or of which each node takes the one that fits.
+    """
+
+    def __init__(self, eds: EdsFiles | None = None) -> None:
+        files = eds or EdsFiles()
+        self._descriptions, self._candidates = dict(files.of_nodes), files.candidates
+        self._nodes: dict[int, MappedNode] = {}
+        self._channels: dict[int, SdoChannel] = defaultdict(lambda: SdoChannel(None))
+        self._asked: dict[int, tuple[tuple[int, int], int]] = {}
+        """By node, what an expedited download that is not confirmed yet would set."""
+        self._maps: dict[int, Map] = {}
+        self._stale = bool(files.of_nodes)
+        self._frames = self._row = self._set_at = 0
+        self._begins: dict[int, int] = {}
+        """By identifier, from which frame on its PDO has the map that it has."""
+        self._misfit: set[int] = set()
+        self._came: set[int] = set()
+
+    def take(self, frames: Records) -> bool:
+        """Learn from frames; tell whether a map is new or another one."""
+        can_id, length = np.ascontiguousarray(frames["can_id"]), np.ascontiguousarray(frames["length"])
+        function = can_id & (0x780 | CAN_RTR_FLAG | CAN_EFF_FLAG | CAN_ERR_FLAG)
+        boots = (function == HEARTBEAT) & (length == 1) & (frames["word"] == 0)
+        transfers = ((function == SDO_TX) | (function == SDO_RX)) & (length == 8)
+        for row in np.flatnonzero(boots | transfers).tolist():
+            number, self._row = int(can_id[row]) & 0x7F, self._frames + row
+            if boots[row]:
+                self._boot(number)
+            elif number:
+                self._transfer(number, data_bytes(int(frames["word"][row]), 8), function[row] == SDO_TX)
+        came = {int(key) for key in np.unique(can_id) if key < 0x800}
+        self._came |= came
+        self._see({key & 0x7F for key in came if key & 0x780 in (SDO_TX, HEARTBEAT)})
+        self._frames += len(frames)
+        changed = self._renew()
+        return self._misfits(can_id, length) or changed
+
+    def _see(self, numbers: set[int]) -> None:
+        for number in numbers - {0} - self._nodes.keys():
+            self._nodes[number] = MappedNode(number)
+            self._stale = True
+
+    def _boot(self, number: int) -> None:
+        if number in self._nodes:  # it has its stored values again
+            self._nodes[number].objects.clear()
+            self._stale = True
+
+    def _transfer(self, number: int, data: bytes, from_server: bool) -> None:
+        says = self._channels[number].row(data, from_server)
+        phase, value = says.get("phase"), says.get("value")
+        at = (says.get("index", 0), says.get("subindex", 0))
+        if not from_server:
+            self._asked.pop(number, None)
+            if phase == forms.DOWNLOAD_INITIATE.phase and isinstance(value, int):
+                self._asked[number] = (at, value)
+        elif phase == forms.DOWNLOAD_INITIATED.phase:
+            asked, value = self._asked.pop(number, (None, 0))
+            if asked == at:
+                self._set(number, at, value)
+        elif phase == forms.UPLOAD_INITIATED.phase and self._channels[number].transfer is None:
+            size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
+            self._set(number, at, int.from_bytes(data[4 : 4 + size], "little"))
+
+    def _set(self, number: int, at: tuple[int, int], value: int) -> None:
+        self._see({number})
+        node = self._nodes[number]
+        if at == (0x1000, 0):
+            node.device_type = value
+        if node.objects.get(at) != value:
+            node.objects[at] = value
+            self._stale, self._set_at = True, self._row
+
+    def _renew(self) -> bool:
+        if not self._stale:
+            return False
+        self._stale = False
+        for node in self._nodes.values():
+            if node.number not in self._descriptions and any(node.identity):
+                found = fitting(self._candidates, node.identity, node.revision)
+                if found is not None:
+                    self._descriptions[node.number] = found
+        known = {n: MappedNode(n) for n in self._descriptions if n not in self._nodes} | self._nodes
+        maps = maps_of(known, self._descriptions, {})
+        changed = False
+        for can_id, new in maps.items():
+            old = self._maps.get(can_id)
+            if old is None or (old.node, old.fields) != (new.node, new.fields):
+                changed = True
+                if old is not None and old.fields:
+                    self._begins[can_id] = self._set_at
+        self._maps |= maps  # one that is not known any more, after a boot-up, was so until then
+        return changed
+
+    def _misfits(self, can_id: Integers, length: Integers) -> bool:
+        """Take the assumed maps away that frames do not fit; tell whether there was one."""
+        misfits = [
+            known.can_id
+            for known in self._maps.values()
+            if known.source == "assumed"
+            and known.can_id not in self._misfit
+            and (length[can_id == known.can_id] != known.length).any()
+        ]
+        self._misfit.update(misfits)
+        return bool(misfits)
+
+    def pdo(self, can_id: int) -> Map | None:
+        """Return the PDO of an identifier, None where nothing is known of it."""
+        return self._maps.get(can_id)
+
+    def identity(self, node: int) -> tuple[int, int]:
+        """Return vendor id and product code of a node (1018h:01, :02), 0 where they are not known."""
+        return self._nodes[node].identity if node in self._nodes else (0, 0)
+
+    def begin(self, can_id: int) -> int:
+        """Return from which frame on a PDO has the map that `pdo` returns; 0 where it had no other."""
+        return self._begins.get(can_id, 0)
+
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """Return every PDO with a known map, in the order of the identifiers (see `rig_pdo`); of the
+        assumed maps those of PDOs that came and fit.
+        """
+        maps = [known for _, known in sorted(self._maps.items()) if known.fields]
+        fits = (known for known in maps if known.source != "assumed" or known.can_id in self._came - self._misfit)
+        return tuple(self.rig_pdo(known) for known in fits)
+
+    def rig_pdo(self, known: Map) -> RigPdo:
+        """Return a PDO as a rig has it: the node is a number, a signal is called by its PDO and object,
+        ``"5.TPDO1.6064h:00"``, and its values are raw.
+        """
+        description = self._descriptions.get(known.node)
+        node = self._nodes.get(known.node)
+        profile = 0 if node is None else node.device_type & 0xFFFF
+        entries = tuple(_entry(field, description, profile) for field in known.fields if field.bits)
+        whole = sum(entry.bits for entry in entries) <= PDO_BITS  # a map of more was never accepted
+        return _pdo(known.node, known.direction, known.number, known.can_id, entries if whole else ())
+
+
+def _pdo(node: int, direction: str, number: int, can_id: int, entries: tuple[Entry, ...]) -> RigPdo:
+    layout = PdoLayout(
+        number=number,
+        direction="tpdo" if direction == "tpdo" else "rpdo",
+        cob_id=can_id,
+        transmission=255,
+        inhibit_ns=0,
+        event_ns=0,
+        sync_start=0,
+        rtr_allowed=False,
+        entries=entries,
+    )
+    pdo = f"{node}.{direction.upper()}{number}"
+    labels = (f"gap{i}" if e.dummy else where(e.index, e.subindex) for i, e in enumerate(entries, 1))
+    signals = (
+        Signal(f"{pdo}.{label}", e.index, e.subindex, 1.0, 0.0, "") for label, e in zip(labels, entries, strict=True)
+    )
+    return RigPdo(str(node), node, layout, tuple(signals))
+
+
+def _entry(field: Field, description: Description | None, profile: int) -> Entry:
+    """Return a field as a layout's entry: as its EDS file has it, else signed where CiA 402 or 404 says
+    so.
+    """
+    index, subindex, bits = field.index, field.subindex, field.bits
+    if description is not None and description.has(index, subindex) and index not in DUMMY_TYPES:
+        entry = replace(entry_of(description.variable(index, subindex)), bits=bits)
+        return entry if entry.kind == "int" or bits in (32, 64) else replace(entry, kind="int", signed=False)
+    signed = 0x6000 <= index < 0xA000 and (index - 0x6000) % 0x800 in SIGNED_402
+    if profile == 404:  # 7xxxh are INTEGER16, 9xxxh INTEGER32
+        signed = index >> 12 in (7, 9)
+    return Entry(index, subindex, bits, signed, "int", "")
+
+
+def pdo_without_map(can_id: int) -> RigPdo | None:
+    """Return the PDO that an identifier is in the predefined connection set, with no signal; None
+    where it is none.
+    """
+    name, node = UNMAPPED.get(can_id & ~0x7F, ""), can_id & 0x7F
+    if not name or not node:
+        return None
+    return _pdo(node, name[:4].lower(), int(name[4:]), can_id, ())
