@@ -11,8 +11,8 @@ from pathlib import Path
 from benchmarks.explain_bus import Machine
 from benchmarks.explain_scenarios import PAIR, SCENARIOS, healthy, pair
 from benchmarks.explain_truths import Outcome, Score, Truth, explained, truth_of
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.lab.simulate import simulate
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.reading import read
 
 __all__ = ["RIG_FAULTS", "main", "outcome", "rig_outcome"]

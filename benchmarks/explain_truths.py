@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from benchmarks.explain_bus import Machine
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.incidents import Incident
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records
 

@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.live import Live as Display
 
 from coulombus.monitor.incident_lines import OpenedIncident, news
-from coulombus.monitor.live import Live
 from coulombus.monitor.learned_pdos import LearnedPdos
+from coulombus.monitor.live import Live
 from coulombus.monitor.live_incidents import IncidentReader, IncidentRow
 from coulombus.monitor.screen import Screen, as_dict, as_lines
 from coulombus.monitor.snapshot import Event, HostLine, Snapshot
