@@ -82,7 +82,7 @@ $(VENV)/.run: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made  # what 
 	wanted = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
 	print(*(one for one in wanted if not one.startswith(("cantools", "matplotlib", "scipy"))), sep="\n")' >$(VENV)/first.txt
 	@$(call install,--no-compile --requirement $(VENV)/first.txt)
-	@$(BIN)/python -m coulombus sim --bus coulombus:make-$$$$ --seconds 0.001 >/dev/null 2>&1 </dev/null & \
+	@$(BIN)/python -m coulombus emulate --bus coulombus:make-$$$$ --seconds 0.001 >/dev/null 2>&1 </dev/null & \
 	$(call install,--no-compile --editable '.[web]')
 	@touch $@
 

@@ -145,7 +145,7 @@ def record() -> tuple[float, int, int]:
 def clients(show: Callable[..., None]) -> None:
     """Print the figures with `show`."""
     with ExitStack() as stack:
-        ready(started(stack, "-m", "coulombus", "sim", "--bus", BUS, "--unpaced", "--json"))
+        ready(started(stack, "-m", "coulombus", "emulate", "--bus", BUS, "--unpaced", "--json"))
         rows: dict[str, Callable[[], tuple[float, int, int]]] = {
             name: lambda code=code: reader(code)  # type: ignore[misc]
             for name, code in READERS.items()

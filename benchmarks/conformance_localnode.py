@@ -1,7 +1,7 @@
-"""The conformance run against canopen's LocalNode, on a bus of `coulombus sim`, beside our own
+"""The conformance run against canopen's LocalNode, on a bus of `coulombus emulate`, beside our own
 nodes: a table of what it fails.
 
-    coulombus sim --bus coulombus:compare &
+    coulombus emulate --bus coulombus:compare &
     python -m benchmarks.conformance_localnode coulombus:compare
 
 The LocalNode has our EDS and another node id, and is used as its documentation does:

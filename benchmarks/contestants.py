@@ -130,7 +130,7 @@ def together(runs: Sequence[Run]) -> Run:
 
 
 class Bus:
-    """A ``coulombus sim`` of its own on the first CPU."""
+    """A ``coulombus emulate`` of its own on the first CPU."""
 
     def __init__(self, overrides: Sequence[str] = (), *, unpaced: bool = False, faults: Path | None = None) -> None:
         self.overrides = [*PATIENT, *overrides]
@@ -139,7 +139,18 @@ class Bus:
         sets = [part for override in self.overrides for part in ("--set", override)]
         options = ["--cpu", str(BUS_CPU), "--priority", "0" if unpaced else str(BUS_PRIORITY), *sets]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "coulombus", "sim", "--bus", str(self.address), "--mode", MODE, "--json", *options]
+            [
+                sys.executable,
+                "-m",
+                "coulombus",
+                "emulate",
+                "--bus",
+                str(self.address),
+                "--mode",
+                MODE,
+                "--json",
+                *options,
+            ]
             + ["--unpaced"] * unpaced
             + (["--faults", str(faults)] if faults is not None else []),
             cwd=ROOT,
@@ -152,7 +163,7 @@ class Bus:
     def __enter__(self) -> Bus:
         assert self.process.stdout is not None
         if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
-            raise RuntimeError(f"coulombus sim ended with status {self.process.wait()}")
+            raise RuntimeError(f"coulombus emulate ended with status {self.process.wait()}")
         return self
 
     def __exit__(self, *_: object) -> None:

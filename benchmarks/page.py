@@ -86,7 +86,7 @@ def page(show: Callable[..., None]) -> None:
         return
     sets = [word for text in SHARED_MACHINE for word in ("--set", text)]
     with ExitStack() as stack:
-        ready(started(stack, "-m", "coulombus", "sim", "--bus", BUS, "--json", *sets))
+        ready(started(stack, "-m", "coulombus", "emulate", "--bus", BUS, "--json", *sets))
         started(stack, "-m", "coulombus", "run", "--bus", BUS, "--mode", "hybrid", "--json", *sets)
         server = started(stack, "-m", "coulombus", "watch", "--bus", BUS, "--web", "--web-port", "0", "--json")
         url = str(ready(server)["url"])

@@ -57,7 +57,9 @@ def test_each_module_named_without_its_folder_exists(name):
 def test_a_path_of_the_project_is_told_from_other_spans():
     assert files_of("host/cycle/step.py") == "host/cycle/step.py"
     assert files_of("coulombus/rigs/") == "coulombus/rigs/"
-    assert not any(map(files_of, ["Nm/rad", "linux/can/error.h", "/proc/self", "coulombus sim", "out/site", "host"]))
+    assert not any(
+        map(files_of, ["Nm/rad", "linux/can/error.h", "/proc/self", "coulombus emulate", "out/site", "host"])
+    )
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "docs/tools.md"])  # which has Wireshark's names

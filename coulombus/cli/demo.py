@@ -107,7 +107,7 @@ def next_steps(rig_name: str, out: Path, span: str = "") -> tuple[tuple[str, str
         (f"coulombus plot {active}{span}", "the motor's oscillation, sample by sample"),
         (f"coulombus simulate {rig}--law lugre --record lugre.pcapng", "another friction, in seconds: `coulombus law`"),
         (
-            f"coulombus sim {rig}--web",
+            f"coulombus emulate {rig}--web",
             "the rig in a browser; then, in another terminal, `coulombus run --shared-machine`",
         ),
     )

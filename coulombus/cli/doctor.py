@@ -109,7 +109,7 @@ def _tell(findings: Sequence[Finding]) -> None:
 
     width = max(len(finding.check) for finding in findings)
     for finding in findings:
-        head = f"{'ok' if finding.ok else 'MEND':<6}{finding.check:<{width}}  "
+        head = f"{'ok' if finding.ok else 'FIX':<6}{finding.check:<{width}}  "
         text = finding.found
         echo(textwrap.fill(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)))
         for line in finding.fix.splitlines():

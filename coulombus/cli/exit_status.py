@@ -4,7 +4,7 @@ An exception that ends a verb has its own as `exit_status`.
 
 A reader of stdout that goes away (``| head``) changes no status: a verb that has a verdict still
 ends with it, and one that only prints (`decode`, `watch`, `dbc`) with 0, as it was read for as long
-as somebody read. `sim` and `node` go on until they are ended.
+as somebody read. `emulate` and `node` go on until they are ended.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ STATUSES: Mapping[int, str] = MappingProxyType(
         7: "safety: arming refused, or a trip led to the safe state (for example, a recording that cannot be continued)",
         8: "deadlines or frames lost beyond the limit",
         FAULT: "internal error, with a traceback: please report it",
-        129: "the terminal was closed (SIGHUP); `sim`, `node`, `watch` and `bridge` end with 0 by any of these signals once they run",
+        129: "the terminal was closed (SIGHUP); `emulate`, `node`, `watch` and `bridge` end with 0 by any of these signals once they run",
         130: "interrupted by Ctrl-C (SIGINT)",
         131: "interrupted by Ctrl-Backslash (SIGQUIT)",
         143: "terminated (SIGTERM)",

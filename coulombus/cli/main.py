@@ -19,7 +19,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     "Simulate": {
         "demo": "Show the paper's experiment: motor alone, then hybrid",
         "simulate": "Run a simulated rig in virtual time",
-        "sim": "Serve a bus with simulated devices and rig in real time",
+        "emulate": "Stand in for devices and rig, on a bus, in real time",
         "sweep": "Simulate many rigs and hands, and count rates",
         "experiment": "Show a study to a subject, trial by trial",
         "law": "List the friction laws, or drive one along a motion",
@@ -73,6 +73,8 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
 TEXTS: Mapping[str, str] = {name: text for verbs in SECTIONS.values() for name, text in verbs.items()}
 
 
+FORMER: Mapping[str, str] = {"sim": "emulate"}
+"""Former names of verbs; they go on working."""
 FIRST = ("demo", "simulate", "run", "watch", "explain", "check")
 """The verbs to begin with."""
 
@@ -81,6 +83,7 @@ class Commands(Mapping[str, click.Command]):
     """The verbs by name, in the order of `SECTIONS`; each is imported when it is looked up."""
 
     def __getitem__(self, name: str) -> click.Command:
+        name = FORMER.get(name, name)
         text = TEXTS[name]
         things = vars(import_module(f"{__package__}.{name}")).values()
         verb = next(thing for thing in things if isinstance(thing, click.Command) and thing.name == name)
@@ -94,7 +97,7 @@ class Commands(Mapping[str, click.Command]):
         return len(TEXTS)
 
     def __contains__(self, name: object) -> bool:
-        return name in TEXTS
+        return name in TEXTS or name in FORMER
 
 
 class Coulombus(Verbs):

@@ -58,7 +58,7 @@ def run_command(
     as_json: bool,
 ) -> None:
     """Run the host alone, in real time, on a bus where the nodes are: simulated ones
-    (`coulombus sim`) or a rig.
+    (`coulombus emulate`) or a rig.
 
     Ends safely when the time is over, by q or Escape in its terminal (exit status 0), on Ctrl-C
     (130), SIGTERM (143), when the terminal is closed (129), on Ctrl-Backslash (131), `coulombus stop`
@@ -67,7 +67,7 @@ def run_command(
 
     \b
     Examples:
-      coulombus sim                     # in a terminal of its own; then:
+      coulombus emulate                     # in a terminal of its own; then:
       coulombus run --mode hybrid --seconds 13 --record run.pcapng
       coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
       coulombus run --record runs --rotate 1h --keep 20GB --meta subject=S01

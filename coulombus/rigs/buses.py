@@ -73,7 +73,7 @@ def _all_addresses(rig: Rig, given: Sequence[str]) -> dict[str, BusAddress]:
         raise AddressError(
             f"two of the rig's buses have one address: {', '.join(f'{c}={a}' for c, a in addresses.items())}"
         )
-    start = f"coulombus sim --rig {shell(_given_name(rig))}"
+    start = f"coulombus emulate --rig {shell(_given_name(rig))}"
     for channel in channels:
         if addresses[channel] != usual[channel]:
             start += f" --bus {channel}={addresses[channel]}" if several else f" --bus {addresses[channel]}"

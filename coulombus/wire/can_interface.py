@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 
 class CoulombusBus(can.BusABC):
-    """A python-can bus on a virtual bus of this project, which ``coulombus sim`` provides.
+    """A python-can bus on a virtual bus of this project, which ``coulombus emulate`` provides.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def _address(channel: Any) -> BusAddress:
     try:
         address = parse_address(text if ":" in text else f"coulombus:{text}")
     except AddressError as error:
-        running = ", ".join(live_bus_names()) or "none; start one with `coulombus sim`"
+        running = ", ".join(live_bus_names()) or "none; start one with `coulombus emulate`"
         raise can.CanInitializationError(f"{error} (virtual buses here: {running})") from None
     if address.kind != "coulombus":
         raise can.CanInitializationError(

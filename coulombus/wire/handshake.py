@@ -194,7 +194,7 @@ def greet(address: BusAddress, hello: Hello, timeout: float = 2.0) -> Connection
     try:
         return connect_path(path, hello, timeout)
     except (FileNotFoundError, ConnectionRefusedError):
-        text = f"no bus {address}: start one in another terminal with `{address.start or f'coulombus sim --bus {address}'}`"
+        text = f"no bus {address}: start one in another terminal with `{address.start or f'coulombus emulate --bus {address}'}`"
     except BusUnavailable as error:
         text = f"bus {address} refuses: {error}"
     except TimeoutError:

@@ -195,7 +195,7 @@ def _host(service: Service) -> str:
 
 def _sim(service: Service) -> str:
     bus = [] if service.bus.startswith("socketcan:") else ["--bus", service.bus]
-    command = service.command("sim", "--rig", service.rig, *bus)
+    command = service.command("emulate", "--rig", service.rig, *bus)
     lines = "TimeoutStopSec=10\n" + ("" if service.user else "DeviceAllow=/dev/cpu_dma_latency rw\n")
     what = "Coulombus: a virtual bus with the simulated rig"
     return _unit(service, what, command, lines, restart=True, watchdog_s=SIM_WATCHDOG_S, priority=95)

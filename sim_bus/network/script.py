@@ -1,4 +1,4 @@
-"""What happens to the nodes of ``coulombus sim`` and ``coulombus simulate``, and when: the script
+"""What happens to the nodes of ``coulombus emulate`` and ``coulombus simulate``, and when: the script
 file.
 
 ::

@@ -1,4 +1,4 @@
-"""``coulombus sim``: bus, nodes and rig as one process in real time."""
+"""``coulombus emulate``: bus, nodes and rig as one process in real time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The course of ``coulombus sim``: signals in the main thread, the bus in one of its own, what is
+"""The course of ``coulombus emulate``: signals in the main thread, the bus in one of its own, what is
 told and when.
 """
 

@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.demo import next_steps
-from coulombus.cli.main import main
+from coulombus.cli.main import FORMER, main
 from coulombus.recording.measures import phases
 from coulombus.recording.reading import read
 from places import ROOT
@@ -67,7 +67,7 @@ def test_mistakes(arguments, status, texts):
         ("demo --virtual --out OUT --set bus.bitrate_bit_s=500000", 3, "brake RPDO1 (202h)"),
         ("simulate --set bus.bitrate_bit_s=500000", 3, "brake RPDO1 (202h)"),
         ("simulate --mode turbo", 2, "turbo"),
-        ("sim --rig bnch", 3, "did you mean 'bench'"),
+        ("emulate --rig bnch", 3, "did you mean 'bench'"),
         ("node missing.eds --node-id 1 --bus coulombus:nobody", 3, "missing.eds"),
         ("watch --bus coulombus:nobody", 4, "no bus coulombus:nobody"),
         ("bridge coulombus:nobody coulombus:none", 4, "no bus coulombus:nobody"),
@@ -322,3 +322,12 @@ def test_help_explains_a_command_and_a_command_of_a_command():
         shown = CliRunner().invoke(main, ["help", *words], terminal_width=80).output
         assert shown == CliRunner().invoke(main, [*words, "--help"], terminal_width=80).output
         assert shown.startswith(f"Usage: main {' '.join(words)} ")
+
+
+def test_a_former_name_goes_on_working_and_is_listed_nowhere():
+    for name, present in FORMER.items():
+        assert main.commands[name].name == present
+        assert name in main.commands
+        assert name not in set(main.commands)
+        shown = CliRunner().invoke(main, ["help", name]).output
+        assert shown == CliRunner().invoke(main, [name, "--help"]).output

@@ -89,7 +89,7 @@ def test_prose_goes_on_under_its_own_column():
 @pytest.mark.parametrize(
     ("text", "piece"),
     [
-        ("start one in another terminal with `coulombus sim --rig my-rig.toml`", "`coulombus sim --rig my-rig.toml`"),
+        ("start one in another terminal with `coulombus emulate --rig my-rig.toml`", "`coulombus emulate --rig my-rig.toml`"),
         ("on a machine with others: --set motor.setpoint_fault_s=0.05 --seed 3", "--set motor.setpoint_fault_s=0.05 --seed 3"),
         ("what is withheld is told by coulombus commission --step friction: see", "coulombus commission --step friction:"),
         ("0 of 128 runs are done; to go on: coulombus sweep a/b.toml -o out/a", "coulombus sweep a/b.toml -o out/a"),

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
-from coulombus.cli import sim
+from coulombus.cli import emulate
 from coulombus.cli.errors import EXIT_STATUS
 from coulombus.cli.exit_status import FAULT, STATUSES
 from coulombus.cli.main import main
@@ -34,7 +34,7 @@ BASE = {
     "simulate": "simulate --seconds 0.01",
     "sweep": "sweep SWEEP -o DIR/sweep",
     "experiment": "experiment STUDY -o DIR/study --subject S01 --observer 0.1 --bus coulombus:none",
-    "sim": "sim --bus coulombus:none --seconds 0.01",
+    "emulate": "emulate --bus coulombus:none --seconds 0.01",
     "run": "run --bus coulombus:none",
     "stop": "stop --bus coulombus:none",
     "status": "status --bus coulombus:none",
@@ -90,7 +90,7 @@ BASE = {
 WITH_RIG = (
     "demo",
     "simulate",
-    "sim",
+    "emulate",
     "run",
     "stop",
     "status",
@@ -114,7 +114,7 @@ WITH_RIG += ("analyse", "analyse hold", "analyse felt", "analyse z-width", "anal
 WITH_SET = (
     "demo",
     "simulate",
-    "sim",
+    "emulate",
     "run",
     "watch",
     "hz",
@@ -167,7 +167,7 @@ WITH_BUS += ("sdo get", "sdo set", "sdo dump", "sdo restore", "sdo store", "sdo 
 OUTPUTS = (
     ("simulate", "--record", ".pcapng"),
     ("simulate", "--truth", ""),
-    ("sim", "--record", ".pcapng"),
+    ("emulate", "--record", ".pcapng"),
     ("run", "--record", ".pcapng"),
     ("run", "--histogram", ".png"),
     ("watch", "--pcapng", ".pcapng"),
@@ -257,7 +257,7 @@ def test_an_eds_file_that_is_none_is_a_configuration_error(call, tmp_path, verb,
 
 
 @pytest.mark.parametrize("kind", NO_FILES)
-@pytest.mark.parametrize("verb", ["simulate", "sim"])
+@pytest.mark.parametrize("verb", ["simulate", "emulate"])
 @pytest.mark.parametrize("option", ["--faults", "--script"])
 def test_a_fault_file_or_script_that_is_none_is_a_configuration_error(call, tmp_path, verb, kind, option):
     result = call(verb, f"{option} DIR/file.toml", x=is_a(kind, tmp_path / "file.toml"))
@@ -299,7 +299,7 @@ def test_a_file_that_exists_is_not_replaced_unless_asked(call, tmp_path, verb, o
 
 @pytest.mark.parametrize(
     "words",
-    ["simulate --record", "simulate --truth", "sim --record", "dbc --out"],
+    ["simulate --record", "simulate --truth", "emulate --record", "dbc --out"],
 )
 def test_a_full_disk_is_a_usage_error_before_anything_is_armed(call, words):
     verb, _, option = words.partition(" ")
@@ -320,9 +320,9 @@ def test_a_full_disk_is_a_usage_error_before_anything_is_armed(call, words):
             "run --cpu x",
         ),
         *(
-            "sim --cpu 99999",
-            "sim --priority 100",
-            "sim --seconds 0",
+            "emulate --cpu 99999",
+            "emulate --priority 100",
+            "emulate --seconds 0",
             "watch --interval 0",
             "watch --seconds nan",
             "plan --axes 0",
@@ -367,7 +367,7 @@ def test_a_bus_that_is_not_there_is_told_as_such(call, verb):
 
 
 @pytest.mark.parametrize(
-    "verb", ["run", "stop", "status", "measure", "watch", "sim", "node", "conformance", "replay --bus", "bridge"]
+    "verb", ["run", "stop", "status", "measure", "watch", "emulate", "node", "conformance", "replay --bus", "bridge"]
 )
 def test_a_name_that_is_no_bus_is_a_usage_error(call, verb):
     base = BASE[verb].replace("coulombus:none", "canbus0")
@@ -556,8 +556,8 @@ def test_buses_are_served_on_whoever_reads_their_lines(monkeypatch, error):
         raise error
 
     abandoned = []
-    monkeypatch.setattr("coulombus.cli.sim.echo", refused)
-    monkeypatch.setattr("coulombus.cli.sim.abandon_stdout", lambda: abandoned.append(1))
+    monkeypatch.setattr("coulombus.cli.emulate.echo", refused)
+    monkeypatch.setattr("coulombus.cli.emulate.abandon_stdout", lambda: abandoned.append(1))
 
     def supervise(channels, words, tell):
         for channel in channels:
@@ -565,5 +565,5 @@ def test_buses_are_served_on_whoever_reads_their_lines(monkeypatch, error):
         return [SimpleNamespace(status=0)]
 
     monkeypatch.setattr("coulombus.host.run.buses.supervise", supervise)
-    assert sim._sim_buses(["sim"], {"a": None, "b": None}) == 0
+    assert emulate._sim_buses(["emulate"], {"a": None, "b": None}) == 0
     assert abandoned == [1, 1]

@@ -30,7 +30,7 @@ ENDS = {
     "simulate": ("simulate --seconds -1", 2),
     "sweep": ("sweep NONE.toml -o /dev/null/sweep", 3),
     "experiment": ("experiment NONE.toml -o out --subject S01", 3),
-    "sim": ("sim --bus coulombus:none/", 2),
+    "emulate": ("emulate --bus coulombus:none/", 2),
     "node": ("node NONE.eds --node-id 1 --bus coulombus:none", 3),
     "run": ("run --bus coulombus:none", 4),
     "stop": ("stop --bus coulombus:none", 4),

@@ -55,7 +55,7 @@ sys.meta_path.insert(0, Asked())
 sys.argv = ["coulombus", *sys.argv[1:]]
 runpy.run_module("coulombus", run_name="__main__", alter_sys=True)
 """
-SIM = ("sim", "--bus", "coulombus:stopped", "--seconds", "0.01")
+SIM = ("emulate", "--bus", "coulombus:stopped", "--seconds", "0.01")
 
 
 def ended(words, module, number=signal.SIGINT, act="kill()"):

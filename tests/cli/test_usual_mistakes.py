@@ -164,7 +164,7 @@ USUAL = [
     ("sdo get motor 1008h --bus coulombus:none --rig bench", 4, "no bus coulombus:none"),
     ("sdo gett 1 1008h --bus coulombus:none", 2, "Did you mean 'get'?"),
     ("nmt start 200 --bus coulombus:none", 2, "'200': expected a node id, 1 to 127"),
-    ("help simulat", 2, "Did you mean one of: 'sim', 'simulate'?"),
+    ("help simulat", 2, "Did you mean 'simulate'?"),
     ("help analyse simulate", 2, "No such command 'simulate'."),
     ("help run exit", 2, "run has no commands; got 'exit'."),
     ("SIMULATE", 2, "No such command 'SIMULATE'. Did you mean 'simulate'?"),
@@ -174,7 +174,7 @@ USUAL = [
     ("commission --rig my-rig.toml --virtual --step frition", 2, "did you mean 'friction'?"),
     ("commission --rig bench --virtual", 2, "coulombus init --drive bench --brake bench --rehearse -o my-rig.toml"),
     # a bus that is not there
-    ("scan --bus coulombus:none", 4, "start one in another terminal with `coulombus sim --bus coulombus:none`"),
+    ("scan --bus coulombus:none", 4, "start one in another terminal with `coulombus emulate --bus coulombus:none`"),
     ("run --bus pcan:PCAN_USBBUS1", 2, "there is no kind of bus 'pcan'; expected coulombus:NAME"),
     ("run --bus coulombus:a/b", 2, "bus name 'a/b': expected letters, digits"),
     ("stop --bus coulombus:none", 4, "no host runs on bus coulombus:none"),

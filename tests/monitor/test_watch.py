@@ -95,8 +95,8 @@ def test_a_bus_that_goes_away_ends_it_with_4():
 
 def test_no_bus_and_no_address():
     for arguments, status, text in (
-        ((), 4, "`coulombus sim --rig bench`"),
-        (("--rig", "two_axes"), 4, "`coulombus sim --rig two_axes`"),
+        ((), 4, "`coulombus emulate --rig bench`"),
+        (("--rig", "two_axes"), 4, "`coulombus emulate --rig two_axes`"),
         (("--bus", "can0"), 2, "socketcan:can0"),
         (("--bus", "socketcan:nocan0"), 4, "socketcan:nocan0"),
     ):

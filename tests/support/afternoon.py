@@ -119,9 +119,9 @@ class Afternoon:
                 continue
             words = self.words(what)
             verb = words[0]
-            if verb == "sim":
+            if verb == "emulate":
                 self.start(words[:-1])
-                printed = self.until("sim", "is ready")
+                printed = self.until("emulate", "is ready")
             elif words[-1] == "&":
                 with Observer(self.bus) as observer:
                     observer.until_enabled(self.start(words[:-1]))

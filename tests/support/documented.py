@@ -47,7 +47,7 @@ RULES = (
     (r"wireshark", "opens a window; tests/monitor pipe the same bytes into tshark"),
     (r": coulombus demo", "half a minute in real time: tests/host/run/test_run.py"),
     (r": (coulombus )?(\S*)conformance|--junit", "a minute of real time: tests/conformance, tests/sim_bus"),
-    (r": (coulombus sim\b|.*coulombus run\b)", LIVE + "tests/host and tests/sim_bus"),
+    (r": (coulombus emulate\b|.*coulombus run\b)", LIVE + "tests/host and tests/sim_bus"),
     (r": coulombus (watch|.*&& )|mkfifo|monitor -i", LIVE + "tests/monitor"),
     (r": coulombus (set|mark|replay .*--bus)", LIVE + "tests/host, tests/recording, tests/lab"),
     (

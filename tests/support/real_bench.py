@@ -1,4 +1,4 @@
-"""A bench in real time: ``coulombus sim`` and ``coulombus run`` as processes on a bus of their own,
+"""A bench in real time: ``coulombus emulate`` and ``coulombus run`` as processes on a bus of their own,
 and an observer that counts for itself.
 """
 
@@ -30,7 +30,7 @@ STROKE = f"""[{REST}, {{kind = "stroke", duration_s = 20.0, speed_rad_s = 2.0, m
 def words(verb, *arguments, overrides=()):
     """Return what stands behind ``coulombus``."""
     sets = [part for text in (*SHARED_MACHINE, *overrides) for part in ("--set", text)]
-    return [verb, *map(str, arguments), *(sets if verb in ("run", "sim") else ())]
+    return [verb, *map(str, arguments), *(sets if verb in ("run", "emulate") else ())]
 
 
 def command(verb, *arguments, overrides=()):
@@ -54,8 +54,8 @@ def start(verb, *arguments, overrides=(), background=False, **options):
 
 @contextmanager
 def simulation(bus, *arguments, overrides=(), mode="hybrid"):
-    """A ``coulombus sim`` that is ready; killed at the end if it still lives."""
-    process = start("sim", "--bus", bus, "--mode", mode, "--json", *arguments, overrides=overrides)
+    """A ``coulombus emulate`` that is ready; killed at the end if it still lives."""
+    process = start("emulate", "--bus", bus, "--mode", mode, "--json", *arguments, overrides=overrides)
     try:
         ready, _, _ = select.select([process.stdout], [], [], PATIENCE_S)
         line = process.stdout.readline() if ready else ""

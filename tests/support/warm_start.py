@@ -28,7 +28,7 @@ from contextlib import suppress
 from pathlib import Path
 
 MODULES = (
-    *(f"coulombus.cli.{name}" for name in ("main", "run", "stop", "sim", "node", "bridge", "replay")),
+    *(f"coulombus.cli.{name}" for name in ("main", "run", "stop", "emulate", "node", "bridge", "replay")),
     *("coulombus.host.run.real_run", "coulombus.host.realtime.data_plane", "coulombus.sim_bus.server.rig_server"),
     *("coulombus.sim_bus.server.server", "coulombus.sim_bus.server.bridge", "coulombus.lab.demo.real_demo"),
     *("scipy.signal", "scipy.stats", "matplotlib.figure"),  # each takes a second; some verbs import them when they run

@@ -37,12 +37,12 @@ def interface():
 
 
 class Sim:
-    """``coulombus sim`` on an interface; `end` ends it and returns what it told."""
+    """``coulombus emulate`` on an interface; `end` ends it and returns what it told."""
 
     def __init__(self, interface, *options):
         self.interface = interface
         self.process = Warm(
-            ["sim", "--bus", f"socketcan:{interface}", "--json", *options],
+            ["emulate", "--bus", f"socketcan:{interface}", "--json", *options],
             cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

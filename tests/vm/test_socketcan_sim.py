@@ -1,4 +1,4 @@
-"""``coulombus sim`` on SocketCAN: the nodes as stations of a bus that Linux carries."""
+"""``coulombus emulate`` on SocketCAN: the nodes as stations of a bus that Linux carries."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def test_an_interface_that_is_removed_ends_the_sim():
     ip("add", "vcan9", "type", "vcan")
     try:
         sim = partial(
-            *(Warm, ["sim", "--bus", "socketcan:vcan9", "--json"]),
+            *(Warm, ["emulate", "--bus", "socketcan:vcan9", "--json"]),
             cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -308,7 +308,7 @@ def test_a_bus_that_goes_is_told_not_waited_for():
 
 
 def test_no_bus_and_no_name_say_what_to_do(bus):
-    with pytest.raises(can.CanInitializationError, match="coulombus sim --bus coulombus:other"):
+    with pytest.raises(can.CanInitializationError, match="coulombus emulate --bus coulombus:other"):
         can.Bus(interface="coulombus", channel="other")
     with pytest.raises(can.CanInitializationError, match="virtual buses here: bench"):
         can.Bus(interface="coulombus", channel="")

@@ -109,7 +109,7 @@ def test_a_client_that_goes_in_the_middle_of_a_greeting_leaves_the_small_bus_sta
 
 
 def test_no_bus_says_how_to_start_one():
-    with pytest.raises(BusUnavailable, match="coulombus sim --bus coulombus:bench") as caught:
+    with pytest.raises(BusUnavailable, match="coulombus emulate --bus coulombus:bench") as caught:
         connect(BENCH)
     assert caught.value.exit_status == 4
 
@@ -117,8 +117,8 @@ def test_no_bus_says_how_to_start_one():
 @pytest.mark.parametrize(
     ("rig", "bus", "command"),
     [
-        ("two_axes", None, "`coulombus sim --rig two_axes`"),
-        ("bench", "coulombus:desk", "`coulombus sim --rig bench --bus coulombus:desk`"),
+        ("two_axes", None, "`coulombus emulate --rig two_axes`"),
+        ("bench", "coulombus:desk", "`coulombus emulate --rig bench --bus coulombus:desk`"),
     ],
 )
 def test_no_bus_of_a_rig_says_how_to_start_one_with_that_rig(rig, bus, command):
@@ -134,7 +134,7 @@ def test_the_socket_of_a_dead_process_is_no_bus():
     dead.bind(str(socket_path("bench")))
     dead.listen()
     dead.close()
-    with pytest.raises(BusUnavailable, match="coulombus sim"):
+    with pytest.raises(BusUnavailable, match="coulombus emulate"):
         connect(BENCH)
 
 

@@ -1,4 +1,4 @@
-"""The paper's experiment in real time: for each mode a ``coulombus sim`` process with bus, nodes
+"""The paper's experiment in real time: for each mode a ``coulombus emulate`` process with bus, nodes
 and rig, and a host on its bus.
 """
 
@@ -42,7 +42,7 @@ class SimDied(HostError):
 
 
 class SimProcess:
-    """A ``coulombus sim`` of its own; `wait_ready` before use, and as a context manager it is ended
+    """A ``coulombus emulate`` of its own; `wait_ready` before use, and as a context manager it is ended
     at the end.
     """
 
@@ -56,7 +56,7 @@ class SimProcess:
         if len(cpus) > 1:  # the host's cycle has the last one
             arguments += ["--cpu", str(cpus[0])]
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "coulombus", "sim", *arguments],
+            [sys.executable, "-P", "-m", "coulombus", "emulate", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             text=True,
@@ -74,7 +74,7 @@ class SimProcess:
         """Wait until the bus is there; SimDied when it does not come to that."""
         assert self.process.stdout is not None
         if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
-            raise SimDied(f"coulombus sim on {self.address} ended with status {self.process.wait()}")
+            raise SimDied(f"coulombus emulate on {self.address} ended with status {self.process.wait()}")
         self._ready = True
 
     def __enter__(self) -> SimProcess:

@@ -7,7 +7,7 @@ every frame must come out again: the same order, the same bytes, and the same en
 nanosecond.
 
 That holds for recordings whose stamps are the bus's own time: of `coulombus simulate --record`, and
-of a session in real time as `coulombus sim --record` keeps it. A recording of `coulombus run` has
+of a session in real time as `coulombus emulate --record` keeps it. A recording of `coulombus run` has
 the stamps of the host's clock, of when frames reached it, and does not tell when the bus carried
 them: it is refused here; `--host` checks it.
 """
@@ -100,7 +100,7 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
     if "seed" not in attachments or "mode" not in attachments:
         raise ReplayError(
             f"{path}: its stamps are not the bus's own time (no attachment 'seed'): --virtual checks recordings of `coulombus simulate "
-            "--record` and `coulombus sim --record`; --host checks those of `coulombus run --record` too"
+            "--record` and `coulombus emulate --record`; --host checks those of `coulombus run --record` too"
         )
     struck = next((text for _, text in recording.markers if text.startswith("fault ")), None)
     if struck is not None:
@@ -121,7 +121,7 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
     if not len(frames) or recording.epoch_ns:
         why = "its stamps are a clock's, and not the bus's own time" if len(frames) else "there is no frame in it"
         raise ReplayError(
-            f"{path}: {why}: take a recording of `coulombus simulate --record` or `coulombus sim --record`"
+            f"{path}: {why}: take a recording of `coulombus simulate --record` or `coulombus emulate --record`"
         )
     sent = senders(frames["can_id"], recording.rig) <= 0
     compared = _Comparison(frames)

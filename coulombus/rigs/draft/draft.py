@@ -142,7 +142,7 @@ class Draft:
         self.text.note("host", switch, CHECK)
         if self.rehearse:
             self.text.head.append(
-                f"{REHEARSAL}: this file is for `coulombus simulate` and `coulombus sim`. On a real bus `coulombus run` refuses it until every "
+                f"{REHEARSAL}: this file is for `coulombus simulate` and `coulombus emulate`. On a real bus `coulombus run` refuses it until every "
                 "mark of this kind is gone."
             )
 

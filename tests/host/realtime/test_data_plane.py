@@ -337,7 +337,7 @@ def test_the_filters_pass_the_rig_and_nothing_else():
 
 
 def test_no_bus_no_process():
-    with pytest.raises(OSError, match="coulombus sim") as caught:
+    with pytest.raises(OSError, match="coulombus emulate") as caught:
         DataPlane(Controllers(load_rig("bench"), "hybrid"), parse_address("coulombus:nowhere"))
     assert caught.value.exit_status == 4
 

@@ -358,7 +358,7 @@ def test_addresses_tell_how_their_buses_are_started(tmp_path):
     path = tmp_path / "my rig.toml"
     path.write_text(load_rig("two_axes", TWO_BUSES).effective())
     found = bus_addresses(load_rig(str(path)), ("b=coulombus:desk",))
-    start = f"coulombus sim --rig '{path}' --bus b=coulombus:desk"
+    start = f"coulombus emulate --rig '{path}' --bus b=coulombus:desk"
     assert {channel: address.start for channel, address in found.items()} == {"a": start, "b": start}
     assert found["b"] == BusAddress("coulombus", "desk")
 

@@ -172,7 +172,7 @@ def test_without_a_bus_and_without_nodes(tmp_path):
     with host(BUS) as run:
         status, _, err = result(run)
     assert status == 4
-    assert "coulombus sim" in err
+    assert "coulombus emulate" in err
     done = subprocess.run(command("stop", "--bus", BUS), capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 4
     off = tmp_path / "off.toml"

@@ -1,4 +1,4 @@
-"""``coulombus run --web`` against ``coulombus sim``, in real time: a page changes the law, marks and
+"""``coulombus run --web`` against ``coulombus emulate``, in real time: a page changes the law, marks and
 stops. What they do, never how fast.
 """
 

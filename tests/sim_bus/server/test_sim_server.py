@@ -386,7 +386,7 @@ def test_an_interface_that_is_not_there_is_said_with_the_way_to_get_it(rig):
 
 def start_command(*options, **popen):
     process = subprocess.Popen(
-        [sys.executable, "-m", "coulombus", "sim", "--bus", "coulombus:t", "--json", *options],
+        [sys.executable, "-m", "coulombus", "emulate", "--bus", "coulombus:t", "--json", *options],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -480,7 +480,10 @@ def test_with_few_descriptors_it_sleeps_all_the_same_and_turns_clients_away():
 def test_a_second_one_is_refused(rig):
     with served(rig):
         second = subprocess.run(
-            [sys.executable, "-m", "coulombus", "sim", "--bus", "coulombus:t"], cwd=ROOT, capture_output=True, text=True
+            [sys.executable, "-m", "coulombus", "emulate", "--bus", "coulombus:t"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
         )
     assert second.returncode == 4
     assert "served already" in second.stderr

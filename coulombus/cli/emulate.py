@@ -1,4 +1,4 @@
-"""``coulombus sim``: the far side of the bus, in real time."""
+"""``coulombus emulate``: the far side of the bus, in real time."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
-__all__ = ["sim"]
+__all__ = ["emulate"]
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What a bus of ``sim`` does, as the options say it."""
+    """What a bus of ``emulate`` does, as the options say it."""
 
     mode: str | None
     seed: int
@@ -110,7 +110,7 @@ realtime_options = bundle(
 @realtime_options
 @page_options
 @json_option
-def sim(
+def emulate(
     chosen: BusesOptions,
     seconds: float | None,
     record: Path | None,
@@ -129,9 +129,9 @@ def sim(
 
     \b
     Examples:
-      coulombus sim
-      coulombus sim --rig my-rig.toml --bus socketcan:vcan0
-      coulombus sim --bus coulombus:test --seconds 60 --script script.toml --json
+      coulombus emulate
+      coulombus emulate --rig my-rig.toml --bus socketcan:vcan0
+      coulombus emulate --bus coulombus:test --seconds 60 --script script.toml --json
     """
     with errors():
         from coulombus.rigs.rig import load_rig
@@ -148,7 +148,7 @@ def sim(
             )
         if len(addresses) > 1:
             page.refuse_several()
-            words = ["sim", "--rig", chosen.rig_name, *realtime.words(), *simulated.words()]
+            words = ["emulate", "--rig", chosen.rig_name, *realtime.words(), *simulated.words()]
             words += [] if seconds is None else ["--seconds", str(seconds)]
             words += repeated("--set", chosen.overrides)
             sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
