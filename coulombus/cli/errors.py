@@ -171,9 +171,9 @@ def _option_meant(error: click.UsageError) -> str:
 def errors() -> Iterator[None]:
     """Turn every error into its text and its exit status.
 
-    Tell on a terminal when something has to be compiled first.
+    Say on the process' stderr when something has to be compiled first.
     """
-    if sys.stderr.isatty():
+    if sys.stderr is sys.__stderr__:
         from coulombus.kernels.compile_notice import on_compiling
 
         on_compiling(lambda: say("compiling, which takes a minute or two and is kept ..."))
