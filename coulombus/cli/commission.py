@@ -223,7 +223,7 @@ def commission(
             raise click.UsageError("--virtual has a bus of its own; leave out --bus")
         overrides = own.all_overrides()
         if not doing.yes and not _somebody():
-            raise click.UsageError("nobody is there to be asked: give --yes")
+            raise click.UsageError("no terminal to ask on: give --yes")
         load(str(path.resolve()), overrides)
         run = rehearsal.runner(own.axis) if rehearsal.virtual else _real(own.bus_name, as_json)
         given = Given(weighed.weight_Nm, weighed.marks_rad, weighed.marks_reach_rad, weighed.weight_reach_Nm)

@@ -27,8 +27,8 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
     """
     marks = rehearsal_marks(rig.origin.text) if address.moves_hardware else ()
     if marks:
-        expected = f"expected what holds for the devices on {address}, and no mark"
-        raise RigError([f"{rig.path}:{line}: got '# {REHEARSAL}'; {expected}" for line in marks])
+        expected = f"enter the value of the device on {address}, and delete the mark"
+        raise RigError([f"{rig.path}:{line}: still marked '# {REHEARSAL}': {expected}" for line in marks])
 
 
 def check_no_guess(rig: Rig, address: BusAddress) -> None:

@@ -122,7 +122,7 @@ class RealCourse(Course):
 
     def _why_no_change(self) -> str | None:
         if self.plane.status is not PlaneStatus.CYCLING:
-            return "the host does not cycle yet"
+            return "the host is not in its cycle yet: it is starting, or it has stopped"
         return "the host ends: it is in its safe state" if self.k.ending else None
 
     def _apply(self, change: Change) -> None:
@@ -376,7 +376,7 @@ class RealCourse(Course):
         if self.error is not None and number in (Trip.NONE, Trip.HOST):
             return f"HOST: {self.error}"
         details = {
-            Trip.HOST: f"it stood still for {PARENT_NS // 1_000_000_000} s",  # it has neither failed nor ended
+            Trip.HOST: f"it hung for {PARENT_NS // 1_000_000_000} s",  # it has neither failed nor ended
             Trip.DATA_PLANE: f"it {self._fate or 'is not there'}",
             Trip.BUS_LOST: self.plane.lost_text,
         }

@@ -93,7 +93,7 @@ def test_a_full_disk_at_the_rig_file_is_status_2_and_leaves_it_whole(call, tmp_p
     ("words", "status", "text"),
     [
         ("", 2, "give --rig"),
-        ("--rig my.toml --virtual", 2, "nobody is there to be asked"),
+        ("--rig my.toml --virtual", 2, "no terminal to ask on"),
         ("--rig bench --virtual --yes", 2, "bench is a rig of the package"),
         ("--rig my.toml --truth my.toml --yes", 2, "--truth is for --virtual"),
         ("--rig my.toml --virtual --bus coulombus:x --yes", 2, "leave out --bus"),

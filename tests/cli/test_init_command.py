@@ -99,7 +99,7 @@ def test_a_rehearsal_is_refused_on_a_real_bus_with_each_mark(folder):
     assert refused.exit_code == 3
     error = json.loads(refused.stdout)["error"].splitlines()
     assert [line.partition(": ")[0] for line in error] == [f"try.toml:{number}" for number in lines]
-    assert "expected what holds for the devices on socketcan:none9" in error[0]
+    assert "enter the value of the device on socketcan:none9" in error[0]
 
 
 def test_a_guess_that_moves_the_hand_is_refused_on_a_real_bus_until_its_mark_is_gone(folder):

@@ -110,7 +110,7 @@ def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
             _between(active.hold_velocity_rms_rad_s, low, high),
         ),
         Criterion(
-            f"active hold: at least {ACTIVE_FLIPS_PER_S:g} torque flips a second",
+            f"active hold: at least {ACTIVE_FLIPS_PER_S:g} sign changes of the torque a second",
             _number(active.torque_flips_per_s, "/s"),
             _between(active.torque_flips_per_s, ACTIVE_FLIPS_PER_S, float("inf")),
         ),

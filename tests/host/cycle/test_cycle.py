@@ -720,7 +720,9 @@ def test_a_law_that_gives_no_finite_number_trips_and_is_not_kept(psi, brake, mot
     assert bench.k.state[0].psi_Nm == 0.25
     parts = {f"{psi:g} Nm": psi, f"{brake:g} Nm for the brake": brake, f"{motor:g} Nm for the motor": motor}
     value = next(text for text, part in parts.items() if not math.isfinite(part))
-    assert bench.k.trip == f"LAW: the friction law karnopp returned {value}, which is no finite number (law.function)"
+    assert (
+        bench.k.trip == f"LAW: the friction law karnopp returned {value}, which is not a finite number (law.function)"
+    )
 
 
 @pytest.mark.parametrize("state", PowerState)

@@ -361,10 +361,10 @@ def test_a_data_plane_that_is_stopped_has_not_died():
 @pytest.mark.parametrize(
     ("trip", "error", "told"),
     [
-        (Trip.HOST, None, "HOST: the host's own process failed, ended, or stood still (it stood still for 2 s)"),
+        (Trip.HOST, None, "HOST: the host's process failed, ended or hung (it hung for 2 s)"),
         (Trip.HOST, "OSError: x (y.py:3)", "HOST: OSError: x (y.py:3)"),
         (Trip.NONE, "OSError: x (y.py:3)", "HOST: OSError: x (y.py:3)"),
-        (Trip.DATA_PLANE, None, "DATA_PLANE: the data plane's process ended, or stood still (it is stopped)"),
+        (Trip.DATA_PLANE, None, "DATA_PLANE: the data plane's process ended or hung (it is stopped)"),
         (Trip.BUS_LOST, None, "BUS_LOST: the bus is gone: its process ended, or its interface went down (Broken pipe)"),
         (Trip.NONE, None, None),
     ],

@@ -128,8 +128,8 @@ def at(run, **fields):
 @pytest.mark.parametrize(
     ("status", "phase", "why"),
     [
-        (PlaneStatus.LISTENING, Phase.OFF, "the host does not cycle yet"),
-        (PlaneStatus.LISTENING, Phase.SAFE, "the host does not cycle yet"),
+        (PlaneStatus.LISTENING, Phase.OFF, "the host is not in its cycle yet: it is starting, or it has stopped"),
+        (PlaneStatus.LISTENING, Phase.SAFE, "the host is not in its cycle yet: it is starting, or it has stopped"),
         (PlaneStatus.CYCLING, Phase.RUN, None),
         (PlaneStatus.CYCLING, Phase.SAFE, "the host ends: it is in its safe state"),
     ],
@@ -663,7 +663,7 @@ def test_what_is_left_behind_is_said(run):
         (Trip.SPEED, "an error", "disk full", "RECORDING: disk full"),
         (Trip.HOST, "an error", "disk full", "RECORDING: disk full"),
         (Trip.BUS_LOST, None, "disk full", "RECORDING: disk full"),
-        (Trip.HOST, None, None, "(it stood still for 2 s)"),
+        (Trip.HOST, None, None, "(it hung for 2 s)"),
         (Trip.DATA_PLANE, None, None, "(it stands still)"),
         (Trip.BUS_LOST, None, None, "(No such device)"),
         (Trip.SPEED, None, None, "SPEED"),

@@ -122,7 +122,7 @@ def test_the_parent_alone_dies_or_stands_still(number):
                 status, data, err = result(run)
                 assert status == 7, err
                 assert data["trip"].startswith("HOST")
-                assert data["trip"].endswith("(it stood still for 2 s)")
+                assert data["trip"].endswith("(it hung for 2 s)")
         finally:
             run.kill()
 
