@@ -130,7 +130,7 @@ class _Planner:
         self._silent()
         reactions = reactions_of(self.axis, self.node, kept) if self.node in ("motor", "brake") else ()
         if reactions and not any(reaction.who for reaction in reactions):
-            self._acknowledge(NO_REACTION, "when the host is lost, nothing ends its last set-point", self._acts)
+            self._acknowledge(NO_REACTION, "its last set-point acts on after the loss of the host", self._acts)
         said = self.axis.said
         return DevicePlan(
             name=self.name,
@@ -211,7 +211,7 @@ class _Planner:
                 f"{self.who}: {self.description.path} limits 1016h:01 to {variable.high}, where no node id has room; it is written all the same"
             )
         if not setting.verify and not setting.listed:
-            self.losses.append(f"{self.who}: {_place(setting)} is write-only, so that it cannot be read back")
+            self.losses.append(f"{self.who}: {_place(setting)} is write-only and cannot be read back")
         return True
 
     def _granularity(self, written: Sequence[Setting]) -> None:
@@ -247,7 +247,7 @@ class _Planner:
             )
             if not description.has(0x1018, subindex):
                 self.losses.append(
-                    f"{self.who}: {description.path} has no 1018h:{subindex:02X}, so that its {keys[subindex - 1].replace('_', ' ')} is not compared"
+                    f"{self.who}: {description.path} has no 1018h:{subindex:02X}, so the {keys[subindex - 1].replace('_', ' ')} is not compared"
                 )
             elif value is None:
                 remedy = f"give {key}" + (f" = {number:#x}, if the file is of this very device" if number else "")

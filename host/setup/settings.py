@@ -139,7 +139,7 @@ def _pdo_settings(pdo: RigPdo, node: str, deadline_ms: int, ours: bool) -> Itera
     yield Setting(mapping, 0, 0, why=why, while_valid=anew)
     yield Setting(communication, 2, layout.transmission, "bus.actuation" if receive else "", optional=True, why=why)
     if receive:
-        lost = "" if ours else "it does not notice that an RPDO stops coming"
+        lost = "" if ours else "it does not detect a missing RPDO"
         yield Setting(
             *(communication, 5, deadline_ms, f"{node}.setpoint_fault_s"),
             optional=True,
@@ -203,7 +203,7 @@ def _common_settings(axis: Axis, node: str, part: DeviceSection, ours: bool) -> 
     yield _emergency(description, part.node_id)
     if isinstance(part, Motor | Brake):
         timeout_us = round(part.sync_timeout_s * 1e6)
-        lost = f"the {'drive' if node == 'motor' else 'brake'} does not notice the loss of SYNC ({node}.sync_timeout_s)"
+        lost = f"the {'drive' if node == 'motor' else 'brake'} does not detect the loss of SYNC ({node}.sync_timeout_s)"
         yield Setting(0x2002, 0, timeout_us, f"{node}.sync_timeout_s", optional=True, why="the loss of SYNC", lost=lost)
     if not ours:
         period_us = round(axis.bus.period_s * 1e6)
@@ -230,7 +230,7 @@ def _emergency(description: Description, node_id: int) -> Setting:
         soft=mute or refused,
         unless_equal=True,
         why="EMCY's identifier",
-        lost="the host hears none of its faults by EMCY" if mute else "",
+        lost="it reports no fault to the host by EMCY" if mute else "",
         told="its EMCY is switched off in 1014h (bit 31); bring-up switches it on" if off and not mute else "",
     )
 
@@ -268,7 +268,7 @@ def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bo
         *((index, FREE, "no torque when it stops") for index in (0x605A, 0x605B, 0x605C, 0x605E)),
     )
     for index, value, why in reactions:
-        lost = "what it does at the host's loss is its own" if index == 0x6007 else ""
+        lost = "its reaction to the loss of the host is the drive's default" if index == 0x6007 else ""
         yield Setting(at(index), 0, value, optional=True, soft=True, unless_equal=True, why=why, lost=lost)
 
 
@@ -311,9 +311,9 @@ def _motor_settings(axis: Axis, mode: str, limit_pm: int, ours: bool) -> Iterato
         for pdo in axis.pdos()
     )
     by = (
-        "only the RPDO deadline 1400h:05 ends an old one"
+        "only the RPDO deadline 1400h:05 ends an old set-point"
         if ended
-        else "an old one acts until the host's loss is noticed"
+        else "an old set-point acts until the drive detects the loss of the host"
     )
     lost = f"no set-point becomes 0 after motor.setpoint_zero_cycles; {by}"
     yield Setting(
@@ -331,7 +331,7 @@ def _brake_settings(axis: Axis, ours: bool) -> Iterator[Setting]:
         yield from _drive_settings(axis, axis.brake, setpoint, ours)
         return
     mode_object, value_object = {CIA404: (0x6340, 0x7341), CIA401: (0x6443, 0x6444)}[profile]
-    lost = "without set-points it keeps its last one"
+    lost = "without set-points it keeps the last one"
     yield Setting(mode_object, sub, 1, optional=not ours, soft=not ours, why="a fault value is taken", lost=lost)
     yield Setting(value_object, sub, off, optional=not ours, soft=not ours, why="its fault value is off", lost=lost)
     hold = "without set-points the brake does not hold for brake.hold_s and then ramp down by itself"

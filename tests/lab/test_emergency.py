@@ -95,7 +95,7 @@ def test_a_shorted_coil_trips_wherever_it_is_told(rig, kind):
     ("kind", "status", "told"),
     [
         ("off", 0, "its EMCY is switched off in 1014h (bit 31); bring-up switches it on"),
-        ("off, read-only", 0, "the host hears none of its faults by EMCY"),
+        ("off, read-only", 0, "it reports no fault to the host by EMCY"),
         ("usual", 0, None),
         ("elsewhere", 0, None),
     ],

@@ -329,7 +329,7 @@ def test_the_least_that_a_limit_takes_is_taken_and_told():
 def test_a_device_that_does_not_notice_the_host_s_loss_is_refused_unless_it_is_acknowledged():
     deaf = gone(MOTOR, "1400sub5", "1016sub1", "100C", "2002")
     (problem,) = plan_of(deaf).problems
-    assert "no reaction to the host's loss: when the host is lost, nothing ends its last set-point" in problem.text
+    assert "no reaction to the host's loss: its last set-point acts on after the loss of the host" in problem.text
     assert {(r.who, r.within_s, r.what) for r in plan_of(deaf).reactions} == {("", None, "its last set-point stays")}
     assert plan_of(deaf, BRAKE, ACCEPT).problems == ()
     assert plan_of(deaf, mode="passive").problems == ()
@@ -456,7 +456,7 @@ def test_an_identity_that_the_file_does_not_have_is_not_compared():
     rig = load_rig_text(text, "r.toml", {"motor.eds": motor, "mr_brake.eds": BRAKE})
     (plan, _) = plans_of(Controllers(rig, "hybrid"))
     assert plan.problems == ()
-    assert any("has no 1018h:02, so that its product code is not compared" in text for text in plan.losses)
+    assert any("has no 1018h:02, so the product code is not compared" in text for text in plan.losses)
     rig = load_rig_text(text, "r.toml", {"motor.eds": MOTOR, "mr_brake.eds": BRAKE})
     (problem,) = plans_of(Controllers(rig, "hybrid"))[0].problems
     assert str(problem).endswith("give motor.product_code = 0x402, if the file is of this very device")
@@ -637,8 +637,8 @@ def test_what_ends_an_old_set_point_is_told_of_the_device_that_is_there(deadline
     (plan, _) = plans_of(Controllers(rig_of(motor, BRAKE, *IS_FOREIGN), "hybrid"))
     (told,) = (text for text in plan.losses if "2001h is not written" in text)
     assert told.endswith(
-        "only the RPDO deadline 1400h:05 ends an old one"
+        "only the RPDO deadline 1400h:05 ends an old set-point"
         if deadline
-        else "an old one acts until the host's loss is noticed"
+        else "an old set-point acts until the drive detects the loss of the host"
     )
     assert any("1400h:05 is not written" in text for text in plan.losses) is not deadline

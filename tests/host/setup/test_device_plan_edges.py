@@ -17,8 +17,8 @@ from foreign_rigs import BENCH, SCHEDULE, Part, brake, drive, rig_of
 
 NOT_OURS = "it is the maker's own object: 1018h of the EDS file is not ours"
 NOT_DESCRIBED = "it is not described"
-NO_SYNC = "does not notice the loss of SYNC"
-OLD = "no set-point becomes 0 after motor.setpoint_zero_cycles; only the RPDO deadline 1400h:05 ends an old one"
+NO_SYNC = "does not detect the loss of SYNC"
+OLD = "no set-point becomes 0 after motor.setpoint_zero_cycles; only the RPDO deadline 1400h:05 ends an old set-point"
 HOLD = "without set-points the brake does not hold for brake.hold_s and then ramp down by itself"
 RAMP = "the brake's own ramp does not take brake.ramp_s"
 COIL = (
@@ -149,7 +149,7 @@ def test_the_mode_of_a_sensor_s_power_stage_is_not_set():
 
 
 DEAF = ("1400sub5", "1016sub1", "100C", "2002")
-NO_REACTION = "no reaction to the host's loss: when the host is lost, nothing ends its last set-point"
+NO_REACTION = "no reaction to the host's loss: its last set-point acts on after the loss of the host"
 NO_LIMIT = "no torque limit of its own: 6072h, 60E0h and 60E1h, 6073h cannot be written; only the host limits"
 LIMITS = ("6072", "60E0", "60E1", "6073")
 
@@ -207,7 +207,7 @@ def test_an_object_that_only_the_rig_file_describes_is_written_and_read_back():
     ("section", "limits", "told"),
     [
         ("6007", {"HighLimit": 1}, "6007h:00 is not set (2 is outside the EDS file's LowLimit any and HighLimit 1); "
-         "what it does at the host's loss is its own"),
+         "its reaction to the loss of the host is the drive's default"),
         ("605A", {"LowLimit": 1}, "605Ah:00 is not set (0 is outside the EDS file's LowLimit 1 and HighLimit any); "
          "no torque when it stops"),
         ("1006", {"HighLimit": 0xFFF0 // 100}, "1006h:00 is not set (1000 (0x3e8) is outside the EDS file's LowLimit "
@@ -282,7 +282,7 @@ def test_the_value_that_counts_of_an_object_that_cannot_be_written_is_the_last_o
 @pytest.mark.parametrize("verify", [True, False])
 def test_what_cannot_be_read_back_is_written_and_told_but_for_what_the_rig_file_lists(verify):
     plan = motor_of(edit(MOTOR, "6060", AccessType="wo"))
-    assert plan.losses == ("motor (node 1): 6060h:00 is write-only, so that it cannot be read back",)
+    assert plan.losses == ("motor (node 1): 6060h:00 is write-only and cannot be read back",)
     assert values(plan, 0x6060) == [10]
     assert plan.problems == ()
     assert (0x6060, 0) not in dict(plan.read_backs)
@@ -378,7 +378,7 @@ def test_a_part_of_the_identity_that_the_file_lacks_is_not_compared():
     assert plan.identity == ((2, "product code", 0x402),)
     assert plan.problems == plan.questions == ()
     lean = identity(gone(MOTOR, "1018sub2"))
-    assert lean.losses[0] == "motor (node 1): motor.eds has no 1018h:02, so that its product code is not compared"
+    assert lean.losses[0] == "motor (node 1): motor.eds has no 1018h:02, so the product code is not compared"
     assert lean.identity == ((1, "vendor id", 0x4C0),)
     assert lean.problems == ()
 

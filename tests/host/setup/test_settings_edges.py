@@ -225,7 +225,7 @@ def test_a_limit_below_what_the_object_takes_is_told(low, value):
 
 
 @pytest.mark.parametrize(
-    ("watch", "by"), [("all", "only the RPDO deadline 1400h:05"), ("heartbeat", "an old one acts")]
+    ("watch", "by"), [("all", "only the RPDO deadline 1400h:05"), ("heartbeat", "an old set-point acts")]
 )
 def test_what_ends_an_old_set_point_is_told(watch, by):
     (age,) = (one for one in settings(rig_of(drive("A", watch), brake("own")), "motor") if one.index == 0x2001)
@@ -314,7 +314,7 @@ def test_times_are_whole_milliseconds_of_the_rig_file(node):
     }
 
 
-@pytest.mark.parametrize(("kind", "lost"), [("own", ""), ("A", "it does not notice that an RPDO stops coming")])
+@pytest.mark.parametrize(("kind", "lost"), [("own", ""), ("A", "it does not detect a missing RPDO")])
 def test_a_deadline_that_another_maker_lacks_is_a_loss(kind, lost):
     found = settings(rig_of(drive(kind), brake("own")), "motor")
     (deadline,) = (one for one in found if (one.index, one.subindex) == (0x1400, 5))
@@ -325,7 +325,7 @@ def test_a_deadline_that_another_maker_lacks_is_a_loss(kind, lost):
 @pytest.mark.parametrize(("node", "name"), [("motor", "drive"), ("brake", "brake")])
 def test_the_loss_of_sync_is_named_for_the_device(node, name):
     (sync,) = (one for one in settings(rig_of(drive("own"), brake("own")), node) if one.index == 0x2002)
-    assert sync.lost == f"the {name} does not notice the loss of SYNC ({node}.sync_timeout_s)"
+    assert sync.lost == f"the {name} does not detect the loss of SYNC ({node}.sync_timeout_s)"
 
 
 def test_the_reaction_to_the_hosts_loss_is_the_one_that_is_lost():
@@ -357,7 +357,7 @@ def test_a_drive_may_lack_every_limit_and_a_limit_may_have_no_least():
     ("gone", "by"),
     [
         (("1401sub5", "1402sub5", "1403sub5"), "only the RPDO deadline"),
-        (("1400sub5",), "an old one acts until the host's loss is noticed"),
+        (("1400sub5",), "an old set-point acts until the drive detects the loss of the host"),
     ],
 )
 def test_the_deadline_that_counts_is_that_of_the_rpdo_that_is_used(gone, by):
@@ -369,7 +369,7 @@ def test_the_deadline_that_counts_is_that_of_the_rpdo_that_is_used(gone, by):
 
 @pytest.mark.parametrize(
     ("gone", "by"),
-    [(("1400sub5", "1402sub5"), "only the RPDO deadline"), (("1401sub5",), "an old one acts")],
+    [(("1400sub5", "1402sub5"), "only the RPDO deadline"), (("1401sub5",), "an old set-point acts")],
 )
 def test_the_deadline_that_counts_is_of_the_drives_own_rpdo(gone, by):
     """The drive has its set-point in RPDO 2, the brake in RPDO 1; TPDO 3 of the drive is used."""
@@ -439,7 +439,7 @@ def test_a_brake_that_does_not_take_the_set_point_gets_no_fault_value():
     assert only(rig, "brake", 0x6340, 0x7341, 0x2001, 0x2005) == []
 
 
-MUTE = "the host hears none of its faults by EMCY"
+MUTE = "it reports no fault to the host by EMCY"
 SWITCHED_ON = "its EMCY is switched off in 1014h (bit 31); bring-up switches it on"
 
 
