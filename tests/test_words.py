@@ -86,7 +86,6 @@ SPELLINGS = {  # pattern of a spelling -> the accepted one
     r"hysteresys|histeresis": "hysteresis",
 }
 NOT_YET = {  # whose sentences are still to be gone through: only their spellings are checked
-    "docs/commissioning.md",
     "docs/experiment.md",
     "docs/plane.md",
 }
