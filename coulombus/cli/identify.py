@@ -61,6 +61,8 @@ def identify(
       coulombus identify damper.pcapng --iron
     """
     as_json = options["as_json"]
+    table = _is_table(file)
+    _check_kind(file, table, {"--rig": rig_name, "--axis": axis}, options)
     if options["iron"]:
         if figure is not None or options["law"] is not None or options["overrides"]:
             raise click.UsageError("--iron goes with none of --figure, --law and --set")
@@ -71,11 +73,11 @@ def identify(
         if figure is not None:
             raise click.UsageError("--figure is of the fit without --law")
         with errors():
-            _identify_law(file, rig_name, axis, options)
+            _identify_law(file, table, rig_name, axis, options)
         return
     if options["overrides"]:
         raise click.UsageError("--set holds a parameter of a law: give --law NAME, too")
-    if _is_table(file):
+    if table:
         with errors():
             _identify_table(file, figure, overwrite, options)
         return
@@ -109,6 +111,22 @@ def _is_table(file: Path) -> bool:
 
     with errors():
         return is_table(file)
+
+
+def _check_kind(file: Path, table: bool, of_recording: dict[str, Any], options: dict[str, Any]) -> None:
+    """Refuse the options that the other kind of file has.
+
+    Raises
+    ------
+    click.UsageError
+        It says which option, and what the file is.
+    """
+    of_recording |= {"--channel": options["channels"], "--iron": options["iron"]}
+    of_table = {"--column": options["columns"], "--unit": options["units"], "--ratio": options["ratio"]}
+    given = [name for name, value in (of_recording if table else of_table).items() if value not in (None, (), False)]
+    if given:
+        kinds = ("a table", "a recording") if table else ("a recording", "a table")
+        raise click.UsageError(f"{file} is {kinds[0]}; {given[0]} is for {kinds[1]}: leave it out")
 
 
 def _identify_table(file: Path, figure: Path | None, overwrite: bool, options: dict[str, Any]) -> None:
@@ -155,7 +173,7 @@ def _identify_iron(
             _print(iron_lines(fit))
 
 
-def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
+def _identify_law(file: Path, table: bool, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
     from coulombus.analysis.rig.law_fit import Stretch, fit_law, lines, stretches_of
     from coulombus.recording.friction.columns import read_table
     from coulombus.recording.friction.sliding import IdentifyError
@@ -163,7 +181,6 @@ def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: d
     from coulombus.rigs.rig import load_rig
 
     data: tuple[Stretch, ...]
-    table = _is_table(file)
     if table:
         rows = read_table(file, options["columns"], options["units"])
         data = (Stretch(rows.t_s, rows.angle_rad, rows.torque_Nm),)

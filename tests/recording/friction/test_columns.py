@@ -199,3 +199,23 @@ def test_a_log_of_frames_is_no_table(tmp_path):
     path.write_text("timestamp,arbitration_id,extended,remote,error,dlc,data\n")
     assert not is_table(path)
     assert not is_table(tmp_path / "run.pcapng")
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "says"),
+    [
+        ("a.csv", "--rig bench", "a.csv is a table; --rig is for a recording"),
+        ("a.csv", "--law dahl --axis x", "a.csv is a table; --axis is for a recording"),
+        ("a.csv", "--iron", "a.csv is a table; --iron is for a recording"),
+        ("a.csv", "--channel can0", "a.csv is a table; --channel is for a recording"),
+        ("a.pcapng", "--column angle=phi", "a.pcapng is a recording; --column is for a table"),
+        ("a.log", "--unit angle=deg", "a.log is a recording; --unit is for a table"),
+        ("a.log", "--law dahl --ratio 9.5", "a.log is a recording; --ratio is for a table"),
+    ],
+)
+def test_an_option_of_the_other_kind_of_file_is_refused(tmp_path, monkeypatch, name, options, says):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text("t,angle,torque\n")
+    done = CliRunner().invoke(main, ["identify", name, *options.split()])
+    assert done.exit_code == 2
+    assert says in " ".join(done.output.split())
