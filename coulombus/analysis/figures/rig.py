@@ -109,7 +109,7 @@ def draw_residuals(axes: Axes, identification: Identification) -> None:
     axes.plot(centres[there], total[there] / count[there], "o", ms=4, color=BLUE, label="mean at a speed")
     axes.axhline(0.0, color=VERMILION, lw=1.0)
     axes.legend(loc="lower right")
-    label(axes, "velocity [rad/s]", "left over [Nm]")
+    label(axes, "velocity [rad/s]", "residual [Nm]")
 
 
 def write_identification(path: Path, identification: Identification) -> Path:

@@ -157,7 +157,7 @@ class Page:
         page as words.
         """
         if self.control.holder != session.number:
-            session.answers.append(f"{what}: this page looks on; take control first")
+            session.answers.append(f"{what}: this page is viewing; take control first")
             return
         if self.asking >= QUESTIONS:
             session.answers.append(f"{what}: too many are under way; again in a moment")
@@ -259,7 +259,7 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
             return
         self.rubbish += 1
         if self.rubbish > RUBBISH:
-            self.close(1008, "what this page says means nothing")
+            self.close(1008, "too many messages of no known form")
 
     def _ask(self, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
         task = asyncio.get_running_loop().create_task(self.page.ask(self, what, question))

@@ -151,9 +151,9 @@ def test_sliders_change_parameters_and_keys_mark(tmp_path):
                 async with Browser(url, str(tmp_path / "second")) as other:
                     await other.until("action('set:F_s_Nm') && action('set:F_s_Nm').disabled")
                     await other.evaluate(moved("set:F_s_Nm", 3.3))
-                    await other.until("one('said').textContent.includes('this page looks on')")
+                    await other.until("one('said').textContent.includes('this page is viewing')")
                     await other.press("5", 53)
-                    await other.until("one('said').textContent.startsWith('mark 5: this page looks on')")
+                    await other.until("one('said').textContent.startsWith('mark 5: this page is viewing')")
                 assert (door.marks, len(door.orders)) == (["3"], orders)
                 assert browser.errors == []
             ticking.cancel()

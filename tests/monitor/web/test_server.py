@@ -217,7 +217,7 @@ def test_only_the_page_that_controls_changes_parameters_and_marks():
         async with served(shown) as url:
             first, second = await socket_of(url), await socket_of(url)
             for k, message in enumerate((order, 'set {"undo": true}', "mark 5")):
-                assert "this page looks on; take control first" in await answer_of(shown, second, message, k + 1)
+                assert "this page is viewing; take control first" in await answer_of(shown, second, message, k + 1)
                 head, _ = unpacked(await first.read_message())
                 assert head["answer"] == ""
                 await first.write_message(f"took {head['n']}")
