@@ -1,1 +1,1 @@
-"""What the compiled functions rest on: the decorator and its cache, system calls for kernels."""
+"""Foundation of the compiled functions: the decorator, its cache, and system calls for kernels."""

@@ -1,4 +1,4 @@
-"""Who is told that something is compiled: asked for before anything is imported that takes long."""
+"""Callbacks for the first compilation. Imports nothing, so that it can be registered early."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _waiting: list[Callable[[], None]] = []
 
 
 def on_compiling(tell: Callable[[], None]) -> None:
-    """Call `tell`, once, when a kernel is compiled that is not in the cache."""
+    """Call `tell` once, when a kernel is compiled that is not in the cache."""
     _waiting.append(tell)
 
 
 def compiling() -> None:
-    """A kernel is compiled now: tell those who wait for it."""
+    """Run the registered callbacks: a kernel is being compiled."""
     while _waiting:
         _waiting.pop(0)()

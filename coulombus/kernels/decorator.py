@@ -1,23 +1,24 @@
-"""The one way this project compiles a function, and where the machine code is kept.
+"""The only decorators that compile functions in this project, and the cache for their machine code.
 
-It is numba's own way, by its public interface: ``numba.njit`` with ``cache=True``. What is kept of
-a kernel stands in a folder of ours, which `kernels.kernel_cache` chooses by the sources of all
-kernels (`kernels.sources`): numba's cache looks at the file of the function that it compiles, not
-at those of its callees.
+They use numba's public interface: ``numba.njit`` with ``cache=True``. The cache is in a folder of
+this project, which `kernels.kernel_cache` chooses by the sources of all kernels
+(`kernels.sources`): numba's cache checks the file of the function that it compiles, not those of
+its callees.
 
-Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (ours are
-sub-directories of it all the same); ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
+Import this module before `numba`. A user's ``NUMBA_CACHE_DIR`` takes precedence (as the parent of
+this project's folders); ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
 
-Kernels take records: a record is one pointer, and an array in a record costs nothing to pass. What
-has no fixed size (a log, a row of devices) comes as an array in a named tuple, which only Python's
-rare calls pack. A law's function stands beside the tuples: in a tuple numba would type it as a value
-that the disk cache cannot keep.
+Kernels take records: a record is one pointer, and an array in a record costs nothing to pass. Data
+without a fixed size (a log, a row of devices) is an array in a named tuple, which only Python's
+rare calls pack. A law's function is an argument of its own: in a tuple numba would type it as a
+value that the disk cache cannot keep.
 
 Numba compiles a function anew for each literal with which another kernel calls it, because the
-literal 2 is a type of its own. Where that would compile much twice, the number is a `constant`.
+literal 2 has its own type. Where that would compile a large function twice, the number is a
+`constant`.
 
-A call that passes arrays is not free: an array is a structure of seven words, and its reference is
-counted atomically on the way in and out. `inlined` makes a kernel part of its caller;
+A call that passes arrays has a cost: an array is a structure of seven words, and its reference
+count changes atomically on entry and exit. `inlined` makes a kernel part of its caller;
 `kernels.numba_inside.borrowed` returns arrays whose references are not counted.
 """
 
@@ -37,7 +38,7 @@ __all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "cacheable", "constant", "inlin
 
 @contextmanager
 def _without(module: str) -> Iterator[None]:
-    """Let `module` be absent while another one is imported; one that is loaded stays."""
+    """Hide `module` while another module is imported; a loaded module stays."""
     if module in sys.modules:
         yield
         return
@@ -51,10 +52,10 @@ def _without(module: str) -> Iterator[None]:
 F = TypeVar("F", bound=Callable[..., Any])
 
 CACHE_DIR = choose(source_key())
-"""Where the machine code is kept; None where no place can be written."""
+"""Folder of the machine code; None if no place is writable."""
 
-with _without("coverage"):  # numba would load it to ask whether it measures, and a start would wait for it
-    import numba  # only now does numba read NUMBA_CACHE_DIR
+with _without("coverage"):  # numba would import it to see whether it measures, which delays the start
+    import numba  # numba reads NUMBA_CACHE_DIR only now
 import numpy as np  # noqa: E402
 
 numba.config.CACHE_DIR = str(CACHE_DIR or "")
@@ -66,13 +67,13 @@ numba_inside.listen()
 
 
 def constant(value: int) -> int:
-    """Return a number that kernels pass on as an int64, as they do with a variable."""
+    """Return a number that kernels pass on as an int64, like a variable."""
     return value if JIT_DISABLED else np.int64(value)  # type: ignore[return-value]
 
 
 def cacheable(function: Callable[..., Any]) -> bool:
-    """Tell whether the machine code of `function` can be kept: it stands in a file, and there is a
-    place.
+    """Tell whether the machine code of `function` can be cached: it is defined in a file, and there is a
+    cache folder.
     """
     return CACHE_DIR is not None and os.path.isfile(function.__code__.co_filename)
 
@@ -104,15 +105,15 @@ def _name(function: Callable[..., Any]) -> str:
 
 
 def is_kept(function: Callable[..., Any]) -> bool:
-    """Tell whether nothing is to be compiled for the entry `function`, or nothing can be kept."""
+    """Tell whether the entry `function` needs no compilation now, or cannot be cached."""
     return JIT_DISABLED or CACHE_DIR is None or kept(CACHE_DIR, _name(function))
 
 
 class Entry:
     """A kernel that Python calls often, always with arguments of the same types.
 
-    The dispatcher looks at the type of each argument at each call, which is slow for arrays of
-    records; after the first call this goes past it.
+    Numba's dispatcher examines the type of each argument at each call, which is slow for arrays of
+    records; after the first call an entry bypasses the dispatcher.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -120,10 +121,10 @@ class Entry:
         self._entry: Callable[..., Any] | None = function if JIT_DISABLED else None
 
     def load(self, *arguments: Any) -> Callable[..., Any]:
-        """Compile the kernel for arguments like these, or load it out of the cache.
+        """Compile the kernel for arguments like these, or load it from the cache.
 
-        It is not called. Return what is called then. Of several processes that need what nobody has
-        kept yet, one compiles it.
+        Return the compiled function without calling it. If several processes need a kernel that is not
+        in the cache, only one of them compiles it.
         """
         if self._entry is None:
             dispatcher: Any = self._function

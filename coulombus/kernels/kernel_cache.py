@@ -1,17 +1,20 @@
-"""Where the machine code of the kernels is kept: a directory for each state of the sources, and
-which of them are removed.
+"""Cache directories of the kernels' machine code: one for each state of the sources, and the removal
+of old ones.
 
 ::
 
-    BASE/coulombus/kernels-0123456789abcdef/coulombus-kernels      the marker: who made it, locked as long as a process uses it
-    BASE/coulombus/kernels-0123456789abcdef/entries                what is compiled whole; locked by who compiles
-    BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     what numba keeps
+    BASE/coulombus/kernels-0123456789abcdef/coulombus-kernels      the marker: names its directory,
+    locked as long as a process uses it
+    BASE/coulombus/kernels-0123456789abcdef/entries                entries fully compiled; locked by
+    the compiling process
+    BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     numba's cache files
 
-BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run:
-a directory that another user may enter is refused, so is one above it in which another user could
-exchange it, and the next place is taken (`coulombus.system.private_folder`). Nothing is removed that was not made here: the name has
-our form, the marker stands in it and says the same name, no process uses it, and of its content
-only the marker and files with numba's endings go. No link is followed.
+BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. The cached code is
+executed: a directory that another user may enter is refused, and so is a parent directory in which
+another user could exchange it; then the next place is used (`coulombus.system.private_folder`).
+Only directories of this module are removed: the name has its form, the marker in it states the same
+name, and no process uses it. Of its content only the marker and files with numba's suffixes are
+removed. No link is followed.
 """
 
 from __future__ import annotations
@@ -38,26 +41,26 @@ OURS = "coulombus"
 MARKER = "coulombus-kernels"
 ENTRIES = "entries"
 KEPT = 4
-"""Directories that stay, the newest ones; one that a process uses stays in any case."""
+"""Number of newest directories that are kept; a directory in use is never removed."""
 
 _NAME = re.compile(r"kernels-[0-9a-f]{16}")
 _FILES = re.compile(rf".+\.(nbi|nbc)(\.tmp\.[0-9a-f]+)?|{ENTRIES}")
 _TRIES = 8
-_locks: list[int] = []  # descriptors of the markers that this process holds
+_locks: list[int] = []  # descriptors of the markers that this process has locked
 
 
 def say(text: str) -> None:
-    """Tell a line on stderr, where there is one."""
+    """Print a line on stderr, if there is one."""
     with suppress(OSError, ValueError, AttributeError):
         sys.stderr.write(f"coulombus: {text}\n")
         sys.stderr.flush()
 
 
 def choose(key: str) -> Path | None:
-    """Return the directory for the sources whose hash is `key`, made and marked as used; None where
-    no place can be written.
+    """Return the directory for the sources whose hash is `key`, created and marked as used; None if no
+    place is writable.
 
-    The variable ``NUMBA_CACHE_DIR`` is set to it, so that a child process takes the same.
+    The variable ``NUMBA_CACHE_DIR`` is set to it, so that a child process uses the same directory.
     """
     name = f"kernels-{key}"
     inherited = _inherited(name)
@@ -83,23 +86,23 @@ def kept(directory: Path | None, name: str) -> bool:
 
 @contextmanager
 def alone(directory: Path | None, name: str) -> Iterator[None]:
-    """Compile, or load, the entry `name` within this: as long as nobody has done so, one process
-    goes on at a time, and the others wait for what it keeps.
+    """Compile, or load, the entry `name` in this context: until it is cached, one process compiles at a
+    time, and the others wait for its result.
 
-    So no two processes keep the same kernel for different types of arguments at the same time:
-    numba would name both files alike.
+    So no two processes cache the same kernel for different types of arguments at the same time:
+    numba would give both files the same name.
     """
     if directory is None or kept(directory, name):
         yield
         return
     lock = None
-    with suppress(OSError):  # there is no room, or a file system without locks
+    with suppress(OSError):  # no space left, or a file system without locks
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         lock = os.open(directory / ENTRIES, flags, 0o600)
         try:
             lock_file(lock)
         except BlockingIOError:
-            compiling()  # another process does
+            compiling()  # another process compiles
             lock_file(lock, wait=True)
     try:
         yield
@@ -116,12 +119,12 @@ def _base() -> Path:
     if named:
         path = Path(named).absolute()
         ours = _NAME.fullmatch(path.name) and path.parent.name == OURS
-        return path.parent.parent if ours else path  # what a parent with other sources chose
+        return path.parent.parent if ours else path  # the choice of a parent with other sources
     return Path(os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")).absolute()
 
 
 def _inherited(name: str) -> Path | None:
-    """Return the directory that a parent of the same sources chose."""
+    """Return the directory that a parent with the same sources chose."""
     named = Path(os.environ.get("NUMBA_CACHE_DIR") or "/")
     if named.name != name or named.parent.name != OURS or not _usable(named):
         return None
@@ -129,21 +132,21 @@ def _inherited(name: str) -> Path | None:
 
 
 def _places() -> Iterator[Path]:
-    """Yield the directories in which ours may stand, the wished one first."""
+    """Yield the possible parent directories of the cache, the preferred one first."""
     base = _base()
     yield base / OURS
     try:
         mine = Path(tempfile.gettempdir()) / f"coulombus-{os.getuid()}"
     except OSError:  # there is no place for temporary files
         return
-    with suppress(OSError):  # no folder can be made
+    with suppress(OSError):  # no folder can be created
         make_private(mine)
-        why = reason_against(mine)  # in a folder that all may write to, anybody can make it, or place a link
+        why = reason_against(mine)  # in a world-writable folder anybody can create it, or place a link
         if why:
             say(f"refused for compiled code: {why}")
         else:
             yield mine / OURS
-    with suppress(OSError):  # something else is there
+    with suppress(OSError):  # another file has this name
         lost = Path(tempfile.mkdtemp(prefix="coulombus-"))
         _remove_at_exit(lost)
         say(f"compiled code cannot be kept in {base}, so every start compiles; name a directory by NUMBA_CACHE_DIR")
@@ -151,7 +154,7 @@ def _places() -> Iterator[Path]:
 
 
 def _own(path: Path) -> bool:
-    """Tell whether it is a directory of this user, and no link."""
+    """Tell whether `path` is a directory of this user, and no link."""
     with suppress(OSError):
         status = path.lstat()
         return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
@@ -159,7 +162,7 @@ def _own(path: Path) -> bool:
 
 
 def _reason_against(directory: Path) -> str:
-    """Return why what is kept in `directory` may come from another user; "" where it cannot."""
+    """Return why the content of `directory` may come from another user; "" if it cannot."""
     ours, base = directory.parent, directory.parent.parent
     return reason_against(directory) or reason_against_above(ours) or reason_against_above(base)
 
@@ -179,7 +182,7 @@ def _remove_at_exit(path: Path) -> None:
 
 
 def _usable(directory: Path) -> bool:
-    """Make the directory and its marker, hold the marker's lock.
+    """Create the directory and its marker, and lock the marker.
 
     Tell whether all that, and writing, works.
     """
@@ -193,7 +196,7 @@ def _usable(directory: Path) -> bool:
             lock = _marker(directory, create=True)
             if lock is None:
                 return False
-            with suppress(OSError):  # a file system without locks: there nothing is ever removed
+            with suppress(OSError):  # a file system without locks: nothing is ever removed there
                 lock_file(lock, shared=True, wait=True)
             if not _stands(directory, lock):
                 os.close(lock)
@@ -209,9 +212,9 @@ def _usable(directory: Path) -> bool:
 
 
 def _marker(directory: Path, *, create: bool = False) -> int | None:
-    """Open the marker; None where it is not ours.
+    """Open the marker; None if the directory is not from this module.
 
-    It tells the directory's name, so that a copied one counts for nothing.
+    The marker states the directory's name, so that a copied directory is not accepted.
     """
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_CREAT if create else 0)
     name = f"{directory.name}\n".encode()
@@ -227,14 +230,14 @@ def _marker(directory: Path, *, create: bool = False) -> int | None:
 
 
 def _stands(directory: Path, lock: int) -> bool:
-    """Tell whether the open marker is still the one of the directory."""
+    """Tell whether the open marker still belongs to the directory."""
     with suppress(OSError):
         return os.path.samestat(os.fstat(lock), os.lstat(directory / MARKER))
     return False
 
 
 def _tidy(directory: Path) -> None:
-    """Remove the oldest directories of ours beside `directory`, but `KEPT`."""
+    """Remove the oldest directories of this module next to `directory`, except `KEPT`."""
     with suppress(OSError):
         if directory.parent.is_symlink():
             return
@@ -244,7 +247,7 @@ def _tidy(directory: Path) -> None:
 
 
 def _others(directory: Path) -> list[Path]:
-    """Return the directories of this user's other states of the sources, the last used first."""
+    """Return this user's directories of other source states, the last used first."""
     if not (_NAME.fullmatch(directory.name) and directory.parent.name == OURS):
         return []
     try:
@@ -259,11 +262,11 @@ def _used_ns(directory: Path) -> int:
     try:
         return (directory / MARKER).lstat().st_mtime_ns
     except OSError:
-        return 0  # no marker: none of ours
+        return 0  # no marker: not from this module
 
 
 def damaged(error: BaseException | None) -> bool:
-    """Tell whether an error comes from reading what numba has kept: a power cut has cut it short."""
+    """Tell whether an error comes from reading numba's cache: a power cut has truncated a file."""
     while error is not None:
         frames = traceback.extract_tb(error.__traceback__)
         if any(Path(frame.filename).parts[-3:] == ("numba", "core", "caching.py") for frame in frames):
@@ -273,7 +276,7 @@ def damaged(error: BaseException | None) -> bool:
 
 
 def empty(directory: Path) -> None:
-    """Remove what is kept in a directory of ours; what was not made here stays."""
+    """Remove the cached files of a directory of this module; other files stay."""
     for _, folders, files, at in os.fwalk(directory, topdown=False, follow_symlinks=False):
         for name in filter(_FILES.fullmatch, files):
             os.unlink(name, dir_fd=at)
@@ -283,9 +286,9 @@ def empty(directory: Path) -> None:
 
 
 def _remove(directory: Path) -> None:
-    """Remove a directory of ours that no process uses.
+    """Remove a directory of this module that no process uses.
 
-    What is not ours in it stays, and then the directory with it.
+    Foreign files in it stay, and then the directory stays, too.
     """
     lock = _marker(directory)
     if lock is None:

@@ -1,12 +1,11 @@
 """System calls for kernels, and flags that a kernel shares with Python.
 
-The C library is reached by the names of its symbols (numba's ``ExternalFunction``), which the disk
-cache keeps; pointers of ctypes and cffi would not be cached. A missing symbol would be a crash at
-the first call, so the names are checked on import. Addresses are plain integers
-(``array.ctypes.data``). All results are int64; -1 means: ask `errno`.
+Kernels call the C library by symbol names (numba's ``ExternalFunction``), which the disk cache
+keeps; it would not keep pointers of ctypes and cffi. A missing symbol would crash at the first
+call, so the names are checked on import. Addresses are plain integers (``array.ctypes.data``). All
+results are int64; -1 means: see `errno`.
 
-With NUMBA_DISABLE_JIT=1 the same names are ctypes calls, so that kernels which use them run as
-plain Python too.
+With NUMBA_DISABLE_JIT=1 the same names are ctypes calls, so that kernels also run as plain Python.
 
 `load_acquire` and `store_release` work on an int64 at an address: an ordinary read of a flag would
 be hoisted out of the loop.
@@ -92,11 +91,11 @@ if JIT_DISABLED:
         _c[_name].restype = ctypes.c_int
 
     def load_acquire(address: int) -> int:
-        """Read the int64 at `address` now; what its writer wrote before it is seen."""
+        """Read the int64 at `address` with acquire order: earlier writes of its writer are visible, too."""
         return ctypes.c_int64.from_address(address).value
 
     def store_release(address: int, value: int) -> None:
-        """Write the int64 at `address`; what was written before it is seen with it."""
+        """Write the int64 at `address` with release order: earlier writes become visible with it."""
         ctypes.c_int64.from_address(address).value = value
 
     def errno() -> int:
@@ -104,7 +103,7 @@ if JIT_DISABLED:
         return ctypes.get_errno()
 
     def getppid() -> int:
-        """Return the id of this process' parent: it changes when the parent ends."""
+        """Return the id of this process's parent; it changes when the parent ends."""
         return os.getppid()
 
     def clock_ns(clock: int) -> int:
@@ -116,16 +115,16 @@ if JIT_DISABLED:
         return time.monotonic_ns()
 
     def sleep_until(t_ns: int) -> int:
-        """Sleep to CLOCK_MONOTONIC = `t_ns`.
+        """Sleep until CLOCK_MONOTONIC = `t_ns`.
 
-        Return 0, or the error number (EINTR: a signal came).
+        Return 0, or the error number (EINTR: interrupted by a signal).
         """
         spec = (ctypes.c_int64 * 2)(t_ns // SECOND_NS, t_ns % SECOND_NS)
         return int(_c["clock_nanosleep"](CLOCK_MONOTONIC, TIMER_ABSTIME, spec, None))
 
     def ppoll_ns(address: int, count: int, timeout_ns: int) -> int:
-        """Wait for the `count` struct pollfd at `address`, at most `timeout_ns` (negative: for
-        ever); return how many are ready.
+        """Wait for the `count` struct pollfd at `address`, at most `timeout_ns` (negative: for ever); return
+        the number of ready descriptors.
         """
         spec = (ctypes.c_int64 * 2)(timeout_ns // SECOND_NS, timeout_ns % SECOND_NS) if timeout_ns >= 0 else None
         return int(_c["ppoll"](ctypes.c_void_p(int(address)), ctypes.c_ulong(int(count)), spec, None))
@@ -167,14 +166,14 @@ else:
     _NULL = ir.Constant(_I64, 0)
 
     def _call(builder: Any, name: str, result: Any, arguments: list[Any]) -> Any:
-        """Call the symbol `name`; its result as an int64."""
+        """Call the symbol `name`; return its result as an int64."""
         shape = ir.FunctionType(result, [a.type for a in arguments])
         known = builder.module.globals.get(name)
         value = builder.call(known or ir.Function(builder.module, shape, name), arguments)
         return value if result == _I64 else builder.sext(value, _I64)
 
     def _room(builder: Any) -> Any:
-        """Return the address of a struct timespec on the stack, which a loop does not ask for again."""
+        """Return the address of a struct timespec on the stack, allocated once even if called in a loop."""
         with builder.goto_entry_block():
             return builder.alloca(ir.ArrayType(_I64, 2))
 
@@ -195,8 +194,8 @@ else:
         return builder.add(builder.mul(seconds, ir.Constant(_I64, SECOND_NS)), rest)
 
     def _system_call(name: str, result: Any, widths: tuple[Any, ...], text: str) -> Any:
-        """Return an intrinsic that takes int64 arguments and calls the symbol `name` with integers
-        of these widths.
+        """Return an intrinsic that takes int64 arguments and calls the symbol `name` with integers of these
+        widths.
         """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -219,7 +218,7 @@ else:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def load_acquire(typingctx: Any, address: Any) -> Any:
-        """Read the int64 at `address` now; what its writer wrote before it is seen."""
+        """Read the int64 at `address` with acquire order: earlier writes of its writer are visible, too."""
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             return builder.load_atomic(builder.inttoptr(args[0], _I64.as_pointer()), "acquire", 8)
@@ -228,7 +227,7 @@ else:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def store_release(typingctx: Any, address: Any, value: Any) -> Any:
-        """Write the int64 at `address`; what was written before it is seen with it."""
+        """Write the int64 at `address` with release order: earlier writes become visible with it."""
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             builder.store_atomic(args[1], builder.inttoptr(args[0], _I64.as_pointer()), "release", 8)
@@ -248,7 +247,7 @@ else:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def getppid(typingctx: Any) -> Any:
-        """Return the id of this process' parent: it changes when the parent ends."""
+        """Return the id of this process's parent; it changes when the parent ends."""
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             return _call(builder, "getppid", _I32, [])
@@ -275,9 +274,9 @@ else:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def sleep_until(typingctx: Any, t_ns: Any) -> Any:
-        """Sleep to CLOCK_MONOTONIC = `t_ns`.
+        """Sleep until CLOCK_MONOTONIC = `t_ns`.
 
-        Return 0, or the error number (EINTR: a signal came).
+        Return 0, or the error number (EINTR: interrupted by a signal).
         """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -288,8 +287,8 @@ else:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def ppoll_ns(typingctx: Any, address: Any, count: Any, timeout_ns: Any) -> Any:
-        """Wait for the `count` struct pollfd at `address`, at most `timeout_ns` (negative: for
-        ever); return how many are ready.
+        """Wait for the `count` struct pollfd at `address`, at most `timeout_ns` (negative: for ever); return
+        the number of ready descriptors.
         """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:

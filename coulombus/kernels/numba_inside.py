@@ -1,11 +1,11 @@
-"""The one file that uses what stands inside numba, `numba.core`, beyond its public interface.
+"""The only module that uses numba's internals (`numba.core`).
 
-`borrowed` has no public counterpart: without it each call that passes arrays counts their references,
-atomically. `listen` uses numba's event listeners, which its
-manual describes, and which stand in `numba.core`.
+`borrowed` has no public counterpart: without it each call that passes arrays changes their
+reference counts, atomically. `listen` uses numba's event listeners, which its manual describes, but
+which are part of `numba.core`.
 
-LLVM calls back into Python; an exception of a signal's handler that is raised there is printed and
-lost. While a kernel is compiled such an exception is kept, and raised behind it.
+LLVM calls back into Python; an exception that a signal's handler raises there is printed and lost.
+So such an exception is stored during the compilation of a kernel, and raised after it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["Compilations", "borrowed", "listen"]
 if numba.config.DISABLE_JIT:
 
     def borrowed(arrays: Any) -> Any:
-        """Return the arrays as they are."""
+        """Return the arrays unchanged."""
         return arrays
 
 else:
@@ -38,7 +38,7 @@ else:
     def borrowed(typingctx: Any, arrays: Any) -> Any:
         """Return the same array, or named tuple of arrays, without counting references.
 
-        The caller's own keep them alive.
+        The caller's own references keep them alive.
         """
 
         def without_count(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -62,8 +62,8 @@ else:
 
 
 class Compilations(event.Listener):  # type: ignore[misc]
-    """Tells of the first of them, and keeps what a signal's handler raised where nobody could catch
-    it.
+    """Reports the first compilation, and stores exceptions that a signal's handler raised during a
+    compilation, where nothing could catch them.
     """
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class Compilations(event.Listener):  # type: ignore[misc]
             self._before(unraisable)
 
     def on_start(self, event: Any) -> None:
-        """A compilation begins, maybe within another one."""
+        """A compilation begins, perhaps nested in another."""
         compiling()
         if threading.current_thread() is not threading.main_thread():
             return  # handlers run in the main thread only
@@ -88,7 +88,7 @@ class Compilations(event.Listener):  # type: ignore[misc]
         self._depth += 1
 
     def on_end(self, event: Any) -> None:
-        """It is over: raise what was kept."""
+        """A compilation ends: raise the stored exception."""
         if threading.current_thread() is not threading.main_thread():
             return
         self._depth -= 1

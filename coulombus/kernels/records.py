@@ -1,6 +1,6 @@
-"""Records, as kernels take them: declared once, as a class with typed fields.
+"""Records for kernels, declared once as a class with typed fields.
 
-The class is what mypy knows of a record; `dtype_of` makes of it what NumPy and Numba know::
+mypy checks the class; `dtype_of` converts it to the dtype for NumPy and Numba::
 
     class Frame(Record):
         t_ns: int  # end of frame
@@ -11,9 +11,9 @@ The class is what mypy knows of a record; `dtype_of` makes of it what NumPy and 
 
 A field is ``int`` (int64), ``float`` (float64), another record, or an array of such, with its
 length: ``Annotated[IntegerField, 8]``, ``Annotated[FloatField, (2, 3)]``,
-``Annotated[RecordArray[Frame], 4]``. Another number type stands there, too:
-``Annotated[IntegerField, 8, np.int16]``. A base class has the
-first fields. What follows a field as a comment is its description.
+``Annotated[RecordArray[Frame], 4]``. Another number type follows the length:
+``Annotated[IntegerField, 8, np.int16]``. The fields of a base class come first. The comment after a
+field is its description.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ __all__ = [
 ]
 
 Records: TypeAlias = npt.NDArray[Any]
-"""An array of records (a structured dtype) of whatever type."""
+"""An array of records (a structured dtype) of any type."""
 Integers: TypeAlias = npt.NDArray[np.integer[Any]]
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 
 class Record:
-    """One record: an element of an array of records, a view of it. NumPy makes it, and nobody else."""
+    """One record: an element of an array of records, a view of it. Only NumPy creates it."""
 
     if TYPE_CHECKING:
 
@@ -130,7 +130,7 @@ _DTYPES: dict[type[Record], np.dtype[Any]] = {}
 
 
 def dtype_of(record: type[Record]) -> np.dtype[Any]:
-    """Return the structured dtype of the records that `record` declares, aligned as C does it."""
+    """Return the structured dtype of the records that `record` declares, aligned as in C."""
     if record not in _DTYPES:
         hints = get_type_hints(record, include_extras=True)
         if taken := set(hints) & set(dir(np.record)):
@@ -140,7 +140,7 @@ def dtype_of(record: type[Record]) -> np.dtype[Any]:
 
 
 def _format(hint: Any) -> tuple[Any, ...]:
-    """Return type, and shape of an array, of a field that is declared as `hint`."""
+    """Return the type, and for an array the shape, of a field that is declared as `hint`."""
     if get_origin(hint) is not Annotated:
         return (_scalar(hint),)
     kind, shape, *others = get_args(hint)
@@ -157,23 +157,21 @@ def _scalar(hint: Any) -> Any:
 
 
 def new_records(record: type[R], count: int = 1) -> RecordArray[R]:
-    """Return `count` records, all zero, whose fields are attributes in
-    compiled and in plain Python.
-    """
+    """Return `count` records, all zero, whose fields are attributes in compiled and in plain Python."""
     records: Any = np.zeros(count, dtype_of(record)).view(np.recarray)
     return cast("RecordArray[R]", records)
 
 
 def _opaque(records: Records) -> Records:
-    """Return the same records without their fields: numpy would copy those field by field."""
+    """Return the same records as opaque bytes: numpy would copy named fields one by one."""
     return records.view(np.ndarray).view(np.dtype((np.void, records.dtype.itemsize)))
 
 
 def copied(records: A) -> A:
-    """Return a copy of an array of records, which is of the same class."""
+    """Return a copy of an array of records, of the same class."""
     return cast("A", _opaque(records).copy().view(records.dtype).view(type(records)))
 
 
 def overwrite(records: Records, others: Records) -> None:
-    """Let an array of records have the values of another one of the same type and length."""
+    """Overwrite an array of records with the values of another array of the same type and length."""
     _opaque(records)[:] = _opaque(others)

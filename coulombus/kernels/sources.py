@@ -1,8 +1,8 @@
-"""By which state of the sources the kernels are kept.
+"""Hash of the sources, by which the kernels are cached.
 
-Numba's disk cache looks at the file of the function that it compiles, not at the files of the
-functions which that one calls: an edited callee would be served stale. So what is kept stands in a
-folder that is named by the hash of all sources which may hold a kernel, or feed one.
+Numba's disk cache checks the file of the function that it compiles, not the files of its callees:
+after a change of a callee the cache would be stale. So the cache folder is named by the hash of all
+sources that may hold a kernel, or feed one.
 """
 
 from __future__ import annotations
@@ -33,9 +33,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def source_key(root: Path = ROOT) -> str:
-    """Hash of all Python sources under `root` that may hold or feed a kernel, and of what machine
-    code depends on and numba does not look at: the versions, and Python's ``-O``, which leaves out
-    assertions.
+    """Hash of all Python sources under `root` that may hold or feed a kernel, and of the other inputs of
+    the machine code that numba ignores: the versions, and Python's ``-O``, which removes assertions.
     """
     versions = (sys.version, sys.flags.optimize, *map(version, ("numpy", "numba", "llvmlite")))
     digest = hashlib.sha256(repr(versions).encode())

@@ -1,1 +1,1 @@
-"""What the operating system gives: locks of files, folders of a user alone. It knows nothing of the rest."""
+"""Operating system services: file locks, private folders, signals, real-time settings. It imports nothing else of ours."""

@@ -1,4 +1,4 @@
-"""The C library, for the few calls that Python has not."""
+"""The C library, for the few calls that Python lacks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["NeedsLinux", "c_library"]
 
 
 class NeedsLinux(CoulombusError, ImportError):
-    """What only Linux has is asked for somewhere else."""
+    """A feature that only Linux has was requested on another system."""
 
     exit_status = 4
 
@@ -22,7 +22,7 @@ class NeedsLinux(CoulombusError, ImportError):
 def c_library() -> Any:
     """Return the C library, whose calls leave `ctypes.get_errno`; None where it has no name, as on Windows.
 
-    What a system lacks is no attribute of it: ``hasattr(c_library(), "prctl")`` is for Linux alone.
+    A function that a system lacks is no attribute of it: ``hasattr(c_library(), "prctl")`` is true on Linux alone.
     """
     try:
         return ctypes.CDLL(None, use_errno=True)

@@ -1,8 +1,7 @@
 """The base of all errors of this project.
 
-Each class has a text for people, and its exit status of the command line. Where a class also is
-an exception of Python, an ``except`` of that one catches it, too. `n`: each error has the status of
-the run that has ended.
+Each class has a text for people and an exit status for the command line. A class that also derives from a Python
+exception is caught by an ``except`` of that exception, too. `n`: each error has the status of the run that has ended.
 
 CoulombusError
 +-- AddressError                 2   wire.address                 ValueError
@@ -77,8 +76,8 @@ CoulombusError
 +-- WrongDevice                  3   conformance.runner
 +-- WrongStep                    2   lab.study.session
 
-What is caught where it is raised, or next to it, is none of them: `tests/system/test_errors.py` has
-the list, and holds the drawing against the classes.
+Exceptions that are caught where they are raised, or next to it, are not listed: `tests/system/test_errors.py` has their
+list, and compares the drawing with the classes.
 """
 
 from __future__ import annotations
@@ -87,12 +86,12 @@ __all__ = ["CoulombusError"]
 
 
 class CoulombusError(Exception):
-    """What this project refuses, or cannot do; the text says why, and what to do.
+    """An error that this project reports to its user; the text gives the problem and the remedy.
 
     Attributes
     ----------
     exit_status
-        That of a verb which the error ends (`coulombus.cli.exit_status`).
+        Exit status of a verb that the error ends (`coulombus.cli.exit_status`).
     """
 
     exit_status: int

@@ -1,6 +1,4 @@
-"""How a verb ends with its verdict: on stdout or stderr, and by an
-exit status that a closed or full one does not hide.
-"""
+"""Output and exit status of a verb: a closed or full stdout or stderr does not hide the status."""
 
 from __future__ import annotations
 
@@ -17,9 +15,7 @@ __all__ = ["abandon_stdout", "printed", "say", "show", "verdict"]
 
 
 def abandon_stdout() -> None:
-    """Let go of a stdout that takes nothing: the interpreter would
-    try it again at its end, and exit with 120.
-    """
+    """Redirect stdout to /dev/null, else the interpreter's final flush exits with 120."""
     with suppress(OSError, ValueError):
         null = os.open(os.devnull, os.O_WRONLY)
         try:
@@ -30,9 +26,7 @@ def abandon_stdout() -> None:
 
 @contextmanager
 def verdict(status: int, gist: str = "") -> Iterator[None]:
-    """End the verb with `status` behind what is printed inside, also
-    when nobody reads it; `gist` as in `printed`.
-    """
+    """End the verb with `status` after the output printed inside, even if nobody reads it; `gist` as in `printed`."""
     with printed(status, gist):
         yield
     sys.exit(status)
@@ -40,14 +34,14 @@ def verdict(status: int, gist: str = "") -> Iterator[None]:
 
 @contextmanager
 def printed(status: int = 0, gist: str = "") -> Iterator[None]:
-    """Print what is printed inside; what follows is done, whoever reads it.
+    """Print the output of the block; continue even if its reader has gone.
 
-    A reader that has gone (`head`), or a terminal that was closed, hides no
-    verdict `status`; nor does a full disk, but that makes an error of a 0.
+    The exit status `status` stays the same if the reader has gone (`head`), the terminal was closed
+    or the disk is full; but a full disk makes an error of a 0.
 
     Parameters
     ----------
-    gist : what is said on stderr of a result that cannot be printed
+    gist : text for stderr if the result cannot be printed
     """
     try:
         yield
@@ -63,8 +57,8 @@ def printed(status: int = 0, gist: str = "") -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Say something on stderr, without control characters (`system.foreign_text`), in a terminal
-    broken between words; one that is closed keeps nothing from its course.
+    """Print a text on stderr, without control characters (`system.foreign_text`); in a terminal,
+    wrapped between words. A closed stderr is ignored.
     """
     with suppress(OSError):
         print(folded(printable(text), sys.stderr), file=sys.stderr, flush=True)

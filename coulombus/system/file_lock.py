@@ -1,4 +1,4 @@
-"""A lock on an open file, which the system gives back when the file is closed or its process ends."""
+"""A lock on an open file; the system releases it when the file is closed or its process ends."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ __all__ = ["lock_file"]
 
 
 def lock_file(file: int | IO[Any], *, shared: bool = False, wait: bool = False) -> None:
-    """Lock an open file, or its descriptor, against everybody who asks in the same way.
+    """Lock an open file, or its descriptor, against other callers of this function.
 
-    Where the system has no flock(2), as Windows, nothing is locked.
+    Nothing is locked on a system without flock(2), such as Windows.
 
     Parameters
     ----------
-    shared : others may hold it too, as long as they all share it
-    wait : until it is free
+    shared : a shared lock: several processes may hold it
+    wait : block until the lock is free
 
     Raises
     ------
     BlockingIOError
-        another one holds it
+        another process holds it
     OSError
         the file system has no locks
     """

@@ -1,9 +1,8 @@
-"""Text of others - an EDS file's names, a rig's name, a device's strings - where people and programs
-read it.
+"""Foreign text (an EDS file's names, a rig's name, a device's strings) made safe for people and programs.
 
-A terminal obeys the control characters of C0 and C1: with OSC 52 a file would write to the
-clipboard. The bidirectional controls of Unicode show a text in another order than it has. Here
-these become visible; `\\t` and `\\n` stay.
+A terminal obeys the control characters of C0 and C1: with OSC 52 a file could write to the
+clipboard. The bidirectional controls of Unicode show a text in another order than it has. This
+module makes them visible; `\\t` and `\\n` stay.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ __all__ = ["first_control", "one_line", "printable"]
 
 _BIDI = "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"
 _CONTROL = re.compile(f"[\x00-\x08\x0b-\x1f\x7f-\x9f{_BIDI}\u2028\u2029\ud800-\udfff]")
-"""With the separators of lines and paragraphs, and what stands for an undecodable byte of a path."""
+"""Includes line and paragraph separators, and the surrogates that replace undecodable bytes of a path."""
 
 
 def printable(text: str) -> str:
@@ -23,14 +22,12 @@ def printable(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a `printable` text with a space for each row of white space, line ends among it."""
+    """Return a `printable` text in which each run of white space, line ends included, is a single space."""
     return printable(re.sub(r"[ \t\r\n]+", " ", text))
 
 
 def first_control(text: str) -> str:
-    """Return the first character that `printable` changes, a tab or a line end as it writes it; ""
-    where there is none.
-    """
+    """Return the first control character, tab or line end of a text, escaped as in `printable`; "" if there is none."""
     match = re.search(rf"[\t\n]|{_CONTROL.pattern}", text)
     return "" if match is None else _escaped(match)
 

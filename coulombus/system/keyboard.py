@@ -1,4 +1,4 @@
-"""The keys of the terminal while a verb runs, each as it is struck."""
+"""Keys of the terminal, read one by one while a verb runs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from coulombus.system.watch_thread import Lookout
 __all__ = ["Keys", "in_foreground"]
 
 FROM_BEHIND = {signal.SIGTTIN, signal.SIGTTOU}
-"""They would stop a process that has been sent to the background, as soon as it reads a key."""
+"""Signals that would stop a background process as soon as it reads a key."""
 
 
 def in_foreground() -> bool:
-    """Tell whether the standard input is a terminal whose keys are this process'."""
+    """Tell whether the standard input is a terminal of which this process is in the foreground."""
     try:
         return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except (OSError, ValueError):
@@ -30,10 +30,10 @@ def in_foreground() -> bool:
 
 
 class Keys:
-    """Watches the terminal in a thread, and calls ``struck(strokes)`` there; ``ended()`` when it
-    watches no more, be it by an error.
+    """Reads the terminal in a thread and calls ``struck(strokes)`` there; calls ``ended()`` when reading
+    ends, also after an error.
 
-    What was struck before is forgotten, or given to `earlier`.
+    Keys struck earlier are discarded, or given to `earlier`.
     """
 
     def __init__(
@@ -60,13 +60,13 @@ class Keys:
         self._lookout.end()
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)
         with suppress(termios.error):
-            termios.tcsetattr(self._fd, termios.TCSAFLUSH, self._mode)  # the repeats that wait are not for the shell
+            termios.tcsetattr(self._fd, termios.TCSAFLUSH, self._mode)  # discards pending key repeats
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
     def _watch(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)
         while self._lookout.ready([self._fd]) is not None:
-            strokes = os.read(self._fd, 64)  # OSError, or nothing: the terminal is gone, or another's
+            strokes = os.read(self._fd, 64)  # OSError or no bytes: the terminal is gone, or no longer ours
             if not strokes:
                 return
             self._call(strokes)

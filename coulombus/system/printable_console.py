@@ -1,4 +1,4 @@
-"""rich's console, which shows no control character of others' text (`system.foreign_text`)."""
+"""rich's console, without the control characters of foreign text (`system.foreign_text`)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["PrintableConsole"]
 
 
 class PrintableConsole(Console):
-    """Tables, live screens and progress bars are printed by this one alone."""
+    """The only console for tables, live screens and progress bars."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Make a text of a string: before it is measured, so that a table's columns fit."""
+        """Convert a string to a text before it is measured, so that a table's columns fit."""
         return super().render_str(printable(text), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Make segments of whatever is printed; rich's own controls are none of their texts."""
+        """Convert any renderable to segments; rich's own control segments stay."""
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment

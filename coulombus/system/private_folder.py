@@ -1,9 +1,8 @@
-"""Folders that nobody but their user may enter: for compiled code that is loaded, and for sockets
-that move a motor.
+"""Folders that only their user may enter: for compiled code that is loaded, and for sockets that move a motor.
 
-A folder is made with mode 0700, whatever the umask is. One that is there already is refused where
-another user could have written to it, or could exchange it. It imports nothing of this project:
-`coulombus.kernels` and `coulombus.wire`, which do not know each other, both use it.
+A folder is made with mode 0700, whatever the umask is. An existing folder is refused if another
+user could have written to it, or could exchange it. This module imports nothing of this project:
+`coulombus.kernels` and `coulombus.wire` both use it, and neither imports the other.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ PRIVATE = 0o700
 
 
 def make_private(folder: Path) -> None:
-    """Make a folder, and those above it that are missing, with mode 0700; leave what is there.
+    """Make a folder, and its missing parents, with mode 0700; leave existing folders as they are.
 
     Raises
     ------
     OSError
-        it cannot be made, or a file stands in its place
+        the folder cannot be made, or a file has its name
     """
     if folder.is_dir():
         return
@@ -33,7 +32,7 @@ def make_private(folder: Path) -> None:
         make_private(folder.parent)
     try:
         os.mkdir(folder, PRIVATE)
-    except FileExistsError:  # another process was quicker, or it is no folder
+    except FileExistsError:  # another process was faster, or the path is no folder
         if not folder.is_dir():
             raise
         return
@@ -42,17 +41,17 @@ def make_private(folder: Path) -> None:
 
 
 def reason_against(folder: Path) -> str:
-    """Return why a folder is not private, with what mends it; "" where it is private.
+    """Return why a folder is not private, with the remedy; "" if it is private.
 
-    It is private where it is a folder and no link, its owner is this user, and its mode gives
-    nothing to group and others.
+    A private folder is no link, its owner is this user, and its mode gives nothing to group and
+    others.
 
     Raises
     ------
     OSError
-        it cannot be looked at
+        the folder cannot be examined
     """
-    status = folder.lstat()  # not stat: in a folder that all may write to, anybody can place a link
+    status = folder.lstat()  # not stat: in a world-writable folder anybody can place a link
     if not stat.S_ISDIR(status.st_mode):
         return f"{folder} is no folder: remove it"
     if status.st_uid != os.geteuid():
@@ -64,16 +63,15 @@ def reason_against(folder: Path) -> str:
 
 
 def reason_against_above(folder: Path) -> str:
-    """Return why what is in `folder` could be exchanged by another user, with what mends it; ""
-    where it could not.
+    """Return why another user could exchange the content of `folder`, with the remedy; "" if nobody could.
 
-    The owner is this user or root, and nobody else writes to it, or each user only to what is his
-    (the sticky bit, as /tmp has it).
+    The content is safe if the owner is this user or root, and if nobody else may write to the folder,
+    or each user only to own files (the sticky bit, as on /tmp).
 
     Raises
     ------
     OSError
-        it cannot be looked at
+        the folder cannot be examined
     """
     status = folder.stat()
     if status.st_uid not in (0, os.geteuid()):

@@ -1,4 +1,4 @@
-r"""How text is written for another program: a function for each format, by that program's rules.
+r"""Quoting of text for other programs: one function per format, by that program's rules.
 
 ===================  ==============================================  =====================================
 function             read by                                         its rules
@@ -41,35 +41,35 @@ __all__ = [
 ]
 
 INTERFACE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,14}")
-"""The kernel takes 1 to 15 bytes without white space, '/' and ':'. Of these, what neither a shell
-nor systemd nor udev reads as anything but a name.
+"""The kernel takes 1 to 15 bytes without white space, '/' and ':'. This pattern admits the subset that
+shell, systemd and udev read as a plain name.
 """
 _PLAIN_WORD = re.compile(r"[A-Za-z0-9_@%+=:,./$-]+")
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def shell(word: str) -> str:
-    """Return a word as a shell reads it, whole."""
+    """Quote a text as one word of a shell."""
     return shlex.quote(word)
 
 
 def comment(text: str) -> str:
-    """Return a text as it stands behind a ``#``: on one line, without control characters."""
+    """Return a text for use after ``#``: on one line, without control characters."""
     return one_line(text)
 
 
 def extended_regex(text: str) -> str:
-    """Return a pattern that fits this text alone."""
+    """Return a pattern that matches this text alone."""
     return re.sub(r"[][\\.^$*+?(){}|]", r"\\\g<0>", text)
 
 
 def systemd_word(word: str) -> str:
-    """Return an argument of a command: quoted where need be, without specifiers and variables."""
+    """Return an argument of a command: quoted if necessary, with specifiers and variables escaped."""
     return systemd_program(word.replace("$", "$$"))
 
 
 def systemd_program(word: str) -> str:
-    """Return the command's program, in which systemd looks for specifiers, and for no variable."""
+    """Return the command's program: systemd expands specifiers in it, but no variables."""
     word = word.replace("%", "%%")
     if _PLAIN_WORD.fullmatch(word):
         return word
@@ -85,7 +85,7 @@ def _systemd_character(character: str) -> str:
 
 
 def unit_name(text: str) -> str:
-    """Return a text as it stands in the name of a unit, as ``systemd-escape`` writes it."""
+    """Return a text escaped for the name of a unit, as by ``systemd-escape``."""
 
     def escaped(match: re.Match[str]) -> str:
         return "".join(f"\\x{byte:02x}" for byte in os.fsencode(match[0]))
@@ -94,7 +94,7 @@ def unit_name(text: str) -> str:
 
 
 def interface_name(name: str) -> str:
-    """Return the name of a network interface as it is.
+    """Return the name of a network interface unchanged.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def interface_name(name: str) -> str:
 
 
 def lua(text: str) -> str:
-    r"""Return a Lua string; what is no plain character is written as ``\ddd``."""
+    r"""Return a Lua string; any special character is written as ``\ddd``."""
     plain = (chr(b) if 32 <= b < 127 and b not in b'"\\' else f"\\{b:03d}" for b in printable(text).encode())
     return '"' + "".join(plain) + '"'
 
@@ -118,10 +118,10 @@ def uat_cell(text: str) -> str:
 
 
 def xml(text: str) -> str:
-    """Return a text that XML can hold: ElementTree escapes the rest."""
+    """Return a text in which U+FFFD replaces the characters that XML forbids; ElementTree escapes the rest."""
     return _NOT_IN_XML.sub("\ufffd", printable(text))
 
 
 def dbc(text: str) -> str:
-    """Return a text as a string of a DBC file, whose backslash is read in more than one way."""
+    """Return a text as a string of a DBC file; programs differ in how they read a backslash there."""
     return one_line(text).replace('"', "'").replace("\\", "/")

@@ -1,4 +1,5 @@
-"""What a real-time thread asks the system for, and what it was granted.
+"""Real-time settings of a thread: requested from the system, with the result of each request.
+
 Nothing is required; each refusal names the command that would grant it.
 """
 
@@ -43,13 +44,13 @@ _library = c_library()
 
 @dataclass(frozen=True)
 class Right:
-    """One thing that was asked for."""
+    """One setting that was requested."""
 
     name: str
     granted: bool
     detail: str = ""
     remedy: str = ""
-    """The command that would grant it; empty when it was granted."""
+    """Command that would grant it; empty if it was granted."""
 
     def __str__(self) -> str:
         if self.granted:
@@ -59,13 +60,13 @@ class Right:
 
 @dataclass(frozen=True)
 class RealTime:
-    """Everything that was asked for."""
+    """All settings that were requested."""
 
     rights: tuple[Right, ...] = ()
 
     @property
     def refused(self) -> tuple[Right, ...]:
-        """What was not granted."""
+        """Settings that were not granted."""
         return tuple(right for right in self.rights if not right.granted)
 
     def as_dict(self) -> list[dict[str, Any]]:
@@ -88,8 +89,8 @@ def _ask(name: str, detail: str, remedy: str, request: Callable[[], None]) -> Ri
 
 
 def set_fifo(priority: int) -> Right:
-    """Schedule the calling thread by SCHED_FIFO; threads and
-    processes that it starts are not (SCHED_RESET_ON_FORK).
+    """Schedule the calling thread by SCHED_FIFO, but not the threads and processes that it starts
+    (SCHED_RESET_ON_FORK).
     """
 
     def request() -> None:
@@ -99,12 +100,12 @@ def set_fifo(priority: int) -> Right:
 
 
 def lock_memory() -> Right:
-    """Keep all of this process's memory, present and future, out of page faults (mlockall)."""
+    """Lock all present and future memory of this process into RAM (mlockall): no page faults."""
 
     def request() -> None:
         import resource
 
-        # under a limit the call may succeed now, and a later allocation fail: rather not at all
+        # under a limit the call may succeed now and a later allocation fail: do not lock at all
         if os.geteuid() != 0 and resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] != resource.RLIM_INFINITY:
             raise PermissionError(1, "the limit of locked memory (ulimit -l) is not unlimited")
         _checked(_library.mlockall(MCL_CURRENT | MCL_FUTURE))
@@ -118,7 +119,7 @@ def cpu_list(text: str) -> frozenset[int]:
     Raises
     ------
     ValueError
-        it is no such list
+        the text is not such a list
     """
     cpus: set[int] = set()
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -131,8 +132,8 @@ def cpu_list(text: str) -> frozenset[int]:
 
 
 def isolated_cpus(root: Path = Path("/")) -> frozenset[int]:
-    """Return the running CPUs that the kernel's command line keeps ordinary threads away from
-    (isolcpus); none where that is not told.
+    """Return the running CPUs that the kernel's command line keeps free of ordinary threads (isolcpus); none if
+    unknown.
     """
     folder = root / "sys/devices/system/cpu"
     try:
@@ -143,17 +144,17 @@ def isolated_cpus(root: Path = Path("/")) -> frozenset[int]:
 
 
 def usable_cpus(root: Path = Path("/")) -> frozenset[int]:
-    """Return the CPUs that a thread may be pinned to: those where this process may run, and the
-    isolated ones, which nobody has who does not ask.
+    """Return the CPUs that a thread may be pinned to: those on which this process may run, and the
+    isolated CPUs, which a thread uses only if pinned there.
     """
-    if not hasattr(os, "sched_getaffinity"):  # no Linux
+    if not hasattr(os, "sched_getaffinity"):  # not Linux
         return frozenset(range(os.cpu_count() or 1))
     allowed = frozenset(os.sched_getaffinity(0))
     return allowed | {cpu for cpu in isolated_cpus(root) - allowed if _may_have(cpu)}
 
 
 def _may_have(cpu: int) -> bool:
-    """Tell whether the calling thread may run on a CPU: a container's limits show only so."""
+    """Tell whether the calling thread may run on a CPU: only a trial shows a container's limits."""
     before = os.sched_getaffinity(0)
     try:
         os.sched_setaffinity(0, {cpu})
@@ -164,8 +165,8 @@ def _may_have(cpu: int) -> bool:
 
 
 def default_cpu(root: Path = Path("/")) -> int | None:
-    """Return the CPU for the cycle: the last isolated one, else the last one where this process may
-    run; None when it has only one.
+    """Return the CPU for the cycle: the last isolated CPU, else the last CPU on which this process may
+    run; None if it has only one.
     """
     usable = usable_cpus(root)
     isolated = usable & isolated_cpus(root)
@@ -174,17 +175,17 @@ def default_cpu(root: Path = Path("/")) -> int | None:
 
 def bus_cpu(root: Path = Path("/")) -> int | None:
     """Return the CPU for nodes on a virtual interface of Linux: the first that is not isolated, so
-    another one than the cycle's; None when there is only one.
+    never the cycle's; None if there is only one.
 
-    A virtual interface hands a frame on through a queue of the CPU that sends: frames that one
-    thread sends from two CPUs can overtake each other, and an SDO block is in order no more.
+    A virtual interface hands a frame on through a queue of the sending CPU: frames that one thread
+    sends from two CPUs can overtake each other, which breaks the order of an SDO block.
     """
     usable = usable_cpus(root)
     return min(usable - isolated_cpus(root) or usable) if len(usable) > 1 else None
 
 
 def pin(cpu: int) -> Right:
-    """Let the calling thread run on one CPU only."""
+    """Restrict the calling thread to one CPU."""
     return _ask(f"CPU {cpu}", "", f"a CPU of those allowed here: {_cpus()}", lambda: os.sched_setaffinity(0, {cpu}))
 
 
@@ -210,24 +211,24 @@ def hold_dma_latency() -> Right:
 
 
 def set_timer_slack() -> Right:
-    """Let the calling thread's sleeps end on time, not up to 50 us
-    later (matters for ordinary scheduling only).
+    """Set the timer slack of the calling thread to a minimum: sleeps end on time, not up to 50 us late
+    (matters for ordinary scheduling only).
     """
     remedy = "a kernel with PR_SET_TIMERSLACK"
     return _ask("timer slack", "1 ns", remedy, lambda: _checked(_library.prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)))
 
 
 def ask_for_real_time(priority: int | None, cpu: int | None = None) -> RealTime:
-    """Ask for everything on behalf of the calling thread.
+    """Request all real-time settings for the calling thread.
 
-    Call it when all is loaded and allocated: memory is locked, and
+    Call it when everything is loaded and allocated: memory is locked, and
     objects that live now are taken out of the garbage collector.
 
     Parameters
     ----------
     priority : of SCHED_FIFO, 1 to 99; None: ordinary scheduling, and
-        nothing but the timer slack is asked for
-    cpu : pin the thread there
+        only the timer slack is set
+    cpu : CPU to which the thread is pinned
     """
     rights = [set_timer_slack()]
     if cpu is not None:
@@ -239,14 +240,15 @@ def ask_for_real_time(priority: int | None, cpu: int | None = None) -> RealTime:
 
 
 def freeze_garbage() -> None:
-    """Collect garbage once; later collections leave out what lives now."""
+    """Collect garbage once; later collections leave out the objects that live now."""
     gc.collect()
     gc.freeze()
 
 
 def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
-    """Let the kernel send this process a signal when `parent`, its
-    parent's id, ends; if that has happened already, exit at once. Only Linux's does so.
+    """Let the kernel send this process a signal when `parent`, its parent's id, ends (Linux only).
+
+    If the parent has ended already, exit at once.
     """
     if hasattr(_library, "prctl"):
         _checked(_library.prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0))
@@ -255,6 +257,6 @@ def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
 
 
 def outlive_parent() -> None:
-    """Take `die_with_parent` back: this process sees for itself when its parent ends."""
+    """Undo `die_with_parent`: this process detects the end of its parent itself."""
     if hasattr(_library, "prctl"):
         _checked(_library.prctl(PR_SET_PDEATHSIG, 0, 0, 0, 0))

@@ -1,7 +1,7 @@
-"""What a service tells systemd (sd_notify): that it is ready, that it goes on, that it ends.
+"""sd_notify messages of a service to systemd: ready, watchdog, stopping.
 
-A message is one datagram to the socket that NOTIFY_SOCKET names. Nothing here raises or waits: who
-is not started by systemd tells nobody, and a message that finds no room is lost.
+A message is one datagram to the socket that NOTIFY_SOCKET names. Nothing here raises or blocks:
+without systemd nothing is sent, and a message that finds no room is lost.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from contextlib import suppress
 __all__ = ["Notifier"]
 
 SHARE = 4
-"""Signs of life within the time that the watchdog allows."""
+"""Watchdog messages within the watchdog's period."""
 
 
 class Notifier:
-    """The service manager's ear.
+    """sd_notify client.
 
-    Its variables are taken out of the environment: no child speaks for this process.
+    Its variables are removed from the environment, so that no child process notifies in its place.
 
     Parameters
     ----------
-    environment : where NOTIFY_SOCKET and WATCHDOG_USEC stand
+    environment : mapping that holds NOTIFY_SOCKET and WATCHDOG_USEC
     """
 
     def __init__(self, environment: MutableMapping[str, str] | None = None) -> None:
@@ -47,10 +47,10 @@ class Notifier:
             mouth.sendto(text.encode(), self._address)
 
     def alive(self, progress: object) -> None:
-        """Give a sign of life if `progress` is another than the last time, at most so often as
-        the watchdog needs it.
+        """Send a watchdog message if `progress` differs from the last call's, at most as often as the
+        watchdog needs it.
 
-        What stands still gives none, however often this is called.
+        Without progress no message is sent, however often this is called.
         """
         if self._period_s is None or progress == self._progress:
             return
@@ -62,7 +62,7 @@ class Notifier:
 
 
 def _period_s(environment: MutableMapping[str, str]) -> float | None:
-    """Return how often a sign of life is due, None where nobody waits for one."""
+    """Return the period of the watchdog messages; None if there is no watchdog."""
     text, pid = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", str(os.getpid()))
     if not text.isdecimal() or int(text) == 0 or pid != str(os.getpid()):
         return None

@@ -1,11 +1,11 @@
-"""The signals that end a verb, in one place: their handlers, and the exit status that they lead to.
+"""Signals that end a verb: their handlers and the exit statuses that they lead to.
 
-SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal was closed) and SIGQUIT (Ctrl-Backslash) ask for the
-same thing, an orderly end. Every verb takes all four: by an exception (`as_exceptions`, around each
-verb), or by a handler of its own while it drives something (`taken`, `StopSignals`, `Signals`).
+SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal was closed) and SIGQUIT (Ctrl-Backslash) all request
+an orderly end. Every verb handles all four: by an exception (`as_exceptions`, around each verb), or
+by its own handler while it drives something (`taken`, `StopSignals`, `Signals`).
 
-A shell starts its background jobs with SIGINT and SIGQUIT ignored; a handler
-takes them all the same. SIGHUP that is ignored stays so, as nohup(1) wants it.
+A shell starts its background jobs with SIGINT and SIGQUIT ignored; a handler is installed all the
+same. An ignored SIGHUP stays ignored, as nohup(1) requires.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ __all__ = [
 
 SIGNALS: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 AGAIN_S = 1.0
-"""A terminal that is closed sends SIGHUP by the shell and by the
-kernel: what comes so soon after the first one is the same wish.
+"""When a terminal is closed, both the shell and the kernel send SIGHUP: signals that follow
+the first one within this time count as the same request.
 """
 
 SOON_S = 1e-3
@@ -49,19 +49,20 @@ Handler: TypeAlias = Callable[[int, FrameType | None], None]
 
 
 def status_of(number: int) -> int:
-    """Return the exit status of a verb that a signal has ended, as a
-    shell counts it: 130 SIGINT, 143 SIGTERM, 129 SIGHUP, 131 SIGQUIT.
+    """Return the exit status of a verb that a signal has ended, by the shell's convention: 130 SIGINT,
+    143 SIGTERM, 129 SIGHUP, 131 SIGQUIT.
     """
     return 128 + number
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal of `SIGNALS` ends the verb; `number` tells which. As
-    KeyboardInterrupt it passes every ``except Exception`` on its way.
+    """A signal of `SIGNALS` ends the verb; `number` is the signal.
+
+    As a KeyboardInterrupt it passes every ``except Exception`` on its way.
 
     Parameters
     ----------
-    when : what was going on, as in "before the run had begun"
+    when : activity that was interrupted, as in "before the run had begun"
     """
 
     def __init__(self, number: int, when: str = "") -> None:
@@ -70,17 +71,15 @@ class Stopped(KeyboardInterrupt):
 
 
 def ignore() -> None:
-    """Let no signal of a person end this process, nor a reader that has gone: it ends with the
-    process that it looks after.
-    """
+    """Ignore the stop signals, and SIGPIPE: this process ends with the process that it supervises."""
     for number in (*SIGNALS, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def taken(handler: Handler) -> Iterator[None]:
-    """Let `handler` take all stop signals, also those that were
-    ignored at the start; only SIGHUP under nohup(1) stays ignored.
+    """Route all stop signals to `handler`, also those ignored at the start; only SIGHUP under nohup(1)
+    stays ignored.
     """
     before: dict[int, Any] = {}
     try:
@@ -94,13 +93,13 @@ def taken(handler: Handler) -> Iterator[None]:
 
 
 def told(number: int, when: str = "") -> str:
-    """Return how a verb tells that a signal has ended it."""
+    """Return the line that reports a verb's end by a signal."""
     return "interrupted" if number == signal.SIGINT and not when else f"ended by {Stopped(number, when)}"
 
 
 def end_at_once(number: int, when: str = "") -> NoReturn:
-    """End the process by a signal's status and one line, whatever it does: for a handler, while
-    there is nothing yet to clean up.
+    """End the process with a signal's status and one line: for a handler, while there is nothing to
+    clean up.
     """
     with suppress(OSError):
         os.write(2, f"coulombus: {told(number, when)}\n".encode())
@@ -108,8 +107,8 @@ def end_at_once(number: int, when: str = "") -> NoReturn:
 
 
 def at_once() -> None:
-    """Let each stop signal end the process at once, as long as nobody else takes it: an exception
-    in the midst of an import may be lost, or become another one.
+    """Let each stop signal end the process at once until another handler is installed: an exception
+    during an import may be lost or replaced.
     """
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -124,23 +123,22 @@ _raised = 0
 
 
 def raised() -> int:
-    """Return the signal that was raised last in this verb; 0: none, or nobody asks any more
-    (`forget`).
+    """Return the last signal raised in this verb; 0: none, or `forget` was called.
 
-    An exception that comes behind it may be what became of it: an import that it interrupts in C,
-    or a module that it left half made, fails in any way.
+    A later exception may be its consequence: an import that it interrupts in C code, or a module that
+    it leaves half initialised, can fail in any way.
     """
     return _raised
 
 
 def forget() -> None:
-    """Go on behind a signal: it was meant for something else than the verb."""
+    """Clear the signal that was raised: it was not meant to end the verb."""
     global _raised
     _raised = 0
 
 
 def _noted(number: int, when: str = "") -> KeyboardInterrupt:
-    """Return the exception of a signal that is raised now."""
+    """Record a signal and return its exception."""
     global _raised
     _raised = number
     return KeyboardInterrupt() if number == signal.SIGINT and not when else Stopped(number, when)
@@ -148,10 +146,10 @@ def _noted(number: int, when: str = "") -> KeyboardInterrupt:
 
 @contextmanager
 def as_exceptions() -> Iterator[None]:
-    """Let SIGTERM, SIGHUP and SIGQUIT raise `Stopped`, and SIGINT KeyboardInterrupt; in other
-    threads than the main one: nothing.
+    """Let SIGTERM, SIGHUP and SIGQUIT raise `Stopped`, and SIGINT KeyboardInterrupt; does nothing
+    outside the main thread.
 
-    Where Python cannot raise it, as in the call-back of a weak reference, it is raised soon
+    Where Python cannot raise the exception, as in the callback of a weak reference, it is raised soon
     afterwards.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -198,12 +196,12 @@ def as_exceptions() -> Iterator[None]:
 
 
 class _First:
-    """Takes the stop signals while it is entered, and remembers the first.
+    """Handles the stop signals while it is entered, and remembers the first.
 
     Attributes
     ----------
     number
-        The first signal that came; 0: none.
+        First signal that came; 0: none.
     """
 
     def __init__(self) -> None:
@@ -227,8 +225,8 @@ class _First:
 
 
 class Signals(_First):
-    """The stop signals of a run: until `defer` one ends what is being
-    done by `Stopped`; from then on they are only remembered.
+    """Stop signals of a run: before `defer` a signal raises `Stopped` in the code that runs; afterwards
+    it is only recorded.
     """
 
     def __init__(self) -> None:
@@ -240,17 +238,17 @@ class Signals(_First):
             self.stop()
 
     def stop(self) -> None:
-        """Raise `Stopped` for the signal that has come, if one has."""
+        """Raise `Stopped` if a signal has come."""
         if self.number:
             raise _noted(self.number, "before the run had begun")
 
     def defer(self) -> None:
-        """Let the course of the run look at `number` from now on, and end safely."""
+        """Stop raising: from now on the run itself checks `number`, and ends safely."""
         self._deferred = True
 
 
 class StopSignals(_First):
-    """Remembers the signals while it is entered, and has a descriptor that becomes readable."""
+    """Records the signals while it is entered, and has a descriptor that becomes readable."""
 
     def __enter__(self) -> Self:
         self._reading, self._writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -269,5 +267,5 @@ class StopSignals(_First):
         return self._reading
 
     def wait(self, seconds: float) -> bool:
-        """Sleep for so long, or until a signal; tell whether one has come."""
+        """Sleep for `seconds`, or until a signal; tell whether a signal has come."""
         return bool(select.select([self._reading], [], [], max(0.0, seconds))[0])

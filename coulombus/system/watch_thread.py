@@ -1,4 +1,4 @@
-"""A thread that waits for files, until it is told to end."""
+"""A thread that waits for files until it is ended."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ __all__ = ["Lookout"]
 
 
 class Lookout:
-    """Calls ``watch()`` in a thread of its own, and ``ended()`` when that has ended, be it by an
-    error: what is watched is gone then.
+    """Calls ``watch()`` in its own thread, and ``ended()`` when `watch` returns or raises.
 
-    `watch` waits with `ready`, and returns when that returns None.
+    `watch` waits with `ready`, and returns when `ready` returns None.
     """
 
     def __init__(self, name: str, watch: Callable[[], None], ended: Callable[[], None]) -> None:
@@ -24,19 +23,17 @@ class Lookout:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def end(self) -> None:
-        """End it, and wait for its end."""
+        """End the thread, and wait for its end."""
         os.close(self._wake)
         self._thread.join()
         os.close(self._end)
 
     def ready(self, sources: list[int], timeout_s: float | None = None) -> list[int] | None:
-        """Wait until there is something to be read; return what, None when the watching is
-        over.
-        """
+        """Wait until sources are readable; return them, or None if the thread is to end."""
         readable, _, _ = select.select([*sources, self._end], [], [], timeout_s)
         return None if self._end in readable else readable
 

@@ -1,3 +1,1 @@
-"""How frames move: the frame and its exact length, addresses,
-sockets, the client, python-can's plugin.
-"""
+"""Transport of frames: the frame and its exact length, addresses, sockets, the client, python-can's plugin."""

@@ -1,5 +1,4 @@
-"""The name of a bus: ``coulombus:bench`` is a virtual bus of this
-project, ``socketcan:can0`` an interface of Linux.
+"""Name of a bus: ``coulombus:bench`` is a virtual bus of this project, ``socketcan:can0`` a Linux interface.
 
 A virtual bus is a socket in a private directory of the user: ``$XDG_RUNTIME_DIR/coulombus`` where
 the system provides one, else ``coulombus-UID`` in the directory for temporary files. Whoever can
@@ -42,7 +41,7 @@ HOST_SUFFIX = ".host"  # the control socket of the host on bus NAME is NAME.host
 
 
 class AddressError(CoulombusError, ValueError):
-    """A bus address that cannot be meant; the text says what can."""
+    """A text that is no bus address; the message lists the valid forms."""
 
     exit_status = 2
 
@@ -58,11 +57,10 @@ class BusUnavailable(CoulombusError, OSError):
 
 @dataclass(frozen=True)
 class BusAddress:
-    """Where a bus is: its kind and its name there. ``str()`` is the
-    form that `parse_address` reads.
+    """Address of a bus: its kind and its name. ``str()`` is the form that `parse_address` reads.
 
-    `start` is the command that serves the bus with the rig that is
-    looked for there, where that is known; it makes no other bus of it.
+    `start` is the command that serves the bus with the expected rig, if known; it is not part of the
+    bus's identity.
     """
 
     kind: Kind
@@ -74,40 +72,40 @@ class BusAddress:
 
     @property
     def is_virtual(self) -> bool:
-        """Whether the bus is one of this project: a process of this machine serves it at a socket, with
-        bit times, faults and recordings of its own.
+        """Whether the bus is virtual: a process of this machine serves it at a socket, with its own bit times,
+        faults and recordings.
         """
         return self.kind == "coulombus"
 
     @property
     def is_interface(self) -> bool:
-        """Whether `name` is a network interface of Linux: `ip` sets its bit rate, and it may have a
-        card behind it.
+        """Whether `name` is a network interface of Linux: `ip` sets its bit rate, and it may have a CAN card
+        behind it.
         """
         return self.kind == "socketcan"
 
     @property
     def moves_hardware(self) -> bool:
-        """Whether a frame may move a real motor: then a key, a dead man's switch and the marks of a
-        rehearsal are asked for.
+        """Whether a frame may move a real motor: then a key, a dead man's switch and rehearsal marks are
+        required.
         """
         return self.kind != "coulombus"
 
     @property
     def packs_frames(self) -> bool:
-        """Whether one message carries many frames; else each frame is a message of its own."""
+        """Whether one message carries many frames; otherwise each frame is a message."""
         return self.kind == "coulombus"
 
     @property
     def stamps(self) -> str:
-        """What the time stamp of a received frame tells."""
+        """Meaning of the time stamp of a received frame."""
         what = "the virtual bus sent the message" if self.is_virtual else "the kernel took the frame"
         return f"SO_TIMESTAMPNS: when {what}"
 
 
 def default_address(rig_name: str) -> BusAddress:
-    """Return the virtual bus of a rig: ``coulombus:RIG``, what cannot
-    stand in a name replaced by ``-``.
+    """Return the virtual bus of a rig: ``coulombus:RIG``, with ``-`` for each character that a name
+    cannot have.
     """
     name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.").removesuffix(HOST_SUFFIX) or "bus"
     return BusAddress("coulombus", name)
@@ -119,7 +117,7 @@ def parse_address(text: str) -> BusAddress:
     Raises
     ------
     AddressError
-        (a ValueError) The text names no bus; the message says what would.
+        (a ValueError) The text names no bus; the message lists the valid forms.
     """
     kind, colon, name = text.partition(":")
     if kind not in get_args(Kind) or not colon:
@@ -156,15 +154,15 @@ def _check_name(name: str) -> None:
 
 
 def socket_path(name: str) -> Path:
-    """Return the path of the socket `name`, in a directory that is
-    made if need be and is this user's alone.
+    """Return the path of the socket `name`; its directory is created if missing, and private to this
+    user.
 
     Raises
     ------
     AddressError
-        The name has a character that a name cannot have, or is too long for a socket's address.
+        The name has a forbidden character, or is too long for a socket's address.
     BusUnavailable
-        The directory belongs to somebody else, or others may enter it.
+        The directory belongs to another user, or others may enter it.
     """
     _check_name(name)
     path = _directory() / name
@@ -179,9 +177,7 @@ def socket_path(name: str) -> Path:
 
 
 def socket_names() -> list[str]:
-    """Return the names of all sockets in this user's directory, dead ones of killed processes among
-    them.
-    """
+    """Return the names of all sockets in this user's directory, including stale sockets of killed processes."""
     try:
         return sorted(path.name for path in _directory().iterdir() if path.is_socket())
     except OSError:
@@ -189,9 +185,7 @@ def socket_names() -> list[str]:
 
 
 def bus_names() -> list[str]:
-    """Return the names of the virtual buses whose sockets are there,
-    dead ones of killed processes among them.
-    """
+    """Return the names of the virtual buses that have a socket, including stale sockets of killed processes."""
     return [name for name in socket_names() if _NAME.fullmatch(name) and not name.endswith(HOST_SUFFIX)]
 
 
@@ -204,7 +198,7 @@ def _answers(path: Path) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK) as probe:
         try:
             probe.connect(str(path))
-        except BlockingIOError:  # the queue of those who wait is full: it lives
+        except BlockingIOError:  # the queue of pending connections is full: the bus is alive
             return True
         except OSError:
             return False

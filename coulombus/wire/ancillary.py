@@ -1,4 +1,4 @@
-"""What the kernel tells beside a message: when it had it, and what a socket's queue has dropped.
+"""recvmsg ancillary data: SO_TIMESTAMPNS and SO_RXQ_OVFL.
 
 Python has no names for these. A control message is a length, a level and a type, and its data; read
 as 64-bit words, the second word is level and type (``STAMP``, ``OVERFLOW``).
@@ -13,10 +13,10 @@ __all__ = ["CONTROL_WORDS", "OVERFLOW", "SECOND_NS", "SO_RXQ_OVFL", "SO_TIMESTAM
 SO_TIMESTAMPNS = 35
 """Socket option and control message: struct timespec of CLOCK_REALTIME."""
 SO_RXQ_OVFL = 40
-"""The same: frames that this socket's queue has dropped so far."""
+"""Socket option and control message: number of frames that this socket's queue has dropped so far."""
 
 CONTROL_WORDS = 16
-"""Room for the control messages of one message."""
+"""Size of the buffer for one message's control messages, in 64-bit words."""
 STAMP = socket.SOL_SOCKET | SO_TIMESTAMPNS << 32
 STAMP_NEW = socket.SOL_SOCKET | 64 << 32  # SO_TIMESTAMPNS_NEW, with the same contents on a 64-bit system
 OVERFLOW = socket.SOL_SOCKET | SO_RXQ_OVFL << 32

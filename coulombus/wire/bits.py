@@ -1,20 +1,20 @@
 """Exact length of a CAN frame on the wire, in bits.
 
-A classical CAN frame (ISO 11898-1) as it is sent; stuffing acts from
-the start of frame to the end of the CRC::
+Layout of a classical CAN frame (ISO 11898-1); bits are stuffed from the start of frame to the end
+of the CRC::
 
     base      SOF 1 | id 11 | RTR 1 | IDE 1 | r0 1 | DLC 4 | data 8n | CRC 15 |
     extended  SOF 1 | id 11 | SRR 1 | IDE 1 | id 18 | RTR 1 | r1 r0 2 | DLC 4 | data 8n | CRC 15 |
     then      CRC delimiter 1 | ACK slot 1 | ACK delimiter 1 | end of frame 7 | inter-frame space 3
 
-After five equal bits the sender inserts one of the other value, which counts as the first of the
-next run. A frame has 34 + 8n (base) or 54 + 8n (extended) stuffable bits L, 13 more, and at most
+After five equal bits the sender inserts a bit of the other value, which is the first of the next
+run. A frame has 34 + 8n (base) or 54 + 8n (extended) stuffable bits L, 13 more, and at most
 floor((L - 1)/4) stuff bits: 55 bits for SYNC, 135 for eight data bytes, 160 with an extended
 identifier.
 
-The kernel goes byte by byte. Two tables are enough: the CRC is linear, so each byte adds (xor) what
-it alone leaves in the register at the end; stuffing is an automaton of nine states (nothing sent
-yet, a run of 1-4 zeros, of 1-4 ones).
+The kernel works byte by byte, with two tables: the CRC is linear, so each byte adds (xor) its own
+remainder to the register; stuffing is an automaton of nine states (nothing sent yet, a run of 1-4
+zeros, of 1-4 ones).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ CRC_BYTES = 13  # bytes under the CRC at most: 5 of an extended header (39 bits,
 
 
 def _crc_tables() -> npt.NDArray[np.int16]:
-    """Return the CRC that byte b leaves when k bytes follow it, at index 256 k + b."""
+    """Return the remainder that byte b leaves in the CRC when k bytes follow it, at index 256 k + b."""
     table = np.zeros((CRC_BYTES, 256), np.int16)
     crc = np.arange(256) << 7
     for followers in range(CRC_BYTES):
@@ -63,9 +63,7 @@ def _stuff_step(state: int, value: int, bits: int) -> int:
 
 
 def _stuff_table(bits: int) -> npt.NDArray[np.int16]:
-    """Return `_stuff_step` for all nine states and all values of
-    `bits` bits, at index 256 x state + value.
-    """
+    """Return `_stuff_step` for all nine states and all values of `bits` bits, at index 256 x state + value."""
     table = np.zeros((9, 256), np.int16)
     for state in range(9):
         for value in range(1 << bits):
@@ -81,12 +79,12 @@ STUFF_3 = _stuff_table(3)[:8].copy()  # the first three bits of a base frame: on
 
 @kernel
 def data_frame_bits(can_id: int, length: int, data_word: int) -> int:
-    """Return the bits on the wire of any `FRAME`, stuffing and
-    inter-frame space included (about 20 ns).
+    """Return the length of any `FRAME` on the wire in bits, stuffing and inter-frame space included
+    (takes about 20 ns).
 
-    `can_id` carries Linux's flags: ``CAN_EFF_FLAG`` makes the frame extended, ``CAN_RTR_FLAG``
-    remote (`length` is then its DLC, and there is no data). `length` beyond 8 counts as 8, as a DLC
-    of 9-15 does on the wire.
+    `can_id` carries Linux's flags: ``CAN_EFF_FLAG`` marks an extended frame, ``CAN_RTR_FLAG`` a
+    remote frame (`length` is then its DLC, and there is no data). A `length` above 8 counts as 8,
+    like a DLC of 9-15 on the wire.
     """
     n = min(max(length, 0), 8)
     count = n
@@ -132,8 +130,8 @@ def frame_bits(
     can_id
         Identifier without flags: 0 to 0x7FF, or 0 to 0x1FFFFFFF when `extended`.
     data
-        Up to eight data bytes. For a remote frame: as many bytes as
-        it asks for (no value is sent), or the DLC.
+        Up to eight data bytes. For a remote frame: as many bytes as it requests (no value is sent),
+        or the DLC.
     extended, remote
         29-bit identifier; remote frame.
 
@@ -174,7 +172,7 @@ def frame_bits(
 def worst_case_bits(length: int, extended: bool = False) -> int:
     """Return the largest `frame_bits` of a data frame of `length` bytes: L + 13 + floor((L - 1)/4).
 
-    L = 34 + 8 length, or 54 + 8 length with an extended identifier, is what stuffing acts on
+    L = 34 + 8 length, or 54 + 8 length with an extended identifier, is the number of stuffable bits
     (Davis, Burns, Bril and Lukkien 2007, doi:10.1007/s11241-007-9012-7, equations 1 and 2, and the
     three bits of inter-frame space in the 13).
 

@@ -1,7 +1,7 @@
-"""One end of a bus for whoever asks and waits for answers: send a frame, take the next one.
+"""One end of a bus for request and response: send a frame, receive the next.
 
-Time is an argument, in ns, and may be virtual. The conformance run and the host's services for
-devices are made with it.
+Time is an argument, in ns, and may be virtual. The conformance run and the host's device services
+use it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _PATIENCE_S = 2.0
 class BusFrame:
     """A frame that this end received or (`sent`) sent.
 
-    Of a remote frame `length` is what it asks for.
+    For a remote frame, `length` is the length that it requests.
     """
 
     t_ns: int
@@ -48,18 +48,16 @@ class BusFrame:
 
 
 class FrameLink(Protocol):
-    """What a client of devices needs of a bus."""
+    """Interface that a client of devices requires of a bus."""
 
     def now_ns(self) -> int:
         """Return the time."""
 
     def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
-        """Send a frame; `length` only of a remote frame."""
+        """Send a frame; `length` is for remote frames only."""
 
     def receive(self, until_ns: int) -> BusFrame | None:
-        """Return the next frame of another station, or None when it is `until_ns` and there was
-        none.
-        """
+        """Return the next frame of another station, or None if none comes before `until_ns`."""
 
 
 class BusLink:
@@ -68,17 +66,17 @@ class BusLink:
     Parameters
     ----------
     filters
-        (identifier, mask) of the frames that it takes; none: all.
+        (identifier, mask) of the frames to receive; empty: all.
 
     Attributes
     ----------
     error_frames, error_classes
-        How many error frames came, and all classes (bits of ``linux/can/error.h``) that they had.
+        Number of error frames received, and the union of their classes (bits of ``linux/can/error.h``).
 
     Raises
     ------
     BusUnavailable
-        No such bus; later: it went away, or takes no frame.
+        No such bus; later: the bus is gone, or accepts no frame.
     """
 
     def __init__(self, address: BusAddress, filters: Sequence[tuple[int, int]] = ()) -> None:
@@ -86,7 +84,7 @@ class BusLink:
         self.address = address
         self.error_frames, self.error_classes = 0, 0
         self._waiting: deque[BusFrame] = deque()
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()  # stamps are since 1970
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()  # stamps count from 1970
 
     def __enter__(self) -> BusLink:
         return self
@@ -101,12 +99,12 @@ class BusLink:
         self._client.close()
 
     def set_filters(self, filters: Sequence[tuple[int, int]]) -> None:
-        """Take other frames from now on; those that are under way may still come."""
+        """Receive other frames from now on; frames already under way may still come."""
         self._client.ask(Hello(Flags.ERRORS, tuple(filters)))
 
     @property
     def bitrate_bit_s(self) -> int:
-        """The bit rate that a virtual bus told; 0 on SocketCAN."""
+        """Bit rate reported by a virtual bus; 0 on SocketCAN."""
         return self._client.bitrate_bit_s
 
     def now_ns(self) -> int:
@@ -114,7 +112,7 @@ class BusLink:
         return time.monotonic_ns()
 
     def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
-        """Send a frame, and wait where the queue is full."""
+        """Send a frame; wait while the queue is full."""
         deadline_ns = self.now_ns() + int(_PATIENCE_S * 1e9)
         while True:
             try:

@@ -1,8 +1,7 @@
-"""The virtual bus as an interface of python-can:
-``can.Bus(interface="coulombus", channel="bench")``.
+"""python-can interface of a virtual bus: ``can.Bus(interface="coulombus", channel="bench")``.
 
-So every program that speaks python-can attaches to it as to any bus: can_viewer, can_logger,
-can_player, cantools monitor, canopen. It is found by the entry point ``can.interface``.
+Every program that uses python-can can attach: can_viewer, can_logger, can_player, cantools monitor,
+canopen. python-can finds the interface by the entry point ``can.interface``.
 """
 
 from __future__ import annotations
@@ -40,22 +39,22 @@ class CoulombusBus(can.BusABC):
     channel
         The bus's name: ``bench`` or ``coulombus:bench``.
     can_filters
-        As of python-can; the bus itself applies them.
+        As in python-can; the bus itself applies them.
     receive_own_messages
-        Hand out the frames sent here too, when they have been on the wire.
+        Also deliver the frames sent here, after they have been on the wire.
     listen_only
-        Send nothing; also by ``state = BusState.PASSIVE``.
+        Send nothing; ``state = BusState.PASSIVE`` has the same effect.
     ignore_rx_error_frames
-        Take no error frames.
+        Receive no error frames.
     bitrate
-        Only compared: the bus has its own.
+        Compared with the bus's own bit rate only.
     timeout
         Seconds to wait for the bus to answer.
 
     Raises
     ------
     can.CanInitializationError
-        No such bus; the text says how to start one.
+        No such bus; the text says how to start it.
     """
 
     def __init__(
@@ -91,9 +90,8 @@ class CoulombusBus(can.BusABC):
         self.channel_info = str(address)
         self._gone = False
         self._waiting: deque[Received] = deque()
-        # What select() sees must stay readable while frames of a message wait here, so it is an
-        # epoll descriptor:
-        # of the socket, and of an eventfd that is set as long as `_waiting` holds something.
+        # select() must report the descriptor readable while frames of a message wait here. So it is an epoll
+        # descriptor: of the socket, and of an eventfd that is set as long as `_waiting` is not empty.
         self._more = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._readable = select.epoll()
         self._readable.register(self._client.fileno(), select.EPOLLIN)
@@ -105,18 +103,16 @@ class CoulombusBus(can.BusABC):
 
     @property
     def bitrate_bit_s(self) -> int:
-        """The bus's bit rate; 0 where it has none."""
+        """Bit rate of the bus; 0 if it has none."""
         return self._client.bitrate_bit_s
 
     @property
     def lost(self) -> int:
-        """Frames that this client lost by not reading, as of the bus's last answer."""
+        """Number of frames that this client lost by not reading, as of the bus's last answer."""
         return self._client.lost
 
     def fileno(self) -> int:
-        """Return a descriptor for select() and asyncio: readable as long as `recv` has
-        something.
-        """
+        """Return a descriptor for select() and asyncio: readable as long as `recv` has a frame."""
         return -1 if self._readable.closed else self._readable.fileno()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -134,7 +130,7 @@ class CoulombusBus(can.BusABC):
             self._off = bool(can_id & error_frames.BUS_OFF) or (self._off and not can_id & error_frames.RESTARTED)
         is_rx = not isinstance(received, Echo)
         message = message_of(stamp / 1e9, can_id, length, data, channel=self.channel, is_rx=is_rx)
-        # until the bus has taken new filters, frames that passed the old ones still come
+        # frames that pass the old filters still come until the bus has applied new filters
         return message, error or (self._filtered and not self._client.unanswered)
 
     _marked = False
@@ -149,13 +145,13 @@ class CoulombusBus(can.BusABC):
             self._take()
 
     def _take(self) -> bool:
-        """Receive one message; return whether it was one of frames."""
+        """Receive one message; return whether it held frames."""
         try:
             frames = self._client.receive()
         except BusUnavailable as error:
             self._gone = not isinstance(error, BusDown)
             raise can.CanOperationError(str(error), error.errno) from None
-        except (OSError, ValueError) as error:  # another thread has shut it down
+        except (OSError, ValueError) as error:  # another thread has closed the socket
             self._gone = True
             raise can.CanOperationError(f"bus {self._client.address}: {error}") from None
         self._waiting.extend(frames)
@@ -165,12 +161,12 @@ class CoulombusBus(can.BusABC):
         return bool(frames)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame; `timeout` seconds (None: 0, as of socketcan) for the bus to take it.
+        """Send a frame; wait up to `timeout` seconds (None: 0, as in socketcan) for the bus to accept it.
 
         Raises
         ------
         can.CanOperationError
-            The bus does not take it, is gone, or this is a listener only.
+            The bus does not accept the frame or is gone, or this client is listen-only.
         """
         self._refuse_when_shut()
         if not is_classical(msg):
@@ -196,7 +192,7 @@ class CoulombusBus(can.BusABC):
                 raise can.CanOperationError(str(error), error.errno) from None
 
     def send_periodic(self, *arguments: Any, **options: Any) -> can.broadcastmanager.CyclicSendTaskABC:
-        """Send frames again and again, from a thread, as of python-can."""
+        """Send frames periodically from a thread, as in python-can."""
         self._refuse_when_shut()
         return super().send_periodic(*arguments, **options)
 
@@ -218,13 +214,13 @@ class CoulombusBus(can.BusABC):
             raise can.CanOperationError(str(error), error.errno) from None
 
     def details(self, timeout: float = 1.0) -> str:
-        """Ask the bus for the state and counters of this client's
-        controller; return what ``ip -details -statistics link show`` prints.
+        """Request the state and counters of this client's controller; return the text that
+        ``ip -details -statistics link show`` prints.
 
         Raises
         ------
         can.CanOperationError
-            The bus does not answer within `timeout` seconds, or does not tell.
+            The bus does not answer within `timeout` seconds, or does not report a controller.
         """
         self._ask(self._client.hello)
         deadline = time.monotonic() + timeout
@@ -238,8 +234,8 @@ class CoulombusBus(can.BusABC):
 
     @property
     def state(self) -> BusState:
-        """PASSIVE: listens only; ERROR: the bus is gone, or the last that
-        was heard is that this controller is in bus-off; else ACTIVE.
+        """PASSIVE: listen-only; ERROR: the bus is gone, or this controller was last reported in bus-off;
+        else ACTIVE.
         """
         if self._gone or self._off:
             return BusState.ERROR
@@ -254,7 +250,7 @@ class CoulombusBus(can.BusABC):
         self._ask(Hello(hello.flags & ~Flags.LISTEN_ONLY | quiet, hello.filters))
 
     def flush_tx_buffer(self) -> None:
-        """Nothing to do: what was sent is the bus's."""
+        """Do nothing: sent frames already belong to the bus."""
 
     def shutdown(self) -> None:
         """Stop the periodic tasks and leave the bus; may be called again."""
@@ -287,8 +283,8 @@ def _address(channel: Any) -> BusAddress:
 
 
 def _packed(filters: CanFilters | None) -> tuple[tuple[int, int], ...]:
-    """Return python-can's filters as (identifier, mask) of SocketCAN;
-    none when there are more than a bus takes.
+    """Return python-can's filters as (identifier, mask) of SocketCAN; empty if there are more than a bus
+    accepts.
     """
     pairs = []
     for filter_ in filters or ():

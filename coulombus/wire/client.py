@@ -1,7 +1,6 @@
-"""A client of a bus of either kind: a non-blocking socket on which
-messages of 16-byte ``struct can_frame`` come and go.
+"""Client of a bus of either kind: a non-blocking socket for messages of 16-byte ``struct can_frame``.
 
-No numba and no python-can in here: a script or a viewer starts at once.
+Imports neither numba nor python-can: a script or a viewer starts at once.
 """
 
 from __future__ import annotations
@@ -28,9 +27,7 @@ Received: TypeAlias = tuple[int, int, int, bytes]
 
 
 class Echo(tuple[int, int, int, bytes]):
-    """A `Received` that this client has sent itself, back from the wire
-    (`wire.handshake.Flags.OWN`).
-    """
+    """A `Received` that this client sent itself, back from the wire (`wire.handshake.Flags.OWN`)."""
 
     __slots__ = ()
 
@@ -38,8 +35,8 @@ class Echo(tuple[int, int, int, bytes]):
 MESSAGE_BYTES = 1 << 16
 CAN_LENGTH = 8
 ECHO_BYTE = 5
-"""The first padding byte of struct can_frame, which a virtual bus
-sets in a client's own frames, as Linux sets MSG_CONFIRM.
+"""First padding byte of struct can_frame; a virtual bus sets it in a client's own frames, as Linux
+sets MSG_CONFIRM.
 """
 MSG_CONFIRM = 0x800
 CAN_RAW_ERR_FILTER = 2
@@ -50,46 +47,46 @@ _ALL_ERRORS = 0x1FFFFFFF
 
 
 class BusGone(BusUnavailable):
-    """The bus went away: its process ended, or the interface was removed."""
+    """The bus is gone: its process ended, or the interface was removed."""
 
 
 class BusDown(BusUnavailable):
-    """The interface is down; reading may go on when it is up again."""
+    """The interface is down; reading may continue when it is up again."""
 
 
 class BusFull(OSError):
-    """The send queue is full: nobody reads, or more is sent than the bus carries."""
+    """The send queue is full: nobody reads, or the client sends faster than the bus transmits."""
 
     def __init__(self, address: BusAddress) -> None:
         super().__init__(errno.ENOBUFS, f"bus {address}: the send queue is full: more is sent than the bus carries")
 
 
 def pack_frame(can_id: int, data: bytes = b"", length: int | None = None) -> bytes:
-    """Return the 16 bytes of a frame; `length` only for a remote
-    frame, which asks for so many bytes and carries none.
+    """Return the 16 bytes of a frame; `length` is for a remote frame only, which requests `length` bytes
+    and carries none.
     """
     return CAN_FRAME.pack(can_id, len(data) if length is None else length, data)
 
 
 class Client:
-    """Frames from and to a bus; nothing here blocks but the constructor, `timeout` seconds at most.
+    """Frames from and to a bus; only the constructor blocks, at most `timeout` seconds.
 
     Attributes
     ----------
     bitrate_bit_s, station
-        What a virtual bus told; 0 on SocketCAN, whose bit rate is the interface's own affair.
+        As reported by a virtual bus; 0 on SocketCAN, where the interface sets the bit rate.
     lost
-        Frames that found no place in this client's receive queue. A
-        virtual bus tells it with each answer (`ask`).
+        Number of frames that found no room in this client's receive queue. A virtual bus reports it
+        in each answer (`ask`).
     malformed
-        Messages and frames that were dropped because they are none.
+        Number of malformed messages and frames, which were dropped.
     controller
-        This client's CAN controller, as of the bus's last answer; None where the bus does not tell.
+        This client's CAN controller, as of the bus's last answer; None if the bus does not report it.
 
     Raises
     ------
     BusUnavailable
-        No such bus; BusGone, BusDown later on.
+        No such bus; later BusGone or BusDown.
     """
 
     def __init__(self, address: BusAddress, hello: Hello | None = None, timeout: float = 2.0) -> None:
@@ -109,7 +106,7 @@ class Client:
         self.socket.setblocking(False)
 
     def fileno(self) -> int:
-        """Return the socket's descriptor, which is readable when `receive` has something."""
+        """Return the socket's descriptor, which is readable when `receive` has a message."""
         return self.socket.fileno()
 
     def close(self) -> None:
@@ -123,15 +120,13 @@ class Client:
         self.close()
 
     def wait(self, timeout: float | None) -> bool:
-        """Wait until something can be received, `timeout` seconds at most (None: for ever)."""
+        """Wait at most `timeout` seconds (None: for ever) until a message can be received."""
         poll = select.poll()
         poll.register(self.socket, select.POLLIN)
         return bool(poll.poll(None if timeout is None else max(0.0, timeout * 1e3)))
 
     def receive(self) -> list[Received]:
-        """Return the frames of the next message; none when there is
-        no message, or when it was the bus's answer.
-        """
+        """Return the frames of the next message; empty if there is no message, or if it was the bus's answer."""
         try:
             size, ancillary, flags, _ = self.socket.recvmsg_into([self._buffer], _ANCILLARY)
         except (BlockingIOError, InterruptedError):
@@ -162,14 +157,14 @@ class Client:
         return frames
 
     def send(self, message: bytes) -> None:
-        """Send one message of frames (`pack_frame`); on SocketCAN of one frame.
+        """Send one message of frames (`pack_frame`); on SocketCAN, of one frame.
 
         Raises
         ------
         BusFull
             Nothing was sent; try again later.
         BusUnavailable
-            It is gone or down.
+            The bus is gone or down.
         """
         try:
             self.socket.send(message)
@@ -181,10 +176,10 @@ class Client:
             raise self.failure(error) from None
 
     def ask(self, hello: Hello | None = None) -> None:
-        """Change flags and filters, or (without `hello`) only ask how many frames were lost.
+        """Change flags and filters, or (without `hello`) only request the number of lost frames.
 
-        A virtual bus answers among the frames, and `receive` takes
-        the answer; `unanswered` counts those under way.
+        A virtual bus answers among the frames, and `receive` takes the answer; `unanswered` counts the
+        answers that are due.
         """
         if hello is not None:
             self.hello = hello
@@ -195,13 +190,13 @@ class Client:
         self.unanswered += 1
 
     def _own(self, message: memoryview, flags: int) -> Sequence[int]:
-        """Tell of each frame of a message whether this client has sent it."""
+        """Return for each frame of a message whether this client sent it."""
         if self.address.kind == "socketcan":
             return (flags & MSG_CONFIRM,)
         return message[ECHO_BYTE :: CAN_FRAME.size]
 
     def take_other(self, message: bytes) -> None:
-        """Take a message that is none of frames: the bus' answer, or rubbish, which is counted."""
+        """Process a message that holds no frames: the bus's answer, or a malformed message, which is counted."""
         answer = Answer.unpack(message) if self.address.kind == "coulombus" and is_greeting(message) else None
         if answer is None:
             self.malformed += 1
@@ -223,11 +218,11 @@ class Client:
         option(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, int(bool(flags & Flags.OWN)))
 
     def gone(self) -> BusGone:
-        """Return what the end of the connection means."""
+        """Return the error that the end of the connection means."""
         return BusGone(errno.ECONNRESET, f"bus {self.address} is gone: its process ended")
 
     def failure(self, error: OSError) -> OSError:
-        """Return what a failed system call means."""
+        """Return the error that a failed system call means."""
         if error.errno == errno.ENETDOWN:
             name = self.address.name
             return BusDown(errno.ENETDOWN, f"bus {self.address}: the interface is down: sudo ip link set {name} up")

@@ -1,11 +1,11 @@
-"""A clock that runs fast or slow, compiled: a station's own time, in which all of its timers are.
+"""A compiled clock that runs fast or slow: the local time of a station, which all of its timers use.
 
-A record with the fields of `Clock` has a time of its own since
-`clock_from_ns` of the bus, when it was `clock_at_ns`::
+A record with the fields of `Clock` has a local time since the bus time `clock_from_ns`, at which it
+showed `clock_at_ns`::
 
     own = clock_at_ns + floor((bus - clock_from_ns) * (1 + ppb / 1e9))
 
-in int64 without loss. `bus_ns` is the first instant of the bus at which an own time is reached.
+in int64 without loss. `bus_ns` returns the first bus time at which a local time is reached.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ NEVER_NS = 1 << 62
 
 
 class Clock(Record):
-    """A time of its own, of a record that has these fields."""
+    """Local time of a record that has these fields."""
 
-    clock_on: int  # 1: it has a time of its own
-    clock_ppb: int  # by how much it runs fast, 1e-9
-    clock_from_ns: int  # the bus's time and its own when that began
-    clock_at_ns: int  # ... and what it showed then
+    clock_on: int  # 1: the record has a local time
+    clock_ppb: int  # rate error, 1e-9; positive: fast
+    clock_from_ns: int  # bus time at which the local time began
+    clock_at_ns: int  # local time at `clock_from_ns`
 
 
 @inlined
 def own_ns(clock: Clock, t_ns: int) -> int:
-    """Return the own time at `t_ns` of the bus."""
+    """Return the local time at the bus time `t_ns`."""
     if clock.clock_on == 0:
         return t_ns
     since, rate = t_ns - clock.clock_from_ns, NS + clock.clock_ppb
@@ -41,7 +41,7 @@ def own_ns(clock: Clock, t_ns: int) -> int:
 
 @inlined
 def bus_ns(clock: Clock, own: int) -> int:
-    """Return the first time of the bus at which the own time is `own` or later."""
+    """Return the first bus time at which the local time is `own` or later."""
     if clock.clock_on == 0 or own >= NEVER_NS:
         return own
     ahead, rate = own - clock.clock_at_ns, NS + clock.clock_ppb
@@ -50,14 +50,12 @@ def bus_ns(clock: Clock, own: int) -> int:
 
 @kernel
 def to_bus(clock: Clock, out: Queue, first: int) -> None:
-    """Turn the times of what was pushed from place `first` on into the bus's."""
+    """Convert the times of the frames pushed from index `first` on to bus time."""
     for k in range(first, out.count):
         out.frames[k].t_ns = bus_ns(clock, out.frames[k].t_ns)
 
 
 def set_clock(clock: Clock, t_ns: int, ppb: int) -> None:
-    """Let the clock run fast by `ppb` (1e-9; negative: slow) from
-    `t_ns` of the bus on, without a jump.
-    """
+    """Let the clock run fast by `ppb` (1e-9; negative: slow) from the bus time `t_ns` on, without a jump."""
     now = int(own_ns(clock, t_ns))
     clock.clock_on, clock.clock_ppb, clock.clock_from_ns, clock.clock_at_ns = 1, ppb, t_ns, now

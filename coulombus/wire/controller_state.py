@@ -1,5 +1,5 @@
-"""A CAN controller's state and counters as ``ip -details -statistics
-link show`` prints them, and as a virtual bus tells them to a client.
+"""State and counters of a CAN controller, as printed by ``ip -details -statistics link show`` and as a
+virtual bus reports them to a client.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ _STATE = struct.Struct("<HHHHI6I12x")
 
 
 class Confinement(IntEnum):
-    """What a CAN controller tells its node of fault confinement [ISO 11898-1]."""
+    """Fault confinement state that a CAN controller reports to its node [ISO 11898-1]."""
 
-    ACTIVE = 1  # error active, again
+    ACTIVE = 1  # error active again
     PASSIVE = 2  # error passive
     BUS_OFF = 3
     RECOVERED = 4  # back from bus-off
@@ -27,8 +27,8 @@ class Confinement(IntEnum):
 
 @dataclass(frozen=True)
 class ControllerState:
-    """A controller: state (Linux's ``enum can_state``), modes (bits 0
-    to 2: loopback, listen only, one-shot), counters.
+    """A controller: state (Linux's ``enum can_state``), modes (bits 0 to 2: loopback, listen only,
+    one-shot), counters.
     """
 
     state: int = 0
@@ -51,11 +51,11 @@ class ControllerState:
 
     @classmethod
     def unpack(cls, content: bytes) -> ControllerState | None:
-        """Return the controller that is told there, None when there is none; never raises."""
+        """Return the controller packed in `content`, None if there is none; never raises."""
         return cls(*_STATE.unpack_from(content)) if len(content) >= _STATE.size else None
 
     def __str__(self) -> str:
-        """Return the lines of ``ip``."""
+        """Return the lines that ``ip`` prints."""
         modes = ",".join(name for n, name in enumerate(MODES) if self.modes >> n & 1)
         columns = {
             "re-started": self.restarts,

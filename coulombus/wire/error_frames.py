@@ -1,10 +1,10 @@
-"""Error frames in words: what a CAN controller tells of itself and of its wire, as
-``linux/can/error.h`` lays it out.
+"""Text of error frames: a CAN controller's report on itself and its wire, laid out as in
+``linux/can/error.h``.
 
 ::
 
     identifier   class bits | CAN_ERR_FLAG
-    data[0]      bit in which the arbitration was lost (class 002h), 0: not told
+    data[0]      bit in which the arbitration was lost (class 002h), 0: unknown
     data[1]      controller's state (class 004h)
     data[2]      kind of protocol violation (class 008h), data[3] where in the frame
     data[4]      transceiver (class 010h): CANH in the low half, CANL in the high half
@@ -69,8 +69,8 @@ Row: TypeAlias = dict[str, Any]
 
 
 def error_frame(can_id: int, data: bytes) -> Row:
-    """Return what an error frame says: `classes` and, where it tells them, `lost_at_bit`,
-    `controller`, `violation`, `place`, `transceiver`, `tec` and `rec`; `text` has it all in words.
+    """Return the content of an error frame: `classes` and, if present, `lost_at_bit`, `controller`,
+    `violation`, `place`, `transceiver`, `tec` and `rec`; `text` says all of it in words.
     """
     b = data.ljust(8, b"\0")
     row: Row = {"classes": _named(CLASSES, can_id)}

@@ -36,12 +36,12 @@ __all__ = [
 
 
 class Frame(Record):
-    """A frame, on its way or received."""
+    """A frame, ready to be sent or received."""
 
-    t_ns: int  # ready to be sent (in a queue), or end of frame (in a log)
-    can_id: int  # the identifier with Linux's flags
+    t_ns: int  # time at which it is ready (in a queue), or end of frame (in a log)
+    can_id: int  # identifier with Linux's flags
     length: int  # data bytes, 0-8
-    word: int  # little-endian word of the eight data bytes, 0 beyond `length`
+    word: int  # little-endian word of the eight data bytes, zero-padded
     source: int  # number of the sending station
 
 
@@ -51,12 +51,12 @@ QUEUE_CAPACITY = 1024
 
 
 class Queue(Record):
-    """The frames that stations ask the bus to send."""
+    """Frames that stations request the bus to send."""
 
-    count: int  # frames that wait
-    dropped: int  # frames that found no place
-    waiting: int  # frames that the bus has taken over and not sent yet, as far as it has told
-    frames: Annotated[RecordArray[Frame], QUEUE_CAPACITY]  # the first `count` of them
+    count: int  # number of pending frames
+    dropped: int  # frames dropped because the queue was full
+    waiting: int  # frames taken over by the bus and not sent yet, as far as it has reported
+    frames: Annotated[RecordArray[Frame], QUEUE_CAPACITY]  # the first `count` of them are valid
 
 
 def frames(capacity: int) -> RecordArray[Frame]:
@@ -72,7 +72,7 @@ def new_queue() -> Queue:
 
 @inlined
 def arbitration_key(can_id: int) -> int:
-    """Return the arbitration field as a number: the lower one wins the bus.
+    """Return the arbitration field as a number: the lower number wins the bus.
 
     The bits of the field in their order on the wire, 32 of them: base identifier
     (11), RTR or SRR, IDE, identifier extension (18), RTR (ISO 11898-1).
@@ -87,9 +87,7 @@ def arbitration_key(can_id: int) -> int:
 
 @kernel
 def push(out: Queue, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
-    """Append a frame that is ready at `t_ns`; when the queue is full
-    the frame is dropped and counted.
-    """
+    """Append a frame that is ready at `t_ns`; if the queue is full, drop and count the frame."""
     count = out.count
     if count >= QUEUE_CAPACITY:
         out.dropped += 1

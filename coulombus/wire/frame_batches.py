@@ -1,7 +1,7 @@
-"""Many frames at once, as arrays: for who looks at a bus some times a second.
+"""Batches of frames as arrays, for readers that poll a bus a few times a second.
 
 `BlockReader` empties a client's socket with recvmmsg(2): one system call for up to `MESSAGES`
-messages, and no Python object for a frame.
+messages, and no Python object per frame.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["Block", "BlockReader"]
 Integers: TypeAlias = npt.NDArray[np.int64]
 
 MESSAGES, ROUNDS = 256, 64
-STAMP_WORDS = 4  # what follows begins with its length, which is none of 0
+STAMP_WORDS = 4  # the next control message begins with its length, which is never 0
 FRAME_BYTES = 16
 
 FRAME = np.dtype([("can_id", "u4"), ("length", "u1"), ("padding", "u1", 3), ("word", "<i8")])
@@ -71,14 +71,14 @@ class Block:
 
     @classmethod
     def of(cls, frames: Sequence[Received]) -> Block:
-        """Return frames as they are received one by one."""
+        """Return single received frames as a block."""
         t_ns, can_ids, lengths, data = zip(*frames, strict=True) if frames else ((), (), (), ())
         words = np.frombuffer(b"".join(data), "<i8").astype(np.int64)
         return cls(np.array(t_ns, np.int64), np.array(can_ids, np.int64), np.array(lengths, np.int64), words)
 
     @classmethod
     def joined(cls, blocks: Sequence[Block]) -> Block:
-        """Return some blocks as one."""
+        """Return blocks joined into one."""
         if len(blocks) == 1:
             return blocks[0]
         if not blocks:
@@ -92,7 +92,7 @@ class Block:
 
     @cached_property
     def rows(self) -> dict[int, Integers]:
-        """The rows of each identifier, in their order."""
+        """Rows of each identifier, in order."""
         if not len(self):
             return {}
         order = np.argsort(self.can_ids, kind="stable")
@@ -106,25 +106,25 @@ class Block:
         return int(self.words[row]).to_bytes(8, "little", signed=True)
 
     def frames(self, rows: Integers) -> list[Received]:
-        """Return some rows as frames that are received one by one."""
+        """Return rows as single received frames."""
         columns = zip(self.t_ns[rows], self.can_ids[rows], self.lengths[rows], self.words[rows], strict=True)
         return [(int(t), int(can_id), int(length), word.tobytes()) for t, can_id, length, word in columns]
 
 
 class BlockReader:
-    """Receives for a client, which keeps `lost`, `malformed` and what the bus answers.
+    """Receives for a client; the client keeps `lost`, `malformed` and the bus's answers.
 
     Raises
     ------
     ImportError
-        The system is none of 64 bits.
+        The system is not a 64-bit system.
     """
 
     def __init__(self, client: Client) -> None:
         if ctypes.sizeof(ctypes.c_void_p) != 8:
             raise ImportError("reading a bus in blocks needs a 64-bit system")
         self._client, self._ended = client, False
-        self._buffer = np.empty((MESSAGES, MESSAGE_BYTES), np.uint8)  # the kernel gives pages as they are touched
+        self._buffer = np.empty((MESSAGES, MESSAGE_BYTES), np.uint8)  # the kernel allocates pages on first use
         self._frames = self._buffer.reshape(-1).view(FRAME)
         self._control = np.zeros((MESSAGES, CONTROL_WORDS), np.int64)
         self._vectors = np.zeros((MESSAGES, 2), np.int64)
@@ -137,7 +137,7 @@ class BlockReader:
         self._headers["control"] = self._control.ctypes.data + each * self._control.strides[0]
 
     def receive(self) -> Block:
-        """Return the frames of the messages that are there; none when there is no message.
+        """Return the frames of all pending messages; empty if there is no message.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class BlockReader:
             As `Client.receive`.
         """
         blocks: list[Block] = []
-        for _ in range(ROUNDS):  # a flood does not hold it for ever
+        for _ in range(ROUNDS):  # bounded, so that a flood does not block the caller
             count = self._call()
             if count:
                 blocks.append(self._block(count))
@@ -154,7 +154,7 @@ class BlockReader:
         return Block.joined(blocks)
 
     def _call(self) -> int:
-        """Return how many messages came."""
+        """Receive messages; return their number."""
         if self._ended:
             raise self._client.gone()
         headers = self._headers
@@ -171,7 +171,7 @@ class BlockReader:
 
     def _block(self, count: int) -> Block:
         sizes = self._headers["size"][:count] & 0xFFFFFFFF
-        if not sizes.all():  # the other side has closed; what came before it counts
+        if not sizes.all():  # the other side has closed; messages before that are valid
             self._ended = True
             count = int(np.argmin(sizes > 0))
             sizes = sizes[:count]
@@ -194,16 +194,16 @@ class BlockReader:
         return block
 
     def _stamps(self, count: int) -> Integers:
-        """Return the stamps of messages, 0 where there is none, and tell the client what it lost."""
+        """Return the stamps of messages, 0 without a stamp; add lost frames to the client's count."""
         control: Any = self._control[:count]
-        if (control[:, 1] == STAMP).all() and not control[:, STAMP_WORDS].any():  # nothing else: as nearly always
+        if (control[:, 1] == STAMP).all() and not control[:, STAMP_WORDS].any():  # the usual case: only a stamp
             alone: Integers = control[:, 2] * SECOND_NS + control[:, 3]
             return alone
         stamps = np.zeros(count, np.int64)
         dropped = np.full(count, -1)
         at = np.zeros(count, np.int64)
         each = np.arange(count)
-        for _ in range(2):  # a stamp, and what the socket has dropped
+        for _ in range(2):  # a stamp, and the socket's count of dropped frames
             kind = control[each, at + 1]
             value = control[each, at + 2]
             stamps = np.where(kind == STAMP, value * SECOND_NS + control[each, at + 3], stamps)

@@ -1,7 +1,7 @@
-"""How a client and a virtual bus greet each other, and how a client connects.
+"""Handshake of a client with a virtual bus, and how a client connects.
 
-The socket is AF_UNIX, SOCK_SEQPACKET: it keeps messages whole and tells
-when the other side has gone. All words of the greeting are little endian::
+The socket is AF_UNIX, SOCK_SEQPACKET: it keeps messages whole and reports when the other side has
+closed. All words of the greeting are little endian::
 
     client -> bus   u32 magic  u16 version  u16 flags  u16 n  n x (u32 id, u32 mask)  padding     Hello
     bus -> client   u32 magic  u16 version  u16 status  u32 bit rate  u32 station  u64 lost       Answer
@@ -9,8 +9,8 @@ when the other side has gone. All words of the greeting are little endian::
     then, both ways, messages of one or more 16-byte ``struct can_frame`` in native byte order
 
 A greeting is padded so that its length is 8 modulo 16; a message of frames is a multiple of 16. So
-the two can be told apart at any time, and a client may greet again to change its flags and filters,
-or to hear how many frames it lost.
+greetings and frames can be distinguished at any time, and a client may greet again to change its
+flags and filters, or to request its number of lost frames.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ __all__ = [
 
 MAGIC = 0x53424C43  # "CLBS"
 VERSION = 1
-MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
-SEND_BUFFER = 4 << 20  # bytes asked for; the kernel gives at most net.core.wmem_max
+MAX_FILTERS = 512  # like CAN_RAW_FILTER_MAX
+SEND_BUFFER = 4 << 20  # bytes requested; the kernel gives at most net.core.wmem_max
 
 _HELLO = struct.Struct("<IHHH")
 _FILTER = struct.Struct("<II")
@@ -56,18 +56,18 @@ _ANSWER = struct.Struct("<IHHIIQ")
 
 
 class Flags(IntFlag):
-    """What a client asks for besides the frames of others."""
+    """Options of a client, in addition to the frames of others."""
 
-    OWN = 1  # its own frames too, once they were on the wire
-    LISTEN_ONLY = 2  # what it sends is dropped
-    ERRORS = 4  # error frames (CAN_ERR_FLAG), whatever the filters
+    OWN = 1  # its own frames too, after they were on the wire
+    LISTEN_ONLY = 2  # frames that it sends are dropped
+    ERRORS = 4  # error frames (CAN_ERR_FLAG), regardless of the filters
 
 
 _NO_FLAGS = Flags(0)
 
 
 class BusStatus(IntEnum):
-    """How a bus answers."""
+    """Status of a bus's answer."""
 
     OK = 0
     WRONG_VERSION = 1
@@ -83,7 +83,7 @@ _REFUSAL = {
 
 
 def is_greeting(message: bytes) -> bool:
-    """Tell a greeting from frames: by its length alone."""
+    """Distinguish a greeting from frames, by its length alone."""
     return len(message) % 16 == 8
 
 
@@ -93,8 +93,8 @@ def _padded(message: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Hello:
-    """What a client says first. A filter passes frames with ``id &
-    mask == filter id & mask``; none passes all.
+    """First message of a client. A filter passes frames with ``id & mask == filter id & mask``; no filter
+    passes all.
 
     The identifiers and masks have the meaning of SocketCAN's ``struct can_filter``: bit 31 for
     extended frames, bit 30 for remote frames, and bit 29 of the identifier inverts the filter.
@@ -112,7 +112,7 @@ class Hello:
 
     @classmethod
     def unpack(cls, message: bytes) -> Hello | BusStatus:
-        """Return the greeting in `message`, or with which status the bus refuses it.
+        """Return the greeting in `message`, or the status with which the bus refuses it.
 
         Never raises.
         """
@@ -132,11 +132,11 @@ class Hello:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a bus answers: whether it takes the client, its bit rate
-    (0: unknown), and the client's station number.
+    """Answer of a bus: whether it accepts the client, its bit rate (0: unknown), and the client's station
+    number.
 
-    `lost` frames found no place in the client's receive queue, because
-    it does not read, since it connected. `controller` is its CAN controller.
+    `lost` counts the frames that found no room in the client's receive queue since it connected,
+    because it does not read. `controller` is its CAN controller.
     """
 
     status: BusStatus
@@ -152,7 +152,7 @@ class Answer:
 
     @classmethod
     def unpack(cls, message: bytes) -> Answer | None:
-        """Return the answer in `message`, None when it is none; never raises."""
+        """Return the answer in `message`, None if it is no answer; never raises."""
         if len(message) < _ANSWER.size or not is_greeting(message):
             return None
         magic, _, status, bitrate, station, lost = _ANSWER.unpack_from(message)
@@ -163,7 +163,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Connection:
-    """A socket on which the greeting is over (blocking, no timeout), and what the bus answered."""
+    """A socket after the handshake (blocking, no timeout), and the bus's answer."""
 
     socket: socket.socket
     answer: Answer
@@ -175,8 +175,8 @@ def connect(
     filters: Sequence[tuple[int, int]] = (),
     timeout: float = 2.0,
 ) -> socket.socket:
-    """Return a blocking socket on the virtual bus at `address`,
-    greeted; `timeout` in seconds for all of it.
+    """Return a blocking socket on the virtual bus at `address`, after the handshake; `timeout` in seconds
+    covers everything.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def connect(
 
 
 def greet(address: BusAddress, hello: Hello, timeout: float = 2.0) -> Connection:
-    """As `connect`, with the bus's answer."""
+    """Connect like `connect`; return the bus's answer, too."""
     if address.kind != "coulombus":
         raise ValueError(f"{address}: only coulombus: buses are greeted; a SocketCAN interface is opened by its name")
     path = socket_path(address.name)
@@ -205,8 +205,8 @@ def greet(address: BusAddress, hello: Hello, timeout: float = 2.0) -> Connection
 
 
 def connect_path(path: Path, hello: Hello, timeout: float) -> Connection:
-    """Connect to the socket at `path` and greet; errors as the system
-    gives them, a refusal as BusUnavailable.
+    """Connect to the socket at `path` and greet; errors are the system's own, a refusal is a
+    BusUnavailable.
     """
     deadline = time.monotonic() + timeout
     client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -218,14 +218,14 @@ def connect_path(path: Path, hello: Hello, timeout: float) -> Connection:
             try:
                 client.connect(str(path))
                 break
-            except BlockingIOError:  # the queue of those who wait for accept() is full
+            except BlockingIOError:  # the queue of connections pending for accept() is full
                 if time.monotonic() >= deadline:
                     raise TimeoutError from None
                 time.sleep(0.01)
-        with suppress(BrokenPipeError):  # a bus that has no room says so and closes at once
+        with suppress(BrokenPipeError):  # a full bus says so and closes at once
             client.send(hello.pack())
         answer = None
-        while answer is None:  # anything else is not for us yet
+        while answer is None:  # ignore other messages before the answer
             client.settimeout(max(1e-3, deadline - time.monotonic()))
             message = client.recv(1 << 16)
             if not message:

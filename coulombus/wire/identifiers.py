@@ -1,5 +1,6 @@
-"""Identifiers as a user writes them: ``181``, ``180-1FF``,
-``00000123x``; numbers are hexadecimal, 8 digits (or x) mean extended.
+"""Identifiers in the user's notation: ``181``, ``180-1FF``, ``00000123x``.
+
+Numbers are hexadecimal; 8 digits (or x) mean extended.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ _PART = re.compile(r"(0x)?([0-9A-F]+)(X?)", re.I)
 
 
 class IdentifierError(CoulombusError, ValueError):
-    """No identifiers; the text says what would be."""
+    """A text that names no identifiers; the message shows the valid form."""
 
     exit_status = 2
 
 
 def parse_identifiers(text: str) -> Ranges:
-    """Return the ranges that `text` names, a list with commas.
+    """Return the ranges that `text` names, separated by commas.
 
     Raises
     ------
@@ -60,8 +61,8 @@ def _number(text: str, part: str) -> int:
 
 
 def among(can_ids: npt.NDArray[np.int64] | Iterable[int], ranges: Ranges) -> npt.NDArray[np.bool_]:
-    """Return which identifiers (with flags) are in one of the ranges;
-    whether a frame is a remote one does not matter.
+    """Return for each identifier (with flags) whether one of the ranges contains it; the flag of a remote
+    frame is ignored.
     """
     bare = np.asarray(can_ids, np.int64) & ~CAN_RTR_FLAG
     inside = np.zeros(bare.shape, bool)

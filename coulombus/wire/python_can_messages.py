@@ -1,6 +1,7 @@
-"""Between Linux's classical CAN frame - identifier with flags, length, data - and python-can's
-message: the one place where they are turned into each other. Imports no numba: python-can's plugins
-start with it.
+"""The only conversion between Linux's classical CAN frame (identifier with flags, length, data) and
+python-can's message.
+
+Imports no numba, because python-can's plugins load this module at their start.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ def message_of(
 
     Parameters
     ----------
-    stamp_s : when it came [s]
+    stamp_s : time of reception [s]
     can_id : with Linux's flags ``CAN_EFF_FLAG``, ``CAN_RTR_FLAG``, ``CAN_ERR_FLAG``
     length : its DLC, 0 to 8
-    data : at least `length` bytes; a remote frame's are not looked at
+    data : at least `length` bytes; ignored for a remote frame
     """
     extended, remote, error = (bool(can_id & flag) for flag in (CAN_EFF_FLAG, CAN_RTR_FLAG, CAN_ERR_FLAG))
     return can.Message(
@@ -58,7 +59,5 @@ def data_of(message: can.Message) -> bytes:
 
 
 def word_of(message: can.Message) -> int:
-    """Return a message's data as a frame record's `word`: a
-    little-endian INTEGER64, 0 beyond its length.
-    """
+    """Return a message's data as a frame record's `word`: a little-endian INTEGER64, zero-padded."""
     return data_word(data_of(message))

@@ -1,6 +1,6 @@
 """One message from a socket, with the kernel's time stamp: recvmsg(2) for compiled loops.
 
-A mailbox is one record that holds the struct msghdr, the struct iovec and the room for control
+A mailbox is one record that holds the struct msghdr, the struct iovec and the buffer for control
 messages, and an array of int64 words for the data: two words are one ``struct can_frame``.
 `receive` works on both kinds of bus, AF_UNIX and AF_CAN, when SO_TIMESTAMPNS is set on the socket
 (and SO_RXQ_OVFL, on AF_CAN).
@@ -33,7 +33,7 @@ __all__ = ["MAILBOX", "ask_for_stamps", "new_mailbox", "receive", "set_up"]
 
 
 class Mailbox(Record):
-    """Room for one message, as recvmsg(2) takes it."""
+    """Buffers for one message, as recvmsg(2) takes them."""
 
     # struct msghdr
     name: int
@@ -46,10 +46,10 @@ class Mailbox(Record):
     # struct iovec
     buffer: int
     buffer_bytes: int
-    # what `receive` found
-    stamp_ns: int  # CLOCK_REALTIME at which the kernel had the message; 0: no stamp
+    # results of `receive`
+    stamp_ns: int  # CLOCK_REALTIME at which the kernel received the message; 0: no stamp
     overflow: int  # frames that this socket's queue has dropped so far (SO_RXQ_OVFL)
-    truncated: int  # the message was longer than the room for it
+    truncated: int  # the message was longer than its buffer
     room: Annotated[IntegerField, CONTROL_WORDS]  # struct cmsghdr ...
 
 
@@ -57,8 +57,8 @@ MAILBOX = dtype_of(Mailbox)
 
 
 def new_mailbox(frames: int) -> tuple[RecordArray[Mailbox], npt.NDArray[np.int64]]:
-    """Return a mailbox and its data words: room for a message of
-    `frames` frames. Both must be kept alive and in place.
+    """Return a mailbox and its data words: buffers for a message of `frames` frames. Both must be kept
+    alive and in place.
     """
     box, data = new_records(Mailbox), np.zeros(2 * frames, np.int64)
     set_up(box, data)
@@ -66,7 +66,7 @@ def new_mailbox(frames: int) -> tuple[RecordArray[Mailbox], npt.NDArray[np.int64
 
 
 def set_up(box: RecordArray[Mailbox], data: npt.NDArray[np.int64]) -> None:
-    """Let the mailbox `box` (an array of one record) put its messages into `data`."""
+    """Set the mailbox `box` (an array of one record) up to put its messages into `data`."""
     if ctypes.sizeof(ctypes.c_void_p) != 8:
         raise ImportError("compiled sockets need a 64-bit system")
     start, at = box.ctypes.data, MAILBOX.fields
@@ -85,7 +85,7 @@ def ask_for_stamps(target: socket.socket) -> None:
 
 @kernel
 def receive(fd: int, box: RecordArray[Mailbox], flags: int) -> int:
-    """Receive one message; return its bytes, 0 when the other side has closed, -1: see `errno`."""
+    """Receive one message; return its bytes, 0 if the other side has closed, -1: see `errno`."""
     message = box[0]
     message.control_length = 8 * CONTROL_WORDS
     message.stamp_ns = 0
@@ -95,7 +95,7 @@ def receive(fd: int, box: RecordArray[Mailbox], flags: int) -> int:
     message.truncated = 1 if message.message_flags & MSG_TRUNC else 0
     words = min(message.control_length // 8, CONTROL_WORDS)
     at = 0
-    while at + 2 < words:  # a struct cmsghdr is a length, level and type; then the data, padded to whole words
+    while at + 2 < words:  # struct cmsghdr: length, level and type; then the data, padded to whole words
         length, kind = message.room[at], message.room[at + 1]
         if kind in (STAMP, STAMP_NEW):
             message.stamp_ns = message.room[at + 2] * SECOND_NS + message.room[at + 3]

@@ -1,4 +1,4 @@
-"""Linux's own CAN: a raw socket on an interface, or why there is none."""
+"""Linux's own CAN: a raw socket on an interface, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ SIOCGIFFLAGS, IFF_UP = 0x8913, 1
 
 
 def can_socket(name: str) -> socket.socket:
-    """Return a raw CAN socket bound to the interface `name`
-    (blocking, with the kernel's default options).
+    """Return a raw CAN socket bound to the interface `name` (blocking, with the kernel's default
+    options).
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        (exit status 4) This kernel has no CAN, there is no such
-        interface, or it is down; the text says what to do.
+        (exit status 4) This kernel has no CAN, or the interface is missing or down; the text says
+        what to do.
     """
     unavailable = f"no bus socketcan:{name}: "
     try:
@@ -52,17 +52,17 @@ def can_socket(name: str) -> socket.socket:
 
 
 def interface_is_up(target: socket.socket, name: str) -> bool:
-    """Tell whether the interface `name` is up; `target` is any
-    socket. OSError when there is none of that name.
+    """Tell whether the interface `name` is up; `target` is any socket. OSError if there is no such
+    interface.
     """
-    import fcntl  # Linux has it, and only Linux has SocketCAN
+    import fcntl  # only Linux has fcntl and SocketCAN
 
     answer = fcntl.ioctl(target, SIOCGIFFLAGS, struct.pack("16sH14x", name.encode(), 0))
     return bool(struct.unpack_from("H", answer, 16)[0] & IFF_UP)
 
 
 def is_virtual(name: str) -> bool:
-    """Tell whether an interface of Linux has no hardware behind it (vcan, vxcan; slcan is a serial
-    adapter and has).
+    """Tell whether an interface of Linux has no hardware behind it (vcan, vxcan). An slcan has hardware:
+    a serial adapter.
     """
     return "virtual" in Path("/sys/class/net", name).resolve().parts and not name.startswith("slcan")
