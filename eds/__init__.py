@@ -1,1 +1,1 @@
-"""What a device says of itself: readers of EDS, DCF, XDD, XDC; CiA's tables, PDO layout, codec."""
+"""Device descriptions: readers of EDS, DCF, XDD and XDC files; CiA's tables, PDO layouts, codec."""

@@ -1,9 +1,8 @@
-"""Everything that can be said about an EDS file: the reader's
-diagnoses, and whether its PDOs can be read right.
+"""Full check of an EDS file: the reader's diagnoses, and the consistency of its PDOs.
 
-The reader looks at one object at a time. Here the PDO parameters are held against each other and
-against the objects that they map (CiA 301, sections 7.5.2.35 to 7.5.2.38). A PDO that cannot be
-read right is a refusal, with the reason: it is not valid at start.
+The reader looks at one object at a time. This module compares the PDO parameters with each other
+and with the objects that they map (CiA 301, sections 7.5.2.35 to 7.5.2.38). A PDO with an
+ambiguous or impossible layout is refused, with the reason: it is not valid at start.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ SERVICES = {
 
 @dataclass(frozen=True)
 class EdsReport:
-    """What is wrong with a file. `refusals` tells of PDOs that cannot
-    be read right, each as ``file:line: what; what to do``.
+    """Defects of a file. `refusals` lists PDOs without a safe reading, each as
+    ``file:line: what; what to do``.
 
     Such a PDO is not valid when the device starts; everything else of the file can be used.
     """
@@ -45,7 +44,7 @@ class EdsReport:
 
 
 def check(description: Description, node_id: int = 1) -> EdsReport:
-    """Hold the file's PDOs against its objects; the identifiers are those of the node `node_id`."""
+    """Check the file's PDOs against its objects; the identifiers are those of the node `node_id`."""
     diagnoses = list(description.diagnoses)
     for index in MANDATORY:
         if not description.has(index):
@@ -73,14 +72,14 @@ def check(description: Description, node_id: int = 1) -> EdsReport:
 
 
 def _warn(description: Description, index: int, subindex: int, text: str, assumed: str) -> Diagnosis:
-    """Return a warning at the line of an object, or of the nearest that there is."""
+    """Return a warning at the line of an object, or of the nearest existing line."""
     entry = description.objects[index]
     variable = entry.variables.get(subindex) or next(iter(entry.variables.values()), None)
     return Diagnosis(description.path, variable.line if variable else 1, "warning", text, assumed)
 
 
 def _identifiers(description: Description, node_id: int) -> Iterator[Diagnosis]:
-    """Hold the identifiers of the services against the pre-defined connection set."""
+    """Check the identifiers of the services against the pre-defined connection set."""
     for (index, subindex), what in SERVICES.items():
         if not description.has(index, subindex):
             continue
@@ -102,7 +101,7 @@ def _identifiers(description: Description, node_id: int) -> Iterator[Diagnosis]:
 
 
 def _parameters(description: Description, direction: Direction, number: int) -> Iterator[Diagnosis]:
-    """Say which of a PDO's two objects, or which of their defaults, is missing."""
+    """Report which of a PDO's two objects, or which of their defaults, is missing."""
     parameter, mapping = COMMUNICATION[direction] + number - 1, MAPPING[direction] + number - 1
     name = f"{_KEYWORD[direction]}{number}"
     if description.has(mapping) and not description.has(parameter):
@@ -126,7 +125,7 @@ def _undefined(description: Description, index: int, subindex: int) -> bool:
 
 
 def _identifier(description: Description, pdo: PdoLayout, node_id: int, others: list[PdoLayout]) -> Iterator[Diagnosis]:
-    """Say what is odd about the identifier of a PDO."""
+    """Report doubtful identifiers of a PDO."""
     index = COMMUNICATION[pdo.direction] + pdo.number - 1
     if not description.has(index, 1):
         return
@@ -147,7 +146,7 @@ def _identifier(description: Description, pdo: PdoLayout, node_id: int, others: 
 
 
 def _mapped(description: Description, pdo: PdoLayout) -> Iterator[Diagnosis]:
-    """Say which mapped objects the file itself does not let be mapped."""
+    """Report mapped objects that the file declares as not mappable."""
     mapping = MAPPING[pdo.direction] + pdo.number - 1
     if description.has(mapping, 0) and _undefined(description, mapping, 0):
         yield _warn(description, mapping, 0, f"{mapping:04X}h:0 has no default", "nothing is mapped")

@@ -1,7 +1,7 @@
-"""CiA 301 (application layer) as tables: data types, NMT, SDO abort
-codes, EMCY codes, default identifiers.
+"""Tables of CiA 301 (application layer): data types, NMT, SDO abort codes, EMCY codes, default
+identifiers.
 
-One copy for the device, the host and the tools. Section numbers are those of CiA 301 version 4.2.0.
+The device, the host and the tools share them. Section numbers are those of CiA 301 version 4.2.0.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD = 0x02, 0x05, 0x06, 0x07, 0x08, 0
 
 @dataclass(frozen=True)
 class DataType:
-    """A row of CiA 301 table 44; `bits` is 0 where the length is not fixed."""
+    """A row of CiA 301 table 44; `bits` is 0 if the length is not fixed."""
 
     code: int
     name: str
@@ -80,11 +80,11 @@ DATA_TYPES = _types()
 """Data types by code."""
 
 MAX_FIELDS = 64
-"""Fields of a PDO, at most: 64 bits (section 7.5.2.36)."""
+"""Largest number of fields in a PDO: 64 bits (section 7.5.2.36)."""
 
 DUMMY_TYPES = range(0x0001, 0x0008)
-"""Static data types that may be mapped into an RPDO as a gap (section
-7.4.8.1 and [DummyUsage] of CiA 306).
+"""Static data types that may be mapped into an RPDO as a gap (section 7.4.8.1, and [DummyUsage] of
+CiA 306).
 """
 
 
@@ -108,14 +108,14 @@ class NmtCommand(IntEnum):
 
 
 class CobId(IntEnum):
-    """Function codes of the pre-defined connection set (section
-    7.3.5); add the node id from EMCY on.
+    """Function codes of the pre-defined connection set (section 7.3.5); from EMCY on the node id is
+    added.
     """
 
     NMT = 0x000
     SYNC = 0x080
     TIME = 0x100
-    EMCY = 0x080  # an alias of SYNC: the node id makes the difference
+    EMCY = 0x080  # an alias of SYNC: the node id distinguishes them
     TPDO1 = 0x180
     RPDO1 = 0x200
     TPDO2 = 0x280
@@ -135,7 +135,7 @@ _RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (
 
 
 def restricted(can_id: int) -> bool:
-    """Tell whether an identifier may not be configured (table 41)."""
+    """Tell whether an identifier is reserved and cannot be configured (table 41)."""
     return any(first <= can_id <= last for first, last in _RESTRICTED)
 
 
@@ -144,12 +144,11 @@ _INVALID = 1 << 31
 
 
 def predefined(index: int, subindex: int, node_id: int) -> int | None:
-    """Return the default that CiA 301 gives a communication object of
-    the node; None where it leaves it to the device.
+    """Return CiA 301's default for a communication object of the node; None if the device chooses it.
 
     Identifiers are those of the pre-defined connection set (section 7.3.5), with four PDOs of each
-    direction; further PDOs are not valid. A PDO's transmission type is 255. 1F80h (CiA 302-2) says,
-    as a device without it does, that an NMT master starts the device.
+    direction; further PDOs are not valid. A PDO's transmission type is 255. By the default of 1F80h
+    (CiA 302-2) an NMT master starts the device, as if 1F80h were absent.
     """
     fixed = {
         (0x1F80, 0): 0x04,
@@ -316,8 +315,8 @@ _EMCY_CLASSES = {
 
 
 def emcy_text(code: int) -> str:
-    """Return ``0x8250: RPDO time-out`` for an EMCY code; an unlisted
-    one is named by its class (table 25).
+    """Return ``0x8250: RPDO time-out`` for an EMCY code; an unlisted code gets the name of its class
+    (table 25).
     """
     text = EMCY_TEXT.get(code) or _EMCY_CLASSES.get(code >> 8) or "unknown emergency code"
     return f"0x{code:04X}: {text}"

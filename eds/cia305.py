@@ -1,8 +1,7 @@
-"""CiA 305 (layer setting services, LSS) as tables, for the device, the host and the tools.
+"""Tables of CiA 305 (layer setting services, LSS), for the device, the host and the tools.
 
-A request goes from the master to all slaves on 7E5h, an answer comes back on 7E4h, eight bytes
-each, the command specifier first. Multi-byte numbers are little endian; bytes that are not used are
-0.
+The master sends requests to all slaves on 7E5h; slaves respond on 7E4h. Both have eight bytes, the
+command specifier first. Multi-byte numbers are little endian; unused bytes are 0.
 """
 
 from __future__ import annotations
@@ -13,10 +12,10 @@ from enum import IntEnum
 __all__ = ["BIT_RATES", "FASTSCAN_START", "REQUESTS", "UNCONFIGURED", "LssService", "LssState"]
 
 UNCONFIGURED = 255
-"""The node id of a device that has none."""
+"""Node id of an unconfigured device."""
 
 FASTSCAN_START = 128
-"""Bit check of the fastscan that every device without a node id answers."""
+"""Bit check of the first fastscan request, which every device without a node id answers."""
 
 
 class LssState(IntEnum):
@@ -61,7 +60,7 @@ REQUESTS = frozenset(LssService) - {
     LssService.IDENTIFY_ANSWER,
     LssService.NON_CONFIGURED_ANSWER,
 }
-"""What a master asks."""
+"""Requests of a master."""
 
 BIT_RATES: Mapping[int, int] = {
     0: 1_000_000,
@@ -73,5 +72,4 @@ BIT_RATES: Mapping[int, int] = {
     7: 20_000,
     8: 10_000,
 }
-"""Bit rate [bit/s] by index of the table 0; 5 is reserved, and so is 9 (automatic detection) here.
-"""
+"""Bit rates [bit/s] by index of table 0; index 5 is reserved, and here so is 9 (automatic detection)."""

@@ -1,13 +1,14 @@
-"""CiA 402's power drive state machine as one table, shared by the
-device and the host (IEC 61800-7-201, figure 2).
+"""CiA 402's power drive state machine as one table, shared by device and host (IEC 61800-7-201, figure
+2).
 
-The table does not know which role it plays. The drive asks "this state, this controlword: which
-state next?" (`NEXT_STATE`), the host asks "this statusword: which state?" (`STATE_OF_STATUSWORD`)
-and "which controlword leads on to Operation Enabled from here?" (`CONTROLWORD_TO_ENABLE`). All
-tables are plain int64 arrays, so kernels read them as they stand.
+The table serves both roles. The drive looks up the next state for a state and a controlword
+(`NEXT_STATE`); the host looks up the state for a statusword (`STATE_OF_STATUSWORD`) and the next
+controlword on the way to Operation Enabled (`CONTROLWORD_TO_ENABLE`). All tables are plain int64
+arrays, so kernels read them directly.
 
-`STATES` has each state's statusword, `TRANSITIONS` what a controlword commands, `AUTOMATIC` what
-a drive does by itself; every array, and the diagram of docs/devices.md, is made of these three.
+`STATES` has each state's statusword, `TRANSITIONS` the transitions that a controlword commands,
+`AUTOMATIC` those that a drive makes by itself. Every array, and the diagram of docs/devices.md, is
+generated from these three.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class PowerState(IntEnum):
 
 
 class Command(IntEnum):
-    """Commands that a controlword spells; FAULT_RESET is the rising edge of bit 7."""
+    """Commands of a controlword; FAULT_RESET is the rising edge of bit 7."""
 
     NONE = 0
     SHUTDOWN = 1
@@ -108,13 +109,11 @@ CONTROLWORD = {
     Command.QUICK_STOP: 0x0002,
     Command.FAULT_RESET: 0x0080,
 }
-"""The controlword (6040h) that spells each command."""
+"""Controlword (6040h) of each command."""
 
 
 class PowerStateRow(NamedTuple):
-    """A state, how the statusword (6041h) tells it, and the
-    controlword that leads one step on towards Operation Enabled.
-    """
+    """A state, its statusword (6041h), and the controlword for the next step towards Operation Enabled."""
 
     state: PowerState
     mask: int
@@ -133,19 +132,19 @@ STATES = (
     PowerStateRow(_S.FAULT_REACTION_ACTIVE, 0x4F, 0x0F, CONTROLWORD[_C.DISABLE_VOLTAGE]),
     PowerStateRow(_S.FAULT, 0x4F, 0x08, CONTROLWORD[_C.FAULT_RESET]),
 )
-"""CiA 402 table 30, in the order of `PowerState`. Bit 4 (voltage
-enabled) is in no mask; bit 5 is set in the fault states by some drives.
+"""CiA 402 table 30, in the order of `PowerState`. Bit 4 (voltage enabled) is in no mask; some drives
+set bit 5 in the fault states.
 """
 
 STATUSWORD: npt.NDArray[np.int64] = np.array([row.value for row in STATES], np.int64)
 """Bits 0-3, 5 and 6 of the statusword (6041h) by `PowerState`."""
 
 CONTROLWORD_TO_ENABLE: npt.NDArray[np.int64] = np.array([row.onward for row in STATES], np.int64)
-"""The controlword that leads one step on towards Operation Enabled, by `PowerState`."""
+"""Controlword for the next step towards Operation Enabled, by `PowerState`."""
 
 
 def _state_of_statusword() -> npt.NDArray[np.int64]:
-    """State by the low 7 bits of the statusword, -1 where none fits."""
+    """State by the low 7 bits of the statusword, -1 if none fits."""
     table = np.full(128, -1, np.int64)
     for row in STATES:
         table[np.arange(128) & row.mask == row.value] = row.state
@@ -156,8 +155,8 @@ STATE_OF_STATUSWORD = _state_of_statusword()
 
 
 def _command_of_controlword() -> npt.NDArray[np.int64]:
-    """Command by the low 4 bits of the controlword (CiA 402 table
-    24); the edge of bit 7 is the caller's.
+    """Command by the low 4 bits of the controlword (CiA 402 table 24); the caller handles the edge of
+    bit 7.
     """
     table = np.full(16, Command.NONE, np.int64)
     for word in range(16):
@@ -178,9 +177,7 @@ COMMAND_OF_CONTROLWORD = _command_of_controlword()
 
 
 class WordField(NamedTuple):
-    """Some bits of a statusword or controlword; `values` names what they say, and is empty where a
-    bit is set or not.
-    """
+    """Bits of a statusword or controlword; `values` names their meanings, and is empty for a single flag."""
 
     name: str
     start: int
@@ -189,7 +186,7 @@ class WordField(NamedTuple):
 
     @property
     def mask(self) -> int:
-        """The field's bits in the word."""
+        """Mask of the field's bits in the word."""
         return ((1 << self.bits) - 1) << self.start
 
 
@@ -211,8 +208,8 @@ STATUSWORD_FIELDS = (
     WordField("manufacturer_14", 14),
     WordField("manufacturer_15", 15),
 )
-"""The statusword without overlap (CiA 402 table 29). The state is bits 0 to 6, voltage enabled
-among them; bits 12 and 13 depend on the mode of operation.
+"""Statusword without overlap (CiA 402 table 29). The state is bits 0 to 6, including voltage enabled;
+bits 12 and 13 depend on the mode of operation.
 """
 
 CONTROLWORD_FIELDS = (
@@ -223,12 +220,12 @@ CONTROLWORD_FIELDS = (
     WordField("mode_9", 9),
     WordField("manufacturer_11", 11, 5),
 )
-"""The controlword (CiA 402 table 23); bits 4 to 6 and 9 depend on the mode of operation."""
+"""Controlword (CiA 402 table 23); bits 4 to 6 and 9 depend on the mode of operation."""
 
 
 def word_fields(index: int) -> tuple[WordField, ...]:
     """Return the fields of a statusword 6041h or controlword 6040h, also of a drive's further axes
-    (6841h ...); nothing for another object.
+    (6841h ...); empty for another object.
     """
     return {0x6041: STATUSWORD_FIELDS, 0x6040: CONTROLWORD_FIELDS}.get(first_axis_object(index), ())
 
@@ -260,8 +257,8 @@ AUTOMATIC: tuple[tuple[int, PowerState | None, str, PowerState], ...] = (
     (13, _S.OPERATION_ENABLED, "fault, in every state", _S.FAULT_REACTION_ACTIVE),
     (14, _S.FAULT_REACTION_ACTIVE, "fault reaction complete", _S.FAULT),
 )
-"""(number, state, when, next state) of every transition that a drive
-makes by itself; None is the switched-off drive.
+"""(number, state, condition, next state) of every transition that a drive makes by itself; None is the
+switched-off drive.
 """
 
 
@@ -273,13 +270,11 @@ def _next_state() -> npt.NDArray[np.int64]:
 
 
 NEXT_STATE = _next_state()
-"""``NEXT_STATE[state, command]``: the state that follows; the same
-state where the table has no transition.
-"""
+"""``NEXT_STATE[state, command]``: the next state; the same state if the table has no transition."""
 
 
 def diagram() -> str:
-    """Return the state machine as a state diagram in Mermaid's words."""
+    """Return the state machine as a Mermaid state diagram."""
     lines = [
         f"    {'[*]' if state is None else state.name} --> {end.name}: {n} {when}" for n, state, when, end in AUTOMATIC
     ]

@@ -10,7 +10,7 @@ example::
          +----------------+--------------------------------+----------------+
     byte  7      6          5      4      3      2           1      0
 
-Values are the objects' raw bits held in int64: signed types are sign-extended, unsigned types are
+Values are the objects' raw bits in int64: signed types are sign-extended, unsigned types are
 zero-extended (UNSIGNED64 keeps its bit pattern), REAL32 and REAL64 keep their IEEE 754 bit pattern
 (`real_bits`, `real_value`).
 """
@@ -28,17 +28,17 @@ __all__ = ["MAX_FIELDS", "PDO", "PdoRecord", "get_field", "pack", "put_field", "
 
 
 class PdoRecord(Record):
-    """A PDO as kernels pack and unpack it."""
+    """A PDO's layout for packing and unpacking in kernels."""
 
     cob_id: int  # 11-bit identifier; -1: the PDO does not exist or is not valid (bit 31 set)
     transmission: int  # transmission type, CiA 301 table 72: 0, 1-240, 252-255
-    inhibit_ns: int  # between two transmissions at least
+    inhibit_ns: int  # minimum time between two transmissions
     event_ns: int  # event timer of a TPDO, deadline of an RPDO; 0: none
     sync_start: int  # SYNC start value (1800h:06)
-    rtr_allowed: int  # 1: remote frames ask for it
+    rtr_allowed: int  # 1: remote frames may request it
     length: int  # data bytes
     count: int  # fields
-    slot: Annotated[IntegerField, MAX_FIELDS]  # where the field's value stands in the value array; -1: dummy
+    slot: Annotated[IntegerField, MAX_FIELDS]  # index of the field's value in the value array; -1: dummy
     start: Annotated[IntegerField, MAX_FIELDS]  # first bit
     bits: Annotated[IntegerField, MAX_FIELDS]  # width, 1-64
     signed: Annotated[IntegerField, MAX_FIELDS]  # 1: the field is sign-extended
@@ -49,12 +49,10 @@ PDO = dtype_of(PdoRecord)
 
 @kernel
 def get_field(word: int, start: int, bits: int, signed: int) -> int:
-    """Return the field of `bits` bits that begins at bit `start` of
-    `word`, sign-extended when `signed`.
-    """
+    """Return the field of `bits` bits that begins at bit `start` of `word`, sign-extended if `signed`."""
     if bits >= 64:
         return word
-    half = 1 << (bits - 1)  # masks are made of halves: 1 << 63 would leave int64
+    half = 1 << (bits - 1)  # masks are built from halves: 1 << 63 would exceed int64
     value = (word >> start) & (half - 1 + half)
     if signed and value >= half:
         value = value - half - half
@@ -63,13 +61,13 @@ def get_field(word: int, start: int, bits: int, signed: int) -> int:
 
 @kernel
 def put_field(word: int, start: int, bits: int, value: int) -> int:
-    """Return `word` with the low `bits` bits of `value` placed at bit `start`."""
+    """Return `word` with the low `bits` bits of `value` inserted at bit `start`."""
     if bits >= 64:
         return value
     half = 1 << (bits - 1)
     mask = half - 1 + half
     field = value & mask
-    if start + bits >= 64:  # the field ends in the word's sign bit
+    if start + bits >= 64:  # the field includes the word's sign bit
         if field >= half:
             field = field - half - half
         below = 1 << (start - 1)
@@ -88,7 +86,7 @@ def unpack(pdo: PdoRecord, word: int, values: Integers) -> None:
 
 @kernel
 def pack(pdo: PdoRecord, values: Integers) -> int:
-    """Return the PDO's word made of the slots of `values` (int64); dummy fields are 0."""
+    """Return the PDO's word from the slots of `values` (int64); dummy fields are 0."""
     word = 0
     for i in range(pdo.count):
         slot = pdo.slot[i]
@@ -98,7 +96,7 @@ def pack(pdo: PdoRecord, values: Integers) -> int:
 
 
 def real_bits(value: float, bits: int) -> int:
-    """Return the IEEE 754 pattern of `value` in `bits` (32 or 64) bits, as it stands in a slot."""
+    """Return the IEEE 754 pattern of `value` in `bits` (32 or 64) bits, as a slot holds it."""
     if bits == 32:
         return int(struct.unpack("<I", struct.pack("<f", value))[0])
     return int(struct.unpack("<q", struct.pack("<d", value))[0])

@@ -1,4 +1,4 @@
-"""Values of an object as the bytes of an SDO transfer, and back; which objects act when written."""
+"""Conversion between an object's value and the bytes of an SDO transfer; which objects act when written."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _SETPOINTS = (0x6040, 0x6060, 0x6071, 0x607A, 0x6042, 0x60FF, 0x60B0, 0x60B1, 0x
 
 
 def is_output(variable: Variable) -> bool:
-    """Tell whether the object may move something: from 2000h on, what a PDO writes, and the target
-    values of CiA 402.
+    """Tell whether writing the object may cause motion: an object from 2000h on that a PDO may write, or a
+    target value of CiA 402.
     """
     mapped = variable.pdo_mappable and variable.access not in READ_ONLY
     return variable.index >= 0x2000 and (mapped or variable.access == "rww" or variable.index in _SETPOINTS)
@@ -24,7 +24,7 @@ def is_output(variable: Variable) -> bool:
 def encode(variable: Variable, value: Value) -> bytes:
     """Return `value` as the bytes of the variable's type, little endian.
 
-    Text without a closing zero; a number of a type that is not known has four bytes.
+    Text has no closing zero; a number of unknown type has four bytes.
     """
     kind = DATA_TYPES.get(variable.data_type)
     if isinstance(value, bytes):
@@ -38,9 +38,9 @@ def encode(variable: Variable, value: Value) -> bytes:
 
 
 def decode(variable: Variable, data: bytes) -> int | float | str | bytes:
-    """Return the value that bytes spell in the variable's type.
+    """Return the value of `data` in the variable's type.
 
-    Bytes of another length than the type's stay bytes. Text ends at its first zero.
+    Data of another length than the type's stay bytes. Text ends at its first zero.
     """
     kind = DATA_TYPES.get(variable.data_type)
     if kind is None or kind.kind in ("bytes", "domain", "record", "time"):
@@ -58,8 +58,8 @@ def decode(variable: Variable, data: bytes) -> int | float | str | bytes:
 
 
 def without_fill(variable: Variable, data: bytes) -> bytes:
-    """Return the bytes of the variable's type, if those behind them only extend its number: a server
-    may send four of a shorter one. Else return all.
+    """Return the bytes of the variable's type if the bytes after them only extend its number (a server may
+    send four bytes for a shorter number); otherwise return all.
     """
     size = (variable.bits + 7) // 8
     if not 0 < size < len(data):

@@ -1,5 +1,5 @@
-"""What a DCF adds to an EDS (CiA 306-1): configured values,
-ParameterValue and [1003Value], and [DeviceComissioning].
+"""The additions of a DCF to an EDS (CiA 306-1): configured values, ParameterValue and [1003Value], and
+[DeviceComissioning].
 """
 
 from __future__ import annotations
@@ -15,18 +15,16 @@ __all__ = ["COMMISSIONING", "DcfReader"]
 
 COMMUNICATION = range(0x1000, 0x2000)
 COB_ID_FLAGS = 1 << 31 | 1 << 30
-"""What a COB-ID has beside its identifier: not valid (of SYNC and TIME: is produced), no RTR."""
+"""Flags of a COB-ID: bit 31, not valid (for SYNC and TIME: produced); bit 30, no RTR."""
 
 COMMISSIONING = ("devicecomissioning", "devicecommissioning")
-"""The first spelling is CiA's."""
+"""The first is CiA's spelling."""
 BIT_RATES = (10, 20, 50, 100, 125, 250, 500, 800, 1000)
-"""Of CiA 301 [kbit/s], and 100, which is in use."""
+"""Bit rates of CiA 301 [kbit/s], and 100, which is in use."""
 
 
 class DcfReader(ValueReader):
-    """Puts configured values in the place of defaults; `node_id` is
-    that of [DeviceComissioning], 0 where there is none.
-    """
+    """Replaces defaults by configured values; `node_id` is that of [DeviceComissioning], 0 if it is absent."""
 
     node_id = 0
     kind = "a DCF"
@@ -34,12 +32,10 @@ class DcfReader(ValueReader):
     def __init__(self, path: str, raw: bytes) -> None:
         super().__init__(path, raw)
         self.going: list[int] = []
-        """Lines of the values that go with the node id, as their defaults do."""
+        """Lines of the values that change with the node id, as their defaults do."""
 
     def commissioning(self) -> tuple[int, int]:
-        """Return node id and bit rate [bit/s] of a DCF's
-        [DeviceComissioning] (CiA's spelling); 0 where there is none.
-        """
+        """Return node id and bit rate [bit/s] of a DCF's [DeviceComissioning] (CiA's spelling); 0 if absent."""
         known = [self.sections[name] for name in COMMISSIONING if name in self.sections]
         if not known:
             return 0, 0
@@ -58,22 +54,22 @@ class DcfReader(ValueReader):
         return node_id, 1000 * rate
 
     def ambiguous(self, section: Section, key: str) -> str:
-        """Return why a PDO parameter's value can be read in two ways, if it can."""
+        """Return why a PDO parameter's value is ambiguous; "" if it is not."""
         twice = section.conflicts & {key, "datatype"} if section.pdo_parameter else ()
         return f"{section.what(min(twice))} is given twice with different values" if twice else ""
 
     def configure(self, index: int, variables: dict[int, Variable]) -> None:
-        """Give an object's variables what a DCF's [1003Value] says, sub-index by sub-index."""
+        """Configure an object's variables from a DCF's [1003Value], sub-index by sub-index."""
         section = self.sections.get(f"{index:04x}value", Section("", 0))
         for subindex, key in section.numbered().items():
             if subindex in variables:
                 variables[subindex] = self.configured(variables[subindex], section, key)
 
     def configured(self, variable: Variable, section: Section, key: str) -> Variable:
-        """Return the variable with a DCF's value, held against type
-        and limits as an SDO would be, for its default.
+        """Return the variable with a DCF's value as its default, checked against type and limits as in an SDO
+        download.
 
-        What cannot be taken leaves the default as it is, and a PDO parameter unreadable.
+        A bad value leaves the default unchanged, and makes a PDO parameter unreadable.
         """
         if not section.get(key) or (variable.unreadable and not variable.data_type):
             return variable
@@ -91,11 +87,11 @@ class DcfReader(ValueReader):
         return replace(variable, default=value, node_relative=relative, unreadable="")
 
     def related(self, variable: Variable, section: Section, key: str, value: int) -> Variable:
-        """Return the variable with a constant where the default goes with the node id.
+        """Return the variable with a constant if its default depends on the node id.
 
-        What is the default for the DCF's own node id goes with another one, too: a file that is
-        used with another node id moves all its identifiers or none. Bits 30 and 31 of a COB-ID (no
-        RTR, not valid) are settings of their own and no part of the identifier.
+        A value that equals the default for the DCF's own node id changes with another node id, too: a
+        file that is used with another node id moves all its identifiers or none. Bits 30 and 31 of a
+        COB-ID (no RTR, not valid) are settings and not part of the identifier.
         """
         assert isinstance(variable.default, int)
         usual, said = variable.default + self.node_id, f"{section.what(key)}={section.shown(key)}"
@@ -113,7 +109,7 @@ class DcfReader(ValueReader):
         return replace(variable, default=value, node_relative=False, unreadable="")
 
     def check_values(self) -> None:
-        """Say that the file is a DCF, and which of its values stand in other files."""
+        """Report that the file is a DCF, and which of its values are in other files."""
         values = []
         for name, section in self.sections.items():
             compact = name.endswith("value") and re.fullmatch(r"[0-9a-f]{4}value", name) is not None

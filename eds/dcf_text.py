@@ -1,4 +1,4 @@
-"""A DCF as text (CiA 306-1): which values a file configures, and a file with other ones."""
+"""Text of a DCF (CiA 306-1): the values that a file configures, and a file with other values."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ COMMISSIONING = ("devicecomissioning", "devicecommissioning")
 
 
 def configured(description: Description) -> tuple[Place, ...]:
-    """Return the objects to which the file gives a value of their own, in its order; what
-    `Description.default` tells of them is that value.
+    """Return the objects that the file configures, in its order; `Description.default` returns the
+    configured values.
     """
     places: list[Place] = []
     for name, lines in _sections(eds_text(description)):
@@ -36,11 +36,11 @@ def configured(description: Description) -> tuple[Place, ...]:
 
 
 def with_values(description: Description, values: Mapping[Place, Value], node_id: int, bit_s: int = 0) -> str:
-    """Return the file's text as a DCF that gives these values, and no others.
+    """Return the file's text as a DCF that configures exactly these values.
 
     Parameters
     ----------
-    node_id, bit_s : of [DeviceComissioning], CiA's spelling; 0 bit/s: not known
+    node_id, bit_s : of [DeviceComissioning], CiA's spelling; 0 bit/s: unknown
     """
     end = "\r\n" if "\r\n" in description.text else "\n"
     left = dict(values)
@@ -57,7 +57,7 @@ def with_values(description: Description, values: Mapping[Place, Value], node_id
     compact: dict[int, list[int]] = {}
     for index, subindex in sorted(left):
         compact.setdefault(index, []).append(subindex)
-    for index, subs in compact.items():  # of CompactSubObj: these have no sections of their own
+    for index, subs in compact.items():  # sub-indices of CompactSubObj: they have no sections
         rows = [f"{sub}={_spelled(description.variable(index, sub), left[index, sub])}" for sub in subs]
         out += ["", f"[{index:04X}Value]", f"NrOfEntries={len(subs)}", *rows]
     rate = [f"Baudrate={bit_s // 1000}"] if bit_s else []
@@ -66,7 +66,7 @@ def with_values(description: Description, values: Mapping[Place, Value], node_id
 
 
 def _sections(text: str) -> Iterator[tuple[str, Sequence[str]]]:
-    """Yield the name of each section and its lines; first what stands before them, named ""."""
+    """Yield the name of each section and its lines; first the lines before any section, with the name ""."""
     name, lines = "", list[str]()
     for line in text.splitlines():
         head = HEAD.match(line)
@@ -79,7 +79,7 @@ def _sections(text: str) -> Iterator[tuple[str, Sequence[str]]]:
 
 
 def _place(description: Description, name: str) -> Place | None:
-    """Return the object of a section; of an array or record its head is none."""
+    """Return the object of a section; None for the head of an array or record."""
     match = OBJECT_SECTION.fullmatch(name)
     if match is None:
         return None

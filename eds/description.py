@@ -1,4 +1,4 @@
-"""What an EDS file says: objects, variables, and the defects that were found on the way."""
+"""Content of an EDS file: objects, variables, and the defects found while reading."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ Severity = Literal["error", "warning"]
 
 
 class EdsError(CoulombusError):
-    """An EDS file is refused; the text is ``file:line: what; what is expected or what to do``."""
+    """A refused EDS file; the text is ``file:line: what; what is expected or what to do``."""
 
     exit_status = 3
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """One defect of a file, and what the reader assumed instead.
+    """A defect of a file, and the value that the reader assumed instead.
 
-    A "warning" has one sensible reading; after an "error" something
-    is missing that a user should look up.
+    A "warning" has one sensible reading; after an "error" information is missing that a user should
+    look up.
     """
 
     path: str
@@ -45,11 +45,10 @@ class Diagnosis:
 class Variable:
     """One sub-index of the object dictionary.
 
-    `default` is what the device starts with: the ParameterValue of a DCF, else the DefaultValue. It
-    is None where the file gives none, and where it gives one that cannot be read: `unreadable` then
-    says why. With `node_relative` the default is the constant that the node id is added to.
-    `data_type` 0 means not known. Numbers are Python numbers: a hexadecimal default of a signed
-    type is read as two's complement.
+    `default` is the value at the device's start: the ParameterValue of a DCF, else the
+    DefaultValue. It is None if the file gives none, or an unreadable value: `unreadable` then says
+    why. With `node_relative` the node id is added to the default. `data_type` 0 means unknown.
+    Numbers are Python numbers: a hexadecimal default of a signed type is read as two's complement.
     """
 
     index: int
@@ -66,14 +65,12 @@ class Variable:
     unreadable: str = ""
 
     def admits(self, value: float) -> bool:
-        """Tell whether a number keeps to the limits."""
+        """Tell whether a number is within the limits."""
         return (self.low is None or self.low <= value) and value <= self.largest
 
     @property
     def whole(self) -> tuple[int, int] | None:
-        """Least and largest number that the data type holds; None
-        where it is no integer, or not known.
-        """
+        """Smallest and largest number of the data type; None if it is no integer type, or unknown."""
         data_type = DATA_TYPES.get(self.data_type)
         if data_type is None or data_type.kind not in ("int", "bool"):
             return None
@@ -82,11 +79,9 @@ class Variable:
 
     @property
     def largest(self) -> float:
-        """Largest number that the object takes, by its type and its
-        HighLimit; infinite where neither tells.
+        """Largest number that the object admits, by its type and its HighLimit; infinite if neither sets a limit.
 
-        A HighLimit of 0 without a LowLimit below 0 is one that nobody
-        has set: editors of EDS files write it.
+        A HighLimit of 0 without a LowLimit below 0 counts as not set: editors of EDS files write it.
         """
         most = math.inf if self.whole is None else max(self.whole)
         if self.high is None or (self.high == 0 and (self.low is None or self.low >= 0)):
@@ -95,14 +90,14 @@ class Variable:
 
     @property
     def bits(self) -> int:
-        """Width of the data type; 0 where it is not fixed or not known."""
+        """Width of the data type; 0 if it is not fixed or unknown."""
         data_type = DATA_TYPES.get(self.data_type)
         return data_type.bits if data_type else 0
 
 
 @dataclass(frozen=True)
 class Object:
-    """One index of the object dictionary; a VAR or DOMAIN has the one variable 0."""
+    """One index of the object dictionary; a VAR or DOMAIN has only the variable 0."""
 
     index: int
     name: str
@@ -112,11 +107,10 @@ class Object:
 
 @dataclass(frozen=True)
 class Description:
-    """What an EDS file says of a device; `info` is [DeviceInfo],
-    `dummies` the types that may fill a PDO's gaps.
+    """Description of a device by an EDS file; `info` is [DeviceInfo], `dummies` the types that may fill a
+    PDO's gaps.
 
-    `node_id` and `bit_rate` [bit/s] are those of a DCF's
-    [DeviceComissioning], 0 where there are none.
+    `node_id` and `bit_rate` [bit/s] are those of a DCF's [DeviceComissioning], 0 if absent.
     """
 
     path: str
@@ -130,19 +124,19 @@ class Description:
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """What others have computed of this description alone, each under a key of its own.
+        """Cache for results that depend on this description alone; each user has its own key.
 
-        It does not change, so a device that is made of it again need not compute that again.
+        The description does not change, so a second device of the same description reuses them.
         """
         return {}
 
     def has(self, index: int, subindex: int | None = None) -> bool:
-        """Tell whether the object, or its sub-index, is described."""
+        """Tell whether the description has the object, or its sub-index."""
         entry = self.objects.get(index)
         return entry is not None and (subindex is None or subindex in entry.variables)
 
     def variable(self, index: int, subindex: int) -> Variable:
-        """Return one variable; KeyError names the file and what it lacks."""
+        """Return a variable; KeyError names the file and the missing object."""
         entry = self.objects.get(index)
         if entry is None:
             raise KeyError(f"{self.path} describes no object {index:04X}h")

@@ -1,7 +1,7 @@
-"""What a count of a CiA 402 drive's position and velocity is, and which way it counts: the factor
-group 608Fh, 6091h, 6092h and 6093h, the SI units 60A8h and 60A9h, and the polarity 607Eh.
+"""Scale and sign of a CiA 402 drive's position and velocity: the factor group 608Fh, 6091h, 6092h and
+6093h, the SI units 60A8h and 60A9h, and the polarity 607Eh.
 
-CiA 402-2 has for the position actual value 6064h, in user units::
+CiA 402-2 defines the position actual value 6064h in user units::
 
     position = increments x feed / (resolution x gear)
 
@@ -10,9 +10,9 @@ CiA 402-2 has for the position actual value 6064h, in user units::
     feed       = 6092h:1 / 6092h:2   user units in one turn of the driving shaft
 
 so that one turn of the motor is feed / gear. The first edition of CiA 402 has the position factor
-6093h, increments in one unit, in their place: one turn is resolution / factor. Where 6092h is 1 / 1, which is its value before
-anybody has set it, the unit 60A8h tells the user units in a turn; where that says nothing, or
-increments, they are those of 608Fh.
+6093h instead, increments per unit: one turn is resolution / factor. If 6092h is 1 / 1, its value
+before it is set, the unit 60A8h gives the user units per turn; if 60A8h gives nothing, or
+increments, 608Fh gives them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ __all__ = [
 
 Place = tuple[int, int]
 Values = Callable[[int, int], int | None]
-"""The value of an object by index and sub-index; None where nobody tells it."""
+"""Value of an object by index and sub-index; None if unknown."""
 
 POSITION_FACTOR, POSITION_UNIT, VELOCITY_UNIT = 0x6093, 0x60A8, 0x60A9
 POLARITY: Place = (0x607E, 0)
@@ -49,27 +49,27 @@ SCALE_OBJECTS: tuple[Place, ...] = (
     *((POSITION_FACTOR, 1), (POSITION_FACTOR, 2)),
     (POSITION_UNIT, 0),
 )
-"""Objects that decide the scale of 6064h."""
+"""Objects that determine the scale of 6064h."""
 LEAST_INCREMENTS = 16
-"""Increments of an encoder in one turn: 608Fh says 1 where nobody has set it."""
+"""Least increments of an encoder per turn: an unset 608Fh says 1."""
 LEAST_UNITS = 2
-"""User units in one turn that 60A8h may mean: a drive whose unit is a whole turn has set nothing."""
+"""Least user units per turn by 60A8h: a unit of a whole turn means that 60A8h is not set."""
 
 INCREMENTS = 0xB5
 TURNS: Mapping[int, float] = {0x10: 2 * math.pi, 0x41: 360.0, 0x42: 21_600.0, 0x43: 1_296_000.0, 0xB4: 1.0}
-"""Notation indices of CiA 303-2 for an angle: radian, degree, minute, second, revolution; how many
-make one turn.
+"""Units per turn, by the notation index of CiA 303-2 for an angle: radian, degree, minute, second,
+revolution.
 """
 PER: Mapping[int, float] = {0x03: 1.0, 0x47: 60.0}
-"""Notation indices of a time [s]: second, minute."""
+"""Seconds, by the notation index of a time: second, minute."""
 
 
 class PositionScale(NamedTuple):
-    """Counts of 6064h in one turn of the motor, and which objects say so.
+    """Counts of 6064h in one turn of the motor, and the objects that give them.
 
     Attributes
     ----------
-    counts_rev : user units in one turn of the motor; None where the drive does not tell
+    counts_rev : user units in one turn of the motor; None if unknown
     by : the objects and their values, in words
     """
 
@@ -78,16 +78,16 @@ class PositionScale(NamedTuple):
 
     @property
     def whole(self) -> int:
-        """The counts as the rig file has them, an integer of at least 1."""
+        """Counts as in the rig file, an integer of at least 1."""
         return max(1, round(self.counts_rev or 0))
 
     def agrees(self, counts_rev: float) -> bool:
-        """Tell whether another number is this one, but for the rounding to an integer."""
+        """Tell whether another number equals this one within the rounding to an integer."""
         return self.counts_rev is None or abs(self.counts_rev - counts_rev) <= 0.5 + 1e-6 * self.counts_rev
 
 
 class Polarity(NamedTuple):
-    """607Eh: -1 where the drive inverts (CiA 402-2; bit 7 position, 6 velocity, 5 torque)."""
+    """Signs of 607Eh: -1 for an inverted quantity (CiA 402-2; bit 7 position, 6 velocity, 5 torque)."""
 
     position: int
     velocity: int
@@ -95,11 +95,11 @@ class Polarity(NamedTuple):
 
 
 def defaults(description: Description, axis: int = 1) -> Values:
-    """Return what tells the values of an EDS file's objects: their defaults.
+    """Return a function that gives the defaults of an EDS file's objects.
 
     Parameters
     ----------
-    axis : of the drive; its objects are asked for by the index that the first axis has them at
+    axis : of the drive; the function takes the indices of the first axis
     """
 
     def value(index: int, subindex: int) -> int | None:
@@ -111,18 +111,18 @@ def defaults(description: Description, axis: int = 1) -> Values:
 
 
 def polarity(code: int | None) -> Polarity:
-    """Return the signs that 607Eh means; all positive where nobody tells it."""
+    """Return the signs that 607Eh defines; all positive if it is unknown."""
     return Polarity(*(-1 if (code or 0) >> bit & 1 else 1 for bit in (7, 6, 5)))
 
 
 def _ratio(value: Values, index: int) -> Fraction | None:
-    """Return :1 / :2; None where the first is not told, or 0."""
+    """Return :1 / :2; None if :1 is unknown, or 0."""
     numerator, denominator = value(index, 1), value(index, 2)
     return Fraction(numerator, denominator or 1) if numerator else None
 
 
 def resolution(value: Values) -> Fraction | None:
-    """Return the increments in one turn of the motor (608Fh); None where nobody has set them."""
+    """Return the increments in one turn of the motor (608Fh); None if they are not set."""
     increments = _ratio(value, 0x608F)
     return increments if increments is not None and increments >= LEAST_INCREMENTS else None
 
@@ -132,7 +132,7 @@ def position_scale(value: Values, axis: int = 1) -> PositionScale:
 
     Parameters
     ----------
-    value : by the indices that the first axis has
+    value : by the indices of the first axis
     axis : of the drive, for the names of its objects
     """
     resolution_name, gear_name, feed_name, unit_name = (
@@ -167,7 +167,7 @@ def _prefixed(code: int) -> tuple[float, int, int]:
 
 
 def _units_in_turn(code: int | None) -> float | None:
-    """Return how many of an angle's units are one turn; None of any other unit."""
+    """Return the number of an angle unit's units per turn; None for any other unit."""
     if not code:
         return None
     prefix, numerator, _ = _prefixed(code & 0xFFFFFFFF)
@@ -175,12 +175,12 @@ def _units_in_turn(code: int | None) -> float | None:
 
 
 def velocity_unit(value: Values) -> tuple[float, str]:
-    """Return rad/s of the motor for one count of 606Ch, and which object says so.
+    """Return rad/s of the motor per count of 606Ch, and the object that gives it.
 
     Raises
     ------
     ValueError
-        60A9h is not told, or no angle or increments per second or minute
+        60A9h is unknown, or is no angle or increments per second or minute
     """
     code = value(VELOCITY_UNIT, 0)
     if not isinstance(code, int):

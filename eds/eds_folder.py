@@ -1,4 +1,4 @@
-"""The EDS file of a device that answers on a bus, from a folder of them."""
+"""The EDS file for a device on a bus, from a folder of EDS files."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ SUFFIXES = (".eds", ".dcf", ".xdd", ".xdc")
 
 
 def read_folder(folder: Path) -> tuple[list[Description], list[EdsError]]:
-    """Read the EDS, DCF, XDD and XDC files of a folder, by name; return those that can be read, and why the
-    others cannot.
+    """Read the EDS, DCF, XDD and XDC files of a folder, by name; return the readable descriptions, and the
+    errors of the others.
 
     OSError: the folder itself cannot be read.
     """
@@ -24,14 +24,14 @@ def read_folder(folder: Path) -> tuple[list[Description], list[EdsError]]:
         if path.suffix.lower() in SUFFIXES:
             try:
                 descriptions.append(read_eds(path))
-            except EdsError as error:  # of another device, perhaps: who needs it is told that it is missing
+            except EdsError as error:  # may be for another device: a missing file is reported when it is needed
                 refused.append(error)
     return descriptions, refused
 
 
 def fitting(descriptions: Iterable[Description], identity: tuple[int, int], revision: int = 0) -> Description | None:
-    """Return the file of a device by 1018h:01 and :02, that of its own revision (1018h:03) before
-    others; None where there is none.
+    """Return the file that matches a device's 1018h:01 and :02, preferably of its revision (1018h:03); None
+    if there is none.
     """
     alike = [description for description in descriptions if any(identity) and told_identity(description) == identity]
     return next(

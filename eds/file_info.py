@@ -1,6 +1,4 @@
-"""What an EDS file says besides its objects: device, lists of
-objects, and all that belongs to no object.
-"""
+"""Parts of an EDS file besides its objects: [DeviceInfo], lists of objects, and sections of no object."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ OBJECT_LISTS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "OptionalObjects": ((0x1000, 0x1FFF), (0x6000, 0xFFFF)),
     "ManufacturerObjects": ((0x2000, 0x5FFF),),
 }
-"""The lists of objects and the indices that belong there (CiA 306-1)."""
+"""Lists of objects and the indices that belong there (CiA 306-1)."""
 
 OTHER_SECTIONS = frozenset(
     (
@@ -49,7 +47,7 @@ OBJECT_KEYS = frozenset(
         *("parameterrefd", "uniqueidref", "factor", "offset", "unit", "description", "category"),
     )
 )
-"""Keys of an object's section: CiA 306-1's, and those by which some tools say how to show it."""
+"""Keys of an object's section: those of CiA 306-1, and display keys of some tools."""
 
 PDO_NUMBERS = {"nrofrxpdo": (0x1400, "RPDOs"), "nroftxpdo": (0x1800, "TPDOs")}
 PDO_COUNT = 512
@@ -59,12 +57,12 @@ COMMUNICATION_TYPES: Mapping[int, int] = {1: 0x07, 2: 0x05, 3: 0x06, 4: 0x05, 5:
 
 
 class FileReader(DcfReader):
-    """Reads [DeviceInfo], [DummyUsage] and the lists, and says what
-    no other part of the reader looks at.
+    """Reads [DeviceInfo], [DummyUsage] and the lists, and reports everything that no other part of the
+    reader reads.
     """
 
     def device_info(self, objects: Mapping[int, Object]) -> dict[str, str]:
-        """Return [DeviceInfo] as written; its numbers are held against the objects."""
+        """Return [DeviceInfo] as written; its numbers are checked against the objects."""
         if "fileinfo" not in self.sections:
             self.say(1, "[FileInfo] is missing", "a file of no version")
         device = self.sections.get("deviceinfo")
@@ -82,11 +80,10 @@ class FileReader(DcfReader):
         return {device.spelled[key]: value for key, (value, _) in device.entries.items()}
 
     def implied_pdos(self, objects: Mapping[int, Object]) -> dict[int, Object]:
-        """Return the PDO parameters that CompactPDO tells of and the file does not spell out (CiA
-        306-1).
+        """Return the PDO parameters that CompactPDO implies and the file does not list (CiA 306-1).
 
-        Each bit of CompactPDO is a sub-index of the communication parameters, bit 0 is 1. Mapping
-        parameters have 64 entries, none of them mapped.
+        Each bit of CompactPDO is a sub-index of the communication parameters; bit 0 is sub-index 1.
+        Mapping parameters have 64 entries, none of them mapped.
         """
         device = self.sections.get("deviceinfo", Section("", 1))
         compact, implied = self.integer(device, "compactpdo", 0), dict[int, Object]()
@@ -111,7 +108,7 @@ class FileReader(DcfReader):
         return frozenset(code for code in DUMMY_TYPES if self.integer(dummy, f"dummy{code:04x}", 0))
 
     def check_lists(self, objects: Mapping[int, Object], heads: Mapping[int, Section]) -> None:
-        """Hold the lists of objects against the objects that are described."""
+        """Check the lists of objects against the described objects."""
         listed: dict[int, str] = {}
         for name, ranges in OBJECT_LISTS.items():
             section = self.sections.get(name.lower())
@@ -147,9 +144,7 @@ class FileReader(DcfReader):
                 self.say(head.line, f"[{head.name}] is in no list of objects", "an object like the others")
 
     def check_rest(self, objects: Mapping[int, Object]) -> None:
-        """Say what stands in the file besides objects: values of a
-        DCF, modules, unknown sections and keys.
-        """
+        """Report everything besides objects: values of a DCF, modules, unknown sections and keys."""
         self.check_values()
         for name, key, what in (
             ("supportedmodules", "nrofentries", "modules"),
@@ -180,7 +175,7 @@ class FileReader(DcfReader):
             self.say(section.at(key), text, "a comment")
 
     def check_attached(self, name: str, section: Section, objects: Mapping[int, Object]) -> None:
-        """Hold [1003Name] and the like against the object that they belong to."""
+        """Check sections like [1003Name] against the object to which they belong."""
         if not name.endswith(("name", "value", "denotation")):
             return
         index = int(name[:4], 16)

@@ -1,10 +1,9 @@
-"""CiA 301's NMT state machine as one table, shared by the device, the
-host and the tools (section 7.3.2.2, figure 48).
+"""CiA 301's NMT state machine as one table for device, host and tools (section 7.3.2.2, figure 48).
 
-`STATES` has what may be sent and received in each state, `TRANSITIONS` what an NMT command leads
-to, `AUTOMATIC` what a device does by itself; every array and mapping, and the diagram and the table
-of docs/devices.md, are made of these three. The arrays are plain int64, so kernels read them as
-they stand: ``ALLOWED[state] & Service.PDO``.
+`STATES` has the services allowed in each state, `TRANSITIONS` the transitions by NMT commands,
+`AUTOMATIC` those that a device makes by itself. Every array and mapping, and the diagram and the
+table of docs/devices.md, are generated from these three. The arrays are plain int64, so kernels
+read them directly: ``ALLOWED[state] & Service.PDO``.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ class Service(IntEnum):
 
 
 class NmtStateRow(NamedTuple):
-    """A state, and the services that it allows, as a sum of their bits."""
+    """A state, and its allowed services as a sum of their bits."""
 
     state: NmtState
     services: int
@@ -79,7 +78,7 @@ TRANSITIONS: tuple[tuple[int, NmtState, NmtCommand, NmtState], ...] = (
     (13, _S.STOPPED, _C.RESET_COMMUNICATION, _S.INITIALISING),
     (14, _S.PRE_OPERATIONAL, _C.RESET_COMMUNICATION, _S.INITIALISING),
 )
-"""(number, state, command, next state) of every transition that an NMT command leads to."""
+"""(number, state, command, next state) of every transition by an NMT command."""
 
 AUTOMATIC: tuple[tuple[NmtState | None, str, int | None, NmtState], ...] = (
     (None, "power on (1)", None, _S.INITIALISING),
@@ -88,10 +87,10 @@ AUTOMATIC: tuple[tuple[NmtState | None, str, int | None, NmtState], ...] = (
     (_S.OPERATIONAL, "error, 1029h is 2", 2, _S.STOPPED),
     (_S.PRE_OPERATIONAL, "error, 1029h is 2", 2, _S.STOPPED),
 )
-"""(state, when, value of 1029h if it decides, next state) of what a
-device does by itself; None is the switched-off device.
+"""(state, condition, deciding value of 1029h, next state) of every transition that a device makes by
+itself; None is the switched-off device.
 
-A device that starts by itself (1F80h bit 2 clear) makes transition 3 behind its boot-up.
+A device that starts by itself (1F80h bit 2 clear) makes transition 3 after its boot-up.
 """
 
 _VALUES = max(NmtState) + 1
@@ -105,10 +104,10 @@ def _allowed() -> npt.NDArray[np.int64]:
 
 
 ALLOWED = _allowed()
-"""``ALLOWED[state]``: sum of the bits of the services that a state allows."""
+"""``ALLOWED[state]``: sum of the bits of the allowed services."""
 
 NEXT_STATE: Mapping[tuple[int, int], NmtState] = {(state, command): end for _, state, command, end in TRANSITIONS}
-"""(state, command) -> the state that follows; no key where the command changes nothing."""
+"""(state, command) -> next state; no key if the command changes nothing."""
 
 
 def _after_command() -> npt.NDArray[np.int64]:
@@ -119,7 +118,7 @@ def _after_command() -> npt.NDArray[np.int64]:
 
 
 AFTER_COMMAND = _after_command()
-"""``AFTER_COMMAND[state, command]``: the same, for each byte; the same state where it changes nothing."""
+"""``AFTER_COMMAND[state, command]``: the same, for each byte; the same state if the command changes nothing."""
 
 
 def _after_error() -> npt.NDArray[np.int64]:
@@ -131,13 +130,13 @@ def _after_error() -> npt.NDArray[np.int64]:
 
 
 AFTER_ERROR = _after_error()
-"""``AFTER_ERROR[behaviour, state]``: the state that follows an error,
-by 1029h (0 to 2); the same state where it changes nothing.
+"""``AFTER_ERROR[behaviour, state]``: next state after an error, by 1029h (0 to 2); the same state if the
+error changes nothing.
 """
 
 
 def diagram() -> str:
-    """Return the state machine as a state diagram in Mermaid's words."""
+    """Return the state machine as a Mermaid state diagram."""
     lines = [
         f"    {'[*]' if state is None else state.name} --> {end.name}: {when}" for state, when, _, end in AUTOMATIC
     ]
@@ -146,7 +145,7 @@ def diagram() -> str:
 
 
 def services() -> str:
-    """Return which services each state allows, as a table in Markdown."""
+    """Return the services of each state as a Markdown table."""
     rows = ["| | " + " | ".join(row.state.name for row in STATES) + " |", "|---" * (len(STATES) + 1) + "|"]
     for service in Service:
         cells = ("yes" if row.services & service else "" for row in STATES)

@@ -1,4 +1,4 @@
-"""Objects as people name them: by index and sub-index, or by the name in the EDS."""
+"""Objects in the user's notation: by index and sub-index, or by the name in the EDS."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _NUMBERS = re.compile(r"(?:0x)?([0-9A-Fa-f]{4})h?(?::(?:0x)?([0-9A-Fa-f]{1,2})h?
 
 
 def object_key(text: str, description: Description) -> tuple[int, int] | str:
-    """Return index and sub-index of an object that is named as "7300:01" or by its name in the EDS;
-    where there is none, the words that tell what was expected instead.
+    """Return index and sub-index of an object, given as "7300:01" or by its name in the EDS; if there is no
+    such object, return the text of the expectation instead.
     """
     numbers = _NUMBERS.fullmatch(text.strip())
     if numbers:

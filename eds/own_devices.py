@@ -1,7 +1,7 @@
-"""Which devices are this project's own: 1018h of `motor.eds` and `mr_brake.eds`.
+"""Identity of this project's own devices: 1018h of `motor.eds` and `mr_brake.eds`.
 
-The objects 2000h to 5FFFh mean what these files say in these devices
-only; each maker has objects of its own there.
+The definitions of 2000h to 5FFFh in these files hold for these devices only; each vendor defines
+its own objects there.
 """
 
 from __future__ import annotations
@@ -19,26 +19,24 @@ FILES = ("motor.eds", "mr_brake.eds")
 VENDOR_ID = 0x4C0
 """1018h:01."""
 PRODUCTS: Mapping[str, int] = {"motor": 0x402, "brake": 0x404}
-"""1018h:02 by what the device is in a rig."""
+"""1018h:02 by the device's role in a rig."""
 MANUFACTURER = range(0x2000, 0x6000)
-"""The objects that each maker defines for himself (CiA 301, table 2)."""
+"""Manufacturer-specific objects (CiA 301, table 2)."""
 
 
 def told_identity(description: Description) -> tuple[int, int]:
-    """Return (1018h:01, 1018h:02) as the EDS file has them; 0 where it tells none."""
+    """Return (1018h:01, 1018h:02) of the EDS file; 0 for a missing value."""
     numbers = (description.default(0x1018, part, 0) if description.has(0x1018, part) else None for part in (1, 2))
     vendor, product = (value if isinstance(value, int) else 0 for value in numbers)
     return vendor, product
 
 
 def is_own(role: str, identity: tuple[int, int]) -> bool:
-    """Tell whether (1018h:01, 1018h:02) is that of our own device for `role`, "motor" or
-    "brake".
-    """
+    """Tell whether (1018h:01, 1018h:02) is the identity of our own device for `role`, "motor" or "brake"."""
     return identity == (VENDOR_ID, PRODUCTS.get(role))
 
 
 def packaged() -> tuple[Description, ...]:
-    """Return the EDS files of our own devices, as they are installed."""
+    """Return the installed EDS files of our own devices."""
     folder = resources.files("coulombus.eds")
     return tuple(read_eds(str(folder / name)) for name in FILES)

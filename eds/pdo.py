@@ -1,8 +1,8 @@
 """PDO layouts from an EDS's communication and mapping parameters (CiA
 301, sections 7.5.2.35 to 7.5.2.38).
 
-A map is read right or refused: an entry that is dropped or misread would shift every field behind
-it, and a shifted torque is a wrong torque. Times are nanoseconds inside; 1800h:3 counts 100 us and
+A map is read correctly or refused: a dropped or misread entry would shift every field after it, and
+a shifted torque is a wrong torque. Internal times are nanoseconds; 1800h:3 counts 100 us and
 1800h:5 counts 1 ms.
 """
 
@@ -50,8 +50,8 @@ NAME_COLUMNS = 34
 
 @dataclass(frozen=True)
 class Entry:
-    """One mapped field; `kind` "real" means an IEEE 754 pattern.
-    Dummy entries have index 0001h to 0007h.
+    """A mapped field; `kind` "real" means an IEEE 754 pattern. Dummy entries have index 0001h to
+    0007h.
     """
 
     index: int
@@ -63,15 +63,13 @@ class Entry:
 
     @property
     def dummy(self) -> bool:
-        """A gap: bits that carry no object."""
+        """Whether the entry is a gap: bits that carry no object."""
         return self.index in DUMMY_TYPES
 
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """One PDO, as the device sees it (an RPDO is what it receives);
-    `cob_id` is -1 where the PDO is not valid.
-    """
+    """A PDO from the device's point of view (it receives an RPDO); `cob_id` is -1 if the PDO is not valid."""
 
     number: int
     direction: Direction
@@ -85,7 +83,7 @@ class PdoLayout:
 
     @property
     def length(self) -> int:
-        """Data bytes; a last byte that is begun counts."""
+        """Number of data bytes; a partly used last byte counts."""
         return (sum(entry.bits for entry in self.entries) + 7) // 8
 
     @property
@@ -94,8 +92,8 @@ class PdoLayout:
         return tuple(sum(entry.bits for entry in self.entries[:i]) for i in range(len(self.entries)))
 
     def diagram(self, columns: int = DIAGRAM_COLUMNS) -> str:
-        """Draw the bits, the last byte on the left, as the codec counts them; in blocks below each
-        other where they do not find room in so many columns.
+        """Draw the bits in the codec's order, the last byte on the left; split into several blocks if
+        they are wider than `columns`.
 
         ::
 
@@ -114,14 +112,14 @@ def layouts(description: Description, node_id: int) -> tuple[PdoLayout, ...]:
     Raises
     ------
     EdsError
-        A default map or identifier cannot be read right; nothing is guessed, dropped or shifted.
+        A default map or identifier cannot be read safely; nothing is guessed, dropped or shifted.
     """
     return tuple(read_layout(description, node_id, direction, number) for direction, number in _described(description))
 
 
 def unreadable(description: Description, node_id: int) -> dict[int, str]:
-    """Return why a PDO cannot be read right, by the index of its
-    communication parameter; such a PDO is not valid at start.
+    """Return why a PDO cannot be read safely, by the index of its communication parameter; such a PDO is not
+    valid at start.
     """
     reasons = {}
     for direction, number in _described(description):
@@ -141,9 +139,9 @@ def _described(description: Description) -> Iterator[tuple[Direction, int]]:
 
 
 def read_layout(description: Description, node_id: int, direction: Direction, number: int) -> PdoLayout:
-    """Return one PDO; EdsError as for `layouts`.
+    """Return one PDO; EdsError as in `layouts`.
 
-    Where the EDS gives no default: what `eds.cia301.predefined` gives, no timers.
+    Without a default in the EDS: the value of `eds.cia301.predefined`, no timers.
     """
     if not 1 <= node_id <= 127:
         raise ValueError(f"node id {node_id}; expected 1 to 127")
@@ -151,7 +149,7 @@ def read_layout(description: Description, node_id: int, direction: Direction, nu
     cob_id = _number(description, index, 1, node_id, predefined(index, 1, node_id)) or 0
     can_id = cob_id & 0x1FFFFFFF
     line = description.variable(index, 1).line if description.has(index, 1) else 1
-    valid = not cob_id & COB_ID_INVALID and can_id != 0  # identifier 0 is NMT's: files write it for "not used"
+    valid = not cob_id & COB_ID_INVALID and can_id != 0  # identifier 0 is NMT's: some files write it for "not used"
     if valid and (cob_id & COB_ID_EXTENDED or can_id > 0x7FF):
         text = f"{index:04X}h:1 has the identifier 0x{can_id:X}"
         raise _refuse(description, line, text, "expected 0x001 to 0x7FF, or bit 31 set for a PDO that is not valid")
@@ -171,8 +169,7 @@ def read_layout(description: Description, node_id: int, direction: Direction, nu
 def fill(record: Record, layout: PdoLayout, slot_of: Callable[[int, int], int]) -> None:
     """Write a layout into one record of `eds.codec.PDO`.
 
-    `slot_of` gives the slot of (index, sub-index) and is not asked
-    about dummy entries, which get slot -1.
+    `slot_of` returns the slot of (index, sub-index); dummy entries get slot -1 without a call.
     """
     for name in ("cob_id", "transmission", "inhibit_ns", "event_ns", "sync_start", "rtr_allowed", "length"):
         record[name] = getattr(layout, name)
@@ -190,8 +187,8 @@ def fill(record: Record, layout: PdoLayout, slot_of: Callable[[int, int], int]) 
 
 
 def entry_of(variable: Variable, bits: int = 0) -> Entry:
-    """Return the entry that maps `variable`, in `bits` bits where its
-    data type has no fixed width (0: the type's).
+    """Return the entry that maps `variable`, in `bits` bits if its data type has no fixed width (0: the
+    type's).
     """
     data_type = DATA_TYPES.get(variable.data_type)
     real = data_type is not None and data_type.kind == "real"
@@ -206,7 +203,7 @@ def _refuse(description: Description, line: int, text: str, expected: str) -> Ed
 
 
 def _number(description: Description, index: int, subindex: int, node_id: int, assumed: int | None) -> int | None:
-    """Return a parameter's default, or `assumed` where the EDS gives none."""
+    """Return a parameter's default, or `assumed` if the EDS gives none."""
     if not description.has(index, subindex):
         return assumed
     variable = description.variable(index, subindex)

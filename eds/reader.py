@@ -1,15 +1,14 @@
-"""A tolerant reader of EDS and DCF files (CiA 306-1), with a
-diagnosis for everything that it had to assume.
+"""Tolerant reader of EDS and DCF files (CiA 306-1), with a diagnosis for every assumption.
 
 Real files are written by hand and by a dozen tools: Windows code pages, missing keys, doubled
-sections, zero-padded numbers. All of that is read, and each defect is told with its line and with
-what was assumed instead. One thing is never assumed: what a PDO parameter (1400h to 1BFFh) means.
-Where the file can be read in two ways there, the variable has no default, `Variable.unreadable`
-says why, and `eds.pdo` refuses the map.
+sections, zero-padded numbers. The reader accepts all of that, and reports each defect with its line
+and the assumed value. It never assumes the meaning of a PDO parameter (1400h to 1BFFh). If the file
+is ambiguous there, the variable has no default, `Variable.unreadable` says why, and `eds.pdo`
+refuses the map.
 
 The file is read in two steps: lines to sections (`eds.sections`), sections to objects
 (here; values by `eds.values`, a DCF's by `eds.dcf`, the file's other parts by `eds.file_info`).
-XDD and XDC files (CiA 311) are told by their content; their sections are made of XML (`eds.xdd`).
+XDD and XDC files (CiA 311) are recognised by their content; `eds.xdd` converts their XML to sections.
 """
 
 from __future__ import annotations
@@ -44,22 +43,21 @@ ACCESS_WORDS = {
     "writeonly": "wo",
     "readwrite": "rw",
 }
-"""What some files write instead."""
+"""Variants of the keys in some files."""
 
 MOST_SUBINDICES = 0xFE
 MOST_BYTES = 1 << 26
-"""More than this is no device description, and may have no end, as a device of the system has none.
-"""
+"""Largest size of a device description; a larger file may be endless, such as a device file."""
 
 
 def read_eds(path: str | Path) -> Description:
-    """Read an EDS, DCF, XDD or XDC file; `Description.diagnoses` tells what was wrong with it.
+    """Read an EDS, DCF, XDD or XDC file; `Description.diagnoses` lists its defects.
 
     Raises
     ------
     EdsError
-        The path is no regular file (a FIFO, a device: told at once),
-        cannot be opened, is too large, or describes no object at all.
+        The path is no regular file (a FIFO, a device: refused at once), cannot be opened, is too
+        large, or describes no object at all.
     """
     try:
         raw = read_regular(path, MOST_BYTES)
@@ -72,13 +70,13 @@ def read_eds(path: str | Path) -> Description:
 
 @lru_cache(maxsize=16)
 def parse_eds(raw: bytes, path: str) -> Description:
-    """Read the bytes of an EDS or DCF file, or of an XDD or XDC; `path` names it in
-    diagnoses. The same bytes are read once.
+    """Parse the bytes of an EDS, DCF, XDD or XDC file; `path` names it in diagnoses. The same bytes
+    are parsed only once.
 
     Raises
     ------
     EdsError
-        It describes no object at all, or is XML and no XDD.
+        The file describes no object at all, or is XML but no XDD.
     """
     with _collector_at_rest():
         return (_XmlReader if is_xml(raw) else _Reader)(path, raw).build()
@@ -86,9 +84,7 @@ def parse_eds(raw: bytes, path: str) -> Description:
 
 @contextmanager
 def _collector_at_rest() -> Iterator[None]:
-    """Keep Python's garbage collector from looking, again and again, through all that is being made:
-    there is no circle in it.
-    """
+    """Pause Python's garbage collector during the construction of many objects: they have no cycles."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -133,7 +129,7 @@ class _Reader(FileReader):
     def in_decimal(self, subs: dict[int, Section]) -> dict[int, Section]:
         """Return the sub-indices by their numbers.
 
-        In decimal where sub-index 0 proves that [2000sub10] means the tenth.
+        They are decimal if sub-index 0 proves that [2000sub10] means the tenth.
         """
         if not ({9, 0x10} <= subs.keys() and 0 in subs) or any(sub in subs for sub in range(0xA, 0x10)):
             return subs
@@ -184,9 +180,7 @@ class _Reader(FileReader):
     def check_subs(
         self, index: int, head: Section, subs: Mapping[int, Section], variables: Mapping[int, Variable], compact: int
     ) -> None:
-        """Hold SubNumber and the default of sub-index 0 against the sub-indices that are
-        described.
-        """
+        """Check SubNumber and the default of sub-index 0 against the described sub-indices."""
         said = self.integer(head, "subnumber", 0)
         if subs and not compact and said != len(subs):
             number = f"SubNumber={said}" if head.get("subnumber") else "SubNumber is missing"
@@ -232,9 +226,7 @@ class _Reader(FileReader):
         return kind
 
     def compact(self, index: int, head: Section, name: str, count: int) -> dict[int, Variable]:
-        """Expand CompactSubObj: sub-index 0 is implied, the others
-        share the head's type, access and default.
-        """
+        """Expand CompactSubObj: sub-index 0 is implied, the others share the head's type, access and default."""
         number = Variable(index, 0, "Highest sub-index", 5, "ro", count, False, None, None, False, head.line)
         section = self.sections.get(f"{index:04x}name", Section("", head.line))
         names = {subindex: section.get(key) for subindex, key in section.numbered().items()}
@@ -271,7 +263,7 @@ class _Reader(FileReader):
         number = number_of(self.bare(section, "datatype"))
         plain = number is not None and not (number.complaint or section.conflicts)
         if number and plain and number.value in DATA_TYPES and f"{number.value:04x}sub1" not in self.sections:
-            return number.value  # most of them
+            return number.value  # the usual case
         guess = 0
         if kind == DOMAIN:
             guess = 0x000F
@@ -309,4 +301,4 @@ class _Reader(FileReader):
 
 
 class _XmlReader(XddReader, _Reader):
-    """The sections of an XDD, and the objects that any sections give."""
+    """Sections of an XDD, and the objects built from any sections."""

@@ -1,7 +1,7 @@
-"""Reading a file that a user names: a regular file of a bounded size, or a reason at once.
+"""Read a user's file: a regular file of bounded size, or an immediate error.
 
-A FIFO or a terminal has no end until somebody writes to it, a device
-may have none at all, and opening some devices does something.
+Reading a FIFO or a terminal blocks until data are written, a device may be endless, and opening
+some devices has side effects.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["MOST_BYTES", "NoRegularFile", "mode_of", "naming", "read_regular", "
 
 MOST_BYTES = 1 << 26
 MOST_NAMES = 10_000
-"""Of a folder in which a missing file's name is looked for."""
+"""Largest number of names in a folder that is searched for a missing file's name."""
 
 KINDS = (
     (stat.S_ISDIR, "a directory"),
@@ -31,14 +31,12 @@ KINDS = (
 
 
 class NoRegularFile(OSError):
-    """The path is no regular file, or a larger one than is read; `strerror` says which."""
+    """The path is no regular file, or the file is too large; `strerror` says which."""
 
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Let an error of a file that is read inside tell which one;
-    reading names none, only opening does.
-    """
+    """Add the file's name to errors raised in the block; only open() names it, read() does not."""
     try:
         yield
     except OSError as error:
@@ -48,14 +46,14 @@ def naming(path: str | Path) -> Iterator[None]:
 
 
 def mode_of(path: str | Path) -> int:
-    """Return the mode of what stands there, as `os.stat` tells it.
+    """Return the mode of the path, as in `os.stat`.
 
     Raises
     ------
     FileNotFoundError
-        Nothing stands there; `strerror` also says what may have been meant.
+        The path does not exist; `strerror` also suggests a similar name.
     OSError
-        It cannot be looked at.
+        The path cannot be examined.
     """
     try:
         return os.stat(path).st_mode
@@ -66,7 +64,7 @@ def mode_of(path: str | Path) -> int:
 
 
 def _meant(path: str) -> str:
-    """Return what may have been meant by a path where nothing stands, behind a semicolon."""
+    """Return a suggestion for a path that does not exist, preceded by a semicolon."""
     if "\\" in path:
         drive = re.match(r"([A-Za-z]):\\", path)
         wsl = f", under WSL /mnt/{drive[1].lower()}/{path[3:]}".replace("\\", "/") if drive else ""
@@ -84,7 +82,7 @@ def _meant(path: str) -> str:
 
 
 def require_regular(path: str | Path) -> None:
-    """Raise what `read_regular` raises of anything but a regular file; open nothing."""
+    """Raise the errors of `read_regular` for anything but a regular file; open nothing."""
     _require_regular(path, mode_of(path))
 
 
@@ -94,12 +92,12 @@ def read_regular(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
     Raises
     ------
     NoRegularFile
-        It is something else (nothing was opened), or has more than `most_bytes`.
+        The path is not a regular file (nothing was opened), or has more than `most_bytes`.
     OSError
-        It cannot be read.
+        The file cannot be read.
     """
     require_regular(path)
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # the file may have changed since
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # the file may have been replaced since
     with open(descriptor, "rb") as file:
         _require_regular(path, os.fstat(descriptor).st_mode)
         with naming(path):

@@ -1,11 +1,10 @@
-"""The answers of one node to one SDO client: which frame is the same one again, and whether two
-devices answer.
+"""Answers of a node to one SDO client: detects repeated frames, and two devices with the same node id.
 
-CAN delivers a frame twice when the last bit of its end is disturbed: its receivers have it already,
-and its sender sends it again. So an answer that is identical to the one before, and comes directly
-behind it, is the same frame; of a request that was delivered twice come two answers. Two devices of
-one node id show otherwise: one request has different answers, or several requests in a row have a
-second one.
+CAN delivers a frame twice if the last bit of its end is disturbed: its receivers have it already,
+and its sender repeats it. So an answer that is identical to the previous one, and follows it
+directly, is the same frame; a request that was delivered twice has two answers. Two devices with
+the same node id show otherwise: a request has different answers, or several requests in a row have
+a second answer.
 """
 
 from __future__ import annotations
@@ -15,22 +14,22 @@ from dataclasses import dataclass
 __all__ = ["SdoAnswers", "named"]
 
 IN_A_ROW = 3
-"""Second answers to so many requests in a row are those of a second device."""
+"""Second answers to this many requests in a row come from a second device."""
 COMMUNICATION = range(0x1000, 0x2000)
-"""What stands here is the same when it is read twice; a measured value is not."""
+"""Objects whose value is the same when read twice; a measured value is not."""
 _UPLOAD, _DOWNLOAD, _ABORT = 2, 3, 4
 _ANSWERS = {1: (3, 4), 2: (2, 4), 5: (2, 4, 6), 6: (4, 5)}
-"""Command of an initiating request -> those of what may answer it (bits 7 to 5 of byte 0)."""
+"""Command of an initiating request -> commands of its possible answers (bits 7 to 5 of byte 0)."""
 
 
 def named(message: bytes) -> tuple[int, int]:
-    """Return the object that an initiating message names."""
+    """Return the object of an initiating message."""
     return int.from_bytes(message[1:3], "little"), message[3]
 
 
 @dataclass
 class _Asked:
-    """A request, how often it was sent on end, how often it was answered, and how first."""
+    """A request, how often it was repeated, how often it was answered, and its first answer."""
 
     request: bytes
     times: int = 1
@@ -38,7 +37,7 @@ class _Asked:
     first: bytes = b""
 
     def ends(self, answer: bytes) -> bool:
-        """Tell whether an answer ends this request: of a longer transfer other frames do."""
+        """Tell whether an answer ends this request; a longer transfer ends with other frames."""
         command = answer[0] >> 5
         if self.request[0] >> 5 == 2:
             return command == _ABORT or (command == _UPLOAD and bool(answer[0] & 0x02))
@@ -47,8 +46,8 @@ class _Asked:
         return False
 
     def contradicts(self, answer: bytes) -> bool:
-        """Tell whether one device does not give this answer behind the first: a second write may be
-        refused, and a measured value changes.
+        """Tell whether a single device cannot give this answer after the first: a second write may be refused,
+        and a measured value changes.
         """
         if self.request[0] >> 5 != 2 or self.times > 1 or answer == self.first:
             return False
@@ -56,27 +55,27 @@ class _Asked:
 
 
 class SdoAnswers:
-    """What a node was asked by one client, and what it answered.
+    """Requests of one client to a node, and the node's answers.
 
     Attributes
     ----------
-    again : the answer before once more, which came behind the last message of the client; b"" without one
-    stray : the last answer about another object than the one that is asked for, b"" without one
-    second : the last answer to a request that had been answered, b"" without one
+    again : repetition of the previous answer, after the client's last message; b"" without one
+    stray : last answer about another object than the requested one; b"" without one
+    second : last answer to a request that had been answered; b"" without one
     """
 
     def __init__(self) -> None:
         self.again = self.stray = self.second = b""
-        self._request = self._last = b""  # the request is there while the client waits for its first answer
-        self._behind = 0  # messages sent behind the last answer
-        self._count = 0  # initiating requests
+        self._request = self._last = b""  # the request is stored while the client waits for its first answer
+        self._behind = 0  # messages sent after the last answer
+        self._count = 0  # number of initiating requests
         self._requests: dict[tuple[int, int], _Asked] = {}
-        self._place: tuple[int, int] | None = None  # of the last initiating request
-        self._twice: set[int] = set()  # numbers of the requests in whose time second answers came
+        self._place: tuple[int, int] | None = None  # object of the last initiating request
+        self._twice: set[int] = set()  # numbers of the requests during which second answers came
         self._differ = False
 
     def ask(self, request: bytes) -> None:
-        """The client initiates a transfer."""
+        """Record a request of the client that initiates a transfer."""
         self.sent()
         self._count += 1
         self._request, self.stray = request, b""
@@ -90,13 +89,13 @@ class SdoAnswers:
         self._place = place
 
     def sent(self) -> None:
-        """The client sends a message that goes on with a transfer, or ends it."""
+        """Record a message of the client that continues or ends a transfer."""
         self._request, self.again, self._behind = b"", b"", self._behind + 1
 
     def take(self, answer: bytes) -> bool:
-        """Take a message of the server; tell whether it goes on with the transfer.
+        """Record a message of the server; tell whether it continues the transfer.
 
-        What is the frame before once more does not, nor does an answer to an earlier request.
+        A repeated frame does not, nor does an answer to an earlier request.
         """
         self._judge(answer)
         is_stray = bool(self._request) and answer[0] >> 5 > 1 and named(answer) not in (self._place, (0, 0))
@@ -119,7 +118,7 @@ class SdoAnswers:
         )
 
     def _repeats(self, answer: bytes) -> bool:
-        """Tell whether a new answer may be identical to the one before."""
+        """Tell whether a new answer may be identical to the previous one."""
         if self._request:
             return (
                 self._behind > 0 and named(answer) == self._place and answer[0] >> 5 in _ANSWERS[self._request[0] >> 5]

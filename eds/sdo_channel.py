@@ -1,10 +1,10 @@
-"""The SDO traffic of one server in words: each frame with its transfer, from the initiation to the
-end (CiA 301, section 7.2.4.3).
+"""Decoder of one server's SDO traffic: each frame with its transfer, from the initiation to the end
+(CiA 301, section 7.2.4.3).
 
-What a frame means depends on the transfer that is under way: a segment of a block transfer may
-begin with any byte but 00h and 80h. Where a recording begins within a transfer, its first frames
-may have two meanings; they are called so until the numbers of two segments follow each other, or a
-frame comes that has one meaning.
+The meaning of a frame depends on the current transfer: a segment of a block transfer may begin with
+any byte but 00h and 80h. If a recording begins within a transfer, its first frames may be
+ambiguous; they are reported so until the numbers of two segments follow each other, or an
+unambiguous frame comes.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ _BLOCK_INITIATED = (forms.BLOCK_UPLOAD_INITIATED, forms.BLOCK_DOWNLOAD_INITIATED
 
 @dataclass
 class Transfer:
-    """A transfer under way.
+    """A transfer in progress.
 
     Attributes
     ----------
-    place : index and sub-index, None where the initiation is not in the recording
+    place : index and sub-index, None if the initiation is not in the recording
     kind : "expedited", "segmented" or "block"; "" before the server has chosen
-    joined : what came so far
-    requested : the client's initiation is there
-    both : frames of client and server are there: the first one was no misread segment
-    toggle : toggle bit of the segment that the next frame has to answer, None: of none
-    crc : the client knows CRCs
-    last : the last segment of a segmented download came
+    joined : data so far
+    requested : the recording has the client's initiation
+    both : client and server have both sent frames: the first was no misread segment
+    toggle : toggle bit of the segment that the next frame has to answer, None: no such segment
+    crc : the client supports CRCs
+    last : the last segment of a segmented download was received
     """
 
     upload: bool
@@ -68,7 +68,7 @@ class Transfer:
 
     @property
     def service(self) -> str:
-        """The service in words, as far as it is known."""
+        """Name of the service, as far as it is known."""
         words = ("SDO", self.kind, "upload" if self.upload else "download")
         return " ".join(word for word in words if word)
 
@@ -80,33 +80,35 @@ def _unseen(upload: bool, joined: Segments | SubBlocks) -> Transfer:
 
 
 class SdoChannel:
-    """Follows the transfers of one server with its clients, one after the other.
+    """Follows the successive transfers of one server with its clients.
 
     Parameters
     ----------
     description
-        The server's EDS file, for names and types; None where it is not known.
+        The server's EDS file, for names and types; None if unknown.
     """
 
     def __init__(self, description: Description | None) -> None:
         self._description = description
         self._transfer: Transfer | None = None
         self._begun = False
-        """A frame came that is no segment of a block transfer."""
+        """Whether a frame came that is no segment of a block transfer."""
         self._before: tuple[bool, bytes] | None = None
         self._row: Row = {}
         self._number = 0
-        """Of the frame before, if it may be a segment of a block transfer that began unseen; else 0."""
+        """Number of the previous frame if it may be a segment of a block transfer that began before the
+        recording; else 0.
+        """
 
     @property
     def transfer(self) -> Transfer | None:
-        """The transfer under way; None where none is, or it ended with the last frame."""
+        """Transfer in progress; None if there is none, or if it ended with the last frame."""
         return self._transfer
 
     def row(self, data: bytes, from_server: bool) -> Row:
-        """Return what a frame says, and what it brings its transfer to.
+        """Return the decoded frame, and the state of its transfer.
 
-        The keys are `service`, `phase`, and as far as they are known `index`, `subindex`, `name`,
+        The keys are `service`, `phase`, and, as far as known, `index`, `subindex`, `name`,
         `value`, `size`, `block_size`, `number`, `segment`, `last`, `bytes`, `content` (of the frame
         that completes a transfer), `code`, `text`, `remark`.
         """
@@ -149,7 +151,7 @@ class SdoChannel:
         return self._block_handshake(form, data)
 
     def _believable(self, form: Form, data: bytes) -> bool:
-        """Tell whether a frame that no transfer explains is what its first byte says."""
+        """Tell whether a frame that fits no transfer can be what its first byte says."""
         return data[0] in form.commands if self._begun else form.exact(data)
 
     def _unknown(self, data: bytes, from_server: bool) -> Row:
@@ -159,7 +161,7 @@ class SdoChannel:
         blocks.take(data)
         return {"service": transfer.service, "phase": WITHIN_BLOCK, "remark": NO_BEGINNING}
 
-    # the initiation
+    # initiation
 
     def _request(self, form: Form, data: bytes) -> Row:
         self._transfer = transfer = Transfer(form in _UPLOAD, named(data), requested=True)
@@ -181,7 +183,7 @@ class SdoChannel:
     def _response(self, form: Form, data: bytes) -> Row:
         upload, place, transfer, says = form in _UPLOAD, named(data), self._transfer, Row()
         if transfer is None or not transfer.requested or (transfer.upload, transfer.place) != (upload, place):
-            if transfer is not None and transfer.requested and not transfer.both:  # the answer to an earlier one
+            if transfer is not None and transfer.requested and not transfer.both:  # the answer to an earlier request
                 remark = f"the request is about {where(*(transfer.place or place))}"
                 return self._line(Transfer(upload, place), form.phase, {"remark": remark})
             transfer, says["remark"] = Transfer(upload, place), NO_REQUEST
@@ -197,7 +199,7 @@ class SdoChannel:
         elif form is forms.BLOCK_DOWNLOAD_INITIATED:
             crc = transfer.crc and bool(data[0] & 0x04)
             transfer.kind, says["block_size"] = "block", data[4]
-            # without the request nobody knows the size, which would show a loss
+            # without the request the size is unknown, so a loss cannot be detected
             transfer.joined = SubBlocks(transfer.joined.size, transfer.both, most=data[4], crc=crc)
             return self._line(transfer, form.phase, says)
         elif upload and data[0] & 0x02:
@@ -216,7 +218,7 @@ class SdoChannel:
     def _segment(self, form: Form, data: bytes) -> Row:
         upload, transfer = form is forms.UPLOAD_SEGMENT, self._transfer
         if transfer is None or transfer.upload != upload or not isinstance(transfer.joined, Segments):
-            ambiguous = bool(data[0])  # segment 0 of a block there is not
+            ambiguous = bool(data[0])  # a block has no segment 0
             transfer = Transfer(upload, None, "" if ambiguous else "segmented")
             return self._line(transfer, WITHIN if ambiguous else form.phase, {"remark": NO_BEGINNING})
         remark = transfer.joined.take(data)
@@ -233,7 +235,7 @@ class SdoChannel:
         return self._line(transfer, form.phase, says)
 
     def _segment_handshake(self, form: Form, data: bytes) -> Row:
-        """Take the request of an upload's segment, or the response to a download's."""
+        """Process the request of an upload's segment, or the response to a download's."""
         upload, toggle, transfer = form in _UPLOAD, data[0] & 0x10, self._transfer
         if transfer is None or transfer.upload != upload or not isinstance(transfer.joined, Segments):
             place = transfer.place if transfer is not None and transfer.upload == upload else None
@@ -270,7 +272,7 @@ class SdoChannel:
         return self._line(transfer, f"Block {'upload' if transfer.upload else 'download'} segment", says)
 
     def _block_handshake(self, form: Form, data: bytes) -> Row:
-        """Take what is neither the initiation of a block transfer nor a segment."""
+        """Process a frame of a block transfer that is neither its initiation nor a segment."""
         upload, transfer = form in _UPLOAD, self._transfer
         if transfer is None or transfer.upload != upload or transfer.kind != "block":
             self._transfer = transfer = _unseen(upload, SubBlocks())
@@ -292,10 +294,10 @@ class SdoChannel:
             says = self._completed(transfer)
         return self._line(transfer, form.phase, says | ({"remark": remark} if remark else {}))
 
-    # words
+    # texts
 
     def _completed(self, transfer: Transfer) -> Row:
-        """The transfer ends with this frame: return the bytes, or why they are not there."""
+        """End the transfer with this frame: return the bytes, or why they are missing."""
         self._transfer = None
         lacking = transfer.joined.lacking()
         if lacking:
@@ -318,8 +320,8 @@ class SdoChannel:
         return row
 
     def _value(self, transfer: Transfer) -> Row:
-        """Return the bytes as the data type has it; of an unknown one those of an expedited transfer
-        are an integer, and others are no value.
+        """Return the bytes as a value of the data type; with an unknown type, bytes of an expedited transfer
+        are an integer, and others have no value.
         """
         raw, kind, signed = bytes(transfer.joined.content), "", False
         if self._description is not None and transfer.place is not None and self._description.has(*transfer.place):
@@ -336,21 +338,21 @@ class SdoChannel:
 
 
 def _is_known(transfer: Transfer | None) -> bool:
-    """Tell whether it is sure what transfer this is."""
+    """Tell whether the transfer is known for certain."""
     return transfer is not None and (transfer.both or isinstance(transfer.joined, SubBlocks))
 
 
 def _is_segment(transfer: Transfer, data: bytes, form: Form | None) -> bool:
-    """Tell whether a frame of the side that sends the data of a block transfer is a segment."""
+    """Tell whether a frame from the sender of a block transfer's data is a segment."""
     number, blocks = data[0] & 0x7F, transfer.joined
     if not number:
         return False
-    if not isinstance(blocks, SubBlocks):  # its initiation waits for the response
+    if not isinstance(blocks, SubBlocks):  # the initiation waits for its response
         return form is None or not form.initiates
     if form in (forms.BLOCK_UPLOAD_END, forms.BLOCK_DOWNLOAD_END):
         return not (blocks.finished or (form.exact(data) and (blocks.number == 0 or blocks.all_sent)))
     if form is not None and form.initiates and not transfer.upload and form.exact(data):
-        return not (blocks.ended or blocks.number >= number or number > blocks.most)  # else the client begins anew
+        return not (blocks.ended or blocks.number >= number or number > blocks.most)  # else a new transfer starts
     return not blocks.ended
 
 

@@ -1,9 +1,9 @@
-"""The frames of SDO by their first byte, with the names that Wireshark's CANopen dissector gives
-them (CiA 301, section 7.2.4.3).
+"""SDO frames by their first byte, with the names of Wireshark's CANopen dissector (CiA 301, section
+7.2.4.3).
 
-A segment of a block transfer has no command: its first byte is its number, 1 to 127, and bit 7 of
-the last one (sections 7.2.4.3.10 and 7.2.4.3.14). So most first bytes have two meanings, and only
-the transfer that is under way decides. An abort has one: 80h would be segment 0.
+A segment of a block transfer has no command: its first byte is its number, 1 to 127, with bit 7 set
+in the last segment (sections 7.2.4.3.10 and 7.2.4.3.14). So most first bytes have two meanings, and
+the transfer in progress decides. An abort is unambiguous: 80h would be segment 0.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Form:
     Attributes
     ----------
     phase : its name
-    commands : the first bytes that the standard allows
-    reserved : from this byte on all are 0; 8: none is
+    commands : first bytes that the standard allows
+    reserved : all bytes from this one on are 0; 8: none
     initiates : bytes 1 to 3 are an object's index and sub-index
     """
 
@@ -57,7 +57,7 @@ class Form:
     initiates: bool
 
     def exact(self, data: bytes) -> bool:
-        """Tell whether a frame is as the standard has it, with its reserved bits and bytes."""
+        """Tell whether a frame follows the standard, including its reserved bits and bytes."""
         named = not self.initiates or data[1] | data[2] << 8 != 0
         return data[0] in self.commands and named and not any(data[self.reserved :])
 
@@ -116,7 +116,7 @@ _FORMS = {
 
 
 def form_of(command: int, from_server: bool) -> Form | None:
-    """Return what a frame with this first byte is, unless it is a segment of a block transfer or an
-    abort; None: nothing that the standard knows.
+    """Return the kind of a frame with this first byte, unless it is a segment of a block transfer or an
+    abort; None if the standard does not define it.
     """
     return _FORMS.get((from_server, *_key(command)))

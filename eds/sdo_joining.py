@@ -1,7 +1,7 @@
-"""The bytes of an SDO transfer, joined from the frames that a recording has of it.
+"""Reassembly of an SDO transfer's bytes from the frames of a recording.
 
-A recording may begin within a transfer, and lose frames of it. What is joined is the object only if
-nothing shows the contrary: `lacking` says what does.
+A recording may begin within a transfer, and lose frames of it. The joined bytes are the object
+unless `lacking` returns a reason against it.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from coulombus.eds.sdo_frames import crc16
 __all__ = ["BLOCK_SEGMENTS", "Joined", "Segments", "SubBlocks"]
 
 BLOCK_SEGMENTS = 127
-"""Segments of a block, at most."""
+"""Largest number of segments in a block."""
 _SEGMENT = 7
 _MOST_BYTES = 1 << 26
-"""More bytes are counted and not kept."""
+"""Bytes beyond this number are counted but not stored."""
 
 
 @dataclass
 class Joined:
-    """The bytes so far.
+    """Bytes received so far.
 
     Attributes
     ----------
-    size : bytes that the transfer's initiation announced, None: it did not
-    whole : every frame from the initiation on is there
+    size : number of bytes that the transfer's initiation announced, None: not announced
+    whole : every frame from the initiation on is present
     """
 
     size: int | None = None
@@ -36,23 +36,23 @@ class Joined:
 
     @property
     def count(self) -> int:
-        """Bytes so far, with those whose frames are missing, as far as that is known."""
+        """Number of bytes so far, including those of missing frames as far as known."""
         return len(self.content) + self._uncounted
 
     def add(self, part: bytes) -> None:
-        """Take the next bytes."""
+        """Append the next bytes."""
         if self.whole and len(self.content) < _MOST_BYTES:
             self.content += part
         else:
             self.skip(len(part))
 
     def skip(self, count: int) -> None:
-        """Count bytes whose frames are not there."""
+        """Count bytes of missing frames."""
         self.whole = False
         self._uncounted += count
 
     def lacking(self, unused: int = 0) -> str:
-        """Return why the bytes without the last `unused` ones are not the object; "" where they are."""
+        """Return why the bytes without the last `unused` ones are not the object; "" if they are."""
         if not self.whole:
             return "incomplete: frames of this transfer are not in the recording"
         count = self.count - unused
@@ -63,13 +63,13 @@ class Joined:
 
 @dataclass
 class Segments(Joined):
-    """A segmented transfer: the toggle bit tells the next segment from one that comes again."""
+    """A segmented transfer: the toggle bit distinguishes the next segment from a repeated one."""
 
     toggle: int = 0
     _last: bytes = b""
 
     def take(self, data: bytes) -> str:
-        """Take a segment; return a remark on it or ""."""
+        """Process a segment; return a remark on it or ""."""
         if data[0] & 0x10 == self.toggle:
             self.toggle ^= 0x10
             self._last = data
@@ -82,7 +82,7 @@ class Segments(Joined):
         return "the toggle bit did not alternate, or the segment before is not in the recording"
 
     def missed(self, toggle: int) -> None:
-        """A segment with this toggle bit was sent, and is not in the recording."""
+        """Count a segment with this toggle bit, which was sent but is not in the recording."""
         if toggle == self.toggle:
             self.toggle ^= 0x10
             self.skip(_SEGMENT)
@@ -90,14 +90,14 @@ class Segments(Joined):
 
 @dataclass
 class SubBlocks(Joined):
-    """A block transfer: what its receiver acknowledges counts, whatever was sent.
+    """A block transfer: only segments that its receiver acknowledges count.
 
     Attributes
     ----------
-    most : segments of the present block, as its receiver wants it
+    most : segments of the present block, as requested by its receiver
     crc : the end frame has a CRC
-    number : of the last segment since the last acknowledgement, 0: none
-    in_order : segments since then that came in their order from the first on
+    number : number of the last segment since the last acknowledgement, 0: none
+    in_order : segments since then in order, from the first on
     finished : the last segment of all was acknowledged
     ended : the end frame came
     """
@@ -108,27 +108,27 @@ class SubBlocks(Joined):
     in_order: int = 0
     finished: bool = False
     ended: bool = False
-    _final: int = 0  # the number of the segment that says it is the last, 0: none did
+    _final: int = 0  # number of the segment marked as the last, 0: none yet
     _segments: dict[int, bytes] = field(default_factory=dict)
 
     @property
     def all_sent(self) -> bool:
-        """The last segment of all came, in its order."""
+        """Whether the last segment of the transfer came, in order."""
         return 0 < self._final == self.in_order
 
     @property
     def count_in_order(self) -> int:
-        """Bytes so far, with those of the present block."""
+        """Number of bytes so far, including those of the present block."""
         count = self.count + _SEGMENT * self.in_order
         return count if self.size is None else min(count, self.size)
 
     def take(self, data: bytes) -> str:
-        """Take a segment; return a remark on it or ""."""
+        """Process a segment; return a remark on it or ""."""
         number, remark = data[0] & 0x7F, ""
         if number <= self.number:
             if self._segments.get(number) == data[1:]:
                 return "repeated"
-            if self.in_order:  # else these were the rest of a block whose receiver had asked for it again
+            if self.in_order:  # else: remaining segments of a block whose receiver had requested it again
                 self._next_block(self.in_order)
                 self.whole, remark = False, "the acknowledgement before it is not in the recording"
             self._segments, self.number = {}, 0
@@ -146,7 +146,7 @@ class SubBlocks(Joined):
         return remark
 
     def acknowledge(self, number: int, most: int) -> str:
-        """Take an acknowledgement of the segments up to `number`; return a remark on it or ""."""
+        """Process an acknowledgement of the segments up to `number`; return a remark on it or ""."""
         remark = ""
         if number < self.number:
             remark = f"asks for the segments from {number + 1} on again"
@@ -166,7 +166,7 @@ class SubBlocks(Joined):
         self._segments, self.number, self.in_order, self._final = {}, 0, 0, 0
 
     def end(self, unused: int, crc: int) -> str:
-        """Take the end frame with its CRC; return a remark on the bytes or ""."""
+        """Process the end frame with its CRC; return a remark on the bytes or ""."""
         self._next_block(self.in_order)
         self.ended = True
         lacking = self.lacking(unused)
@@ -174,5 +174,5 @@ class SubBlocks(Joined):
             del self.content[-unused:]
         if lacking or not self.crc or crc16(self.content) == crc:
             return lacking
-        self.whole = self.size is not None  # else nothing shows that no frame is missing
+        self.whole = self.size is not None  # else nothing proves that no frame is missing
         return f"CRC {crc:04X}h does not match the bytes, whose CRC is {crc16(self.content):04X}h"

@@ -1,8 +1,7 @@
-"""The first step of reading an EDS file: bytes to text, text to
-sections with the line of every key.
+"""First step of reading an EDS file: bytes to text, text to sections with the line of every key.
 
-Whatever is tolerated here - code pages, doubled sections and keys,
-comments behind values, heads without a bracket - is said.
+Every tolerated defect (code pages, doubled sections and keys, comments after values, heads without
+a bracket) is reported.
 """
 
 from __future__ import annotations
@@ -18,20 +17,20 @@ __all__ = ["OBJECT_SECTION", "PDO_PARAMETERS", "Number", "Section", "SectionRead
 
 PDO_PARAMETERS = range(0x1400, 0x1C00)
 MOST_QUOTED = 60
-"""Characters of the file that a diagnosis quotes at most."""
+"""Largest number of characters that a diagnosis quotes from the file."""
 MOST_ALIKE = 20
-"""So many diagnoses of one kind are told one by one.
+"""Largest number of diagnoses of one kind that are listed one by one.
 
-More of them are one line with their number.
+More of them become one line with their number.
 """
 MOST_DIGITS = 40
-"""A longer number is none: no data type is so wide."""
+"""A longer digit string is not a number: no data type is so wide."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number as written: its value, a complaint about the notation,
-    and whether it could mean another value.
+    """A number as written: its value, a complaint about the notation, and whether another reading is
+    possible.
     """
 
     value: int
@@ -41,13 +40,13 @@ class Number:
 
 
 def cut(text: str) -> str:
-    """Return a text of the file as a diagnosis quotes it: its beginning, where it is long."""
+    """Return a text of the file as quoted in a diagnosis: its beginning if it is long."""
     return text if len(text) <= MOST_QUOTED else f"{text[: MOST_QUOTED - 3]}..."
 
 
 @lru_cache(maxsize=4096)
 def number_of(text: str) -> Number | None:
-    """Read ``0x1F``, ``31``, ``-31``; also ``1Fh``, ``1F``, ``031``. None where it is no number."""
+    """Read ``0x1F``, ``31``, ``-31``; also ``1Fh``, ``1F``, ``031``. None if it is no number."""
     if len(text) > MOST_DIGITS:
         return None
     low = text.lower()
@@ -76,9 +75,7 @@ def _same(first: str, second: str) -> bool:
 
 @dataclass
 class Section:
-    """Keys in lower case with value and line; `conflicts` are keys
-    that stand twice with different values.
-    """
+    """Keys in lower case with value and line; `conflicts` are keys that occur twice with different values."""
 
     name: str
     line: int
@@ -87,16 +84,16 @@ class Section:
     conflicts: set[str] = field(default_factory=set)
     reopened: bool = False
     index: int = -1
-    """Of an object's section, the object; -1 of any other."""
+    """Object of an object's section; -1 for any other section."""
     subindex: int = -1
-    """And the sub-index; -1 of the object's own section."""
+    """Sub-index of the section; -1 for the object's main section."""
 
     def get(self, key: str) -> str:
-        """Return the key's value as written; empty when it is absent."""
+        """Return the key's value as written; empty if absent."""
         return self.entries.get(key, ("", 0))[0]
 
     def shown(self, key: str) -> str:
-        """Return the key's value as a diagnosis quotes it."""
+        """Return the key's value as quoted in a diagnosis."""
         return cut(self.get(key))
 
     def at(self, key: str) -> int:
@@ -104,18 +101,16 @@ class Section:
         return self.entries.get(key, ("", self.line))[1]
 
     def what(self, key: str) -> str:
-        """Return the key as a diagnosis names it."""
+        """Return the key's name in a diagnosis."""
         return f"[{self.name}] {cut(self.spelled.get(key, key))}"
 
     def numbered(self) -> dict[int, str]:
-        """Return the keys that are numbers, by these: sub-indices of [1003Name], entries of
-        a list.
-        """
+        """Return the numeric keys by number: sub-indices of [1003Name], entries of a list."""
         return {int(key): key for key in reversed(self.entries) if key.isdecimal() and len(key) <= MOST_DIGITS}
 
     @property
     def pdo_parameter(self) -> bool:
-        """True for the sections of 1400h to 1BFFh, where nothing may be assumed."""
+        """Whether the section is one of 1400h to 1BFFh, where nothing may be assumed."""
         if self.index >= 0:
             return self.index in PDO_PARAMETERS
         match = OBJECT_SECTION.fullmatch(re.sub("(?i)value$", "", self.name))
@@ -126,9 +121,9 @@ OBJECT_SECTION = re.compile(
     r"(?:0x)?0*([0-9a-f]{1,4})(?:[\s_]*sub(?:index)?[\s_]*(?:0x)?0*([0-9a-f]{1,2}))?", re.IGNORECASE
 )
 _STRICT = re.compile(r"([0-9a-f]{1,4})(?:sub([0-9a-f]{1,2}))?")
-"""Of a name in small letters."""
+"""Pattern of an object's section name in lower case."""
 _REST = "\x00\x1a\ufeff"
-"""What editors and copies leave at the ends of lines and files."""
+"""Characters that editors and copies leave at the ends of lines and files."""
 _LINE_END = re.compile(r"\r*\n|\r")
 
 
@@ -142,7 +137,7 @@ def _without_comment(text: str) -> str:
 def alike(diagnoses: Iterable[Diagnosis]) -> Iterator[Diagnosis]:
     """Yield diagnoses by their lines.
 
-    Very many of one kind, which differ in names and numbers only, are one with their number.
+    Many diagnoses of one kind, which differ in names and numbers only, become one with their number.
     """
     kinds: dict[tuple[str, str], list[Diagnosis]] = {}
     for diagnosis in diagnoses:
@@ -160,7 +155,7 @@ def _line(diagnosis: Diagnosis) -> int:
 
 
 _DETAILS = re.compile(r"\[[^\]]*\]|'[^']*'|=\S*|\b(?:0x)?[0-9A-Fa-f]*\d[0-9A-Fa-f]*h?\b")
-"""Where diagnoses of one kind differ: sections, quotations, values, numbers."""
+"""Parts that differ between diagnoses of one kind: sections, quotations, values, numbers."""
 
 
 class SectionReader:
@@ -174,13 +169,13 @@ class SectionReader:
         self.split()
 
     def say(self, line: int, text: str, assumed: str, severity: Severity = "warning") -> None:
-        """Note a defect, and what is assumed instead."""
+        """Record a defect, and the value assumed instead."""
         self.diagnoses.append(Diagnosis(self.path, line, severity, text, assumed))
 
     def decode(self, raw: bytes) -> str:
-        """Return the text: UTF-8, UTF-16 by its mark or its zeros, or else Windows-1252."""
+        """Return the text: UTF-8, UTF-16 by its byte order mark or its zeros, else Windows-1252."""
         wide = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}.get(raw[:2], "")
-        if not wide and any(raw[:2]) and 3 * raw.count(0) > len(raw):  # ASCII in two bytes each
+        if not wide and any(raw[:2]) and 3 * raw.count(0) > len(raw):  # ASCII with two bytes per character
             wide = "utf-16-be" if raw[0] == 0 else "utf-16-le"
         if wide:
             self.say(1, "the file is UTF-16, not ASCII", "UTF-16")
@@ -193,7 +188,7 @@ class SectionReader:
             return self.replaced(raw, "cp1252")
 
     def replaced(self, raw: bytes, encoding: str) -> str:
-        """Decode; what stands for no character becomes U+FFFD, and that is said."""
+        """Decode; replace invalid bytes by U+FFFD, and report them."""
         text = raw.decode(encoding, "replace")
         if "\ufffd" in text:
             line = len(_LINE_END.findall(text[: text.index("\ufffd")])) + 1
@@ -203,9 +198,9 @@ class SectionReader:
     # Lines to sections.
 
     def split(self) -> None:
-        """Split the text into sections; what is neither head nor key is a comment."""
+        """Split the text into sections; a line that is neither head nor key is a comment."""
         section: Section | None = None
-        lowered: dict[str, str] = {}  # the same few keys come again and again
+        lowered: dict[str, str] = {}  # the same few keys occur again and again
         for number, raw in enumerate(_LINE_END.split(self.text), 1):
             line = raw.strip()
             if not line:
@@ -237,9 +232,7 @@ class SectionReader:
                     section.spelled[key] = spelled
 
     def open_section(self, line: str, number: int) -> Section:
-        """Return the section that a head names; a second head of one name goes on with the
-        first.
-        """
+        """Return the section of a head; a second head with the same name continues the first section."""
         name, bracket, rest = line[1:].partition("]")
         name = name.strip()
         if not bracket:
@@ -265,9 +258,7 @@ class SectionReader:
         return self.sections.setdefault(key, Section(cut(name), number, index=index, subindex=subindex))
 
     def enter_again(self, section: Section, key: str, spelled: str, value: str, number: int) -> None:
-        """Take a key that is there already: the first value counts, and a conflict is kept
-        in mind.
-        """
+        """Handle a repeated key: the first value counts, and a conflict is recorded."""
         first, line = section.entries[key]
         if _same(first, value):
             if not section.reopened:
@@ -280,9 +271,9 @@ class SectionReader:
         self.say(number, text, f"the first, {cut(first) or 'nothing'}", severity)
 
     def bare(self, section: Section, key: str) -> str:
-        """Return a value without the comment behind it."""
+        """Return a value without the comment after it."""
         entry = section.entries.get(key)
-        if entry is None or entry[0].isalnum():  # most of them
+        if entry is None or entry[0].isalnum():  # the usual case
             return "" if entry is None else entry[0]
         text = entry[0]
         if not text:
@@ -306,9 +297,7 @@ class SectionReader:
         return bare
 
     def integer(self, section: Section, key: str, assumed: int) -> int:
-        """Return a key's number; `assumed` where it is absent or
-        empty (not said) or no number (said).
-        """
+        """Return a key's number; `assumed` if it is absent or empty (not reported) or no number (reported)."""
         text = self.bare(section, key)
         if not text:
             return assumed

@@ -1,7 +1,7 @@
-"""The name of a file that is being written, beside the one that it becomes when it is whole.
+"""Name of a file while it is being written, next to its final name.
 
-A process that is killed leaves its unfinished file behind. The name tells the machine and the
-process, so that the next one that writes into the folder removes it.
+A process that is killed leaves its unfinished file behind. The name identifies the machine and the
+process, so that the next process that writes into the folder removes it.
 """
 
 from __future__ import annotations
@@ -15,19 +15,17 @@ from pathlib import Path
 __all__ = ["remove_unfinished", "unfinished"]
 
 MACHINE = f"{zlib.crc32(os.uname().nodename.encode(errors='surrogateescape')):08x}"
-"""This machine, or container: others that share a folder have processes of the same numbers."""
+"""Identifier of this machine, or container: process ids repeat among those that share a folder."""
 NAME = re.compile(rf"\..+-{MACHINE}-([0-9]+)-[0-9a-f]{{8}}(\.[^.]*)?", re.DOTALL)
 
 
 def unfinished(path: Path) -> Path:
-    """Return a new hidden name for a file of this process that becomes `path`, with its suffix."""
+    """Return a new hidden name, with the suffix of `path`, for this process's file that becomes `path`."""
     return path.with_name(f".{path.stem}-{MACHINE}-{os.getpid()}-{os.urandom(4).hex()}{path.suffix}")
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove from a folder the unfinished files of this machine's processes that have ended, as far
-    as that is allowed.
-    """
+    """Remove the unfinished files of this machine's ended processes from a folder, as far as permitted."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             match = NAME.fullmatch(entry.name)
@@ -41,6 +39,6 @@ def _has_ended(pid: int) -> bool:
         os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):
         return True
-    except OSError:  # another user's
+    except OSError:  # owned by another user
         return False
     return False

@@ -1,5 +1,5 @@
-"""Units of objects: those that CiA 301 and 402 fix, and CiA 303-2's notation of those that a device
-tells (6131h and 6132h of CiA 404).
+"""Units of objects: fixed by CiA 301 and 402, or read in CiA 303-2's notation from a device (6131h and
+6132h of CiA 404).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ NOTATION: Mapping[int, str] = {
     0x2D: "degC",
     0x56: "Nm",
 }
-"""Notation indices of CiA 303-2: the numerator of a unit."""
+"""Numerators of a unit by notation index of CiA 303-2."""
 BLOCK_UNITS = {0x7130: (0x6131, 0x6132), 0x9130: (0x6131, 0x6132), 0x7300: (0x6301, 0x6302), 0x9300: (0x6301, 0x6302)}
-"""CiA 404: where an analogue input's and output's unit and decimal digits stand."""
+"""CiA 404: objects with the unit and the decimal digits of analogue inputs and outputs."""
 MOST_DIGITS = 9
 
 
@@ -57,19 +57,19 @@ FIXED: Mapping[int, Unit] = {
     0x6087: Unit(1, f"{TORQUE} per s"),
 }
 PDO: Mapping[int, Unit] = {3: Unit(0.1, "ms"), 5: Unit(1, "ms")}
-"""Inhibit time, event timer of a PDO."""
+"""Inhibit time and event timer of a PDO."""
 
 
 def fixed_unit(index: int, subindex: int) -> Unit | None:
-    """Return the unit that CiA 301 or CiA 402 gives an object, None where they give none."""
+    """Return the unit that CiA 301 or CiA 402 defines for an object, None if they define none."""
     if 0x1400 <= index < 0x1600 or 0x1800 <= index < 0x1A00:
         return PDO.get(subindex)
     return FIXED.get(first_axis_object(index)) if subindex == 0 else None
 
 
 def told_unit(code: int, digits: int) -> Unit | None:
-    """Return the unit that a block of CiA 404 tells: 10^-digits, with the prefix of the unit's
-    code; None where it is none that is known.
+    """Return the unit of a CiA 404 block: 10^-digits, with the prefix of the unit's code; None if the unit
+    is unknown.
 
     The code's four bytes are, from the highest: prefix (power of ten, INTEGER8), numerator,
     denominator, reserved.

@@ -1,5 +1,6 @@
-"""Values of an EDS file by CiA 301's data types: two's complement,
-REAL, strings, limits; what does not fit is said.
+"""Values of an EDS file by CiA 301's data types: two's complement, REAL, strings, limits.
+
+Values that do not fit are reported.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ class ValueReader(SectionReader):
     # Values by data type.
 
     def value(self, section: Section, key: str, code: int, otherwise: str = "no value") -> tuple[Value, bool, str]:
-        """Return a value, whether the node id is to be added, and why it could not be read;
-        `otherwise` is assumed then.
+        """Return a value, whether the node id is to be added, and why it is unreadable; `otherwise` is then
+        assumed.
         """
         if key not in section.entries:
             return None, False, ""
@@ -100,7 +101,7 @@ class ValueReader(SectionReader):
             return text.encode("cp1252", "replace")
 
     def real(self, section: Section, key: str, text: str, code: int) -> tuple[float | None, str]:
-        """Return a REAL, and why there is none."""
+        """Return a REAL, or None and the reason."""
         number = number_of(text)
         if number is not None and number.hexadecimal and text[:2].lower() == "0x":
             size = DATA_TYPES[code].bits // 8
@@ -126,7 +127,7 @@ class ValueReader(SectionReader):
     def whole(self, section: Section, key: str, text: str, code: int) -> tuple[int | None, bool, str]:
         """Read an integer, ``$NODEID+0x180`` or ``0x180+$NODEID``."""
         plain = number_of(text)
-        if plain is not None and not plain.complaint:  # most of them
+        if plain is not None and not plain.complaint:  # the usual case
             value, why = self.fit(section, key, plain.value, code, plain.hexadecimal)
             return value, False, why
         where, what = section.at(key), section.what(key)
@@ -158,14 +159,14 @@ class ValueReader(SectionReader):
         return value, relative, why
 
     def fit(self, section: Section, key: str, number: int, code: int, hexadecimal: bool) -> tuple[int | None, str]:
-        """Bring a number into its type's range: two's complement,
-        which only hexadecimal may mean without a word.
+        """Bring a number into its type's range by two's complement; without a report for hexadecimal numbers
+        only.
         """
         data_type = DATA_TYPES.get(code)
         if data_type is None or not data_type.bits:
             return number, ""
         half, full = 1 << data_type.bits - 1, 1 << data_type.bits
-        for wider in (16, 32, 64):  # a negative number, extended to the width of the tool's own integers
+        for wider in (16, 32, 64):  # a negative number, sign-extended to the width of the tool's integers
             if hexadecimal and data_type.signed and full <= number and 0 <= number - (1 << wider) + half < half:
                 value = number - (1 << wider)
                 text = f"{section.what(key)}={section.shown(key)} is longer than {data_type.name}"

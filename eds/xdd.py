@@ -1,14 +1,14 @@
 """XDD and XDC files (CiA 311, a profile container of ISO 15745) as the sections of an EDS or DCF.
 
-An XDD is to XML what an EDS is to CiA 306: the same objects with the same attributes. So its
-elements become the sections that the EDS reader builds its objects of, each with its line:
+An XDD has the same objects and attributes as an EDS, in XML. So its elements become the sections
+from which the EDS reader builds its objects, each with its line:
 
     <CANopenObject index="1018" ...>         [1018]
     <CANopenSubObject subIndex="0A" ...>     [1018subA]
     defaultValue, actualValue                DefaultValue, ParameterValue
 
-What an object leaves to the application process, `uniqueIDRef` tells where: the parameter has then
-its access, its type in IEC 61131-3's words, its default and its range.
+An object may refer to a parameter of the application process by `uniqueIDRef`: the parameter then
+has its access, its IEC 61131-3 type, its default and its range.
 """
 
 from __future__ import annotations
@@ -38,9 +38,7 @@ OTHER_ROOTS: Mapping[str, tuple[str, str]] = {
     "iodevice": ("an IO-Link description (IODD)", "expected an EDS, DCF, XDD or XDC file of the CANopen device"),
     "devicedescription": ("a device description of CODESYS", "expected the EDS or XDD file that it was made from"),
 }
-"""Other files in XML that describe devices, by their root element in small letters: what it is, and
-what to do.
-"""
+"""Other XML files that describe devices, by their root element in lower case: kind of file and remedy."""
 
 KEYS: Mapping[str, str] = {
     "name": "ParameterName",
@@ -57,13 +55,13 @@ KEYS: Mapping[str, str] = {
     "objFlags": "ObjFlags",
     "uniqueIDRef": "UniqueIDRef",
 }
-"""Attributes of CANopenObject and CANopenSubObject, and the keys of CiA 306 that say the same."""
+"""Attributes of CANopenObject and CANopenSubObject, and the equivalent keys of CiA 306."""
 SPELLED = {key.lower(): key for key in KEYS.values()}
 VALUES = ("DefaultValue", "ParameterValue")
 IN_HEXADECIMAL = ("dataType", "objFlags")
 MAPPINGS = {"no": "0", "default": "1", "optional": "1", "tpdo": "1", "rpdo": "1"}
 ONE_WAY = {"tpdo": "rwr", "rpdo": "rww"}
-"""CiA 306's access types of what can be read and written, and mapped in one direction only."""
+"""CiA 306's access types of objects that are read and written, but mapped in one direction only."""
 ACCESS = {
     "read": "ro",
     "write": "wo",
@@ -72,7 +70,7 @@ ACCESS = {
     "readwriteoutput": "rww",
     "const": "const",
 }
-"""Of a parameter."""
+"""Access types of a parameter."""
 IEC_TYPES: Mapping[str, int] = {
     "BOOL": 0x01,
     "SINT": 0x02,
@@ -112,9 +110,9 @@ LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 MANDATORY, MANUFACTURER = (0x1000, 0x1001, 0x1018), range(0x2000, 0x6000)
 
 MOST_CHARACTERS = 1 << 24
-"""An XDD has some 2,000 characters an object."""
+"""Largest size; an XDD has some 2,000 characters per object."""
 MOST_DECLARED = 200
-"""Characters that the XML declaration has at most."""
+"""Largest length of the XML declaration in characters."""
 
 _START = re.compile(r"\s*<[?!\w]")
 _DECLARED = re.compile(r"\A(\s*<\?xml\b[^>]*?\bencoding\s*=\s*)([\"'])([\w.-]+)\2")
@@ -128,8 +126,8 @@ def is_xml(raw: bytes | str) -> bool:
 
 
 def eds_text(description: Description) -> str:
-    """Return a description's text as CiA 306 has it: that of an EDS or DCF as it stands, of an XDD
-    or XDC its objects as sections.
+    """Return a description's text in CiA 306's form: an EDS or DCF unchanged, the objects of an XDD or XDC
+    as sections.
     """
     if not is_xml(description.text):
         return description.text
@@ -151,13 +149,13 @@ def eds_text(description: Description) -> str:
 
 
 class XddReader(SectionReader):
-    """Reads the sections of an XDD or XDC; what it assumes is said as of an EDS."""
+    """Reads the sections of an XDD or XDC; reports its assumptions as for an EDS."""
 
     kind = "an XDC"
 
     def decode(self, raw: bytes) -> str:
-        """Return the text: UTF-16 by its mark, UTF-8, or as the XML declaration says; else as of an
-        EDS. The declaration that is returned says UTF-8, in which recordings keep it.
+        """Return the text: UTF-16 by its byte order mark, UTF-8, or the encoding of the XML declaration;
+        otherwise as for an EDS. The returned declaration says UTF-8, the encoding of recordings.
         """
         declared = _DECLARED.match(raw[:MOST_DECLARED].decode("latin-1"))
         page = declared[3] if declared and _CODE_PAGES.fullmatch(declared[3]) else "ascii"
@@ -178,9 +176,9 @@ class XddReader(SectionReader):
         Raises
         ------
         EdsError
-            It is no well-formed XML, no XDD, or describes no object.
+            The text is no well-formed XML, no XDD, or describes no object.
         """
-        # not above: this costs 0.1 s, and no EDS needs it
+        # imported here: the import takes 0.1 s, and no EDS needs it
         from coulombus.eds.xml_elements import read_elements
 
         if len(self.text) > MOST_CHARACTERS:
@@ -207,7 +205,7 @@ class XddReader(SectionReader):
         self.enter_device(root)
 
     def require_container(self, root: XmlElement) -> None:
-        """Raise EdsError of what is XML and no XDD."""
+        """Raise EdsError for XML that is no XDD."""
         if root.name == CONTAINER and "powerlink" not in root.space.lower():
             return
         what, remedy = OTHER_ROOTS.get(
@@ -222,8 +220,8 @@ class XddReader(SectionReader):
         raise EdsError(f"{self.path}:{root.line}: is {what}; {remedy}")
 
     def objects(self, root: XmlElement) -> Iterator[tuple[int, XmlElement]]:
-        """Yield the elements of the device's own objects with their indices; those of its modules
-        depend on what is plugged in.
+        """Yield the elements of the device's own objects with their indices, without those of modules, which
+        depend on the plugged-in hardware.
         """
         for layers in root.all("ApplicationLayers"):
             for listed in layers.of("CANopenObjectList"):
@@ -237,7 +235,7 @@ class XddReader(SectionReader):
             self.say(modules[0].line, text, "none")
 
     def hexadecimal(self, element: XmlElement, name: str, digits: int) -> int | None:
-        """Return an index or sub-index; None (said) where it is none."""
+        """Return an index or sub-index; None (reported) if it is invalid."""
         text = element.attributes.get(name, "").strip()
         if re.fullmatch(rf"(?:0[xX])?0*[0-9a-fA-F]{{1,{digits}}}", text):
             return int(text, 16)
@@ -246,7 +244,7 @@ class XddReader(SectionReader):
         return None
 
     def enter_object(self, index: int, element: XmlElement) -> None:
-        """Make a section of an object, and one of each of its sub-objects."""
+        """Add a section for an object, and one for each of its sub-objects."""
         self.enter(self.section(element, f"{index:04X}", index), element)
         for sub in element.of("CANopenSubObject"):
             subindex = self.hexadecimal(sub, "subIndex", 2)
@@ -254,7 +252,7 @@ class XddReader(SectionReader):
                 self.enter(self.section(sub, f"{index:04X}sub{subindex:X}", index, subindex), sub)
 
     def section(self, element: XmlElement, name: str, index: int, subindex: int = -1) -> Section:
-        """Return a new section, or that of the same object which came before."""
+        """Return a new section, or the earlier section of the same object."""
         known = self.sections.get(name.lower())
         if known is not None:
             self.say(
@@ -265,7 +263,7 @@ class XddReader(SectionReader):
         return self.sections.setdefault(name.lower(), Section(name, element.line, index=index, subindex=subindex))
 
     def enter(self, section: Section, element: XmlElement) -> None:
-        """Enter an element's attributes; what an XDD spells in its own way, as an EDS does."""
+        """Add an element's attributes; XDD notation is converted to EDS notation."""
         for spelled, text in element.attributes.items():
             key = KEYS.get(spelled)
             if key is not None:
@@ -273,7 +271,7 @@ class XddReader(SectionReader):
                 self.put(section, key, spelled, f"0x{text.strip()}" if digits else text, element.line)
 
     def put(self, section: Section, key: str, spelled: str, text: str, line: int) -> None:
-        """Enter a key in one line: the first value counts, and another one is said."""
+        """Add a key on one line: the first value counts, and a different one is reported."""
         text = " ".join(text.splitlines()).strip()
         if key.lower() in section.entries:
             self.enter_again(section, key.lower(), spelled, text, line)
@@ -282,7 +280,7 @@ class XddReader(SectionReader):
             section.spelled[key.lower()] = spelled
 
     def enter_parameter(self, section: Section, parameters: Mapping[str, XmlElement]) -> None:
-        """Enter what the parameter has that an object refers to, and then what its template has."""
+        """Add the attributes of the parameter to which an object refers, and then those of its template."""
         name, line = section.entries.pop("uniqueidref", ("", section.line))
         if not name:
             return
@@ -295,7 +293,7 @@ class XddReader(SectionReader):
         for source in (parameter, *((template,) if template is not None else ())):
             for key, spelled, text, at in _of_parameter(source):
                 if structured and key != "ParameterName":
-                    continue  # an array's or record's own value is that of its sub-indices
+                    continue  # an array's or record's value belongs to its sub-indices
                 if not section.get(key.lower()):
                     section.entries.pop(key.lower(), None)
                     self.put(section, key, spelled, text, at)
@@ -303,7 +301,7 @@ class XddReader(SectionReader):
                     self.enter_again(section, key.lower(), spelled, text, at)
 
     def direct(self, section: Section) -> None:
-        """Translate PDOmapping, of which CiA 306 keeps the direction in the access type."""
+        """Translate PDOmapping; CiA 306 states the direction in the access type."""
         said, line = section.entries.get("pdomapping", ("", section.line))
         if said.lower() not in MAPPINGS:
             return
@@ -313,7 +311,7 @@ class XddReader(SectionReader):
             section.entries["accesstype"] = (ONE_WAY[said.lower()], at)
 
     def enter_device(self, root: XmlElement) -> None:
-        """Enter what the file says of itself, of the device and of its place on a bus."""
+        """Add the data of the file, of the device and of its commissioning."""
         profile = root.first("ProfileBody")
         file = self.other("FileInfo", profile or root)
         for spelled, key in (("fileName", "FileName"), ("fileVersion", "FileVersion"), ("fileCreator", "CreatedBy")):
@@ -343,7 +341,7 @@ class XddReader(SectionReader):
         self.enter_commissioning(root)
 
     def enter_commissioning(self, root: XmlElement) -> None:
-        """Enter node id and bit rate of an XDC; node id 0 is none."""
+        """Add node id and bit rate of an XDC; node id 0 means none."""
         element = root.first("deviceCommissioning")
         if element is None or element.attributes.get("nodeID", "0").strip() in ("", "0", "0x00", "0x0"):
             return
@@ -357,11 +355,11 @@ class XddReader(SectionReader):
         return self.sections.setdefault(name.lower(), Section(name, element.line))
 
     def check_lists(self, objects: object, heads: object) -> None:
-        """An XDD has no lists of objects: the elements themselves are the list."""
+        """Do nothing: an XDD has no lists of objects; the elements themselves are the list."""
 
 
 def _of_parameter(parameter: XmlElement) -> Iterator[tuple[str, str, str, int]]:
-    """Yield key, the XML's name for it, value and line of what a parameter says."""
+    """Yield key, its XML name, value and line of each attribute of a parameter."""
     labels = sorted(parameter.of("label"), key=lambda label: not label.attributes.get("lang", "").startswith("en"))
     for label in labels[:1]:
         yield "ParameterName", "label", " ".join(label.text.split()), label.line
@@ -376,5 +374,5 @@ def _of_parameter(parameter: XmlElement) -> Iterator[tuple[str, str, str, int]]:
             yield KEYS[child.name], child.name, text, child.line
     for element, key in (("minValue", "LowLimit"), ("maxValue", "HighLimit")):
         ends = list(parameter.all(element))
-        if len(ends) == 1:  # several ranges are no limits
+        if len(ends) == 1:  # several ranges give no limits
             yield key, element, ends[0].attributes.get("value", ""), ends[0].line

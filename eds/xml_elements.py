@@ -1,6 +1,6 @@
-"""XML of unknown origin as a tree of elements with their lines: no DTD, no entities, bounded size.
+"""Untrusted XML as a tree of elements with their lines: no DTD, no entities, bounded size.
 
-Elements of other namespaces than the file's own are left out, with all that is in them.
+Elements of foreign namespaces are skipped, with their content.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from coulombus.eds.description import EdsError
 __all__ = ["XmlElement", "read_elements"]
 
 MOST_ELEMENTS = 500_000
-"""A drive of 3,000 objects has about 40,000: thirteen for each object and its parameter."""
+"""A drive of 3,000 objects has about 40,000: thirteen per object with its parameter."""
 MOST_DEEP = 64
 MOST_TEXT = 1000
-"""Characters between an element's tags that are kept."""
+"""Largest number of characters kept between an element's tags."""
 REMEDY = "expected the XDD or XDC file (CiA 311) as the device's maker gives it"
 
 
@@ -34,7 +34,7 @@ class XmlElement:
     ----------
     space : URI of its namespace; empty: none
     line : of its start tag
-    text : between its tags, its beginning
+    text : beginning of the text between its tags
     """
 
     name: str
@@ -45,7 +45,7 @@ class XmlElement:
     text: str = ""
 
     def all(self, name: str) -> Iterator[XmlElement]:
-        """Yield the elements of a name anywhere in this one, in their order."""
+        """Yield the elements of this name at any depth, in order."""
         for child in self.children:
             if child.name == name:
                 yield child
@@ -53,16 +53,16 @@ class XmlElement:
                 yield from child.all(name)
 
     def first(self, name: str) -> XmlElement | None:
-        """Return the first element of a name anywhere in this one, None where there is none."""
+        """Return the first element of this name at any depth, None if there is none."""
         return next(self.all(name), None)
 
     def of(self, name: str) -> list[XmlElement]:
-        """Return the elements of a name directly in this one."""
+        """Return the child elements of this name."""
         return [child for child in self.children if child.name == name]
 
 
 class _Tree(ContentHandler):
-    """Builds the tree of what a parser reads.
+    """Builds the tree from a parser's events.
 
     Attributes
     ----------
@@ -115,8 +115,9 @@ def read_elements(path: str, text: str) -> XmlElement:
     Raises
     ------
     EdsError
-        It is not well-formed; it has a DTD or entities, which no XDD needs, and which can name
-        other files or become gigabytes; it is larger or nested deeper than a device description.
+        The text is not well-formed; it has a DTD or entities, which no XDD needs, and which can
+        include other files or expand to gigabytes; it is larger or more deeply nested than a device
+        description.
     """
     parser = DefusedExpatParser(forbid_dtd=True)
     tree = _Tree(path, parser)
@@ -130,5 +131,5 @@ def read_elements(path: str, text: str) -> XmlElement:
         raise EdsError(f"{path}:{line}: is no well-formed XML ({error.getMessage()}); {REMEDY}") from error
     except DefusedXmlException as error:
         raise EdsError(f"{path}:{tree.line}: declares a DTD or entities, which are not read; {REMEDY}") from error
-    assert tree.root is not None  # else it is not well-formed
+    assert tree.root is not None  # otherwise it is not well-formed
     return tree.root

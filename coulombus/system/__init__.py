@@ -1,1 +1,1 @@
-"""Operating system services: file locks, private folders, signals, real-time settings. It imports nothing else of ours."""
+"""Operating system services: file locks, private folders, signals, real-time settings; independent of all else here."""
