@@ -1,12 +1,12 @@
-"""The driver of the MR brake as a CiA 404 device, compiled: one
-analogue output block, three analogue input blocks.
+"""Compiled driver of the MR brake as a CiA 404 device: one analogue output block, three analogue input
+blocks.
 
 Output: the set-point 7300h:01 * 10 ** -6302h:01 in Nm, through the scale 7320h to 7323h (by default
-1), and not above what the coil's current allows (`node.coil404`). The channel is unsigned: a
-negative set-point is 0 and counted, one above the EDS' high limit is clipped and counted. Without a
-new set-point for 2001h microseconds the output goes in a straight line of 2005h microseconds to the
-fault value 7341h:01, when the fault mode 6340h:01 is 1; a new set-point ends it. A fault of the
-device itself takes the same line to 0, a short circuit is 0 at once.
+1), limited by the coil's current (`node.coil404`). The channel is unsigned: a negative set-point
+acts as 0 and is counted, a set-point above the EDS's high limit is clipped and counted. Without a
+new set-point for 2001h microseconds the output ramps linearly within 2005h microseconds to the
+fault value 7341h:01, if the fault mode 6340h:01 is 1; a new set-point ends the ramp. A device fault
+starts the same ramp to 0, a short circuit sets 0 at once.
 
 Inputs: 7130h = saturate_int16((in * 6126h + 6127h + 6124h) * 10 ** 6132h): handle torque, coil
 current, coil temperature. Their status 6150h: bit 0 not valid (channel off, no number), bit 1 above
@@ -35,7 +35,7 @@ __all__ = ["BRAKE404", "actuate", "connection_lost", "cut", "new_setpoint", "nex
 
 @kernel
 def start(n: NodeRecord, t_ns: int) -> None:
-    """Output 0, no set-point yet: after power-on."""
+    """Reset to output 0 without a set-point: after power-on."""
     n.setpoint_armed = 0
     n.ramping = 2
     n.ramp_from_Nm = 0.0
@@ -47,18 +47,14 @@ def start(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def _torque(n: NodeRecord, raw: int) -> float:
-    """Return the torque [Nm] that a value of 7300h stands for, full
-    scale at most; the coil's limit is the caller's.
-    """
+    """Return the torque [Nm] of a value of 7300h, at most full scale; the caller applies the coil's limit."""
     torque: float = min(max(max(raw, 0) * n.ao_gain_Nm + n.ao_bias_Nm, 0.0), n.ao_full_Nm)
     return torque
 
 
 @kernel
 def _begin_ramp(n: NodeRecord, t_ns: int) -> None:
-    """Begin the ramp from the present output: to the fault value, to
-    0 for a fault of the device itself.
-    """
+    """Begin the ramp from the present output: to the fault value, or to 0 for a device fault."""
     n.ramp_from_Nm = n.out_brake_Nm
     n.ramp_to_Nm = 0.0 if n.causes & emcy.DEVICE_MASK else _torque(n, n.values[slots404.FAULT_VALUE])
     n.ramp_start_ns = t_ns
@@ -67,7 +63,7 @@ def _begin_ramp(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def cut(n: NodeRecord) -> None:
-    """Output 0 at once."""
+    """Set the output to 0 at once."""
     n.ramping = 2
     n.ramp_to_Nm = 0.0
     n.out_brake_Nm = 0.0
@@ -75,7 +71,7 @@ def cut(n: NodeRecord) -> None:
 
 @kernel
 def new_setpoint(n: NodeRecord, t_ns: int) -> None:
-    """Take the set-point in 7300h:01 that was received at `t_ns`; the slot then shows what acts."""
+    """Apply the set-point in 7300h:01 that was received at `t_ns`; the slot then shows the effective value."""
     raw = n.values[slots404.SETPOINT]
     if raw < 0:
         n.negative_setpoints += 1
@@ -86,16 +82,16 @@ def new_setpoint(n: NodeRecord, t_ns: int) -> None:
     n.values[slots404.SETPOINT] = raw
     n.setpoint_ns = t_ns
     if n.setpoint_armed == 0:
-        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch of its age
-    n.setpoint_armed = 1  # also when it came by SDO: a brake that nobody looks after lets go
+        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the check of its age
+    n.setpoint_armed = 1  # also if it came by SDO: a brake without supervision is released
     if n.causes & emcy.DEVICE_MASK == 0:
         n.ramping = 0
 
 
 @kernel
 def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> None:
-    """Begin the ramp to the fault value at `t_ns`, from the present
-    output; fault mode 0 keeps it unless `forced`.
+    """Begin the ramp to the fault value at `t_ns`, from the present output; fault mode 0 keeps the output
+    unless `forced`.
     """
     n.setpoint_armed = 0
     if not forced and n.values[slots404.FAULT_MODE] != 1:
@@ -108,8 +104,8 @@ def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> None:
 
 @kernel
 def host_lost(n: NodeRecord, t_ns: int) -> None:
-    """NMT left OPERATIONAL by itself (1029h): the last set-point is
-    still held for its time, if that is watched.
+    """Handle NMT leaving OPERATIONAL by itself (1029h): the last set-point stays until its age limit, if that
+    is set.
     """
     if n.setpoint_armed == 0 or n.values[slots.SETPOINT_AGE_US] <= 0:
         connection_lost(n, t_ns, 0)
@@ -125,7 +121,7 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
         expired = n.setpoint_armed and hold_ns > 0 and t_ns - n.setpoint_ns >= hold_ns
         if not expired or values[slots404.FAULT_MODE] != 1:
             return
-        _begin_ramp(n, n.setpoint_ns + hold_ns)  # the line begins where the hold ended, whenever this is called
+        _begin_ramp(n, n.setpoint_ns + hold_ns)  # the ramp begins where the hold ended, whenever this is called
     if n.ramping == 1:
         ramp_ns = values[slots.RAMP_US] * 1000
         elapsed_ns = t_ns - n.ramp_start_ns
@@ -212,7 +208,7 @@ def _connection_lost(n: NodeRecord, t_ns: int, why: int) -> int:
 
 @kernel
 def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
-    """A fault of the driver itself takes the ramp, a short circuit ends the current at once."""
+    """React to a fault of the driver: begin the ramp, or end the current at once for a short circuit."""
     if emcy.DEVICE_MASK >> cause & 1:
         if cause == emcy.COIL_SHORT:
             cut(n)
@@ -234,7 +230,7 @@ def _changed(record: NodeRecord, objects: Objects, index: int, subindex: int) ->
 
 
 def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
-    """6125h wants its signature; the two points of the output's scale differ."""
+    """Require the signature in 6125h, and two different points of the output's scale."""
     if index == 0x6125 and value != AUTO_ZERO:
         raise SdoAbort(Abort.VALUE)
     other = {0x7320: 0x7322, 0x7322: 0x7320}.get(index)
@@ -262,4 +258,4 @@ BRAKE404 = Profile(
     changed=_changed,
     check=_check,
 )
-"""The driver of an MR brake: CiA 404, one output, three inputs."""
+"""Driver of an MR brake: CiA 404, one output, three inputs."""

@@ -1,21 +1,21 @@
-"""What the brake's driver looks after in its coil, compiled: current
-limit, temperature, open and short circuit, remanence.
+"""Compiled supervision of the brake's coil: current limit, temperature, open and short circuit, remanence.
 
-Everything is judged by what the driver measures (current, temperature) and by what it commands.
+All checks use what the driver measures (current, temperature) and what it commands.
 
 - The current is limited to 2010h:01; between the warning temperature 2011h:01 and the limit
-  2011h:02 the share that is left falls in a straight line to 2011h:04. As the brake's torque goes
-  with its current, `limit_Nm` bounds the torque.
-- Above 2011h:02: over-temperature, until the coil is colder by 2011h:03.
-- Less than a quarter of the commanded current for 2010h:04, when that
+  2011h:02 the remaining share falls linearly to 2011h:04. The brake's torque is proportional to
+  its current, so `limit_Nm` bounds the torque.
+- Above 2011h:02: over-temperature, until the coil has cooled by 2011h:03.
+- Less than a quarter of the commanded current for 2010h:04, if the command
   is above 2010h:03: the coil is open.
-- More current than 2010h:02: it is short.
+- More current than 2010h:02: the coil has a short circuit.
 
-An open coil shows only while there is a command, so both coil faults
-stay until a set-point of 0 is sent, with the output at 0.
+An open coil can be detected only during a command, so both coil faults stay until a set-point of 0
+arrives while the output is 0.
 
-The demagnetisation pulse: 2012h:03 after the output has gone to 0, 2012h:01 of the opposite sign
-for 2012h:02 takes away what the iron remembers. A new set-point ends it, a device fault bars it.
+The demagnetisation pulse removes the iron's remanence: 2012h:03 after the output has reached 0, a
+current 2012h:01 of the opposite sign flows for 2012h:02. A new set-point ends the pulse, a device
+fault prevents it.
 
 In the kernels: `n` the node's record (`node.record`).
 """
@@ -34,12 +34,12 @@ _OPEN_SHARE = 0.25
 _TEMPERATURE = 1 << emcy.OVER_TEMPERATURE - emcy.FIRST_DEVICE_CAUSE
 _OPEN = 1 << emcy.COIL_OPEN - emcy.FIRST_DEVICE_CAUSE
 _SHORT = 1 << emcy.COIL_SHORT - emcy.FIRST_DEVICE_CAUSE
-_LOOK_NS = 10_000_000  # how often, without a SYNC
+_LOOK_NS = 10_000_000  # interval of the checks without a SYNC
 
 
 @kernel
 def start(n: NodeRecord) -> None:
-    """Nothing was found yet."""
+    """Reset: no fault detected."""
     n.detected = 0
     n.open_since_ns = -1
     n.pulse_due = 0
@@ -48,9 +48,9 @@ def start(n: NodeRecord) -> None:
 
 @kernel
 def look(n: NodeRecord, t_ns: int) -> None:
-    """Bring `detected` and `limit_Nm` up to what is measured.
+    """Update `detected` and `limit_Nm` from the measurements.
 
-    Almost always there is nothing to do.
+    Almost always nothing changes.
     """
     measured = abs(n.in_coil_A)
     expected = n.out_brake_Nm * n.coil_A_Nm
@@ -102,7 +102,7 @@ def _judge_current(n: NodeRecord, t_ns: int, missing: bool, measured: float) -> 
 
 @kernel
 def demagnetise(n: NodeRecord, t_ns: int) -> None:
-    """Give the pulse its current, when it is its time."""
+    """Set the current of the demagnetisation pulse when it is due."""
     n.out_reverse_A = 0.0
     if n.out_brake_Nm > 0.0:
         n.pulse_due = 1
@@ -121,12 +121,12 @@ def demagnetise(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
-    """Return the earlier of `next_ns` and what the coil needs: the
-    pulse's edges; a look while nobody sends a SYNC.
+    """Return the earlier of `next_ns` and the coil's next deadline: an edge of the pulse, or a check without
+    a SYNC.
     """
     if n.demag_A > 0.0 and n.pulse_due and n.out_brake_Nm == 0.0 and n.causes & emcy.DEVICE_MASK == 0:
         edge = n.pulse_ns if t_ns < n.pulse_ns else n.pulse_ns + n.demag_ns
-        next_ns = min(next_ns, max(edge, t_ns + 1))  # the pulse is over with the step at its end
+        next_ns = min(next_ns, max(edge, t_ns + 1))  # the pulse is over after the step at its end
     if n.open_since_ns >= 0 and n.detected & _OPEN == 0:
         end_ns = n.open_since_ns + n.open_ns
         next_ns = min(next_ns, end_ns if end_ns > t_ns else t_ns + _LOOK_NS)

@@ -1,5 +1,4 @@
-"""What a client may write to the communication objects 1000h-13FFh
-and 1F80h, and when (CiA 301, section 7.5.2).
+"""Checks of writes to the communication objects 1000h-13FFh and 1F80h (CiA 301, section 7.5.2).
 
 Each object is a row of `CHECKS`. PDO parameters have their own rules in `node.pdo_parameters`.
 """
@@ -20,7 +19,7 @@ INVALID = CONSUMER = 1 << 31
 PRODUCER = 1 << 30
 EXTENDED = 1 << 29
 SHORTEST_SYNC_US = 100
-"""The shortest period of 1006h that a node produces."""
+"""Shortest period of 1006h that a node can produce."""
 
 SDO_SERVERS = range(0x1200, 0x1200 + MAX_SDO_SERVERS)
 
@@ -38,14 +37,14 @@ def _sync_id(objects: Dictionary, index: int, subindex: int, value: int) -> None
     before = objects.number(index)
     _identifier(value)
     if before & value & PRODUCER and (before ^ value) & _IDENTIFIER:
-        raise SdoAbort(Abort.DEVICE_STATE)  # the identifier stands while SYNC is produced
+        raise SdoAbort(Abort.DEVICE_STATE)  # fixed while SYNC is produced
 
 
 def _time_id(objects: Dictionary, index: int, subindex: int, value: int) -> None:
     before = objects.number(index)
     _identifier(value)
     if before & value & (CONSUMER | PRODUCER) and (before ^ value) & _IDENTIFIER:
-        raise SdoAbort(Abort.DEVICE_STATE)  # the identifier stands while TIME is consumed or produced
+        raise SdoAbort(Abort.DEVICE_STATE)  # fixed while TIME is consumed or produced
 
 
 def _period(objects: Dictionary, index: int, subindex: int, value: int) -> None:
@@ -65,7 +64,7 @@ def _emcy_id(objects: Dictionary, index: int, subindex: int, value: int) -> None
     if value & 0x7FFFF800 or (not value & INVALID and restricted(value & _IDENTIFIER)):  # bit 30 is reserved
         raise SdoAbort(Abort.VALUE)
     if not before & INVALID and not value & INVALID and (before ^ value) & _IDENTIFIER:
-        raise SdoAbort(Abort.VALUE)  # to be made invalid before the identifier changes
+        raise SdoAbort(Abort.VALUE)  # it must be made invalid before the identifier changes
 
 
 def _history(objects: Dictionary, index: int, subindex: int, value: int) -> None:
@@ -96,7 +95,7 @@ def _sdo_server(objects: Dictionary, index: int, subindex: int, value: int) -> N
     for other in SDO_SERVERS:
         entry = objects.number(other, 1, INVALID)
         if subindex == 1 and other != index and not (value | entry) & INVALID and not (entry ^ value) & _IDENTIFIER:
-            raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)  # one request would have two responses
+            raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)  # a request would have two responses
 
 
 def _startup(objects: Dictionary, index: int, subindex: int, value: int) -> None:
@@ -115,4 +114,4 @@ CHECKS: Mapping[int, Callable[[Dictionary, int, int, int], None]] = {
     0x1F80: _startup,
     **dict.fromkeys(SDO_SERVERS, _sdo_server),
 }
-"""Index -> what raises `SdoAbort` unless the value may be written now."""
+"""Index -> function that raises `SdoAbort` unless the value may be written now."""

@@ -1,7 +1,7 @@
-"""Communication objects of a node, 1000h-1FFFh: what may be written, and the record that follows.
+"""Communication objects of a node, 1000h-1FFFh: allowed writes, and the record that follows them.
 
-They stand in the Python dictionary; after a valid write `refresh` brings the record, the PDO
-records and the routes of the identifiers up to them. Each object is a row of `_REFRESHES`, and of
+The Python dictionary holds the objects; after a valid write `refresh` updates the record, the PDO
+records and the routes of the identifiers. Each object is a row of `_REFRESHES`, and of
 `node.communication_checks.CHECKS`.
 """
 
@@ -32,13 +32,11 @@ class Communication:
         self._dictionary = dictionary
         self._node = node
         self.pdos = Pdos(dictionary, node, profile)
-        described = dictionary.description.objects  # looked at often, and an EDS has one server, or two
+        described = dictionary.description.objects  # looked up often, and an EDS has one or two servers
         self._servers = [(k, index) for k, index in enumerate(SDO_SERVERS) if k == 0 or index in described]
 
     def sdo_servers(self) -> list[tuple[int, int, int]]:
-        """Return the SDO servers that are valid: (number from 0,
-        identifier of the requests, of the responses).
-        """
+        """Return the valid SDO servers: (number from 0, identifier of the requests, of the responses)."""
         number, node_id = self._dictionary.number, self._dictionary.node_id
         servers = []
         for k, index in self._servers:
@@ -49,7 +47,7 @@ class Communication:
         return servers
 
     def collect(self, index: int) -> None:
-        """Bring what the core keeps (1003h) to the dictionary before it is read."""
+        """Copy the core's data (1003h) to the dictionary before it is read."""
         if index != 0x1003 or (index, 0) not in self._dictionary:
             return
         count = int(self._node["history_count"])
@@ -68,8 +66,8 @@ class Communication:
         self._check_receiver(index, subindex, value)
 
     def _check_receiver(self, index: int, subindex: int, value: int) -> None:
-        """Abort where two services would hear one identifier, which
-        `_route` gives to one of them; RPDOs may share theirs.
+        """Abort if two services would receive one identifier, which `_route` assigns to one of them; RPDOs may
+        share an identifier.
         """
         own = _RECEIVERS.get(index)
         if own is None or subindex != (own in (core.ROUTE_SDO, core.ROUTE_PDO)):
@@ -82,7 +80,7 @@ class Communication:
             raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)
 
     def refresh(self, index: int, subindex: int, t_ns: int) -> None:
-        """Bring the record up to an object that was written at `t_ns`."""
+        """Update the record after an object was written at `t_ns`."""
         refresh = _REFRESHES.get(index)
         if refresh is not None:
             refresh(self, subindex, t_ns)
@@ -91,7 +89,7 @@ class Communication:
             self._route()
 
     def refresh_all(self, t_ns: int) -> None:
-        """Bring the record up to all communication objects (power-on, reset)."""
+        """Update the record from all communication objects (power-on, reset)."""
         for refresh in _REFRESHES.values():
             refresh(self, 0, t_ns)
         self.pdos.refresh_all(t_ns)
@@ -113,7 +111,7 @@ class Communication:
                 node["tpdo_count"][k] = -1 if node["tpdo"][k]["sync_start"] and node["sync_overflow"] else 0
 
     def _refresh_emcy(self, subindex: int, t_ns: int) -> None:
-        cob_id = self._dictionary.number(0x1014, 0, INVALID)  # a device without it sends none
+        cob_id = self._dictionary.number(0x1014, 0, INVALID)  # a device without 1014h sends none
         self._node["emcy_id"] = -1 if cob_id & INVALID or not cob_id & 0x7FF else cob_id & 0x7FF  # 0 is NMT's
         inhibit_ns = self._dictionary.number(0x1015) * 100_000
         self._node["emcy_inhibit_ns"] = inhibit_ns
@@ -154,7 +152,7 @@ class Communication:
         self._node["device_error_behaviour"] = self._dictionary.number(0x1029, 2, 1)
 
     def _route(self) -> None:
-        """Write which identifier means what; where two claim one, the later line wins."""
+        """Write the route of each identifier; if two claim the same identifier, the later line wins."""
         node = self._node
         node["rerouted"] = 1
         route, rtr = node["route"].view(np.ndarray), node["rtr_route"].view(np.ndarray)
@@ -189,7 +187,7 @@ _RECEIVERS: Mapping[int, int] = {
     **dict.fromkeys(SDO_SERVERS, core.ROUTE_SDO),
     **dict.fromkeys(range(COMMUNICATION["rpdo"], COMMUNICATION["rpdo"] + 512), core.ROUTE_PDO),
 }
-"""Objects whose COB-ID is one to hear (from 1200h on in sub-index 1) -> the route of its frames."""
+"""Objects with the COB-ID of a received frame (from 1200h on in sub-index 1) -> route of the frame."""
 
 _REFRESHES: Mapping[int, Callable[[Communication, int, int], None]] = {
     0x1003: Communication._refresh_history,

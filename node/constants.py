@@ -1,4 +1,4 @@
-"""What all compiled parts of a node share: the room in its record, and two times."""
+"""Constants of all compiled parts of a node: capacities of its record, and two times."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ __all__ = [
 ]
 
 SLOTS = 1024
-PORTS, INPUTS, OUTPUTS = 8, 16, 8  # at most: digital ports of each direction, analogue inputs and outputs
-SPARE_SLOTS = 256  # for objects that a PDO maps later, however many the EDS describes
-MAX_PDOS = 128  # of each direction: those of two axes of a drive
-MAX_CONSUMERS = 127  # entries of 1016h that are watched
+PORTS, INPUTS, OUTPUTS = 8, 16, 8  # largest number of digital ports per direction, analogue inputs, outputs
+SPARE_SLOTS = 256  # for objects that a PDO maps later, in addition to the EDS's
+MAX_PDOS = 128  # per direction: those of two axes of a drive
+MAX_CONSUMERS = 127  # checked entries of 1016h
 MAX_SDO_SERVERS = 128  # 1200h to 127Fh
-BLOCK_SEGMENTS = 127  # most segments of a block of an SDO block transfer
-OUTBOX = 1024  # segments of block uploads that wait to be sent
+BLOCK_SEGMENTS = 127  # segments in a block of an SDO block transfer
+OUTBOX = 1024  # pending segments of block uploads
 MAX_HISTORY = 8  # entries of 1003h
-EMCY_WAITING = 8  # EMCY messages that wait for the end of the inhibit time
+EMCY_WAITING = 8  # EMCY messages pending until the end of the inhibit time
 FAR_FUTURE_NS = NEVER_NS
 SDO_TIMEOUT_NS = 1_000_000_000
-"""An SDO transfer that stands still for so long is aborted (0504 0000h)."""
+"""An SDO transfer without progress for this time is aborted (0504 0000h)."""

@@ -1,10 +1,10 @@
-"""The compiled half of a CANopen device: what happens on a frame and what happens at a time.
+"""Compiled half of a CANopen device: its reactions to a frame and to a time.
 
 `on_frame` and `on_time` are functions of their arguments: the node's record, the time, a frame.
-They push what the node answers to the queue and keep the node's next deadline in `next_ns`.
-Deadlines are lazy: a reception only stores its time, and `on_time`, when it is called at `next_ns`,
-finds out whether something is late and computes the next deadline. A frame that has the same time
-as a deadline is handled first, so it is in time.
+They push the node's answers to the queue and keep its next deadline in `next_ns`. Deadlines are
+lazy: a reception only stores its time; `on_time`, called at `next_ns`, detects what is late and
+computes the next deadline. A frame at the same time as a deadline is handled first, so it is in
+time.
 
 Python (`node.device`) serves SDO, LSS and resets, for which `on_frame` returns 1, and edits the same
 record.
@@ -64,7 +64,7 @@ ROUTE_CONSUMER = 1024  # + number of the entry of 1016h
 
 _ALL_NODES = 0
 _IS_LSS_REQUEST = tuple(int(command in REQUESTS) for command in range(256))
-"""By an LSS frame's first byte. The others cost no more than any frame that is not for the node."""
+"""Whether the first byte of an LSS frame is a request. Other LSS frames cost no more than frames for other nodes."""
 
 
 @inlined
@@ -76,8 +76,8 @@ def on_frame(
     data: int,
     out: Queue,
 ) -> int:
-    """Handle a frame whose end was at `t_ns`; return 1 when Python
-    has to serve it (SDO, LSS, the end of NMT commands), else 0.
+    """Handle a frame whose end was at `t_ns`; return 1 if Python has to serve it (SDO, LSS, the end of NMT
+    commands), else 0.
     """
     if can_id <= 0x7FF and n.route[can_id] == ROUTE_NONE:
         return 0
@@ -93,7 +93,7 @@ def handle(
     data: int,
     out: Queue,
 ) -> int:
-    """Do what `on_frame` does; for callers that are not compiled themselves."""
+    """Do the same as `on_frame`, for callers that are not compiled."""
     if can_id > 0x7FF:  # remote, extended or error frame
         if can_id & ~0x7FF == CAN_RTR_FLAG and n.powered and t_ns >= n.silent_ns:
             route = int(n.rtr_route[can_id & 0x7FF])
@@ -158,8 +158,8 @@ def handle(
 
 @kernel
 def nmt_command(n: NodeRecord, t_ns: int, command: int, out: Queue) -> int:
-    """Carry out an NMT command; return 1 when something is left for Python: a reset, and the end of
-    SDO with STOPPED.
+    """Execute an NMT command; return 1 if a part is left for Python: a reset, and the end of SDO with
+    STOPPED.
     """
     if command == NmtCommand.RESET_NODE or command == NmtCommand.RESET_COMMUNICATION:
         return 1
@@ -174,9 +174,9 @@ def nmt_command(n: NodeRecord, t_ns: int, command: int, out: Queue) -> int:
 
 @kernel
 def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
-    """Act on a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs go out."""
+    """Handle a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs are sent."""
     if not ALLOWED[n.nmt] & Service.PDO:
-        return  # it has PDOs to do with, and nothing else
+        return  # SYNC matters to PDOs only
     if length != (1 if n.sync_overflow > 0 else 0):
         n.dropped_length += 1
         emcy.come(n, t_ns, emcy.SYNC_LENGTH, length, out)
@@ -189,7 +189,7 @@ def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
             n.sync_armed = 0
     if n.sync_armed == 0:
         n.sync_armed = 1
-        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch
+        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the check
     if n.kind != NO_KIND:
         inputs(n, t_ns, out)
     if n.rpdo_pending:
@@ -203,7 +203,7 @@ def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
 
 @kernel
 def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Judge what is due at `t_ns`, and set `next_ns`."""
+    """Handle the deadlines due at `t_ns`, and set `next_ns`."""
     if n.powered == 0:
         n.next_ns = FAR_FUTURE_NS
         return
@@ -223,8 +223,8 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def _react(n: NodeRecord, t_ns: int, behaviour: int, out: Queue) -> None:
-    """Let NMT follow an error as 1029h says (`eds.nmt.AUTOMATIC`); a
-    value that CiA 301 does not know changes nothing.
+    """Change the NMT state after an error as 1029h says (`eds.nmt.AUTOMATIC`); a value that CiA 301 does not
+    define changes nothing.
     """
     following = AFTER_ERROR[behaviour, n.nmt] if 0 <= behaviour < AFTER_ERROR.shape[0] else n.nmt
     if following != n.nmt:
@@ -256,8 +256,8 @@ def _schedule(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def set_nmt(n: NodeRecord, t_ns: int, state: int, why: int, out: Queue) -> None:
-    """Change the NMT state; leaving OPERATIONAL, STOPPED and any
-    reset make the output safe (`why`: node.profile).
+    """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe
+    (`why`: node.profile).
     """
     before = n.nmt
     n.nmt = state
@@ -273,7 +273,7 @@ def set_nmt(n: NodeRecord, t_ns: int, state: int, why: int, out: Queue) -> None:
         n.emcy_waiting = 0
     if state == NmtState.INITIALISING:
         n.emcy_ready_ns = t_ns
-    if n.sync_producer_ns > 0 and ALLOWED[state] & ~ALLOWED[before] & Service.SYNC:  # the producer begins anew
+    if n.sync_producer_ns > 0 and ALLOWED[state] & ~ALLOWED[before] & Service.SYNC:  # the producer restarts
         n.sync_counter = 0
         n.sync_next_ns = t_ns + n.sync_producer_ns
     actuate(n, t_ns)
@@ -282,7 +282,7 @@ def set_nmt(n: NodeRecord, t_ns: int, state: int, why: int, out: Queue) -> None:
 
 @kernel
 def written(n: NodeRecord, t_ns: int, carries: int, out: Queue) -> None:
-    """Let the device act on what Python wrote to `values` or to the records (an SDO download)."""
+    """Let the device act on `values` or records that Python wrote (an SDO download)."""
     deadlines.settle(n, t_ns, out)
     apply(n, t_ns, t_ns, carries, out)
     actuate(n, t_ns)
@@ -291,7 +291,7 @@ def written(n: NodeRecord, t_ns: int, carries: int, out: Queue) -> None:
 
 @kernel
 def forget_connections(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """After a reset nothing is watched yet, so no loss of a connection is present."""
+    """Clear the connection losses after a reset, because no connection is checked yet."""
     deadlines.settle(n, t_ns, out)
     emcy.gone(n, t_ns, emcy.RPDO_SHORT, out)
     emcy.gone(n, t_ns, emcy.RPDO_LONG, out)
@@ -301,11 +301,11 @@ def forget_connections(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) -> None:
-    """Act on what the node's CAN controller tells (`wire.controller_state.Confinement`).
+    """React to the state of the node's CAN controller (`wire.controller_state.Confinement`).
 
-    Bus-off is a communication error: the fault reaction, and what 1029h:01 says, as without
-    heartbeats. Its EMCY can go out when the controller is back only (8140h), and as the error is
-    gone then, "error reset" follows unless a drive holds its fault.
+    Bus-off is a communication error: the fault reaction follows, and 1029h:01 applies, as with lost
+    heartbeats. Its EMCY (8140h) can be sent only when the controller is back; the error is gone then,
+    so "error reset" follows unless a drive holds its fault.
     """
     if n.powered == 0:
         return
@@ -328,7 +328,7 @@ def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) 
 
 @kernel
 def refresh_inputs(n: NodeRecord, t_ns: int) -> None:
-    """Bring the values that the device measures up to date (before an SDO upload)."""
+    """Update the values that the device measures (before an SDO upload)."""
     if n.powered:
         actuate(n, t_ns)
         sample(n)

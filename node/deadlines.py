@@ -1,8 +1,7 @@
-"""Deadlines of a node, compiled: heartbeats both ways, RPDO deadline,
-SYNC time-out, a stale SDO transfer.
+"""Compiled deadlines of a node: heartbeats both ways, RPDO deadline, SYNC time-out, stalled SDO transfer.
 
-Each watch begins with the first reception (heartbeat, RPDO, SYNC) and is judged lazily:
-`expire` looks at what is late at `t_ns`, `next_deadline` tells when to look again.
+Each check begins with the first reception (heartbeat, RPDO, SYNC) and is lazy: `expire` detects
+what is late at `t_ns`, `next_deadline` returns the time of the next check.
 
 In the kernels: `n` the node's record (`node.record`), `p` one of its
 PDOs, `k` a number from 0, `out` the queue of frames to send.
@@ -26,8 +25,8 @@ _WAITING, _ALIVE, _LOST = 0, 1, 2
 
 @kernel
 def heartbeat_received(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue) -> None:
-    """Take a heartbeat of consumer entry `k`; a boot-up is none: who
-    has just started has lost its connections.
+    """Process a heartbeat of consumer entry `k`; a boot-up does not count, because the producer has just
+    lost its connections.
     """
     if length < 1:
         n.dropped_length += 1
@@ -46,7 +45,7 @@ def heartbeat_received(n: NodeRecord, k: int, t_ns: int, length: int, data: int,
 
 @kernel
 def settle(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Release the losses that are no longer present: none lost any more, or no longer watched."""
+    """Release the losses that are over: nothing lost any more, or no longer checked."""
     heartbeats, rpdos = 0, 0
     for k in range(n.consumers_used):
         heartbeats += n.consumer_state[k] == _LOST
@@ -64,8 +63,8 @@ def settle(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def stop(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """NMT left OPERATIONAL: SYNC and RPDOs are no longer expected, so
-    their loss is no longer present.
+    """Stop the checks of SYNC and RPDOs after NMT left OPERATIONAL: they are not expected any more, so
+    their loss is over.
     """
     n.sync_armed = 0
     for k in range(n.rpdo_used):
@@ -76,8 +75,8 @@ def stop(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
-    """Judge what is late at `t_ns`; return 1 when a heartbeat or the
-    guarding was lost now (1029h decides what NMT does).
+    """Detect what is late at `t_ns`; return 1 if a heartbeat or the guarding was lost now (1029h determines
+    the NMT state).
     """
     lost_now = 0
     if n.heartbeat_ns > 0 and t_ns >= n.heartbeat_next_ns:

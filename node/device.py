@@ -1,9 +1,8 @@
-"""A CANopen device: its description, its dictionary and its services,
-on the record that the core runs on.
+"""A CANopen device: its description, its dictionary and its services, on the core's record.
 
 The owner of the records calls `core.on_frame` with every frame and `core.on_time` at
 ``record.next_ns``; when `on_frame` returns 1 it calls `Device.service` with the same arguments.
-Nothing here knows a socket, a thread or a clock.
+This module uses no socket, thread or clock.
 """
 
 from __future__ import annotations
@@ -38,17 +37,16 @@ from coulombus.wire.frame import Queue, push
 __all__ = ["SDO_TIMEOUT_NS", "Device", "DeviceState"]
 
 MOST_MADE = 16
-"""Of so many new devices of a description it is kept what they begin with."""
+"""Number of descriptions whose initial device state is cached for further devices."""
 STAYS_PRE_OPERATIONAL = 0x04
-"""Bit of 1F80h (CiA 302-2): the device does not start by itself. Without 1F80h it does not either.
-"""
+"""Bit of 1F80h (CiA 302-2): the device does not start by itself. Without 1F80h it does not either."""
 
 _RESET: Mapping[int, int] = {NmtCommand.RESET_NODE: 0x0000, NmtCommand.RESET_COMMUNICATION: 0x1000}
-"""NMT command -> first index of the objects that take their defaults again (0x1000: to 0x1FFF)."""
+"""NMT command -> first index of the objects that return to their defaults (0x1000: to 0x1FFF)."""
 
 
 class DeviceState(NamedTuple):
-    """What a device has beside its record, while no transfer is open."""
+    """State of a device besides its record, while no transfer is open."""
 
     objects: DictionaryState
     boots: int
@@ -63,15 +61,15 @@ class Device:
     description
         The EDS; its objects are the device's.
     node_id
-        1 to 127, or `eds.cia305.UNCONFIGURED`: it waits until an LSS master gives it one.
+        1 to 127, or `eds.cia305.UNCONFIGURED`: the device waits until an LSS master assigns one.
     profile
-        What lives behind the objects: one of `node.kinds.PROFILES`, or one that was fitted to the
-        file; `node.kinds.GENERIC`: nothing.
+        Behaviour behind the objects: one of `node.kinds.PROFILES`, or a profile fitted to the file;
+        `node.kinds.GENERIC`: none.
     record
-        The one of `node.record.new_nodes` that becomes this device.
+        The record, from `node.record.new_nodes`, that becomes this device.
     store
-        Where it keeps what 1010h and LSS store; by default a memory
-        of its own, which resets and power cycles do not clear.
+        Storage of 1010h and LSS; by default the device's own memory, which resets and power cycles
+        do not clear.
 
     Raises
     ------
@@ -102,9 +100,9 @@ class Device:
         self.lss = Lss(self.dictionary, record, node_id, self.store, self._reset_communication)
         self._now = 0
         self.boots = 0
-        """How often it has booted: after power-on, and after each reset."""
+        """Number of boot-ups: after power-on, and after each reset."""
         self.on_download: Callable[[int, int], None] | None = None
-        """Called when an SDO client has written an object (index, sub-index)."""
+        """Called after an SDO client has written an object (index, sub-index)."""
         made: dict[Any, tuple[Mapping[str, Any], DeviceState]] = description.derived.setdefault(Device, {})
         key = profile.name, profile.objects, profile.behaviour, profile.started, node_id, int(record["station"])
         if new and key in made:  # the same device again
@@ -123,8 +121,8 @@ class Device:
 
     @property
     def unreadable(self) -> tuple[str, ...]:
-        """Why a PDO of the EDS cannot be read right, each with
-        file:line; it is not valid at start, everything else is served.
+        """Why PDOs of the EDS are unreadable, each with file:line; such a PDO is not valid at start, everything
+        else is served.
         """
         return tuple(self.dictionary.unreadable.values())
 
@@ -137,7 +135,7 @@ class Device:
         return self.dictionary[key]
 
     def __setitem__(self, key: tuple[int, int], value: Value) -> None:
-        """Set an object as the device itself does: no access right, no limit.
+        """Set an object as the device itself does: without checks of access right and limit.
 
         The record follows.
         """
@@ -146,26 +144,24 @@ class Device:
         self.record["next_ns"] = min(int(self.record["next_ns"]), self._now)
 
     def slot(self, index: int, subindex: int = 0) -> int:
-        """Return where a numeric object stands in the record's `values`."""
+        """Return the index of a numeric object in the record's `values`."""
         return self.dictionary.slot(index, subindex)
 
     def time_of_day(self, t_ns: int) -> datetime | None:
-        """Return what the last TIME message told, advanced to `t_ns`; None before the first."""
+        """Return the time of the last TIME message, advanced to `t_ns`; None before the first."""
         set_ns = int(self.record["time_set_ns"])
         return None if set_ns < 0 else time_of_day(int(self.record["time_word"]), t_ns - set_ns)
 
     def state(self) -> DeviceState:
-        """Return what it has beside its record."""
+        """Return the state besides the record."""
         return DeviceState(self.dictionary.state(), self.boots, self._now)
 
     def adopt(self, state: DeviceState) -> None:
-        """Go on from the state of a device of the same file and node id, whose record this one has
-        now.
-        """
+        """Continue from the state of a device of the same file and node id, whose record this device now has."""
         self.boots, self._now = state.boots, state.now
         self.dictionary.adopt(state.objects)
 
-    # life
+    # life cycle
 
     def power_on(self, t_ns: int, out: Queue) -> None:
         """Switch the device on: defaults, boot-up, PRE-OPERATIONAL."""
@@ -191,8 +187,8 @@ class Device:
         self._sdo.drop()
 
     def _load(self, first: int, t_ns: int) -> None:
-        """Give the objects their stored values, or their defaults,
-        from index `first` on (0x1000: communication only).
+        """Set the objects to their stored values, or their defaults, from index `first` on (0x1000:
+        communication only).
         """
         self._sdo.drop()
         self.lss.reset()
@@ -206,9 +202,9 @@ class Device:
         self._sdo.refresh()
 
     def _changed(self, index: int, subindex: int) -> None:
-        """Bring the record up to an object that was written."""
+        """Update the record after an object was written."""
         if self.node_id == UNCONFIGURED and index < 0x2000:
-            return  # all of it follows when it boots
+            return  # the boot-up updates everything
         if 0x1000 <= index < 0x2000:
             self.communication.refresh(index, subindex, self._now)
             if index in SDO_SERVERS:
@@ -224,22 +220,20 @@ class Device:
     # services
 
     def service(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
-        """Serve the frame for which `core.on_frame` returned 1: an
-        NMT command, an SDO or an LSS request.
-        """
+        """Serve the frame for which `core.on_frame` returned 1: an NMT command, an SDO or an LSS request."""
         self._now = t_ns
         if can_id == CobId.NMT:
             if data & 0xFF in _RESET:
                 self.nmt_command(t_ns, data & 0xFF, out)
             else:
-                self._sdo.drop()  # the core has done what else STOPPED means
+                self._sdo.drop()  # the core has done the rest of STOPPED
         elif can_id == CobId.LSS_RX:
             self.lss.request(t_ns, length, data, out)
         elif self._sdo.serves(can_id):
             self._sdo.serve(t_ns, can_id, length, data, out)
 
     def nmt_command(self, t_ns: int, command: int, out: Queue) -> None:
-        """Carry out an NMT command (its specifier); an unknown one is counted."""
+        """Execute an NMT command (its specifier); count an unknown command."""
         self._now = t_ns
         record = self.record
         if command not in _RESET:
@@ -259,14 +253,14 @@ class Device:
         self.nmt_command(t_ns, NmtCommand.RESET_COMMUNICATION, out)
 
     def _tabulate(self) -> None:
-        """Tell the core what it may upload by itself."""
+        """Give the core the table of objects that it may upload by itself."""
         table = np.array(self.dictionary.expedited(), np.int64).reshape(-1, 3)
         self.record["fast_count"] = len(table)
         for name, column in zip(("fast_key", "fast_slot", "fast_size"), table.T, strict=True):
             self.record[name][: len(table)] = column
 
     def produce_time(self, t_ns: int, time: datetime, out: Queue) -> bool:
-        """Send TIME where 1012h's bit 30 is set and NMT allows it; tell whether it was sent."""
+        """Send TIME if bit 30 of 1012h is set and NMT allows it; tell whether it was sent."""
         if not self.dictionary.number(0x1012) & PRODUCER or not (self.record["powered"] and self.record["time_id"]):
             return False
         if not ALLOWED[self.record["nmt"]] & Service.TIME:
@@ -289,7 +283,7 @@ class Device:
             sent = out.frames["t_ns"][first : int(out["count"])]
             sent[:] = np.maximum(sent, ready_ns + 1)  # a PDO comes after the boot-up, whatever its identifier
         if self.record["in_faults"]:
-            self.record["next_ns"] = t_ns + 1  # what outlives the reset is told behind the boot-up
+            self.record["next_ns"] = t_ns + 1  # errors that outlive the reset are reported after the boot-up
 
     def _set_nmt(self, t_ns: int, state: int, why: int, out: Queue) -> None:
         core.set_nmt(self.record, t_ns, int(state), why, out)

@@ -1,9 +1,9 @@
-"""The object dictionary of a node: the EDS' objects with their
-values, as bytes for SDO and as numbers for Python.
+"""Object dictionary of a node: the EDS's objects with their values, as bytes for SDO and as numbers for
+Python.
 
-An object that the core uses, or that a PDO maps, stands in a slot of the record's `values`; every
-other one stands here. `slot` moves an object into a slot when a PDO maps it. Access rights, lengths
-and limits are those of the EDS; a breach is a `SdoAbort` with CiA 301's code.
+An object that the core uses, or that a PDO maps, is in a slot of the record's `values`; every
+other object is stored here. `slot` moves an object into a slot when a PDO maps it. Access rights,
+lengths and limits are those of the EDS; a violation is a `SdoAbort` with CiA 301's code.
 """
 
 from __future__ import annotations
@@ -31,18 +31,20 @@ __all__ = ["Dictionary", "DictionaryState", "decode", "encode"]
 
 MAX_STRING = 4096
 MAX_DOMAIN = 4 << 20
-"""Bytes that a client may write to a string and to a domain; CiA 301 sets no limit, memory does."""
+"""Largest number of bytes that a client may write to a string or domain: CiA 301 sets no limit, memory
+does.
+"""
 
 MAP_OFFSET = 0x200
-"""From a PDO's communication parameter to its map."""
+"""Offset from a PDO's communication parameter to its mapping parameter."""
 
-_HISTORY = 0x1003  # its entries are there or not, and are the core's
+_HISTORY = 0x1003  # its entries exist or not, and belong to the core
 _OCTETS = DATA_TYPES[0x000A]
 _NUMBERS = ("bool", "int", "real", "time")
 
 
 class DictionaryState(NamedTuple):
-    """The objects that have no slot, the slots of the others, and the next free one."""
+    """Objects without a slot, the slots of the others, and the next free slot."""
 
     store: Mapping[Key, Value]
     slots: Mapping[Key, int]
@@ -50,8 +52,8 @@ class DictionaryState(NamedTuple):
 
 
 class Dictionary:
-    """Objects of `description` for the node `node_id`; `values` are
-    the slots of its record, `core` what its core uses.
+    """Objects of `description` for the node `node_id`; `values` are the slots of its record, `core` the
+    objects that its core uses.
     """
 
     def __init__(
@@ -69,7 +71,7 @@ class Dictionary:
         self.reset(0x0000, 0xFFFF)
 
     def reset(self, first: int, last: int) -> None:
-        """Give the objects from index `first` to `last` the defaults of the EDS."""
+        """Set the objects from index `first` to `last` to the EDS's defaults."""
         for slot, absent in self._absent.items():
             self.values[slot] = absent
         for key, default, raw in self._defaults.rows:
@@ -84,7 +86,7 @@ class Dictionary:
 
     @property
     def _defaults(self) -> _Defaults:
-        """The defaults for the present node id: made once for a description."""
+        """Defaults for the present node id, computed once per description."""
         made = self.description.derived.setdefault(_Defaults, {})
         if self.node_id not in made:
             made[self.node_id] = _Defaults.of(self.description, self.node_id)
@@ -93,17 +95,17 @@ class Dictionary:
 
     @property
     def unreadable(self) -> Mapping[int, str]:
-        """Index of a PDO's communication parameter -> why the EDS' default cannot be read right:
-        the PDO is not valid, and maps nothing.
+        """Index of a PDO's communication parameter -> why the EDS's default is unreadable: the PDO is not valid,
+        and maps nothing.
         """
         return self._defaults.unreadable
 
     def state(self) -> DictionaryState:
-        """Return the objects that have no slot, and where the others stand."""
+        """Return the objects without a slot, and the slots of the others."""
         return DictionaryState({**self._store}, {**self._slots}, self._next)
 
     def adopt(self, state: DictionaryState) -> None:
-        """Take the state of a dictionary of the same file, beside the values in the slots."""
+        """Adopt the state of a dictionary of the same file, besides the values in the slots."""
         self._store, self._slots, self._next = {**state.store}, {**state.slots}, state.following
 
     def find(self, index: int, subindex: int) -> Variable:
@@ -120,12 +122,12 @@ class Dictionary:
         return key in self._store or key in self._slots  # each object is in one of them
 
     def __getitem__(self, key: Key) -> Value:
-        """Return the present value; KeyError where the EDS has no such object."""
+        """Return the present value; KeyError if the EDS has no such object."""
         slot = self._slots.get(key)
         if slot is not None:
             return self._in_slot(key, slot)
         if key not in self._store:
-            self.description.variable(*key)  # raises, and says what the file lacks
+            self.description.variable(*key)  # raises, and names the missing object
         return self._store[key]
 
     def _in_slot(self, key: Key, slot: int) -> int | float:
@@ -135,7 +137,9 @@ class Dictionary:
         return raw & 0xFFFFFFFFFFFFFFFF if kind.bits == 64 and not kind.signed else raw
 
     def __setitem__(self, key: Key, value: Value) -> None:
-        """Set the value as the device itself does: no access right, no limit, no side effect."""
+        """Set the value as the device itself does: without checks of access right and limit, without side
+        effects.
+        """
         variable = self.description.variable(*key)
         slot = self._slots.get(key)
         if slot is None:
@@ -144,43 +148,41 @@ class Dictionary:
             self.values[slot] = _raw(data_type(variable), value)
 
     def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
-        """Return an integer object, or `fallback` where the EDS has none."""
+        """Return an integer object, or `fallback` if the EDS does not have it."""
         key = (index, subindex)
         slot = self._slots.get(key)
         value = self._store.get(key) if slot is None else self._in_slot(key, slot)
         return value if isinstance(value, int) else fallback
 
     def own(self, index: int, subindex: int, fallback: int) -> int:
-        """Return an integer object of 2000h to 5FFFh as our files
-        define it; `fallback` in a file of another maker.
+        """Return an integer object of 2000h to 5FFFh as our files define it; `fallback` in another vendor's
+        file.
         """
         return self.number(index, subindex, fallback) if self._ours else fallback
 
     def real(self, index: int, subindex: int, fallback: float) -> float:
-        """Return a numeric object, or `fallback` where the EDS has none."""
+        """Return a numeric object, or `fallback` if the EDS does not have it."""
         if (index, subindex) not in self:
             return fallback
         value = self[index, subindex]
         return float(value) if isinstance(value, (int, float)) else fallback
 
     def high(self, index: int, subindex: int, fallback: int) -> int:
-        """Return the largest value that the EDS allows an object;
-        `fallback` where it sets no limit.
-        """
+        """Return the largest value that the EDS allows for an object; `fallback` if it sets no limit."""
         high = self.description.variable(index, subindex).high if (index, subindex) in self else None
         return fallback if high is None else int(high)
 
     def _is_meant(self, row: CoreObject) -> bool:
-        """Tell whether an object is there and is the one that the core knows by this index."""
+        """Tell whether the object exists and is the object that the core expects at this index."""
         ours = self._ours or row.named or row.index not in MANUFACTURER
         return ours and self.description.has(*row.key) and self._is_number(row.key)
 
     def _is_number(self, key: Key) -> bool:
-        """Tell whether an object has the type of a number, whatever CiA says it should have."""
+        """Tell whether an object has a numeric type, whichever type CiA specifies."""
         return data_type(self.description.variable(*key)).kind in _NUMBERS
 
     def slot(self, index: int, subindex: int) -> int:
-        """Return the slot of a numeric object of up to 64 bits, moving it there if need be."""
+        """Return the slot of a numeric object of up to 64 bits; move the object there if necessary."""
         key = (index, subindex)
         if key not in self._slots:
             self.find(index, subindex)
@@ -195,10 +197,10 @@ class Dictionary:
         return self._slots[key]
 
     def expedited(self) -> list[tuple[int, int, int]]:
-        """Return what may be uploaded in four bytes and has a slot,
-        sorted: (index x 256 + sub-index, slot, bytes).
+        """Return the objects that can be uploaded in four bytes and have a slot, sorted: (index x 256 +
+        sub-index, slot, bytes).
 
-        Objects are moved into slots for that as long as there are more than `SPARE_SLOTS` left.
+        For this purpose objects are moved into slots as long as more than `SPARE_SLOTS` are left.
         """
         derived = self.description.derived
         if _expedited not in derived:
@@ -217,8 +219,8 @@ class Dictionary:
         return variable
 
     def check_write(self, index: int, subindex: int, size: int | None) -> int:
-        """Abort unless a client may write `size` bytes (None: not
-        known) to the object; return how many at most.
+        """Abort unless a client may write `size` bytes (None: unknown) to the object; return the largest
+        allowed number.
         """
         variable = self.find(index, subindex)
         if variable.access in ("ro", "const"):
@@ -233,17 +235,15 @@ class Dictionary:
 
 
 class _Defaults(NamedTuple):
-    """What the objects of a description begin with at one node id."""
+    """Initial values of a description's objects at one node id."""
 
     rows: tuple[tuple[Key, Value, int | None], ...]
-    """Object, default, and what stands for it in a slot, of an integer."""
+    """Object, default, and for an integer the default as in a slot."""
     unreadable: Mapping[int, str]
 
     @classmethod
     def of(cls, description: Description, node_id: int) -> _Defaults:
-        """Return them: the EDS' default; where there is none, CiA 301's, and else the zero of its
-        type.
-        """
+        """Return the defaults: the EDS's, else CiA 301's, else the zero of the type."""
         wrong = unreadable(description, 1 if node_id == UNCONFIGURED else node_id)
         rows = []
         for index, entry in description.objects.items():
@@ -281,7 +281,7 @@ def _expedited(description: Description) -> list[tuple[Key, int]]:
 
 
 def _raw(kind: DataType, value: Value) -> int:
-    """Return what stands for a number in a slot."""
+    """Return a number as in a slot."""
     if kind.kind == "real":
         return real_bits(float(value or 0), kind.bits)
     raw = int(value or 0)
@@ -289,12 +289,12 @@ def _raw(kind: DataType, value: Value) -> int:
 
 
 def data_type(variable: Variable) -> DataType:
-    """Return the variable's data type; an unknown one is a string of octets."""
+    """Return the variable's data type; an unknown type counts as an octet string."""
     return DATA_TYPES.get(variable.data_type, _OCTETS)
 
 
 def encode(variable: Variable, value: Value) -> bytes:
-    """Return `value` as it is transferred: little endian, text without a terminating zero."""
+    """Return `value` as transferred: little endian, text without a terminating zero."""
     kind = data_type(variable)
     if isinstance(value, bytes):
         return value
@@ -307,9 +307,7 @@ def encode(variable: Variable, value: Value) -> bytes:
 
 
 def decode(variable: Variable, data: bytes) -> Value:
-    """Return the value that `data` (of the right length) spells, within the EDS' limits, or
-    abort.
-    """
+    """Return the value of `data` (of the right length), within the EDS's limits, or abort."""
     kind = data_type(variable)
     value: int | float
     if kind.kind == "text":

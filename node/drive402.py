@@ -1,10 +1,9 @@
-"""The motor drive of CiA 402 as a kind of device: what is computed of
-its objects, what they may hold, and its part of the core.
+"""CiA 402 motor drive as a kind of device: quantities computed from its objects, checks of writes, and
+its part of the core.
 
-The power states are `node.states402`'s, the torque is
-`node.motion402`'s, its objects stand in `node.slots402`. The loss of the host - heartbeat,
-guarding, bus-off - is a fault of our own drive; another maker's does what 6007h says, as CiA 402
-has it.
+The power states are in `node.states402`, the torque in `node.motion402`, the objects in
+`node.slots402`. The loss of the host (heartbeat, guarding, bus-off) is a fault of our own drive;
+another vendor's drive follows 6007h, as in CiA 402.
 
     n : the `NodeRecord`
 """
@@ -39,11 +38,11 @@ _MODE, _SUPPORTED_MODES = 0x6060, 0x6502
 _TARGET_TORQUE = (0x6071, 0)
 _NO_SPEED_LIMIT = 0xFFFFFFFF
 _HOST_LOST = 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING | 1 << emcy.BUS_OFF
-"""Causes that are CiA 402's loss of the connection, which 6007h is for."""
+"""Causes of CiA 402's connection loss, for which 6007h applies."""
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _SCALED = frozenset((0x2010, 0x607D, 0x6080, *(index for index, _ in SCALE_OBJECTS)))
 _COUNTS_REV = 8192.0
-"""Counts in one turn of the motor, of a drive that does not tell them."""
+"""Counts in one turn of the motor, for a drive that does not state them."""
 
 
 @kernel
@@ -71,7 +70,7 @@ def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
 
 @kernel
 def _abort_connection(n: NodeRecord, t_ns: int, cause: int) -> None:
-    """Do what 6007h says; only what is a fault by it stays told until the fault reset."""
+    """Follow 6007h; only a fault by 6007h stays latched until the fault reset."""
     if states402.connection_lost(n, t_ns, 0):
         n.held |= 1 << cause
         states402.fault(n, t_ns, False)
@@ -92,8 +91,8 @@ def _next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
 
 
 def _scale(record: NodeRecord, objects: Objects) -> None:
-    """Largest speed (6080h in rpm, by the scale of 6064h), whether 607Dh or 6080h
-    may limit at all, and the gains 2010h.
+    """Set the largest speed (6080h in rpm, by the scale of 6064h), whether 607Dh or 6080h may limit, and the
+    gains 2010h.
     """
     number, own = objects.number, objects.own
     rpm = number(0x6080, 0, _NO_SPEED_LIMIT)
@@ -107,7 +106,7 @@ def _scale(record: NodeRecord, objects: Objects) -> None:
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
     record["supply_mV"] = objects.number(0x6079, 0, 0)
-    ours = objects.own(0x1018, 1, 0) != 0  # our own takes the fault reaction whatever 6007h says
+    ours = objects.own(0x1018, 1, 0) != 0  # our own drive takes the fault reaction regardless of 6007h
     record["abort_by_option"] = int(not ours and (0x6007, 0) in objects)
     _scale(record, objects)
     states402.start(record, t_ns)
@@ -119,8 +118,8 @@ def _changed(record: NodeRecord, objects: Objects, index: int, subindex: int) ->
 
 
 def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
-    """Let a client choose a mode that 6502h tells (bit n - 1 for mode
-    n; mode 0 is "none"), and option codes that the drive has.
+    """Admit only modes that 6502h states (bit n - 1 for mode n; mode 0 is "none"), and option codes that
+    the drive has.
     """
     if index == _MODE:
         supported = objects.number(_SUPPORTED_MODES, 0, states402.ALL_MODES)
@@ -131,12 +130,12 @@ def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
 
 
 def with_own_mode(mode: int, setpoint: Key, per_mille: float) -> Profile:
-    """Return a drive with a mode of its maker's own.
+    """Return a drive with a vendor-specific mode.
 
     Parameters
     ----------
-    mode : its number in 6060h; it may be one of CiA's, which then has this set-point
-    setpoint : the object that acts in this mode, at once as in CST
+    mode : its number in 6060h; it may be a mode of CiA, which then has this set-point
+    setpoint : object that acts in this mode, at once as in CST
     per_mille : of the rated torque, for one count of the set-point
     """
 

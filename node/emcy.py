@@ -1,11 +1,11 @@
-"""Emergencies of a node, compiled: causes, their latches, the EMCY
-frame, 1001h and 1003h (CiA 301, section 7.2.7).
+"""Compiled emergencies of a node: causes, latches, the EMCY frame, 1001h and 1003h (CiA 301, section
+7.2.7).
 
-A cause is one bit of the record's `causes` while it is present. When it comes, its bit in `latched`
-is set, the error register and the history follow and the EMCY frame goes out at once; it is told
-once, until it is released. A cause in the record's `held` stays latched until the reset of its kind
-(a drive's faults); every other one is released when it is gone. A release sends the EMCY "error
-reset" (0000h) with the register of what remains.
+A cause is one bit of the record's `causes` while it is present. When it appears, its bit in
+`latched` is set, the error register and the history follow, and the EMCY frame is sent at once,
+only once until the release. A cause in the record's `held` stays latched until the reset of its
+kind (a drive's faults); every other cause is released when it is gone. A release sends the EMCY
+"error reset" (0000h) with the register of what remains.
 
 In the kernels: `n` the node's record (`node.record`), `k` a number
 from 0, `out` the queue of frames to send.
@@ -41,18 +41,18 @@ __all__ = [
 
 
 class Cause(NamedTuple):
-    """One row of the table of causes."""
+    """A row of the table of causes."""
 
     name: str
     code: int  # EMCY error code
-    register: int  # bits of 1001h, without bit 0 (generic), which is set by all
+    register: int  # bits of 1001h, without bit 0 (generic), which all causes set
     fault: bool  # a drive enters the state FAULT
 
 
 RPDO_SHORT, RPDO_LONG, SYNC_LENGTH, HEARTBEAT, RPDO_DEADLINE, SYNC_LOST, SUPPLY, CONNECTION = range(8)
 FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END = 8, 16
 NO_INFO = constant(0)
-"""Of a cause that has nothing more to tell."""
+"""Info of a cause without further data."""
 _NO_ERROR = constant(0x0000)
 OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW, HARDWARE = range(8, 15)
 LIFE_GUARDING, ERROR_PASSIVE, BUS_OFF = 16, 17, 18
@@ -80,9 +80,7 @@ CAUSES: tuple[Cause, ...] = (
     Cause("CAN in error passive mode", 0x8120, _COMMUNICATION, False),
     Cause("recovered from bus-off", 0x8140, _COMMUNICATION, True),
 )
-"""The causes by bit; bits 8 to 15 are the device's own faults, bits
-0-7 of the record's `in_faults`.
-"""
+"""Causes by bit; bits 8 to 15 are device faults, bits 0-7 of the record's `in_faults`."""
 
 DEVICE_FAULTS = {
     "over_current": OVER_CURRENT,
@@ -92,12 +90,12 @@ DEVICE_FAULTS = {
     "coil_open": COIL_OPEN,
     "coil_short": COIL_SHORT,
 }
-"""The device's own faults by the names that scripts give them."""
+"""Device faults by the names used in scripts."""
 
 FAULT_MASK = sum(1 << i for i, cause in enumerate(CAUSES) if cause.fault)
 DEVICE_MASK = sum(1 << i for i in range(FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END))
 AT_ONCE_MASK = 1 << SUPPLY | DEVICE_MASK & ~(1 << OVER_TEMPERATURE)
-"""Faults that take away what a ramp to torque 0 needs: supply, power stage or encoder."""
+"""Faults that prevent a ramp to torque 0: of supply, power stage or encoder."""
 
 _CODE = np.array([cause.code for cause in CAUSES], np.int64)
 _REGISTER = np.array([cause.register | 0x01 for cause in CAUSES], np.int64)
@@ -105,7 +103,7 @@ _REGISTER = np.array([cause.register | 0x01 for cause in CAUSES], np.int64)
 
 @kernel
 def update_register(n: NodeRecord) -> None:
-    """Bring 1001h up to the latches."""
+    """Update 1001h from the latches."""
     register = 0
     for cause in range(_REGISTER.shape[0]):
         if (n.latched >> cause) & 1:
@@ -115,10 +113,10 @@ def update_register(n: NodeRecord) -> None:
 
 @kernel
 def _send(n: NodeRecord, t_ns: int, code: int, info: int, out: Queue) -> None:
-    """Push the EMCY frame, or let it wait for the end of the inhibit
-    time; STOPPED and INITIALISING allow none.
+    """Push the EMCY frame, or queue it until the end of the inhibit time; STOPPED and INITIALISING allow
+    none.
 
-    So few wait that what is told is never old; the last of them is always the newest.
+    The queue is short, so that its content is never outdated; its last entry is always the newest.
     """
     if code or n.latched == 0:
         n.values[slots.ERROR_CODE] = code
@@ -138,7 +136,7 @@ def _send(n: NodeRecord, t_ns: int, code: int, info: int, out: Queue) -> None:
 
 @kernel
 def drain(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Push what waited and is due now; an EMCY that was switched off meanwhile is forgotten."""
+    """Push the queued EMCYs that are due; drop them if EMCY was disabled meanwhile."""
     if n.emcy_id < 0:
         n.emcy_waiting = 0
     while n.emcy_waiting > 0 and t_ns >= n.emcy_ready_ns:
@@ -152,8 +150,8 @@ def drain(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def come(n: NodeRecord, t_ns: int, cause: int, info: int, out: Queue) -> None:
-    """Tell of a `cause` (bit number) that is present, once; `info`
-    (16 bits) goes to bytes 3-4 and into 1003h.
+    """Report a `cause` (bit number) that is present, once; `info` (16 bits) goes to bytes 3-4 and into
+    1003h.
     """
     bit = 1 << cause
     n.causes |= bit
@@ -170,7 +168,7 @@ def come(n: NodeRecord, t_ns: int, cause: int, info: int, out: Queue) -> None:
 
 @kernel
 def gone(n: NodeRecord, t_ns: int, cause: int, out: Queue) -> None:
-    """Release a `cause` that is no longer present, unless the kind holds it until its reset."""
+    """Release a `cause` that is no longer present, unless it is held until the reset of its kind."""
     bit = 1 << cause
     n.causes &= ~bit
     if not n.latched & bit or n.held & bit:

@@ -1,10 +1,8 @@
-"""Expedited SDO uploads, compiled: the requests that are nearly all
-of a running network's, answered without Python.
+"""Compiled expedited SDO uploads: nearly all requests of a running network, answered without Python.
 
-The core answers a request to the first server for a readable number of one to four bytes that
-stands in a slot of `values`, while no transfer is open; every other request is Python's
-(`node.sdo_service`), with the same answer. What may be read this way stands in the record's table,
-sorted by index and sub-index.
+The core answers a request to the first server for a readable number of one to four bytes in a slot
+of `values`, while no transfer is open; Python (`node.sdo_service`) answers every other request, in
+the same way. The record has a table of these objects, sorted by index and sub-index.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
@@ -25,7 +23,7 @@ _MEASURED = 0x2000 << 8
 
 @kernel
 def _place(n: NodeRecord, key: int) -> int:
-    """Return where `key` (index and sub-index) stands in the table, or -1."""
+    """Return the row of `key` (index and sub-index) in the table, or -1."""
     low, high = 0, n.fast_count
     while low < high:
         middle = (low + high) >> 1
@@ -38,7 +36,7 @@ def _place(n: NodeRecord, key: int) -> int:
 
 @kernel
 def answer(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> bool:
-    """Answer the request if it is one of these; tell whether it was."""
+    """Answer the request if the table has its object; tell whether it was answered."""
     if can_id != n.sdo_rx_id or length != 8 or data & 0xFF != _UPLOAD or n.sdo_deadline_ns[0] != FAR_FUTURE_NS:
         return False
     key = (data >> 8 & 0xFFFF) << 8 | data >> 24 & 0xFF

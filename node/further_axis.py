@@ -1,5 +1,7 @@
-"""A drive of several axes, of which one is simulated: the kind of device with the objects of that
-axis in the place of the first one's. The objects of its other axes are values only.
+"""A drive of several axes, of which one is simulated, as a kind of device.
+
+The objects of that axis replace those of the first axis. The objects of its other axes are values
+only.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ __all__ = ["on_axis"]
 
 
 class _AxisObjects(NamedTuple):
-    """The objects of an axis, by the indices that the first axis has them at."""
+    """Objects of an axis, by the indices of the first axis."""
 
     objects: Objects
     axis: int
@@ -41,7 +43,7 @@ class _AxisObjects(NamedTuple):
 
 
 def on_axis(profile: Profile, axis: int) -> Profile:
-    """Return a kind of drive whose objects are those of an axis (1 to 8)."""
+    """Return a kind of drive with the objects of an axis (1 to 8)."""
     if axis == 1:
         return profile
 

@@ -1,10 +1,10 @@
-"""Node guarding of a node, compiled (CiA 301, section 7.2.8.3.2.1):
-the answer to the master's remote frame, and the life time.
+"""Compiled node guarding (CiA 301, section 7.2.8.3.2.1): the answer to the master's remote frame, and
+the life time.
 
-The answer carries the NMT state and a bit that alternates, 0 in the first answer after a boot-up.
-When guard time (100Ch) times life time factor (100Dh) passes without a remote frame, the master is
-lost: a life guarding event. The watch begins with the first remote frame. A node with a heartbeat
-(1017h) is not guarded: one of the two at a time, and the heartbeat wins.
+The answer carries the NMT state and a toggle bit, 0 in the first answer after a boot-up. If guard
+time (100Ch) times life time factor (100Dh) passes without a remote frame, the master is lost: a
+life guarding event. The check begins with the first remote frame. A node with a heartbeat (1017h)
+is not guarded: only one of the two is active, and the heartbeat has priority.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
@@ -25,7 +25,7 @@ _WAITING, _ALIVE, LOST = 0, 1, 2
 
 @kernel
 def restart(n: NodeRecord) -> None:
-    """Begin anew (boot-up, a changed 100Ch, 100Dh or 1017h): the watch waits for a remote frame."""
+    """Restart the check, which waits for a remote frame (boot-up, a changed 100Ch, 100Dh or 1017h)."""
     n.guard_toggle = 0
     n.guard_state = _WAITING
 

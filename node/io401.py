@@ -1,5 +1,4 @@
-"""An input and output module of CiA 401, compiled: digital ports of 8
-bits, analogue channels of 16 bits.
+"""Compiled CiA 401 input and output module: digital ports of 8 bits, analogue channels of 16 bits.
 
     digital in    6000h = in_digital xor 6002h
     digital out   out_digital = chosen xor 6202h,
@@ -7,16 +6,16 @@ bits, analogue channels of 16 bits.
     analogue in   6401h = in_analogue, within INTEGER16
     analogue out  out_analogue = 6411h, after a failure 6444h where 6443h is 1, else what it was
 
-A failure is a fault of the device itself, a lost connection (heartbeat, guarding, RPDO deadline,
-SYNC, bus-off), what 1029h makes of it, and the NMT command "stop"; from power-on and from a reset
-on every output is 0. An output leaves it when it is written and the device has no fault; one that
-was never written stays 0. PRE-OPERATIONAL by command leaves the outputs as they are. A file has as
+A failure is a device fault, a lost connection (heartbeat, guarding, RPDO deadline, SYNC, bus-off),
+an NMT state change by 1029h, or the NMT command "stop". After power-on or a reset every output is
+0. An output leaves its failure value when it is written and the device has no fault; an output that
+was never written stays 0. PRE-OPERATIONAL by command leaves the outputs unchanged. A file has as
 many ports and channels as it has sub-indices. The triggers of analogue inputs (6421h to 6428h) and
-the filters (6003h, 6208h) are not there.
+the filters (6003h, 6208h) are not implemented.
 
-A CiA 404 module of any maker is the same with other objects: inputs 7130h (and 9130h, the same in
-32 bits), outputs 7300h (9300h), fault mode 6340h, fault value 7341h (9341h). What a count is, is
-its own matter: both sides are raw counts. Our own brake driver is `node.brake404`.
+A CiA 404 module of any vendor behaves the same with other objects: inputs 7130h (and 9130h, the
+same in 32 bits), outputs 7300h (9300h), fault mode 6340h, fault value 7341h (9341h). Both sides are
+raw counts, whose unit depends on the module. Our own brake driver is `node.brake404`.
 
 In the kernels: `n` the node's record (`node.record`), `k` the number
 of a port or channel from 0, `out` the queue of frames to send.
@@ -47,7 +46,7 @@ ANALOGUE_OUT = ANALOGUE_IN + INPUTS
 ANALOGUE_ERROR_MODE = ANALOGUE_OUT + OUTPUTS
 ANALOGUE_ERROR_VALUE = ANALOGUE_ERROR_MODE + OUTPUTS
 
-_ACTS_ANALOGUE = PORTS  # bits of the analogue outputs begin behind those of the ports
+_ACTS_ANALOGUE = PORTS  # analogue outputs have the bits after those of the ports
 _ALL = (1 << PORTS + OUTPUTS) - 1
 
 
@@ -58,7 +57,7 @@ def _within(n: NodeRecord, value: int) -> int:
 
 @kernel
 def _allowed(n: NodeRecord, k: int, value: int) -> int:
-    """Return `value`, or the nearest that the hardware of the analogue output may put out."""
+    """Return `value`, clipped to the range of the analogue output's hardware."""
     if n.board_high[k] > n.board_low[k]:
         return int(min(max(value, n.board_low[k]), n.board_high[k]))
     return value
@@ -75,7 +74,7 @@ def _sample(n: NodeRecord) -> None:
 
 @kernel
 def _actuate(n: NodeRecord, t_ns: int) -> None:
-    """Put out what was written, where nothing failed."""
+    """Write the commanded values to the outputs that have not failed."""
     values = n.values
     for k in range(PORTS):
         if n.failed >> k & 1 == 0:
@@ -87,9 +86,7 @@ def _actuate(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def _fail(n: NodeRecord) -> None:
-    """Take the error values, as the error modes say; an output that
-    has failed already keeps its own.
-    """
+    """Apply the error values as the error modes say; an output that has already failed keeps its value."""
     values = n.values
     for k in range(PORTS):
         if n.failed >> k & 1 == 0:
@@ -134,7 +131,7 @@ def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
 
 
 def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
-    """6443h and 6340h are 0 or 1."""
+    """Require 0 or 1 in 6443h and 6340h."""
     if index in (0x6443, 0x6340) and subindex and value not in (0, 1):
         raise SdoAbort(Abort.VALUE)
 
@@ -142,9 +139,7 @@ def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
 def _rows(
     index: int, slot: int, count: int, absent: int = 0, *, acts: int = -1, changing: bool = False
 ) -> list[CoreObject]:
-    """Return the rows of sub-indices 1 to `count`; `acts`: number of the first one's bit,
-    -1: none.
-    """
+    """Return the rows of sub-indices 1 to `count`; `acts`: number of the first sub-index's bit, -1: none."""
     return [
         CoreObject(index, k + 1, slot + k, absent, acts=1 << acts + k if acts >= 0 else 0, changing=changing)
         for k in range(count)

@@ -1,4 +1,4 @@
-"""The kinds of devices. A new one is a file with its `Profile`, and a line here."""
+"""Kinds of devices: a new kind is a file with its `Profile`, and a line here."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from coulombus.node.slots import REGISTER
 __all__ = ["BEHAVIOURS", "GENERIC", "NO_KIND", "PROFILES", "named", "number", "of_description", "of_identity"]
 
 GENERIC = Profile("generic", objects=(REGISTER,))
-"""Any file: objects, PDOs and services. Nothing acts behind the
-objects, a value stays what was written to it last.
+"""Any file: objects, PDOs and services. Nothing acts behind the objects; each keeps the value last
+written.
 """
 
 PROFILES: tuple[Profile, ...] = (
@@ -26,14 +26,14 @@ PROFILES: tuple[Profile, ...] = (
     IO401,
     IO404,
 )
-"""Every kind, by the number that the record's `kind` has."""
+"""Every kind, by the number in the record's `kind`."""
 
 NO_KIND = 0
-"""The number of `GENERIC`."""
+"""Number of `GENERIC`."""
 
 BEHAVIOURS: tuple[Behaviour, ...] = tuple(profile.behaviour._replace(number=k) for k, profile in enumerate(PROFILES))
-"""The kernels of every kind: `node.reactions` goes through it with
-`numba.literal_unroll`, which gives one branch for each.
+"""Kernels of every kind: `node.reactions` iterates over them with `numba.literal_unroll`, which creates a
+branch for each.
 """
 
 _OWN: Mapping[tuple[int, int], Profile] = {
@@ -44,12 +44,12 @@ _OWN: Mapping[tuple[int, int], Profile] = {
 def number(profile: Profile) -> int:
     """Return the number of a profile in `PROFILES`.
 
-    One that was fitted to a file has that of its kind.
+    A profile fitted to a file has the number of its kind.
 
     Raises
     ------
     ValueError
-        It is none of them, so no kernel knows it.
+        The profile is in no kernel.
     """
     for k, candidate in enumerate(PROFILES):
         if candidate.name == profile.name and candidate.behaviour is profile.behaviour:
@@ -59,7 +59,7 @@ def number(profile: Profile) -> int:
 
 
 def named(name: str) -> Profile:
-    """Return the profile of that name; ValueError where there is none."""
+    """Return the profile with this name; ValueError if there is none."""
     for profile in PROFILES:
         if profile.name == name:
             return profile
@@ -67,14 +67,12 @@ def named(name: str) -> Profile:
 
 
 def of_identity(identity: tuple[int, int]) -> Profile:
-    """Return what lives behind our own devices' objects by (1018h:01,
-    1018h:02); behind others' `GENERIC`.
-    """
+    """Return the profile of our own device with (1018h:01, 1018h:02); `GENERIC` for other devices."""
     return _OWN.get(identity, GENERIC)
 
 
 _BY_PROFILE: Mapping[int, Profile] = {401: IO401, 402: DRIVE402, 404: IO404}
-"""What lives behind another maker's device, by the lower half of 1000h (CiA 301, 7.5.2.1)."""
+"""Profiles of other vendors' devices, by the lower half of 1000h (CiA 301, 7.5.2.1)."""
 
 _SIGNS: tuple[tuple[Profile, tuple[int, ...]], ...] = (
     (DRIVE402, (0x6040, 0x6041)),
@@ -87,14 +85,14 @@ _SIGNS: tuple[tuple[Profile, tuple[int, ...]], ...] = (
     (IO401, (0x6200,)),
     (IO401, (0x6000,)),
 )
-"""Objects by which a kind is known where 1000h does not tell it."""
+"""Objects that identify a kind if 1000h does not."""
 
 
 def of_description(description: Description) -> Profile:
-    """Return what lives behind a file's objects, as far as they allow.
+    """Return the profile for a file's objects.
 
-    Our own devices' is what they are. Else it is the profile of 1000h when the file has its
-    objects, else the kind whose objects the file has, and `GENERIC` where there are none of them.
+    Our own devices have theirs. Otherwise it is the profile of 1000h if the file has its objects, else
+    the kind whose objects the file has, else `GENERIC`.
     """
     own = of_identity(told_identity(description))
     if own is not GENERIC:
@@ -108,9 +106,7 @@ def of_description(description: Description) -> Profile:
 
 
 def _has(description: Description, index: int, kind: Profile) -> bool:
-    """Tell whether an object is there, and is that of the kind: CiA 406 has others at 6000h and
-    6401h.
-    """
+    """Tell whether an object exists and is that of the kind: CiA 406 has other objects at 6000h and 6401h."""
     if kind is not IO401:
         return description.has(index)
     widths = (

@@ -1,14 +1,13 @@
-"""The LSS slave of a device (CiA 305): a master finds it by its
-identity and gives it a node id and a bit rate.
+"""LSS slave of a device (CiA 305): a master finds it by its identity and assigns a node id and a bit rate.
 
-Both settings exist three times. The *pending* one is what a master configures; it becomes the
-*active* one with the next reset communication (node id) or with activate bit timing (bit rate), so
-that nothing that a master configures disturbs a device at work. Store configuration makes it the
-*persistent* one, with which power-on and reset node begin.
+Both settings exist three times. A master configures the *pending* setting. It becomes the *active*
+setting with the next reset communication (node id) or with activate bit timing (bit rate), so that
+configuration never disturbs a running device. Store configuration makes it the *persistent*
+setting, with which power-on and reset node begin.
 
-The state machine runs beside that of NMT, in all of its states. A device without a node id is in no
-NMT state yet: it sends no boot-up, waits in LSS waiting, and boots when it is sent back to waiting
-with a valid node id.
+The state machine runs in parallel to NMT, in all of its states. A device without a node id has no
+NMT state yet: it sends no boot-up, stays in LSS waiting, and boots when it returns to waiting with
+a valid node id.
 """
 
 from __future__ import annotations
@@ -46,10 +45,10 @@ class Lss:
     node_id
         The persistent node id; `eds.cia305.UNCONFIGURED` for none.
     store
-        Keeps what store configuration makes persistent; what it has already goes before `node_id`.
+        Storage for store configuration; its content takes precedence over `node_id`.
     restart
-        Does what NMT's reset communication does; called when a device
-        without a node id is given one.
+        Performs NMT's reset communication; called when a device without a node id receives a node
+        id.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class Lss:
         self._dictionary, self._record = dictionary, record
         self._memory, self._restart = store, restart
         self.state = LssState.WAITING
-        self.node_id, self.rate = node_id, 0  # the rate: an index of `BIT_RATES`; no bus here changes its own
+        self.node_id, self.rate = node_id, 0  # the rate: an index of `BIT_RATES`; no bus here changes its bit rate
         kept = store.section(_SECTION)
         if len(kept.get("node_id", b"")) == 1 and _valid(kept["node_id"][0]):
             self.node_id = kept["node_id"][0]
@@ -74,26 +73,24 @@ class Lss:
         self._heard: dict[int, int] = {}
         self._scanned = 0
 
-    # life
+    # life cycle
 
     def power_on(self) -> None:
-        """Begin with what was stored (power-on, reset node)."""
+        """Begin with the stored settings (power-on, reset node)."""
         self.pending_node_id = self.persistent_node_id
         self.rate = self.pending_rate = self.persistent_rate
         self._record["silent_ns"] = 0
         self.reset()
 
     def reset(self) -> None:
-        """Take the pending node id over and wait (every reset)."""
+        """Activate the pending node id, and wait (every reset)."""
         self.node_id = self.pending_node_id
         self.state = LssState.WAITING
         self._heard.clear()
         self._scanned = 0
 
     def mute(self) -> None:
-        """Let the device hear LSS alone and send nothing else; a ramp to the safe output
-        goes on.
-        """
+        """Let the device receive only LSS and send nothing else; a ramp to the safe output continues."""
         record = self._record
         record["nmt"] = NmtState.INITIALISING
         record["route"][:] = core.ROUTE_NONE
@@ -106,7 +103,7 @@ class Lss:
     # services
 
     def request(self, t_ns: int, length: int, data: int, out: Queue) -> None:
-        """Serve a frame on 7E5h; one that spells no service is dropped and counted."""
+        """Serve a frame on 7E5h; drop and count a frame that is no service."""
         record = self._record
         if length != 8:
             record["dropped_length"] += 1
@@ -118,7 +115,7 @@ class Lss:
             return
         state, serve = service
         if state is not None and state is not self.state:
-            return  # it is for the slaves in the other state
+            return  # for slaves in the other state
         was_unconfigured = self.node_id == UNCONFIGURED
         try:
             answer = serve(self, content, t_ns)
@@ -128,7 +125,7 @@ class Lss:
         if answer is not None:
             ready_ns = t_ns + int(record["processing_ns"])
             word = data_word(answer.ljust(8, b"\0"))
-            push(out, self._record["station"], ready_ns, int(CobId.LSS_TX), 8, word)  # int: not compiled for an enum
+            push(out, self._record["station"], ready_ns, int(CobId.LSS_TX), 8, word)  # int: an enum is not compiled
         back_to_waiting = content[0] == LssService.SWITCH_STATE_GLOBAL and self.state is LssState.WAITING
         if back_to_waiting and was_unconfigured and self.pending_node_id != UNCONFIGURED:
             self._restart(t_ns, out)
@@ -138,7 +135,7 @@ class Lss:
         self._heard.clear()
 
     def _hear(self, data: bytes, t_ns: int) -> None:
-        """Keep one of the numbers of an address; a new address begins with its vendor."""
+        """Store a number of an address; a new address begins with its vendor id."""
         if data[0] in (LssService.SWITCH_VENDOR, LssService.IDENTIFY_VENDOR):
             self._heard.clear()
         self._heard[data[0]] = _number(data)
@@ -169,7 +166,7 @@ class Lss:
         return bytes((LssService.NON_CONFIGURED_ANSWER,)) if self._unconfigured else None
 
     def _fastscan(self, data: bytes, t_ns: int) -> bytes | None:
-        """Answer when the identity's number `sub` equals the master's, down to the bit `check`."""
+        """Answer if the identity's number `sub` equals the master's, down to the bit `check`."""
         number, check, sub, following = _number(data), data[5], data[6], data[7]
         if (check > 31 and check != FASTSCAN_START) or sub > 3 or following > 3:
             raise ValueError("no such fastscan")
@@ -198,9 +195,7 @@ class Lss:
         return bytes((data[0], OK if valid else OUT_OF_RANGE))
 
     def _activate_bit_timing(self, data: bytes, t_ns: int) -> None:
-        """Be silent for twice the delay: once at the old bit rate,
-        then at the new one; refused in OPERATIONAL.
-        """
+        """Be silent for twice the delay: once at the old bit rate, then at the new one; refused in OPERATIONAL."""
         record = self._record
         if record["nmt"] == NmtState.OPERATIONAL:
             raise ValueError("a device at work does not leave its bus")
@@ -229,7 +224,7 @@ class Lss:
         return bytes((data[0], self.node_id))
 
     def identity(self) -> list[int]:
-        """Return the four numbers of 1018h; 0 where the EDS has none."""
+        """Return the four numbers of 1018h; 0 if the EDS has none."""
         return [self._dictionary.number(0x1018, k) & 0xFFFFFFFF for k in range(1, 5)]
 
     @property
@@ -262,4 +257,4 @@ _SERVICES: Mapping[int, tuple[LssState | None, _Serve]] = {
     LssService.IDENTIFY_NON_CONFIGURED: (None, Lss._identify_non_configured),
     LssService.FASTSCAN: (_W, Lss._fastscan),
 }
-"""Command specifier -> the state in which it is served (None: both), and the service."""
+"""Command specifier -> state in which it is served (None: both), and the service."""

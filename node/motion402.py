@@ -1,5 +1,5 @@
-"""The torque of a CiA 402 drive, compiled: limits, modes of
-operation, slopes, velocity loop (IEC 61800-7-201).
+"""Compiled torque of a CiA 402 drive: limits, modes of operation, slopes, velocity loop (IEC
+61800-7-201).
 
 Torques in per mille of rated, speeds in counts/s, as everywhere in the drive:
 
@@ -11,13 +11,13 @@ Torques in per mille of rated, speeds in counts/s, as everywhere in the drive:
     speeds      d speed / dt = +- 6083h or 6084h until speed = 60FFh (profile velocity, 3); speed = 60FFh + 60B1h (CSV, 9)
                 demand = clip(Kp (speed - 606Ch) + integral, low, high),   d integral / dt = Ki (speed - 606Ch)
 
-The integral stands still while the demand is at a limit and the error
-pushes further (anti-windup). Kp, Ki: 2010h.
+The integral is held while the demand is at a limit and the error would increase it (anti-windup).
+Kp, Ki: 2010h.
 
-A way to torque 0 that takes its time (option codes 605Ah to 605Eh, a change of the mode) is a
-*ramp*: `begin` starts it, `actuate` goes along it, and behind it the torque is 0 and the power state
-`slowing_to` follows. No ramp lasts longer than 2006h, none outlives the supply. In the torque modes
-the quick stop ramp is "at once": a hand is on the handle.
+A gradual change to torque 0 (option codes 605Ah to 605Eh, a change of the mode) is a *ramp*:
+`begin` starts it, `actuate` computes it, and after it the torque is 0 and the power state
+`slowing_to` follows. A ramp lasts at most 2006h, and ends with the supply. In the torque modes the
+quick stop ramp is "at once": a hand is on the handle.
 
 In the kernels: `n` the node's record (`node.record`).
 """
@@ -51,11 +51,11 @@ _VELOCITY, _TORQUE = cia402.OPERATION_MODE_PROFILE_VELOCITY, cia402.OPERATION_MO
 _CSV, _CST = cia402.OPERATION_MODE_CSV, cia402.OPERATION_MODE_CST
 _SPEED_MODES = (_VELOCITY, _CSV)
 MODES = (0, _VELOCITY, _TORQUE, _CSV, _CST)
-"""What 6060h may hold."""
+"""Allowed values of 6060h."""
 
 SLOW, QUICK, _TO_ZERO = 1, 2, 3
-"""Ramps: the slow-down ramp (6087h, 6084h), the quick stop ramp (at
-once, 6085h), and torque by 6087h in every mode.
+"""Ramps: the slow-down ramp (6087h, 6084h), the quick stop ramp (at once, 6085h), and torque by 6087h in
+every mode.
 """
 
 _ENABLED = int(cia402.PowerState.OPERATION_ENABLED)
@@ -63,7 +63,7 @@ _HALT = 0x0100
 _TARGET_REACHED, _SPEED_ZERO, _SLIPPAGE = 0x0400, 0x1000, 0x2000
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _NO_TIME_NS = constant(0)
-_LONGEST_STEP_S = 0.01  # of the integral: nobody called for longer
+_LONGEST_STEP_S = 0.01  # largest step of the integral, after a longer time without calls
 
 
 @kernel
@@ -74,9 +74,7 @@ def is_speed_mode(mode: int) -> bool:
 
 @kernel
 def _beyond(n: NodeRecord) -> int:
-    """Return +1 where nothing may push upwards, -1 downwards, 2 in
-    neither direction: 607Dh and 6080h.
-    """
+    """Return +1 if no upward push is allowed, -1 for downward, 2 for both directions: 607Dh and 6080h."""
     position = ((n.in_position_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000
     lowest, highest = n.values[slots402.LOWEST_POSITION], n.values[slots402.HIGHEST_POSITION]
     speed = n.in_velocity_counts_s
@@ -87,7 +85,7 @@ def _beyond(n: NodeRecord) -> int:
 
 @kernel
 def high_limit(n: NodeRecord) -> int:
-    """Return the largest torque that is allowed now."""
+    """Return the largest torque allowed now."""
     values = n.values
     high: int = min(min(values[slots402.MAX_TORQUE], values[slots402.POSITIVE_LIMIT]), values[slots402.MAX_CURRENT])
     return 0 if n.guarded and _beyond(n) > 0 else high
@@ -95,7 +93,7 @@ def high_limit(n: NodeRecord) -> int:
 
 @kernel
 def low_limit(n: NodeRecord) -> int:
-    """Return the most negative torque that is allowed now."""
+    """Return the most negative torque allowed now."""
     values = n.values
     low: int = -min(
         min(values[slots402.MAX_TORQUE], abs(values[slots402.NEGATIVE_LIMIT])), values[slots402.MAX_CURRENT]
@@ -105,7 +103,7 @@ def low_limit(n: NodeRecord) -> int:
 
 @kernel
 def stop(n: NodeRecord) -> None:
-    """Torque 0 at once, and nothing left of where it came from."""
+    """Set torque 0 at once, and clear the controllers."""
     n.slowing = 0
     n.ramping = 0
     n.integral_pm = 0.0
@@ -117,7 +115,7 @@ def stop(n: NodeRecord) -> None:
 
 @kernel
 def enter(n: NodeRecord, t_ns: int) -> None:
-    """Operation Enabled begins: from torque 0, and from the speed that is."""
+    """Begin Operation Enabled from torque 0 and from the present speed."""
     n.slowing = 0
     n.integral_pm = 0.0
     n.speed_demand = n.in_velocity_counts_s
@@ -126,8 +124,8 @@ def enter(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def _take_mode(n: NodeRecord) -> None:
-    """Let the mode in 6060h act; one that is not there is none. When
-    enabled, only the next set-point gives torque.
+    """Activate the mode in 6060h; a mode that the drive lacks is none. If enabled, only the next set-point
+    gives torque.
     """
     mode = n.values[slots402.MODE]
     if mode not in MODES and mode != n.vendor_mode:
@@ -144,7 +142,7 @@ def _take_mode(n: NodeRecord) -> None:
 
 @kernel
 def change_mode(n: NodeRecord, t_ns: int) -> None:
-    """6060h differs from the mode that acts: change at torque 0, and go there first."""
+    """Handle a 6060h that differs from the active mode: ramp to torque 0, then change."""
     if n.slowing:
         return
     if n.power_state == _ENABLED and n.torque_demand_pm != 0.0 and n.mode != 0:
@@ -155,7 +153,7 @@ def change_mode(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def begin(n: NodeRecord, t_ns: int, ramp: int, state: int) -> None:
-    """Begin a ramp to torque 0, behind which `state` follows; it may end at once."""
+    """Begin a ramp to torque 0, after which `state` follows; it may end at once."""
     n.slowing, n.slowing_to, n.slowing_ns = ramp, state, t_ns
     n.demand_ns = t_ns
     _slow_down(n, t_ns, _NO_TIME_NS)
@@ -203,7 +201,7 @@ def _control_speed(n: NodeRecord, elapsed_ns: int) -> None:
     """Compute the PI control of `speed_demand`."""
     high, low = float(high_limit(n)), float(low_limit(n))
     error = n.speed_demand - n.in_velocity_counts_s
-    if not abs(error) < math.inf:  # the speed is no number
+    if not abs(error) < math.inf:  # the speed is not a number
         n.torque_demand_pm = n.integral_pm = n.speed_demand = 0.0
         return
     change = n.speed_ki * error * min(elapsed_ns * 1e-9, _LONGEST_STEP_S)
@@ -250,10 +248,10 @@ def _speed_mode(n: NodeRecord, elapsed_ns: int) -> None:
         if halted and values[slots402.HALT_OPTION] == QUICK:
             rate = values[slots402.QUICK_STOP_DECELERATION]
         if target * present < 0.0:
-            target = 0.0  # slow down first, then the other way with the acceleration
+            target = 0.0  # slow down first, then accelerate in the other direction
         n.speed_demand = _towards(present, target, rate * 1e-9 * elapsed_ns)
     _control_speed(n, elapsed_ns)
-    n.ramping = 1  # the loop runs also when nobody calls
+    n.ramping = 1  # the loop also runs without calls
 
 
 @kernel
@@ -270,7 +268,7 @@ def _profile_torque(n: NodeRecord, elapsed_ns: int) -> None:
             change = abs(n.torque_demand_pm)
     demand = _towards(n.torque_demand_pm, float(target), change)
     n.ramping = 1 if demand != target else 0
-    # a limit that was lowered acts at once, not by the slope
+    # a lowered limit acts at once, not by the slope
     n.torque_demand_pm = min(max(demand, float(low)), float(high))
 
 
@@ -284,7 +282,7 @@ def _vendor_torque(n: NodeRecord) -> None:
 
 @kernel
 def other_mode(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
-    """Compute the torque that acts at `t_ns` on a ramp, and in every mode but CST."""
+    """Compute the torque at `t_ns` on a ramp, and in every mode except CST."""
     if n.slowing:
         _slow_down(n, t_ns, elapsed_ns)
         return
@@ -304,13 +302,13 @@ def other_mode(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
 
 @kernel
 def target_bits(n: NodeRecord) -> int:
-    """Return bits 10, 12 and 13 of the statusword in Operation Enabled, in every mode but CST."""
+    """Return bits 10, 12 and 13 of the statusword in Operation Enabled, in every mode except CST."""
     values = n.values
     if n.mode == _TORQUE and n.mode != n.vendor_mode:
         target = 0 if n.controlword & _HALT else values[slots402.TARGET_TORQUE]
         return _TARGET_REACHED if n.torque_demand_pm == target and not n.slowing else 0
     if n.mode == _CSV:
-        return _SPEED_ZERO if not n.slowing and not n.controlword & _HALT else 0  # here it is "follows the command"
+        return _SPEED_ZERO if not n.slowing and not n.controlword & _HALT else 0  # here: "follows the command"
     if n.mode != _VELOCITY:
         return 0
     bits, t_ns, speed = 0, n.demand_ns, n.in_velocity_counts_s

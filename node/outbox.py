@@ -1,9 +1,9 @@
-"""Segments of SDO block uploads on their way to the bus, compiled.
+"""Compiled queue of SDO block upload segments before they enter the bus queue.
 
-A block is up to 127 frames at once, more than its share of the room where frames wait for the bus.
-So they wait in the node's own ring, and leave it a few at a time: every `POLL_NS`, while fewer than
-`AHEAD` frames of anybody wait for the bus. At 1 Mbit/s a frame of eight bytes lasts 110 to 135 us,
-so the bus never waits for them, and other stations keep their places.
+A block is up to 127 frames at once, more than its share of the bus queue. So the segments wait in
+the node's own ring buffer, and leave it a few at a time: every `POLL_NS`, while fewer than `AHEAD`
+frames of all stations wait for the bus. At 1 Mbit/s a frame of eight bytes lasts 110 to 135 us, so
+the bus never waits for them, and other stations keep their places.
 
 In the kernels: `n` the node's record (`node.record`), `k` a number
 from 0, `out` the queue of frames to send.
@@ -27,9 +27,7 @@ POLL_NS = 100_000
 
 @kernel
 def put(n: NodeRecord, t_ns: int, channel: int, can_id: int, words: npt.NDArray[np.int64]) -> int:
-    """Let the segments `words` of the SDO server `channel` wait;
-    return 0 when there is no room for them all.
-    """
+    """Queue the segments `words` of the SDO server `channel`; return 0 if there is no room for all of them."""
     if n.outbox_count + words.shape[0] > OUTBOX:
         return 0
     if n.outbox_count == 0:
@@ -46,7 +44,7 @@ def put(n: NodeRecord, t_ns: int, channel: int, can_id: int, words: npt.NDArray[
 
 @kernel
 def forget(n: NodeRecord, channel: int) -> None:
-    """Take back what waits of the SDO server `channel` (-1: of all)."""
+    """Remove the queued segments of the SDO server `channel` (-1: of all)."""
     kept = 0
     for j in range(n.outbox_count):
         k = (n.outbox_first + j) % OUTBOX
@@ -63,9 +61,7 @@ def forget(n: NodeRecord, channel: int) -> None:
 
 @kernel
 def drain(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Move segments to the frame queue as far as there is room; a transfer that moves is
-    not late.
-    """
+    """Move segments to the frame queue as far as there is room; a transfer with progress is not late."""
     room = min(AHEAD - out.count - out.waiting, n.outbox_count)
     for _ in range(room):
         k = n.outbox_first

@@ -1,10 +1,10 @@
-"""Parameters that survive: 1010h store, 1011h restore, 1020h verify
-configuration (CiA 301, sections 7.5.2.13 and 14, 24).
+"""Persistent parameters: 1010h store, 1011h restore, 1020h verify configuration (CiA 301, sections
+7.5.2.13 and 14, 24).
 
-A group is a range of objects. Store keeps the present values of the group's writable objects; they
-are loaded with every reset that gives these objects their defaults. Restore forgets the group's
-stored values, so the defaults return with the next such reset and not before. Set-points and
-controlwords are never stored: a device that is switched on must not move.
+A group is a range of objects. Store saves the present values of the group's writable objects; every
+reset that would set these objects to their defaults loads them. Restore deletes the group's stored
+values, so the defaults return with the next such reset, not before. Set-points and controlwords are
+never stored: a device that is switched on must not move.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from coulombus.node.store import Store
 __all__ = ["LOAD", "SAVE", "Parameters"]
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
-"""The signatures "save" and "load"."""
+"""Signatures "save" and "load"."""
 
 STORE, RESTORE, VERIFY = 0x1010, 0x1011, 0x1020
 
@@ -28,7 +28,7 @@ _ALL = 1
 _GROUP: Mapping[int, str] = {
     2: "communication",
     3: "application",
-}  # by sub-index of 1010h and 1011h; else manufacturer's
+}  # by sub-index of 1010h and 1011h; others are manufacturer-specific
 _RANGES: Mapping[str, range] = {
     "communication": range(0x1000, 0x2000),
     "manufacturer": range(0x2000, 0x6000),
@@ -39,14 +39,12 @@ _NO_PARAMETERS = frozenset((0x1003, STORE, RESTORE))
 
 
 class Parameters:
-    """The stored parameters of a device; `commands` are objects that
-    make it act (controlword, set-points).
-    """
+    """Stored parameters of a device; `commands` are objects that make it act (controlword, set-points)."""
 
     def __init__(self, dictionary: Dictionary, store: Store, commands: Mapping[tuple[int, int], int]) -> None:
         self._dictionary, self._store, self._commands = dictionary, store, commands
         self.ignored = 0
-        """Stored values that did not fit their objects when they were loaded."""
+        """Number of stored values that did not fit their objects when they were loaded."""
         number, text = dictionary.number, dictionary.description.text.encode()
         product = f"{number(0x1018, 1):08X}-{number(0x1018, 2):08X}"
         store.attach(f"{number(0x1000):08X}-{product}-eds {zlib.crc32(text):08x}")
@@ -58,8 +56,8 @@ class Parameters:
         return self._dictionary.description.variable(index, subindex).access in _WRITABLE
 
     def load(self, first: int, last: int) -> None:
-        """Give the objects from `first` to `last` their stored
-        values; one that does not fit keeps its default.
+        """Set the objects from `first` to `last` to their stored values; an object whose value does not fit keeps
+        its default.
         """
         for name in _RANGES:
             for key, data in self._store.section(name).items():
@@ -90,7 +88,7 @@ class Parameters:
                         yield f"{index:04X}:{subindex:02X}", encode(variable, self._dictionary[index, subindex])
 
     def changed(self, index: int, subindex: int) -> None:
-        """A client changed an object: what 1020h says of the configuration holds no longer."""
+        """Invalidate 1020h after a client has changed an object."""
         if index != VERIFY and (VERIFY, 1) in self._dictionary and self.is_parameter(index, subindex):
             for k in (1, 2):
                 if (VERIFY, k) in self._dictionary:

@@ -1,10 +1,10 @@
-"""PDO parameters of a node, 1400h-1BFFh: what may be written when,
-and the records that follow (CiA 301, 7.5.2.35-38).
+"""PDO parameters of a node, 1400h-1BFFh: allowed writes, and the records that follow (CiA 301,
+7.5.2.35-38).
 
 The procedure to change a map: destroy the PDO (bit 31 of its COB-ID), set the count to 0, write the
-entries, set the count, create the PDO again. A write that leaves the procedure is aborted, one that
-changes nothing is accepted. PDOs beyond `node.constants.MAX_PDOS` of a direction have their objects but
-cannot be made valid.
+entries, set the count, create the PDO again. A write outside the procedure is aborted, a write that
+changes nothing is accepted. PDOs beyond `node.constants.MAX_PDOS` of a direction have their objects
+but cannot be made valid.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from coulombus.wire.frame import Record
 __all__ = ["Pdos", "restricted"]
 
 CHANGING = frozenset(row.index for profile in PROFILES for row in profile.objects if row.changing)
-"""Objects that change all the time: beside an event timer, their change is no event."""
+"""Objects that change all the time: with an event timer, their change is no event."""
 
 _READABLE, _WRITABLE = ("ro", "rw", "rwr", "const"), ("wo", "rw", "rww")
 _SYNC_MAX, _RTR_MIN, _EVENT_MIN = 240, 252, 254
@@ -56,12 +56,10 @@ class Pdos:
             direction: [index for index in described if first + MAX_PDOS <= index < first + 512]
             for direction, first in COMMUNICATION.items()
         }
-        """The communication parameters that the core has no room for."""
+        """Communication parameters for which the core has no room."""
 
     def locate(self, index: int) -> tuple[Direction, int, bool] | None:
-        """Return (direction, number from 0, whether it is a mapping) of a PDO parameter,
-        else None.
-        """
+        """Return (direction, number from 0, whether it is a mapping) of a PDO parameter, else None."""
         directions: tuple[Direction, ...] = ("rpdo", "tpdo")
         for direction in directions:
             for first, mapping in ((COMMUNICATION[direction], False), (MAPPING[direction], True)):
@@ -70,8 +68,8 @@ class Pdos:
         return None
 
     def _cob_id(self, direction: Direction, k: int) -> int:
-        """Return what a PDO's sub-index 1 says, or would say if the
-        EDS had it; not valid where there is no such PDO.
+        """Return the COB-ID (sub-index 1) of a PDO, or its default if the EDS does not have it; not valid if there
+        is no such PDO.
         """
         index, objects = COMMUNICATION[direction] + k, self._dictionary
         usual = predefined(index, 1, objects.node_id) if objects.description.has(index) else None
@@ -81,11 +79,10 @@ class Pdos:
         return not self._cob_id(direction, k) & COB_ID_INVALID
 
     def _stands(self, direction: Direction, k: int) -> bool:
-        """Tell whether a PDO is valid, so that its parameters stand until a client makes it
-        invalid.
+        """Tell whether a PDO is valid, so that its parameters are fixed until a client makes it invalid.
 
-        Where the file lets no client do that (a COB-ID that is read-only), what it lets be written
-        can be written while the PDO is valid: its map by way of 0 entries.
+        If the file does not allow that (the COB-ID is read-only), the writable parameters can be written
+        while the PDO is valid: its map by way of 0 entries.
         """
         index = COMMUNICATION[direction] + k
         cob_id = self._dictionary.description.variable(index, 1) if (index, 1) in self._dictionary else None
@@ -114,7 +111,7 @@ class Pdos:
             if value in reserved:
                 raise SdoAbort(Abort.VALUE)
         elif subindex in (3, 6) and direction == "tpdo" and self._stands(direction, k):
-            raise SdoAbort(Abort.DEVICE_STATE)  # inhibit time and SYNC start value stand while the PDO exists
+            raise SdoAbort(Abort.DEVICE_STATE)  # fixed while the PDO exists
 
     def _check_cob_id(self, direction: Direction, k: int, before: int, value: int) -> None:
         can_id = value & 0x1FFFFFFF
@@ -139,7 +136,7 @@ class Pdos:
             raise SdoAbort(Abort.PDO_LENGTH)
 
     def _entry(self, direction: Direction, word: int) -> Entry:
-        """Return the entry that a client's mapping word spells, or abort."""
+        """Return the entry of a client's mapping word, or abort."""
         index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
         if index in self._dictionary.description.dummies:
             if direction == "tpdo" or bits != DATA_TYPES[index].bits:
@@ -154,7 +151,7 @@ class Pdos:
         return self._read_entry(word)
 
     def _read_entry(self, word: int) -> Entry:
-        """Return the entry that a mapping word spells, whatever the EDS' own default maps."""
+        """Return the entry of a mapping word, whatever the EDS's own default maps."""
         key = Entry, word
         derived = self._dictionary.description.derived
         if key not in derived:
@@ -167,14 +164,14 @@ class Pdos:
         return entry
 
     def _slot(self, index: int, subindex: int) -> int:
-        """Return an entry's slot; text in a default map has none and travels as zeros."""
+        """Return an entry's slot; text in a default map has none and is sent as zeros."""
         try:
             return self._dictionary.slot(index, subindex)
         except SdoAbort:
             return -1
 
     def layout(self, direction: Direction, k: int) -> PdoLayout:
-        """Return the PDO as its parameters now describe it."""
+        """Return the PDO as its parameters describe it now."""
         number = self._dictionary.number
         communication, mapping = COMMUNICATION[direction] + k, MAPPING[direction] + k
         cob_id = self._cob_id(direction, k)
@@ -192,17 +189,17 @@ class Pdos:
         )
 
     def _exists(self, direction: Direction, k: int) -> bool:
-        """Tell whether a PDO is valid and maps something: count 0 disables the mapping."""
+        """Tell whether a PDO is valid and maps an object: count 0 disables the mapping."""
         cob_id = self._cob_id(direction, k)
         mapped = self._dictionary.number(MAPPING[direction] + k, 0)
         return bool(not cob_id & COB_ID_INVALID and cob_id & 0x7FF and mapped and k < MAX_PDOS)
 
     def refresh(self, direction: Direction, k: int, t_ns: int) -> bool:
-        """Bring the record of one PDO up to its parameters; tell whether there was anything to do.
+        """Update the record of one PDO from its parameters; tell whether there was anything to do.
 
-        An RPDO is new then, and has received nothing; a TPDO is when
-        it did not exist, else its inhibit time goes on. Of a PDO that was not valid, and is not
-        now, nobody looks at the record: it follows when the PDO becomes valid.
+        A changed RPDO is new, and has received nothing; a TPDO is new if it did not exist, else its
+        inhibit time continues. The record of a PDO that was not valid, and is not now, is not updated
+        until the PDO becomes valid.
         """
         if k >= MAX_PDOS:
             return False
@@ -242,9 +239,7 @@ class Pdos:
             node["tpdo_events"] = int(np.sum(records["transmission"][valid] >= _EVENT_MIN))
 
     def refresh_all(self, t_ns: int) -> None:
-        """Bring every PDO record up to its parameters; a valid PDO
-        that the core has no room for is made invalid.
-        """
+        """Update every PDO record from its parameters; make a valid PDO invalid if the core has no room for it."""
         directions: tuple[Direction, ...] = ("rpdo", "tpdo")
         for direction in directions:
             self._node[direction]["cob_id"] = -1

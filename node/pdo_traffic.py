@@ -1,5 +1,5 @@
-"""PDOs of a node, compiled (CiA 301, section 7.2.2): reception,
-action on SYNC or at once, transmission.
+"""Compiled PDOs of a node (CiA 301, section 7.2.2): reception, action on SYNC or at once,
+transmission.
 
 Transmission types of a TPDO: 0 on the SYNC after a change; 1-240 every nth SYNC, from the SYNC
 start value on; 252 sampled on SYNC, sent on RTR; 253 sent on RTR; 254 and 255 on an event: the
@@ -26,7 +26,7 @@ _SYNC_MAX, _SYNC_RTR, _RTR, _EVENT = 240, 252, 253, 254
 
 @kernel
 def start(n: NodeRecord, t_ns: int) -> None:
-    """NMT enters OPERATIONAL: nothing received, nothing sent yet; every event TPDO is due once."""
+    """Enter OPERATIONAL: nothing received, nothing sent; every event-driven TPDO is due once."""
     forget_pending(n)
     for k in range(n.rpdo_used):
         n.rpdo_armed[k] = 0
@@ -40,7 +40,7 @@ def start(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def forget_pending(n: NodeRecord) -> None:
-    """Let no RPDO act that waits for a SYNC."""
+    """Discard the RPDOs that wait for a SYNC."""
     n.rpdo_pending = 0
     for k in range(n.rpdo_used):
         n.rpdo_waits[k] = 0
@@ -48,7 +48,7 @@ def forget_pending(n: NodeRecord) -> None:
 
 @kernel
 def receive(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue) -> int:
-    """Take the frame of RPDO `k`; return 1 when it acted at once."""
+    """Process the frame of RPDO `k`; return 1 if it acted at once."""
     p = n.rpdo[k]
     if length < p.length:
         n.dropped_length += 1
@@ -70,7 +70,7 @@ def receive(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue
         deadlines.settle(n, t_ns, out)
     if p.transmission <= _SYNC_MAX:
         if n.sync_window_ns > 0 and t_ns - n.sync_ns > n.sync_window_ns:
-            n.dropped_window += 1  # after the window it acts on no SYNC, though it shows that its sender lives
+            n.dropped_window += 1  # after the window it acts on no SYNC, but proves that its sender is alive
             return 0
         n.rpdo_word[k] = data
         n.rpdo_pending += 1 - n.rpdo_waits[k]
@@ -92,7 +92,7 @@ def _act(n: NodeRecord, t_ns: int, k: int, out: Queue) -> None:
 
 @kernel
 def act_pending(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Let the RPDOs act that waited for this SYNC, in their order."""
+    """Let the RPDOs that waited for this SYNC act, in order."""
     for k in range(n.rpdo_used):
         if n.rpdo_waits[k]:
             n.rpdo_waits[k] = 0
@@ -113,7 +113,7 @@ def _send(n: NodeRecord, p: PdoRecord, k: int, t_ns: int, word: int, out: Queue)
 def transmit_sync(n: NodeRecord, t_ns: int, counter: int, out: Queue) -> None:
     """Send the synchronous TPDOs; `counter` is the SYNC's, or -1."""
     if n.sync_window_ns > 0 and n.processing_ns > n.sync_window_ns:
-        return  # they would come after the window
+        return  # they would be sent after the window
     for k in range(n.tpdo_used):
         p = n.tpdo[k]
         kind = p.transmission
@@ -131,7 +131,7 @@ def transmit_sync(n: NodeRecord, t_ns: int, counter: int, out: Queue) -> None:
             if count < 0:
                 if counter != p.sync_start:
                     continue
-                count = kind - 1  # the SYNC with the start value is the first that counts
+                count = kind - 1  # the SYNC with the start value is the first to count
             count += 1
             if count >= kind:
                 count = 0
@@ -141,9 +141,7 @@ def transmit_sync(n: NodeRecord, t_ns: int, counter: int, out: Queue) -> None:
 
 @kernel
 def transmit_events(n: NodeRecord, t_ns: int, next_ns: int, out: Queue) -> int:
-    """Send the event-driven TPDOs that are due; return the earlier of
-    `next_ns` and their next deadline.
-    """
+    """Send the event-driven TPDOs that are due; return the earlier of `next_ns` and their next deadline."""
     sample(n)
     for k in range(n.tpdo_used):
         p = n.tpdo[k]
@@ -164,9 +162,7 @@ def transmit_events(n: NodeRecord, t_ns: int, next_ns: int, out: Queue) -> int:
 
 @kernel
 def answer_rtr(n: NodeRecord, k: int, t_ns: int, out: Queue) -> None:
-    """Answer a remote frame for TPDO `k`, where its COB-ID allows
-    that; a synchronous one repeats its last sample.
-    """
+    """Answer a remote frame for TPDO `k` if its COB-ID allows it; a synchronous TPDO repeats its last sample."""
     p = n.tpdo[k]
     if p.rtr_allowed == 0:
         return

@@ -1,11 +1,10 @@
-"""What makes a kind of device: the objects that it acts on, what it
-keeps in its record, and what it does.
+"""Definition of a kind of device: the objects that it acts on, its fields in the record, and its
+behaviour.
 
 A device's communication (NMT, PDO, SDO, EMCY ...) is the same for all kinds. A kind adds a
-`Profile`, which stands in the file of the behaviour that it describes; `node.kinds` lists them. A
-file that lacks an object leaves the object's slot at `CoreObject.absent`, so that a kind can stand
-behind any vendor's file as far as the file's objects allow; `Profile.missing` tells which ones it
-lacks that the kind cannot do without.
+`Profile`, in the module of its behaviour; `node.kinds` lists them. An object that a file lacks
+leaves its slot at `CoreObject.absent`, so that a kind works with any vendor's file as far as the
+file's objects allow; `Profile.missing` lists the missing objects that the kind requires.
 
     n : the `NodeRecord`
 """
@@ -42,12 +41,13 @@ Key: TypeAlias = tuple[int, int]
 
 
 BY_COMMAND, BY_RESET, BY_ITSELF = constant(0), constant(1), constant(2)
-"""Why NMT left OPERATIONAL: a command, a reset (safe output whatever the option codes say), 1029h.
+"""Reason why NMT left OPERATIONAL: a command, a reset (safe output regardless of the option codes),
+1029h.
 """
 
 SUPPLY_THERE, SUPPLY_MISSING, SUPPLY_LOST = 0, 1, 2
-"""What `Behaviour.supply` tells: there (or of no matter), missing,
-missing where it is needed, which is a fault.
+"""Results of `Behaviour.supply`: present (or irrelevant), missing, missing while it is needed, which is a
+fault.
 """
 
 
@@ -58,15 +58,12 @@ class CoreObject:
     Attributes
     ----------
     index, subindex : the object
-    slot : where it stands in the record's `values`
-    absent : the slot's value where the file has no such object
-    acts : bit of the record's `rpdo_carries`: the core acts when the
-        object is written; 0: it does not
-    changing : whether it changes all the time, so that its change is
-        no event for a TPDO that has an event timer
-    needed : whether the kind has nothing to act on without it
-    named : it is the maker's own, from 2000h to 5FFFh, and somebody who knows the device has named
-        it
+    slot : its index in the record's `values`
+    absent : the slot's value if the file has no such object
+    acts : bit of the record's `rpdo_carries`: the core acts when the object is written; 0: it does
+    not changing : whether it changes all the time, so that its change is no event for a TPDO with
+    an event timer needed : whether the kind cannot act without it named : it is
+    manufacturer-specific, 2000h to 5FFFh, and was named by a person who knows the device
     """
 
     index: int
@@ -80,21 +77,20 @@ class CoreObject:
 
     @property
     def key(self) -> Key:
-        """The object's index and sub-index."""
+        """Index and sub-index of the object."""
         return self.index, self.subindex
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """Where a physical value enters or leaves a kind's core: what a simulated rig or hardware is
-    wired to.
+    """Physical input or output of a kind's core, to which a simulated rig or hardware is connected.
 
     Attributes
     ----------
-    index, subindex : the object that stands for it on the bus
-    field : of the record; one that begins with ``out_`` is an output
-    k : its place in the field; -1: the field is one number
-    low, high : fields that bound an output to what its hardware may put out, "": none
+    index, subindex : its object on the bus
+    field : of the record; a name that begins with ``out_`` is an output
+    k : its index in the field; -1: the field is a single number
+    low, high : fields that bound an output to the range of its hardware, "": none
     """
 
     index: int
@@ -106,7 +102,7 @@ class Terminal:
 
     @property
     def key(self) -> Key:
-        """The object's index and sub-index."""
+        """Index and sub-index of the object."""
         return self.index, self.subindex
 
     @property
@@ -116,23 +112,19 @@ class Terminal:
 
 
 class Objects(Protocol):
-    """What a kind sees of the object dictionary (`node.dictionary`)."""
+    """A kind's view of the object dictionary (`node.dictionary`)."""
 
     def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
-        """Return an integer object, or `fallback` where the file has none."""
+        """Return an integer object, or `fallback` if the file does not have it."""
 
     def own(self, index: int, subindex: int, fallback: int) -> int:
-        """Return an integer object of 2000h to 5FFFh of our own
-        devices; `fallback` in a file of another maker.
-        """
+        """Return an integer object of 2000h to 5FFFh of our own devices; `fallback` in another vendor's file."""
 
     def real(self, index: int, subindex: int, fallback: float) -> float:
-        """Return a numeric object, or `fallback` where the file has none."""
+        """Return a numeric object, or `fallback` if the file does not have it."""
 
     def high(self, index: int, subindex: int, fallback: int) -> int:
-        """Return the largest value that the file allows an object,
-        `fallback` where it sets no limit.
-        """
+        """Return the largest value that the file allows for an object, `fallback` if it sets no limit."""
 
     def __contains__(self, key: Key) -> bool: ...
 
@@ -180,17 +172,15 @@ class Behaviour(NamedTuple):
 
     Attributes
     ----------
-    sample : (n) bring what the device measures to the slots
-    actuate : (n, t_ns) compute the output that acts at `t_ns`
-    apply : (n, t_ns, received_ns, carries, out) act on what was
-        written to the slots; `carries`: the bits `acts` of its objects
-    connection_lost : (n, t_ns, why) -> 1 where it is to be told as a
-        fault; NMT left OPERATIONAL: make the output safe
-    react : (n, t_ns, cause) make the output safe where a cause of `node.emcy` asks for it
-    look : (n, t_ns) bring `detected`, the faults that the device finds by itself, up to its inputs
-    supply : (n) -> SUPPLY_...
-    next_deadline : (n, t_ns, next_ns) -> the earlier of `next_ns` and the kind's own next deadline
-    number : the kind's, as in the record's `kind`; `node.kinds` gives it
+    sample : (n) write the measurements to the slots
+    actuate : (n, t_ns) compute the output at `t_ns`
+    apply : (n, t_ns, received_ns, carries, out) act on written slots; `carries`: the bits `acts` of
+    their objects connection_lost : (n, t_ns, why) make the output safe after NMT left OPERATIONAL;
+    1: report it as a fault react : (n, t_ns, cause) make the output safe if a cause of `node.emcy`
+    requires it look : (n, t_ns) update `detected`, the faults that the device detects itself, from
+    its inputs supply : (n) -> SUPPLY_... next_deadline : (n, t_ns, next_ns) -> the earlier of
+    `next_ns` and the kind's own next deadline number : of the kind, as in the record's `kind`;
+    `node.kinds` assigns it
     """
 
     sample: Callable[[NodeRecord], None] = _nothing
@@ -225,20 +215,19 @@ class Profile:
 
     Attributes
     ----------
-    name : what the command line and messages call it
-    objects : those that its core uses
+    name : in the command line and in messages
+    objects : used by its core
     behaviour : its kernels
-    fields : what its kernels keep in the record, beside what every node has: a base class of
+    fields : its fields in the record, in addition to those of every node: a base class of
         `NodeRecord`. Inputs begin with ``in_``, outputs, which are 0 while the device is off, with ``out_``
-    terminals : where physical values enter and leave
+    terminals : physical inputs and outputs
     product : 1018h:02 of this project's own device of that kind
-    held : causes of `node.emcy` (bits) that stay told until the kind's own fault reset
-    started : (record, objects, t_ns) begin with the values that now
-        stand in the objects: at power-on and after "reset node"
-    powered_on : (record, t_ns) after `started`, at power-on alone
-    changed : (record, objects, index, subindex) an object from 2000h
-        on was written: bring up what is computed of it
-    check : (objects, index, subindex, value) raise `SdoAbort` unless a client may write an integer
+    held : causes of `node.emcy` (bits) that stay latched until the kind's own fault reset
+    started : (record, objects, t_ns) begin with the present values of the objects: at power-on and
+    after "reset node" powered_on : (record, t_ns) after `started`, at power-on only changed :
+    (record, objects, index, subindex) an object from 2000h on was written: update the quantities
+    computed from it check : (objects, index, subindex, value) raise `SdoAbort` unless a client may
+    write an integer
     """
 
     name: str
@@ -255,23 +244,19 @@ class Profile:
 
     @cached_property
     def acts(self) -> Mapping[Key, int]:
-        """The objects on which the core acts when they are written,
-        with their bits of `rpdo_carries`.
-        """
+        """Objects on whose writing the core acts, with their bits of `rpdo_carries`."""
         return {row.key: row.acts for row in self.objects if row.acts}
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
-        """The fields that are 0 while the device is off."""
+        """Fields that are 0 while the device is off."""
         return tuple(name for name in get_type_hints(self.fields) if name.startswith("out_"))
 
     def fitted(self, *rows: CoreObject, without: Collection[Key] = ()) -> Profile:
-        """Return the kind as one device has it: with further objects, and with none of
-        `without`.
-        """
+        """Return the kind fitted to a device: with further objects, and without those in `without`."""
         keys = {*without, *(row.key for row in rows)}
         return replace(self, objects=(*(row for row in self.objects if row.key not in keys), *rows))
 
     def missing(self, objects: Objects) -> tuple[Key, ...]:
-        """Return the objects that the kind cannot do without and a file does not have."""
+        """Return the objects that the kind requires and a file does not have."""
         return tuple(row.key for row in self.objects if row.needed and row.key not in objects)

@@ -1,8 +1,7 @@
-"""What a device does when its communication side calls it, compiled:
-the call goes on to the device's kind (`node.kinds`).
+"""Compiled calls from a device's communication side to the kernels of its kind (`node.kinds`).
 
-Each of these loops is unrolled: the machine code has one branch for
-each kind, as if the kinds were written out here.
+Each of these loops is unrolled: the machine code has one branch for each kind, as if the kinds were
+written out here.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
@@ -31,14 +30,14 @@ __all__ = [
 ]
 
 RAMP_STEP_NS = 1_000_000
-"""How often a ramp is computed when nothing else calls."""
+"""Interval at which a ramp is computed without other calls."""
 
 _INPUT_CAUSES = emcy.DEVICE_MASK | 1 << emcy.SUPPLY
 
 
 @kernel
 def sample(n: NodeRecord) -> None:
-    """Bring what the device measures, and its statusword, to the slots."""
+    """Write the device's measurements, and its statusword, to the slots."""
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
             kind.sample(n)
@@ -46,7 +45,7 @@ def sample(n: NodeRecord) -> None:
 
 @kernel
 def actuate(n: NodeRecord, t_ns: int) -> None:
-    """Compute the output that acts at `t_ns`."""
+    """Compute the output at `t_ns`."""
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
             kind.actuate(n, t_ns)
@@ -56,9 +55,7 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) -> None:
-    """Act on what now stands in the slots, as `carries` tells
-    (`Profile.acts`); it was received at `received_ns`.
-    """
+    """Act on the present slots as `carries` tells (`Profile.acts`); they were received at `received_ns`."""
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
             kind.apply(n, t_ns, received_ns, carries, out)
@@ -66,7 +63,7 @@ def apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) 
 
 @kernel
 def connection_lost(n: NodeRecord, t_ns: int, why: int, out: Queue) -> None:
-    """NMT left OPERATIONAL (`why`: BY_... of `node.profile`): safe output."""
+    """Make the output safe after NMT left OPERATIONAL (`why`: BY_... of `node.profile`)."""
     fault = 0
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
@@ -78,16 +75,14 @@ def connection_lost(n: NodeRecord, t_ns: int, why: int, out: Queue) -> None:
 
 @kernel
 def alarm(n: NodeRecord, t_ns: int, cause: int, info: int, out: Queue) -> None:
-    """Tell of a cause by EMCY, and react: a drive's fault gives
-    torque 0, a brake's own fault the ramp.
-    """
+    """Report a cause by EMCY, and react: a drive's fault gives torque 0, a brake's own fault the ramp."""
     emcy.come(n, t_ns, cause, info, out)
     react(n, t_ns, cause)
 
 
 @kernel
 def react(n: NodeRecord, t_ns: int, cause: int) -> None:
-    """Make the output safe where a cause asks for it."""
+    """Make the output safe if a cause requires it."""
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
             kind.react(n, t_ns, cause)
@@ -95,7 +90,7 @@ def react(n: NodeRecord, t_ns: int, cause: int) -> None:
 
 @kernel
 def inputs(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Look at the supply and at the device's own faults; almost always there is nothing new."""
+    """Check the supply and the device faults; almost always nothing has changed."""
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
             kind.look(n, t_ns)

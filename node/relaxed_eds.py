@@ -1,9 +1,8 @@
-"""What a stand-in opens in another maker's file: limits and defaults that the real device cannot
-have.
+"""Relax limits and defaults of a vendor's EDS that would block a simulated device.
 
 An EDS file is written by hand. Some limits contradict CiA's own range of an object, and some
-defaults, which the device takes from its own memory, would keep the drive from any torque. Both are
-opened, and each is told. What our own devices' files say is left alone.
+defaults, which the real device replaces by its stored values, would prevent any torque of the
+drive. Both are relaxed, and each change is reported. Files of our own devices are not changed.
 """
 
 from __future__ import annotations
@@ -31,9 +30,7 @@ _RANGES: tuple[tuple[range, range, int, str], ...] = (
     (range(0x1800, 0x1A00), range(1, 2), _COB_ID, "a COB-ID, whose bit 31 makes it not valid"),
     (range(0x1A00, 0x1C00), range(1, 65), _MAPPED, "index, sub-index and length of an object"),
 )
-"""Objects of CiA 301: indices, sub-indices, the value that each of them must be able to hold, and
-what it is.
-"""
+"""Objects of CiA 301: indices, sub-indices, the value that each must be able to hold, and its meaning."""
 
 _FASTEST, _FARTHEST, _THREE_TIMES = 0xFFFFFFFF, 0x7FFFFFFF, 3000
 _BLOCKING: Mapping[Key, int] = {
@@ -44,29 +41,28 @@ _BLOCKING: Mapping[Key, int] = {
     (0x60E0, 0): _THREE_TIMES,
     (0x60E1, 0): _THREE_TIMES,
 }
-"""Objects of a drive that let it do nothing while they are 0, and what they are instead."""
+"""Objects that disable a drive while they are 0, and their replacement values."""
 
 _POSITIONS = ((0x607D, 1), -_FARTHEST - 1), ((0x607D, 2), _FARTHEST)
 _MODES: tuple[tuple[int, int], ...] = ((0x6071, 1 << 3 | 1 << 9), (0x60FF, 1 << 2 | 1 << 8))
-"""Set-points, and the bits of 6502h of the modes that they serve: 4 and 10, 3 and 9."""
+"""Set-points, and the bits of 6502h of their modes: 4 and 10, 3 and 9."""
 
 
 @dataclass(frozen=True)
 class Opened:
-    """A description as a stand-in serves it, and what was opened for that, a line each."""
+    """Relaxed description for a stand-in, and a line for each change."""
 
     description: Description
     remarks: tuple[str, ...] = ()
 
 
 def opened(description: Description, profile: Profile, counts_rev: int = 0, axis: int = 1) -> Opened:
-    """Return the description that serves a file behind which `profile` stands.
+    """Return the relaxed description of a file that is simulated with `profile`.
 
     Parameters
     ----------
-    counts_rev : counts of the position in one turn of the motor, for a file that does not tell
-        them; 0: nobody knows
-    axis : of a drive of several
+    counts_rev : counts of the position in one turn of the motor, for a file that does not state
+    them; 0: unknown axis : of a drive of several
     """
     if profile is GENERIC or of_identity(told_identity(description)) is not GENERIC:
         return Opened(description)
@@ -139,7 +135,7 @@ def _defaults(description: Description, changed: dict[Key, Variable], axis: int)
 
 
 def _encoder(description: Description, changed: dict[Key, Variable], counts_rev: int, axis: int) -> Iterator[str]:
-    """Let 608Fh tell the counts of the position where no object of the file does."""
+    """Let 608Fh state the counts of the position if no object of the file does."""
     index = of_axis(0x608F, axis)
     increments, turns = (_variable(description, (index, sub)) for sub in (1, 2))
     if not counts_rev or increments is None or position_scale(defaults(description, axis)).counts_rev is not None:
@@ -156,7 +152,7 @@ def _variable(description: Description, key: Key) -> Variable | None:
 
 
 def _with(variable: Variable, value: int) -> Variable:
-    """Return the variable with a default that its type and limits can hold."""
+    """Return the variable with a default within its type and limits."""
     least, most = variable.whole or (-_FARTHEST - 1, _FASTEST)
     least = max(least, int(variable.low)) if variable.low is not None else least
     return replace(variable, default=max(least, min(value, most, int(min(variable.largest, 1 << 63)))))

@@ -1,6 +1,4 @@
-"""What the brake's core uses of its objects in a form of its own:
-computed when an object is written, not in the cycle.
-"""
+"""Scale factors of the brake's objects, computed when an object is written, not in the cycle."""
 
 from __future__ import annotations
 
@@ -12,21 +10,21 @@ from coulombus.node.record import NodeRecord
 __all__ = ["AUTO_ZERO", "SCALED", "auto_zero", "scale"]
 
 AUTO_ZERO = 0x6F72657A
-"""What 6125h takes: "zero", little endian."""
+"""Signature for 6125h: "zero", little endian."""
 
 _OUTPUT, _INPUTS = range(0x7320, 0x7324), (0x6112, 0x6124, 0x6126, 0x6127, 0x6132, 0x7148, 0x7149)
 SCALED = frozenset((0x2010, 0x2011, 0x2012, 0x6302, *_OUTPUT, *_INPUTS))
-"""The objects of which something is computed."""
+"""Objects from which scale factors are computed."""
 
 
 def _decimals(digits: int) -> float:
-    """Return 10 to the `digits`, of which no file may make more than a float holds."""
+    """Return 10 ** `digits`, limited to the range of a float."""
     return 10.0 ** min(max(digits, -30), 30)
 
 
 def _scale_output(record: NodeRecord, objects: Objects) -> None:
-    """Scale the output block: field value by the line through (7320h,
-    7321h) and (7322h, 7323h), of which 1000 is full scale.
+    """Scale the output block: field value by the line through (7320h, 7321h) and (7322h, 7323h); 1000
+    is full scale.
     """
     number = objects.number
     unit_Nm = _decimals(-number(0x6302, 1))
@@ -35,7 +33,7 @@ def _scale_output(record: NodeRecord, objects: Objects) -> None:
         number(index, 1, default) for index, default in ((0x7320, 0), (0x7321, 0), (0x7322, full), (0x7323, 1000))
     )
     if ((pv_1, fv_1, fv_2) == (0, 0, 1000) and pv_2 == full) or pv_1 == pv_2:
-        slope = 1.0  # exactly; and where a file has two points that are one
+        slope = 1.0  # exactly; also for a file whose two points are equal
     else:
         slope = (fv_2 - fv_1) / (pv_2 - pv_1) * full / 1000
     record["ao_gain_Nm"] = unit_Nm * slope
@@ -45,8 +43,8 @@ def _scale_output(record: NodeRecord, objects: Objects) -> None:
 
 
 def _scale_inputs(record: NodeRecord, objects: Objects) -> None:
-    """Scale the input blocks (6124h, 6126h, 6127h, 6132h, 7148h,
-    7149h); one that 6112h switches off accepts nothing.
+    """Scale the input blocks (6124h, 6126h, 6127h, 6132h, 7148h, 7149h); a channel disabled by 6112h accepts
+    nothing.
     """
     for k in range(3):
         unit = _decimals(objects.number(0x6132, k + 1))
@@ -59,7 +57,7 @@ def _scale_inputs(record: NodeRecord, objects: Objects) -> None:
 
 
 def scale(record: NodeRecord, objects: Objects) -> None:
-    """Scale the blocks, and bring the driver's watches up to 2010h, 2011h and 2012h."""
+    """Scale the blocks, and update the driver's checks from 2010h, 2011h and 2012h."""
     own = objects.own
     _scale_output(record, objects)
     _scale_inputs(record, objects)
@@ -71,7 +69,7 @@ def scale(record: NodeRecord, objects: Objects) -> None:
     coil_A_Nm, board_Nm = float(record["coil_A_Nm"]), float(record["board_Nm"])
     limit_Nm = record["max_A"] / coil_A_Nm if coil_A_Nm > 0 else math.inf
     record["limit_Nm"] = min(limit_Nm, board_Nm) if board_Nm > 0 else limit_Nm
-    record["derated"] = 1  # computed anew with the present temperature
+    record["derated"] = 1  # recompute with the present temperature
     record["demag_A"], record["demag_ns"] = own(0x2012, 1, 0) / 1000, own(0x2012, 2, 5000) * 1000
     record["demag_delay_ns"] = own(0x2012, 3, 20_000) * 1000
 

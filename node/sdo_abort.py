@@ -1,4 +1,4 @@
-"""How a device says no: the abort of an SDO service."""
+"""Abort of an SDO service by a device."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["SdoAbort"]
 
 
 class SdoAbort(Exception):
-    """An SDO service is aborted; `code` goes to the client."""
+    """An SDO service is aborted; the client receives `code`."""
 
     def __init__(self, code: int) -> None:
         super().__init__(abort_text(code))

@@ -1,6 +1,4 @@
-"""What an SDO client reads and writes: the dictionary behind CiA's
-rules, and what a write leads to.
-"""
+"""Reads and writes of SDO clients: the dictionary with CiA's rules, and the effects of a write."""
 
 from __future__ import annotations
 
@@ -22,8 +20,8 @@ _HISTORY, _STORE_EDS = 0x1003, 0x1021
 _STRUCTURE = 0xFF
 
 _LIMIT_PAIRS: Mapping[int, tuple[int, int]] = {0x607B: (1, 2), 0x607D: (1, 2)}
-"""Objects whose two sub-indices are a minimum and its maximum (CiA
-402: position range limit, software position limit).
+"""Objects whose two sub-indices are a minimum and its maximum (CiA 402: position range limit, software
+position limit).
 """
 
 _RECORDS: tuple[tuple[range, int], ...] = (
@@ -38,8 +36,8 @@ _RECORDS: tuple[tuple[range, int], ...] = (
 
 
 class Access:
-    """The backend of a device's SDO servers; `written` and `carries`
-    tell the core what was written (`Profile.acts`).
+    """Backend of a device's SDO servers; `written` and `carries` tell the core which objects were written
+    (`Profile.acts`).
     """
 
     def __init__(
@@ -59,7 +57,7 @@ class Access:
         self.carries = 0
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """Return the bytes of an object that may be read."""
+        """Return the bytes of an object if it may be read."""
         if subindex == _STRUCTURE:
             return self._structure(index)
         variable = self._dictionary.check_read(index, subindex)
@@ -72,17 +70,17 @@ class Access:
         return encode(variable, self._dictionary[index, subindex])
 
     def check_download(self, index: int, subindex: int, size: int | None) -> int:
-        """Abort unless `size` bytes may be written; return how many at most."""
+        """Abort unless `size` bytes may be written; return the largest allowed number."""
         if subindex == _STRUCTURE:
             self._structure(index)
             raise SdoAbort(Abort.READ_ONLY)
         return self._dictionary.check_write(index, subindex, size)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Write an object; nothing changes when it aborts."""
+        """Write an object; an abort changes nothing."""
         try:
             value = decode(self._dictionary.find(index, subindex), data)
-        except SdoAbort as abort:  # the EDS's limit of a map's count is the number of its entries
+        except SdoAbort as abort:  # the EDS's limit of a map's count is its number of entries
             place = self._communication.pdos.locate(index)
             if place and place[2] and subindex == 0 and abort.code == Abort.VALUE_HIGH:
                 raise SdoAbort(Abort.PDO_LENGTH) from None
@@ -108,8 +106,8 @@ class Access:
         self._changed(index, subindex)
 
     def _structure(self, index: int) -> bytes:
-        """Return sub-index FFh: object code in bits 0-7, data type in
-        bits 8-23 (CiA 301, 7.4.6.2); an array has its elements'.
+        """Return sub-index FFh: object code in bits 0-7, data type in bits 8-23 (CiA 301, 7.4.6.2); for an array,
+        the data type of its elements.
         """
         entry = self._dictionary.description.objects.get(index)
         if entry is None:

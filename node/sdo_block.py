@@ -1,9 +1,9 @@
 """State of an SDO block transfer at the server (CiA 301, sections 7.2.4.3.9 to 7.2.4.3.15).
 
-A block is up to 127 segments of seven bytes, numbered from 1; its receiver acknowledges it with the
-number of the last segment that came in order, and the sender goes on behind that one, so a lost
-segment costs the rest of its block and no more. The CRC is CCITT's, polynomial x^16 + x^12 + x^5 +
-1, start value 0, over the object's bytes, without the padding.
+A block is up to 127 segments of seven bytes, numbered from 1. Its receiver acknowledges it with the
+number of the last segment in order, and the sender continues after that segment. So a lost segment
+costs only the rest of its block. The CRC is CCITT's, polynomial x^16 + x^12 + x^5 + 1, start value
+0, over the object's bytes, without the padding.
 """
 
 from __future__ import annotations
@@ -22,40 +22,36 @@ _LAST, _NUMBER = 0x80, 0x7F
 
 
 class BlockDownload:
-    """The receiving side of a client's download."""
+    """Receiving side of a client's download."""
 
     def __init__(self, index: int, subindex: int, size: int | None, longest: int, crc: bool, block_size: int) -> None:
         self.index, self.subindex, self.size = index, subindex, size
         self.receiving = True
-        """Frames are segments; else the server waits for the end command."""
+        """Whether the next frames are segments; else the server waits for the end command."""
         self._data = bytearray()
         self._longest, self._crc, self._block_size = longest, crc, block_size
-        self._received = 0  # segments of this block that came in order
+        self._received = 0  # segments of this block received in order
         self._in_order = True
 
     @property
     def expected(self) -> tuple[int, int]:
-        """Number of the segment that comes next, and of the block's
-        last; (0, 0) behind a gap or the last of all.
-        """
+        """Number of the next segment, and of the block's last; (0, 0) after a gap or the last segment of all."""
         return (self._received + 1, self._block_size) if self.receiving and self._in_order else (0, 0)
 
     def take(self, content: bytes) -> None:
-        """Take segments that came in their order, from `expected` on,
-        none of them the block's last.
-        """
+        """Process segments in order, from `expected` on, without the block's last."""
         self._received += len(content) // _SEGMENT
         self._keep(content)
 
     def _keep(self, content: bytes) -> None:
-        if len(self._data) <= self._longest + _SEGMENT:  # enough to know that it is too long, padding or not
+        if len(self._data) <= self._longest + _SEGMENT:  # enough to prove that it is too long
             self._data += content
 
     def segment(self, data: bytes, next_block_size: int) -> bytes | None:
-        """Take a segment; return the acknowledgement when it was the last of its block, else None.
+        """Process a segment; return the acknowledgement if it was the last of its block, else None.
 
-        What comes behind a gap is ignored, and an object that becomes too long is refused,
-        at the end of the block: a client that is in the middle of one does not listen.
+        Segments after a gap are ignored, and an object that becomes too long is refused at the end of the
+        block: a client in the middle of a block does not listen.
         """
         number = data[0] & _NUMBER
         last = bool(data[0] & _LAST)
@@ -65,10 +61,10 @@ class BlockDownload:
             self._received = number
             self._keep(data[1:8])
         elif number > self._received:
-            self._in_order = False  # a gap; a number that was there already is a repetition
+            self._in_order = False  # a gap; a number that came already is a repetition
         if not last and number != self._block_size:
             return None
-        if not last and len(self._data) > self._longest:  # of the last segment the end command tells the padding
+        if not last and len(self._data) > self._longest:  # the end command gives the padding of the last segment
             raise SdoAbort(Abort.TOO_LONG)
         acknowledged = self._received
         self.receiving = not (last and self._in_order)
@@ -76,7 +72,7 @@ class BlockDownload:
         return bytes((0xA2, acknowledged, next_block_size, 0, 0, 0, 0, 0))
 
     def end(self, data: bytes) -> bytes:
-        """Take the end command; return the object's bytes, their length and CRC checked."""
+        """Process the end command; return the object's bytes after a check of length and CRC."""
         padding = data[0] >> 2 & 7
         content = bytes(self._data[: len(self._data) - padding])
         if len(content) > self._longest:
@@ -87,22 +83,22 @@ class BlockDownload:
 
 
 class BlockUpload:
-    """The sending side of a client's upload."""
+    """Sending side of a client's upload."""
 
     def __init__(self, index: int, subindex: int, content: bytes, crc: bool, block_size: int) -> None:
         self.index, self.subindex = index, subindex
         self._content, self._crc, self._block_size = content, crc, block_size
-        self._position = 0  # of the block's first byte
-        self._sent = 0  # segments of the block that is not acknowledged yet
+        self._position = 0  # position of the block's first byte
+        self._sent = 0  # segments of the block that is not yet acknowledged
         self._started = self._ended = False
 
     @property
     def waiting(self) -> int:
-        """Segments of the present block, which wait for their acknowledgement; -1 behind the last block."""
+        """Number of unacknowledged segments of the present block; -1 after the last block."""
         return -1 if self._ended else self._sent
 
     def start(self) -> Sequence[bytes]:
-        """The client is ready: return the first block."""
+        """Handle the client's start command: return the first block."""
         if self._started:
             raise SdoAbort(Abort.COMMAND)
         self._started = True
@@ -123,8 +119,8 @@ class BlockUpload:
         return segments
 
     def acknowledge(self, number: int, block_size: int) -> bytes | None:
-        """Take the client's acknowledgement of segment `number`;
-        return the end command when that was the last of all.
+        """Process the client's acknowledgement of segment `number`; return the end command if that was the last
+        of all.
         """
         if not self._started or self._ended:
             raise SdoAbort(Abort.COMMAND)
@@ -143,6 +139,6 @@ class BlockUpload:
         return bytes((0xC1 | padding << 2,)) + crc.to_bytes(2, "little") + bytes(5)
 
     def check_end(self) -> None:
-        """The client says that it has all: abort unless it was told so."""
+        """Handle the client's end command: abort unless everything was sent."""
         if not self._ended:
             raise SdoAbort(Abort.COMMAND)

@@ -2,14 +2,14 @@
 both ways (CiA 301, section 7.2.4).
 
 The server is a function of the requests: one 8-byte request in, at most one response out (None: no
-answer), and in a block upload a `burst` of segments. What is read and written is behind `Backend`,
-so that the protocol is tested without a device. One transfer is open at most; a new initiation
-replaces it, as section 7.2.4.3 wants it, and an abort in either direction ends it. Block transfers
-have their state in `node.sdo_block`.
+answer), and in a block upload a `burst` of segments. `Backend` holds the objects, so that tests
+need no device. At most one transfer is open; a new initiation replaces it, as section 7.2.4.3
+requires, and an abort in either direction ends it. The state of block transfers is in
+`node.sdo_block`.
 
-CAN delivers a frame twice when the last bit of its end is disturbed. So a request that goes on with
-a transfer, and comes once more directly behind itself, is the same frame: it is ignored, as its
-answer is on the way. An initiation is served again.
+CAN delivers a frame twice if the last bit of its end is disturbed. So a request that continues a
+transfer, and is repeated directly, is the same frame: it is ignored, because its answer is on the
+way. An initiation is served again.
 """
 
 from __future__ import annotations
@@ -26,19 +26,17 @@ __all__ = ["Backend", "SdoServer", "abort_frame"]
 
 _SEGMENT = 7
 _ABORT = 0x80
-_CRC = 0x04  # told back as the client says it: canopen's client believes the server's bit alone
+_CRC = 0x04  # echoes the client's bit: canopen's client checks the server's bit alone
 
 
 class Backend(Protocol):
-    """What the server serves."""
+    """Objects that the server serves."""
 
     def upload(self, index: int, subindex: int) -> bytes:
         """Return the object's bytes or raise `SdoAbort`."""
 
     def check_download(self, index: int, subindex: int, size: int | None) -> int:
-        """Raise `SdoAbort` unless `size` bytes (None: not said) may
-        be written; return how many at most.
-        """
+        """Raise `SdoAbort` unless `size` bytes (None: unknown) may be written; return the largest allowed number."""
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
         """Write the object or raise `SdoAbort`."""
@@ -46,7 +44,7 @@ class Backend(Protocol):
 
 @dataclass
 class _Segmented:
-    """A segmented transfer that is open."""
+    """An open segmented transfer."""
 
     index: int
     subindex: int
@@ -54,7 +52,7 @@ class _Segmented:
     data: bytearray
     toggle: int = 0
     position: int = 0
-    size: int | None = None  # of a download, when the client said it
+    size: int | None = None  # of a download, if the client gave it
     longest: int = 0
 
 
@@ -64,45 +62,41 @@ def abort_frame(index: int, subindex: int, code: int) -> bytes:
 
 
 class SdoServer:
-    """One SDO server channel; it asks for `block_size` segments a
-    block in downloads (1 to 127, may change at any time).
+    """An SDO server channel; in downloads it requests `block_size` segments per block (1 to 127, may change
+    at any time).
     """
 
     def __init__(self, backend: Backend, block_size: int = BLOCK_SEGMENTS) -> None:
         self._backend = backend
         self._open: _Segmented | BlockDownload | BlockUpload | None = None
-        self._place: tuple[int, int] | None = None  # of the open transfer, while a request that continues it is served
-        self._last = b""  # the request before, if it may come once more
+        self._place: tuple[int, int] | None = None  # object of the open transfer, while a request continues it
+        self._last = b""  # previous request, if it may be repeated
         self.block_size = block_size
         self.again = False
-        """Whether the last request was the one before it once more."""
+        """Whether the last request repeated the previous one."""
         self.burst: Sequence[bytes] = ()
-        """Segments to be sent after the response of the last request, in their order."""
+        """Segments to be sent after the response of the last request, in order."""
         self.unsent = 0
-        """How many segments of the last burst still wait to be sent; whoever sends them tells it."""
+        """Number of segments of the last burst still to be sent, set by their sender."""
 
     @property
     def transfer(self) -> tuple[int, int] | None:
-        """(index, sub-index) of the transfer that is open."""
+        """(index, sub-index) of the open transfer."""
         return (self._open.index, self._open.subindex) if self._open else None
 
     @property
     def expected(self) -> tuple[int, int]:
-        """Number of the segment of a block download that comes next,
-        and of the block's last; (0, 0): none is expected.
-        """
+        """Number of the next segment of a block download, and of the block's last; (0, 0): none is expected."""
         return self._open.expected if isinstance(self._open, BlockDownload) else (0, 0)
 
     def take(self, content: bytes) -> None:
-        """Take the data of segments of a block download that came as
-        `expected` says, before its last.
-        """
+        """Process segments of a block download in the order of `expected`, before its last."""
         self._last = b""
         if isinstance(self._open, BlockDownload):
             self._open.take(content)
 
     def drop(self) -> None:
-        """Forget the open transfer (time-out, reset)."""
+        """Discard the open transfer (time-out, reset)."""
         self._open, self.burst, self._last = None, (), b""
 
     def request(self, data: bytes) -> bytes | None:
@@ -114,18 +108,18 @@ class SdoServer:
         self._last = data if self._goes_on(data) else b""
         answer = self._serve(data)
         if isinstance(self._open, BlockDownload) and self._open is not transfer:
-            self._last = data  # it begins: once more, its initiation would be a segment
+            self._last = data  # it begins: a repeated initiation would be a segment
         return answer
 
     def _goes_on(self, data: bytes) -> bool:
-        """Tell whether a request is of a transfer that is open, and no second one can be identical."""
+        """Tell whether a request continues the open transfer, and cannot legitimately be repeated."""
         if isinstance(self._open, BlockDownload) and self._open.receiving:
-            return self._open.expected != (1, 1)  # blocks of one segment may be all alike
+            return self._open.expected != (1, 1)  # blocks of one segment may be identical
         initiates = data[0] >> 5 in (1, 2) or data[0] & 0xE3 == 0xA0 or data[0] & 0xE1 == 0xC0
         return not initiates
 
     def _acknowledges(self, data: bytes) -> bool:
-        """Tell whether a request acknowledges segments of an upload that have been sent."""
+        """Tell whether a request acknowledges sent segments of an upload."""
         transfer = self._open
         return (
             data[0] & 0xE3 == 0xA2 and isinstance(transfer, BlockUpload) and data[1] <= transfer.waiting - self.unsent
@@ -149,7 +143,7 @@ class SdoServer:
         self._open = None
         expedited, sized = data[0] & 0x02, data[0] & 0x01
         if expedited:
-            # without a size the client means as many of the four bytes as the object has
+            # without a size the client means the object's length, at most four bytes
             longest = self._backend.check_download(index, subindex, None)
             content = data[4 : 8 - (data[0] >> 2 & 3)] if sized else data[4 : 4 + min(longest, 4)]
             self._backend.check_download(index, subindex, len(content))
@@ -197,7 +191,7 @@ class SdoServer:
         return bytes((data[0] & 0x10 | (_SEGMENT - len(segment)) << 1 | last,)) + bytes(segment).ljust(_SEGMENT, b"\0")
 
     def _expect_segmented(self, *, upload: bool, toggle: int) -> _Segmented:
-        """Return the open transfer of this direction, its toggle bit checked and alternated."""
+        """Return the open transfer in this direction; check and alternate its toggle bit."""
         transfer = self._continue()
         if not isinstance(transfer, _Segmented) or transfer.upload != upload:
             raise SdoAbort(Abort.COMMAND)
@@ -207,7 +201,7 @@ class SdoServer:
         return transfer
 
     def _continue(self) -> _Segmented | BlockDownload | BlockUpload | None:
-        """Return the open transfer, of which the request being served is a part."""
+        """Return the open transfer that the present request continues."""
         self._place = self.transfer
         return self._open
 
@@ -253,7 +247,7 @@ class SdoServer:
         if not 1 <= block_size <= BLOCK_SEGMENTS:
             raise SdoAbort(Abort.BLOCK_SIZE)
         content = self._backend.upload(index, subindex)
-        if switch and len(content) <= switch:  # the client lets a small object go by the other protocols
+        if switch and len(content) <= switch:  # the client allows other protocols for a small object
             return self._answer_upload(data, index, subindex, content)
         self._open = BlockUpload(index, subindex, content, bool(data[0] & _CRC), block_size)
         return bytes((0xC2 | data[0] & _CRC,)) + data[1:4] + len(content).to_bytes(4, "little")
@@ -278,4 +272,4 @@ _SERVICES: tuple[Callable[[SdoServer, bytes, int, int], bytes | None], ...] = (
     SdoServer._block_download,
     SdoServer._unknown,
 )
-"""The service of each client command specifier (bits 7-5 of byte 0)."""
+"""Service of each client command specifier (bits 7-5 of byte 0)."""

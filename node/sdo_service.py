@@ -1,9 +1,8 @@
-"""The SDO servers of a device: which identifiers they listen to, and
-their responses on the way to the bus.
+"""SDO servers of a device: their identifiers, and their responses to the bus.
 
-1200h is there always, 1201h to 127Fh where the EDS has them and their identifiers are valid (bit 31
-clear). Each has its own state, so several clients are served at once. A transfer that stands still
-is aborted by the core (`node.deadlines`), which finds its deadline and the abort frame in the
+1200h always exists, 1201h to 127Fh exist if the EDS has them and their identifiers are valid (bit
+31 clear). Each server has its own state, so several clients are served at once. The core
+(`node.deadlines`) aborts a transfer without progress; its deadline and the abort frame are in the
 node's record.
 """
 
@@ -26,9 +25,7 @@ from coulombus.wire.frame import Queue, data_bytes, data_word, push
 __all__ = ["SdoService"]
 
 _MEASURED = 0x2000
-"""From this index on there are objects that the device measures, to
-be brought up to date before they are read.
-"""
+"""First index of objects that the device measures; they are updated before they are read."""
 
 
 @dataclass
@@ -40,7 +37,7 @@ class _Channel:
 
 
 class SdoService:
-    """The SDO servers of a device, by its record; `access` is what they serve."""
+    """SDO servers of a device, by its record; `access` is their backend."""
 
     def __init__(self, access: Access, communication: Communication, node: NodeRecord) -> None:
         self._access, self._communication = access, communication
@@ -53,7 +50,7 @@ class SdoService:
     # identifiers
 
     def refresh(self) -> None:
-        """Bring the channels up to 1200h to 127Fh; one that changed forgets its transfer."""
+        """Update the channels from 1200h to 127Fh; a changed channel discards its transfer."""
         channels = {}
         for number, rx, tx in self._communication.sdo_servers():
             before = self._channels.get(rx)
@@ -71,11 +68,11 @@ class SdoService:
         self._node["sdo_used"] = max((channel.number + 1 for channel in channels.values()), default=0)
 
     def serves(self, can_id: int) -> bool:
-        """Tell whether a server listens to an identifier."""
+        """Tell whether a server uses an identifier for its requests."""
         return can_id in self._channels
 
     def drop(self, number: int | None = None) -> None:
-        """Forget the open transfer of one server or of all (reset, STOPPED)."""
+        """Discard the open transfer of one server or of all (reset, STOPPED)."""
         for channel in self._channels.values():
             if number in (None, channel.number):
                 channel.server.drop()
@@ -100,7 +97,7 @@ class SdoService:
         was_open = server.transfer is not None
         deadline_ns = int(self._deadlines[k])
         if was_open and (t_ns > deadline_ns or deadline_ns == FAR_FUTURE_NS):
-            server.drop()  # the transfer that stood still: the core has told the client so, or would have now
+            server.drop()  # the transfer had no progress: the core has aborted it, or would have now
         if (data >> 8 & 0xFFFF) >= _MEASURED and data & 0x60 in (0x40, 0x20):
             self._refresh(self._node, t_ns)
         access = self._access
@@ -108,7 +105,7 @@ class SdoService:
         server.unsent = self._unsent(k)
         response = server.request(data_bytes(data, 8))
         if was_open and row["outbox_count"] and not server.again:
-            outbox.forget(self._node, k)  # whatever it says, it waits for none of them any more
+            outbox.forget(self._node, k)  # any request cancels the queued segments
         if response is not None:
             self._push(out, self._node["station"], t_ns + int(row["processing_ns"]), channel.tx, 8, data_word(response))
         if server.burst:
@@ -124,7 +121,7 @@ class SdoService:
             core.written(self._node, t_ns, access.carries, out)
 
     def _unsent(self, k: int) -> int:
-        """Return how many segments of one server wait in the outbox."""
+        """Return the number of queued segments of one server in the outbox."""
         row, count = self._node, int(self._node["outbox_count"])
         if not count:
             return 0
@@ -132,7 +129,7 @@ class SdoService:
         return int(np.count_nonzero(row["outbox_channel"][places] == k))
 
     def _take_segments(self, channel: _Channel) -> None:
-        """Give the server what the core collected, and close the channel's row."""
+        """Pass the segments that the core collected to the server, and close the channel's row."""
         row, k = self._node, channel.number
         count = int(row["segments_count"][k])
         if count:
@@ -142,12 +139,12 @@ class SdoService:
         self._close_segments(k)
 
     def _close_segments(self, which: int | slice) -> None:
-        """Let the core collect no segments any more for one server or for all."""
+        """Stop collecting segments in the core, for one server or for all."""
         self._node["segments_id"][which] = 0
         self._node["segments_open"] = np.count_nonzero(self._node["segments_id"])
 
     def _open_segments(self, channel: _Channel) -> None:
-        """Let the core collect the segments that the server expects, where it expects any."""
+        """Let the core collect the segments that the server expects, if any."""
         following, last = channel.server.expected
         if following >= last:
             return
@@ -158,14 +155,14 @@ class SdoService:
         row["segments_open"] += 1
 
     def _refuse(self, channel: _Channel, t_ns: int, out: Queue) -> None:
-        """No room for another block: too many clients read at once."""
+        """Abort the transfer, because there is no room for another block: too many clients read at once."""
         place = channel.server.transfer or (0, 0)
         channel.server.drop()
         word = data_word(abort_frame(*place, Abort.MEMORY))
         self._push(out, self._node["station"], t_ns + int(self._node["processing_ns"]), channel.tx, 8, word)
 
     def _keep_deadline(self, channel: _Channel, t_ns: int) -> None:
-        """Let the core watch the open transfer from now on."""
+        """Let the core check the deadline of the open transfer from now on."""
         row, k = self._node, channel.number
         place = channel.server.transfer
         assert place is not None

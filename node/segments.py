@@ -1,10 +1,9 @@
-"""Segments of SDO block downloads on their way in, compiled: Python
-enters for a block's beginning and end, not for each segment.
+"""Compiled reception of SDO block download segments: Python runs only at a block's beginning and end.
 
 Python (`node.sdo_service`) opens a server's row of the record while the server receives a block in
-order. `collect` then takes the segments that come in their order. The block's last segment, a gap,
-a repetition, an abort and a frame after the transfer's deadline are Python's. It takes what was
-collected first, so its answers are the same as if it had seen every frame.
+order. `collect` then stores the segments in order. Python handles the block's last segment, a gap,
+a repetition, an abort and a frame after the transfer's deadline. It takes the collected segments
+first, so its answers are the same as if it had received every frame.
 
 In the kernels: `n` the node's record (`node.record`), `k` a number from 0.
 """
@@ -22,9 +21,7 @@ _LAST_OR_ABORT = 0x80
 
 @kernel
 def collect(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int) -> bool:
-    """Keep the frame if it is the next segment of a block that is
-    open, and not its last; tell whether it was.
-    """
+    """Store the frame if it is the next segment of an open block, and not its last; tell whether it was."""
     if length != 8 or data & _LAST_OR_ABORT:
         return False
     for k in range(n.sdo_used):
@@ -38,6 +35,6 @@ def collect(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int) -> bo
         n.segments_word[k, n.segments_count[k]] = data
         n.segments_count[k] += 1
         n.segments_next[k] = number + 1
-        n.sdo_deadline_ns[k] = t_ns + SDO_TIMEOUT_NS  # next_ns is not later than the old one
+        n.sdo_deadline_ns[k] = t_ns + SDO_TIMEOUT_NS  # next_ns is not later than the old deadline
         return True
     return False

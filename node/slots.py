@@ -1,8 +1,8 @@
-"""Where the objects that every kind's core may use stand in a node's `values`.
+"""Slots of the objects that every kind's core may use, in a node's `values`.
 
-A kind's own objects have the slots from `FIRST_OF_KIND` on, as its table says
-(`node.profile.CoreObject`). Slots from `FIRST_FREE` on, and behind the kind's last, are given to
-the other numeric objects of the EDS in their order.
+A kind's own objects have the slots from `FIRST_OF_KIND` on, as in its table
+(`node.profile.CoreObject`). Slots from `FIRST_FREE` on, and after the kind's last, are assigned to
+the other numeric objects of the EDS in order.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ __all__ = [
 ]
 
 ERROR_REGISTER = 0
-SETPOINT_AGE_US = 1  # 2001h: drive: age at which a set-point gives torque 0; brake: how long a set-point is held
+SETPOINT_AGE_US = 1  # 2001h: drive: age at which a set-point gives torque 0; brake: hold time of a set-point
 SYNC_TIMEOUT_US = 2  # 2002h
 RAMP_US = 3  # 2005h
-ERROR_CODE = 4  # code of the last EMCY, 0 when all are reset: 603Fh of a drive
+ERROR_CODE = 4  # code of the last EMCY, 0 if all are reset: 603Fh of a drive
 FIRST_OF_KIND = 8
 FIRST_FREE = 64
 
@@ -38,4 +38,4 @@ COMMON: tuple[CoreObject, ...] = (
     CoreObject(0x2002, 0, SYNC_TIMEOUT_US),
     CoreObject(0x2005, 0, RAMP_US),
 )
-"""What every kind that has an output uses."""
+"""Objects of every kind that has an output."""

@@ -1,4 +1,4 @@
-"""Where the objects of a CiA 402 drive stand in a node's record, and what else it keeps there."""
+"""Slots of the objects of a CiA 402 drive in a node's record, and its terminals."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from coulombus.node.profile import CoreObject, Terminal
 from coulombus.node.slots import COMMON, ERROR_CODE
 
 ACTS_CONTROLWORD, ACTS_TORQUE, ACTS_SPEED = 1, 2, 4
-"""What the drive acts on: 6040h, 6071h, 60FFh."""
+"""Objects on which the drive acts: 6040h, 6071h, 60FFh."""
 
 CONTROLWORD = 8
 STATUSWORD = 9
@@ -31,7 +31,7 @@ SHUTDOWN_OPTION = 28
 DISABLE_OPTION = 29
 HALT_OPTION = 30
 FAULT_OPTION = 31
-SLOW_DOWN_MS = 32  # 2006h: no slope is longer
+SLOW_DOWN_MS = 32  # 2006h: longest slope
 MAX_CURRENT = 33
 LOWEST_POSITION = 34
 HIGHEST_POSITION = 35
@@ -47,7 +47,7 @@ VELOCITY_WINDOW_MS = 44
 VELOCITY_THRESHOLD = 45
 VELOCITY_THRESHOLD_MS = 46
 MAX_SLIPPAGE = 47
-VENDOR_TARGET = 48  # the set-point of a maker's own mode
+VENDOR_TARGET = 48  # set-point of a vendor-specific mode
 
 OBJECTS: tuple[CoreObject, ...] = (
     *COMMON,
@@ -92,7 +92,7 @@ OBJECTS: tuple[CoreObject, ...] = (
     CoreObject(0x60FF, 0, TARGET_VELOCITY, acts=ACTS_SPEED),
     CoreObject(0x6502, 0, SUPPORTED_MODES, 0x30C),
 )
-"""The objects that the drive uses."""
+"""Objects that the drive uses."""
 
 
 TERMINALS: tuple[Terminal, ...] = (
@@ -101,4 +101,4 @@ TERMINALS: tuple[Terminal, ...] = (
     Terminal(0x6077, 0, "in_torque_pm"),
     Terminal(0x6071, 0, "out_torque_pm"),
 )
-"""What the drive measures, and the torque that its power stage is to give."""
+"""Measurements of the drive, and the torque command of its power stage."""

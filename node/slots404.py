@@ -1,4 +1,4 @@
-"""Where the objects of the CiA 404 brake stand in a node's record, and what else it keeps there."""
+"""Slots of the objects of the CiA 404 brake in a node's record, and its terminals."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from coulombus.node.profile import CoreObject, Terminal
 from coulombus.node.slots import COMMON
 
 ACTS_SETPOINT = 2
-"""What the brake acts on: 7300h:01."""
+"""Object on which the brake acts: 7300h:01."""
 
 SETPOINT = 8
 FAULT_MODE = 9
 FAULT_VALUE = 10
-INPUT = 11  # three of them
+INPUT = 11  # three slots
 OUTPUT_FV = 14
-INPUT_STATUS = 15  # three of them
+INPUT_STATUS = 15  # three slots
 
 OBJECTS: tuple[CoreObject, ...] = (
     *COMMON,
@@ -28,7 +28,7 @@ OBJECTS: tuple[CoreObject, ...] = (
     CoreObject(0x7330, 1, OUTPUT_FV),
     CoreObject(0x7341, 1, FAULT_VALUE),
 )
-"""The objects that the brake uses."""
+"""Objects that the brake uses."""
 
 TERMINALS: tuple[Terminal, ...] = (
     Terminal(0x7300, 1, "out_brake_Nm", high="board_Nm"),
@@ -36,4 +36,4 @@ TERMINALS: tuple[Terminal, ...] = (
     Terminal(0x7130, 2, "in_coil_A"),
     Terminal(0x7130, 3, "in_coil_degC"),
 )
-"""The torque that the coil is to give, and what the driver measures."""
+"""Torque command of the coil, and measurements of the driver."""

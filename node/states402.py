@@ -1,19 +1,18 @@
-"""The motor drive of CiA 402 (IEC 61800-7-201/301), compiled: power
-state machine, option codes, statusword.
+"""Compiled CiA 402 motor drive (IEC 61800-7-201/301): power state machine, option codes, statusword.
 
-The torque itself is `node.motion402`'s. It is 0 in every state but Operation Enabled and
-on a ramp that leaves it, without supply, and while the set-point is older than 2001h.
+`node.motion402` computes the torque. It is 0 in every state except Operation Enabled and on a ramp
+that leaves it, without supply, and while the set-point is older than 2001h.
 
-Ways out of Operation Enabled, and what decides how (0: torque 0 at
-once; a ramp, and then the state):
+Transitions out of Operation Enabled, and their option codes (0: torque 0 at once; a ramp, and then
+the state):
 
     transition          5 (605Ch)   8 (605Bh)   9         11, 12 (605Ah)       13, 14 (605Eh)   NMT (6007h)
     to                  Switched On Ready       Disabled  Quick Stop, Disabled  Reaction, Fault  as 13, 9 or 11
     option codes        0, 1        0, 1        at once   0, 1, 2, 5, 6         0, 1, 2          0, 1, 2, 3
 
 1 and 5 are the slow-down ramp, 2 and 6 the quick stop ramp; from 5 on the drive stays in Quick Stop
-Active. A fault that takes away what a ramp needs (supply, encoder, power stage) is torque 0 at once
-whatever 605Eh says.
+Active. A fault that makes a ramp impossible (supply, encoder, power stage) sets torque 0 at once,
+regardless of 605Eh.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
@@ -57,12 +56,10 @@ OPTION_CODES: Mapping[int, tuple[int, ...]] = {
     0x605D: (1, 2),
     0x605E: (0, 1, 2),
 }
-"""What the option codes may hold: the drive has no ramp at the
-current or the voltage limit (3, 4, 7, 8).
-"""
+"""Allowed option codes: the drive has no ramp at the current or the voltage limit (3, 4, 7, 8)."""
 
 ALL_MODES = sum(1 << (mode - 1) for mode in MODES if mode)
-"""6502h: what the drive can do."""
+"""Value of 6502h: modes that the drive supports."""
 
 _CST = cia402.OPERATION_MODE_CST
 
@@ -73,7 +70,7 @@ _NO_ACTION, _FAULT_SIGNAL, _QUICK_STOP_COMMAND = (
     0,
     1,
     3,
-)  # 6007h; 2 is "disable voltage", and so is what it may not hold
+)  # 6007h; 2 is "disable voltage", and so are values that are not allowed
 _STAYS = 5  # 605Ah: from here on the drive stays in Quick Stop Active
 _RAMP = np.array([0, motion402.SLOW, motion402.QUICK, 0, 0, motion402.SLOW, motion402.QUICK, 0, 0], np.int64)
 """Ramp by option code; 0: at once."""
@@ -107,7 +104,7 @@ def _ramp(option: int) -> int:
 
 @kernel
 def _driven(n: NodeRecord) -> bool:
-    """Whether there may be torque."""
+    """Whether torque is allowed."""
     return bool(
         n.power_state == PowerState.OPERATION_ENABLED
         or n.power_state == PowerState.QUICK_STOP_ACTIVE
@@ -119,7 +116,7 @@ def _driven(n: NodeRecord) -> bool:
 def fault(n: NodeRecord, t_ns: int, at_once: bool) -> None:
     """Transitions 13 and 14: the fault reaction and FAULT.
 
-    What was commanded before acts no more.
+    Earlier commands have no effect any more.
     """
     n.setpoint_stale = 1
     ramp = _ramp(n.values[slots402.FAULT_OPTION])
@@ -138,7 +135,7 @@ def needs_supply(n: NodeRecord) -> bool:
 
 @kernel
 def _quick_stop(n: NodeRecord, t_ns: int) -> None:
-    """Transition 11, and 12 behind the ramp unless 605Ah lets the drive stay."""
+    """Transition 11, and 12 after the ramp unless 605Ah lets the drive stay."""
     option = n.values[slots402.QUICK_STOP_OPTION]
     n.power_state = PowerState.QUICK_STOP_ACTIVE
     following = PowerState.QUICK_STOP_ACTIVE if option >= _STAYS else PowerState.SWITCH_ON_DISABLED
@@ -150,9 +147,9 @@ def _quick_stop(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> int:
-    """NMT leaves OPERATIONAL: 6007h decides unless `forced`; return 1 when it is to be a fault.
+    """Handle NMT leaving OPERATIONAL: 6007h decides unless `forced`; return 1 if a fault follows.
 
-    A drive that is not enabled stays where it is.
+    A drive that is not enabled keeps its state.
     """
     option = n.values[slots402.ABORT_OPTION]
     n.setpoint_armed = 0
@@ -175,7 +172,7 @@ def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> int:
 
 @kernel
 def new_controlword(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Act on the controlword that was written: one row of the table at most."""
+    """Act on the written controlword: at most one row of the table."""
     word = n.values[slots402.CONTROLWORD]
     rising = word & 0x80 and not n.controlword & 0x80
     n.controlword = word
@@ -194,7 +191,7 @@ def new_controlword(n: NodeRecord, t_ns: int, out: Queue) -> None:
             and n.slowing_to != PowerState.OPERATION_ENABLED
             and word & 0xF == 0xF
         ):
-            n.slowing = 0  # enabled again before the ramp was over
+            n.slowing = 0  # enabled again before the end of the ramp
         return
     if n.in_supply_ok == 0 and (
         following == PowerState.OPERATION_ENABLED or (following == PowerState.SWITCHED_ON and state < following)
@@ -204,7 +201,7 @@ def new_controlword(n: NodeRecord, t_ns: int, out: Queue) -> None:
         _leave(n, t_ns, following)
     elif state == PowerState.QUICK_STOP_ACTIVE:
         if following == PowerState.OPERATION_ENABLED and n.values[slots402.QUICK_STOP_OPTION] < _STAYS:
-            return  # transition 16 is for a drive that stays
+            return  # transition 16 requires a drive that stays
         _leave_enabled(n, following)
     else:
         n.power_state = following
@@ -228,20 +225,18 @@ def _leave(n: NodeRecord, t_ns: int, following: int) -> None:
     elif n.slowing == 0 or n.slowing_to == PowerState.OPERATION_ENABLED:
         motion402.begin(n, t_ns, motion402.SLOW, following)
     else:
-        n.slowing_to = following  # already on its way
+        n.slowing_to = following  # already in transition
 
 
 @kernel
 def new_setpoint(n: NodeRecord, t_ns: int, speed: bool) -> None:
-    """Take the set-point in 6071h, or in 60FFh (`speed`), that was
-    received at `t_ns`, when the mode is for it.
-    """
+    """Apply the set-point in 6071h, or in 60FFh (`speed`), received at `t_ns`, if the mode uses it."""
     if speed != motion402.is_speed_mode(n.mode):
         return
     if n.setpoint_armed == 0:
-        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch of its age
+        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the check of its age
     if n.ramping == 0:
-        n.demand_ns = max(n.demand_ns, t_ns)  # a slope begins now, not when this was last looked at
+        n.demand_ns = max(n.demand_ns, t_ns)  # a slope begins now, not at the last computation
     n.setpoint_ns = t_ns
     n.setpoint_armed = 1
     n.setpoint_stale = 0
@@ -253,7 +248,7 @@ def new_setpoint(n: NodeRecord, t_ns: int, speed: bool) -> None:
 
 @kernel
 def actuate(n: NodeRecord, t_ns: int) -> None:
-    """Compute the torque that acts at `t_ns`."""
+    """Compute the torque at `t_ns`."""
     values = n.values
     if values[slots402.MODE] != n.mode:
         motion402.change_mode(n, t_ns)
@@ -296,7 +291,7 @@ def sample(n: NodeRecord) -> None:
     values = n.values
     values[slots402.POSITION] = (
         (n.in_position_counts + 0x80000000) & 0xFFFFFFFF
-    ) - 0x80000000  # wraps as the counter does
+    ) - 0x80000000  # wraps like the counter
     values[slots402.VELOCITY] = _to_int32(n.in_velocity_counts_s)
     values[slots402.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
     values[slots402.TORQUE_ACTUAL] = min(max(_to_int32(n.in_torque_pm), -32768), 32767)

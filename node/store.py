@@ -1,13 +1,12 @@
-"""Where a device keeps what survives a reset: in memory, or in a file
-that survives a power cut at any instant.
+"""Persistent storage of a device: in memory, or in a file that survives a power cut at any instant.
 
-What is kept are sections of named byte strings: the parameter groups
-of 1010h (`node.parameters`) and LSS's settings.
+The content is sections of named byte strings: the parameter groups of 1010h (`node.parameters`)
+and LSS's settings.
 
-The file is JSON behind one line that holds its length and its CRC-32. It is replaced as a whole:
-written beside the old one, synced, renamed over it, and the directory synced, so that after a power
-cut the file is the old one or the new one. A file that is torn, or of another device, is not used:
-`FileStore.diagnosis` says why, and the device starts with its defaults.
+The file is JSON after a line with its length and its CRC-32. It is replaced as a whole: the new
+file is written next to the old one, synced, renamed over it, and the directory synced, so that
+after a power cut the file is the old one or the new one. A file that is torn, or of another device,
+is not used: `FileStore.diagnosis` says why, and the device starts with its defaults.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ Sections = dict[str, dict[str, bytes]]
 
 _MAGIC = "coulombus-store 1"
 MOST_BYTES = 1 << 28
-"""No store is larger."""
+"""Largest size of a store."""
 
 
 class Store:
@@ -38,7 +37,7 @@ class Store:
         self._sections: Sections = {}
 
     def section(self, name: str) -> Mapping[str, bytes]:
-        """Return a section; empty where nothing is kept."""
+        """Return a section; empty if nothing is stored."""
         return self._sections.get(name, {})
 
     def put(self, sections: Mapping[str, Mapping[str, bytes]]) -> None:
@@ -47,7 +46,7 @@ class Store:
         Raises
         ------
         OSError
-            They cannot be kept; what was kept before still is.
+            The sections cannot be stored; the earlier content remains.
         """
         after = {**self._sections, **{name: dict(content) for name, content in sections.items()}}
         after = {name: content for name, content in after.items() if content}
@@ -55,22 +54,21 @@ class Store:
         self._sections = after
 
     def _write(self, sections: Sections) -> None:
-        """Bring the sections to where they outlive the process."""
+        """Write the sections to a storage that outlives the process."""
 
     def attach(self, identity: str) -> None:
-        """Begin to serve the device `identity`; what another one left is not used."""
+        """Begin to serve the device `identity`; the content of another device is not used."""
 
 
 class FileStore(Store):
-    """Sections that live in the file `path`.
+    """Sections in the file `path`.
 
     Attributes
     ----------
     diagnosis
-        Why the file was not used, else None.
+        Why the file is not used, else None.
     foreign
-        Whether something else than a device's store stands there, or
-        what cannot be read: it is not replaced.
+        Whether the path is unreadable, or is no device's store: it is not replaced.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -100,7 +98,7 @@ class FileStore(Store):
             raise OSError(errno.EEXIST, "is no store of a device, and is not replaced", str(self._path))
         beside = self._path.with_name(self._path.name + ".new")
         with suppress(FileNotFoundError):
-            os.unlink(beside)  # what a power cut left; a link is not followed
+            os.unlink(beside)  # remnant of a power cut; a link is not followed
         file = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
         try:
             content = memoryview(_spell(sections, self._identity))
@@ -124,7 +122,7 @@ def _spell(sections: Sections, identity: str) -> bytes:
 
 
 def _parse(raw: bytes, identity: str) -> Sections:
-    """Return the sections of a file; ValueError says why it cannot be used."""
+    """Return the sections of a file; ValueError says why it is not usable."""
     head, _, body = raw.partition(b"\n")
     if not head.startswith(_MAGIC.encode() + b" "):
         raise ValueError("is no store of a device")

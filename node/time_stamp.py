@@ -22,8 +22,8 @@ _MS_MASK, _DAYS_MASK = 0xFFFFFFF, 0xFFFF
 
 
 def time_word(time: datetime) -> int:
-    """Return the data of the TIME message that tells `time`, as a
-    little-endian word; ValueError outside 1984 to 2163.
+    """Return the data of the TIME message for `time`, as a little-endian word; ValueError outside 1984 to
+    2163.
     """
     passed = time - EPOCH
     if not 0 <= passed.days <= _DAYS_MASK:
@@ -32,7 +32,7 @@ def time_word(time: datetime) -> int:
 
 
 def time_of_day(word: int, elapsed_ns: int = 0) -> datetime:
-    """Return the time that a TIME message told, `elapsed_ns` after it came."""
+    """Return the time of a TIME message, `elapsed_ns` after its reception."""
     return EPOCH + timedelta(
         days=word >> 32 & _DAYS_MASK, milliseconds=word & _MS_MASK, microseconds=elapsed_ns // 1000
     )

@@ -3,8 +3,7 @@ of old ones.
 
 ::
 
-    BASE/coulombus/kernels-0123456789abcdef/coulombus-kernels      the marker: names its directory,
-    locked as long as a process uses it
+    BASE/coulombus/kernels-0123456789abcdef/coulombus-kernels      the marker, locked as long as a process uses it
     BASE/coulombus/kernels-0123456789abcdef/entries                entries fully compiled; locked while one compiles
     BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     numba's cache files
 

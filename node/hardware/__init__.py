@@ -1,3 +1,1 @@
-"""The converters behind a node's objects: Linux IIO, PWM, counters, a Python class
-(``coulombus node --io``).
-"""
+"""Converters behind a node's objects: Linux IIO, PWM, counters, a Python class (``coulombus node --io``)."""

@@ -1,4 +1,4 @@
-"""A Python class as a converter: ``read() -> mapping`` and ``write(mapping)``, once a period."""
+"""A Python class as a converter: ``read() -> mapping`` and ``write(mapping)``, once per period."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ __all__ = ["Board", "BoardInput", "BoardOutput", "load_class"]
 
 
 def load_class(place: str, folder: Path = Path()) -> type[Any]:
-    """Return the class of ``FILE.py:Class``, beside `folder`, or ``module:Class``.
+    """Return the class of ``FILE.py:Class``, relative to `folder`, or ``module:Class``.
 
     Raises
     ------
     HardwareError
-        It is not there, or cannot be imported.
+        The class does not exist, or cannot be imported.
     """
     where, _, name = place.rpartition(":")
     if not where or not name:
@@ -51,10 +51,10 @@ def load_class(place: str, folder: Path = Path()) -> type[Any]:
 
 
 class Board:
-    """One object of such a class, made without arguments.
+    """Instance of such a class, created without arguments.
 
-    What it raises, and what it returns but should not, is a failure of the hardware. `read` gives a
-    number for each input, and for each output what it puts out.
+    Its exceptions and invalid results are hardware failures. `read` returns a number for each input,
+    and for each output its present value.
     """
 
     def __init__(self, place: str, folder: Path = Path()) -> None:
@@ -62,7 +62,7 @@ class Board:
         self.place = f"{folder / where}:{name}" if where.endswith(".py") else place
         made = load_class(place, folder)
         self.path = inspect.getfile(made)
-        """The file of the class, which is claimed."""
+        """File of the class, which is claimed."""
         try:
             self._object = made()
         except Exception as error:
@@ -80,7 +80,7 @@ class Board:
         self._values = values
 
     def value(self, name: str) -> float:
-        """Return what `read` gave for a name."""
+        """Return the result of `read` for a name."""
         if name not in self._values:
             raise HardwareError(f"{self.place}: read() gave no {name!r}; it gave {', '.join(map(str, self._values))}")
         return finite(self._values[name], f"{self.place}: {name}")
@@ -100,23 +100,23 @@ class BoardInput:
         self._board, self._name = board, name
 
     def read(self) -> float:
-        """Return what the last `read` gave."""
+        """Return the result of the last `read`."""
         return self._board.value(self._name)
 
 
 class BoardOutput:
-    """A value that goes to the class by its name."""
+    """A value that is passed to the class by name."""
 
     def __init__(self, board: Board, name: str) -> None:
         self._board, self._name = board, name
         self.path = board.path
 
     def write(self, raw: float) -> None:
-        """Put the value out."""
+        """Output the value."""
         self._board.write({self._name: raw})
 
     def read_back(self) -> float:
-        """Return what the class says that it puts out."""
+        """Return the output value that the class reports."""
         self._board.refresh()
         return self._board.value(self._name)
 
@@ -125,5 +125,5 @@ class BoardOutput:
         return raw
 
     def orders(self, raw: float) -> Sequence[SafeWrite]:
-        """Return the call that puts the value out."""
+        """Return the call that outputs the value."""
         return (SafeWrite(self._board.place, json.dumps({self._name: raw})),)

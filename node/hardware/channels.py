@@ -1,7 +1,7 @@
-"""What the converters behind a node have in common: numbers in files of sysfs, and a claim on them.
+"""Common parts of the converters: numbers in files of sysfs, and claims on them.
 
-Every access opens its file anew: a converter that was unplugged is noticed at once, and one that is
-back is found again. What a channel says is a number in its own unit, `raw`.
+Every access opens its file anew: an unplugged converter is detected at once, and found again when
+it is back. A channel's value is a number in its own unit, `raw`.
 """
 
 from __future__ import annotations
@@ -24,46 +24,46 @@ _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
 
 class HardwareError(CoulombusError):
-    """A converter is not there, refuses, or says what cannot be; the text names it."""
+    """A converter is missing, refuses, or returns an impossible value; the text names it."""
 
     exit_status = 3
 
 
 class SafeWrite(NamedTuple):
-    """A write that makes an output safe, for a process that knows nothing else of it."""
+    """A write that makes an output safe, for a process without further knowledge of it."""
 
     path: str
     """A file of sysfs, or ``board.py:Class`` of a Python class."""
     text: str
-    """What is written to it; for a Python class a mapping as JSON."""
+    """Text to write; for a Python class a mapping as JSON."""
 
 
 class Input(Protocol):
-    """A channel that is read once a period."""
+    """A channel that is read once per period."""
 
     def read(self) -> float:
-        """Return the present value; HardwareError where there is none."""
+        """Return the present value; HardwareError if there is none."""
 
 
 class Output(Protocol):
-    """A channel that is written once a period."""
+    """A channel that is written once per period."""
 
     def write(self, raw: float) -> None:
-        """Put the value out."""
+        """Output the value."""
 
     def read_back(self) -> float:
-        """Return what is put out."""
+        """Return the present output value."""
 
     def spelled(self, raw: float) -> float:
-        """Return the value that `read_back` should give after `write` of this one."""
+        """Return the expected value of `read_back` after `write` of this value."""
 
     def orders(self, raw: float) -> Sequence[SafeWrite]:
-        """Return the writes that put the value out."""
+        """Return the writes that output the value."""
 
 
 @contextmanager
 def file_errors(path: str) -> Iterator[None]:
-    """Let what the system refuses be a HardwareError that names the file."""
+    """Convert errors of the system to a HardwareError that names the file."""
     try:
         yield
     except OSError as error:
@@ -71,12 +71,12 @@ def file_errors(path: str) -> Iterator[None]:
 
 
 def finite(value: object, where: str) -> float:
-    """Return a number that somebody else's program gave.
+    """Return a number from foreign code.
 
     Raises
     ------
     HardwareError
-        It is none, or not finite.
+        The value is no number, or not finite.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise HardwareError(f"{where}: got {str(value)[:MOST_BYTES]!r}, expected a finite number")
@@ -84,12 +84,12 @@ def finite(value: object, where: str) -> float:
 
 
 def put(path: str, text: str) -> None:
-    """Write a text to a file that is there, in one call.
+    """Write a text to an existing file, in one call.
 
     Raises
     ------
     HardwareError
-        The file is not there, or refuses.
+        The file does not exist, or refuses.
     """
     with file_errors(path):
         descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC | os.O_NONBLOCK)
@@ -134,27 +134,27 @@ class SysfsFile:
         return (self.count() + self.offset) * self.scale
 
     def write(self, raw: float) -> None:
-        """Write the whole count that is nearest to the value."""
+        """Write the integer count nearest to the value."""
         put(self.path, f"{self._counts(raw)}\n")
 
     def read_back(self) -> float:
-        """Return the value that stands in the file."""
+        """Return the value in the file."""
         return self.read()
 
     def spelled(self, raw: float) -> float:
-        """Return the value of the nearest whole count."""
+        """Return the value of the nearest integer count."""
         return (self._counts(raw) + self.offset) * self.scale
 
     def orders(self, raw: float) -> Sequence[SafeWrite]:
-        """Return the one write that puts the value out."""
+        """Return the one write that outputs the value."""
         return (SafeWrite(self.path, f"{self._counts(raw)}\n"),)
 
 
 class Claim:
     """A lock on the file of an output: only one process drives it.
 
-    It is held by the open description, so also by a process that inherits the descriptor, and the
-    kernel gives it back when the last of them ends.
+    The open file description holds it, so a process that inherits the descriptor also does; the kernel
+    releases it when the last of them ends.
     """
 
     def __init__(self, path: str) -> None:
@@ -169,7 +169,7 @@ class Claim:
             raise HardwareError(f"{path}: {error.strerror}") from None
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the lock."""
         if self.descriptor >= 0:
             os.close(self.descriptor)
             self.descriptor = -1

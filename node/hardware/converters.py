@@ -1,10 +1,10 @@
-"""The converters that Linux knows: IIO, PWM, counters; where their files stand.
+"""Converters supported by Linux: IIO, PWM, counters, and the locations of their files.
 
     IIO      DEVICE/out_voltageN_raw, DEVICE/in_voltageN_raw    value = (raw + offset) * scale
     PWM      CHIP/pwmN/period, duty_cycle, enable               nanoseconds
     counter  DEVICE/countN/count
 
-The kernel's documents of these files: Documentation/ABI/testing/sysfs-bus-iio, sysfs-class-pwm,
+The kernel documents these files in Documentation/ABI/testing/sysfs-bus-iio, sysfs-class-pwm,
 sysfs-bus-counter.
 """
 
@@ -24,14 +24,14 @@ COUNTERS = Path("/sys/bus/counter/devices")
 
 
 def find(root: Path, device: str) -> Path:
-    """Return a device's folder: a path, a folder's name below `root`, or what its file `name` says.
+    """Return a device's folder, given by its path, its name below `root`, or the content of its file `name`.
 
-    The kernel numbers devices in the order in which it finds them; `name` stays.
+    The kernel numbers devices in the order of detection; `name` is stable.
 
     Raises
     ------
     HardwareError
-        There is none, or several have the name.
+        No device has the name, or several have it.
     """
     if "/" in device:
         path = Path(device)
@@ -54,10 +54,10 @@ def find(root: Path, device: str) -> Path:
 
 
 def iio(device: str, channel: str, *, scaled: bool) -> SysfsFile:
-    """Return a channel of an IIO device, as ``in_voltage0`` or ``out_voltage1``.
+    """Return a channel of an IIO device, such as ``in_voltage0`` or ``out_voltage1``.
 
-    With `scaled` its value has IIO's unit (mV, mA, milli degrees C ...), by the files
-    ``CHANNEL_scale`` and ``CHANNEL_offset``, or those of the channels' type; else it is the
+    With `scaled` its value has IIO's unit (mV, mA, milli degrees C ...), from the files
+    ``CHANNEL_scale`` and ``CHANNEL_offset``, or those of the channel's type; otherwise it is the
     converter's count.
     """
     folder = find(IIO, device)
@@ -82,15 +82,15 @@ def _of_channel(folder: Path, channel: str, what: str, absent: float) -> float:
 
 
 def counter(device: str, channel: str) -> SysfsFile:
-    """Return a count of a counter device, as ``count0``."""
+    """Return a count of a counter device, such as ``count0``."""
     return SysfsFile(str(find(COUNTERS, device) / channel / "count"))
 
 
 class PwmOutput:
-    """A PWM channel: `raw` is the time [ns] of each period in which it is on.
+    """A PWM channel: `raw` is the on-time [ns] in each period.
 
-    Before the channel is switched on its safe duty cycle is written; nothing switches it off again,
-    as off is not 0 at every chip.
+    The safe duty cycle is written before the channel is switched on; the channel is never switched off
+    again, because off is not 0 on every chip.
     """
 
     def __init__(self, device: str, channel: int, period_ns: int) -> None:
@@ -100,12 +100,10 @@ class PwmOutput:
             put(str(self._chip / "export"), f"{channel}\n")
         self._duty = SysfsFile(str(self._folder / "duty_cycle"))
         self.path = self._duty.path
-        """The file that is claimed."""
+        """File that is claimed."""
 
     def set_up(self, safe_ns: float) -> None:
-        """Set the period, with the safe duty cycle before and after it, and switch the channel
-        on.
-        """
+        """Set the period, with the safe duty cycle before and after it, and switch the channel on."""
         period = SysfsFile(str(self._folder / "period"))
         if period.count() >= max(safe_ns, 1):
             self.write(safe_ns)
@@ -118,13 +116,13 @@ class PwmOutput:
         self._duty.write(self.spelled(raw))
 
     def read_back(self) -> float:
-        """Return the duty cycle; a channel that somebody has switched off fails."""
+        """Return the duty cycle; HardwareError if the channel was switched off by another program."""
         if SysfsFile(str(self._folder / "enable")).count() != 1:
             raise HardwareError(f"{self._folder}: it is switched off")
         return self._duty.count()
 
     def spelled(self, raw: float) -> float:
-        """Return the duty cycle in whole nanoseconds, within the period."""
+        """Return the duty cycle in integer nanoseconds, within the period."""
         return min(max(round(raw), 0), self._period_ns)
 
     def orders(self, raw: float) -> Sequence[SafeWrite]:

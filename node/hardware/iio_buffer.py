@@ -1,16 +1,16 @@
 """The buffer of an IIO device: all its channels sampled together, at the device's own trigger.
 
-    DEVICE/scan_elements/CHANNEL_en, CHANNEL_index, CHANNEL_type    what stands in a scan, and how
-    DEVICE/trigger/current_trigger                                  what starts a scan, where it is needed
+    DEVICE/scan_elements/CHANNEL_en, CHANNEL_index, CHANNEL_type    content and format of a scan
+    DEVICE/trigger/current_trigger                                  starts a scan, if necessary
     DEVICE/buffer/length, buffer/enable                             the kernel's FIFO
     /dev/iio:deviceN                                                the scans
 
-A scan has the channels that are switched on in the order of their index, each aligned to its own
-size, and is a multiple of the largest (Linux: Documentation/iio/iio_devbuf.rst). A type reads
-``le:s12/16>>4``: byte order, sign, bits that count, bits that are stored, shift to the right.
+A scan has the enabled channels in the order of their index, each aligned to its own size, and its
+length is a multiple of the largest (Linux: Documentation/iio/iio_devbuf.rst). A type reads
+``le:s12/16>>4``: byte order, sign, valid bits, stored bits, shift to the right.
 
-The newest scan counts. One that has stood for `stale_ns` is a fault: a trigger that stops must not
-look like a torque that stays.
+Only the newest scan counts. A scan older than `stale_ns` is a fault: a stopped trigger must not
+look like a constant torque.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ __all__ = ["DEV", "BufferedInput", "IioBuffer", "NoBuffer"]
 
 DEV = Path("/dev")
 LENGTH = 64
-"""Scans that the kernel keeps."""
+"""Number of scans that the kernel buffers."""
 MOST_READ = 1 << 16
 _TYPE = re.compile(r"([bl]e):([su])(\d+)/(\d+)(?:X(\d+))?>>(\d+)")
 
 
 class NoBuffer(HardwareError):
-    """The device has no buffer that could be used; its channels can be read one by one."""
+    """The device has no usable buffer; its channels can be read one by one."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Element:
     signed: bool
     bits: int
     size: int
-    """Bytes that are stored."""
+    """Number of stored bytes."""
     shift: int
     offset: int = 0
-    """Of its first byte in the scan."""
+    """Offset of its first byte in the scan."""
 
     def value(self, scan: bytes) -> int:
         """Return the channel's count in a scan."""
@@ -60,20 +60,20 @@ class Element:
 
 
 class IioBuffer:
-    """The buffer of one device, and the channels that are read from it.
+    """The buffer of a device, and its channels.
 
     Parameters
     ----------
-    folder : the device's, in sysfs
-    channels : as ``in_voltage0``, each once
-    stale_ns : how long a scan may stand for the present
+    folder : of the device, in sysfs
+    channels : such as ``in_voltage0``, each once
+    stale_ns : age from which a scan is too old
 
     Raises
     ------
     NoBuffer
         the device has no buffer, or no trigger is set
     HardwareError
-        a channel has no place in its scans, or says it in words that nobody knows
+        a channel is not in the scans, or its type is unknown
     """
 
     def __init__(self, folder: Path, channels: Iterable[str], stale_ns: int) -> None:
@@ -90,7 +90,7 @@ class IioBuffer:
         self.elements, self.size = self._layout()
 
     def _layout(self) -> tuple[dict[str, Element], int]:
-        """Return the channels' places, and the size of a scan."""
+        """Return the channels' elements, and the size of a scan."""
         elements = sorted(
             ((self._element(channel), channel) for channel in self.channels), key=lambda pair: pair[0].index
         )
@@ -116,15 +116,15 @@ class IioBuffer:
         index = int(SysfsFile(str(scans / f"{channel}_index")).count())
         return Element(index, match[1] == "be", match[2] == "s", bits, stored // 8, shift)
 
-    # life
+    # life cycle
 
     def open(self, wait_s: float) -> None:
-        """Switch the buffer on with these channels alone, and wait for the first scan.
+        """Enable the buffer with only these channels, and wait for the first scan.
 
         Raises
         ------
         HardwareError
-            what the device refuses, or that no scan came
+            an error of the device, or no scan came
         """
         self.close()
         put(str(self.folder / "buffer" / "enable"), "0\n")
@@ -142,17 +142,17 @@ class IioBuffer:
             raise HardwareError(f"{node}: no scan within {wait_s:g} s; does the trigger run?")
 
     def close(self) -> None:
-        """Switch the buffer off, whatever the device says to it."""
+        """Disable the buffer; ignore errors of the device."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
             with suppress(HardwareError):
                 put(str(self.folder / "buffer" / "enable"), "0\n")
 
-    # the present
+    # readings
 
     def refresh(self, t_ns: int) -> None:
-        """Take the newest scan.
+        """Read the newest scan.
 
         Raises
         ------
@@ -171,7 +171,7 @@ class IioBuffer:
         return self.elements[channel].value(self._scan)
 
     def _take(self) -> bool:
-        """Read what there is; tell whether a whole scan came."""
+        """Read the available bytes; tell whether a complete scan came."""
         came = False
         with file_errors(str(self.folder)):
             while True:

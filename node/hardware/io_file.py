@@ -1,12 +1,12 @@
-"""The I/O file of ``coulombus node --io``: which object is which converter's channel.
+"""The I/O file of ``coulombus node --io``: the converter channel of each object.
 
-The models are the schema; docs/own-device.md is held against them by a test. `read_io_file` reports
-every mistake at once, each with file:line.
+The models are the schema; a test compares docs/own-device.md with them. `read_io_file` reports all
+mistakes together, each with file:line.
 
     raw = raw_at_zero + raw_per_unit * value
 
-`value` is what the object stands for: Nm, A and degrees C at the brake's objects, the object's own
-number at all others.
+`value` is the object's physical value: Nm, A and degrees C for the brake's objects, the object's
+own number for all others.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ __all__ = [
 ]
 
 LEAST_PERIODS = 3
-"""Periods that fit into the watchdog's time at least."""
+"""Least number of periods within the watchdog's time."""
 _COMMUNICATION = range(0x2000)
 
 
 class Loop(Section):
-    """[loop]: when the converters are read and written."""
+    """[loop]: times of reading and writing the converters."""
 
     period_s: float = Field(0.001, ge=1e-4, le=0.1, description="from one reading and writing to the next")
     watchdog_s: float = Field(
@@ -55,7 +55,7 @@ class Loop(Section):
 
 
 class Brake(Section):
-    """[brake]: what the brake's driver has to know of the coil that it drives."""
+    """[brake]: data of the coil, for the brake's driver."""
 
     coil_A_Nm: float = Field(
         0.0, ge=0, le=1e3, description="current for 1 Nm; with it an open and a short coil are found; 0: unknown"
@@ -63,7 +63,7 @@ class Brake(Section):
 
 
 class Python(Section):
-    """[python]: the class behind the channels of kind "python"."""
+    """[python]: the class for the channels of kind "python"."""
 
     board: str = Field(min_length=3, description='"FILE.py:Class" beside this file, or "module:Class"')
 
@@ -107,7 +107,7 @@ class IioOutput(_Output, _Iio):
 
 
 class PwmOutput(_Output):
-    """[[output]] of kind "pwm": `raw` is the time in ns that it is on in each period."""
+    """[[output]] of kind "pwm": `raw` is the on-time [ns] in each period."""
 
     kind: Literal["pwm"]
     device: str = Field(min_length=1, description='folder, or its name as "pwmchip0"')
@@ -173,18 +173,18 @@ Channel: TypeAlias = IioOutput | PwmOutput | PythonOutput | IioInput | CounterIn
 
 @dataclass(frozen=True)
 class Line:
-    """One channel and the object that it stands behind; `where` is its place in the file."""
+    """A channel and its object; `where` is its position in the file."""
 
     channel: Channel
     key: Key
     terminal: Terminal | None
-    """None: no kind acts on the object; its value is what is put out, or read."""
+    """None: no kind acts on the object; its value is output, or read, directly."""
     where: str
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A file that fits its device."""
+    """An I/O file that fits its device."""
 
     path: str
     file: IoFile
@@ -193,7 +193,7 @@ class Plan:
 
     @property
     def folder(self) -> Path:
-        """Where the file stands."""
+        """Folder of the file."""
         return Path(self.path).parent
 
 
@@ -203,7 +203,7 @@ def read_io_file(path: str | Path, description: Description, profile: Profile) -
     Raises
     ------
     coulombus.rigs.errors.RigError
-        with every mistake of it, each with file:line
+        lists all mistakes, each with file:line
     """
     try:
         text = read_regular(path).decode("utf-8-sig")

@@ -1,12 +1,12 @@
-"""The loop between a node's core and its converters: one call a period, in the bus' own thread.
+"""Loop between a node's core and its converters: one call per period, in the bus's thread.
 
-Read all inputs into the core, put out what the core computes. Whatever fails, all outputs take
-their safe values, the node tells EMCY 5000h and reacts as to a fault of the device itself (1029h:02
-decides of its NMT state), and nothing else is put out until "reset node" or "reset communication".
-Then, and at the start, the safe values have to be written and read back, and all inputs have to be
-read, before anything else is put out.
+Read all inputs into the core, and write the core's outputs. After any failure all outputs take
+their safe values, the node sends EMCY 5000h and reacts as to a device fault (1029h:02 determines
+its NMT state), and the outputs stay safe until "reset node" or "reset communication". Then, and at
+the start, the safe values must be written and read back, and all inputs must be read, before
+anything else is output.
 
-The time is an argument, as everywhere: the tests run it in virtual time.
+The time is an argument, so the tests run in virtual time.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ __all__ = ["Pump", "Watched"]
 
 _BIT = 1 << emcy.HARDWARE - emcy.FIRST_DEVICE_CAUSE
 RETRY_NS = 100_000_000
-"""How often the safe values are written again while the hardware has failed."""
+"""Interval at which the safe values are written again while the hardware has failed."""
 
 
 class Watched(Protocol):
-    """What `node.hardware.watchdog_client.Guard` does."""
+    """Interface of `node.hardware.watchdog_client.Guard`."""
 
     def feed(self) -> None:
-        """Tell that the node goes on; HardwareError when the watchdog has acted, or is gone."""
+        """Report that the node is alive; HardwareError if the watchdog has acted, or is gone."""
 
     def close(self) -> None:
         """Make the outputs safe a last time."""
@@ -47,7 +47,7 @@ class Watched(Protocol):
 
 @dataclass
 class _End:
-    """A channel with what the file says of it."""
+    """A channel with its settings in the file."""
 
     line: Line
     channel: Output
@@ -55,7 +55,7 @@ class _End:
     claim: Claim | None = None
 
     def raw(self, value: float) -> float:
-        """Return what the channel is told for a value."""
+        """Return the channel's raw number for a value."""
         settings = self.line.channel
         return settings.raw_at_zero + settings.raw_per_unit * min(max(value, settings.low), settings.high)
 
@@ -66,20 +66,19 @@ class Pump:
 
     Parameters
     ----------
-    plan : what the I/O file says
-    guard : gives the watchdog for its time, the orders that make the outputs safe, and the claims'
-        descriptors
-    tell : is given a line for people when the hardware fails, and when it is well again
+    plan : content of the I/O file
+    guard : returns the watchdog for its time, the safe writes of the outputs, and the claims'
+    descriptors tell : called with a line for people when the hardware fails, and when it works again
     """
 
     plan: Plan
     guard: Callable[[float, Sequence[SafeWrite], Sequence[int]], Watched]
     tell: Callable[[str], None]
     failure: str = ""
-    """Why nothing is put out but the safe values; empty: all is well."""
+    """Reason why only the safe values are output; empty: no failure."""
     periods: int = 0
     skipped: int = 0
-    """Periods that were left out because reading and writing took longer."""
+    """Number of periods skipped because reading and writing took longer."""
     _outputs: list[_End] = field(default_factory=list)
     _inputs: list[tuple[Line, Input]] = field(default_factory=list)
     _buffers: dict[str, IioBuffer] = field(default_factory=dict)
@@ -91,19 +90,19 @@ class Pump:
 
     @property
     def period_ns(self) -> int:
-        """From one call of `period` to the next."""
+        """Time from one call of `period` to the next."""
         return round(self.plan.file.loop.period_s * 1e9)
 
-    # life
+    # life cycle
 
     def open(self) -> None:
-        """Find all channels, claim the outputs, write and read back the safe values, read every
-        input, start the watchdog.
+        """Find all channels, claim the outputs, write and read back the safe values, read every input,
+        start the watchdog.
 
         Raises
         ------
         HardwareError
-            what cannot be done; the outputs that were reached are safe
+            a step failed; the outputs reached so far are safe
         """
         try:
             self._find()
@@ -116,7 +115,7 @@ class Pump:
             raise
 
     def attach(self, device: Device) -> None:
-        """Take the device whose core is pumped; before it is switched on."""
+        """Attach the device whose core is served, before it is switched on."""
         self._device = device
         for line in (output.line for output in self._outputs):
             wire, settings = line.terminal, line.channel
@@ -132,7 +131,7 @@ class Pump:
             device.record["coil_A_Nm"] = self.plan.file.brake.coil_A_Nm
 
     def close(self) -> None:
-        """Make the outputs safe and let go of them; the watchdog does the same once more."""
+        """Make the outputs safe and release them; the watchdog makes them safe once more."""
         self._make_safe()
         if self._watchdog is not None:
             self._watchdog.close()
@@ -147,7 +146,7 @@ class Pump:
     # the loop
 
     def period(self, t_ns: int) -> None:
-        """Feed the watchdog, read the inputs, put the outputs out; nothing of it raises."""
+        """Feed the watchdog, read the inputs, write the outputs; never raises."""
         self.periods += 1
         device = self._device
         assert device is not None
@@ -165,7 +164,7 @@ class Pump:
             self._write(device)
         except HardwareError as error:
             self._fail(device, t_ns, str(error))
-        except Exception as error:  # a mistake of this program must not leave an output where it stands
+        except Exception as error:  # an internal error must not leave an output at its last value
             self._fail(device, t_ns, repr(error))
 
     def _read(self, device: Device, t_ns: int) -> None:
@@ -211,7 +210,7 @@ class Pump:
 
     def _fail(self, device: Device, t_ns: int, why: str) -> None:
         failure = self._make_safe()
-        is_new = why != self.failure or device.boots != self._boots  # a reset that does not help is told, too
+        is_new = why != self.failure or device.boots != self._boots  # a reset without effect is reported, too
         self._boots, self._retry_ns = device.boots, t_ns + RETRY_NS
         device.record["in_faults"] |= _BIT
         device.record["next_ns"] = min(int(device.record["next_ns"]), t_ns)
@@ -232,7 +231,7 @@ class Pump:
         self.tell("after the reset all converters answer again")
 
     def _make_safe(self) -> str:
-        """Write every safe value, whatever becomes of the others; return what failed first."""
+        """Write every safe value, also after failures; return the first failure."""
         failure = ""
         for end in self._outputs:
             try:
@@ -263,7 +262,7 @@ class Pump:
         self._inputs = [(line, self._input(line)) for line in plan.inputs]
 
     def _find_buffers(self) -> None:
-        """Prepare a buffer for each device with channels that ask for one; tell where there is none."""
+        """Prepare a buffer for each device whose channels request it; report devices without one."""
         names: dict[str, list[str]] = {}
         for settings in (line.channel for line in self.plan.inputs):
             if isinstance(settings, IioInput) and settings.buffered:
@@ -276,7 +275,7 @@ class Pump:
                 self.tell(f"{error}; its channels are read one by one")
 
     def _output(self, line: Line) -> tuple[Output, str]:
-        """Return the channel of a line, and the file that is claimed."""
+        """Return the channel of a line, and the file to claim."""
         settings = line.channel
         if isinstance(settings, IioOutput):
             file = iio(settings.device, settings.channel, scaled=settings.scaled)
@@ -316,7 +315,7 @@ class Pump:
 
 
 def _set_object(device: Device, line: Line, value: float) -> bool:
-    """Set an object behind which no kind stands; tell whether it has changed."""
+    """Set an object that no kind uses; tell whether it has changed."""
     kind = DATA_TYPES.get(device.description.variable(*line.key).data_type)
     number = value if kind is not None and kind.kind == "real" else round(value)
     whole = device.description.variable(*line.key).whole

@@ -1,10 +1,10 @@
-"""The process that makes a node's outputs safe when the node cannot.
+"""Watchdog process: makes a node's outputs safe when the node cannot.
 
-It is a child of the node's process, in a session of its own, and ignores the terminal's signals.
-The node writes a byte to its stdin once a period. When the bytes stay away for `watchdog_s`, or
-stdin ends because the node's process did (by whatever means, SIGKILL too), it writes the safe
-values. What it says on stdout: ``r`` it is ready, ``!`` the node stood still and the safe values
-are written.
+It is a child of the node's process, in its own session, and ignores the terminal's signals. The
+node writes a byte to its stdin once per period. If no byte comes for `watchdog_s`, or stdin ends
+because the node's process ended (by any means, including SIGKILL), the watchdog writes the safe
+values. Its messages on stdout: ``r`` ready, ``!`` the node stalled and the safe values are
+written.
 
     python -m coulombus.node.hardware.watchdog WATCHDOG_S ORDERS     (JSON: [[path, text], ...])
 """
@@ -29,7 +29,7 @@ TRIES = 3
 
 
 def carry_out(orders: Sequence[Sequence[str]]) -> list[str]:
-    """Make every output safe, each tried again when it fails; return what failed to the end."""
+    """Make every output safe, and retry each failed write; return the remaining failures."""
     failed = []
     for path, text in orders:
         for left in reversed(range(TRIES)):
@@ -39,7 +39,7 @@ def carry_out(orders: Sequence[Sequence[str]]) -> list[str]:
                 else:
                     put(path, text)
                 break
-            except Exception as error:  # a Python class raises what it likes; the next output's turn comes all the same
+            except Exception as error:  # a Python class may raise anything; continue with the next output
                 if left == 0:
                     mistake = str(error) if isinstance(error, HardwareError) else f"{path}: {error!r}"
                     failed.append(mistake)
@@ -47,9 +47,9 @@ def carry_out(orders: Sequence[Sequence[str]]) -> list[str]:
 
 
 def guard_outputs(watchdog_s: float, orders: Sequence[Sequence[str]], feed: int, answers: int) -> list[str]:
-    """Wait for bytes on `feed` until it ends; return what could not be made safe then.
+    """Wait for bytes on `feed` until it ends; return the outputs that could not be made safe then.
 
-    The first byte begins the watch.
+    The first byte starts the watchdog.
     """
     os.write(answers, READY)
     timeout_s: float | None = None
@@ -61,7 +61,7 @@ def guard_outputs(watchdog_s: float, orders: Sequence[Sequence[str]], feed: int,
             timeout_s = watchdog_s
         else:
             carry_out(orders)
-            timeout_s = None  # until it is fed again
+            timeout_s = None  # until the next feed
             with suppress(OSError):
                 os.write(answers, TRIPPED)
 

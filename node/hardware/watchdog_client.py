@@ -1,4 +1,4 @@
-"""The node's end of the watchdog (`node.hardware.watchdog`)."""
+"""Client of the watchdog process (`node.hardware.watchdog`), in the node's process."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ START_S, END_S = 20.0, 5.0
 
 
 class Guard:
-    """A watchdog process that knows how to make the outputs safe.
+    """A watchdog process that can make the outputs safe.
 
     Parameters
     ----------
-    watchdog_s : how long it waits for `feed`
-    orders : what makes the outputs safe
-    claims : descriptors of the outputs' locks: it keeps them until its work is done
+    watchdog_s : longest time between two calls of `feed`
+    orders : writes that make the outputs safe
+    claims : descriptors of the outputs' locks, which it keeps until its work is done
 
     Raises
     ------
     HardwareError
-        it did not come up
+        the process did not start
     """
 
     def __init__(self, watchdog_s: float, orders: Sequence[SafeWrite], claims: Collection[int] = ()) -> None:
@@ -51,12 +51,12 @@ class Guard:
         os.set_blocking(self._answers, False)
 
     def feed(self) -> None:
-        """Tell the watchdog that the node goes on.
+        """Report to the watchdog that the node is alive.
 
         Raises
         ------
         HardwareError
-            the watchdog is gone, or it has made the outputs safe because the node stood still
+            the watchdog is gone, or it has made the outputs safe because the node stalled
         """
         try:
             os.write(self._feed, b".")

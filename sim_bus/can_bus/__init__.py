@@ -1,1 +1,1 @@
-"""The wire bit by bit: arbitration, errors, fault confinement, the cut cable."""
+"""The CAN bus bit by bit: arbitration, errors, fault confinement, the cut cable."""

@@ -1,12 +1,11 @@
-"""The wire: one frame at a time, the lowest identifier first, each for exactly as long as its bits
-take.
+"""Arbitration: one frame at a time, the lowest identifier first, for exactly the duration of its bits.
 
-`BusRecord` is the wire's state. A frame that waits (`sim_bus.can_bus.tx_queue`) starts when the bus
-is free and it is ready; of all that are ready at that instant the one with the lowest arbitration
-field goes (ISO 11898-1, 10.4.2.5: base before extended, data before remote, first come first served
-among equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three
-bits of inter-frame space later, at `free_ns`. Where something is amiss `start_frame` says so, and
-`sim_bus.can_bus.error_path` has a closer look.
+`BusRecord` is the state of the bus. A pending frame (`sim_bus.can_bus.tx_queue`) starts when it is
+ready and the bus is free; of all frames ready at that instant the lowest arbitration field wins
+(ISO 11898-1, 10.4.2.5: base before extended, data before remote, first come first served among
+equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three bits of
+inter-frame space later, at `free_ns`. If errors are possible, `start_frame` reports it, and
+`sim_bus.can_bus.error_path` handles the frame in detail.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ __all__ = ["FAR_NS", "INTER_FRAME_BITS", "end_frame", "new_bus", "receives", "st
 
 
 def new_bus(bitrate_bit_s: int) -> RecordArray[BusRecord]:
-    """Return an idle bus: its record, and that of the second half for when the cable is cut
+    """Return an idle bus: its record, and the record of the second half for a cut cable
     (`sim_bus.can_bus.cable_cut`).
     """
     bus = new_records(BusRecord, 2)
@@ -36,19 +35,19 @@ def new_bus(bitrate_bit_s: int) -> RecordArray[BusRecord]:
 
 @inlined
 def start_ns(bus: BusRecord, out: Queue) -> int:
-    """Return when the next waiting frame can start, or when a scripted fault wants the bus,
-    `FAR_NS` when nothing does.
+    """Return when the next pending frame can start, or when a scripted fault needs the bus; `FAR_NS` if
+    neither is pending.
     """
     return max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns)
 
 
 @inlined
 def start_frame(bus: BusRecord, out: Queue, now_ns: int) -> bool:
-    """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire.
+    """Arbitrate among the frames that are ready at `now_ns`, and start the winner.
 
-    False: the bus wants a close look (`sim_bus.can_bus.error_path.attempt`), and nothing is on the
-    wire: faults, counted errors, a station that is alone (`alert`), or two stations that send one
-    arbitration field.
+    False: nothing was started, because the bus needs the detailed path
+    (`sim_bus.can_bus.error_path.attempt`): faults, counted errors, a station that is alone
+    (`alert`), or two stations with the same arbitration field.
     """
     if bus.alert:
         return False
@@ -69,8 +68,8 @@ def start_frame(bus: BusRecord, out: Queue, now_ns: int) -> bool:
 
 @inlined
 def end_frame(bus: BusRecord, log: Records, row: int) -> None:
-    """Take a frame that needed no close look off the wire and write it to `log[row]`, stamped with
-    its end of frame.
+    """End a frame that did not need the detailed path, and write it to `log[row]`, stamped with its end of
+    frame.
     """
     bus.stage = Stage.FREE
     bus.delivered = Delivered.OTHERS
@@ -84,7 +83,7 @@ def end_frame(bus: BusRecord, log: Records, row: int) -> None:
 
 @inlined
 def receives(bus: BusRecord, station: int) -> bool:
-    """Tell whether a station has the frame that has just ended."""
+    """Tell whether a station receives the frame that has just ended."""
     if bus.delivered == Delivered.OTHERS:
         return bus.source != station
     return bus.stations[station & STATION_MASK].hears != 0

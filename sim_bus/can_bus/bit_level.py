@@ -1,17 +1,16 @@
-"""A stretch of bus time in slow motion: every station's controller, bit by bit (ISO 11898-1:2015,
-clauses 10 and 11; compiled).
+"""Compiled bit-level simulation of every station's controller (ISO 11898-1:2015, clauses 10 and 11).
 
-The arbiter knows a frame's length and its winner without a look at the bits. Where something goes
-wrong that is not enough, and `run_bits` plays the bits instead: each controller drives a level,
-dominant (0) wins, a disturbance turns the level around for all or for one, and each controller
-makes of it what the standard says (`sim_bus.can_bus.controller_bits`). It ends when nobody sends and somebody
-may begin to; failed frames then wait anew. Who is not idle by then, as an error-passive receiver
-that alone has seen an error, is in the midst of what it does when the next stretch begins
-(`unsettled`).
+The arbiter knows a frame's length and the winner without the bits. With errors that is not enough,
+and `run_bits` simulates the bits instead: each controller drives a level, dominant (0) wins, a
+disturbance inverts the level for all stations or for one, and each controller follows the standard
+(`sim_bus.can_bus.controller_bits`). The simulation ends when no station sends and at least one may
+start; failed frames then return to the queue. A controller that is not idle by then, such as an
+error-passive receiver that alone has seen an error, continues in its present mode when the next
+simulation begins (`unsettled`).
 
-It pauses at the end of each bit in which there is something to tell: a frame that was received or
-given up, an error, a change of state. And it pauses now and then, so that a station that is
-switched off in the middle falls silent in the middle.
+It pauses at the end of each bit with an event: a frame received or given up, an error, a change of
+state. It also pauses regularly, so that a station that is switched off in mid-frame falls silent in
+mid-frame.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ LONGEST_STRETCH = 64  # bits without a pause
 
 @kernel
 def add_sender(bus: BusRecord, order: int, can_id: int, length: int, word: int, source: int, wrong_crc: int) -> None:
-    """Let a station send a frame in the slow motion that is to begin."""
+    """Add a station's frame to the bit-level simulation that is about to begin."""
     k = bus.senders
     sender = bus.tx[k]
     sender.state = FrameFate.PENDING
@@ -55,9 +54,9 @@ def add_sender(bus: BusRecord, order: int, can_id: int, length: int, word: int, 
 
 @kernel
 def begin_bits(bus: BusRecord, now_ns: int) -> None:
-    """Begin slow motion at `now_ns` with the senders that were added.
+    """Begin the bit-level simulation at `now_ns` with the senders that were added.
 
-    The other stations are idle, or in the midst of what they do.
+    The other stations are idle, or continue in their present modes.
     """
     bus.play.begin_ns = now_ns
     bus.play.bit = 0
@@ -70,7 +69,7 @@ def begin_bits(bus: BusRecord, now_ns: int) -> None:
         c = bus.stations[bus.tx[k].source & 0xFF]
         joins = c.joins
         open_frame(c, k)
-        if joins:  # its start of frame is the bit that has just been
+        if joins:  # its start of frame is the bit that has just ended
             c.sent_bits = c.position = c.run = 1
             c.last = 0
             if k == 0:
@@ -80,8 +79,8 @@ def begin_bits(bus: BusRecord, now_ns: int) -> None:
 
 @kernel
 def _disturbed(bus: BusRecord, row: int, level: int) -> int:
-    """Return `level` as the scripted disturbances of the station in a row leave it, or those of the
-    wire for `ALL`.
+    """Return `level` after the scripted disturbances of the station in a row, or those of the wire for
+    `ALL`.
     """
     for k in range(bus.struck.flips):
         station = bus.struck.flip_station[k]
@@ -92,8 +91,8 @@ def _disturbed(bus: BusRecord, row: int, level: int) -> int:
 
 @kernel
 def _wire_level(bus: BusRecord, stuck: bool) -> int:
-    """Return the level of the wire in this bit: dominant where one controller drives it, or a
-    fault; a disturbance of all turns it around.
+    """Return the level of the wire in this bit: dominant if a controller or a fault drives it; a disturbance
+    of all stations inverts it.
     """
     level = 1
     for k in range(bus.on_count):
@@ -107,9 +106,9 @@ def _wire_level(bus: BusRecord, stuck: bool) -> int:
 
 @kernel
 def _see(bus: BusRecord, level: int, hit: int, end_ns: int) -> bool:
-    """Let each controller see the bit, turned around for the stations of `hit`.
+    """Let each controller sample the bit, inverted for the stations of `hit`.
 
-    Tell whether one has changed its state.
+    Tell whether a controller has changed its state.
     """
     changed = False
     for k in range(bus.on_count):
@@ -131,8 +130,8 @@ def _see(bus: BusRecord, level: int, hit: int, end_ns: int) -> bool:
 
 @kernel
 def _somebody_may_start(bus: BusRecord) -> bool:
-    """Tell whether slow motion is over: nobody sends, and somebody may begin to, or nobody is left.
-    Some may be in the midst of what they do.
+    """Tell whether the bit-level simulation is over: no station sends, and one may start or none is left.
+    Controllers need not be idle.
     """
     alive = idle = ready = sending = 0
     for k in range(bus.on_count):
@@ -150,7 +149,7 @@ def _somebody_may_start(bus: BusRecord) -> bool:
 
 @kernel
 def run_bits(bus: BusRecord) -> int:
-    """Play bits until there is something to tell, or until somebody may send (`Stage.OVER`).
+    """Simulate bits until an event, or until a station may send (`Stage.OVER`).
 
     Return the end of the last bit.
     """

@@ -1,15 +1,14 @@
-"""What the wire is in the midst of, and the lengths in bit times that all modules of the bus count
-with.
+"""States of the bus, and the lengths in bit times that all modules of the bus use.
 
 ::
 
-    FREE ---> FRAME ------------------------------> FREE     a frame: its length is all there is to know of it
-    FREE ---> WATCHED ----------------------------> FREE     a frame that passes; at its end the counters' rules g and h apply
-    FREE ---> TELLING ----------------------------> FREE     nobody sends; a controller has recovered, which is told
-    FREE ---> PLAYED ---> TOLD ---> PLAYED ... OVER ---> FREE   slow motion
+    FREE ---> FRAME ------------------------------> FREE     a frame: only its length matters
+    FREE ---> WATCHED ----------------------------> FREE     an undisturbed frame; its end applies rules g and h
+    FREE ---> TELLING ----------------------------> FREE     nobody sends; the recovery of a controller is reported
+    FREE ---> PLAYED ---> TOLD ---> PLAYED ... OVER ---> FREE   bit-level simulation
 
-`BusRecord.stage` is written by who begins something (`arbiter.start_frame`, `error_path.attempt`),
-by `bit_level.run_bits`, and at each end (`BusRecord.end_ns`) by `arbiter.end_frame` or
+`BusRecord.stage` is written at each start (`arbiter.start_frame`, `error_path.attempt`), by
+`bit_level.run_bits`, and at each end (`BusRecord.end_ns`) by `arbiter.end_frame` or
 `frame_result.end_attempt`.
 """
 
@@ -20,11 +19,11 @@ from enum import IntEnum
 __all__ = ["INTER_FRAME_BITS", "NS", "RUN_BITS", "SUSPEND_BITS", "Delivered", "ErrorKind", "Stage"]
 
 INTER_FRAME_BITS = 3
-"""The intermission."""
+"""Length of the intermission."""
 SUSPEND_BITS = 8
-"""So much longer an error-passive sender waits."""
+"""Additional waiting time of an error-passive sender."""
 RUN_BITS = 11
-"""Recessive: the end of a frame or of an error frame, with the inter-frame space.
+"""Recessive bits at the end of a frame or of an error frame, with the inter-frame space.
 
 Bus-off ends after 128 such runs.
 """
@@ -32,23 +31,23 @@ NS = 1_000_000_000
 
 
 class Stage(IntEnum):
-    """What the wire is in the midst of up to `end_ns`."""
+    """State of the bus up to `end_ns`."""
 
     FREE = 0
     FRAME = 1
     WATCHED = 2
     TELLING = 3
-    PLAYED = 4  # bits were played up to `end_ns`, where what came of them is told
-    TOLD = 5  # that has been told, and the next bits are to be played
-    OVER = 6  # as PLAYED; behind the last bit somebody may begin to send
+    PLAYED = 4  # bits are simulated up to `end_ns`, where their events are reported
+    TOLD = 5  # events are reported, the next bits are due
+    OVER = 6  # as PLAYED; after the last bit a station may start to send
 
 
 class Delivered(IntEnum):
-    """Who has what has just ended."""
+    """Receivers of the frame that has just ended."""
 
-    NOBODY = 0  # it is no frame
-    OTHERS = 1  # all but its sender
-    HEARERS = 2  # those whose controller has `hears`
+    NOBODY = 0  # not a frame
+    OTHERS = 1  # all except its sender
+    HEARERS = 2  # stations whose controller has `hears`
 
 
 class ErrorKind(IntEnum):

@@ -1,13 +1,12 @@
-"""The cable cut into two halves: each is a wire of its own, with its own time, its own waiting
-frames and its own acknowledgement.
+"""A cable cut into two halves: each is a separate bus, with its own time, pending frames and
+acknowledgement.
 
-A bus is an array of two records `sim_bus.can_bus.records.BusRecord`. The first is the whole cable, and the
-first half while it is cut; the second is in use only then. A station's half stands in `half` of its
-controller, which is in the record of its half.
+A bus is an array of two records `sim_bus.can_bus.records.BusRecord`. The first is the whole cable,
+or the first half of the cut cable; the second is in use only while the cable is cut. `half` of a
+station's controller is its half; the controller is in the record of that half.
 
-A cut and its mend act between two frames: what is on a wire at that instant ends first. When the
-cable is to be mended, the half that has come to an end begins nothing new until the other one has
-too, so no frame is torn.
+A cut and its repair act between two frames: a frame on the wire ends first. Before the repair, the
+half that is idle first starts no new frame until the other half is idle too, so no frame is torn.
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ WHOLE, APART, MENDING = 0, 1, 2
 
 @kernel
 def divide(bus: RecordArray[BusRecord], out: Queue) -> None:
-    """Let what was asked for since the last time wait with its sender's half.
+    """Move the frames requested since the last call to the queue of their sender's half.
 
-    The queue is empty then.
+    The common queue is empty then.
     """
     for i in range(out.count):
         frame = out.frames[i]
@@ -46,7 +45,7 @@ def divide(bus: RecordArray[BusRecord], out: Queue) -> None:
 
 @kernel
 def _next_ns(bus: BusRecord, out: Queue) -> int:
-    """Return when a half's frame ends, or the next one starts."""
+    """Return when a half's frame ends, or the next frame starts."""
     if bus.stage != Stage.FREE:
         return int(bus.end_ns)
     return int(max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns))
@@ -54,9 +53,9 @@ def _next_ns(bus: BusRecord, out: Queue) -> int:
 
 @kernel
 def choose(bus: RecordArray[BusRecord], out: Queue) -> int:
-    """Return the half in which something happens next.
+    """Return the half with the next event.
 
-    Of equals an end goes before a start, then the first half.
+    At equal times an end goes before a start, then the first half.
     """
     near, far = bus[0], bus[1]
     if out.count > 0:
@@ -74,14 +73,14 @@ def choose(bus: RecordArray[BusRecord], out: Queue) -> int:
 
 
 def wire_of(bus: RecordArray[BusRecord], station: int) -> BusRecord:
-    """Return the record of the wire that a station is on."""
+    """Return the record of a station's half."""
     return bus[int(bus[0].stations[station & STATION_MASK].half)]
 
 
 def split(bus: RecordArray[BusRecord], out: Queue, row: int, t_ns: int) -> RecordArray[FaultRecord]:
     """Cut the idle cable as row `row` of the faults says, at `t_ns`.
 
-    Return the faults as they were, for `join`.
+    Return the previous faults, for `join`.
     """
     divide(bus, out)
     bus[1:2] = bus[0:1]
@@ -120,7 +119,7 @@ def split(bus: RecordArray[BusRecord], out: Queue, row: int, t_ns: int) -> Recor
 
 
 def merged_faults(bus: RecordArray[BusRecord], before: RecordArray[FaultRecord]) -> Records:
-    """Return the faults as both halves together have met them since they were `before`."""
+    """Return the faults with the counts of both halves since `before`."""
     near, far = bus[0], bus[1]
     out: Records = near.faults.copy()
     for n in range(int(near.fault_count)):
@@ -137,7 +136,7 @@ def merged_faults(bus: RecordArray[BusRecord], before: RecordArray[FaultRecord])
 
 
 def join(bus: RecordArray[BusRecord], out: Queue, before: RecordArray[FaultRecord], t_ns: int) -> None:
-    """Mend the cable, both halves of which are idle, at `t_ns`."""
+    """Repair the cable at `t_ns`; both halves are idle."""
     near, far = bus[0], bus[1]
     near.faults[:] = merged_faults(bus, before)
     for station in range(STATIONS):

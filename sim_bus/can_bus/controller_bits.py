@@ -1,10 +1,10 @@
-"""A controller in slow motion: what it drives in a bit, and what it makes of the bit that it sees
-(ISO 11898-1:2015, clauses 10 and 11; compiled).
+"""Compiled bit-level model of a controller: the bit that it drives, and its reaction to the bit that
+it samples (ISO 11898-1:2015, clauses 10 and 11).
 
 Bit, stuff, CRC, form and ACK errors, active and passive error flags, delimiters, overload frames,
-intermission: `follow` is one bit of them. What the stations together have seen in this stretch
-stands in `BusRecord.seen`, which only this module fills; what became of their frames in
-`BusRecord.tx`.
+intermission: `follow` processes one bit of them. `BusRecord.seen` holds what the stations together
+have detected in this simulation, and only this module writes it; `BusRecord.tx` holds the fates of
+their frames.
 
     c : the record of a controller
 """
@@ -26,7 +26,7 @@ __all__ = ["ControllerMode", "FrameFate", "drive", "follow", "look_anew", "may_s
 
 
 class ControllerMode(IntEnum):
-    """What a controller is in the middle of."""
+    """Mode of a controller."""
 
     IDLE = 0
     FRAME = 1
@@ -35,21 +35,21 @@ class ControllerMode(IntEnum):
     WAIT = 4  # for the first recessive bit after a flag
     DELIMITER = 5
     INTERMISSION = 6
-    INTEGRATING = 7  # switched on: 11 recessive bits first
+    INTEGRATING = 7  # after switch-on: waits for 11 recessive bits
 
 
 class FrameFate(IntEnum):
-    """What became of a frame that was on the wire."""
+    """Fate of a frame that was on the wire."""
 
     PENDING = 0
     DONE = 1
     FAILED = 2
-    LOST = 3  # the arbitration
-    GIVEN_UP = 4  # lost, by a station that sends once only: that is told
+    LOST = 3  # lost the arbitration
+    GIVEN_UP = 4  # lost the arbitration in one-shot mode, which is to be reported
 
 
 NOT_YET = 1 << 30
-CRC_DELIMITER, ACK_SLOT, ACK_DELIMITER, LAST_BUT_ONE, LAST = 0, 1, 2, 8, 9  # `tail`: bits behind the CRC sequence
+CRC_DELIMITER, ACK_SLOT, ACK_DELIMITER, LAST_BUT_ONE, LAST = 0, 1, 2, 8, 9  # `tail`: bits after the CRC sequence
 FLAG_BITS, DELIMITER_BITS, INTEGRATION_BITS = 6, 8, 11
 NOT_TOLD, TOLD_BEFORE = -1, -2
 
@@ -67,7 +67,7 @@ TAIL_PLACES = np.array([0x18, 0x19, 0x1B] + 7 * [0x1A], np.int64)
 
 @kernel
 def open_frame(c: ControllerRecord, frame: int) -> None:
-    """Begin to follow a frame at its start of frame."""
+    """Start following a frame at its start of frame."""
     c.mode = ControllerMode.FRAME
     c.frame = frame
     c.sent_bits = c.position = c.run = c.crc = c.bit_12 = c.extended = c.dlc = c.joins = 0
@@ -78,15 +78,15 @@ def open_frame(c: ControllerRecord, frame: int) -> None:
 
 @kernel
 def may_start(c: ControllerRecord) -> bool:
-    """Tell whether a controller may begin to send: it is idle, or the third bit of its intermission
-    was dominant, which is a start of frame.
+    """Tell whether a controller may start to send: it is idle, or the third bit of its intermission was
+    dominant, which is a start of frame.
     """
     return bool(c.mode == ControllerMode.IDLE or c.joins != 0)
 
 
 @kernel
 def look_anew(bus: BusRecord) -> None:
-    """Forget what was seen, but for an error of a stretch that this one goes on with."""
+    """Clear `seen`, except for an error of a simulation that continues."""
     bus.seen.accepted_bit = -1
     bus.seen.gave_up = 0
     if bus.senders > 0 or not bus.play.unsettled:
@@ -97,7 +97,7 @@ def look_anew(bus: BusRecord) -> None:
 
 @kernel
 def _place(c: ControllerRecord) -> int:
-    """Return where in the frame a controller is, in Linux's numbers."""
+    """Return a controller's position in the frame, in Linux's numbers."""
     if c.mode != ControllerMode.FRAME:
         return PLACE_INTERMISSION if c.mode == ControllerMode.INTERMISSION else PLACE_UNKNOWN
     if c.tail >= 0:
@@ -109,9 +109,9 @@ def _place(c: ControllerRecord) -> int:
 
 @kernel
 def _tell(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind: int) -> None:
-    """Note the first error of this slow motion for the clients.
+    """Record the first error of this simulation for the clients.
 
-    Of several in one bit the transmitter's.
+    Of several errors in one bit, the transmitter's counts.
     """
     transmitter = c.transmitted != 0
     if bus.seen.told_bit != NOT_TOLD and not (transmitter and bus.seen.told_bit == bus.play.bit):
@@ -126,9 +126,7 @@ def _tell(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind:
 
 @kernel
 def _raise(c: ControllerRecord, receiver_by: int) -> None:
-    """Count an error in the counter of the station's role: 8 for a transmitter, `receiver_by` for a
-    receiver.
-    """
+    """Count an error by the station's role: 8 for a transmitter, `receiver_by` for a receiver."""
     if c.transmitted:
         raise_tec(c)
     else:
@@ -155,7 +153,7 @@ def _error(bus: BusRecord, c: ControllerRecord, station: int, kind: int, exempt:
         c.frame = -1
     c.exempt = 0
     if kind == ErrorKind.ACK and passive:
-        c.exempt = 1  # rule c1, unless something dominant is seen in the passive flag
+        c.exempt = 1  # rule c1, unless a dominant bit is seen in the passive flag
     elif not exempt:
         _raise(c, 1)
     c.mode = ControllerMode.FLAG
@@ -166,7 +164,7 @@ def _error(bus: BusRecord, c: ControllerRecord, station: int, kind: int, exempt:
 
 @kernel
 def _bit_error_in_flag(bus: BusRecord, c: ControllerRecord, station: int) -> None:
-    """Rules d and e: what was driven dominant was seen recessive; another error flag begins."""
+    """Apply rules d and e: a dominant bit was driven and a recessive bit seen; another error flag begins."""
     c.errors[ErrorKind.BIT] += 1
     _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_BIT0)
     passive = 1 if c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL else 0
@@ -188,7 +186,7 @@ def _overload(bus: BusRecord, c: ControllerRecord, station: int) -> None:
 
 @kernel
 def _take_bit(c: ControllerRecord, bit: int) -> None:
-    """Take one bit of the frame, stuff bits removed: header, data, CRC."""
+    """Process one bit of the frame, stuff bits removed: header, data, CRC."""
     at = c.position
     c.crc = crc_step(c.crc, bit)
     if at == 12:
@@ -207,7 +205,7 @@ def _take_bit(c: ControllerRecord, bit: int) -> None:
 
 @kernel
 def _tail_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
-    """Take a bit behind the CRC sequence."""
+    """Process a bit after the CRC sequence."""
     at = c.tail
     sender = c.frame >= 0
     if at == ACK_SLOT:
@@ -218,7 +216,7 @@ def _tail_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> No
         elif c.crc == 0:
             count_received(c)
     elif at == LAST:
-        if bit == 0:  # a sender's bit error was seen before; a receiver has the frame
+        if bit == 0:  # a sender's bit error was detected before; a receiver has the frame
             _overload(bus, c, station)
             return
         if sender:
@@ -245,7 +243,7 @@ def _tail_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> No
 
 @kernel
 def _frame_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
-    """Follow a frame by one bit, as its transmitter or as a receiver."""
+    """Process one bit of a frame, as its transmitter or as a receiver."""
     c.joins = 0
     if c.frame >= 0:
         c.sent_bits += 1
@@ -264,7 +262,7 @@ def _frame_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> N
             c.frame = -1
             c.transmitted = 0
     elif c.level == 0 and bit == 1:
-        _error(bus, c, station, ErrorKind.BIT, 0)  # its ACK was not seen
+        _error(bus, c, station, ErrorKind.BIT, 0)  # its ACK was not received
         return
     if c.tail >= 0:
         _tail_bit(bus, c, station, bit)
@@ -284,7 +282,7 @@ def _frame_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> N
 
 @kernel
 def _flag_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
-    """Follow the station's own error flag or overload flag."""
+    """Process one bit of the station's own error flag or overload flag."""
     if c.mode == ControllerMode.OVERLOAD or not c.passive_flag:
         if bit == 1 and not c.listen_only:
             _bit_error_in_flag(bus, c, station)
@@ -330,15 +328,15 @@ def _after_flag(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> 
 
 @inlined
 def _suspends(c: ControllerRecord) -> bool:
-    """Tell whether a controller lets eight bits more pass before it sends again: error passive, it
-    has sent the last frame.
+    """Tell whether a controller waits eight more bits before it sends again: it is error passive, and has
+    sent the last frame.
     """
     return bool(c.transmitted and (c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL))
 
 
 @kernel
 def _between_frames(bus: BusRecord, c: ControllerRecord, station: int, bit: int, end_ns: int) -> None:
-    """Intermission, idle, or the first bits after switch-on."""
+    """Process one bit of the intermission, of the idle bus, or of the first bits after switch-on."""
     joins = 0
     if c.mode == ControllerMode.INTEGRATING:
         c.count = c.count + 1 if bit else 0
@@ -380,7 +378,7 @@ def drive(bus: BusRecord, c: ControllerRecord) -> int:
 
 @kernel
 def follow(bus: BusRecord, c: ControllerRecord, station: int, bit: int, end_ns: int) -> None:
-    """Let a controller make of a bit what it is in the midst of."""
+    """Process one sampled bit in the controller's current mode."""
     if c.mode == ControllerMode.FRAME:
         _frame_bit(bus, c, station, bit)
     elif c.mode == ControllerMode.FLAG or c.mode == ControllerMode.OVERLOAD:

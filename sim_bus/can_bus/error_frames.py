@@ -1,19 +1,19 @@
-"""Error frames as Linux's CAN drivers make them (include/uapi/linux/can/error.h): classes in the
+"""Error frames in the format of Linux's CAN drivers (include/uapi/linux/can/error.h): classes in the
 identifier, details in eight bytes.
 
 ====== =======================================================================
-byte   what stands there
+byte   content
 ====== =======================================================================
 0      bit in which the arbitration was lost: 0 is the start of frame, stuff bits do not count
 1      controller's change of state: warning, passive, active again
 2      type of a protocol error: bit, form, stuff, overload; 80h: on transmission
-3      where in the frame
+3      position in the frame
 4      (transceiver: not used here)
-5      number of the station that it is about, its low eight bits
+5      number of the reported station, its low eight bits
 6, 7   transmit and receive error counter of that station
 ====== =======================================================================
 
-All classes that Linux sends along with counters carry CAN_ERR_CNT.
+All classes for which Linux also sends counters carry CAN_ERR_CNT.
 
     c : the record of a controller
 """
@@ -50,24 +50,22 @@ def with_counters(word: int, c: ControllerRecord) -> int:
 
 @kernel
 def error_frame(c: ControllerRecord, station: int, classes: int, kind: int, place: int) -> tuple[int, int]:
-    """Return identifier and bytes of the frame that tells an error on the bus."""
+    """Return identifier and bytes of the frame that reports an error on the bus."""
     word = kind << 16 | place << 24 | (station & 0xFF) << 40
     return CAN_ERR_FLAG | COUNTERS | classes, with_counters(word, c)
 
 
 @kernel
 def lost_frame(c: ControllerRecord, station: int, bit: int) -> tuple[int, int]:
-    """Return identifier and bytes of the frame that tells a station that its frame was given up:
-    the arbitration was lost in `bit`.
+    """Return identifier and bytes of the frame that reports a given-up frame to its station: the arbitration
+    was lost in `bit`.
     """
     return CAN_ERR_FLAG | COUNTERS | LOST_ARBITRATION, with_counters(bit | (station & 0xFF) << 40, c)
 
 
 @kernel
 def state_frame(c: ControllerRecord, station: int) -> tuple[int, int]:
-    """Return identifier and bytes of the frame that tells the state that a controller has changed
-    to.
-    """
+    """Return identifier and bytes of the frame that reports a controller's new state."""
     classes = COUNTERS
     how = 0
     if c.recovered:

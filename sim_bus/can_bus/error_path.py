@@ -1,10 +1,10 @@
-"""What happens to a frame on a bus that wants a closer look than its length: faults, errors that
-were counted, a station that is alone (compiled).
+"""Compiled start of frames on a bus with faults, counted errors, or a station that is alone.
 
-`sim_bus.can_bus.arbiter.start_frame` asks for it when `BusRecord.alert` is set, or when two
-stations send one arbitration field. `attempt` starts the next frame: it lets the scripted faults strike, and
-either the frame will pass (`Stage.WATCHED`), or `sim_bus.can_bus.bit_level` plays its bits, with
-all whose frames are ready as senders. `sim_bus.can_bus.frame_result` is the end of it.
+`sim_bus.can_bus.arbiter.start_frame` requires it if `BusRecord.alert` is set, or if two stations
+send the same arbitration field. `attempt` starts the next frame: it applies the scripted faults,
+and then either the frame passes undisturbed (`Stage.WATCHED`), or `sim_bus.can_bus.bit_level`
+simulates its bits, with all stations whose frames are ready as senders.
+`sim_bus.can_bus.frame_result` ends it.
 """
 
 from __future__ import annotations
@@ -35,9 +35,7 @@ __all__ = ["attempt"]
 
 @inlined
 def _recover(bus: BusRecord, now_ns: int) -> None:
-    """Credit the stations in bus-off with the runs of 11 recessive bits since the last dominant
-    one.
-    """
+    """Credit the stations in bus-off with the runs of 11 recessive bits since the last dominant bit."""
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
         if c.state != CanState.BUS_OFF or c.restart_at_ns > now_ns:
@@ -52,7 +50,7 @@ def _recover(bus: BusRecord, now_ns: int) -> None:
 
 @inlined
 def _next(bus: BusRecord, now_ns: int) -> int:
-    """Return the place of the next frame whose sender may send now, -1 when there is none."""
+    """Return the place of the next frame whose sender may send now, -1 if there is none."""
     place = winner(bus, now_ns)
     while place >= 0:
         row = bus.held_source[place] & STATION_MASK
@@ -84,14 +82,14 @@ def _wait_again(bus: BusRecord, place: int, order: int, ready_ns: int) -> None:
 
 @kernel
 def attempt(bus: BusRecord, out: Queue, now_ns: int) -> None:
-    """Start what is to start at `now_ns`, if anything."""
+    """Start the next frame or event at `now_ns`, if any."""
     if out.count > 0:
         take_in(bus, out)
     _recover(bus, now_ns)
     if bus.alarm_ns <= now_ns:
         alarm(bus, now_ns)
         refresh(bus)
-        if bus.fault_calls != 0:  # the cable is cut, or mended, before anything is sent
+        if bus.fault_calls != 0:  # cut or repair the cable before anything is sent
             out.waiting = bus.held
             return
     stuck = bus.stuck.from_ns <= now_ns < bus.stuck.until_ns
@@ -104,7 +102,7 @@ def attempt(bus: BusRecord, out: Queue, now_ns: int) -> None:
         can_id, source = bus.held_can_id[place], bus.held_source[place]
         length, word = bus.held_length[place], bus.held_word[place]
         sequence = bus.held_order[place] & SEQUENCE_MASK
-        if sequence == 0:  # it was on the wire before, and what has struck it then is still to come
+        if sequence == 0:  # it was on the wire before, and the fault that struck it then is still to come
             c = bus.stations[source & STATION_MASK]
             bus.retransmissions += 1
             c.retransmissions += 1
@@ -128,7 +126,7 @@ def attempt(bus: BusRecord, out: Queue, now_ns: int) -> None:
 
 @kernel
 def _only_tell(bus: BusRecord, now_ns: int) -> None:
-    """Nobody sends; a controller that has recovered is to be told all the same."""
+    """Start a state without a sender, to report a controller that has recovered."""
     for k in range(bus.on_count):
         if bus.stations[bus.on[k]].changed:
             bus.stage = Stage.TELLING
@@ -145,7 +143,7 @@ def _begin_slow(bus: BusRecord, now_ns: int) -> None:
 
 @inlined
 def _send(bus: BusRecord, place: int, now_ns: int) -> None:
-    """Put the frame at `place`, which has won the arbitration, on the wire."""
+    """Start the frame at `place`, which has won the arbitration."""
     bus.can_id = bus.held_can_id[place]
     bus.length = bus.held_length[place]
     bus.word = bus.held_word[place]
@@ -182,8 +180,8 @@ def _send(bus: BusRecord, place: int, now_ns: int) -> None:
 
 @inlined
 def _contested(bus: BusRecord, order: int) -> bool:
-    """Tell whether the winner's bits matter to another station: its frame has the same arbitration
-    field, or it sends once only.
+    """Tell whether the winner's bits matter to another station: its frame has the same arbitration field, or
+    it is in one-shot mode.
     """
     for n in range(bus.ready):
         source = bus.held_source[bus.ready_place[n]]
@@ -196,9 +194,7 @@ def _contested(bus: BusRecord, order: int) -> bool:
 
 @kernel
 def _contends(bus: BusRecord, source: int, now_ns: int) -> bool:
-    """Tell, once for each station with a frame ready, whether it takes part in the arbitration that
-    begins now.
-    """
+    """Tell, once for each station with a ready frame, whether it takes part in the present arbitration."""
     c = bus.stations[source & STATION_MASK]
     if (
         c.contends_ns == now_ns
@@ -214,7 +210,7 @@ def _contends(bus: BusRecord, source: int, now_ns: int) -> bool:
 
 @inlined
 def _count_lost(bus: BusRecord, now_ns: int) -> None:
-    """Count who loses the arbitration to the bus's frame, without a look at the bits."""
+    """Count the stations that lose the arbitration to the bus's frame, without simulating the bits."""
     bus.stations[bus.source & STATION_MASK].contends_ns = now_ns
     for n in range(bus.ready):
         source = bus.held_source[bus.ready_place[n]]
@@ -224,16 +220,14 @@ def _count_lost(bus: BusRecord, now_ns: int) -> None:
 
 @kernel
 def _contend(bus: BusRecord, now_ns: int) -> None:
-    """Let the other stations with a frame ready send it too, each its first one: the bits
-    decide.
-    """
+    """Let the other stations with a ready frame send their first frames too: the bits decide."""
     bus.stations[bus.source & STATION_MASK].contends_ns = now_ns
     while bus.senders < MAX_SENDERS:
         place = winner(bus, now_ns)
         if place < 0:
             return
         order, source = bus.held_order[place], bus.held_source[place]
-        if bus.stations[source & STATION_MASK].attached == 0:  # nobody has switched it on: it is there all the same
+        if bus.stations[source & STATION_MASK].attached == 0:  # never switched on explicitly, but present
             attach(bus, source)
         if _contends(bus, source, now_ns):
             add_sender(bus, order, bus.held_can_id[place], bus.held_length[place], bus.held_word[place], source, 0)

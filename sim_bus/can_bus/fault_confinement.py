@@ -1,9 +1,9 @@
-"""A CAN controller's state and its fault confinement, compiled (ISO 11898-1:2015, 10.11 to 10.14;
-letters are those of its list of rules).
+"""Compiled state and fault confinement of a CAN controller (ISO 11898-1:2015, 10.11 to 10.14; letters
+are those of its list of rules).
 
-Each station of a bus has one, a row of `BusRecord.stations` by the low eight bits of its number.
-The transmit and receive error counters follow the standard's twelve rules; `state` is what they come
-to, in the numbers of Linux's ``enum can_state``:
+Each station of a bus has a controller, a row of `BusRecord.stations` by the low eight bits of its
+number. The transmit and receive error counters follow the standard's twelve rules; `state` results
+from them, numbered as in Linux's ``enum can_state``:
 
 ==== ==================================================================== =========================
 rule when                                                                 what
@@ -49,18 +49,16 @@ __all__ = [
 ]
 
 RECOVERY_RUNS = 128
-"""How many times 11 recessive bits end bus-off."""
+"""Number of runs of 11 recessive bits that end bus-off."""
 MANUAL = -1
-"""As `restart_ns`: bus-off lasts until somebody restarts the controller (``restart-ms 0`` of
-Linux).
-"""
+"""Value of `restart_ns`: bus-off lasts until the controller is restarted (``restart-ms 0`` of Linux)."""
 COUNTER_LIMIT = 255  # REC is a register of eight bits; TEC beyond 255 is bus-off
 WARNING_LEVEL, PASSIVE_LEVEL, BUS_OFF_LEVEL = 96, 128, 256
 REC_AFTER_PASSIVE = 119  # rule h leaves the choice between 119 and 127
 
 
 class CanState(IntEnum):
-    """State of a controller, numbered as Linux's ``enum can_state``."""
+    """State of a controller, numbered as in Linux's ``enum can_state``."""
 
     ERROR_ACTIVE = 0
     ERROR_WARNING = 1
@@ -71,9 +69,7 @@ class CanState(IntEnum):
 
 @kernel
 def _follow(c: ControllerRecord) -> None:
-    """Let `state` follow the counters (rules i, j, k); `changed` is set until somebody has
-    told it.
-    """
+    """Update `state` from the counters (rules i, j, k); `changed` is set until the change is reported."""
     if c.state == CanState.BUS_OFF:
         return
     worst = max(c.tec, c.rec)
@@ -100,16 +96,16 @@ def _follow(c: ControllerRecord) -> None:
 
 @kernel
 def raise_tec(c: ControllerRecord) -> None:
-    """Rules c, d, f: TEC + 8."""
+    """Apply rules c, d, f: TEC + 8."""
     c.tec += 8
     _follow(c)
 
 
 @kernel
 def raise_rec(c: ControllerRecord, by: int) -> None:
-    """Rules a, b, e, f: REC + 1 or + 8.
+    """Apply rules a, b, e, f: REC + 1 or + 8.
 
-    One that only listens takes no part in fault confinement.
+    A listen-only controller takes no part in fault confinement.
     """
     if c.listen_only == 0:
         c.rec = min(c.rec + by, COUNTER_LIMIT)
@@ -118,7 +114,7 @@ def raise_rec(c: ControllerRecord, by: int) -> None:
 
 @kernel
 def count_sent(c: ControllerRecord) -> None:
-    """Rule g: a frame was sent."""
+    """Apply rule g: a frame was sent."""
     if c.tec > 0:
         c.tec -= 1
         _follow(c)
@@ -126,7 +122,7 @@ def count_sent(c: ControllerRecord) -> None:
 
 @kernel
 def count_received(c: ControllerRecord) -> None:
-    """Rule h: a frame was received, up to the ACK slot."""
+    """Apply rule h: a frame was received, up to the ACK slot."""
     if c.rec > 0 and c.listen_only == 0:
         c.rec = REC_AFTER_PASSIVE if c.rec >= PASSIVE_LEVEL else c.rec - 1
         _follow(c)
@@ -134,13 +130,13 @@ def count_received(c: ControllerRecord) -> None:
 
 @kernel
 def begin_bus_off(c: ControllerRecord, t_ns: int, far_ns: int) -> None:
-    """Plan the recovery of a controller that went bus-off at `t_ns`; `far_ns` is never."""
+    """Schedule the recovery of a controller that went bus-off at `t_ns`; `far_ns` means never."""
     c.restart_at_ns = far_ns if c.restart_ns == MANUAL else t_ns + c.restart_ns
 
 
 @kernel
 def recover(c: ControllerRecord) -> None:
-    """Rule l: error active again, with both counters 0."""
+    """Apply rule l: error active again, with both counters 0."""
     c.tec = c.rec = 0
     c.state = CanState.ERROR_ACTIVE
     c.changed = c.recovered = 1
@@ -149,8 +145,8 @@ def recover(c: ControllerRecord) -> None:
 
 
 def state_of(c: ControllerRecord) -> ControllerState:
-    """Return a controller's state and counters; ``str`` of it is what
-    ``ip -details -statistics link show`` prints.
+    """Return a controller's state and counters; ``str`` gives the text of ``ip -details -statistics
+    link show``.
     """
     modes = (c["loopback"], c["listen_only"], c["one_shot"])
     return ControllerState(

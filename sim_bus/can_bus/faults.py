@@ -1,9 +1,8 @@
-"""Scripted faults as the bus sees them: a table of rows, each with its trigger and what it does
-(compiled).
+"""Compiled scripted faults: a table of rows, each with its trigger and its effect.
 
-`sim_bus.faults.fault_file` makes the rows from a file. The table is part of the bus's record, so a kernel
-needs no Python to inject: `strike` judges the rows at the start of each frame, `alarm` those that
-wait for a time.
+`sim_bus.faults.fault_file` creates the rows from a file. The table is part of the bus's record, so
+a kernel needs no Python to inject: `strike` evaluates the rows at the start of each frame, `alarm`
+those that wait for a time.
 
     f : a row of the table
 """
@@ -25,14 +24,14 @@ from coulombus.wire.bits import data_frame_bits
 __all__ = ["NO_FRAME", "FaultKind", "alarm", "fire", "plan_alarm", "strike", "strike_nothing"]
 
 NO_FRAME = -1
-"""In place of an identifier: a fault struck a wire on which nobody was sending, or a station."""
-BABBLE_LIMIT = 4  # frames of a babbler that may wait: more would only fill the room
+"""Identifier of a fault that struck an idle wire, or a station."""
+BABBLE_LIMIT = 4  # pending frames of a babbler: more would only fill the queue
 TAIL_BIT = 1000
-"""`bit` from here on counts behind the CRC sequence: 1000 is the CRC delimiter."""
+"""`bit` values from here on count after the CRC sequence: 1000 is the CRC delimiter."""
 
 
 class FaultKind(IntEnum):
-    """What a fault does."""
+    """Effect of a fault."""
 
     FLIP = 0
     CORRUPT_CRC = 1
@@ -49,7 +48,7 @@ class FaultKind(IntEnum):
 
 @inlined
 def strike_nothing(bus: BusRecord) -> None:
-    """Forget what struck the last frame."""
+    """Clear the effects on the last frame."""
     struck = bus.struck
     struck.flips = struck.wrong_crc = struck.again = 0
     struck.lost_for = NOBODY
@@ -57,9 +56,7 @@ def strike_nothing(bus: BusRecord) -> None:
 
 @kernel
 def fire(bus: BusRecord, row: int, t_ns: int, can_id: int) -> None:
-    """Count a strike and note it for the recording, with the identifier of the frame that it is
-    about, or `NO_FRAME`.
-    """
+    """Count a fault and record it, with the identifier of its frame, or `NO_FRAME`."""
     f = bus.faults[row]
     if f.fired == 0:
         f.first_ns = t_ns
@@ -74,7 +71,7 @@ def fire(bus: BusRecord, row: int, t_ns: int, can_id: int) -> None:
 
 @kernel
 def _meant(f: FaultRecord, now_ns: int, can_id: int, source: int) -> bool:
-    """Tell whether a row strikes this frame, and count the frames that it is about."""
+    """Tell whether a row applies to this frame, and count the matching frames."""
     if not f.from_ns <= now_ns < f.until_ns:
         return False
     if f.kind > FaultKind.CUT or (f.kind >= FaultKind.RESET and not f.framed):
@@ -91,23 +88,21 @@ def _meant(f: FaultRecord, now_ns: int, can_id: int, source: int) -> bool:
 
 @kernel
 def strike(bus: BusRecord, now_ns: int, can_id: int, length: int, word: int, source: int) -> int:
-    """Let the rows strike the frame that is to start.
+    """Apply the rows to the frame that is about to start.
 
-    Return the delay [ns] that they put it off by.
-
-    What else they do is left in `BusRecord.struck`.
+    Return the delay [ns] by which they postpone it. `BusRecord.struck` holds their other effects.
     """
     delay_ns = meant = 0
     for row in range(bus.fault_count):
         f = bus.faults[row]
-        second_cut = f.kind == FaultKind.CUT and bus.cut | bus.half  # there is one cut at a time
+        second_cut = f.kind == FaultKind.CUT and bus.cut | bus.half  # only one cut at a time
         if _meant(f, now_ns, can_id, source) and not second_cut:
             meant |= 1 << row
             if f.kind == FaultKind.DELAY:
                 delay_ns = max(delay_ns, f.delay_ns)
     for row in range(bus.fault_count):
         f = bus.faults[row]
-        put_off = f.kind != FaultKind.DELAY and delay_ns > 0  # who is put off is struck by nothing else
+        put_off = f.kind != FaultKind.DELAY and delay_ns > 0  # a delayed frame has no other fault
         if meant >> row & 1 == 0 or put_off:
             continue
         if f.kind == FaultKind.FLIP:
@@ -115,7 +110,7 @@ def strike(bus: BusRecord, now_ns: int, can_id: int, length: int, word: int, sou
             bit = f.bit if f.bit < TAIL_BIT else stuffed + f.bit - TAIL_BIT
             if (
                 bit >= stuffed + TAIL_BITS + INTER_FRAME_BITS or bus.struck.flips >= MAX_FLIPS
-            ):  # this frame has no such bit
+            ):  # this frame does not have such a bit
                 continue
             bus.struck.flip_bit[bus.struck.flips] = bit
             bus.struck.flip_station[bus.struck.flips] = f.station
@@ -140,7 +135,7 @@ def _elsewhere(bus: BusRecord, f: FaultRecord) -> bool:
 
 @kernel
 def _babble(bus: BusRecord, f: FaultRecord, row: int, now_ns: int) -> None:
-    """Let a babbler ask for its frames that are due."""
+    """Queue a babbler's frames that are due."""
     while f.next_ns <= now_ns and f.next_ns < f.until_ns:
         c = bus.stations[f.station & STATION_MASK]
         if c.state != CanState.BUS_OFF and bus.waiting_of[f.station & STATION_MASK] < BABBLE_LIMIT:
@@ -151,7 +146,7 @@ def _babble(bus: BusRecord, f: FaultRecord, row: int, now_ns: int) -> None:
 
 @kernel
 def alarm(bus: BusRecord, now_ns: int) -> None:
-    """Do what is due at `now_ns`: begin or end the conditions that last for a time."""
+    """Handle the deadlines at `now_ns`: begin or end the faults that last for a time."""
     noise = False
     for row in range(bus.fault_count):
         f = bus.faults[row]

@@ -1,5 +1,5 @@
-"""How a frame that was looked at closely ends, or a stretch of slow motion: what is told of it, and
-what becomes of those who sent (compiled).
+"""Compiled end of a frame on the detailed path, or of a bit-level simulation: reports, and the next state of
+the senders.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from coulombus.wire.frame import Queue, Records
 __all__ = ["MOST_ROWS", "end_attempt", "lose"]
 
 MOST_ROWS = 16
-"""Rows of the log that the end of a frame may need."""
+"""Largest number of log rows for the end of a frame."""
 
 _TOLD = tuple(
     map(int, (Confinement.ACTIVE, Confinement.ACTIVE, Confinement.PASSIVE, Confinement.BUS_OFF))
@@ -36,7 +36,7 @@ _TOLD = tuple(
 
 @inlined
 def lose(bus: BusRecord) -> None:
-    """Let those not hear the frame for whom a scripted fault has dropped it."""
+    """Mark the stations for which a scripted fault drops this frame."""
     if bus.struck.lost_for == NOBODY:
         return
     for k in range(bus.on_count):
@@ -46,7 +46,7 @@ def lose(bus: BusRecord) -> None:
 
 @inlined
 def _once_more(bus: BusRecord) -> None:
-    """Let the frame that has passed wait again, where a scripted fault duplicates it."""
+    """Queue the frame that has passed again if a scripted fault duplicates it."""
     if bus.struck.again:
         order = first_order(bus.can_id) | HELD_BACK
         hold(bus, order, bus.can_id, bus.length, bus.word, bus.source, bus.free_ns)
@@ -65,7 +65,7 @@ def _write(log: Records, row: int, t_ns: int, can_id: int, word: int, source: in
 
 @kernel
 def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
-    """Write, for those that send once only, in which bit they lost the arbitration.
+    """Write the bit in which each one-shot sender lost the arbitration.
 
     Return the next row.
     """
@@ -111,7 +111,7 @@ def _tell_states(bus: BusRecord, out: Queue, log: Records, row: int, last: int) 
 
 @inlined
 def _settle(bus: BusRecord) -> None:
-    """A frame has passed: rules g and h, and the pause of an error-passive sender."""
+    """Apply rules g and h after a frame, and the suspension of an error-passive sender."""
     row = bus.source & STATION_MASK
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
@@ -126,8 +126,8 @@ def _settle(bus: BusRecord) -> None:
 
 @kernel
 def _end_slow(bus: BusRecord) -> None:
-    """The wire is free again: what failed waits anew, unless its sender sends once only, or
-    is off.
+    """Queue the failed frames again when the wire is free, except those of one-shot or switched-off
+    senders.
     """
     bus.free_ns = bus.end_ns
     bus.bits += bus.play.bit
@@ -148,7 +148,7 @@ def _end_slow(bus: BusRecord) -> None:
         can_id, order = bus.tx[k].can_id, bus.tx[k].order
         if order == WITHDRAWN:
             continue
-        if k == 0:  # the winner, which was struck: it is sent again; the others only have not come to it
+        if k == 0:  # the winner is sent again; the other senders have not reached their bits
             order = first_order(can_id)
             if bus.struck.again or bus.struck.lost_for != NOBODY:
                 c.owed, c.again, c.lost_for = 1, bus.struck.again, bus.struck.lost_for
@@ -158,15 +158,15 @@ def _end_slow(bus: BusRecord) -> None:
 
 @kernel
 def _show_sent(bus: BusRecord) -> bool:
-    """Let the frame that was received in slow motion be the bus's frame; False: there is none."""
-    if bus.senders == 0:  # nobody sent: a disturbance that looks like a frame is none
+    """Make the frame received in the bit-level simulation the bus's frame; False: there is none."""
+    if bus.senders == 0:  # nobody sent: a disturbance that looks like a frame does not count
         return False
     k = 0
     for j in range(bus.senders):
         if bus.tx[j].state == FrameFate.DONE:
             k = j
             break
-        if bus.tx[j].state == FrameFate.FAILED:  # in the last bit: its receivers have it
+        if bus.tx[j].state == FrameFate.FAILED:  # an error in the last bit: the receivers have the frame
             k = j
     bus.can_id = bus.tx[k].can_id
     bus.length = bus.tx[k].length
@@ -181,8 +181,8 @@ def _show_sent(bus: BusRecord) -> bool:
 
 @kernel
 def _tell_stuck(bus: BusRecord) -> None:
-    """Count the wire's being dominant from its begin on, also where that is in a frame and the bus
-    does not become free for `alarm`.
+    """Count the dominant wire from its begin on, also if it begins in a frame and the bus does not become
+    free for `alarm`.
     """
     for row in range(bus.fault_count):
         f = bus.faults[row]
@@ -193,7 +193,7 @@ def _tell_stuck(bus: BusRecord) -> None:
 
 @inlined
 def _tell_error(bus: BusRecord, log: Records, row: int) -> None:
-    """Write the error that was seen first in this stretch."""
+    """Write the first error of this simulation."""
     seen = bus.seen
     can_id, word = error_frame(bus.stations[seen.source], seen.source, seen.classes, seen.kind, seen.place)
     _write(log, row, bus.end_ns, can_id, word, number(seen.source))
@@ -202,7 +202,7 @@ def _tell_error(bus: BusRecord, log: Records, row: int) -> None:
 
 @inlined
 def _deliver(bus: BusRecord, log: Records, row: int) -> None:
-    """Write the bus's frame, for those who hear it; the faults that it has triggered are due."""
+    """Write the bus's frame for its receivers; the faults that it has triggered are due."""
     _write(log, row, bus.end_ns, bus.can_id, bus.word, bus.source)
     log[row].length = bus.length
     bus.partial_row = row
@@ -213,7 +213,7 @@ def _deliver(bus: BusRecord, log: Records, row: int) -> None:
 
 @kernel
 def _play_on(bus: BusRecord) -> None:
-    """Go on with slow motion."""
+    """Continue the bit-level simulation."""
     if bus.stuck.until_ns <= bus.end_ns:
         plan_alarm(bus, bus.end_ns)
     bus.end_ns = run_bits(bus)
@@ -221,9 +221,9 @@ def _play_on(bus: BusRecord) -> None:
 
 @kernel
 def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
-    """End a frame, or a stretch of slow motion, at `end_ns`.
+    """End a frame, or a bit-level simulation, at `end_ns`.
 
-    Return how many rows of the log were written, the frame's last.
+    Return the number of log rows written; the last is the frame's.
     """
     bus.delivered = Delivered.NOBODY
     if bus.stage == Stage.TOLD:
@@ -245,7 +245,7 @@ def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
     if bus.stage == Stage.WATCHED or (slowly and bus.play.passed and _show_sent(bus)):
         _deliver(bus, log, row)
         row += 1
-    if slowly and bus.seen.gave_up:  # there is more to tell of the last bit: the next end, which is now, does
+    if slowly and bus.seen.gave_up:  # the last bit has more events: the next end, at the same time, reports them
         bus.play.passed = bus.seen.tell = 0
         return row - first
     if bus.stage == Stage.PLAYED:

@@ -1,5 +1,5 @@
-"""Random bit errors at a rate, from a seed: when the next disturbed bit is on the wire, in a frame
-or on an idle wire.
+"""Random bit errors with a rate and a seed: the time of the next disturbed bit, in a frame or on an idle
+wire.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def seeded(seed: int) -> int:
 
 @kernel
 def renew(bus: BusRecord, t_ns: int) -> None:
-    """Let the noises that are at work at `t_ns` be the bus's: together they disturb a bit with the
-    probability 1 - (1 - r1)(1 - r2)...
+    """Combine the noises active at `t_ns`: together they disturb a bit with the probability
+    1 - (1 - r1)(1 - r2)...
     """
     rate = 0.0
     bus.noise.until_ns = FAR_NS
@@ -41,7 +41,7 @@ def renew(bus: BusRecord, t_ns: int) -> None:
 
 @kernel
 def disturber(bus: BusRecord) -> int:
-    """Return the row of the noise that disturbs this bit: of several, drawn by their rates."""
+    """Return the row of the noise that disturbs this bit, drawn by the rates of the active noises."""
     last = count = 0
     rates = 0.0
     for row in range(bus.fault_count):
@@ -62,8 +62,8 @@ def disturber(bus: BusRecord) -> int:
 
 @kernel
 def next_noise(bus: BusRecord, t_ns: int) -> None:
-    """Draw `next_ns`, the begin of the next disturbed bit: the undisturbed bits from `t_ns` on are
-    geometric, with the rate as its probability.
+    """Draw `next_ns`, the begin of the next disturbed bit: the number of undisturbed bits from `t_ns`
+    on has a geometric distribution with the rate as its probability.
 
     The generator is Park's and Miller's minimal standard (doi:10.1145/63039.63042) with the
     multiplier 48271: all of it in int64.
@@ -82,7 +82,7 @@ def next_noise(bus: BusRecord, t_ns: int) -> None:
 
 @kernel
 def noisy_bit(bus: BusRecord, end_ns: int) -> int:
-    """Return whom noise hits in the bit that ends at `end_ns`, `NOBODY` mostly.
+    """Return the station that noise hits in the bit that ends at `end_ns`, mostly `NOBODY`.
 
     Draw the next such bit.
     """

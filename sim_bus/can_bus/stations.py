@@ -1,4 +1,4 @@
-"""Who is on the bus, and whether it wants a close look for it (compiled)."""
+"""Compiled list of the stations on the bus, and whether they require the detailed path."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ __all__ = ["attach", "detach", "number", "refresh", "restart"]
 
 @inlined
 def _in_slow_motion(bus: BusRecord) -> bool:
-    """Tell whether bits are played, and more are to come."""
+    """Tell whether a bit-level simulation is in progress, with more bits to come."""
     return bool(bus.stage == Stage.PLAYED or bus.stage == Stage.TOLD)
 
 
 @kernel
 def refresh(bus: BusRecord) -> None:
-    """Find out whether the bus wants a close look, after something has changed."""
+    """Determine whether the bus needs the detailed path, after a change."""
     bus.alert = bus.limited = 0
     if bus.bit_rate <= 0:
         return
@@ -58,7 +58,7 @@ def attach(bus: BusRecord, station: int) -> None:
 def detach(bus: BusRecord, station: int) -> None:
     """Switch a station's controller off.
 
-    The frame that it is sending breaks off where slow motion can show it.
+    The frame that it is sending breaks off if the bit-level simulation is active.
     """
     row = station & STATION_MASK
     c = bus.stations[row]
@@ -76,7 +76,7 @@ def detach(bus: BusRecord, station: int) -> None:
 
 @kernel
 def restart(bus: BusRecord, station: int, now_ns: int) -> None:
-    """Begin the recovery of a station in bus-off, as ``ip link set can0 type can restart``."""
+    """Begin the recovery of a station in bus-off, like ``ip link set can0 type can restart``."""
     c = bus.stations[station & STATION_MASK]
     if c.state == CanState.BUS_OFF:
         c.restart_at_ns = now_ns

@@ -1,8 +1,8 @@
-"""A frame as the sequence of its bits on the wire (ISO 11898-1:2015, 10.4 and 10.5): what
-`wire.bits` only counts.
+"""Bit sequence of a frame on the wire (ISO 11898-1:2015, 10.4 and 10.5); `wire.bits` only counts the
+bits.
 
-Needed where a frame goes wrong, so it is written for the eye: bit by bit, from the start of frame
-to the end of frame. Dominant is 0.
+It is used only for frames with errors, so it is written for readability: bit by bit, from the start
+of frame to the end of frame. Dominant is 0.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Frames that wait for the bus: who wins it next is known without a look at all of them.
+"""Pending frames in two heaps: the next winner in O(log n).
 
-Stations ask by `wire.frame.push`, which only appends to the queue. Where few wait they stay there,
-and each arbitration looks at all of them. Where more wait, as when 126 nodes answer one SYNC, the
-bus takes them in and keeps them in two binary heaps of places: `later` by the time at which a frame
-is ready, and `ready` by its arbitration field and then by the order in which it was asked for. So a
-frame costs O(log n).
+Stations request with `wire.frame.push`, which only appends to the queue. A few pending frames stay
+there, and each arbitration examines all of them. If there are more, as when 126 nodes answer one
+SYNC, the bus moves them into two binary heaps of places: `later` by the time at which a frame is
+ready, and `ready` by its arbitration field and then by the order of the requests. So a frame costs
+O(log n).
 
-The fields of the room are part of the bus's record (`sim_bus.can_bus.records.BusRecord`).
+The fields of the heaps are part of the bus's record (`sim_bus.can_bus.records.BusRecord`).
 """
 
 from __future__ import annotations
@@ -34,20 +34,19 @@ __all__ = [
 
 FAR_NS = 1 << 62
 FEW = 4
-"""So many are found sooner by a look at each."""
+"""Up to this number of frames, a linear search is faster."""
 SEQUENCE_BITS = 31
 SEQUENCE_MASK = (1 << SEQUENCE_BITS) - 1
 HELD_BACK = 2
-"""Sequence of a frame that a scripted fault has struck already: it is put off, or sent once more.
-"""
+"""Sequence of a frame that a scripted fault has struck already: it is delayed, or sent once more."""
 WITHDRAWN = -1
-"""As `order` of a frame on the wire: it is not sent again."""
-FIRST_SEQUENCE = 3  # 0 is a frame that was on the wire before, 1 one that was about to be
+"""`order` of a frame on the wire that is not sent again."""
+FIRST_SEQUENCE = 3  # 0: a frame that was on the wire before; 1: a frame that was about to be
 
 
 @inlined
 def _insert(keys: Integers, places: Integers, n: int, key: int, place: int) -> None:
-    """Put `place` into the heap of `n`."""
+    """Insert `place` into the heap of `n`."""
     at = n
     while at > 0:
         up = (at - 1) >> 1
@@ -60,7 +59,7 @@ def _insert(keys: Integers, places: Integers, n: int, key: int, place: int) -> N
 
 @inlined
 def _remove_first(keys: Integers, places: Integers, n: int) -> None:
-    """Take the first out of the heap, in which `n` remain."""
+    """Remove the first element from the heap, in which `n` remain."""
     key, place = keys[n], places[n]
     at = 0
     while 2 * at + 1 < n:
@@ -82,8 +81,8 @@ def first_order(can_id: int) -> int:
 
 @kernel
 def hold(bus: BusRecord, order: int, can_id: int, length: int, word: int, source: int, ready_ns: int) -> bool:
-    """Let a frame wait in the room from `ready_ns` on; `order` is its key among those that are
-    ready. False: there is no room.
+    """Insert a frame that is ready from `ready_ns` on; `order` is its key among the ready frames. False: no
+    room is left.
     """
     if bus.held >= ROOM:
         return False
@@ -107,12 +106,10 @@ def hold(bus: BusRecord, order: int, can_id: int, length: int, word: int, source
 
 @inlined
 def accept(bus: BusRecord, frame: Frame) -> bool:
-    """Let a frame that was asked for wait in the room, unless its station takes no more; False:
-    there is no room.
-    """
+    """Insert a requested frame, unless its station's queue is full; False: no room is left."""
     if bus.held == 0:
         bus.sequence = FIRST_SEQUENCE
-    if bus.limited:  # a transmit queue of finite length, or a station in bus-off, takes no more
+    if bus.limited:  # a finite transmit queue, or a station in bus-off, accepts no more
         c = bus.stations[frame.source & STATION_MASK]
         if 0 < c.queue_limit <= bus.waiting_of[frame.source & STATION_MASK] or c.state == CanState.BUS_OFF:
             c.dropped += 1
@@ -126,7 +123,7 @@ def accept(bus: BusRecord, frame: Frame) -> bool:
 
 @kernel
 def take_in(bus: BusRecord, out: Queue) -> None:
-    """Let what was asked for since the last time wait in the room; the queue is empty then."""
+    """Move the frames requested since the last call into the heaps; the queue is empty then."""
     for i in range(out.count):
         if not accept(bus, out.frames[i]):
             out.dropped += 1
@@ -136,17 +133,15 @@ def take_in(bus: BusRecord, out: Queue) -> None:
 
 @inlined
 def first_ns(bus: BusRecord, out: Queue) -> int:
-    """Return from when on a frame that waits is ready: any time up to `free_ns` when one is by
-    then, `FAR_NS` when none waits.
+    """Return the time from which a pending frame is ready: any time up to `free_ns` if one is ready by then,
+    `FAR_NS` if none is pending.
     """
     t = FAR_NS
     count = out.count
     if bus.held == 0 and count <= FEW and bus.alert == 0:
         for i in range(count):
             t = min(t, out.frames[i].t_ns)
-            if (
-                t <= bus.free_ns
-            ):  # also keeps the compiler from gathering what was written just now into vectors, which is slow
+            if t <= bus.free_ns:  # also prevents a slow vectorisation of the values just written
                 break
     else:
         if count > 0:
@@ -160,10 +155,10 @@ def first_ns(bus: BusRecord, out: Queue) -> int:
 
 @inlined
 def win(bus: BusRecord, out: Queue, now_ns: int) -> bool:
-    """Let the winner of the arbitration among the frames that are ready at `now_ns` (there must be
-    one) be the bus's frame.
+    """Make the winner of the arbitration among the frames ready at `now_ns` (there must be one) the bus's
+    frame.
 
-    Returns whether another station's frame with the same arbitration field is ready too.
+    Return whether another station's frame with the same arbitration field is ready too.
     """
     count = out.count
     tie = False
@@ -205,10 +200,9 @@ def win(bus: BusRecord, out: Queue, now_ns: int) -> bool:
 
 @kernel
 def winner(bus: BusRecord, now_ns: int) -> int:
-    """Take the winner among the frames in the room that are ready at `now_ns` out of it and return
-    its place, -1: none is.
+    """Remove the winner among the heap frames ready at `now_ns`, and return its place; -1 if none is ready.
 
-    The frame stands at its place, in the fields `held_...`, until another is taken in.
+    The frame stays at its place, in the fields `held_...`, until another frame is inserted.
     """
     while bus.later > 0 and bus.later_key[0] <= now_ns:
         waits = bus.later_place[0]
@@ -227,7 +221,7 @@ def winner(bus: BusRecord, now_ns: int) -> int:
 
 @inlined
 def rival(bus: BusRecord, order: int) -> bool:
-    """Tell whether a frame with the same arbitration field as the winner's is ready in the room."""
+    """Tell whether the heap has a ready frame with the winner's arbitration field."""
     return bool(bus.ready > 0 and bus.ready_key[0] >> SEQUENCE_BITS == order >> SEQUENCE_BITS)
 
 
@@ -241,8 +235,8 @@ def _leave(bus: BusRecord, place: int) -> None:
 
 @kernel
 def withdraw(bus: BusRecord, out: Queue, source: int) -> None:
-    """Forget the frames of a station that wait, and what is on the wire if it fails there: it was
-    switched off.
+    """Remove the pending frames of a station that was switched off; its frame on the wire is not sent again
+    if it fails.
     """
     take_in(bus, out)
     for k in range(bus.senders):
@@ -253,7 +247,7 @@ def withdraw(bus: BusRecord, out: Queue, source: int) -> None:
         key, place = bus.later_key[i], bus.later_place[i]
         if bus.held_source[place] == source:
             _leave(bus, place)
-        else:  # what is written stays behind what is read
+        else:  # the write position stays behind the read position
             _insert(bus.later_key, bus.later_place, bus.later, key, place)
             bus.later += 1
     n, bus.ready = bus.ready, 0

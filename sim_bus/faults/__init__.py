@@ -1,1 +1,1 @@
-"""The fault file, and its faults on the bus."""
+"""The fault file, and the injection of its faults on the bus."""

@@ -1,6 +1,4 @@
-"""The mistakes of a fault file in words: pydantic's findings, each with its place, what is expected
-and what stands there.
-"""
+"""Text of a fault file's mistakes: pydantic's errors, each with its position, expectation and value."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ WANTED = {
     "literal_error": "{expected}",
     "string_pattern_mismatch": 'at most eight bytes in hexadecimal, as in "12 34"',
 }
-"""What a value of pydantic's error types should have been."""
+"""Expected values by pydantic's error type."""
 OF_KEYS = {
     "on": 'a text such as "3rd TPDO1 of node 2", or a table such as { frame = "TPDO1", node = 2, nth = 3 }',
     "node": 'a node by its name, as in "motor", or by its node id',
@@ -40,7 +38,7 @@ OF_KEYS = {
     "fault": "tables [[fault]], in double brackets",
     "controller": "tables [[controller]], in double brackets",
 }
-"""The same where the key says more than the type."""
+"""Expected values by key, if more specific than the type."""
 OF_TYPES = ("model_type", "dict_type", "model_attributes_type", "int_type", "string_type", "list_type")
 WRAPPERS = ("constrained-", "function-", "literal[")
 
@@ -48,8 +46,8 @@ WRAPPERS = ("constrained-", "function-", "literal[")
 def mistakes(
     path: str, document: Document, error: ValidationError, schema: type[BaseModel], faults: Sequence[type[BaseModel]]
 ) -> list[str]:
-    """Return a line for each key that pydantic finds wrong; `faults` are the models of `schema`'s
-    faults, told apart by ``kind``.
+    """Return a line for each key that pydantic rejects; `faults` are the models of `schema`'s faults, selected
+    by ``kind``.
     """
     by_kind = {get_args(model.model_fields["kind"].annotation)[0]: model for model in faults}
     findings: dict[tuple[int, str], tuple[list[str], str]] = {}
@@ -83,7 +81,7 @@ def mistakes(
         key = line, f"{path}:{line}: {'.'.join(map(str, names))}"
         if not expected:
             findings[key] = [text], ""
-        else:  # a key that takes several types has a finding for each
+        else:  # a key with several types has an error for each
             texts = findings.setdefault(key, ([], given))[0]
             texts += [] if expected in texts else [expected]
     return [
@@ -93,7 +91,7 @@ def mistakes(
 
 
 def _keys_beside(place: Key, schema: type[BaseModel], by_kind: dict[Any, type[BaseModel]]) -> list[str]:
-    """Return the keys that the table has in which pydantic found one at `place` that it has not."""
+    """Return the valid keys of the table in which pydantic found an unknown key at `place`."""
     model: type[BaseModel] = schema
     for part in place[:-1]:
         if part in by_kind and model is schema:

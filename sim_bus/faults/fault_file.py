@@ -1,8 +1,8 @@
-"""A fault file: what goes wrong on the bus, and when (docs/bus.md).
+"""Fault file: faults on the bus, and their times (docs/bus.md).
 
 ::
 
-    seed = 7                             # of the noise; without it the run's seed
+    seed = 7                             # of the noise; default: the run's seed
 
     [[fault]]
     kind = "flip"                        # FaultKind, in small letters
@@ -65,8 +65,8 @@ NodeName = Annotated[str | int, Field(union_mode="left_to_right")]
 """A node by its name in the rig ("motor", "brake", "host") or by its node id."""
 
 RESTART_MS = 100
-"""From bus-off to the begin of recovery, as a CAN interface is usually set up: long enough that
-whoever depends on the station notices.
+"""Time from bus-off to the begin of recovery, as CAN interfaces are usually set up: long enough for other
+stations to notice.
 """
 
 BASES = {
@@ -80,8 +80,7 @@ BASES = {
     "SDO REQUEST": CobId.SDO_RX,
     "HEARTBEAT": CobId.HEARTBEAT,
 }
-"""Identifiers of the predefined connection set (CiA 301, 7.3.5); a node's is that plus its node id.
-"""
+"""Identifiers of the predefined connection set (CiA 301, 7.3.5); the node id is added."""
 OF_NO_NODE = ("NMT", "SYNC", "TIME")
 MOST_COUNTED = 10**12
 LAST_BIT = 160
@@ -94,7 +93,7 @@ _TRIGGER = re.compile(
 
 
 class FaultError(CoulombusError, ValueError):
-    """A fault file that cannot be used; one line for each mistake, with its place."""
+    """An unusable fault file; one line for each mistake, with its position."""
 
     exit_status = 3
 
@@ -105,9 +104,9 @@ class _Strict(BaseModel):
 
 
 class Trigger(_Strict):
-    """Which frames are meant: the `nth` one of a kind, and then every `every`-th.
+    """Frames that trigger a fault: the `nth` frame of a kind, and then every `every`-th.
 
-    Without either, the first.
+    Default: the first.
     """
 
     frame: str | None = None
@@ -169,7 +168,7 @@ class _Fault(_OnBus):
 
 
 class OnFrame(_Fault):
-    """A fault of the frames `on`."""
+    """A fault of the frames selected by `on`."""
 
     on: Trigger | None = None
     duration_s: float | None = Field(None, ge=1e-9, le=1e7)
@@ -177,13 +176,13 @@ class OnFrame(_Fault):
 
 
 class Lasting(_Fault):
-    """A fault that is there for a time."""
+    """A fault that lasts for a time."""
 
     duration_s: float | None = Field(None, ge=1e-9, le=1e7)
 
 
 class Flip(OnFrame):
-    """Turn one bit of a frame around, for all or for one receiver."""
+    """Invert one bit of a frame, for all receivers or for one."""
 
     kind: Literal["flip"]
     bit: int | str = 0
@@ -204,14 +203,14 @@ class CorruptCrc(OnFrame):
 
 
 class Drop(OnFrame):
-    """Lose a frame without an error, for all or for one receiver."""
+    """Lose a frame without an error, for all receivers or for one."""
 
     kind: Literal["drop"]
     lost_for: NodeName | None = None
 
 
 class Delay(OnFrame):
-    """Hold a frame back."""
+    """Delay a frame."""
 
     kind: Literal["delay"]
     delay_us: float = Field(ge=1e-3, le=1e9)
@@ -224,16 +223,16 @@ class Duplicate(OnFrame):
 
 
 class Reset(OnFrame):
-    """Reset a node, as by NMT, when the frame has been sent or at a time."""
+    """Reset a node, as by NMT, after a frame or at a time."""
 
     kind: Literal["reset"]
     node: NodeName
 
 
 class Cut(_Fault):
-    """Cut the cable into two halves, at a time or when a frame has been sent.
+    """Cut the cable into two halves, at a time or after a frame.
 
-    Whom `halves` does not name is in the first.
+    Nodes that `halves` does not name are in the first half.
     """
 
     kind: Literal["cut"]
@@ -252,7 +251,7 @@ class Cut(_Fault):
 
 
 class Drift(Lasting):
-    """Let a node's clock run fast, or slow."""
+    """Let a node's clock run fast or slow."""
 
     kind: Literal["drift"]
     node: NodeName
@@ -260,7 +259,7 @@ class Drift(Lasting):
 
 
 class Babble(Lasting):
-    """Let a node send one frame again and again, whatever else it does."""
+    """Let a node send one frame periodically, in addition to its normal frames."""
 
     kind: Literal["babble"]
     node: NodeName
@@ -277,7 +276,7 @@ class StuckDominant(Lasting):
 
 
 class Noise(Lasting):
-    """Turn bits around at random, each with the probability `rate`, for all or for one receiver."""
+    """Invert random bits, each with the probability `rate`, for all receivers or for one."""
 
     kind: Literal["noise"]
     rate: float = Field(gt=0, le=1)
@@ -291,7 +290,7 @@ AnyFault = Annotated[
 
 
 class Controller(_OnBus):
-    """How a node's CAN controller is set up."""
+    """Settings of a node's CAN controller."""
 
     node: NodeName
     restart_ms: Annotated[float, Field(ge=0, le=1e7)] | Literal["manual"] = RESTART_MS
@@ -309,8 +308,8 @@ class _File(_Strict):
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """A fault file's contents, or those about one bus; `faults` and `controllers` tell where in the
-    file they stand, `lines` in which line.
+    """Contents of a fault file, or its part for one bus; `faults` and `controllers` map to the positions in
+    the file, `lines` to the line numbers.
     """
 
     path: str
@@ -326,7 +325,7 @@ class FaultPlan:
         Raises
         ------
         FaultError
-            an entry names another bus, or none where the rig has several
+            an entry names an unknown bus, or none although the rig has several
         """
         kept: dict[str, list[int]] = {"fault": [], "controller": []}
         known = ", ".join(f'"{bus}"' for bus in channels if bus) or "one without a name; leave the key out"
@@ -352,7 +351,7 @@ class FaultPlan:
         )
 
     def mistake(self, key: Key, text: str) -> FaultError:
-        """Return the error of a value, with its place."""
+        """Return the error for a value, with its position."""
         return FaultError(f"{self.path}:{self.document.line(key)}: {'.'.join(str(part) for part in key)}: {text}")
 
 
@@ -362,7 +361,7 @@ def read_faults(path: Path) -> FaultPlan:
     Raises
     ------
     FaultError
-        it cannot be read, or holds a mistake; the text has a line for each, with file and line
+        the file is unreadable, or has mistakes; the text has a line for each, with file and line
     """
     try:
         raw = read_regular(path, MOST_CHARACTERS)

@@ -1,5 +1,5 @@
-"""A fault file at work on a virtual bus: rows into the bus's table, resets out of it, and what was
-injected for results and recordings.
+"""Injection of a fault file on a virtual bus: table rows, resets, and the records of injections for results
+and recordings.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ def stations_of(world: VirtualRig) -> tuple[dict[str, int], dict[int, int]]:
     """Return the stations of a rig's bus by name and by node id: ``motor``, ``brake``, sensors
     (``AXIS.motor`` with several axes) and ``host``.
 
-    Where the host is another process it is one of the clients, and they all stand for it.
+    If the host is another process, it is one of the clients, and ``host`` means all clients.
     """
     node_ids = {world.devices[row].node_id: row for row in world.rows.values()}
     return {**world.rows, "host": SOURCE_HOST if world.has_host else CLIENTS}, node_ids
 
 
 class Injection:
-    """The faults of `plan` on the bus of `world`, from now on.
+    """Injects the faults of `plan` on the bus of `world`, from now on.
 
     `on_fault` is called with the time and a text for each injection, before the frames around it
-    are handed over.
+    are delivered.
 
     Raises
     ------
@@ -60,7 +60,7 @@ class Injection:
             raise FaultError(f"{plan.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
         self.plan, self._world, self._on_fault = plan, world, on_fault
         self._bus = world.bus[0]
-        self._drifts: dict[int, int] = {}  # by station: the fault that its clock drifts by
+        self._drifts: dict[int, int] = {}  # by station: the fault that causes its clock drift
         detach(self._bus, TAP)
         world.keep_sent()
         self._later = install(self._bus, plan, seed, *stations_of(world))
@@ -75,7 +75,7 @@ class Injection:
         world.look_closely()
 
     def _plan(self, row: int, t_ns: int) -> None:
-        """Plan what Python does at a time: a reset, a clock that drifts."""
+        """Schedule Python's part of a fault: a reset, a drifting clock."""
         fault = self.plan.file.fault[row]
         if fault.kind == "reset" and fault.on is None:
             self._world.at(t_ns, lambda world: self._reset(world, row))
@@ -85,17 +85,17 @@ class Injection:
                 self._world.at(t_ns + round(fault.duration_s * 1e9), lambda world: self._drift(row, 0))
 
     def enabled(self, t_ns: int) -> None:
-        """The drive has entered Operation Enabled: what counts from there begins."""
+        """Start the faults that count from Operation Enabled, which the drive has entered."""
         begin_enabled(self._bus, self._later, t_ns)
         for row, after_ns in self._later:
             self._plan(row, t_ns + after_ns)
         self._later = []
 
     def _cut(self, row: int) -> None:
-        """Cut the cable, or mend it; one cut at a time, and only while the wire is idle."""
+        """Cut the cable, or repair it; one cut at a time, and only while the wire is idle."""
         near, now, fault = self._bus, self._world.t_ns, self._bus.faults[row]
         out = self._world.out
-        if near.cut == WHOLE and near.stage != Stage.FREE:  # what is on the wire is played to its end
+        if near.cut == WHOLE and near.stage != Stage.FREE:  # the frame on the wire ends first
             fault.next_ns = now
             plan_alarm(near, now)
         elif near.cut == WHOLE:
@@ -115,9 +115,7 @@ class Injection:
             self._on_fault(t_ns, text)
 
     def act(self) -> None:
-        """Do what a frame has triggered and the bus cannot do itself: reset nodes, cut the
-        cable.
-        """
+        """Perform the parts of a fault that the bus cannot: reset nodes, cut the cable."""
         calls, self._bus.fault_calls = int(self._bus.fault_calls), 0
         for row in range(len(self.plan.file.fault)):
             if calls >> row & 1:
@@ -127,7 +125,7 @@ class Injection:
                     self._reset(self._world, row, count=False)
 
     def _reset(self, world: VirtualNetwork, row: int, *, count: bool = True) -> None:
-        """Reset a node in the midst of what it does: what it had waiting to be sent is gone."""
+        """Reset a node at once; its pending frames are dropped."""
         station = int(self._bus.faults[row].station)
         if count:
             fire(self._bus, row, world.t_ns, NO_FRAME)
@@ -149,7 +147,7 @@ class Injection:
             set_clock(world.nodes[station], world.t_ns, ppb)
 
     def tell(self) -> None:
-        """Tell what was injected since the last time."""
+        """Report the injections since the last call."""
         halves = self._world.bus.view(np.ndarray)  # a recarray looks each field up in Python
         if self._on_fault is not None:
             columns = [halves[name] for name in ("told_ns", "told_row", "told_id")]
@@ -165,7 +163,7 @@ class Injection:
         self._mark(t_ns, f"fault {self.plan.file.fault[row].kind}{what} (line {self.plan.lines[row]})")
 
     def results(self) -> list[dict[str, Any]]:
-        """Return what each fault of the file came to, for JSON."""
+        """Return the result of each fault of the file, for JSON."""
         rows = merged_faults(self._world.bus, self._before) if self._bus.cut else self._bus.faults
         return [asdict(result) for result in injections(rows, self.plan)]
 
@@ -173,7 +171,7 @@ class Injection:
 def controllers_of(world: VirtualRig) -> dict[str, dict[str, Any]]:
     """Return the CAN controllers' states and counters by node, for JSON.
 
-    Of clients that stand for the host the worst state, and the sums.
+    If clients act as the host: their worst state, and the sums.
     """
     stations, _ = stations_of(world)
     counters = ("retransmissions", "arbitration_lost", "dropped", "passives", "bus_offs", "restarts")

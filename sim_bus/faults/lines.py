@@ -1,6 +1,4 @@
-"""What the faults of a fault file came to, and the CAN controllers with them, in lines for
-people.
-"""
+"""Result lines of a fault file's faults and of the CAN controllers, for people."""
 
 from __future__ import annotations
 
@@ -13,8 +11,8 @@ __all__ = ["injected_lines"]
 def injected_lines(
     faults: Sequence[Mapping[str, Any]] | None, controllers: Mapping[str, Mapping[str, Any]] | None
 ) -> Iterator[str]:
-    """Yield a line for each fault of a fault file, and for each CAN controller; a fault that never
-    struck is told as such.
+    """Yield a line for each fault of a fault file, and for each CAN controller, including faults that never
+    struck.
     """
     for fault in faults or ():
         bus = f"bus {fault['bus']}, " if "bus" in fault else ""

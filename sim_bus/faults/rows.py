@@ -1,6 +1,4 @@
-"""A fault plan becomes rows of the bus's tables: the faults it injects, and its stations'
-controllers.
-"""
+"""Conversion of a fault plan to rows of the bus's tables: its faults, and its stations' controllers."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ SOURCE_HOST = -1
 
 @dataclass(frozen=True)
 class Injected:
-    """What a fault of the file came to."""
+    """Result of a fault of the file."""
 
     kind: str
     line: int
@@ -52,13 +50,13 @@ class Injected:
 
 
 class _Nodes:
-    """Station numbers of the nodes that a file names."""
+    """Station numbers of the nodes named in a file."""
 
     def __init__(self, plan: FaultPlan, stations: Mapping[str, int], node_ids: Mapping[int, int]) -> None:
         self.plan, self.stations, self.node_ids = plan, stations, node_ids
 
     def station(self, name: str | int | None, key: Key) -> int:
-        """Return the station of a node, `ALL` of None."""
+        """Return the station of a node, `ALL` for None."""
         if name is None:
             return ALL
         row = self.node_ids.get(name) if isinstance(name, int) else self.stations.get(name)
@@ -100,7 +98,7 @@ def _match(row: FaultRecord, on: Trigger, nodes: _Nodes, key: Key) -> None:
 def _at_one_time(a: Lasting, b: Lasting) -> bool:
     """Tell whether two faults may last at the same time.
 
-    When Operation Enabled is, nobody knows before.
+    The time of Operation Enabled is unknown in advance.
     """
     if a.after != b.after:
         return True
@@ -109,8 +107,8 @@ def _at_one_time(a: Lasting, b: Lasting) -> bool:
 
 
 def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
-    """Refuse what a file says twice: a node's controller, and, for one time, the drift of a node's
-    clock.
+    """Refuse duplicates in a file: two settings of a node's controller, or two drifts of a node's clock at
+    one time.
     """
     known: dict[int, int] = {}
     for n, given in enumerate(plan.file.controller):
@@ -135,20 +133,20 @@ def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
 def install(
     bus: BusRecord, plan: FaultPlan, seed: int, stations: Mapping[str, int], node_ids: Mapping[int, int]
 ) -> list[tuple[int, int]]:
-    """Put the faults of a file into the bus's table.
+    """Write the faults of a file to the bus's table.
 
-    Return (row, nanoseconds) of those that count from Operation Enabled.
+    Return (row, nanoseconds) of the faults that count from Operation Enabled.
 
     Parameters
     ----------
     bus : the record of `sim_bus.can_bus.records.BusRecord`
-    seed : of the noise, where the file has none of its own
+    seed : of the noise, if the file has none
     stations, node_ids : stations by name and by node id
 
     Raises
     ------
     FaultError
-        a node is named that is not on this bus, or something is said twice
+        a named node is not on this bus, or the file has duplicates
     """
     nodes = _Nodes(plan, stations, node_ids)
     _refuse_twice(plan, nodes)
@@ -201,7 +199,7 @@ def install(
 
 
 def _rows(station: int) -> slice:
-    """Return the rows of a station, or of all that it stands for."""
+    """Return the rows of a station, or of all stations that it stands for."""
     row = station % STATIONS
     return CLIENT_ROWS if station == CLIENTS else slice(row, row + 1)
 
@@ -213,7 +211,7 @@ def _begin(row: FaultRecord, from_ns: int, length_ns: int) -> None:
 
 
 def begin_enabled(bus: BusRecord, later: list[tuple[int, int]], now_ns: int) -> None:
-    """Let the faults that count from Operation Enabled count from `now_ns`."""
+    """Start the faults that count from Operation Enabled at `now_ns`."""
     for n, after_ns in later:
         row = bus.faults[n]
         _begin(row, now_ns + after_ns, int(row.until_ns))
@@ -222,7 +220,7 @@ def begin_enabled(bus: BusRecord, later: list[tuple[int, int]], now_ns: int) -> 
 
 
 def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
-    """Set what a fault does, and to whom."""
+    """Set the effect and the target of a fault."""
     for name in ("seen_by", "lost_for", "node"):
         if getattr(fault, name, None) is not None:
             row.station = nodes.station(getattr(fault, name), (*key, name))
@@ -230,9 +228,9 @@ def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
     if isinstance(fault, Reset) and host:
         raise nodes.plan.mistake((*key, "node"), "the host is no node that could be reset; expected a node of the rig")
     if isinstance(fault, Babble) and host:
-        row.station = SOURCE_HOST  # in a bus of clients a station of its own
+        row.station = SOURCE_HOST  # on a bus of clients, a separate station
     if isinstance(fault, Flip | Noise) and row.station not in (ALL, CLIENTS):
-        row.station %= STATIONS  # the controller that sees it, by its row: the host's is the last
+        row.station %= STATIONS  # the row of the controller that sees it: the host's is the last
     if isinstance(fault, Flip):
         row.bit = BIT_NAMES[fault.bit] if isinstance(fault.bit, str) else fault.bit
     elif isinstance(fault, Cut):
@@ -259,7 +257,7 @@ def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
 
 
 def injections(rows: Records, plan: FaultPlan) -> list[Injected]:
-    """Return what each fault of the file came to."""
+    """Return the result of each fault of the file."""
     out = []
     for n, fault in enumerate(plan.file.fault):
         row = rows[n]
