@@ -60,10 +60,12 @@ class CoreObject:
     index, subindex : the object
     slot : its index in the record's `values`
     absent : the slot's value if the file has no such object
-    acts : bit of the record's `rpdo_carries`: the core acts when the object is written; 0: it does
-    not changing : whether it changes all the time, so that its change is no event for a TPDO with
-    an event timer needed : whether the kind cannot act without it named : it is
-    manufacturer-specific, 2000h to 5FFFh, and was named by a person who knows the device
+    acts : bit of the record's `rpdo_carries`: the core acts when the object is written; 0: it does not
+    changing : whether it changes all the time, so that its change is no event for a TPDO with an
+        event timer
+    needed : whether the kind cannot act without it
+    named : it is manufacturer-specific, 2000h to 5FFFh, and was named by a person who knows the
+        device
     """
 
     index: int
@@ -175,12 +177,14 @@ class Behaviour(NamedTuple):
     sample : (n) write the measurements to the slots
     actuate : (n, t_ns) compute the output at `t_ns`
     apply : (n, t_ns, received_ns, carries, out) act on written slots; `carries`: the bits `acts` of
-    their objects connection_lost : (n, t_ns, why) make the output safe after NMT left OPERATIONAL;
-    1: report it as a fault react : (n, t_ns, cause) make the output safe if a cause of `node.emcy`
-    requires it look : (n, t_ns) update `detected`, the faults that the device detects itself, from
-    its inputs supply : (n) -> SUPPLY_... next_deadline : (n, t_ns, next_ns) -> the earlier of
-    `next_ns` and the kind's own next deadline number : of the kind, as in the record's `kind`;
-    `node.kinds` assigns it
+        their objects
+    connection_lost : (n, t_ns, why) make the output safe after NMT left OPERATIONAL; return 1 to
+        report it as a fault
+    react : (n, t_ns, cause) make the output safe if a cause of `node.emcy` requires it
+    look : (n, t_ns) update `detected`, the faults that the device detects itself, from its inputs
+    supply : (n) -> SUPPLY_...
+    next_deadline : (n, t_ns, next_ns) -> the earlier of `next_ns` and the kind's own next deadline
+    number : of the kind, as in the record's `kind`; `node.kinds` assigns it
     """
 
     sample: Callable[[NodeRecord], None] = _nothing
@@ -224,10 +228,11 @@ class Profile:
     product : 1018h:02 of this project's own device of that kind
     held : causes of `node.emcy` (bits) that stay latched until the kind's own fault reset
     started : (record, objects, t_ns) begin with the present values of the objects: at power-on and
-    after "reset node" powered_on : (record, t_ns) after `started`, at power-on only changed :
-    (record, objects, index, subindex) an object from 2000h on was written: update the quantities
-    computed from it check : (objects, index, subindex, value) raise `SdoAbort` unless a client may
-    write an integer
+        after "reset node"
+    powered_on : (record, t_ns) after `started`, at power-on only
+    changed : (record, objects, index, subindex) an object from 2000h on was written: update the
+        quantities computed from it
+    check : (objects, index, subindex, value) raise `SdoAbort` unless a client may write an integer
     """
 
     name: str

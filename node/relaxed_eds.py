@@ -62,7 +62,8 @@ def opened(description: Description, profile: Profile, counts_rev: int = 0, axis
     Parameters
     ----------
     counts_rev : counts of the position in one turn of the motor, for a file that does not state
-    them; 0: unknown axis : of a drive of several
+        them; 0: unknown
+    axis : of a drive of several axes
     """
     if profile is GENERIC or of_identity(told_identity(description)) is not GENERIC:
         return Opened(description)

@@ -68,7 +68,8 @@ class Pump:
     ----------
     plan : content of the I/O file
     guard : returns the watchdog for its time, the safe writes of the outputs, and the claims'
-    descriptors tell : called with a line for people when the hardware fails, and when it works again
+        descriptors
+    tell : called with a line for people when the hardware fails, and when it works again
     """
 
     plan: Plan

@@ -1,12 +1,11 @@
-"""What a loop over many devices looks up instead of asking each of them: whose deadline is next,
-and who wants a frame.
+"""Lookup tables of a loop over many devices: the next deadline, and the receivers of a frame.
 
-`deadlines` is a tournament tree of int64 [ns]: ``deadlines[leaves + i]`` is when device `i` wants
-`on_time`, every inner place the earlier of its two children ``2 k`` and ``2 k + 1``, so
-``deadlines[1]`` the next of all. `wants` has a row for each 11-bit identifier: how many devices
-take such a frame, and which, in their order. Both follow the node records: the loop keeps the
-deadline of a device that it has called, `look_again` all of them after Python has worked on the
-records.
+`deadlines` is a tournament tree of int64 [ns]: ``deadlines[leaves + i]`` is the time of the next
+`on_time` of device `i`, every inner place the earlier of its two children ``2 k`` and ``2 k + 1``,
+so ``deadlines[1]`` is the earliest of all. `wants` has a row for each 11-bit identifier: the number
+of devices that receive such a frame, and their rows, in order. Both follow the node records: the
+loop updates the deadline of each device that it has called, `look_again` updates everything after
+Python has changed the records.
 
     n : the `NodeRecord` of a device
 """
@@ -29,7 +28,7 @@ IDENTIFIERS = 2048
 
 
 def new_deadlines(devices: int) -> npt.NDArray[np.int64]:
-    """Return the tree of `devices` devices, none of which has a deadline."""
+    """Return the tree of `devices` devices without deadlines."""
     leaves = 1
     while leaves < devices:
         leaves *= 2
@@ -37,13 +36,13 @@ def new_deadlines(devices: int) -> npt.NDArray[np.int64]:
 
 
 def new_wants(devices: int) -> npt.NDArray[np.int16]:
-    """Return the table of `devices` devices, none of which wants anything."""
+    """Return the table of `devices` devices that receive nothing."""
     return np.zeros((IDENTIFIERS, devices + 1), np.int16)
 
 
 @inlined
 def keep_deadline(deadlines: Integers, i: int, n: NodeRecord) -> None:
-    """Bring the tree up to the deadline of device `i`, whose record is `n`."""
+    """Update the tree with the deadline of device `i`, whose record is `n`."""
     t = n.next_ns if n.powered else FAR_FUTURE_NS
     if n.clock_on != 0:
         t = bus_ns(n, t)
@@ -61,7 +60,7 @@ def keep_deadline(deadlines: Integers, i: int, n: NodeRecord) -> None:
 
 @inlined
 def next_device(deadlines: Integers) -> int:
-    """Return whose deadline is next, of equals the first device."""
+    """Return the device with the earliest deadline, the first device of equals."""
     leaves: int = deadlines.shape[0] >> 1
     at = 1
     while at < leaves:
@@ -73,7 +72,7 @@ def next_device(deadlines: Integers) -> int:
 
 @kernel
 def look_again(nodes: Records, deadlines: Integers, wants: Integers) -> None:
-    """Bring both up to the records of all devices."""
+    """Update both tables from the records of all devices."""
     for i in range(nodes.shape[0]):
         keep_deadline(deadlines, i, nodes[i])
         if nodes[i].rerouted:

@@ -1,21 +1,21 @@
-"""The virtual-time event loop: a bus, its devices, any number of axes and perhaps a host, as
-functions of time in one compiled kernel.
+"""Virtual-time event loop: a bus, its devices, any number of axes and an optional host in one compiled
+kernel.
 
 `run` goes from event to event in integer nanoseconds and returns to Python only when the control
-plane has work, as a virtual machine exits to its monitor (`Exit`). Events at the same instant go in
-a fixed order: a frame's end first (so what arrives is handled before a deadline is judged), then
-the script, the devices, the host, and at last the start of the next frame (so that everything that
-is ready takes part in the arbitration).
+plane has work, as a virtual machine exits to its monitor (`Exit`). Events at the same instant have
+a fixed order: a frame's end first (so that a received frame is handled before a deadline is
+checked), then the script, the devices, the host, and at last the start of the next frame (so that
+every ready frame takes part in the arbitration).
 
-There are two of it, compiled from one source when first needed. What is rare on a bus (a frame that
-is looked at bit by bit, scripted faults, a cut cable, a clock that drifts) is a third of the
-machine code, so the loop that everything begins with has none of it, and says when it is needed
-(`Exit.CLOSELY`); the other one, with the argument `closely`, then goes on with the same records.
+It exists in two versions, compiled from one source when first needed. Rare events of a bus (a
+bit-level simulation, scripted faults, a cut cable, a drifting clock) are a third of the machine
+code. So the first version has none of them, and reports when they are needed (`Exit.CLOSELY`); the
+second version, with the argument `closely`, then continues with the same records.
 
 A device is a row of the node records; that row is its station number. An axis is a motor's row, a
 brake's row, and the rig between them: a row of the plants and one of the blocks of the operator's
-force. Further devices of an axis show what the rig's roles name (`sim_bus.rig.coupling`). A device
-that belongs to no axis has no rig, and none of this costs it anything.
+force. Further devices of an axis show the quantities of the rig's roles (`sim_bus.rig.coupling`). A
+device that belongs to no axis has no rig, and no cost from it.
 
     w : the `WorldRecord`        b : the `BusRecord`        p : the `PlantRecord` of an axis
 """
@@ -71,111 +71,111 @@ __all__ = [
 ]
 
 MOTOR, BRAKE = 0, 1
-"""Rows of the node records of a rig, and their station numbers."""
+"""Rows of the node records of a rig, which are their station numbers."""
 MOST_DEVICES = 127
 
 ENCODER_LOST = 1 << emcy.ENCODER - emcy.FIRST_DEVICE_CAUSE
 
 
 class Exit(IntEnum):
-    """Why the kernel returned."""
+    """Reason why the kernel returned."""
 
-    UNTIL = 0  # the time was reached
-    FORCE = 1  # a plant needs the next block of the operator's force: that of `axis`
+    UNTIL = 0  # the end time was reached
+    FORCE = 1  # a plant needs the next force block of the operator: that of `axis`
     LOG = 2  # the frame log is full
-    SERVICE = 3  # the last frame of the log is for Python: `services`, `control_plane` and `heard` tell who wants it
+    SERVICE = 3  # Python needs the last frame of the log: `services`, `control_plane` and `heard` tell for whom
     ENABLED = 4  # the drive of `axis` entered Operation Enabled: the schedule begins
-    PHASE = 5  # the host went to another phase
+    PHASE = 5  # the host entered another phase
     SCRIPT = 6  # a script's entry is due
-    FAULT = 7  # a frame has triggered a fault that the bus cannot do itself
-    CLOSELY = 8  # what comes next only the loop that looks closely can do
+    FAULT = 7  # a frame has triggered a fault that the bus cannot inject itself
+    CLOSELY = 8  # the next event needs the detailed loop
 
 
 FRAME_END, SCRIPT, DEVICE, HOST, FRAME_START, NOTHING = 0, 1, 2, 3, 4, 5
-"""What happens next, in the order of events at the same instant."""
+"""Next event, in the order of events at the same instant."""
 
 LOG_FRAMES = 1 << 15
 SENT_FRAMES = 1 << 12
 TOLD_FRAMES = 1 << 13
-"""Frames that the log, what is kept of the host's, and what it tells of itself have room for."""
+"""Capacity in frames of the log, of the host's sent frames, and of its telemetry."""
 
 
 class WorldRecord(Clock):
-    """What the loop knows beside the records of bus, nodes and rig."""
+    """State of the loop besides the records of bus, nodes and rig."""
 
     t_ns: int
     until_ns: int
     script_ns: int
-    stale: int  # 1: Python has worked on the records since the kernel last looked at all of them
+    stale: int  # 1: Python has changed the records since the kernel last read all of them
     host_on: int  # 1: the host's cycle runs
     host_elsewhere: int  # 1: the host is another process, or there is none
-    drifting: int  # devices that have a clock of their own
-    phase: int  # the phases of the host's axes that Python knows, four bits each
+    drifting: int  # devices with a local clock
+    phase: int  # phases of the host's axes as Python knows them, four bits each
     log_count: int
-    # what only a replay of the host needs to know (`recording.trace`)
+    # only for a replay of the host (`recording.trace`)
     had: Annotated[IntegerField, LOG_FRAMES, np.int8]  # by row of the log: 1: the host has received this frame
-    keep_sent: int  # 1: keep what the host asks the bus to send, whatever becomes of it
+    keep_sent: int  # 1: store the frames that the host requests, whatever becomes of them
     sent_count: int
     sent: Annotated[RecordArray[Frame], SENT_FRAMES]
-    tells: int  # 1: the host tells of itself after each cycle (`host.cycle.telemetry`)
+    tells: int  # 1: the host sends telemetry after each cycle (`host.cycle.telemetry`)
     told_count: int
-    # who wants the last frame
-    services: int  # how many devices
-    service: Annotated[IntegerField, MOST_DEVICES]  # which
+    # receivers of the last frame
+    services: int  # number of devices
+    service: Annotated[IntegerField, MOST_DEVICES]  # rows of the devices
     control_plane: int  # 1: the host's
-    heard: int  # 1: one of Python's stations
-    listen_all: int  # 1: one of them wants what is not in `listening`: remote, extended and error frames
+    heard: int  # 1: stations in Python
+    listen_all: int  # 1: one of them receives frames outside `listening`: remote, extended and error frames
     # axes
-    axis: int  # whose exit it is
+    axis: int  # axis of the exit
     to_begin: int  # axes whose schedule has not begun
-    force_end_ns: int  # the first time at which an axis' block of force ends
+    force_end_ns: int  # first time at which an axis's force block ends
 
 
 WORLD = dtype_of(WorldRecord)
 
 
 class World(NamedTuple):
-    """All that the loop runs on, but for the host's cycle."""
+    """Arguments of the loop except the host's cycle."""
 
     state: WorldRecord
     """A record of `WorldRecord`."""
     bus: RecordArray[BusRecord]
     """`sim_bus.can_bus.arbiter.new_bus`: the wire, and its second half while the cable is cut."""
     out: Queue
-    """A record of `wire.frame.Queue`: what the bus is asked to send."""
+    """A record of `wire.frame.Queue`: frames requested to be sent."""
     log: RecordArray[Frame]
-    """Records of `wire.frame.Frame`: what the bus has carried."""
+    """Records of `wire.frame.Frame`: frames sent on the bus."""
     nodes: RecordArray[NodeRecord]
     """`node.record.new_nodes`: the devices."""
     deadlines: Integers
-    """`sim_bus.network.deadline_tree.new_deadlines`: when each device wants to be called."""
+    """`sim_bus.network.deadline_tree.new_deadlines`: next call of each device."""
     wants: Integers
-    """`sim_bus.network.deadline_tree.new_wants`: which devices want a frame."""
+    """`sim_bus.network.deadline_tree.new_wants`: receivers of each frame."""
     listening: Integers
-    """By identifier: 1 where one of Python's stations wants the frame."""
+    """By identifier: 1 if a station in Python receives the frame."""
     axes: RecordArray[RigAxis]
     """Records of `AxisRecord`."""
     axis_of: Integers
     """By row of a device: its axis, or -1."""
     plant: RecordArray[PlantRecord]
-    """Records of `sim_bus.rig.records.PlantRecord`, one for each axis."""
+    """Records of `sim_bus.rig.records.PlantRecord`, one per axis."""
     f_h: Floats
-    """By axis: the block of the operator's force."""
+    """By axis: block of the operator's force."""
     truth: Floats
-    """By axis: the block of the plant's true course."""
+    """By axis: block of the plant's true course."""
 
 
 class HostCycle(NamedTuple):
-    """The host's cycle, as `host.cycle.axes` takes it."""
+    """Host's cycle in the form of `host.cycle.axes`."""
 
     axes: AxisRecords  # `host.cycle.records.AxisRecord` records
-    owner: Integers  # by identifier: the axis that its frames belong to
-    told: RecordArray[Frame]  # `TOLD_FRAMES` records of `wire.frame.Frame`: what it tells of itself
+    owner: Integers  # by identifier: axis that its frames belong to
+    told: RecordArray[Frame]  # `TOLD_FRAMES` records of `wire.frame.Frame`: telemetry
 
 
 @inlined
 def _sample(p: PlantRecord, axis: RigAxis, nodes: RecordArray[NodeRecord]) -> None:
-    """Let the devices look at the rig: encoder, motor current, transducer, coil."""
+    """Let the devices measure the rig: encoder, motor current, transducer, coil."""
     motor, brake = nodes[axis.motor], nodes[axis.brake]
     if motor.in_faults & ENCODER_LOST:
         motor.in_velocity_counts_s = 0.0  # the counter stands still
@@ -192,8 +192,8 @@ def _sample(p: PlantRecord, axis: RigAxis, nodes: RecordArray[NodeRecord]) -> No
 
 @inlined
 def _advance(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
-    """Bring the plant of axis `a` to the last grid point at or before `t_ns` (within the force
-    block) under the held commands.
+    """Advance the plant of axis `a` to the last grid point at or before `t_ns` (within the force block), with
+    constant commands.
     """
     axis, p = world.axes[a], world.plant[a]
     steps = (t_ns - p.t_ns) // p.step_ns
@@ -205,14 +205,14 @@ def _advance(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
 
 @inlined
 def _look(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
-    """Bring the rig of axis `a` to `t_ns` and let its devices look at it."""
+    """Advance the rig of axis `a` to `t_ns` and let its devices measure it."""
     _advance(world, course, a, t_ns)
     _sample(world.plant[a], world.axes[a], world.nodes)
 
 
 @inlined
 def actuate(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
-    """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has changed."""
+    """Apply the devices' commands to the rig of axis `a` from `t_ns` on, if they have changed."""
     axis, p = world.axes[a], world.plant[a]
     motor, brake = world.nodes[axis.motor], world.nodes[axis.brake]
     brake_Nm = brake.out_brake_Nm if axis.brake_output == BrakeOutput.TORQUE else brake_torque(axis, brake)
@@ -225,7 +225,7 @@ def actuate(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
 
 @kernel
 def _keep(w: WorldRecord, out: Queue, first: int) -> None:
-    """Keep what the host has pushed from place `first` on."""
+    """Store the frames that the host has pushed from index `first` on."""
     if w.clock_on != 0:
         to_bus(w, out, first)
     if w.keep_sent != 0:
@@ -240,9 +240,9 @@ def _keep(w: WorldRecord, out: Queue, first: int) -> None:
 
 @kernel
 def end_closely(world: World, course: CourseFunction, b: BusRecord) -> None:
-    """End a frame, or a stretch of slow motion, that was looked at closely.
+    """End a frame on the detailed path, or a bit-level simulation.
 
-    Tell the devices what became of their controllers.
+    Report the states of the controllers to their devices.
     """
     w, nodes, t = world.state, world.nodes, world.state.t_ns
     if b.stage == Stage.FRAME:
@@ -266,9 +266,7 @@ def end_closely(world: World, course: CourseFunction, b: BusRecord) -> None:
 def refresh(
     w: WorldRecord, nodes: RecordArray[NodeRecord], axes: RecordArray[RigAxis], deadlines: Integers, wants: Integers
 ) -> None:
-    """Bring all that is looked up instead of asked for up to the records that Python may have
-    written.
-    """
+    """Update all lookup tables from the records that Python may have written."""
     w.stale = 0
     look_again(nodes, deadlines, wants)
     w.drifting = 0
@@ -283,8 +281,8 @@ def refresh(
 
 @inlined
 def next_event(w: WorldRecord, b: BusRecord, out: Queue, deadlines: Integers, host: AxisRecords) -> tuple[int, int]:
-    """Return when something happens next, and what."""
-    t = b.end_ns if b.stage != Stage.FREE else FAR_NS  # strict comparisons keep the order of equals
+    """Return the time and the kind of the next event."""
+    t = b.end_ns if b.stage != Stage.FREE else FAR_NS  # strict comparisons keep the order at equal times
     what = FRAME_END
     if w.script_ns < t:
         t, what = w.script_ns, SCRIPT
@@ -307,10 +305,10 @@ def run(
 ) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
-    `law_function` None: there is no host in this world. `closely` None: up to where a close look is
-    needed. Numba leaves out what stands behind a condition on an argument that is None.
+    `law_function` None: there is no host in this world. `closely` None: stop when the detailed path
+    is needed. Numba omits code that depends on an argument that is None.
     """
-    world, host = borrowed(world), borrowed(host)  # each use of an array would count its references
+    world, host = borrowed(world), borrowed(host)  # each use of an array would change its reference count
     w, bus, out, nodes = world.state, world.bus, world.out, world.nodes
     axes, axis_of, deadlines, wants = world.axes, world.axis_of, world.deadlines, world.wants
     cable = bus[0]

@@ -1,8 +1,8 @@
 """Signals that end a verb (`system.stop_signals`), held until a compiled kernel has returned.
 
 At the entry of a kernel that takes a friction law, numba runs Python code
-(`numba.experimental.function_type`) and does not look whether an exception came of it: with one
-pending it goes on, and what follows is a wrong TypeError, or the end of the interpreter.
+(`numba.experimental.function_type`) without checking for an exception: with a pending exception it
+continues, and a wrong TypeError or a crash of the interpreter follows.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ __all__ = ["InterruptsHeld"]
 
 
 class InterruptsHeld:
-    """While entered, a signal is only noted; `pass_on`, and the end, give it to who had it before.
+    """While entered, a signal is only recorded; `pass_on`, and the end, pass it to its earlier handler.
 
-    In other threads than the main one: nothing.
+    Does nothing outside the main thread.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class InterruptsHeld:
 
     def __enter__(self) -> InterruptsHeld:
         if threading.current_thread() is threading.main_thread():
-            for number in (*SIGNALS, signal.SIGALRM):  # which brings back one that Python has lost
+            for number in (*SIGNALS, signal.SIGALRM):  # SIGALRM brings back a signal that Python has lost
                 before = signal.getsignal(number)
                 if callable(before):
                     self._before[number] = before
@@ -47,9 +47,7 @@ class InterruptsHeld:
         self._noted = number, frame
 
     def pass_on(self) -> None:
-        """Give a signal that was noted to the handler of before; KeyboardInterrupt is
-        Python's own.
-        """
+        """Pass a recorded signal to its earlier handler; KeyboardInterrupt comes from Python's own."""
         if self._noted is not None:
             (number, frame), self._noted = self._noted, None
             self._before[number](number, frame)

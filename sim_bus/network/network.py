@@ -1,15 +1,15 @@
-"""A CANopen network in virtual time: a bit-true bus, any number of devices, and stations written in
+"""CANopen network in virtual time: a bit-true bus, any number of devices, and stations written in
 Python.
 
-For tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the same calls give the
-same frames to the nanosecond::
+It is for tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the same calls
+give the same frames to the nanosecond::
 
     from coulombus.eds.cia301 import NmtCommand
     from coulombus.sim_bus.network.network import VirtualNetwork
 
     network = VirtualNetwork(bitrate_bit_s=500_000)
     device = network.add("eds/motor.eds", 5)              # any EDS; profile=DRIVE402 or BRAKE404 for ours
-    tester = network.station()                            # hears every frame; station({0x585}): that one only
+    tester = network.station()                            # hears every frame; station({0x585}): only this identifier
     network.power_on()                                    # all devices; boot-ups go out
     network.wait_ns(10_000_000)
     assert tester.take(0x705)[0].data == b"\\0"
@@ -19,16 +19,16 @@ same frames to the nanosecond::
     assert tester.wait_for(0x585, timeout_ns=10_000_000) is not None
     device[0x6064, 0]                                     # look into the device, or write as it does itself
 
-A station may answer at once: ``network.station(on_frame=lambda frame: ...)`` is called with each
+A station can answer at once: ``network.station(on_frame=lambda frame: ...)`` is called with each
 `Heard` at its end of frame, and may `send`. ``network.at(t_ns, action)`` calls ``action(network)``
-at a time; `run_until` takes a condition that ends it sooner. Devices are switched with `power_on`
+at a time; `run_until` takes a condition that ends it earlier. Devices are switched with `power_on`
 and `power_off`; ``network.canopen()`` is a `canopen.Network` on this bus (its SDO requests let
-virtual time pass). ``on_frames`` of the constructor sees every batch of frames that the bus has
-carried, as FRAME records, for recordings.
+virtual time pass). The constructor's ``on_frames`` receives every batch of sent frames as FRAME
+records, for recordings.
 
-What costs: a device that a frame does not concern costs nothing, and a frame that no Python station
-hears is not seen by Python at all. So name the identifiers that a station hears where speed
-matters. A device whose EDS cannot be read right raises `eds.reader.EdsError`.
+Cost: a frame costs nothing for devices that do not receive it, and a frame that no Python station
+hears does not enter Python. So name a station's identifiers where speed matters. A device whose EDS
+is refused raises `eds.reader.EdsError`.
 """
 
 from __future__ import annotations
@@ -92,19 +92,19 @@ __all__ = ["CanopenNetwork", "Heard", "Station", "VirtualNetwork"]
 
 CAPACITY = 16
 FIRST_STATION, MOST_STATIONS = 192, 62
-"""Station numbers of Python's stations: devices have their rows, clients of a bus in real time 128
-and so on, the host -1.
+"""Station numbers of Python's stations: devices have their rows, clients of a bus in real time start at
+128, the host is -1.
 """
 TAP = 254
-"""An analyser that only acknowledges, so that a device alone on the bus does not send one frame for
-ever; a fault file takes it away.
+"""A station that only acknowledges, so that a device alone on the bus does not repeat one frame for ever; a
+fault file removes it.
 """
 
 
 @dataclass(frozen=True)
 class AttachedAxes:
-    """What hangs on the devices of a network: its axes with their plants and force blocks, and the
-    host, as the kernel's arrays.
+    """Mechanics connected to a network's devices: its axes with their plants and force blocks, and the host, as
+    the kernel's arrays.
 
     Their types are the same without an axis and without a host, so that one compiled kernel serves
     every network.
@@ -135,30 +135,30 @@ def without_mechanics(devices: int) -> AttachedAxes:
 
 
 class FaultSource(Protocol):
-    """The faults on the bus, as the network needs them (`sim_bus.faults.injection.Injection`)."""
+    """The network's interface to the faults on the bus (`sim_bus.faults.injection.Injection`)."""
 
     def act(self) -> None:
-        """Do what a frame has triggered and the bus cannot do itself."""
+        """Perform the parts of a fault that the bus cannot."""
 
     def tell(self) -> None:
-        """Tell what was injected since the last time."""
+        """Report the injections since the last call."""
 
     def enabled(self, t_ns: int) -> None:
-        """The drive has entered Operation Enabled."""
+        """Handle the drive's entry into Operation Enabled."""
 
     def results(self) -> list[dict[str, Any]]:
-        """Return what each fault came to."""
+        """Return the result of each fault."""
 
 
 class VirtualNetwork:
-    """A bus in virtual time and what is on it.
+    """A bus in virtual time with its devices and stations.
 
     Parameters
     ----------
     bitrate_bit_s : any number; 0: a frame takes no time
-    capacity : devices that may be added, at most 127
-    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has
-        carried them
+    capacity : largest number of devices, at most 127
+    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) after they
+    were sent
     """
 
     def __init__(
@@ -178,7 +178,7 @@ class VirtualNetwork:
         self.devices: list[Device] = []
         self.injection: FaultSource | None = None
         self.opened: tuple[str, ...] = ()
-        """What devices have otherwise than their EDS files, a line each (`node.relaxed_eds`)."""
+        """Changes of the devices from their EDS files, a line each (`node.relaxed_eds`)."""
         self.on_frames = on_frames
         self._stations: list[Station] = []
         self._script: list[tuple[int, int, Callable[[Any], None]]] = []
@@ -189,7 +189,7 @@ class VirtualNetwork:
         self._out = new_queue()
         self._log = frames(LOG_FRAMES)
         self._listening = np.zeros(IDENTIFIERS, np.int8)
-        self._world = np.zeros(1, WORLD)  # Python reads it often: a recarray looks each field up in Python
+        self._world = np.zeros(1, WORLD)  # read often in Python: a recarray looks each field up in Python
         w = self._world[0]
         w["script_ns"], w["force_end_ns"], w["stale"], w["host_elsewhere"] = FAR_NS, FAR_NS, 1, mechanics is None
         m = mechanics or without_mechanics(capacity)
@@ -219,24 +219,22 @@ class VirtualNetwork:
 
     @property
     def arguments(self) -> tuple[World, HostCycle, LawFunction, CourseFunction]:
-        """The arguments of `sim_bus.network.event_loop.run` but for `closely`.
+        """Arguments of `sim_bus.network.event_loop.run` except `closely`.
 
-        Since it ran last, somebody may have written to the records.
+        Python may have changed the records since the last run.
         """
         self._world["stale"] = 1
         return self._arguments
 
     @property
     def out(self) -> Queue:
-        """The frames that were asked for since the bus last looked: what `wire.frame.push`
-        takes.
-        """
+        """Frames requested since the bus last read the queue: the argument of `wire.frame.push`."""
         return self._out
 
-    # what is on the bus
+    # participants
 
     def add(self, eds: Description | str | Path, node_id: int, profile: Profile = GENERIC, **options: Any) -> Device:
-        """Put a device on the bus, switched off, and return it; `options` are those of
+        """Add a switched-off device to the bus, and return it; `options` are those of
         `node.device.Device`.
 
         Raises
@@ -259,10 +257,10 @@ class VirtualNetwork:
     def station(
         self, can_ids: Collection[int] | None = None, on_frame: Callable[[Heard], None] | None = None
     ) -> Station:
-        """Put a station on the bus that hears the frames `can_ids` (11-bit identifiers; None: every
-        frame) of the others.
+        """Add a station that hears the frames `can_ids` (11-bit identifiers; None: every frame) of other
+        stations.
 
-        `on_frame` is called with each of them at its end of frame; without it they wait in
+        `on_frame` is called with each of them at its end of frame; without it they are collected in
         `Station.heard`.
         """
         if len(self._stations) >= MOST_STATIONS:
@@ -303,18 +301,18 @@ class VirtualNetwork:
 
     @property
     def t_ns(self) -> int:
-        """Present time."""
+        """Present time in ns."""
         return int(self._world["t_ns"][0])
 
     @property
     def plain(self) -> bool:
-        """Whether there is nothing but devices and a host: no station, no fault, no script's entry,
-        no close look.
+        """Whether the network has only devices and a host: no station, no fault, no script entry, no detailed
+        path.
         """
         return not (self._stations or self._script or self._closely) and self.injection is None
 
     def wait_ns(self, duration_ns: int) -> None:
-        """Let time pass."""
+        """Let `duration_ns` pass."""
         self.run_until(self.t_ns + duration_ns)
 
     def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
@@ -324,11 +322,11 @@ class VirtualNetwork:
             self.look_closely()
 
     def _go_on(self, condition: Callable[[], bool] | None) -> Exit:
-        """Run to `until_ns`, until `condition` holds, or until a close look is needed.
+        """Run to `until_ns`, until `condition` holds, or until the detailed path is needed.
 
         Return the last exit.
         """
-        self._run.load(*self._arguments, self._closely)  # where a signal ends it: compiling may take half a minute
+        self._run.load(*self._arguments, self._closely)  # a signal may end it here: compiling may take half a minute
         with InterruptsHeld() as interrupts:
             while True:
                 reason = Exit(self._run(*self.arguments, self._closely))
@@ -341,14 +339,14 @@ class VirtualNetwork:
                     return reason
 
     def look_closely(self) -> None:
-        """Run from now on with the loop that knows all that is rare.
+        """Run the detailed loop from now on.
 
-        Without this it is compiled, or loaded, when that happens.
+        Otherwise it is compiled, or loaded, at the first rare event.
         """
         self._closely, self._run = 1, Entry(run)
 
     def at(self, t_ns: int, action: Callable[[Self], None]) -> None:
-        """Call `action(network)` at the virtual time `t_ns`: a script's entry."""
+        """Schedule `action(network)` at the virtual time `t_ns`, as a script entry."""
         heapq.heappush(self._script, (t_ns, self._planned, action))
         self._planned += 1
         self._world["script_ns"] = self._script[0][0]
@@ -356,9 +354,7 @@ class VirtualNetwork:
     # the kernel's exits
 
     def answer(self, why: int) -> None:
-        """Do what the kernel needs Python for (`sim_bus.network.event_loop.Exit`), at the
-        present time.
-        """
+        """Handle an exit of the kernel (`sim_bus.network.event_loop.Exit`), at the present time."""
         if why == Exit.SERVICE:
             self._serve()
         elif why == Exit.LOG:
@@ -371,9 +367,7 @@ class VirtualNetwork:
             action(self)
 
     def _serve(self) -> None:
-        """Give the last frame of the log to the devices' services and to the stations that
-        want it.
-        """
+        """Pass the last frame of the log to the devices' services and to its receiving stations."""
         w = self._world[0]
         frame = self._log[int(w["log_count"]) - 1]
         t_ns, can_id = int(frame["t_ns"]), int(frame["can_id"])
@@ -388,15 +382,15 @@ class VirtualNetwork:
                     station.hear(heard)
 
     def serve(self, rows: Collection[int], t_ns: int, can_id: int, length: int, data: int) -> None:
-        """Give a frame to the services of the devices of some rows."""
+        """Pass a frame to the services of the devices in some rows."""
         for row in rows:
             self._by_its_clock(row, self.devices[row].service, t_ns, can_id, length, data)
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
-        """Take a frame for the host's control plane; a network without a host has none."""
+        """Process a frame for the host's control plane; a network without a host has none."""
 
     def flush(self) -> None:
-        """Hand over the frames that the bus has carried since the last time."""
+        """Deliver the frames sent since the last call."""
         count = int(self._world["log_count"][0])
         self._world["log_count"] = 0
         if self.injection is not None:
@@ -404,37 +398,37 @@ class VirtualNetwork:
         self.hand_over(count)
 
     def hand_over(self, count: int) -> None:
-        """Give the first rows of the log to who wants every frame."""
+        """Deliver the first log rows to the recorder."""
         if self.on_frames is not None and count:
             self.on_frames(self._log[:count])
 
     # the devices
 
     def power_on(self, device: int | None = None) -> None:
-        """Switch all devices on, or that of a row; one that is on stays so."""
+        """Switch all devices on, or the device of a row; a device that is on stays on."""
         for row, node in enumerate(self.devices):
             if device in (None, row) and not node.record["powered"]:
                 attach(wire_of(self.bus, row), row)
                 self._by_its_clock(row, node.power_on, self.t_ns)
 
     def power_off(self, device: int) -> None:
-        """Switch the device of a row off; what it had waiting to be sent is gone."""
+        """Switch the device of a row off; its pending frames are dropped."""
         self.devices[device].power_off()
         self.withdraw(device)
         detach(wire_of(self.bus, device), device)
 
     def withdraw(self, device: int) -> None:
-        """Forget what the device of a row has waiting to be sent."""
+        """Remove the pending frames of the device of a row."""
         if self.bus[0].cut:
             divide(self.bus, self._out)
         withdraw(wire_of(self.bus, device), self._out, device)
 
     def nmt_command(self, device: int, command: NmtCommand | int) -> None:
-        """Let the device of a row act as on an NMT command to it."""
+        """Let the device of a row process an NMT command addressed to it."""
         self._by_its_clock(device, self.devices[device].nmt_command, self.t_ns, command)
 
     def _by_its_clock(self, row: int, act: Callable[..., None], t_ns: int, *arguments: Any) -> None:
-        """Call a device's `act` at its own time (`node.own_time`)."""
+        """Call a device's `act` at its local time (`node.own_time`)."""
         node, first = self.devices[row].record, int(self._out["count"])
         if not node["clock_on"]:
             act(t_ns, *arguments, self._out)

@@ -1,6 +1,4 @@
-"""Participants of a network in virtual time that are written in Python: a station, and `canopen`'s
-network.
-"""
+"""Participants of a virtual-time network written in Python: a station, and `canopen`'s network."""
 
 from __future__ import annotations
 
@@ -20,35 +18,33 @@ SDO_ABORT = 0x80
 
 @dataclass(frozen=True)
 class Heard:
-    """A frame that the bus has carried; `can_id` with Linux's flags (`wire.frame`), `t_ns` its end
-    of frame.
-    """
+    """A frame from the bus; `can_id` with Linux's flags (`wire.frame`), `t_ns` its end of frame."""
 
     t_ns: int
     can_id: int
     length: int
     data: bytes
     source: int
-    """Number of the station that sent it: a device's row, a station's `number`, -1 the host."""
+    """Number of the sending station: a device's row, a station's `number`, -1 the host."""
 
 
 class Bus(Protocol):
-    """What a station needs of its network (`sim_bus.network.network.VirtualNetwork`)."""
+    """A station's interface to its network (`sim_bus.network.network.VirtualNetwork`)."""
 
     @property
     def t_ns(self) -> int:
-        """The present."""
+        """Present time in ns."""
 
     @property
     def out(self) -> Queue:
-        """What was asked to be sent."""
+        """Frames requested to be sent."""
 
     def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
         """Let time pass until `t_ns`, or until `condition` holds."""
 
 
 class Station:
-    """A participant written in Python; made by `VirtualNetwork.station`."""
+    """A participant written in Python; created by `VirtualNetwork.station`."""
 
     def __init__(
         self,
@@ -59,11 +55,11 @@ class Station:
     ) -> None:
         self.number, self.can_ids = number, can_ids
         self.heard: list[Heard] = []
-        """What it has heard and nobody has taken; stays empty where `on_frame` is given."""
+        """Frames heard and not yet taken; stays empty if `on_frame` is given."""
         self._network, self._on_frame = network, on_frame
 
     def send(self, can_id: int, data: bytes = b"", *, at_ns: int | None = None, length: int | None = None) -> None:
-        """Ask to send a frame, now or from `at_ns` on; `length` gives the DLC of a remote frame.
+        """Request to send a frame, now or from `at_ns` on; `length` gives the DLC of a remote frame.
 
         Raises
         ------
@@ -77,7 +73,7 @@ class Station:
         push(self._network.out, self.number, ready, can_id, size, data_word(bytes(data)))
 
     def take(self, can_id: int | None = None) -> list[Heard]:
-        """Take what was heard (with this identifier) out of `heard`."""
+        """Remove the frames heard (with this identifier) from `heard`, and return them."""
         frames = [frame for frame in self.heard if can_id in (None, frame.can_id)]
         self.heard = [frame for frame in self.heard if can_id not in (None, frame.can_id)]
         return frames
@@ -85,14 +81,14 @@ class Station:
     def wait_for(self, can_id: int, timeout_ns: int) -> Heard | None:
         """Let time pass until a frame `can_id` comes, and return it, or None after `timeout_ns`.
 
-        It stays in `heard`.
+        The frame stays in `heard`.
         """
         seen, network = len(self.heard), self._network
         network.run_until(network.t_ns + timeout_ns, lambda: any(f.can_id == can_id for f in self.heard[seen:]))
         return next((frame for frame in self.heard[seen:] if frame.can_id == can_id), None)
 
     def hear(self, frame: Heard) -> None:
-        """Take a frame of another station."""
+        """Process a frame of another station."""
         if self._on_frame is not None:
             self._on_frame(frame)
         else:
@@ -100,33 +96,29 @@ class Station:
 
 
 class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no types
-    """A `canopen` network without threads: what it sends goes into the virtual bus, and an SDO
-    request lets time pass.
-    """
+    """A `canopen` network without threads: its frames go to the virtual bus, and an SDO request lets time pass."""
 
     def __init__(self, send: Callable[[int, bytes, bool], None], answer: Callable[[int], None]) -> None:
-        """`send` sends a frame; `answer` lets time pass until a frame with an identifier was heard,
-        or for the SDO time-out.
+        """Set `send`, which sends a frame, and `answer`, which lets time pass until a frame with an identifier
+        was heard, or for the SDO time-out.
         """
         super().__init__()
         self._send, self._answer = send, answer
         self._heard: set[int] = set()
 
     def notify(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Give a frame to whoever has subscribed to it."""
+        """Pass a frame to its subscribers."""
         self._heard.add(can_id)
         super().notify(can_id, data, timestamp)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Queue a frame; when it is an SDO request, run the bus until the node's response or the
-        time-out.
-        """
+        """Queue a frame; for an SDO request, run the bus until the node's response or the time-out."""
         self._send(can_id, bytes(data), remote)
-        if can_id & 0x780 == CobId.SDO_RX and data[0] != SDO_ABORT:  # nobody answers an abort
+        if can_id & 0x780 == CobId.SDO_RX and data[0] != SDO_ABORT:  # an abort has no response
             self._await(can_id & 0x7F)
 
     def _await(self, node_id: int) -> None:
-        """Wait for a response that the node's client takes: of a frame that came twice it takes one."""
+        """Wait for a response that the node's client accepts: it accepts a repeated frame once."""
         node = self.nodes.get(node_id)
         again = True
         while again:
@@ -136,5 +128,5 @@ class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no t
             again = remote and node.sdo.responses.empty() and CobId.SDO_TX + node_id in self._heard
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Any:
-        """Refused: periodic frames are the kernel's."""
+        """Refuse: the kernel sends periodic frames."""
         raise NotImplementedError("periodic frames belong to the kernel: see coulombus.sim_bus.network.event_loop")

@@ -1,5 +1,4 @@
-"""What happens to the nodes of ``coulombus emulate`` and ``coulombus simulate``, and when: the script
-file.
+"""Script file of ``coulombus emulate`` and ``coulombus simulate``: timed actions on the nodes.
 
 ::
 
@@ -10,9 +9,9 @@ file.
     fault = "over_current"    # with "fault" and "clear": one of FAULTS; "clear" without it ends all of the node
     after = "enabled"         # t_s counts from the drive's first Operation Enabled; default: "start", the power-on
 
-A node has the faults that FAULTS names for it, a sensor none. "clear" takes the cause away; the
-device then wants its own reset. Of a rig of several axes "motor" and "brake" are the first's on its
-bus; what is named and hangs on another bus is left to that one.
+A node has the faults that FAULTS lists for it, a sensor none. "clear" removes the cause; the device
+then still requires its own reset. In a rig of several axes "motor" and "brake" are those of the
+first axis on its bus; entries for nodes on another bus are ignored here.
 """
 
 from __future__ import annotations
@@ -40,14 +39,14 @@ FAULTS = {
     "motor": ("over_current", "over_temperature", "encoder_lost", "supply_low"),
     "brake": ("over_current", "over_temperature", "supply_low", "coil_open", "coil_short"),
 }
-"""Device faults by the device."""
+"""Device faults by device."""
 
 ORIGINS = ("start", "enabled")
 REQUIRED, OPTIONAL = frozenset(("t_s", "node", "action")), frozenset(("after", "fault"))
 
 
 class ScriptError(CoulombusError, ValueError):
-    """A script that cannot be read; the text says which entry, and what is expected."""
+    """An invalid script; the text names the entry and the expectation."""
 
     exit_status = 3
 
@@ -63,9 +62,9 @@ class Entry:
     fault: str | None = None
 
     def act(self, world: VirtualRig) -> None:
-        """Do it now."""
+        """Perform the entry now."""
         row = NODES.get(self.node, world.rows.get(self.node))
-        if row is None:  # it is on another bus
+        if row is None:  # the node is on another bus
             return
         device = world.devices[row]
         if self.action == "power_off":
@@ -80,7 +79,7 @@ class Entry:
 
 
 def faults_of(node: str) -> tuple[str, ...]:
-    """Return the device faults of a node by its name, with or without its axis."""
+    """Return the device faults of a node, by its name with or without its axis."""
     return FAULTS.get(node.rpartition(".")[2], ())
 
 
@@ -89,12 +88,12 @@ def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
 
     Parameters
     ----------
-    nodes : the names of the rig's devices (`Rig.nodes`), beside "motor" and "brake"
+    nodes : names of the rig's devices (`Rig.nodes`), in addition to "motor" and "brake"
 
     Raises
     ------
     ScriptError
-        The file is no TOML, or an entry is not as above.
+        The file is no TOML, or an entry is invalid.
     """
     try:
         raw = read_regular(path, MOST_CHARACTERS)

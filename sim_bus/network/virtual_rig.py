@@ -1,8 +1,8 @@
-"""The whole rig in virtual time: bus, nodes, plants and hands, the host's cycle, and the link of its
-control plane.
+"""Complete rig in virtual time: bus, nodes, plants and hands, the host's cycle, and its control-plane
+link.
 
 `VirtualRig` is a `VirtualNetwork` of the devices of each axis, with the rig's mechanics between
-them. Nothing sleeps, and the same seed gives the same bytes. The rows of the devices: motor and
+them. Nothing sleeps, and the same seed gives the same bytes. The rows of the devices are motor and
 brake of each axis, then the sensors.
 """
 
@@ -38,27 +38,27 @@ from coulombus.wire.frame import Frame, Records, new_records
 __all__ = ["VirtualRig"]
 
 BLOCK_KNOTS = 8000
-TRUTH_BLOCK_KNOTS = 500  # less memory for the block of the true course
-SEED_STEP = 1_000_003  # between the noises of two axes
+TRUTH_BLOCK_KNOTS = 500  # a smaller block of the true course saves memory
+SEED_STEP = 1_000_003  # difference of the noise seeds of two axes
 COIL_STATES = {"coil_open": COIL_OPEN, "coil_short": COIL_SHORT}
-"""Faults that are the coil's: the driver finds them by what it measures."""
+"""Faults of the coil: the driver detects them by its measurements."""
 
-BOOT_NS = 1_000_000  # power-on to the first SDO: both boot-ups are on the bus
+BOOT_NS = 1_000_000  # power-on to the first SDO: both boot-ups have been sent
 
 
 class Planned(Protocol):
-    """What happens to the rig at a time (`sim_bus.network.script.Entry`)."""
+    """A scheduled action on the rig (`sim_bus.network.script.Entry`)."""
 
     @property
     def t_ns(self) -> int:
-        """When, counted from `after`."""
+        """Time of the action, counted from `after`."""
 
     @property
     def after(self) -> str:
-        """What the time counts from: "start" or "enabled"."""
+        """Reference of the time: "start" or "enabled"."""
 
     def act(self, world: Any) -> None:
-        """Do it now."""
+        """Perform the action now."""
 
 
 class VirtualRig(VirtualNetwork):
@@ -66,13 +66,13 @@ class VirtualRig(VirtualNetwork):
 
     Parameters
     ----------
-    believed : the rig file that the host runs by, where it is another one: same bus, same nodes,
-        other beliefs; default is `rig`
+    believed : rig file of the host, if different: same bus, same nodes, other assumed values;
+        default is `rig`
     seed : starts the transducer's noise
-    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has
-        carried them
-    truth : keep the plant's true course (`truth()` returns it)
-    numbered : the devices have the rig's node ids; else none yet, and wait for an LSS master
+    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) after they were
+        sent
+    truth : store the plant's true course (`truth()` returns it)
+    numbered : the devices have the rig's node ids; otherwise none, and wait for an LSS master
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class VirtualRig(VirtualNetwork):
         self._events = list[tuple[int, ...]]()
         self.on_host: Callable[[Records, Records, Records], None] | None = None
         """Called with each batch, after `on_frames`: which of its frames the host received, rows of
-        `recording.trace.EVENT`, what the host asked for.
+        `recording.trace.EVENT`, frames that the host requested.
         """
         self.parameters = LiveParameters(self.controllers)
         self.on_change: Callable[[Change], None] | None = None
@@ -105,7 +105,7 @@ class VirtualRig(VirtualNetwork):
         n = len(rig.axes)
         knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
         axes, plant = new_records(RigAxis, n), new_records(PlantRecord, n)
-        self._axes = axes.view(np.ndarray)  # Python reads it often: a recarray looks each field up in Python
+        self._axes = axes.view(np.ndarray)  # read often in Python: a recarray looks each field up in Python
         self._f_h = np.zeros((n, knots + 1))
         self._take(rig, plant, seed)
         self._axes["truth_on"] = truth
@@ -118,7 +118,7 @@ class VirtualRig(VirtualNetwork):
         devices = [stand_ins(axis) for axis in rig.axes]
         sensors = {
             sensor.node_id: (a, sensor) for a, group in enumerate(devices) for sensor in group[2:]
-        }  # axes may share one
+        }  # axes may share a device
         axis_of = np.array([*(np.arange(2 * n) // 2), *(a for a, _ in sensors.values())], np.int64)
         super().__init__(
             rig.bus.bitrate_bit_s,
@@ -129,7 +129,7 @@ class VirtualRig(VirtualNetwork):
                 *(HostCycle(k.axes, k.owner, self._told), k.law_function),
             ),
         )
-        self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # as plain arrays, see `_axes`
+        self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # plain arrays, like `_axes`
         self.nodes["coil_A_Nm"][self._axes["brake"]] = [axis.brake.coil_A_Nm for axis in rig.axes]
         rows: dict[int, tuple[int, Device]] = {}
         for device in (
@@ -145,19 +145,17 @@ class VirtualRig(VirtualNetwork):
             for axis, by_node in zip(rig.axes, self._rows, strict=True)
             for node, (row, _) in by_node.items()
         }
-        """The row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with
-        several axes).
-        """
+        """Row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with several axes)."""
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         self._couple()
 
     def _take(self, rig: Rig, plant: RecordArray[PlantRecord], seed: int) -> None:
-        """Let `plant` and the hands be those of `rig`, which have not begun."""
+        """Initialise `plant` and the hands from `rig`."""
         n = len(rig.axes)
         self.rig = rig
         self.operators = [Operator(axis, self.mode, seed + a * SEED_STEP) for a, axis in enumerate(rig.axes)]
         self._left: list[tuple[float, float] | None] = [None] * n
-        """A schedule that was left: its start and its end [s]."""
+        """Schedules that ended early: start and end [s]."""
         self._had, self._truth_from = 0, [0] * n
         self._axes[:] = np.zeros(n, AXIS)
         self._axes["motor"], self._axes["brake"] = MOTOR + 2 * np.arange(n), BRAKE + 2 * np.arange(n)
@@ -167,16 +165,15 @@ class VirtualRig(VirtualNetwork):
             plant[a : a + 1] = new_plant(axis, seed + a * SEED_STEP)
 
     def _couple(self) -> None:
-        """Let the devices show and move the plants, and the hands act on them."""
+        """Connect the devices with the plants, and the hands with the plants."""
         for a, rows in enumerate(self._rows):
             couple(self.rig.axes[a], self._axes[a], self.plant[a], rows)
             self._new_force_block(a)
 
     def renew(self, rig: Rig, seed: int) -> None:
-        """Begin again at time 0 with the plants and hands of a `rig` that has the same devices.
+        """Restart at time 0 with the plants and hands of a `rig` that has the same devices.
 
-        Bus, nodes and host are still what they were: `sim_bus.network.world_state.adopt` gives them
-        the state that belongs to it.
+        Bus, nodes and host are unchanged: `sim_bus.network.world_state.adopt` then sets their state.
         """
         self._world["t_ns"] = 0
         self._events = []
@@ -189,30 +186,28 @@ class VirtualRig(VirtualNetwork):
 
     @property
     def starts_ns(self) -> tuple[int | None, ...]:
-        """When each axis' drive entered Operation Enabled, which began its operator's schedule;
-        None while it has not.
+        """Time at which each axis's drive entered Operation Enabled, which began its operator's schedule; None
+        before.
         """
         return tuple(None if start < 0 else start for start in self._axes["operator_start_ns"].tolist())
 
     @property
     def enabled_ns(self) -> int | None:
-        """When the last axis' drive entered Operation Enabled, which began its operator's schedule;
-        None while one has not.
+        """Time at which the last axis's drive entered Operation Enabled, which began its operator's schedule; None
+        before.
         """
         starts = self._axes["operator_start_ns"]
         return None if starts.min() < 0 else int(starts.max())
 
     @property
     def plain(self) -> bool:
-        """Whether there is nothing but devices and a host, of which nothing was handed over yet."""
+        """Whether the rig has only devices and a host, and no frames were delivered yet."""
         return super().plain and not (self._waiting or self._events or self._had)
 
     # the kernel's exits
 
     def answer(self, why: int) -> None:
-        """Do what the kernel needs Python for (`sim_bus.network.event_loop.Exit`), at the
-        present time.
-        """
+        """Handle an exit of the kernel (`sim_bus.network.event_loop.Exit`), at the present time."""
         if why in (Exit.FORCE, Exit.ENABLED):
             self._new_force_block(int(self._world["axis"][0]))
             if why == Exit.ENABLED:
@@ -226,8 +221,8 @@ class VirtualRig(VirtualNetwork):
         self._actuate()
 
     def _actuate(self) -> None:
-        """What a service or a script made of the devices' outputs acts from now on: the plants were
-        advanced to the present.
+        """Apply device outputs that a service or a script has changed from now on: the plants are at the present
+        time.
         """
         motors, brakes = self._axes["motor"], self._axes["brake"]
         outputs, plant = self._outputs
@@ -241,7 +236,7 @@ class VirtualRig(VirtualNetwork):
         self._heard.append(BusFrame(t_ns, can_id, data, len(data)))
 
     def _new_force_block(self, a: int) -> None:
-        """Compute the next block of the hand's force on axis `a`, from the present on."""
+        """Compute the next block of the hand's force on axis `a`, from now on."""
         axis, plant, f_h = self._axes[a], self.plant[a], self._f_h[a]
         self._keep_truth(a)
         step = int(plant["t_ns"]) // int(plant["step_ns"])
@@ -255,18 +250,18 @@ class VirtualRig(VirtualNetwork):
             self._left[a] = None
         f_h[:] = self.operators[a].torque_Nm(t, *(self._left[a] or (None if start < 0 else start * 1e-9, None)))
 
-    # what a replay of the host needs to know besides the frames
+    # data for a replay of the host besides the frames
 
     def keep_sent(self) -> None:
-        """Keep from now on what the host asks the bus to send: a fault may swallow it."""
+        """Store the host's requested frames from now on: a fault may drop them on the bus."""
         self._world["keep_sent"] = 1
 
     def keep_told(self) -> None:
-        """Keep from now on what the host tells of itself after each cycle (`host.cycle.telemetry`)."""
+        """Store the host's telemetry of each cycle from now on (`host.cycle.telemetry`)."""
         self._world["tells"] = 1
 
     def take_told(self) -> Records:
-        """Return what the host has told of itself since the last time."""
+        """Return the host's telemetry since the last call."""
         count = int(self._world["told_count"][0])
         self._world["told_count"] = 0
         return self._told[:count].copy()
@@ -278,9 +273,7 @@ class VirtualRig(VirtualNetwork):
         self._events.append((t_ns, received, next_ns if w["host_on"] else 0, event, value))
 
     def flush(self) -> None:
-        """Hand over the frames that the bus has carried since the last time, and what the host did
-        meanwhile.
-        """
+        """Deliver the frames sent since the last call, and the host's actions meanwhile."""
         w = self._world[0]
         had = w["had"][: w["log_count"]].astype(bool)
         super().flush()
@@ -303,7 +296,7 @@ class VirtualRig(VirtualNetwork):
         return self._heard.popleft() if self._heard else None
 
     def nmt_state(self, node_id: int) -> int | None:
-        """Return the NMT state that the node's last heartbeat told."""
+        """Return the NMT state in the node's last heartbeat."""
         for controller in self.controllers:
             for k, node in enumerate(controller.axis.devices):
                 if controller.axis.part(node).node_id == node_id:
@@ -314,16 +307,16 @@ class VirtualRig(VirtualNetwork):
     # the rig
 
     def plan(self, script: Sequence[Planned]) -> None:
-        """Take the entries of a script file: those that wait for Operation Enabled until then."""
+        """Schedule the entries of a script file; entries after Operation Enabled wait for it."""
         self._waiting = [entry for entry in script if entry.after == "enabled"]
         for entry in script:
             if entry.after == "start":
                 self.at(entry.t_ns, entry.act)
 
     def inject(self, node: int, fault: str, present: bool) -> None:
-        """Let a fault of `node.emcy.DEVICE_FAULTS` come or go in the node of a row.
+        """Set or clear a fault of `node.emcy.DEVICE_FAULTS` in the node of a row.
 
-        It finds out at once, or by what it measures.
+        The node detects it at once, or by its measurements.
         """
         if fault in COIL_STATES:
             plant, broken = self.plant[int(self.axis_of[node])], COIL_STATES[fault]
@@ -339,12 +332,12 @@ class VirtualRig(VirtualNetwork):
             record["next_ns"] = own_ns(record, self.t_ns)
 
     def boot(self) -> None:
-        """Switch the nodes on, and wait until both boot-ups are on the bus."""
+        """Switch the nodes on, and wait until both boot-ups have been sent."""
         self.power_on()
         self.wait_ns(BOOT_NS)
 
     def start_host(self) -> None:
-        """Begin the host's cycle on the next whole period."""
+        """Begin the host's cycle at the next period boundary."""
         period = int(self.controller.control["period_ns"][0])
         start_ns = (int(own_ns(self.host_clock, self.t_ns)) // period + 1) * period
         self._note(Event.START, start_ns)
@@ -352,22 +345,22 @@ class VirtualRig(VirtualNetwork):
         self._world["host_on"] = 1
 
     def ask_to_stop(self, trip: Trip = Trip.NONE) -> None:
-        """Ask the host for the safe state: the normal end, or for the reason `trip`."""
+        """Request the safe state from the host: the normal end, or for the reason `trip`."""
         self._note(Event.STOP, self.t_ns, trip)
         self.controllers.stop(trip)
 
     def set_parameters(self, values: Mapping[str, float], axis: str = "", over_s: float = OVER_S) -> Change:
-        """Let the host's law and compensation have other values, as ``coulombus set`` does.
+        """Change parameters of the host's law and compensation, like ``coulombus set``.
 
         Raises
         ------
         coulombus.host.cycle.parameter_changes.ChangeRefused
-            nothing is changed; the text says why
+            nothing has changed; the text says why
         """
         return self._want(self.parameters.change(values, axis, over_s))
 
     def undo_parameters(self, over_s: float = OVER_S) -> Change:
-        """Take the last change back, as ``coulombus set --undo`` does."""
+        """Undo the last change, like ``coulombus set --undo``."""
         return self._want(self.parameters.undo(over_s))
 
     def _want(self, change: Change) -> Change:
@@ -384,7 +377,7 @@ class VirtualRig(VirtualNetwork):
 
     @property
     def has_host(self) -> bool:
-        """Whether the host is part of this world, and not another process."""
+        """Whether the host is part of this world, and not a separate process."""
         return not self._world["host_elsewhere"][0]
 
     @property
@@ -393,25 +386,23 @@ class VirtualRig(VirtualNetwork):
         return self._world.view(np.recarray)[0]
 
     def stop_host(self) -> None:
-        """End the host's cycle at once, as if it had died: no safe set-points, no SYNC, no
-        heartbeat.
-        """
+        """End the host's cycle at once, as if it had crashed: no safe set-points, no SYNC, no heartbeat."""
         self._world["host_on"] = 0
 
     # the true course
 
     def _keep_truth(self, a: int) -> None:
         if self._axes[a]["truth_on"]:
-            begin = int(self._axes[a]["force_step"])  # the block's first row
+            begin = int(self._axes[a]["force_step"])  # first row of the block
             step = int(self.plant["t_ns"][a]) // int(self.plant["step_ns"][a])
             self._truth[a].append(self._truth_block[a, self._truth_from[a] - begin : step - begin].copy())
             self._truth_from[a] = step
 
     def truth(self, a: int = 0) -> Mapping[str, Any]:
-        """Return the true course of the plant of axis `a` so far, one array for each of
-        `plant.TRUTH_COLUMNS`, and of `detail.DETAIL_COLUMNS` where the plant has these.
+        """Return the true course of the plant of axis `a` so far, an array for each of `plant.TRUTH_COLUMNS`, and
+        of `detail.DETAIL_COLUMNS` if the plant has them.
         """
         self._keep_truth(a)
         table = np.concatenate(self._truth[a]) if self._truth[a] else np.zeros((0, self._truth_block.shape[2]))
         self._truth[a] = [table]
-        return dict(zip(self._columns[a], table.T, strict=False))  # another axis may have more
+        return dict(zip(self._columns[a], table.T, strict=False))  # another axis may have more columns

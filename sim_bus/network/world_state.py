@@ -1,11 +1,11 @@
-"""A world's state behind its set-up, kept and given to another world.
+"""Cached state of a world after its set-up, for reuse in another world.
 
-What bring-up sends and what the nodes answer does not depend on plant and hand. So of two worlds that
-differ in nothing else, the second can go on where the first one's set-up ended: the same bytes as if
-it had been set up itself (`tests/lab/test_set_up.py`).
+The frames of bring-up do not depend on plant and hand. So of two worlds that differ only in these,
+the second can continue from the end of the first one's set-up: the bytes are the same as after its
+own set-up (`tests/lab/test_set_up.py`).
 
-Its plants are its own. They are advanced through the set-up's time, which has no command for them.
-Where it matters in how many pieces that is done, `adopt` refuses: a set-up does it in hundreds.
+The plants are not reused. They are advanced through the set-up's time, without commands. If the
+result depends on the number of pieces, `adopt` refuses: a set-up advances in hundreds of pieces.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from coulombus.sim_bus.rig.plant import NOISE_FACTOR, NOISE_MASK, NOISE_SUMMAND
 __all__ = ["WorldState", "adopt", "state_of"]
 
 ARRAYS = ("bus", "nodes", "deadlines", "wants", "listening")
-"""Of `sim_bus.network.event_loop.World`: what belongs to bus and nodes alone."""
+"""Fields of `sim_bus.network.event_loop.World` that belong to bus and nodes alone."""
 RECORDS = ("state", "out")
 SEEN = ("temperature", "coil", "motor", "coil_fault")
 MOST_DRAWS = 100_000
 PIECES = (1, 2, 13)
-"""In so many pieces the plants are advanced, at least: the state must be the same."""
+"""Numbers of pieces in which the plants are advanced for comparison: the state must be the same."""
 
 
 @dataclass(frozen=True)
 class WorldState:
-    """What a world without its plants is at an instant."""
+    """State of a world, without its plants, at an instant."""
 
     t_ns: int
     arrays: tuple[Any, ...]
@@ -45,18 +45,18 @@ class WorldState:
     log: Records
     host: Records
     seen: tuple[tuple[float, ...], ...]
-    """What the devices see of each plant and act on by themselves: `SEEN`."""
+    """Quantities of each plant that the devices measure and act on by themselves: `SEEN`."""
     draws: tuple[tuple[int, int], ...]
-    """Of each plant: factor and summand that lead from its noise's first state to the present one."""
+    """For each plant: factor and summand from its noise's first state to the present state."""
     devices: tuple[DeviceState, ...]
     exits: dict[Exit, int]
 
 
 def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
-    """Return a world's state; None where there is more to it than that: faults, a script, stations,
-    frames that were handed over, an object that shows the plant by itself, an open transfer.
+    """Return a world's state; None if the world has more state than that: faults, a script, stations,
+    delivered frames, an object that shows the plant by itself, an open transfer.
 
-    `noise` has what `random` of each plant was in the beginning.
+    `noise` has the initial value of `random` of each plant.
     """
     parts = world.arguments[0]
     w, nodes = parts.state, parts.nodes
@@ -91,7 +91,7 @@ def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
 
 
 def adopt(world: VirtualRig, state: WorldState) -> bool:
-    """Let a world that has not begun go on in a state; tell whether it does. It is unchanged else."""
+    """Restore `state` into a fresh world. False (and no change) if it does not fit."""
     parts, _, _, course = world.arguments
     if JIT_DISABLED or not (world.plain and world.t_ns == 0 and (state.t_ns < parts.axes["force_end_ns"]).all()):
         return False
@@ -118,8 +118,8 @@ def adopt(world: VirtualRig, state: WorldState) -> bool:
 
 
 def _drawn(first: int, present: int) -> tuple[int, int] | None:
-    """Return the factor and the summand that make `present` of `first`, whose generator is an affine
-    map (`sim_bus.rig.plant.sample_noise`); None where so many draws are not found.
+    """Return the factor and the summand that lead from `first` to `present` in the generator, an affine map
+    (`sim_bus.rig.plant.sample_noise`); None if the number of draws is too large.
     """
     factor, summand = 1, 0
     for _ in range(MOST_DRAWS):
@@ -135,7 +135,7 @@ def _seen(plants: Records) -> tuple[tuple[float, ...], ...]:
 
 
 def _advanced(parts: Any, course: Any, a: int, t_ns: int) -> Records | None:
-    """Return the plant of axis `a` at `t_ns`; None where it depends on the pieces of the way there."""
+    """Return the plant of axis `a` at `t_ns`; None if it depends on the pieces of the way there."""
     results = []
     axis, f_h, truth = parts.axes[a], parts.f_h[a], parts.truth[a]
     per_knot = int(axis["steps_per_knot"])

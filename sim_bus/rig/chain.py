@@ -1,5 +1,5 @@
-r"""Up to three bodies in a row with springs, dampers and backlash between them, and dry friction on
-each: one step, exact in its events.
+r"""One step of up to three bodies in a row, with springs, dampers and backlash between them and dry
+friction on each; events are located exactly.
 
 With the mean speed :math:`u` of a step of length :math:`h` the implicit midpoint rule reads, for
 body :math:`i` with its couplings to :math:`i \pm 1`,
@@ -10,13 +10,13 @@ body :math:`i` with its couplings to :math:`i \pm 1`,
     T_{i,j} = k\,(q_i - q_j \mp g + \tfrac{h}{2}(u_i - u_j)) + d\,(u_i - u_j),
 
 a symmetric tridiagonal system in :math:`u`. Dry friction is set-valued,
-:math:`\lambda_i \in F_i\,\mathrm{Sgn}(u_i)`: a body at rest is taken as stuck (:math:`u_i = 0`),
-unless it would need more than :math:`F_i`; the system's matrix is symmetric, positive definite and
-has no positive element beside its diagonal, so this has one solution. When a speed would change its
-sign within the step, or a coupling its side of the backlash, the step is split at that instant,
-which is found to rounding. So :math:`\lambda_i u_i \ge 0` in every part of a step, stuck is exactly
-:math:`v_i = 0`, and each torque's work is its torque times :math:`h u_i`: the energy balance closes
-to rounding, whatever the step's length.
+:math:`\lambda_i \in F_i\,\mathrm{Sgn}(u_i)`: a body at rest sticks (:math:`u_i = 0`), unless it
+would need more than :math:`F_i`; the system's matrix is symmetric, positive definite and has no
+positive off-diagonal element, so the solution is unique. If a speed would change its sign within
+the step, or a coupling its side of the backlash, the step is split at that instant, which is found
+to rounding. So :math:`\lambda_i u_i \ge 0` in every part of a step, stuck is exactly :math:`v_i =
+0`, and each torque's work is its torque times :math:`h u_i`: the energy balance closes to rounding,
+whatever the step's length.
 
 Sources: V. Acary and B. Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, 2008,
 doi:10.1007/978-3-540-75392-6; backlash as a dead zone: M. Nordin and P.-O. Gutman, Automatica
@@ -36,11 +36,11 @@ from coulombus.sim_bus.rig.records import BODIES, DetailRecord, PlantRecord
 __all__ = ["MOST_EVENTS", "move"]
 
 MOST_EVENTS = 400
-"""In one step; what is more is not split."""
+"""Largest number of events in a step; further events do not split it."""
 MOST_GUESSES = 40
 MOST_SWITCHES = 12
 SOON = 1e-6
-"""Share of a step after which it shows where a coupling at its side of the backlash goes."""
+"""Fraction of a step after which the direction of a coupling at its side of the backlash is evaluated."""
 NO_EVENT = -1
 
 
@@ -51,10 +51,10 @@ def _side(value: float) -> int:
 
 @kernel
 def _solve(d: DetailRecord) -> None:
-    """Solve the tridiagonal system for the mean speeds by Cramer's rule, one division for all
-    bodies, and find what the stuck ones bear.
+    """Solve the tridiagonal system for the mean speeds by Cramer's rule, with one division for all bodies, and
+    compute the friction of the stuck bodies.
 
-    A body that is stuck or not there has the row u = 0.
+    A body that is stuck or absent has the row u = 0.
     """
     main, load, side, level, u, react = d.main, d.load, d.side, d.level, d.u, d.react
     a0 = a1 = a2 = 1.0
@@ -93,7 +93,7 @@ def _solve(d: DetailRecord) -> None:
 
 @kernel
 def _try_once(p: PlantRecord, h: float, hand: float, torque: float) -> None:
-    """Find them with what the elements of friction are foretold to do."""
+    """Compute the mean speeds with the predicted behaviour of the friction elements."""
     d = p.detail
     n = d.count
     rate = 2.0 / h
@@ -155,18 +155,18 @@ def _try_once(p: PlantRecord, h: float, hand: float, torque: float) -> None:
 
 @kernel
 def _try(p: PlantRecord, h: float, hand: float, torque: float) -> None:
-    """Find the mean speeds of a step of `h` [s] and which bodies stick in it."""
+    """Compute the mean speeds of a step of `h` [s], and which bodies stick in it."""
     _try_once(p, h, hand, torque)
     d = p.detail
     if d.bristles == ELEMENTS and d.slip_rate == 0.0:
-        while not foretold(d):  # at most once for each body
+        while not foretold(d):  # at most once per body
             _try_once(p, h, hand, torque)
 
 
 @inlined
 def _room(d: DetailRecord, j: int, moved: float) -> float:
-    """Return the way of coupling `j` to its side of the backlash, once its bodies have `moved` against
-    each other: negative beyond it.
+    """Return the distance of coupling `j` to its side of the backlash, after its bodies have moved by `moved`
+    against each other: negative beyond it.
     """
     between = d.q[j] - d.q[j + 1] + moved
     return float(d.contact[j] * between - d.gap[j] if d.contact[j] != 0 else d.gap[j] - abs(between))
@@ -174,8 +174,8 @@ def _room(d: DetailRecord, j: int, moved: float) -> float:
 
 @inlined
 def _crosses(d: DetailRecord, event: int, h: float) -> float:
-    """Return a value that is negative where the `event` lies within the step of `h` that was tried:
-    of bodies 0 to 2 the speed at its end, of couplings 3 and 4 the way to the backlash's side.
+    """Return a value that is negative if the `event` lies within the tried step of `h`: for bodies 0 to 2 the
+    speed at its end, for couplings 3 and 4 the distance to the backlash's side.
     """
     if event < 3:
         return float((2.0 * d.u[event] - d.v[event]) * _side(d.v[event]))
@@ -185,9 +185,7 @@ def _crosses(d: DetailRecord, event: int, h: float) -> float:
 
 @inlined
 def _parts(d: DetailRecord, j: int) -> float:
-    """Return how fast coupling `j`, which is at its side of the backlash, goes away from it in the
-    step that was tried.
-    """
+    """Return the speed at which coupling `j`, at its side of the backlash, separates in the tried step."""
     between = d.u[j] - d.u[j + 1]
     sense = d.contact[j] if d.contact[j] != 0 else -_side(d.q[j] - d.q[j + 1])
     return float(sense * between)
@@ -195,7 +193,7 @@ def _parts(d: DetailRecord, j: int) -> float:
 
 @kernel
 def _next_event(d: DetailRecord, h: float, last: int) -> int:
-    """Return an event within the step of `h` that was tried and is not `last`, the one at its end, or
+    """Return an event within the tried step of `h` that is not `last`, else the event at its end, or
     `NO_EVENT`.
     """
     for i in range(BODIES):
@@ -214,10 +212,10 @@ def _next_event(d: DetailRecord, h: float, last: int) -> int:
 
 @kernel
 def _first_event(p: PlantRecord, h: float, event: int, hand: float, torque: float) -> tuple[float, int]:
-    """Return how long it is to the first event of a step of `h` that was tried, and that event;
-    `event` is one within the step.
+    """Return the time to the first event of the tried step of `h`, and that event; `event` is an event within
+    the step.
 
-    The instant is found by the Illinois method; the step up to there is tried last.
+    The Illinois method finds the instant; the step up to it is tried last.
     """
     d = p.detail
     last = NO_EVENT
@@ -228,7 +226,7 @@ def _first_event(p: PlantRecord, h: float, event: int, hand: float, torque: floa
         low, high, f_high = 0.0, h, _crosses(d, event, h)
         begin = f_low = abs(d.v[event]) if event < 3 else _room(d, event - 3, 0.0)
         small = 1e-14 * (abs(f_low) + abs(f_high))
-        back = f_low <= small  # it is there already
+        back = f_low <= small  # it is at the event already
         if back and event >= 3:
             low = SOON * h
             _try(p, low, hand, torque)
@@ -236,7 +234,7 @@ def _first_event(p: PlantRecord, h: float, event: int, hand: float, torque: floa
             h = 0.0
             break
         if back:
-            # it goes away and comes back: without the root at 0
+            # it separates and returns: search without the root at 0
             f_low, f_high = _parts(d, event - 3), (f_high - begin) / high
             small = 1e-14 * (f_low + abs(f_high))
         for _ in range(MOST_GUESSES):
@@ -259,7 +257,7 @@ def _first_event(p: PlantRecord, h: float, event: int, hand: float, torque: floa
 
 @kernel
 def _go(p: PlantRecord, h: float, hand: float, torque: float) -> None:
-    """Take the step of `h` that was tried last."""
+    """Apply the step of `h` that was tried last."""
     d = p.detail
     rate = 2.0 / h
     n, last, drum = d.count, d.count - 1, d.drum
@@ -272,7 +270,7 @@ def _go(p: PlantRecord, h: float, hand: float, torque: float) -> None:
     )
     p.w_operator += p.f_operator * u_last * h
     p.w_motor += torque * d.u[0] * h
-    # in registers: a sum in memory waits for its last store
+    # local variables: a sum in memory waits for its last store
     f_friction, w_friction, w_viscous = 0.0, p.w_friction, p.w_viscous
     for j in range(BODIES - 1):
         if j + 1 >= n:
@@ -287,7 +285,7 @@ def _go(p: PlantRecord, h: float, hand: float, torque: float) -> None:
         brake = 0.0
         own = d.react[i]
         if i == drum:
-            # stuck, the device's own friction bears what it can, the brake the rest
+            # stuck: the device's own friction bears as much as it can, the brake the rest
             free = d.level[i] - d.dry[i]
             own = min(max(own, -free), free)
             brake = d.react[i] - own
@@ -296,7 +294,7 @@ def _go(p: PlantRecord, h: float, hand: float, torque: float) -> None:
             p.w_brake -= (brake + viscous) * u * h
         if d.bristles != DRY and d.share[i] > 0.0:
             own += d.held[i] + d.given[i] * u
-            # the work is what is lost: what the bristles keep, they can give back
+            # the work is only the loss: the bristles can return their stored energy
             if d.bristles == ELEMENTS:
                 w_friction += wind(d, i, h, u)
             else:
@@ -313,8 +311,8 @@ def _go(p: PlantRecord, h: float, hand: float, torque: float) -> None:
 
 @kernel
 def move(p: PlantRecord, hand: float, torque: float, capacity: float) -> None:
-    """Move all bodies on by one step of the plant under the hand's and the motor's torque, with the
-    brake's `capacity` [Nm].
+    """Advance all bodies by one step of the plant under the hand's and the motor's torque, with the brake's
+    `capacity` [Nm].
     """
     d = p.detail
     left = p.h

@@ -1,10 +1,9 @@
-"""How the devices of an axis and its plant feel each other, compiled, where they are not our own
-two.
+"""Compiled coupling between an axis's plant and devices other than our own two.
 
-Our own motor drive and brake driver take and give physical quantities, and this costs them nothing.
-Another maker's device has counts:
+Our own motor drive and brake driver exchange physical quantities, without this module. Another
+vendor's device has counts:
 
-    shown  = clip(floor((quantity - offset) * gain + 1/2), low, high), or the low bits of it where the object counts on (a position)
+    shown  = clip(floor((quantity - offset) * gain + 1/2), low, high), or its low bits if the object wraps (a position)
     brake  = table(raw) or scale * raw, never below 0,   raw: an analogue output, a drive's set-point, or the value of an object
 
 In the kernels: `axis` a record of `sim_bus.rig.records.RigAxis`, `p` its plant.
@@ -25,29 +24,29 @@ __all__ = ["BrakeOutput", "Quantity", "brake_torque", "show"]
 
 
 class Quantity(IntEnum):
-    """What an object shows of the plant."""
+    """Quantity of the plant that an object shows."""
 
     POSITION = 0  # rad at the handle
     VELOCITY = 1  # rad/s
     TORQUE = 2  # Nm of the motor, at the handle
-    HANDLE = 3  # Nm, as the transducer reads them
+    HANDLE = 3  # Nm, measured by the transducer
     CURRENT = 4  # A in the coil
     TEMPERATURE = 5  # degC of the coil
 
 
 class BrakeOutput(IntEnum):
-    """What the brake's torque is made of."""
+    """Source of the brake's torque."""
 
     TORQUE = 0  # out_brake_Nm of our own driver
     ANALOGUE = 1  # an analogue output of a CiA 401 or 404 module
     DRIVE = 2  # the torque of a CiA 402 drive, in counts of its set-point
-    DRIVER = 3  # the output of our own driver, in counts of 7300h: the rig file gives a scale of its own
-    OBJECT = 4  # an object's value
+    DRIVER = 3  # output of our own driver, in counts of 7300h: the rig file gives its own scale
+    OBJECT = 4  # value of an object
 
 
 @kernel
 def _interpolated(axis: RigAxis, raw: float) -> float:
-    """Return the table's torque, its ends beyond them."""
+    """Return the torque from the table, constant beyond its ends."""
     points, raws, torques = axis.brake_points, axis.brake_table_raw, axis.brake_table_Nm
     if raw <= raws[0]:
         return float(torques[0])
@@ -60,7 +59,7 @@ def _interpolated(axis: RigAxis, raw: float) -> float:
 
 @kernel
 def brake_torque(axis: RigAxis, brake: NodeRecord) -> float:
-    """Return the torque [Nm] that the brake's device commands; `brake` is its record."""
+    """Return the torque [Nm] commanded by the brake's device; `brake` is its record."""
     if axis.brake_output == BrakeOutput.TORQUE:
         return float(brake.out_brake_Nm)
     if axis.brake_output == BrakeOutput.ANALOGUE:
@@ -77,7 +76,7 @@ def brake_torque(axis: RigAxis, brake: NodeRecord) -> float:
 
 @kernel
 def _wrapped(value: float, low: int, high: int) -> int:
-    """Return the low bits of a count, as a counter of that width has them."""
+    """Return the low bits of a count, like a counter of that width."""
     span = high - low + 1
     count = math.floor(value + 0.5)
     return int((count - low) % span + low)
@@ -85,7 +84,7 @@ def _wrapped(value: float, low: int, high: int) -> int:
 
 @kernel
 def show(axis: RigAxis, p: PlantRecord, nodes: RecordArray[NodeRecord], handle_Nm: float, coil_A: float) -> None:
-    """Let the objects show the plant, and a drive that feeds the coil the current that flows."""
+    """Write the plant's quantities to the objects, and the actual current to a drive that feeds the coil."""
     for k in range(axis.shown_count):
         channel = axis.shown[k]
         if channel.quantity == Quantity.POSITION:

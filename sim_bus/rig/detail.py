@@ -1,10 +1,10 @@
-"""What a plant has beyond one rigid body: the record of `[plant.cable]`, `[plant.handle]`,
+"""Parts of a plant beyond one rigid body: the record of `[plant.cable]`, `[plant.handle]`,
 `[plant.friction]`, `[plant.fluid]`, `[plant.iron]`, `[plant.ripple]` and `[plant.heat]`.
 
-The bodies stand in a row, the motor first and the handle last, all seen at the handle. Between two
-of them is a coupling. A rig without a coupling is one body, with a cable two (motor; drum and
+The bodies form a row, the motor first and the handle last, all referred to the handle. A coupling
+connects two of them. A rig without a coupling is one body, with a cable two (motor; drum and
 handle), with an elastic handle two (motor and drum; handle), with both three. The encoder is on the
-first body, the brake on the drum, the hand on the last.
+first body, the brake on the drum, the hand on the last body.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from coulombus.sim_bus.rig.records import DETAIL, DetailRecord
 __all__ = ["DETAIL_COLUMNS", "DRY", "ELEMENTS", "LUGRE", "detail_of"]
 
 DRY, LUGRE, ELEMENTS = 0, 1, 2
-"""What gives the device's own friction: a level, bristles, `sim_bus.rig.elements`."""
+"""Models of the device's own friction: a level, bristles, `sim_bus.rig.elements`."""
 LAWS = {"coulomb": DRY, "lugre": LUGRE, "gms": ELEMENTS, "leuven": ELEMENTS}
 
 
@@ -32,7 +32,7 @@ DETAIL_COLUMNS = (
     "stored_energy_J",
     "device_degC",
 )
-"""Further columns of the true course of a plant in detail."""
+"""Further columns of the true course of a detailed plant."""
 
 
 def _rate(step_s: float, lag_s: float) -> float:
@@ -40,8 +40,8 @@ def _rate(step_s: float, lag_s: float) -> float:
 
 
 def detail_of(p: Plant, hand_inertia: float) -> DetailRecord:
-    """Return the record of what a plant has beyond one rigid body; `on` is 0 for a plant that has
-    nothing of it.
+    """Return the record of a plant's parts beyond one rigid body; `on` is 0 for a plant that is only a rigid
+    body.
     """
     d: DetailRecord = np.zeros(1, DETAIL)[0]
     d["on"] = int(p.in_detail)

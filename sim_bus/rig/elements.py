@@ -1,8 +1,8 @@
-r"""The device's own friction as springs side by side, each of which slips at its own torque: the
-generalised Maxwell-slip friction and Leuven's.
+r"""The device's own friction as parallel springs, each of which slips at its own torque: generalised
+Maxwell-slip and Leuven models.
 
-Element :math:`j` bears :math:`F_j`, has the stiffness :math:`k_j` and the share :math:`w_j`. Its end
-goes the way of :math:`z`; it winds, :math:`\dot F_j = k_j \dot z`, up to its level. With the level
+Element :math:`j` bears :math:`F_j`, has the stiffness :math:`k_j` and the share :math:`w_j`. Its
+end moves by :math:`z`; it winds, :math:`\dot F_j = k_j \dot z`, up to its level. With the level
 :math:`g` of `sim_bus.rig.own_friction`
 
 .. math::
@@ -13,15 +13,16 @@ goes the way of :math:`z`; it winds, :math:`\dot F_j = k_j \dot z`, up to its le
     \quad \text{level } w_j F_s,\ F_s = g \text{ at rest}
 
 A step is the midpoint rule in :math:`z` with :math:`g` and :math:`|v|` of its begin, linear in the
-mean speed :math:`u`; which elements wind, slip or begin to slip is foretold with the speed of its
-begin, and a step ends where that changes its sign. Where z goes the other way nevertheless, all
-elements of the body wind in that step. So it is of first order, and stable at any stiffness.
+mean speed :math:`u`. The speed at its begin predicts which elements wind, slip or begin to slip,
+and a step ends where that speed changes its sign. If z moves in the other direction nevertheless,
+all elements of the body wind in that step. So the method is of first order, and stable at any
+stiffness.
 
-No element gives more than it has taken: the energy :math:`F_j^2 / 2 k_j` behind a step is at most
-that before it and the element's work in between. Both laws as they are printed can give energy: a
-slipping element of the generalised Maxwell-slip friction that follows a rising :math:`g` sooner than
-the motion winds it, and Leuven's where :math:`\sigma_1 |v| > 4 g`. The plant lets the element wind
-only as far, and takes :math:`\min(\sigma_1, 4 g / |v|)`.
+No element returns more energy than it has received: the energy :math:`F_j^2 / 2 k_j` after a step
+is at most the energy before it plus the element's work in between. Both published laws can generate
+energy: a slipping element of the generalised Maxwell-slip friction that follows a rising :math:`g`
+faster than the motion winds it, and Leuven's if :math:`\sigma_1 |v| > 4 g`. The plant lets the
+element wind only as far as the motion does, and uses :math:`\min(\sigma_1, 4 g / |v|)`.
 
 Sources: F. Al-Bender, V. Lampaert, J. Swevers, IEEE Transactions on Automatic Control 50(11), 2005,
 doi:10.1109/TAC.2005.858676; V. Lampaert, J. Swevers, F. Al-Bender, IEEE Transactions on Automatic
@@ -44,7 +45,7 @@ WINDS = math.inf
 
 @kernel
 def set_elements(d: DetailRecord, i: int, g: float, at_rest: float) -> None:
-    """Set what the elements of a body do in the step that begins: its level `g` [Nm] now, and
+    """Set the behaviour of a body's elements in the step that begins: the present level `g` [Nm], and the level
     `at_rest`.
     """
     speed = abs(d.v[i])
@@ -63,8 +64,8 @@ def set_elements(d: DetailRecord, i: int, g: float, at_rest: float) -> None:
 
 @inlined
 def _way(d: DetailRecord, i: int, h: float) -> float:
-    """Return how far z goes in a step of `h` with the speed of its begin, as if all elements
-    wound; 0 where that cannot be foretold.
+    """Return the distance of z in a step of `h` at the speed of its begin, as if all elements wound; 0 if it
+    cannot be predicted.
     """
     if d.winds[i] != 0:
         return 0.0
@@ -79,8 +80,8 @@ def _way(d: DetailRecord, i: int, h: float) -> float:
 
 @inlined
 def _element(d: DetailRecord, i: int, j: int, h: float, way: float) -> tuple[float, float, float]:
-    """Return what an element bears in a step, on the mean, as (constant, for each rad of z), and what
-    it bears behind it, or `WINDS`; `way` is foretold.
+    """Return the mean torque of an element in a step as (constant, per rad of z), and its torque after the
+    step, or `WINDS`; `way` is the predicted distance of z.
     """
     force, level = d.element_Nm[i, j], d.element_w[j] * d.bears[i]
     stiffness = d.share[i] * d.element_k[j]
@@ -99,8 +100,8 @@ def _element(d: DetailRecord, i: int, j: int, h: float, way: float) -> tuple[flo
 
 @kernel
 def elements_torque(d: DetailRecord, i: int, h: float) -> None:
-    """Set the torque of the elements over a step of `h`: held + given u [Nm]; and what `foretold` and
-    `wind` need to know of the step.
+    """Set the torque of the elements over a step of `h`: held + given u [Nm]; and the data of the step for
+    `foretold` and `wind`.
     """
     way = _way(d, i, h)
     constant = slope = 0.0
@@ -116,8 +117,8 @@ def elements_torque(d: DetailRecord, i: int, h: float) -> None:
 
 @kernel
 def foretold(d: DetailRecord) -> bool:
-    """Tell whether z goes as was foretold in the step that was tried; where it does not, all
-    elements of that body wind from now on, which is right in either sense.
+    """Tell whether z moves as predicted in the tried step; otherwise all elements of that body wind from now
+    on, which is correct in either direction.
     """
     right = True
     for i in range(d.count):
@@ -129,8 +130,8 @@ def foretold(d: DetailRecord) -> bool:
 
 @kernel
 def wind(d: DetailRecord, i: int, h: float, u: float) -> float:
-    """Take the step of `h` that was tried last, with the mean speed `u`; return by how much the energy
-    of the elements has grown [J].
+    """Apply the step of `h` that was tried last, with the mean speed `u`; return the increase of the elements'
+    energy [J].
     """
     way = d.way[i]
     z = h * (u - d.alpha[i] * d.borne[i]) / (1.0 + h * d.alpha[i] * d.rises[i])

@@ -1,18 +1,16 @@
-r"""The MR brake in detail: iron with minor loops, a fluid that builds up and lets go at its own
-rates, and heat.
+r"""The MR brake in detail: iron with minor loops, a fluid with separate rise and fall rates, and heat.
 
-The iron is a sum of play operators over the coil's present torque :math:`c` (what its current
-stands for; negative for a current of the opposite sign),
+The iron is a sum of play operators over the coil's present torque :math:`c` (the torque that
+corresponds to its current; negative for a current of the opposite sign),
 
 .. math::
 
     M = w_0 c + \sum_j w_j P_j, \quad P_j \leftarrow \max(c - r_j, \min(c + r_j, P_j)), \quad
     w_0 = 1 - \sum_j w_j,
 
-and the fluid sees :math:`|M|`. It is independent of the rate, its minor loops close, and it forgets
-a loop when a larger one wipes it out (return-point memory). After a set-point :math:`C \ge 2 r_j`
-and back to 0, :math:`\sum_j w_j r_j` is left; a pulse of :math:`-r_j` takes the part of one
-operator away.
+and :math:`|M|` acts on the fluid. The iron is rate-independent, its minor loops close, and a larger
+loop erases a smaller one (return-point memory). After a set-point :math:`C \ge 2 r_j` and back to
+0, :math:`\sum_j w_j r_j` remains; a pulse of :math:`-r_j` removes the part of one operator.
 
 The fluid follows :math:`|M|` with one lag when it rises and another when it falls, both divided by
 :math:`1 + s |v|`: chains form and break sooner in a fluid that is sheared. Its torque and its
@@ -41,7 +39,7 @@ PADE = 0.01
 
 @kernel
 def iron(d: DetailRecord, coil: float) -> float:
-    """Let the coil's present torque [Nm] act on the iron; return what the fluid sees of it [Nm]."""
+    """Apply the coil's present torque [Nm] to the iron; return the torque that acts on the fluid [Nm]."""
     total = d.direct * coil
     for j in range(d.plays):
         r = d.play_r[j]
@@ -52,7 +50,7 @@ def iron(d: DetailRecord, coil: float) -> float:
 
 @kernel
 def brake_capacity(p: PlantRecord, magnetised: float) -> float:
-    """Let the fluid follow what it sees [Nm] for one step; return what the brake can bear [Nm]."""
+    """Advance the fluid by one step towards the iron's torque [Nm]; return the brake's torque capacity [Nm]."""
     d = p.detail
     rate = d.rise if magnetised >= p.fluid else d.fall
     if rate < 0.0:
@@ -60,7 +58,7 @@ def brake_capacity(p: PlantRecord, magnetised: float) -> float:
     else:
         if d.shear > 0.0:
             rate *= 1.0 + d.shear * abs(d.v[d.drum])
-            # Pade's approximation is right to rate^3/12, and needs no exponential
+            # Pade's approximation has an error of rate^3/12, and needs no exponential
             decay = (2.0 - rate) / (2.0 + rate) if rate < PADE else math.exp(-rate)
         else:
             decay = d.rise_decay if magnetised >= p.fluid else d.fall_decay
@@ -70,7 +68,7 @@ def brake_capacity(p: PlantRecord, magnetised: float) -> float:
 
 @kernel
 def thin(d: DetailRecord) -> None:
-    """Let the device's temperature act on the fluid: it changes little within a call of the bus."""
+    """Apply the device's temperature to the fluid: it changes little within a call of the bus."""
     warmer = d.degC - d.reference
     d.weak = max(1.0 - d.torque_K * warmer, 0.0)
     d.wet = d.fluid_viscous * math.exp(-d.viscous_K * warmer)
@@ -78,7 +76,7 @@ def thin(d: DetailRecord) -> None:
 
 @kernel
 def heat(p: PlantRecord, lost_W: float, current_A: float) -> None:
-    """Let the device warm up for one step by what friction loses in it [W], and by the coil."""
+    """Heat the device for one step by the friction's loss [W], and by the coil."""
     d = p.detail
     gained = lost_W + d.coil_ohm * current_A * current_A
     d.degC += d.heat_1_JK * gained - d.cooling * (d.degC - p.ambient)

@@ -1,17 +1,17 @@
 r"""The operator's muscle torque :math:`f_h(t)`: the schedule of a rig file as a function of time.
 
-The hand's impedance is the plant's part; here is what its muscles do. A hand that wants to be at
+The hand's impedance belongs to the plant; this module gives its muscle torque. A hand whose target is
 :math:`\theta_d(t)` drives its own impedance with
 
 .. math:: f_h = K_o\,\theta_d + B_o\,\dot\theta_d,
 
-and pushes, taps and tremor are added as torques. Time counts from the start of the schedule, which
-is the instant at which the drive enters Operation Enabled; before it, and after the last phase, the
-hand is at rest and only trembles. Where the display ends in the middle of the schedule, the hand
-does not fling the freed handle about: what it did last fades within `LET_GO_S`.
+and pushes, taps and tremor are added as torques. Time counts from the start of the schedule, the
+instant at which the drive enters Operation Enabled; before it, and after the last phase, the hand
+is at rest and only trembles. If the display ends in the middle of the schedule, the hand does not
+fling the freed handle: its last torque fades within `LET_GO_S`.
 
-The plant is given the torque at knots `KNOT_S` apart and takes it as linear between them:
-continuous, never held, and off a 9 Hz tremor's true course by less than 0.05 % of its size.
+The plant receives the torque at knots `KNOT_S` apart and interpolates linearly between them: the
+torque is continuous, and deviates from a 9 Hz tremor by less than 0.05 % of its amplitude.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ __all__ = ["KNOT_S", "LET_GO_S", "Operator", "drawn", "paper_force_N"]
 KNOT_S = 1e-3
 LET_GO_S = 2.0
 LATE_S = 0.1
-"""By how much a tap comes late, for a population of 1: the normal spread."""
+"""Delay of a tap, for a population of 1: the normal spread."""
 MOST_TAPS = 1000
 SUBJECT = 0x68616E64
-"""Keeps the draws of a subject apart from others of the same seed."""
+"""Separates the draws of a subject from other draws with the same seed."""
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -48,8 +48,8 @@ def drawn(hand: Hand, seed: int) -> Hand:
     r"""Return the hand of the subject `seed` out of the population around `hand`.
 
     Inertia, damping, stiffness and tremor are each multiplied by :math:`e^{\sigma n}`, n normal, with
-    :math:`\sigma` = ``population``: the rig file's hand is the median, and none is negative. Without a
-    population every seed has the rig file's.
+    :math:`\sigma` = ``population``: the rig file's hand is the median, and none is negative.
+    Without a population every seed gives the rig file's hand.
     """
     if hand.population == 0.0:
         return hand
@@ -65,11 +65,11 @@ def _subject(seed: int, what: int = 0) -> np.random.Generator:
 
 
 class Operator:
-    """The muscle torque of the operator of `axis` in mode `mode`, which sets the size of a push
-    (share of F_s), as the subject `seed`.
+    """Muscle torque of the operator of `axis`, as the subject `seed`; the mode `mode` sets the size of
+    a push (share of F_s).
 
-    Of a population its tremor begins anywhere in its period, its pushes and taps are as strong as
-    the subject makes them, and its taps come a little late.
+    In a population the tremor begins at a random phase, the strength of pushes and taps depends on
+    the subject, and taps have a small delay.
     """
 
     def __init__(self, axis: Axis, mode: str, seed: int = 0) -> None:
@@ -86,8 +86,8 @@ class Operator:
         self.starts_s = np.array(axis.phase_starts_s)
 
     def torque_Nm(self, t: Floats, start_s: float | None, end_s: float | None = None) -> Floats:
-        r"""Return f_h [Nm] at the absolute times `t` [s] when the schedule began at `start_s`
-        (None: it has not), and was left at `end_s`.
+        r"""Return f_h [Nm] at the absolute times `t` [s] for a schedule that began at `start_s` (None:
+        it has not), and ended early at `end_s`.
 
         .. math:: f_h(t) = f_h(t_e)\,\tfrac{1}{2}\left(1 + \cos\frac{\pi (t - t_e)}{T}\right), \quad t_e < t < t_e + T
         """
@@ -106,12 +106,10 @@ class Operator:
         return tremor
 
     def schedule_Nm(self, t: Floats) -> Floats:
-        """Return the schedule's torque [Nm] at the rising times `t` [s] since its start; 0 outside
-        of it.
-        """
+        """Return the schedule's torque [Nm] at the rising times `t` [s] since its start; 0 outside of it."""
         torque = np.zeros_like(t)
         hand = self._hand
-        target = 0.0  # where the hand wants to be when a phase begins
+        target = 0.0  # target of the hand at the start of a phase
         for phase, begin in zip(self._phases, self.starts_s[:-1], strict=True):
             rest = hand.stiffness_Nm_rad * target
             if phase.kind == "stroke":
@@ -149,7 +147,7 @@ class Operator:
 
 
 def _stroke(s: Floats, speed: float, move_s: float, dwell_s: float) -> tuple[Floats, Floats]:
-    """Return angle [rad] and speed [rad/s] of a stroke: forward, dwell, back, dwell, and so on."""
+    """Return angle [rad] and speed [rad/s] of a stroke: forward, dwell, back, dwell, repeated."""
     period = move_s + dwell_s
     leg = np.floor(s / period)
     forward = leg % 2 == 0

@@ -1,5 +1,7 @@
-r"""The device's own friction, as it truly is: Coulomb, Stribeck, LuGre, with the angle, the
-temperature and time. `sim_bus.rig.elements` has the generalised Maxwell-slip friction and Leuven's.
+r"""The device's true own friction: Coulomb, Stribeck, LuGre, with its dependence on angle, temperature
+and time.
+
+`sim_bus.rig.elements` has the generalised Maxwell-slip and Leuven models.
 
 Its level at the speed :math:`v`, the angle :math:`q` of its body, the device's temperature
 :math:`T` and the time :math:`t` is
@@ -14,12 +16,14 @@ Bristles (LuGre) instead have the deflection :math:`z` and give
 .. math:: F = \sigma_0 z + \sigma_1 \dot z, \qquad \dot z = v - \alpha z, \quad \alpha = \sigma_0 |v| / g,
 
 by the midpoint rule with :math:`\alpha` of the step's begin: linear in the mean speed, stable at
-any stiffness and step, of first order. With :math:`r = \sigma_0 |v|` one division does it: :math:`z`
-behind a step of :math:`h` is :math:`((g - \tfrac{h}{2} r) z + h g u) / (g + \tfrac{h}{2} r)`.
+any stiffness and step, of first order. With :math:`r = \sigma_0 |v|` one division is enough:
+:math:`z` after a step of :math:`h` is :math:`((g - \tfrac{h}{2} r) z + h g u) / (g + \tfrac{h}{2}
+r)`.
 
-LuGre's friction can give energy where :math:`\sigma_1 |v| > 4 g` (the quadratic form
-:math:`\sigma_0\alpha z^2 + \sigma_1\alpha z\dot z + \sigma_1\dot z^2` is then indefinite); the plant
-takes :math:`\min(\sigma_1, 4 g/|v|)` and so never does. With :math:`\sigma_1 = 0` and no Stribeck rise this is Dahl's friction.
+LuGre's friction can generate energy if :math:`\sigma_1 |v| > 4 g` (the quadratic form
+:math:`\sigma_0\alpha z^2 + \sigma_1\alpha z\dot z + \sigma_1\dot z^2` is then indefinite); the
+plant uses :math:`\min(\sigma_1, 4 g/|v|)` and so never does. With :math:`\sigma_1 = 0` and no
+Stribeck rise this is Dahl's friction.
 
 Sources: H. Olsson and others, Friction Models and Friction Compensation, European Journal of
 Control 4(3), 1998, doi:10.1016/S0947-3580(98)70113-X; C. Canudas de Wit and others, IEEE
@@ -41,15 +45,15 @@ from coulombus.sim_bus.rig.wave import wave
 __all__ = ["set_bristles", "set_levels"]
 
 NOTHING = 40.0
-"""e to the minus this is nothing beside 1."""
+"""Exponent from which exp(-x) is negligible compared with 1."""
 LEAST_Nm = 1e-9
-"""Level of bristles where the friction has vanished: they need one."""
+"""Level of bristles if the friction has vanished: they need a level above 0."""
 
 
 @kernel
 def set_levels(p: PlantRecord, capacity: float) -> None:
-    """Set what each body's dry friction can bear now, the brake's `capacity` [Nm] on the drum, and
-    the bristles' parameters.
+    """Set the present level of each body's dry friction, with the brake's `capacity` [Nm] on the drum, and the
+    bristles' parameters.
     """
     d = p.detail
     scale = (1.0 + d.friction_K * (d.degC - d.reference)) * (1.0 + d.friction_s * (p.t_ns * 1e-9))
@@ -90,7 +94,7 @@ def set_levels(p: PlantRecord, capacity: float) -> None:
 
 @kernel
 def set_bristles(d: DetailRecord, i: int, h: float) -> None:
-    """Set what a body's bristles or elements do over a step of `h`: their torque is held + given u
+    """Set the behaviour of a body's bristles or elements over a step of `h`: their torque is held + given u
     [Nm].
     """
     if d.bristles == ELEMENTS:

@@ -1,4 +1,4 @@
-r"""Two links in a plane with brakes, motors and a hand, as they truly are: coupled, and exact in stick-slip.
+r"""True model of two links in a plane with brakes, motors and a hand: coupled, with exact stick-slip.
 
 With the mechanism's angles :math:`\alpha`, their speeds v and the hand's mass at the tip
 
@@ -9,7 +9,7 @@ With the mechanism's angles :math:`\alpha`, their speeds v and the hand's mass a
 
 with the hand's :math:`F_h = f + K_o (x_d - x) + B_o (\dot x_d - \dot x)` in two directions, and the joints'
 friction and brakes :math:`\lambda_i \in L_i\,\mathrm{Sgn}(v_i)`. They are solved together and never
-approximated: a joint that sticks has the speed 0.
+approximated: a sticking joint has the speed 0.
 
 A step is the midpoint rule with a discrete gradient: with :math:`w = (v_0 + v_1)/2`,
 :math:`N = k\,((2,1),(1,0))` and :math:`D = \Delta\cos\alpha_2/\Delta\alpha_2`
@@ -19,9 +19,10 @@ A step is the midpoint rule with a discrete gradient: with :math:`w = (v_0 + v_1
     \tfrac12(M_0 + M_1)(v_1 - v_0)/h + D\,w_2 N w - \tfrac12 D\,(2 w^T N w - Y)\,e_2 = \text{torques}, \qquad
     Y = \tfrac12 (v_0^T N v_0 + v_1^T N v_1)
 
-so that the works of all torques, torque times mean speed, are the change of the kinetic energy to
-rounding, whatever the step. If a joint's speed changes its sign inside a step, the step ends there; then
-the joint sticks or slips on. Which of the joints stick is the one consistent choice of the nine.
+so that the works of all torques, torque times mean speed, equal the change of the kinetic energy to
+rounding, at any step size. If a joint's speed changes its sign inside a step, the step ends there;
+then the joint sticks or continues to slip. Of nine choices of sticking joints only one is
+consistent.
 
 Source of the discrete gradient: O. Gonzalez, Time integration and discrete Hamiltonian systems,
 J. Nonlinear Science 6, 1996, doi:10.1007/BF02440162.
@@ -40,17 +41,17 @@ __all__ = ["advance_plane", "kinetic_J", "tip_force"]
 
 ITERATIONS = 8
 CLOSE = 1e-15
-"""Change of the speeds with which the iteration of a step ends [rad/s]."""
+"""Change of the speeds at which the iteration of a step ends [rad/s]."""
 PARTS = 6
-"""Into which a step is split at most."""
+"""Largest number of parts of a step."""
 SLACK = 1.0 + 1e-12
 STICK = 2
-"""A joint that is to stand at the end of a step, by whatever friction that takes."""
+"""Mode of a joint that stands at the end of a step, regardless of the required friction."""
 
 
 @kernel
 def kinetic_J(p: PlanePlantRecord, v1: float, v2: float, cosine: float) -> float:
-    """Return the kinetic energy at two speeds [J], hand and device together."""
+    """Return the kinetic energy of hand and device together at two speeds [J]."""
     m11, m12 = p.a1 + 2.0 * p.k * cosine, p.a2 + p.k * cosine
     return float(0.5 * (m11 * v1 * v1 + 2.0 * m12 * v1 * v2 + p.a3 * v2 * v2))
 
@@ -80,7 +81,7 @@ def _torques(p: PlanePlantRecord, dt: float, w1: float, w2: float) -> None:
 def _solve(p: PlanePlantRecord, dt: float, mode1: int, mode2: int) -> None:
     """Set the speeds ``v1`` at the end of a step and the friction ``load`` during it.
 
-    A mode is -1 or 1 for a joint that slips in this sense, 0 or `STICK` for one that stands at the end.
+    A mode is -1 or 1 for a joint that slips in this direction, 0 or `STICK` for a joint that stands at the end.
     """
     u1, u2 = p.v[0], p.v[1]
     n1, n2 = (u1, u2) if mode1 * mode1 + mode2 * mode2 > 0 else (0.0, 0.0)
@@ -91,7 +92,7 @@ def _solve(p: PlanePlantRecord, dt: float, mode1: int, mode2: int) -> None:
         turn = 0.5 * dt * w2
         sinc = math.sin(turn) / turn if abs(turn) > 1e-9 else 1.0
         slope = -math.sin(p.angle[1] + turn) * sinc
-        cosine = cos0 + slope * turn  # the mean of both ends
+        cosine = cos0 + slope * turn  # mean of both ends
         m11, m12, m22 = p.a1 + 2.0 * p.k * cosine, p.a2 + p.k * cosine, p.a3
         nw1, nw2 = p.k * (2.0 * w1 + w2), p.k * w1
         middle = w1 * nw1 + w2 * nw2
@@ -124,10 +125,10 @@ def _solve(p: PlanePlantRecord, dt: float, mode1: int, mode2: int) -> None:
 
 @kernel
 def _modes(p: PlanePlantRecord) -> int:
-    """Return which joints slip at the begin of a step, and in which sense: 3 (mode 1 + 1) + mode 2 + 1.
+    """Return which joints slip at the begin of a step, and their directions: 3 (mode 1 + 1) + mode 2 + 1.
 
-    A moving joint slips on. Of the choices for those that stand one is consistent: a joint that starts goes
-    in the sense of its acceleration, one that sticks has a load within its level.
+    A moving joint continues to slip. Of the choices for the standing joints only one is consistent: a starting
+    joint moves in the direction of its acceleration, a sticking joint has a load within its level.
     """
     _torques(p, 0.0, p.v[0], p.v[1])
     cosine, sine = math.cos(p.angle[1]), math.sin(p.angle[1])
@@ -159,7 +160,7 @@ def _modes(p: PlanePlantRecord) -> int:
 
 @kernel
 def _stops_after(p: PlanePlantRecord, dt: float, joint: int, modes: int) -> float:
-    """Return when the speed of a joint that changes its sign within a step is 0 [s]."""
+    """Return the time at which the speed of a joint that changes its sign within a step is 0 [s]."""
     low, high = 0.0, dt
     f_low, f_high = p.v[joint], p.v_end[joint]
     t = dt
@@ -180,7 +181,7 @@ def _stops_after(p: PlanePlantRecord, dt: float, joint: int, modes: int) -> floa
 
 @kernel
 def _part(p: PlanePlantRecord, dt: float) -> float:
-    """Move on by at most `dt` without a change of a speed's sign; return the time that was left over [s]."""
+    """Advance by at most `dt` without a change of a speed's sign; return the remaining time [s]."""
     modes = _modes(p)
     mode1, mode2 = modes // 3 - 1, modes % 3 - 1
     _solve(p, dt, mode1, mode2)
@@ -193,7 +194,7 @@ def _part(p: PlanePlantRecord, dt: float) -> float:
         p.v_end[0], p.v_end[1] = end1, end2
         t2 = _stops_after(p, dt, 1, modes) if stop2 and p.v[1] != 0.0 else 0.0 if stop2 else dt
         t = min(t1, t2)
-        if t <= 0.0:  # it would start against its own sense: it stands for this step
+        if t <= 0.0:  # it would start against its own direction: it stands for this step
             t = dt
         left = dt - t
         _solve(p, t, STICK if stop1 and t1 <= t2 else mode1, STICK if stop2 and t2 <= t1 else mode2)
@@ -204,7 +205,7 @@ def _part(p: PlanePlantRecord, dt: float) -> float:
 
 @kernel
 def _keep(p: PlanePlantRecord, dt: float) -> None:
-    """Take the end of a step over: angles, speeds, torques, works."""
+    """Apply the end of a step: angles, speeds, torques, works."""
     if dt > 0.0:
         _transduce(p, dt)
     for i in range(2):
@@ -230,7 +231,7 @@ def _keep(p: PlanePlantRecord, dt: float) -> None:
 
 @kernel
 def _transduce(p: PlanePlantRecord, dt: float) -> None:
-    """Set what the transducers see: the hand's torques on the joints less those that move its own mass."""
+    """Set the transducers' readings: the hand's torques on the joints minus those that move its own mass."""
     w1, w2 = 0.5 * (p.v[0] + p.v_end[0]), 0.5 * (p.v[1] + p.v_end[1])
     x0, y0, vx0, vy0 = _tip(p, p.angle[0], p.angle[1], p.v[0], p.v[1])
     x1, y1, vx1, vy1 = _tip(p, p.angle[0] + dt * w1, p.angle[1] + dt * w2, p.v_end[0], p.v_end[1])
@@ -244,7 +245,7 @@ def _transduce(p: PlanePlantRecord, dt: float) -> None:
 
 @kernel
 def _tip(p: PlanePlantRecord, angle1: float, angle2: float, v1: float, v2: float) -> tuple[float, float, float, float]:
-    """Return place and velocity of the tip."""
+    """Return position and velocity of the tip."""
     x2, y2 = p.l2 * math.cos(angle1 + angle2), p.l2 * math.sin(angle1 + angle2)
     x, y = p.l1 * math.cos(angle1) + x2, p.l1 * math.sin(angle1) + y2
     return x, y, -y * v1 - y2 * v2, x * v1 + x2 * v2
@@ -252,7 +253,7 @@ def _tip(p: PlanePlantRecord, angle1: float, angle2: float, v1: float, v2: float
 
 @kernel
 def tip_force(p: PlanePlantRecord) -> None:
-    """Set ``shown_N``: the force on the hand of motors, brakes and friction, at the present pose."""
+    """Set ``shown_N``: the force of motors, brakes and friction on the hand, at the present pose."""
     first, both = p.angle[0], p.angle[0] + p.angle[1]
     x2, y2 = p.l2 * math.cos(both), p.l2 * math.sin(both)
     x, y = p.l1 * math.cos(first) + x2, p.l1 * math.sin(first) + y2
@@ -266,8 +267,8 @@ def tip_force(p: PlanePlantRecord) -> None:
 
 @kernel
 def advance_plane(p: PlanePlantRecord, steps: int) -> None:
-    """Advance the plant by `steps` of its steps under the commands that are held (``motor_want``,
-    ``brake_want``), while the hand's goal moves with ``goal_m_s``.
+    """Advance the plant by `steps` of its steps with constant commands (``motor_want``, ``brake_want``), while
+    the hand's target moves with ``goal_m_s``.
     """
     for _ in range(steps):
         for i in range(2):

@@ -1,4 +1,4 @@
-"""The record of the plant in the plane."""
+"""Record of the plant in the plane."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["PlanePlantRecord"]
 
 
 class PlanePlantRecord(Record):
-    """Two links with brakes, motors and a hand; of two numbers each, joint or direction 1 and 2."""
+    """Two links with brakes, motors and a hand; arrays of two hold joint or direction 1 and 2."""
 
     h: float  # step [s]
     l1: float  # lengths of the links [m]
@@ -20,37 +20,37 @@ class PlanePlantRecord(Record):
     a3: float
     k: float
     viscous: Annotated[FloatField, 2]  # Nm s/rad
-    inherent: Annotated[FloatField, 2]  # the joints' own friction and the brakes' off-state torque [Nm]
-    stiffness: Annotated[FloatField, 2]  # the hand's [N/m]
-    damping: Annotated[FloatField, 2]  # N s/m
+    inherent: Annotated[FloatField, 2]  # own friction of the joints, and off-state torque of the brakes [Nm]
+    stiffness: Annotated[FloatField, 2]  # of the hand [N/m]
+    damping: Annotated[FloatField, 2]  # of the hand [N s/m]
     hand_kg: float
-    motor_decay: float  # of a step
+    motor_decay: float  # decay of the motor's lag in a step
     coil_decay: float
     fluid_decay: float
 
     motor_want: Annotated[FloatField, 2]  # commands [Nm]
     brake_want: Annotated[FloatField, 2]
-    goal_m: Annotated[FloatField, 2]  # where the hand wants to be at the step's begin
+    goal_m: Annotated[FloatField, 2]  # target position of the hand at the step's begin
     goal_m_s: Annotated[FloatField, 2]
 
-    push_N: Annotated[FloatField, 2]  # the hand's muscles, beside its spring and damper
+    push_N: Annotated[FloatField, 2]  # muscle force of the hand, in addition to its spring and damper
 
     angle: Annotated[FloatField, 2]  # the mechanism's angles [rad]
-    v: Annotated[FloatField, 2]  # rad/s; 0 of a joint that sticks
+    v: Annotated[FloatField, 2]  # rad/s; 0 for a sticking joint
     motor_lagged: Annotated[FloatField, 2]
     coil: Annotated[FloatField, 2]
     fluid: Annotated[FloatField, 2]
     motor: Annotated[FloatField, 2]  # torque in the step [Nm]
     level: Annotated[FloatField, 2]  # largest friction in the step, brake and inherent [Nm]
-    part_s: float  # how much of the step has passed
+    part_s: float  # elapsed part of the step [s]
     v_end: Annotated[FloatField, 2]
     load: Annotated[FloatField, 2]  # friction in the step, positive against a positive speed [Nm]
-    hand_N: Annotated[FloatField, 2]  # the hand's spring and damper
+    hand_N: Annotated[FloatField, 2]  # force of the hand's spring and damper
     hand_Nm: Annotated[FloatField, 2]
-    brake_Nm: Annotated[FloatField, 2]  # on the joint
+    brake_Nm: Annotated[FloatField, 2]  # brake torque on the joint
     friction_Nm: Annotated[FloatField, 2]
-    transduced_Nm: Annotated[FloatField, 2]  # the hand's torque on the joint, with its mass: the transducers'
-    shown_N: Annotated[FloatField, 2]  # on the hand: motors, brakes, friction
+    transduced_Nm: Annotated[FloatField, 2]  # transducer reading: hand's torque on the joint, with its mass
+    shown_N: Annotated[FloatField, 2]  # force of motors, brakes and friction on the hand
     tip_m: Annotated[FloatField, 2]
     tip_m_s: Annotated[FloatField, 2]
     work_hand: float  # J

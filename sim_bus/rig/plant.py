@@ -12,39 +12,39 @@ and inherent friction are set-valued: :math:`\lambda \in F\,\mathrm{Sgn}(v)`. Th
 never approximated by a steep function of speed: stuck is exactly :math:`v = 0`, and
 :math:`\lambda v \ge 0` holds in every step, so neither can ever push.
 
-A step is the implicit midpoint rule for the smooth part. When the speed would change its sign
-inside a step, the step is split at the instant of the crossing: from there the handle sticks if the
-friction can hold the load, else it slips on in the other direction. The work of each torque is its
+A step is the implicit midpoint rule for the smooth part. If the speed would change its sign inside
+a step, the step is split at the instant of the crossing: from there the handle sticks if the
+friction can hold the load, else it slips in the other direction. The work of each torque is its
 torque times the step's mean speed, so the energy balance
 
 .. math:: W_{op} + W_m - W_{visc} + W_b + W_f = \Delta(\tfrac12 m v^2)
 
-closes to rounding in every step, whatever the step's length.
+closes to rounding in every step, at any step size.
 
 The device's own friction is Coulomb's with Stribeck's rise towards rest,
 
 .. math:: F_f = F_c + \Delta F \exp(-(v/v_S)^2),
 
-at the speed of the step's begin, and :math:`F_c + \Delta F` when it stands: with it the course is
-right to the first order of the step, and the energy balance still closes to rounding.
+at the speed of the step's begin, and :math:`F_c + \Delta F` at rest: the course is then accurate to
+first order in the step, and the energy balance still closes to rounding.
 
 The motor follows its command with a first-order lag. Its cogging, :math:`-A\sin(k i x)` with
-:math:`k` periods in one of the :math:`i` revolutions of the motor for one of the handle, is part of
-its torque; over a step it is that of the step's begin. The brake's torque capacity follows its
-command through two first-order lags in series, the coil and the fluid; its off-state torque is
-always there.
+:math:`k` periods per revolution of the motor and :math:`i` motor revolutions per revolution of the
+handle, is part of its torque; over a step it has the value of the step's begin. The brake's torque
+capacity follows its command through two first-order lags in series, the coil and the fluid; its
+off-state torque is always there.
 
-Between them is the iron. It remembers a share :math:`r` of the largest torque, and a current of the
-opposite sign takes that away: with the coil at :math:`c` (the torque that its current stands for)
+The iron is between them. It keeps a share :math:`r` of the largest torque, and a current of the
+opposite sign removes it: with the coil at :math:`c` (the torque that corresponds to its current)
 and the remanent torque :math:`R`
 
 .. math:: M = \max(c, R),\ R \leftarrow \max(R, r c) \quad (c \ge 0), \qquad
           R \leftarrow \min(R, \max(R_0 + c, 0)),\ M = \max(R, -R_0 - c) \quad (c < 0)
 
-with :math:`R_0`, the :math:`R` at which the current changed its sign. The coil's temperature is one
-thermal lag, :math:`\tau\dot T = T_{amb} + R_{th} R_{coil} i^2 - T`, and has no part in the
-mechanics. An open coil carries no current; one that is short takes the supply's, outside the
-winding.
+with :math:`R_0`, the :math:`R` at the instant at which the current changed its sign. The coil's
+temperature is a thermal lag, :math:`\tau\dot T = T_{amb} + R_{th} R_{coil} i^2 - T`, and does not
+affect the mechanics. An open coil carries no current; a short circuit draws the supply's current,
+outside the winding.
 
     p : the `PlantRecord` of an axis
 """
@@ -84,10 +84,10 @@ __all__ = [
 
 COIL_INTACT, COIL_OPEN, COIL_SHORT = 0, 1, 2
 SHORT_A = 25.0
-"""What the driver drives into a short circuit."""
+"""Current that the driver supplies into a short circuit."""
 NEGLIGIBLE_Nm = 1e-200
 NOISE_FACTOR, NOISE_SUMMAND, NOISE_MASK = 0x5DEECE66D, 0xB, 0xFFFFFFFFFFFF
-"""The generator of the transducer's noise: x -> factor x + summand, of 48 bits."""
+"""Generator of the transducer's noise: x -> factor x + summand, of 48 bits."""
 
 
 TRUTH_COLUMNS = (
@@ -105,8 +105,8 @@ TRUTH_COLUMNS = (
     "viscous_loss_J",
     "kinetic_energy_J",
 )
-"""Columns of the true course at the plant's step; torques are those on the handle at the end of the
-step that ends at t (after the stop, where the speed crosses zero within it); the works are exact.
+"""Columns of the true course at the plant's step; torques act on the handle at the end of the step that
+ends at t (after the stop, if the speed crosses zero within it); the works are exact.
 """
 
 
@@ -158,8 +158,8 @@ def new_plant(axis: Axis, seed: int = 0) -> RecordArray[PlantRecord]:
 
 @kernel
 def sample_noise(p: PlantRecord) -> float:
-    """Return the next value of the transducer's noise: four uniforms summed, unit variance, bounded
-    at 3.5 sigma.
+    """Return the next value of the transducer's noise: the sum of four uniform values, with unit variance,
+    bounded at 3.5 sigma.
     """
     total = 0.0
     state = int(p.random)
@@ -172,8 +172,8 @@ def sample_noise(p: PlantRecord) -> float:
 
 @kernel
 def transducer_Nm(p: PlantRecord) -> float:
-    """Return what the transducer reads of the hand's torque on the handle [Nm]: filter, bias, drift
-    and noise, and its polarity.
+    """Return the transducer's reading of the hand's torque on the handle [Nm]: with filter, bias, drift,
+    noise and polarity.
     """
     torque = p.f_operator if p.filtered == 0 else p.transduced
     offset = p.bias + p.drift * (p.t_ns * 1e-9)
@@ -183,14 +183,14 @@ def transducer_Nm(p: PlantRecord) -> float:
 
 @kernel
 def encoder_rad(p: PlantRecord) -> float:
-    """Return the angle that the encoder shows [rad at the handle]."""
+    """Return the encoder's angle [rad at the handle]."""
     angle: float = p.x
     return angle if p.eccentric == 0.0 else angle + p.eccentric * math.sin(p.eccentric_rad * angle)
 
 
 @kernel
 def coil_current(p: PlantRecord, brake_Nm: float) -> float:
-    """Return what the driver measures as the coil's current [A] while it commands `brake_Nm`."""
+    """Return the coil current [A] that the driver measures while it commands `brake_Nm`."""
     if p.coil_fault == COIL_SHORT and brake_Nm > 0.0:
         return SHORT_A
     current: float = p.coil * p.coil_A_Nm
@@ -199,8 +199,8 @@ def coil_current(p: PlantRecord, brake_Nm: float) -> float:
 
 @kernel
 def magnetise(p: PlantRecord) -> float:
-    """Let the coil's present current act on the iron; return the torque that it stands for."""
-    if p.coil > -1e-4 * p.brake_max:  # a lag only comes near to 0
+    """Apply the coil's present current to the iron; return the torque that corresponds to it."""
+    if p.coil > -1e-4 * p.brake_max:  # a lag only approaches 0
         p.remanent = max(p.remanent, p.remanence * p.coil)
         p.remanent_before = p.remanent
         return max(p.coil, p.remanent)
@@ -211,15 +211,15 @@ def magnetise(p: PlantRecord) -> float:
 
 @kernel
 def heat_coil(p: PlantRecord, duration_s: float, square: float) -> None:
-    """Let the coil warm up for `duration_s` with the mean `square` of its torque [Nm^2]."""
+    """Heat the coil for `duration_s` with the mean `square` of its torque [Nm^2]."""
     target = p.ambient + p.K_A2 * square * p.coil_A_Nm * p.coil_A_Nm
     p.temperature = target + (p.temperature - target) * math.exp(-duration_s / p.thermal_s)
 
 
 @inlined
 def settled(value: float) -> float:
-    """Let a lag that decays to 0 reach it: it would stay at a subnormal number for ever, with which
-    a processor computes slowly.
+    """Return 0 for a value that has nearly decayed to 0: it would stay subnormal for ever, which slows the
+    processor.
     """
     return 0.0 if abs(value) < NEGLIGIBLE_Nm else value
 
@@ -235,15 +235,15 @@ def _inherent(p: PlantRecord) -> float:
 
 @kernel
 def _move(p: PlantRecord, dt: float, drive: float, f_h: float, level: float, motor: float, capacity: float) -> float:
-    """Move on by at most `dt` [s] without a change of the speed's sign.
+    """Advance by at most `dt` [s] without a change of the speed's sign.
 
-    Return the time [s] that was left over.
+    Return the remaining time [s].
     """
     x, v0 = p.x, p.v
     stiffness = p.operator_stiffness
     load = drive - stiffness * x
     if v0 == 0.0:
-        if abs(load) <= level:  # stuck: the friction gives what the load asks for
+        if abs(load) <= level:  # stuck: the friction equals the load
             inherent = min(max(load, -p.inherent), p.inherent)
             p.f_friction = -inherent
             p.f_brake = inherent - load
@@ -258,8 +258,8 @@ def _move(p: PlantRecord, dt: float, drive: float, f_h: float, level: float, mot
     v1 = (v0 * (mass - c) + dt * (load - sign * level)) / (mass + c)
     left = 0.0
     if v1 * sign < 0.0:
-        # The speed reaches zero inside the step, at the root of the midpoint rule (linear guess,
-        # one Newton step).
+        # The speed reaches zero inside the step, at the root of the midpoint rule (linear guess, one Newton
+        # step).
         slope = load - sign * level - 0.5 * damping * v0
         t = -mass * v0 / slope
         curve = -0.25 * stiffness * v0
@@ -288,14 +288,14 @@ def _move(p: PlantRecord, dt: float, drive: float, f_h: float, level: float, mot
 
 @inlined
 def motor_target(p: PlantRecord) -> float:
-    """Return the torque that the motor's command asks for [Nm at the handle]."""
+    """Return the torque of the motor's command [Nm at the handle]."""
     motor_pm = min(max(p.motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
     return float(motor_pm * p.motor_Nm_pm)
 
 
 @inlined
 def coil_target(p: PlantRecord) -> float:
-    """Return the torque that the coil's current is driven to stand for [Nm]."""
+    """Return the target of the coil torque [Nm], which corresponds to its current."""
     target = min(max(p.brake_Nm, 0.0), p.brake_max)
     if p.reverse_A > 0.0:
         target = -min(p.reverse_A / p.coil_A_Nm, p.brake_max)
@@ -325,8 +325,8 @@ def keep_truth(p: PlantRecord, out: Floats) -> None:
 
 @kernel
 def advance(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> None:
-    """Advance the plant by `steps` of its steps under the commands that are held (`motor_pm`,
-    `brake_Nm`, `reverse_A`).
+    """Advance the plant by `steps` of its steps with constant commands (`motor_pm`, `brake_Nm`,
+    `reverse_A`).
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The course of a plant, as the virtual bus calls it: the one rigid body, and the plant in detail.
+"""Entry points for the virtual bus to advance a plant: one rigid body, and the detailed plant.
 
-Both have one signature, so that the loop of the bus takes either as a pointer and contains neither.
-A rig without a `[plant.X]` compiles nothing of the plant in detail.
+Both have the same signature, so that the loop of the bus takes either as a pointer and contains
+neither. A rig without a `[plant.X]` compiles nothing of the detailed plant.
 
     p : the `PlantRecord` of an axis
 """
@@ -44,7 +44,7 @@ RIPPLE, COGGING = BODIES, BODIES + 1
 
 @kernel
 def _keep(p: PlantRecord, out: Floats) -> None:
-    """Write a row of the true course: angle and speed are the handle's."""
+    """Write a row of the true course; angle and speed are the handle's."""
     d = p.detail
     last = d.count - 1
     keep_truth(p, out)
@@ -70,7 +70,7 @@ def _keep(p: PlantRecord, out: Floats) -> None:
 def advance_detailed(
     p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int
 ) -> None:
-    """Advance a plant in detail, as `sim_bus.rig.plant.advance` does a plain one."""
+    """Advance a detailed plant, like `sim_bus.rig.plant.advance` for a plain plant."""
     d = p.detail
     target, coil_wants = motor_target(p), coil_target(p)
     remembers = p.remanence > 0.0 or coil_wants < 0.0 or p.coil < 0.0
@@ -133,14 +133,16 @@ def _either(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, 
 
 
 def course_of(plants: Records) -> CourseFunction:
-    """Return what advances these plants, as kernels take it: compiled, or loaded out of the cache."""
+    """Return the function that advances these plants, in the form for kernels: compiled, or loaded from the
+    cache.
+    """
     function = _either if plants.view(np.ndarray)["detail"]["on"].any() else _plain
     return function if JIT_DISABLED else _pointer(function)
 
 
 @cache
 def _pointer(function: CourseFunction) -> CourseFunction:
-    """Return a course as kernels take it; it keeps nothing, so a process loads it once."""
+    """Return a plant's function in the form for kernels; it stores nothing, so a process loads it once."""
     dispatcher: Any = numba.njit(nogil=True, error_model="numpy", cache=cacheable(function))(function)
     i8, f8 = numba.int64, numba.float64
     signature = i8(numba.from_dtype(PLANT), f8[::1], i8, i8, i8, f8[:, ::1], i8)

@@ -1,15 +1,14 @@
-"""The devices of an axis as they are simulated: what lives behind each file, and which object shows
-or takes what of the plant.
+"""Simulated devices of an axis: the kind of device for each file, and the objects for the plant's
+quantities.
 
-The rig file's roles decide. An object that its own kind of device shows or takes by itself (6064h
-of a drive, 7130h of our brake driver) stays the kind's; every other one that a role names is the
-rig's, which writes the plant's quantity to it in the role's scale. Where the rig file believes
-something else of a scale than `[plant]` has, the object shows the truth: by how much the plant's
-rated torque, ratio and encoder differ from what is believed of them.
+The rig file's roles decide. The kind of device handles its own objects (6064h of a drive, 7130h of
+our brake driver); the rig handles every other object with a role, and writes the plant's quantity
+to it in the role's scale. If a scale of the rig file differs from `[plant]`, the object shows the
+true value: the difference of the plant's rated torque, ratio and encoder from their assumed values.
 
-Another maker's drive counts its position and its velocity as its own objects say
-(`eds.drive_scale`), whatever the rig file believes: so a wrong rig file fails here as it does on
-the rig. Only a plant whose encoder is another than the rig file's on purpose overrides them.
+Another vendor's drive scales its position and velocity by its own objects (`eds.drive_scale`),
+whatever the rig file says: so a wrong rig file fails here as it does on the real rig. Only a plant
+with a deliberately different encoder overrides them.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ _QUANTITIES: Mapping[str, Quantity] = {
     "coil_current": Quantity.CURRENT,
     "coil_temperature": Quantity.TEMPERATURE,
 }
-"""Roles that are measured."""
+"""Roles of measured quantities."""
 
 _OWN_INPUTS: Mapping[str, Key] = {
     "handle_torque": (0x7130, 1),
@@ -72,14 +71,12 @@ _OWN_INPUTS: Mapping[str, Key] = {
 _DRIVES_TORQUE = ((0x6077, 0), (0x6078, 0))
 _SETPOINT, _POSITION, _INCREMENTS, _VELOCITY = (0x6071, 0), (0x6064, 0), (0x6063, 0), (0x606C, 0)
 _BY_RATED, _BY_ENCODER, _BY_ROLE = "motor.rated_torque_Nm", "motor.encoder_counts_rev", "role."
-"""How the reasons of a scale begin (`rigs.roles`): the drive's by itself, and the rig file's."""
+"""Prefixes of the reasons for a scale (`rigs.roles`): the drive's own, and the rig file's."""
 
 
 @dataclass(frozen=True)
 class StandIn:
-    """A device of an axis: what it is called, its file as it is served, and what lives
-    behind it.
-    """
+    """A device of an axis: its name, its file as served, and its kind."""
 
     node: Node
     node_id: int
@@ -108,14 +105,14 @@ def _stand_in(axis: Axis, node: Node) -> StandIn:
 
 
 class _OwnScale(NamedTuple):
-    """What a drive makes of the shaft by its own objects.
+    """Scale of a drive by its own objects.
 
     Attributes
     ----------
     counts_rev : of 6064h in one turn of the motor; None: by the plant's encoder
     increments : of 6063h in one turn of the motor; None: by the plant's encoder
     rad_s : of the motor, for one count of 606Ch; None: by the rig file
-    sense : of its objects, held against that of the drive as delivered, which is the plant's
+    sense : sign of its objects, relative to the drive as delivered, which is the plant's sign
     """
 
     counts_rev: float | None = None
@@ -125,8 +122,8 @@ class _OwnScale(NamedTuple):
 
 
 def _own_scale(axis: Axis) -> _OwnScale:
-    """Return the scale of another maker's drive, as its file and the objects have it that the rig
-    file writes to it.
+    """Return the scale of another vendor's drive, from its file and the objects that the rig file writes to
+    it.
     """
     description, number = axis.description("motor"), drive_axis_of(axis.motor)
     if is_own("motor", told_identity(description)):
@@ -148,7 +145,7 @@ def _own_scale(axis: Axis) -> _OwnScale:
 
 
 def _drive(axis: Axis, setpoint: Binding) -> Profile:
-    """Return the drive with the mode and the set-point that the rig file names."""
+    """Return the drive with the rig file's mode and set-point."""
     part = axis.brake if setpoint.node == "brake" else axis.motor
     mode = mode_of(part, axis.description(setpoint.node))
     own = _own_key(part, setpoint)
@@ -157,7 +154,7 @@ def _drive(axis: Axis, setpoint: Binding) -> Profile:
 
 
 def _per_mille(axis: Axis, setpoint: Binding) -> float:
-    """Return how many per mille of rated torque one count of a set-point is."""
+    """Return the per mille of rated torque for one count of a set-point."""
     if _by_profile(setpoint):
         return 1.0
     if setpoint.kind.name == "torque_setpoint":
@@ -172,9 +169,7 @@ def _key(binding: Binding) -> Key:
 
 
 def _own_key(part: DeviceSection, binding: Binding) -> Key:
-    """Return the object of the first axis that means what a role's object does of the axis that
-    the device is.
-    """
+    """Return the object of the first axis that corresponds to a role's object on the device's own axis."""
     index, subindex = _key(binding)
     first = first_axis_object(index)
     return (first if of_axis(first, drive_axis_of(part)) == index else index), subindex
@@ -186,9 +181,7 @@ def _by_profile(binding: Binding) -> bool:
 
 
 def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
-    """Yield the measured roles on the devices `kinds` whose objects the kind does not show by
-    itself.
-    """
+    """Yield the measured roles on the devices `kinds` whose objects the kind does not handle itself."""
     bound = axis.allocation.bound
     setpoint = bound.get("torque_setpoint")
     for binding in bound.bindings:
@@ -209,8 +202,8 @@ def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
 
 
 def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, tuple[int, Device]]) -> None:
-    """Write to the records of an axis (`RigAxis`) and its plant what its devices show and take;
-    `rows`: row and device by name.
+    """Write the coupling of an axis's devices to its records (`RigAxis`) and its plant; `rows`: row and device
+    by name.
     """
     p, own = axis.simulation.plant, _own_scale(axis)
     if own.counts_rev is not None:
@@ -273,8 +266,8 @@ def _range(binding: Binding) -> tuple[int, int]:
 
 
 def _truth(axis: Axis, p: Plant, binding: Binding, own: _OwnScale) -> tuple[float, float]:
-    """Return (counts for one unit, the quantity at the count 0) of an object that shows a quantity
-    of the true plant.
+    """Return (counts per unit, the quantity at the count 0) of an object that shows a quantity of the true
+    plant.
     """
     motor, believed = axis.motor, axis.mechanics
     counts, name = 1 / abs(binding.scale), binding.kind.name

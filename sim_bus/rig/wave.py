@@ -1,8 +1,8 @@
-r"""The sine of an angle that moves a little in each step.
+r"""Sine of an angle that moves a little in each step.
 
 :math:`\sin(\varphi_0 + \delta) = \sin\varphi_0\cos\delta + \cos\varphi_0\sin\delta`, with the
-series of the small angle :math:`\delta` up to :math:`\delta^7`: right to :math:`\delta^8/8!`, which is
-2.5e-13 where :math:`\varphi_0` is taken anew (`FAR_rad`). The series costs less than a
+series of the small angle :math:`\delta` up to :math:`\delta^7`: accurate to :math:`\delta^8/8!`,
+which is 2.5e-13 where :math:`\varphi_0` is recomputed (`FAR_rad`). The series costs less than a
 sine.
 """
 

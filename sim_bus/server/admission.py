@@ -1,4 +1,4 @@
-"""The clients of a virtual bus: who gets a place, how it is greeted, and what is left when it goes."""
+"""Admission of clients to a virtual bus: slots, handshake, and clean-up when a client leaves."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ __all__ = ["Admission"]
 
 LOSERS_TOLD = 20
 MUTE_S = 2.0
-"""How long a client may take to greet where others wait for its place."""
+"""Longest time for a client's greeting if others wait for its slot."""
 SO_SNDBUFFORCE, SO_PEERCRED = 32, 17
 
 
 class Admission:
-    """The places of a server's clients, and the sockets in them.
+    """Slots of a server's clients, and their sockets.
 
     Parameters
     ----------
-    address, bit_rate : of the bus; a client that greets is told the rate
-    world : what the clients are stations of
-    pace : the loop's record; its `listener` is -1 while no client can be taken
-    result : counts what the clients came to
+    address, bit_rate : of the bus; the answer to a greeting contains the rate
+    world : network in which the clients are stations
+    pace : the loop's record; its `listener` is -1 while no client can be accepted
+    result : counts of the clients
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Admission:
     ) -> None:
         self._address, self._bit_rate, self._world, self._pace, self._result = address, bit_rate, world, pace, result
         self.listener: socket.socket | None = None
-        rows = SLOTS + 1  # the last is for a client that has to be told that there is no room
+        rows = SLOTS + 1  # the last is for a client that is told that the bus is full
         self.slots = new_records(SlotRecord, rows)
         self.slots["fd"] = -1
         self._words = np.zeros((rows, 2 * MESSAGE_FRAMES), np.int64)
@@ -64,27 +64,27 @@ class Admission:
         batches = np.zeros((rows, 2 * BATCH), np.int64)
         pollfds = np.zeros(rows + 2, np.int64)
         self.clients = Clients(self.slots, self._boxes, self._words, self._filters, batches, pollfds)
-        """The same for the compiled loop."""
+        """The same slots for the compiled loop."""
         self.sockets: dict[int, socket.socket] = {}
         self._pids: dict[int, int] = {}
         self._since: dict[int, float] = {}
-        self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for who comes when there is no other left
+        self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for a client when no other descriptor is left
 
     def listen(self, listener: socket.socket) -> None:
-        """Take clients from `listener`, which is closed with the places."""
+        """Accept clients from `listener`, which is closed together with the slots."""
         self.listener = listener
         self._pace["listener"] = listener.fileno()
 
     def accept(self) -> None:
-        """Give a place to the client that waits at the listener."""
+        """Assign a slot to the client that waits at the listener."""
         assert self.listener is not None
         place = self._place()
-        if place is None:  # not even room to say so: let it wait
+        if place is None:  # no slot even for a refusal: let it wait
             self._pace["listener"] = -1
             return
         try:
             client, _ = self.listener.accept()
-        except (BlockingIOError, ConnectionAbortedError):  # it has gone already
+        except (BlockingIOError, ConnectionAbortedError):  # the client has gone already
             return
         except OSError as error:
             if error.errno not in (errno.EMFILE, errno.ENFILE):
@@ -106,13 +106,13 @@ class Admission:
                 left.callback(client.close)
                 if self.sockets.get(place) is client:
                     self.part(place)
-            if not isinstance(error, OSError):  # one socket that cannot be set up costs nobody else the bus
+            if not isinstance(error, OSError):  # a socket that cannot be set up affects no other client
                 raise
 
     def _turn_away(self) -> None:
-        """Without a descriptor left: let one in on the spare one, and out again.
+        """Out of descriptors: accept with the spare one and close.
 
-        Who is left to wait would wake the loop for ever.
+        A pending client would wake poll() for ever.
         """
         assert self.listener is not None
         os.close(self._spare)
@@ -128,15 +128,15 @@ class Admission:
             self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
     def _place(self) -> int | None:
-        """Return a free place.
+        """Return a free slot.
 
-        When there are none for clients, who has connected and says nothing is turned away.
+        If clients have none left, a client that connected without greeting is turned away.
         """
         free = np.flatnonzero(self.slots["state"] == SlotState.FREE)
         if len(free) and free[0] < SLOTS:
             return int(free[0])
-        mute = [i for i in self.sockets if self.slots[i]["state"] == SlotState.GREETING]  # in the order of their coming
-        mute.sort(key=lambda i: i == SLOTS)  # the place at which one is only told that there is none comes last
+        mute = [i for i in self.sockets if self.slots[i]["state"] == SlotState.GREETING]  # in order of arrival
+        mute.sort(key=lambda i: i == SLOTS)  # the slot for refusals comes last
         before = time.monotonic() - MUTE_S
         for i in [i for i in mute if self._since[i] < before] or ([] if len(free) else mute[:1]):
             self.part(i)
@@ -144,7 +144,7 @@ class Admission:
         return int(free[0]) if len(free) else None
 
     def admit(self, i: int, client: socket.socket, state: SlotState) -> None:
-        """Give a client the slot `i`, with nothing counted."""
+        """Assign the slot `i` to a client, with all counters at 0."""
         self.sockets[i], self._since[i] = client, time.monotonic()
         self.slots[i : i + 1] = np.zeros(1, SLOT)
         self.slots[i]["fd"], self.slots[i]["state"] = client.fileno(), state
@@ -156,7 +156,7 @@ class Admission:
     def greeted(self, i: int) -> None:
         """Answer a greeting, the first or a later one.
 
-        Who does not greet at first is turned away.
+        A client without a first greeting is turned away.
         """
         slot = self.slots[i]
         message = self._words[i].tobytes()[: int(self._pace["message_bytes"][0])]
@@ -175,7 +175,7 @@ class Admission:
             self._result.clients += int(first)
         controller = wire_of(self._world.bus, STATION + i).stations[STATION + i]
         answer = Answer(status, self._bit_rate, STATION + i, int(slot["lost"]), state_of(controller))
-        with suppress(OSError):  # it does not read, or has gone: the loop will find out
+        with suppress(OSError):  # it does not read, or has gone: the loop will detect it
             self.sockets[i].send(answer.pack())
         if not isinstance(hello, Hello) or status is not BusStatus.OK:
             if first:
@@ -184,7 +184,7 @@ class Admission:
                 slot["malformed"] += 1
 
     def part(self, i: int) -> None:
-        """Forget the client in slot `i`."""
+        """Remove the client in slot `i`."""
         slot, result = self.slots[i], self._result
         self.sockets.pop(i).close()
         pid = self._pids.pop(i, 0)
@@ -200,7 +200,7 @@ class Admission:
             self._pace["listener"] = self.listener.fileno()
 
     def close(self) -> None:
-        """Close the clients' sockets and the listener, all of them, whatever becomes of one."""
+        """Close all clients' sockets and the listener, also after an error."""
         with ExitStack() as left:
             if self._spare >= 0:
                 left.callback(os.close, self._spare)

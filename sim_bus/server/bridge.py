@@ -1,8 +1,8 @@
-"""``coulombus bridge A B``: two buses of any kind as one; what one carries is sent on the other.
+"""``coulombus bridge A B``: connects two buses of any kind; frames of each bus are sent on the other.
 
-No frame goes round: a bus does not give a client its own frames, and the bridge is one client of
-each. Error frames stay where they are: they belong to their own wire. What waits is bounded; what
-finds no room is dropped and counted.
+No frame returns: a bus does not send a client its own frames, and the bridge is one client of each.
+Error frames are not forwarded: they belong to their own wire. The queues are bounded; frames
+without room are dropped and counted.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ Frame: TypeAlias = tuple[int, int, bytes]
 """Identifier with flags, length, eight data bytes."""
 
 Between: TypeAlias = Callable[[Frame], Iterable[tuple[int, Frame]]]
-"""What happens to a frame in between: gives (delay [ns], frame) for each one that goes on.
+"""Filter between the buses: returns (delay [ns], frame) for each frame to forward.
 
-None: it is dropped.
+None: the frame is dropped.
 """
 
 
 class SameBus(CoulombusError, ValueError):
-    """Both ends are one bus."""
+    """Both ends are the same bus."""
 
     exit_status = 2
 
@@ -52,11 +52,11 @@ class SameBus(CoulombusError, ValueError):
 def faults(
     delay_ms: float = 0.0, drop: float = 0.0, seed: int = 0, *, duplicate: float = 0.0, corrupt: float = 0.0
 ) -> Between:
-    """Return a `Between` that delays every frame, and of them drops, sends twice, or turns one data
-    bit around in, such shares at random.
+    """Return a `Between` that delays every frame, and drops, duplicates or corrupts (one data bit) random
+    frames with the given probabilities.
 
-    It has dice of its own, so each way of a bridge needs one: what comes of a frame then depends on
-    the frames of its way alone.
+    It has its own random generator, so each direction of a bridge needs its own filter: the result then
+    depends on the frames of that direction alone.
     """
     delay_ns = round(delay_ms * 1e6)
     dice = random.Random(seed)
@@ -76,15 +76,15 @@ def faults(
 
 @dataclass
 class Counts:
-    """What went one way."""
+    """Counts of one direction."""
 
     received: int = 0
     forwarded: int = 0
     filtered: int = 0
     dropped: int = 0
-    """By the faults in between."""
+    """Frames dropped by the filter."""
     overflow: int = 0
-    """For want of room: the other bus carries less than comes."""
+    """Frames dropped for lack of room: the other bus is slower than the arrivals."""
     refused: int = 0
     """Times that the other bus was full, or down."""
     lost: int = 0
@@ -93,7 +93,7 @@ class Counts:
 
 @dataclass
 class Result:
-    """Both ways, and why the bridge ended by itself."""
+    """Both directions, and why the bridge ended by itself."""
 
     ways: dict[str, Counts] = field(default_factory=dict)
     seconds: float = 0.0
@@ -101,7 +101,7 @@ class Result:
 
     @property
     def exit_status(self) -> int:
-        """4 when a bus went away."""
+        """4 if a bus went away."""
         return 4 if self.gone else 0
 
     def as_dict(self) -> dict[str, Any]:
@@ -110,7 +110,7 @@ class Result:
 
 
 class _Way:
-    """From one client to another."""
+    """Direction from one client to another."""
 
     def __init__(self, source: Client, sink: Client, between: Between, ranges: Ranges, room: int) -> None:
         self.source, self.sink, self.between, self.ranges, self.room = source, sink, between, ranges, room
@@ -121,7 +121,7 @@ class _Way:
         self._again_ns = 0
 
     def take(self, now_ns: int) -> None:
-        """Receive what there is."""
+        """Receive the available frames."""
         counts = self.counts
         try:
             frames = self.source.receive()
@@ -144,7 +144,7 @@ class _Way:
         counts.lost = self.source.lost
 
     def give(self, now_ns: int) -> None:
-        """Send what is due."""
+        """Send the frames that are due."""
         queue, counts = self._queue, self.counts
         while queue and queue[0][0] <= now_ns and now_ns >= self._again_ns:
             batch: list[tuple[int, int, Frame]] = []
@@ -161,7 +161,7 @@ class _Way:
 
     @property
     def next_ns(self) -> int | None:
-        """When something is to be sent."""
+        """Time of the next frame to send."""
         return max(self._queue[0][0], self._again_ns) if self._queue else None
 
 
@@ -177,22 +177,21 @@ def bridge(
     room: int = QUEUE_FRAMES,
     ready: Callable[[], None] = lambda: None,
 ) -> Result:
-    """Join two buses until a signal, or for `seconds`, or until one of them goes away.
+    """Connect two buses until a signal, or for `seconds`, or until one of them goes away.
 
     Parameters
     ----------
-    between, back : what happens to a frame on its way from `a` to `b`, and on the way back; None:
-        nothing
-    ranges : identifiers that pass; empty: all
+    between, back : filters from `a` to `b`, and back; None: no filter
+    ranges : forwarded identifiers; empty: all
     one_way : from `a` to `b` only
-    room : frames that may wait, each way
-    ready : called when both buses are there
+    room : largest number of pending frames in each direction
+    ready : called when both buses are connected
 
     Raises
     ------
     SameBus
     coulombus.wire.address.BusUnavailable
-        One of them is not there.
+        One of them does not exist.
     """
     if a == b:
         raise SameBus(f"both ends are {a}: a bridge joins two buses")
@@ -222,7 +221,7 @@ def _serve(
     poll = select.poll()
     poll.register(stop, select.POLLIN)
     by_fd = {way.source.fileno(): way for way in ways}
-    for client in clients:  # also the one that nothing is taken from: its end is to be seen
+    for client in clients:  # also a client that is not read: its end must be detected
         poll.register(client, select.POLLIN)
     others = {client.fileno(): client for client in clients if client.fileno() not in by_fd}
     last_ask = time.monotonic()
@@ -239,7 +238,7 @@ def _serve(
             if fd in by_fd:
                 by_fd[fd].take(time.monotonic_ns())
             elif fd in others:
-                with suppress(BusDown):  # as where frames are taken: it may come up again
+                with suppress(BusDown):  # as when receiving: it may come up again
                     others[fd].receive()
             elif stop.number:
                 return

@@ -1,10 +1,10 @@
-"""The clients of a bus in real time, compiled: their messages in, what the bus has carried out.
+"""Compiled clients of a bus in real time: messages from them, and frames to them.
 
 A client is a row of `SLOT` with its mailbox, its filters and its batch. It is a station with one
-FIFO: only its first frame takes part in the arbitration, and its next message is read when the last
-frame of this one has gone; one that sends faster than the bus carries finds its own socket full
-(EAGAIN). What the bus has carried goes out in batches; a client that does not read loses frames,
-counted, and holds up nobody.
+FIFO: only its first frame takes part in the arbitration, and its next message is read after the
+last frame of the present message was sent. A client that sends faster than the bus finds its own
+socket full (EAGAIN). Frames of the bus are sent to the clients in batches; a client that does not
+read loses frames, which are counted, and delays no other client.
 
     w : the `WorldRecord`        p : the `PaceRecord`        s : the `SlotRecord` of a client
 """
@@ -44,51 +44,49 @@ from coulombus.wire.recvmsg import Mailbox, receive
 __all__ = ["BATCH", "MESSAGE_FRAMES", "SLOTS", "STATION", "Need", "SlotState", "flush", "hand_out", "take"]
 
 SLOTS = 32
-"""Clients at a time."""
+"""Largest number of clients at a time."""
 STATION = 128
 """Station number of the client in slot 0."""
 MESSAGE_FRAMES = 1024
-"""The longest message that a client may send."""
+"""Longest message from a client, in frames."""
 BATCH = 64
-"""The longest message that it is sent."""
+"""Longest message to a client, in frames."""
 CLOCK_STEP_NS = 1_000_000
 
 
 class Need(IntEnum):
-    """What a client needs Python for.
+    """Reason why a client needs Python.
 
     The numbers begin after those of `sim_bus.network.event_loop.Exit`.
     """
 
-    MESSAGE = 20  # it sent a message that is no frames
-    CLOSED = 21  # it has gone
-    GONE = 22  # the SocketCAN interface does not exist any more
+    MESSAGE = 20  # it sent a message without frames
+    CLOSED = 21  # it has closed its socket
+    GONE = 22  # the SocketCAN interface has been removed
 
 
 class SlotState(IntEnum):
-    """Of a slot."""
+    """State of a slot."""
 
     FREE = 0
     GREETING = 1  # connected, has not greeted yet
     OPEN = 2
     SOCKETCAN = 3  # an AF_CAN socket: the world's nodes are its stations
-    JOINED = 4  # the virtual bus of another process: so are they there
+    JOINED = 4  # the virtual bus of another process: likewise
 
 
 OWN, LISTEN_ONLY, ERRORS = 1, 2, 4  # wire.hello.Flags
 INVERTED = 0x20000000  # CAN_INV_FILTER
 ECHO = 1 << 40
-"""The first padding byte of struct can_frame: the client's own frame comes back to it, as
-MSG_CONFIRM tells on SocketCAN.
-"""
+"""First padding byte of struct can_frame: marks the client's own frame, like MSG_CONFIRM on SocketCAN."""
 BUS_ERROR = 0x080  # CAN_ERR_BUSERROR
 SENDING = 0x80 << 16  # CAN_ERR_PROT_TX in data[2]
 
 
 class Clients(NamedTuple):
-    """The sockets of the bus and what goes through them.
+    """Sockets of the bus and their data.
 
-    Row `i` of each but `pollfds` is the client in slot `i`.
+    Row `i` of each except `pollfds` is the client in slot `i`.
     """
 
     slots: RecordArray[SlotRecord]
@@ -96,18 +94,18 @@ class Clients(NamedTuple):
     boxes: RecordArray[Mailbox]
     """Records of `wire.recvmsg.Mailbox`."""
     words: Integers
-    """The message that was read last."""
+    """Message read last."""
     filters: Integers
     """Pairs of identifier and mask."""
     batches: Integers
-    """The message that is filled for the client."""
+    """Message being filled for the client."""
     pollfds: Integers
-    """Room for a struct pollfd each, and for two more."""
+    """Array of struct pollfd, one per client and two more."""
 
 
 @inlined
 def _passes(slot: SlotRecord, filters: Integers, can_id: int) -> bool:
-    """Tell whether SocketCAN's filters let a frame through."""
+    """Tell whether SocketCAN's filters pass a frame."""
     if can_id & CAN_ERR_FLAG:
         return slot.greeted & ERRORS != 0
     if slot.filters == 0:
@@ -122,7 +120,7 @@ def _passes(slot: SlotRecord, filters: Integers, can_id: int) -> bool:
 
 @kernel
 def flush(slot: SlotRecord, batch: Integers) -> None:
-    """Give a client its batch; what it has no room for is lost to it."""
+    """Send a client its batch; frames that do not fit are lost."""
     if slot.out == 0:
         return
     while send(slot.fd, batch.ctypes.data, 16 * slot.out, MSG_DONTWAIT | MSG_NOSIGNAL) < 0:
@@ -138,10 +136,10 @@ def flush(slot: SlotRecord, batch: Integers) -> None:
 
 @kernel
 def _to_interface(slot: SlotRecord, batch: Integers) -> int:
-    """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a
-    time; return 0, or Need.GONE.
+    """Write the frame in `batch` to the bus that transmits it; a SocketCAN interface takes one frame at a time.
+    Return 0, or Need.GONE.
 
-    That a bus of another process has gone is found on reading.
+    The end of another process's bus is detected on reading.
     """
     while send(slot.fd, batch.ctypes.data, 16, MSG_DONTWAIT | MSG_NOSIGNAL) < 0:
         number = errno()
@@ -163,7 +161,7 @@ def _to_interface(slot: SlotRecord, batch: Integers) -> int:
 def hand_out(
     w: WorldRecord, p: PaceRecord, bus: RecordArray[BusRecord], log: RecordArray[Frame], clients: Clients
 ) -> int:
-    """Put what the bus has carried into the batches of all who want it."""
+    """Append the frames of the bus to the batches of their receivers."""
     slots, filters, batches = clients.slots, clients.filters, clients.batches
     for row in range(p.handed_out, w.log_count):
         f = log[row]
@@ -172,7 +170,7 @@ def hand_out(
         for i in range(slots.shape[0]):
             s = slots[i]
             b = bus[0]
-            if b.cut != 0:  # who is in the other half hears nothing of it
+            if b.cut != 0:  # clients in the other half hear nothing of it
                 half = b.stations[STATION + i].half
                 if half != b.stations[f.source & STATION_MASK].half:
                     continue
@@ -213,13 +211,13 @@ def _read(
 ) -> int:
     """Read one message of the client in slot `i`; return 0, or why Python is needed.
 
-    `offset_ns` is world time minus CLOCK_REALTIME, `t_ns` the present.
+    `offset_ns` is world time minus CLOCK_REALTIME, `t_ns` the present time.
     """
     s = slots[i]
     n = receive(s.fd, boxes[i : i + 1], MSG_DONTWAIT)
     if n < 0:
         number = errno()
-        if number in (EINTR, ECONNRESET):  # it went without reading all; what it sent is still here, and then its end
+        if number in (EINTR, ECONNRESET):  # closed without reading all; its frames are still here, followed by its end
             return 0
         s.dry = 1
         if number == EAGAIN:
@@ -261,9 +259,7 @@ def _read(
 def _offer(
     w: WorldRecord, bus: RecordArray[BusRecord], s: SlotRecord, words: Integers, station: int, out: Queue
 ) -> None:
-    """Let a client's first waiting frame take part in the arbitration, unless one of its does
-    already.
-    """
+    """Let a client's first pending frame take part in the arbitration, unless one of its frames does already."""
     b = bus[0]
     if b.cut != 0:
         divide(bus, out)
@@ -298,9 +294,7 @@ def _offer(
 
 @kernel
 def _under_way(bus: RecordArray[BusRecord], station: int, out: Queue) -> bool:
-    """Tell whether a frame of a client waits for the bus, or is on it: it is carried, though its
-    sender may have gone.
-    """
+    """Tell whether a frame of a client is pending, or on the bus: it is sent even if its sender has gone."""
     b = bus[0]
     if b.cut != 0:
         divide(bus, out)
@@ -320,7 +314,7 @@ def _under_way(bus: RecordArray[BusRecord], station: int, out: Queue) -> bool:
 def take(
     w: WorldRecord, p: PaceRecord, bus: RecordArray[BusRecord], clients: Clients, out: Queue, offset_ns: int, t_ns: int
 ) -> int:
-    """Offer the bus each client's next frame, reading its next message when the last one has gone.
+    """Offer each client's next frame to the bus; read its next message after the last one was sent.
 
     Return 0, or why Python is needed.
     """

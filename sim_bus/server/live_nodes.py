@@ -1,9 +1,9 @@
-"""``coulombus node``: any EDS as a live node, on a bus that is there or on one of its own.
+"""``coulombus node``: any EDS as a live node, on an existing bus or on its own bus.
 
-What is served is what the description says: every object with its default, PDOs, SDO, NMT,
-heartbeat, EMCY, LSS. There is no behaviour behind it, a value stays what was written to it last,
-unless the file is one of our own devices' or a kind is asked for. The kind "auto" is what the
-file's objects allow (`node.kinds.of_description`); what is opened for it (`node.relaxed_eds`) is told.
+The node has everything in the description: every object with its default, PDOs, SDO, NMT,
+heartbeat, EMCY, LSS. It has no further behaviour, and each value stays as last written, unless the
+file is one of our own devices' or a kind is selected. The kind "auto" is chosen by the file's
+objects (`node.kinds.of_description`); limits relaxed for it (`node.relaxed_eds`) are reported.
 """
 
 from __future__ import annotations
@@ -41,24 +41,24 @@ BIT_RATE = 1_000_000
 
 
 class NodeError(CoulombusError, ValueError):
-    """Options that do not fit together; the text says what to do."""
+    """Incompatible options; the text says what to do."""
 
     exit_status = 2
 
 
 @dataclass
 class LiveNodes:
-    """The descriptions that become nodes, and what is told about them.
+    """Descriptions that become nodes, and their options.
 
     Attributes
     ----------
     eds : sequence of (path, node id); None: the node id of the file, a DCF
-    kind : what lives behind the objects of all; None: behind our own devices' files what they are,
-        behind others nothing; "auto": as each file allows
-    io : the I/O file of the converters behind the one node; None: a rig is simulated, or nothing
-    on_begin : called with the server when it is made, before the nodes are switched on
-    opened : what the nodes have otherwise than their files, by file
-    bit_rate : [bit/s] that the bus should have; 0: that of the DCFs, else 1 Mbit/s where it is
+    kind : behaviour of all nodes; None: that of our own devices for their files, none for other
+        files; "auto": as each file allows
+    io : the I/O file of the converters behind a single node; None: a simulated rig, or nothing
+    on_begin : called with the new server, before the nodes are switched on
+    opened : changes of the nodes from their files, by file
+    bit_rate : expected bit rate of the bus [bit/s]; 0: that of the DCFs, else 1 Mbit/s if it is
         served here
     node_ids : of the nodes
     """
@@ -111,7 +111,7 @@ class LiveNodes:
                 say(f"coulombus: {text}; the PDO is not valid at start, everything else is served")
 
     def _open(self) -> None:
-        """Settle what lives behind each file, and open what would contradict that."""
+        """Determine the kind of each file, and relax limits that contradict it."""
         served = []
         for description in self.descriptions:
             if self.kind == "auto":
@@ -127,7 +127,7 @@ class LiveNodes:
         self.descriptions = served
 
     def _commission(self) -> None:
-        """Settle node ids and bit rate: what was said wins over what a DCF says."""
+        """Determine node ids and bit rate: options take precedence over a DCF."""
         for (path, node_id), description in zip(self.eds, self.descriptions, strict=True):
             chosen = node_id or description.node_id
             if not chosen:
@@ -145,9 +145,7 @@ class LiveNodes:
         self.bit_rate = self.bit_rate or max(rates, default=0)
 
     def make_world(self, bit_rate: int, trial: bool) -> VirtualNetwork:
-        """Return the network of the nodes, and nothing else on it; a trial keeps nothing and tells
-        nothing.
-        """
+        """Return the network with only the nodes; a trial network stores and reports nothing."""
         network = VirtualNetwork(bit_rate, capacity=len(self.eds))
         if trial:
             self._devices(network, Store)
@@ -157,7 +155,7 @@ class LiveNodes:
         own |= {CobId.SDO_TX + device.node_id: row for row, device in enumerate(devices)}
         own = {can_id: row for can_id, row in own.items() if devices[row].node_id != UNCONFIGURED}
         heard = set(own)
-        if UNCONFIGURED in self.node_ids:  # such a node boots with any id that an LSS master gives it
+        if UNCONFIGURED in self.node_ids:  # such a node boots with any id from an LSS master
             heard |= {CobId.HEARTBEAT + node_id for node_id in range(1, 128)}
 
         def hear(frame: Heard) -> None:
@@ -182,7 +180,7 @@ class LiveNodes:
         return devices
 
     def begin(self, server: BusServer) -> None:
-        """Let the server's loop carry the nodes, and their converters."""
+        """Connect the nodes, and their converters, to the server's loop."""
         self.server = server
         if self.pump is not None:
             self.pump.attach(server.world.devices[0])
@@ -191,9 +189,7 @@ class LiveNodes:
             self.on_begin(server)
 
     def _pump(self, network: VirtualNetwork) -> None:
-        """Read and write the converters, and come again a period later; periods that are over then
-        are left out.
-        """
+        """Read and write the converters, and schedule the next period; missed periods are skipped."""
         pump, server = self.pump, self.server
         assert pump is not None
         assert server is not None
@@ -211,7 +207,7 @@ class LiveNodes:
         say(f"coulombus: {text}")
 
     def _heard(self, device: Device, row: int, frame: Heard) -> None:
-        """Tell of the first boot-up of a node, and of another node that has its id."""
+        """Report the first boot-up of a node, and another node with the same id."""
         if frame.source == row:
             if frame.can_id == CobId.HEARTBEAT + device.node_id:
                 self._tell("ready", device, row, frame)
@@ -219,7 +215,7 @@ class LiveNodes:
             self._tell("duplicate", device, row, frame)
 
     def _check_kind(self, device: Device) -> None:
-        """Refuse a kind that was asked for where the file has not what it acts on."""
+        """Refuse a selected kind if the file lacks its required objects."""
         missing = () if self.kind in (None, "auto") else device.profile.missing(device.dictionary)
         if missing:
             objects = ", ".join(f"{index:04X}h:{subindex:02X}" for index, subindex in missing)
@@ -238,7 +234,7 @@ class LiveNodes:
                 line |= {"kind": device.profile.name, "opened": self.opened[row]}
             else:
                 line |= {"can_id": frame.can_id, "data": frame.data.hex()}
-            with printed():  # the node is there, whoever reads of it
+            with printed():  # the node is ready, even if nobody reads this
                 show(json.dumps(line))
         elif event == "ready":
             with printed():
@@ -249,12 +245,12 @@ class LiveNodes:
 
 
 def serves(server: BusServer) -> bool:
-    """Tell whether the virtual bus is this process' own."""
+    """Tell whether this process serves the virtual bus."""
     return server.address.is_virtual and not server.joined
 
 
 def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> None:
-    """Serve the nodes until the time is over, or a signal of `system.stop_signals`.
+    """Serve the nodes until the time is over, or until a signal of `system.stop_signals`.
 
     End with the exit status.
     """

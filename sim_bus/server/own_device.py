@@ -1,4 +1,4 @@
-"""A CANopen device of one's own in a few lines of Python: an EDS, call-backs, values.
+"""User-defined CANopen device in a few lines of Python: an EDS, callbacks, values.
 
     from coulombus import Device
 
@@ -10,12 +10,12 @@
 
     device.serve("coulombus:bench")
 
-The node is the compiled one of ``coulombus node``. The call-backs run in a thread of their own: what
-they raise is told and costs nothing else, and one that takes long lets only the others wait. Python
-runs one thread at a time, so a call-back that computes for long should leave the interpreter now
-and then; one that waits for a file or a socket does.
+The node is the compiled node of ``coulombus node``. The callbacks run in their own thread: their
+exceptions are reported and have no other effect, and a slow callback delays only the other
+callbacks. Python runs one thread at a time, so a callback with a long computation should release
+the interpreter now and then; waiting for a file or a socket releases it.
 
-A call-back gets the newest value. Of several writes since it was last called it sees the last.
+A callback receives the newest value: of several writes since its last call, only the last.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ from coulombus.wire.address import parse_address
 __all__ = ["Device"]
 
 MOST_WAITING = 1000
-"""Calls that wait at most; further ones are left out and counted."""
+"""Largest number of pending calls; further calls are dropped and counted."""
 
 _Call: TypeAlias = Callable[[], object]
 _F = TypeVar("_F", bound=Callable[..., object])
 
 
 class Device:
-    """A node with call-backs.
+    """A node with callbacks.
 
     Parameters
     ----------
     eds : path of the EDS file
     node_id : 1 to 127
-    period_s : how often values are taken over and writes are looked for
+    period_s : interval at which values are copied and writes are detected
 
     Raises
     ------
@@ -71,7 +71,7 @@ class Device:
         self._nodes.on_begin = self._begin
         self.description = self._nodes.descriptions[0]
         self.missed = 0
-        """Calls that were left out because the call-backs did not keep up."""
+        """Number of dropped calls because the callbacks were too slow."""
         self._period_ns = round(period_s * 1e9)
         self._written: dict[Key, list[Callable[[Any], object]]] = {}
         self._sync: list[_Call] = []
@@ -84,11 +84,11 @@ class Device:
         self._sync_ns, self._rpdo_ns = -1, [0]
         self._fresh: set[int] = set()
 
-    # what a program says
+    # the program's interface
 
     def written(self, name: str) -> Callable[[_F], _F]:
-        """Return a decorator: the function is called with the value of an object that a client or a
-        PDO has written.
+        """Return a decorator for a function that is called with an object's value after a client or a
+        PDO has written it.
 
         `name` is ``"6200:01"`` or the object's name in the EDS.
 
@@ -106,7 +106,7 @@ class Device:
         return take
 
     def sync(self, function: _F) -> _F:
-        """Let a function be called, without arguments, after a SYNC."""
+        """Call a function without arguments after each SYNC."""
         self._sync.append(function)
         return function
 
@@ -127,7 +127,7 @@ class Device:
         KeyError
             the EDS has no such object
         TypeError, ValueError
-            the object has not this type, or does not hold the value
+            the object does not have this type, or cannot hold the value
         """
         key = self._key(name)
         variable = self.description.variable(*key)
@@ -140,20 +140,20 @@ class Device:
         self._pending.append((key, value))
 
     def serve(self, bus: str, seconds: float | None = None) -> None:
-        """Be a node on ``coulombus:NAME`` or ``socketcan:IF`` until the time is over or a signal
+        """Serve the node on ``coulombus:NAME`` or ``socketcan:IF`` until the time is over or a signal
         comes; ends the program with the exit status of ``coulombus node``.
 
         Raises
         ------
         coulombus.wire.address.BusUnavailable
-            the bus is not there
+            the bus does not exist
         """
-        sys.setswitchinterval(5e-4)  # the node takes its turn soon, whatever a call-back does
+        sys.setswitchinterval(5e-4)  # the node gets the interpreter soon, whatever a callback does
         worker = threading.Thread(target=self._work, name="call-backs", daemon=True)
         worker.start()
         run_nodes(self._nodes, parse_address(bus), seconds)
 
-    # in the bus' thread
+    # in the bus's thread
 
     def _begin(self, server: BusServer) -> None:
         self._server, self._node = server, server.world.devices[0]
@@ -188,9 +188,7 @@ class Device:
         network.at(network.t_ns + (late + 1) * self._period_ns, self._tick)
 
     def _mapped(self, node: node_device.Device) -> set[Key]:
-        """Return the objects that RPDOs have written since the last time, those that wait for their
-        SYNC left out.
-        """
+        """Return the objects that RPDOs have written since the last call, except RPDOs that wait for their SYNC."""
         record = node.record
         times: list[int] = record["rpdo_ns"].tolist()
         self._fresh |= {k for k, (now, before) in enumerate(zip(times, self._rpdo_ns, strict=True)) if now != before}
@@ -211,7 +209,7 @@ class Device:
         except queue.Full:
             self.missed += 1
 
-    # in the call-backs' thread
+    # in the callbacks' thread
 
     def _work(self) -> None:
         while True:

@@ -1,4 +1,4 @@
-"""What a server of a bus compiles, or loads, before the bus is there: nothing waits for it later."""
+"""Kernels that a bus server compiles, or loads, before the bus exists, so that nothing waits for them later."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ Work: TypeAlias = tuple[Callable[..., Any], tuple[Any, ...]]
 
 
 def warm_up(world: VirtualNetwork) -> None:
-    """Let a world that nobody looks at do what the real one will: what is compiled, or loaded, at
-    its first call takes a second.
+    """Run a trial world through the work of the real one: a kernel that is compiled, or loaded, at its first
+    call takes a second.
     """
     world.power_on()
     for row, device in enumerate(world.devices):
@@ -41,8 +41,7 @@ def warm_up(world: VirtualNetwork) -> None:
         ):
             device.service(0, CobId.LSS_RX, 8, data_word(bytes(request)), world.out)
         rx = CobId.SDO_RX + device.node_id
-        # upload and download of 1017h, upload of 6041h, for which what is measured is brought up to
-        # date
+        # upload and download of 1017h, upload of 6041h, which updates the measurements
         for word in (0x0000_0000_0010_1740, 0x0000_0064_0010_172B, 0x0000_0000_0060_4140):
             device.service(0, rx, 8, word, world.out)
     for row in range(len(world.devices)):
@@ -55,7 +54,7 @@ def warm_up(world: VirtualNetwork) -> None:
 
 
 def _rare(bus: RecordArray[BusRecord], node: NodeRecord, out: Queue) -> list[Work]:
-    """Return what a cut cable, a clock that drifts, SDO blocks and faults need."""
+    """Return the kernels for a cut cable, a drifting clock, SDO blocks and faults."""
     return [
         (divide, (bus, out)),
         (outbox.put, (node, 0, 0, 0, np.zeros(1, np.int64))),

@@ -1,20 +1,20 @@
-"""Python's share of a bus in real time, done beside the compiled loop: the bus and the cyclic nodes
-go on while Python serves.
+"""Python's share of a bus in real time, concurrent with the compiled loop: bus and cyclic nodes
+continue meanwhile.
 
-A device answers an SDO in milliseconds, and sends its PDOs meanwhile. So Python works on records of
-its own, in a thread of its own, one job at a time:
+A device answers an SDO in milliseconds, and sends its PDOs meanwhile. So Python works on its own
+records, in its own thread, one job at a time:
 
-1. The loop meets what is Python's (a frame for a node's services, the next block of a hand's force,
-   frames to be recorded) and lets it wait as a `JOB`.
-2. When Python is free, the loop copies what the job looks at into Python's records and wakes it.
-3. Python does the job, notes which words of the nodes' records it has changed, and wakes the loop.
-4. Between two events the loop takes these words over, and the frames that Python asked for.
+1. The loop queues Python's work (a frame for a node's services, the next block of a hand's force,
+   frames to be recorded) as a `JOB`.
+2. When Python is free, the loop copies the job's input into Python's records and wakes it.
+3. Python does the job, records which words of the nodes' records it has changed, and wakes the loop.
+4. Between two events the loop copies these words back, and queues the frames that Python requested.
 
-What Python changes is whole in the loop, and what the loop changed meanwhile stays: only a word
-that both changed is Python's. A node's ring of segments (`node.outbox`) stands still meanwhile, as
-both ends of it move.
+Python's changes reach the loop completely, and the loop's own changes meanwhile stay: only for a
+word that both changed, Python's value counts. A node's ring of segments (`node.outbox`) is frozen
+meanwhile, because both change it.
 
-Where Python needs the whole world (a script's entry), `drain_jobs` lets the jobs end first. A server
+If Python needs the whole world (a script's entry), `drain_jobs` completes the jobs first. A server
 without this (`BesideRecord.on` is 0) returns to Python for everything.
 
 In the kernels: `j` the `BesideRecord`, `w` the `sim_bus.network.event_loop.WorldRecord`.
@@ -48,56 +48,57 @@ __all__ = ["FRAME", "RECORD", "Beside", "Worker", "drain_jobs", "drained", "enqu
 NODE_WORDS = NODE.itemsize // 8
 PATIENCE_NS = 100_000_000
 FRAME, RECORD = -1, -2
-"""Jobs that are of no axis."""
+"""Axis of jobs that belong to no axis."""
 
 
 class JobState(IntEnum):
-    """Whose turn it is."""
+    """State of Python's current job."""
 
-    FREE = 0  # Python has nothing to do
-    PYTHON = 1  # it is at work on `BesideRecord.now`
-    DONE = 2  # the loop has to take over what became of it
+    FREE = 0  # Python is idle
+    PYTHON = 1  # Python works on `BesideRecord.now`
+    DONE = 2  # the loop has to take the results over
 
 
 class Beside(NamedTuple):
-    """What the loop and Python share, besides Python's own world."""
+    """Data shared by the loop and Python, besides Python's own world."""
 
     state: BesideRecord
     """A record of `BesideRecord`."""
     python: World
-    """The world that Python's objects look at."""
+    """World used by Python's objects."""
     nodes: Records
-    """The loop's nodes as words, a row each."""
+    """Nodes of the loop as words, one row each."""
     python_nodes: Records
-    """Python's."""
+    """Nodes of Python."""
     axes: Integers
-    """Likewise the axes and their plants."""
+    """Axes and their plants, likewise."""
     python_axes: Integers
     plant: Integers
     python_plant: Integers
     loop_words: Integers
     """First and last + 1 of each run of a node's words that the loop writes."""
     changed: Integers
-    """Places in `nodes`, all rows one behind the other."""
+    """Places in `nodes`, all rows concatenated."""
     asked: Integers
-    """By axis, and last for the log: jobs that wait or are under way."""
+    """By axis, and last for the log: jobs that are pending or in progress."""
     words: Integers
-    """What is written to an eventfd, what is read from one, and a struct pollfd."""
+    """Buffers: a word written to an eventfd, a word read from it, and a struct pollfd."""
 
 
 @kernel
 def _copy(to: Integers, source: Integers, first: int, end: int) -> None:
-    """Copy words of a row; numba is slow to compile the assignment of a slice."""
+    """Copy words of a row; numba compiles a slice assignment slowly."""
     for k in range(first, end):
         to[k] = source[k]
 
 
 @kernel
 def enqueue(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord, why: int, axis: int) -> bool:
-    """Let Python do beside the loop what the kernel has just returned for; tell whether it will.
+    """Queue the reason of the kernel's return as a job for Python, concurrent with the loop; tell whether it was
+    queued.
 
-    `axis`: whose hand it is; `FRAME`: the last frame of the log is for services; `RECORD`: what
-    has been handed out of the log is to be recorded.
+    `axis`: axis of the hand; `FRAME`: the last frame of the log is for services; `RECORD`: the
+    delivered rows of the log are to be recorded.
     """
     j, w = beside.state, world.state
     if j.on == 0 or (axis == FRAME and w.control_plane + w.heard != 0):
@@ -108,7 +109,7 @@ def enqueue(beside: Beside, world: World, course: CourseFunction, pace: PaceReco
     if axis != FRAME:
         place = axis if axis >= 0 else beside.asked.shape[0] - 1
         if beside.asked[place] != 0 and why != Exit.ENABLED:
-            return True  # it is asked for already, or will be when what is under way is done
+            return True  # it is queued already, or will be after the current job
         beside.asked[place] += 1
     if j.waiting == JOBS:
         _await(beside, world, course, pace)
@@ -134,7 +135,7 @@ def enqueue(beside: Beside, world: World, course: CourseFunction, pace: PaceReco
 
 @kernel
 def _begin(beside: Beside, world: World) -> None:
-    """Let Python begin with the job that waits first, unless it is at work."""
+    """Let Python begin with the first pending job, unless it is working."""
     j, w, python = beside.state, world.state, beside.python
     if j.turn != JobState.FREE or j.waiting == 0:
         return
@@ -168,7 +169,7 @@ def _begin(beside: Beside, world: World) -> None:
 
 @kernel
 def take_results(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
-    """Take over what Python has made of its job, and let it begin with the next one."""
+    """Take over the results of Python's job, and let it begin with the next job."""
     j, w, python = beside.state, world.state, beside.python
     if j.turn != JobState.DONE:
         return
@@ -189,7 +190,7 @@ def take_results(beside: Beside, world: World, course: CourseFunction, pace: Pac
             axis.operator_start_ns = made.operator_start_ns
         beside.asked[a] -= 1
         w.script_ns = min(w.script_ns, python.state.script_ns)
-    if now.frames > 0:  # those that came meanwhile move up
+    if now.frames > 0:  # frames that came meanwhile move up
         for k in range(now.frames, w.log_count):
             world.log[k - now.frames] = world.log[k]
         w.log_count -= now.frames
@@ -209,13 +210,13 @@ def take_results(beside: Beside, world: World, course: CourseFunction, pace: Pac
 
 @kernel
 def drained(beside: Beside) -> None:
-    """Take back what has woken the loop."""
+    """Read the loop's wake-up from its eventfd."""
     read(beside.state.loop, beside.words.ctypes.data + 8, 8)
 
 
 @kernel
 def _await(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
-    """Sleep until Python's job is done, and take over what became of it."""
+    """Sleep until Python's job is done, and take over its results."""
     j = beside.state
     while j.turn == JobState.PYTHON:
         beside.words[2] = (j.loop & 0xFFFFFFFF) | POLLIN << 32
@@ -226,18 +227,18 @@ def _await(beside: Beside, world: World, course: CourseFunction, pace: PaceRecor
 
 @kernel
 def drain_jobs(beside: Beside, world: World, course: CourseFunction, pace: PaceRecord) -> None:
-    """Let all jobs end: Python needs the whole world."""
+    """Complete all jobs: Python needs the whole world."""
     j = beside.state
     while j.turn != JobState.FREE or j.waiting > 0:
         _await(beside, world, course, pace)
 
 
 class Worker:
-    """Python's side: a thread that does the jobs, and the records that the loop has instead.
+    """Python's side: a thread that does the jobs, and the loop's copies of the records.
 
     Parameters
     ----------
-    world : whose records stay Python's
+    world : Python keeps its records
     wake : eventfd that wakes the loop
     stop : ends the loop; called when a job fails
     on : False: `loop` is Python's own world, and there is no thread
@@ -245,8 +246,8 @@ class Worker:
     Attributes
     ----------
     loop : the world that the loop runs
-    shared : what both share
-    failure : what a job raised, after which the loop is to be stopped
+    shared : data shared by both
+    failure : exception of a job, after which the loop is to be stopped
     """
 
     def __init__(self, world: VirtualNetwork, wake: int, stop: Callable[[], None], *, on: bool) -> None:
@@ -282,7 +283,7 @@ class Worker:
             self._thread = threading.Thread(target=self._work, name="beside", daemon=True)
 
     def start(self) -> None:
-        """Begin to wait for jobs, with the rights that the calling thread has now."""
+        """Start waiting for jobs, with the present rights of the calling thread."""
         if self._thread is not None:
             self._thread.start()
 
@@ -300,7 +301,7 @@ class Worker:
 
     @contextmanager
     def whole(self) -> Iterator[None]:
-        """Let Python have the whole world while the loop does not run and nothing is under way."""
+        """Give Python the whole world while the loop does not run and no job is in progress."""
         for python, loop in self._twins:
             _copy_record(python, loop)
         try:
@@ -309,10 +310,10 @@ class Worker:
             self.to_loop()
 
     def to_loop(self) -> None:
-        """Let the loop go on from what Python has made of the whole world."""
+        """Let the loop continue from Python's state of the whole world."""
         for python, loop in self._twins:
             _copy_record(loop, python)
-        if self._twins:  # what waits to be sent is the loop's now; Python's next job begins with none
+        if self._twins:  # pending frames now belong to the loop; Python's next job begins with none
             self.shared.python.out["count"] = 0
         self.loop.state["stale"] = 1
 
@@ -364,6 +365,6 @@ def _copy_record(to: Any, source: Any) -> None:
 
 
 def _words(records: Records) -> npt.NDArray[np.int64]:
-    """Return records as rows of words, on the same memory."""
+    """Return records as rows of words, in the same memory."""
     plain: npt.NDArray[np.int64] = records.view(np.ndarray).view(np.int64)
     return plain.reshape(len(records), records.dtype.itemsize // 8)

@@ -1,17 +1,17 @@
-"""The virtual bus against the wall clock: one compiled loop between the clients' sockets and the
-world of `sim_bus.network.event_loop`.
+"""The virtual bus in real time: one compiled loop between the clients' sockets and the world of
+`sim_bus.network.event_loop`.
 
 The world's time is CLOCK_MONOTONIC minus its start. The loop sleeps in ppoll(2) until the world's
-next event or a client's message, lets the world run up to the present and hands out what the bus
-has carried, each frame at its end of frame. Python is entered for what is rare: a client that
-comes, greets or goes (`sim_bus.network.event_loop.Exit`, `sim_bus.server.clients.Need`, `Serve`). The
-services of a simulated rig's nodes are done beside this loop (`sim_bus.server.python_worker`).
+next event or a client's message, runs the world up to the present and delivers each frame at its
+end of frame. It returns to Python only for rare events: a client that connects, greets or leaves
+(`sim_bus.network.event_loop.Exit`, `sim_bus.server.clients.Need`, `Serve`). The services of a
+simulated rig's nodes run concurrently with this loop (`sim_bus.server.python_worker`).
 
-A frame is ready when the kernel took it from its sender (SO_TIMESTAMPNS), not when this loop came
-to see it. So what waited in a socket while this process could not run is on the wire, and handled
-by the nodes, before a deadline is judged. Where the whole machine stood still, so that nobody sent
-anything either, the world stood still with it (`stalled_ns`): no deadline passes in a time in which
-nobody could have kept it.
+A frame is ready when the kernel received it from its sender (SO_TIMESTAMPNS), not when this loop
+read it. So frames that waited in a socket while this process could not run are sent, and handled by
+the nodes, before a deadline is checked. If the whole machine was stalled, so that nobody sent
+anything, the world was stopped, too (`stalled_ns`): no deadline passes in a time in which nobody
+could have met it.
 
     p : the `PaceRecord`
 """
@@ -48,42 +48,40 @@ __all__ = ["Serve", "serve"]
 STALL_NS = 5_000_000
 LONGEST_SLEEP_NS = 100_000_000
 KEPT_NS = 100_000_000
-"""Frames wait no longer to be recorded, and the loop sleeps no longer than LONGEST_SLEEP_NS: a
+"""Longest waiting time of frames for the recorder; the loop sleeps no longer than LONGEST_SLEEP_NS. A
 killed process loses less than 0.25 s.
 """
 
 
 AHEAD_NS = 1_000_000_000
-"""The next block of a hand's force is asked for so long before it is needed."""
+"""Lead time of the request for the next block of a hand's force."""
 
 
 class Serve(IntEnum):
-    """Why the loop returned, besides `sim_bus.network.event_loop.Exit` and
-    `sim_bus.server.clients.Need`.
-    """
+    """Reason why the loop returned, besides `sim_bus.network.event_loop.Exit` and `sim_bus.server.clients.Need`."""
 
-    STOP = 30  # asked to
+    STOP = 30  # stop requested
     TIME = 31  # the time is over
     ACCEPT = 32  # a client waits at the listener
-    RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule is over
-    RECORD = 34  # `PaceRecord.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
-    FAILED = 35  # a system call that the loop cannot do without; `PaceRecord.error`
+    RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule ends
+    RECORD = 34  # `PaceRecord.keep` frames wait in the log for the recorder, or the oldest for KEPT_NS
+    FAILED = 35  # an essential system call failed; `PaceRecord.error`
 
 
 @kernel
 def _wait(p: PaceRecord, slots: RecordArray[SlotRecord], pollfds: Integers, timeout_ns: int, beside: Beside) -> int:
-    """Sleep until a client has something or the time is over.
+    """Sleep until a client is readable or the time is over.
 
-    Return Serve.ACCEPT when one waits at the listener, FAILED, or 0.
+    Return Serve.ACCEPT if a client waits at the listener, FAILED, or 0.
 
-    Only what is watched stands in `pollfds`: they are never more than this process may open
-    (RLIMIT_NOFILE), which ppoll refuses.
+    `pollfds` has only the descriptors that are polled: never more than this process may open
+    (RLIMIT_NOFILE), because ppoll refuses more.
     """
     pollfds[0] = (p.listener & 0xFFFFFFFF) | POLLIN << 32
     pollfds[1] = (p.wake & 0xFFFFFFFF) | POLLIN << 32
     n, count = slots.shape[0], 2
     for i in range(n):
-        s = slots[i]  # a client whose message is not done is not asked, not even whether it is still there
+        s = slots[i]  # a client with an unfinished message is not polled, not even for its end
         s.watched = 0
         if s.state != SlotState.FREE and s.next >= s.staged and s.gone == 0:
             pollfds[count] = s.fd | POLLIN << 32
@@ -113,9 +111,9 @@ def _wait(p: PaceRecord, slots: RecordArray[SlotRecord], pollfds: Integers, time
 
 @kernel
 def _discount_stall(p: PaceRecord, slots: RecordArray[SlotRecord], planned_ns: int, t_ns: int) -> int:
-    """Take out of the world's time what the whole machine stood still since `planned_ns`.
+    """Shift the world's time by the time for which the whole machine was stalled since `planned_ns`.
 
-    Return by how much.
+    Return that time.
     """
     first = t_ns
     for i in range(slots.shape[0]):
@@ -141,12 +139,12 @@ def serve(
     host: HostCycle,
     course: CourseFunction,
 ) -> int:
-    """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
+    """Serve until Python is needed; return an `Exit` or a `Serve` as the reason.
 
-    `sim_bus.server.python_worker.drain_jobs` comes next: it ends what Python does beside this loop.
+    Call `sim_bus.server.python_worker.drain_jobs` next: it completes Python's concurrent jobs.
 
-    The world's loop is from the first the one that looks closely: nothing is compiled while clients
-    wait. A host is another process, so that loop has none.
+    The world's loop is always the detailed version: nothing is compiled while clients wait. A host
+    is a separate process, so this loop has none.
     """
     p, w, bus, out = pace[0], world.state, world.bus, world.out
     slots, batches, cable = clients.slots, clients.batches, bus[0]
@@ -163,8 +161,7 @@ def serve(
         p.planned_ns = t_ns
         if need != 0:
             return need
-        # the world up to the present, event by event: each start of a frame makes room for its
-        # sender's next
+        # the world up to the present, event by event: each start of a frame makes room for its sender's next
         while True:
             b = cable
             if cable.cut != 0:

@@ -30,7 +30,7 @@ __all__ = ["PacedRig", "SimServer"]
 
 
 class PacedRig(VirtualRig):
-    """The rig of a process in which no host runs."""
+    """Rig of a process without a host."""
 
     def __init__(
         self,
@@ -47,14 +47,12 @@ class PacedRig(VirtualRig):
         detach(self.bus[0], SOURCE_HOST)
 
     def ask(self, t_ns: int, can_id: int, length: int, word: int) -> None:
-        """Let a frame of a client take part in the arbitration from `t_ns` on, as one did that was
-        recorded.
-        """
+        """Let a frame of a client take part in the arbitration from `t_ns` on, as when it was recorded."""
         push(self._out, STATION, t_ns, can_id, length, word)
 
     def rest(self) -> None:
-        """End the schedule of each axis whose drive has left Operation Enabled: what
-        `sim_bus.server.realtime_loop` looks for after each event.
+        """End the schedule of each axis whose drive has left Operation Enabled; `sim_bus.server.realtime_loop` checks
+        this after each event.
         """
         for axis, record in enumerate(self._axes):
             state = self.nodes[int(record["motor"])]["power_state"]
@@ -63,7 +61,7 @@ class PacedRig(VirtualRig):
                 self.answer(Serve.RESTED)
 
     def answer(self, why: int) -> None:
-        """Do what the kernel needs Python for, at the world's present time."""
+        """Handle an exit of the kernel, at the world's present time."""
         if why == Serve.RESTED:
             axis = int(self._world["axis"][0])
             self._left[axis] = int(self._axes[axis]["operator_start_ns"]) * 1e-9, self.t_ns * 1e-9
@@ -79,22 +77,22 @@ class SimServer(BusServer):
 
     Parameters
     ----------
-    mode : whose F_s sets the size of the operator's pushes
-    script : what happens to the nodes, and when
+    mode : mode whose F_s scales the operator's pushes
+    script : timed actions on the nodes
     unpaced : frames take no time
     record : a recording of every frame, stamped with its end of frame in the bus's own time from
         power-on
-    faults : what goes wrong on the bus, and when
-    force : replace `record` where it exists
-    numbered : the devices have the rig's node ids; else none yet, and wait for an LSS master
+    faults : faults on the bus, and their times
+    force : overwrite an existing `record`
+    numbered : the devices have the rig's node ids; otherwise none, and wait for an LSS master
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        (exit status 4) a live process serves this bus already, or the SocketCAN interface is not
-        there
+        (exit status 4) a live process serves this bus already, or the SocketCAN interface does not
+        exist
     coulombus.sim_bus.faults.fault_file.FaultError
-        (exit status 3) the file names a node that is not there, or the bus has no bit times
+        (exit status 3) the file names an unknown node, or the bus has no bit times
     """
 
     world: PacedRig
@@ -127,7 +125,7 @@ class SimServer(BusServer):
 
         bit_rate = 0 if unpaced else rig.bus.bitrate_bit_s
         super().__init__(make_world, address, bit_rate, beside=faults is None)
-        if record is not None:  # a bus that is refused makes no file, and replaces none
+        if record is not None:  # a refused bus creates and replaces no file
             try:
                 self._recorder = Recorder(record, rig, mode, seed, about=About(bus=PACED), force=force)
             except BaseException:
@@ -136,7 +134,7 @@ class SimServer(BusServer):
             self.keep_frames()
 
     def _began(self, begin_ns: int) -> None:
-        """Let the recording say when its time began by the clock of the wall."""
+        """Write the wall-clock time of its start to the recording."""
         if self._recorder is not None:
             for name, content in wall_clock(begin_ns)[1].items():
                 self._recorder.attach(name, content)

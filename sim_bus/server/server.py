@@ -1,8 +1,8 @@
-"""A world in real time as one process, for clients of a virtual bus, on a SocketCAN interface, or
-on another process' virtual bus.
+"""A world in real time as one process: for clients of a virtual bus, on a SocketCAN interface, or on
+another process's virtual bus.
 
-`BusServer` answers what the compiled loop (`sim_bus.server.realtime_loop.serve`) needs Python for.
-Its clients' sockets are `sim_bus.server.admission.Admission`'s.
+`BusServer` handles the exits of the compiled loop (`sim_bus.server.realtime_loop.serve`).
+`sim_bus.server.admission.Admission` handles the clients' sockets.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK = 101, 2, 0x1FFFFFFF
 class BusServer:
     """A bus in real time with the devices of `world` on it.
 
-    Where another process serves the bus, or the kernel (SocketCAN), this one is a station of it,
+    If another process or the kernel (SocketCAN) serves the bus, this process is a station of it,
     and frames take their time there.
 
     Parameters
     ----------
-    make_world : gives a world of a bit rate; one is for a trial, in which all that it needs is
-        compiled, and thrown away
+    make_world : returns a world for a bit rate; a trial world, which compiles all kernels, is
+        discarded
     bit_rate : of the virtual bus; 0: frames take no time
-    join : take part in the virtual bus of another process, if there is one
-    beside : the bus goes on while Python serves the nodes (`sim_bus.server.python_worker`)
+    join : join the virtual bus of another process, if it exists
+    beside : the bus continues while Python serves the nodes (`sim_bus.server.python_worker`)
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
         (exit status 4) a live process serves this bus already (without `join`), or the SocketCAN
-        interface is not there
+        interface does not exist
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class BusServer:
         self.joined = False
         """Whether another process serves the bus."""
         raw = None
-        if address.is_interface:  # first what can be refused at once: compiling takes half a minute the first time
+        if address.is_interface:  # first the immediate refusals: the first compilation takes half a minute
             raw = can_socket(address.name)
         elif not join:
             refuse_live(socket_path(address.name), address)
@@ -101,10 +101,10 @@ class BusServer:
             self.close()
             raise
 
-    # life
+    # life cycle
 
     def _load(self) -> None:
-        """Compile the loop, or load it out of the cache, by a call that stops at once."""
+        """Compile the loop, or load it from the cache, by a call that stops at once."""
         self._pace["stop"], self._pace["start_ns"] = 1, time.monotonic_ns() + FOREVER_NS // 2
         self._serve()
         self._pace["stop"] = self._pace["wakeups"] = 0
@@ -117,11 +117,11 @@ class BusServer:
 
     @property
     def wakeups(self) -> int:
-        """How often the loop has woken: a bus that stands still has as many as before."""
+        """Number of the loop's wake-ups: it does not change while the bus is stalled."""
         return int(self._pace["wakeups"][0])
 
     def now_ns(self) -> int:
-        """Return the present in the world's time: how late what now happens there is."""
+        """Return the present in the world's time."""
         return time.monotonic_ns() - int(self._pace["start_ns"][0])
 
     def stop(self) -> None:
@@ -137,17 +137,17 @@ class BusServer:
         cpu: int | None = None,
         ready: Callable[[], None] | None = None,
     ) -> SimResult:
-        """Serve for `seconds` (None: until `stop`) and return what came of it.
+        """Serve for `seconds` (None: until `stop`) and return the result.
 
-        `priority` of SCHED_FIFO and `cpu` are asked for on behalf of the calling thread;
-        `real_time` tells what was granted. With a priority on a virtual interface of Linux the
-        thread keeps to one CPU (`bus_cpu`). `ready` is called just before the nodes are switched on;
-        clients may connect from the constructor's end on.
+        `priority` of SCHED_FIFO and `cpu` are requested for the calling thread; `real_time` tells
+        what was granted. With a priority on a virtual interface of Linux the thread stays on one
+        CPU (`bus_cpu`). `ready` is called just before the nodes are switched on; clients may
+        connect from the constructor's end on.
         """
         world, pace = self.world, self._pace
         if cpu is None and priority is not None and self._on_virtual:
             cpu = bus_cpu()
-        self._worker.start()  # not with the rights of the bus
+        self._worker.start()  # without the real-time rights of the bus
         self.real_time = ask_for_real_time(priority, cpu)
         self._plan()
         if ready is not None:
@@ -196,7 +196,7 @@ class BusServer:
         return self._finish()
 
     def _began(self, begin_ns: int) -> None:
-        """Called once, when the world's time begins: CLOCK_MONOTONIC at 0."""
+        """Hook, called once when the world's time begins, at CLOCK_MONOTONIC `begin_ns`."""
 
     def _finish(self) -> SimResult:
         result, pace, bus = self.result, self._pace[0], self.world.bus
@@ -212,7 +212,7 @@ class BusServer:
         return result
 
     def close(self) -> None:
-        """Close the sockets and remove the socket's file, all of them, whatever becomes of one."""
+        """Close all sockets and remove the socket's file, also after an error."""
         with ExitStack() as left:
             self._worker.close()
             if self._wake >= 0:
@@ -224,8 +224,8 @@ class BusServer:
             left.callback(self._admission.close)
 
     def keep_frames(self) -> None:
-        """Give the world's `on_frames` every frame that the bus carries, some hundred or those of
-        0.1 s at a time; to be called before `run`.
+        """Pass every frame on the bus to the world's `on_frames`, in batches of some hundred frames or 0.1 s; to be
+        called before `run`.
         """
         self._pace["keep"] = RECORD_FRAMES
 
@@ -235,12 +235,12 @@ class BusServer:
             self._pace["handed_out"] = 0
 
     def _plan(self) -> None:
-        """Prepare what happens in the world, just before it begins."""
+        """Schedule the actions in the world, just before it begins."""
 
     # the virtual bus
 
     def _join(self, address: BusAddress) -> bool:
-        """Take part in the bus of another process; return whether there is one."""
+        """Join the bus of another process; return whether there is one."""
         path = socket_path(address.name)
         with locked(path.parent):
             if not path.exists():

@@ -1,6 +1,4 @@
-"""The course of ``coulombus emulate``: signals in the main thread, the bus in one of its own, what is
-told and when.
-"""
+"""Course of ``coulombus emulate``: signals in the main thread, the bus in its own thread, and the reports."""
 
 from __future__ import annotations
 
@@ -34,13 +32,13 @@ def run_sim(
 ) -> None:
     """Serve until the time is over, or a signal of `system.stop_signals`.
 
-    Tell when ready and what came of it; end with the exit status.
+    Report readiness and the result; end with the exit status.
 
-    A compiled loop does not see a signal, so it runs in a thread of its own and the main thread's
-    handlers stop it. Until `make` has made the server (the first time it compiles for half a
-    minute) a signal ends the process at once, by its own status: an exception might be swallowed by whatever it
-    interrupts, and there is nothing to clean up yet. `tell_ready` is called before the nodes are
-    switched on; by default it tells of a bus.
+    A compiled loop does not notice a signal, so it runs in its own thread and the main thread's
+    handlers stop it. Until `make` has created the server (the first compilation takes half a
+    minute) a signal ends the process at once, with the signal's status: the interrupted code might
+    swallow an exception, and there is nothing to clean up yet. `tell_ready` is called before the
+    nodes are switched on; by default it reports the bus.
     """
     made: list[BusServer] = []
     notifier = Notifier()
@@ -48,7 +46,7 @@ def run_sim(
     failure: list[BaseException] = []
 
     def ready() -> None:
-        with printed():  # the bus is there, whoever reads of it
+        with printed():  # the bus is ready, even if nobody reads this
             (tell_ready or _tell_ready)(server, as_json)
         notifier.tell(READY=1, STATUS=f"bus {server.address}")
 

@@ -1,4 +1,4 @@
-"""The file of a virtual bus's socket: whose it is, and who may make and remove it."""
+"""Socket file of a virtual bus: its owner, its creation and its removal."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ __all__ = ["locked", "refuse_live", "unlink_own"]
 
 @contextmanager
 def locked(directory: Path) -> Iterator[None]:
-    """Hold the lock on the sockets' directory, so that two servers that start at a time do not both
-    take a dead one's place.
+    """Hold the lock on the sockets' directory, so that two servers that start at the same time do not both
+    replace a stale socket.
     """
     fd = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
@@ -31,9 +31,9 @@ def locked(directory: Path) -> Iterator[None]:
 
 
 def refuse_live(path: Path, address: BusAddress) -> bool:
-    """Refuse a socket's file whose process lives.
+    """Refuse a socket's file whose process is alive.
 
-    Return whether there is the file of a dead one.
+    Return whether a stale file exists.
     """
     with closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)) as probe:
         try:
@@ -42,7 +42,7 @@ def refuse_live(path: Path, address: BusAddress) -> bool:
             return False
         except ConnectionRefusedError:
             return True
-        except BlockingIOError:  # its queue is full: it lives
+        except BlockingIOError:  # its queue is full: the process is alive
             pass
     raise BusUnavailable(
         f"bus {address} is served already by another process ({path}); stop that one, or choose another name with --bus"
@@ -50,7 +50,7 @@ def refuse_live(path: Path, address: BusAddress) -> bool:
 
 
 def unlink_own(path: Path, inode: int) -> None:
-    """Remove a socket's file if it is still the one of this inode."""
+    """Remove a socket's file if it still has this inode."""
     with locked(path.parent), suppress(FileNotFoundError):
         if path.stat().st_ino == inode:
             path.unlink()
