@@ -1,5 +1,4 @@
-"""Tables of CiA 301 (application layer): data types, NMT, SDO abort codes, EMCY codes, default
-identifiers.
+"""Tables of CiA 301 (application layer): data types, NMT, SDO abort codes, EMCY codes, default identifiers.
 
 The device, the host and the tools share them. Section numbers are those of CiA 301 version 4.2.0.
 """

@@ -1,5 +1,4 @@
-"""CiA 402's power drive state machine as one table, shared by device and host (IEC 61800-7-201, figure
-2).
+"""CiA 402's power drive state machine as one table for device and host (IEC 61800-7-201, figure 2).
 
 The table serves both roles. The drive looks up the next state for a state and a controlword
 (`NEXT_STATE`); the host looks up the state for a statusword (`STATE_OF_STATUSWORD`) and the next

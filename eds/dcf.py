@@ -1,6 +1,4 @@
-"""The additions of a DCF to an EDS (CiA 306-1): configured values, ParameterValue and [1003Value], and
-[DeviceComissioning].
-"""
+"""Additions of a DCF to an EDS (CiA 306-1): ParameterValue, [1003Value] and [DeviceComissioning]."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""Scale and sign of a CiA 402 drive's position and velocity: the factor group 608Fh, 6091h, 6092h and
-6093h, the SI units 60A8h and 60A9h, and the polarity 607Eh.
+"""Scale and sign of a CiA 402 drive's position and velocity.
+
+They come from the factor group 608Fh, 6091h, 6092h and 6093h, the SI units 60A8h and 60A9h, and the
+polarity 607Eh.
 
 CiA 402-2 defines the position actual value 6064h in user units::
 

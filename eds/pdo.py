@@ -1,5 +1,4 @@
-"""PDO layouts from an EDS's communication and mapping parameters (CiA
-301, sections 7.5.2.35 to 7.5.2.38).
+"""PDO layouts from an EDS's communication and mapping parameters (CiA 301, sections 7.5.2.35 to 7.5.2.38).
 
 A map is read correctly or refused: a dropped or misread entry would shift every field after it, and
 a shifted torque is a wrong torque. Internal times are nanoseconds; 1800h:3 counts 100 us and

@@ -1,5 +1,4 @@
-"""Decoder of one server's SDO traffic: each frame with its transfer, from the initiation to the end
-(CiA 301, section 7.2.4.3).
+"""Decoder of one server's SDO traffic: each frame with its transfer (CiA 301, section 7.2.4.3).
 
 The meaning of a frame depends on the current transfer: a segment of a block transfer may begin with
 any byte but 00h and 80h. If a recording begins within a transfer, its first frames may be

@@ -1,5 +1,4 @@
-"""SDO frames by their first byte, with the names of Wireshark's CANopen dissector (CiA 301, section
-7.2.4.3).
+"""SDO frames by their first byte, named as in Wireshark's CANopen dissector (CiA 301, section 7.2.4.3).
 
 A segment of a block transfer has no command: its first byte is its number, 1 to 127, with bit 7 set
 in the last segment (sections 7.2.4.3.10 and 7.2.4.3.14). So most first bytes have two meanings, and

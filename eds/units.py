@@ -1,5 +1,6 @@
-"""Units of objects: fixed by CiA 301 and 402, or read in CiA 303-2's notation from a device (6131h and
-6132h of CiA 404).
+"""Units of objects: fixed by CiA 301 and 402, or read from a device (6131h and 6132h of CiA 404).
+
+A device's units are in CiA 303-2's notation.
 """
 
 from __future__ import annotations

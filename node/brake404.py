@@ -1,5 +1,4 @@
-"""Compiled driver of the MR brake as a CiA 404 device: one analogue output block, three analogue input
-blocks.
+"""Compiled driver of the MR brake as a CiA 404 device: one analogue output block, three input blocks.
 
 Output: the set-point 7300h:01 * 10 ** -6302h:01 in Nm, through the scale 7320h to 7323h (by default
 1), limited by the coil's current (`node.coil404`). The channel is unsigned: a negative set-point

@@ -1,5 +1,4 @@
-"""Object dictionary of a node: the EDS's objects with their values, as bytes for SDO and as numbers for
-Python.
+"""Object dictionary of a node: the EDS's objects and their values, as bytes for SDO, as numbers for Python.
 
 An object that the core uses, or that a PDO maps, is in a slot of the record's `values`; every
 other object is stored here. `slot` moves an object into a slot when a PDO maps it. Access rights,

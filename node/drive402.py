@@ -1,5 +1,4 @@
-"""CiA 402 motor drive as a kind of device: quantities computed from its objects, checks of writes, and
-its part of the core.
+"""CiA 402 motor drive as a kind of device: computed quantities, checks of writes, its part of the core.
 
 The power states are in `node.states402`, the torque in `node.motion402`, the objects in
 `node.slots402`. The loss of the host (heartbeat, guarding, bus-off) is a fault of our own drive;

@@ -1,5 +1,4 @@
-"""Compiled emergencies of a node: causes, latches, the EMCY frame, 1001h and 1003h (CiA 301, section
-7.2.7).
+"""Compiled emergencies of a node: causes, latches, EMCY frame, 1001h and 1003h (CiA 301, section 7.2.7).
 
 A cause is one bit of the record's `causes` while it is present. When it appears, its bit in
 `latched` is set, the error register and the history follow, and the EMCY frame is sent at once,

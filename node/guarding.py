@@ -1,5 +1,4 @@
-"""Compiled node guarding (CiA 301, section 7.2.8.3.2.1): the answer to the master's remote frame, and
-the life time.
+"""Compiled node guarding (CiA 301, section 7.2.8.3.2.1): answer to the master's remote frame, and life time.
 
 The answer carries the NMT state and a toggle bit, 0 in the first answer after a boot-up. If guard
 time (100Ch) times life time factor (100Dh) passes without a remote frame, the master is lost: a

@@ -4,7 +4,7 @@
     digital out   out_digital = chosen xor 6202h,
                   chosen = 6200h, after a failure (6207h and 6206h) or (chosen and not 6206h)
     analogue in   6401h = in_analogue, within INTEGER16
-    analogue out  out_analogue = 6411h, after a failure 6444h where 6443h is 1, else what it was
+    analogue out  out_analogue = 6411h, after a failure 6444h where 6443h is 1, else unchanged
 
 A failure is a device fault, a lost connection (heartbeat, guarding, RPDO deadline, SYNC, bus-off),
 an NMT state change by 1029h, or the NMT command "stop". After power-on or a reset every output is

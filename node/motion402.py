@@ -1,12 +1,11 @@
-"""Compiled torque of a CiA 402 drive: limits, modes of operation, slopes, velocity loop (IEC
-61800-7-201).
+"""Compiled torque of a CiA 402 drive: limits, modes, slopes, velocity loop (IEC 61800-7-201).
 
 Torques in per mille of rated, speeds in counts/s, as everywhere in the drive:
 
     limits      high = min(6072h, 6073h, 60E0h), low = -min(6072h, 6073h, 60E1h); 0 on the side on which the position is
                 beyond 607Dh or the speed beyond 6080h
     CST (10)    demand = clip(6071h + 60B2h, low, high)
-    vendor's    demand = clip(set-point * vendor_pm, low, high): a mode of the maker's own
+    vendor's    demand = clip(set-point * vendor_pm, low, high): a vendor-specific mode
     torque (4)  d demand / dt = +- 6087h until demand = clip(6071h, low, high)
     speeds      d speed / dt = +- 6083h or 6084h until speed = 60FFh (profile velocity, 3); speed = 60FFh + 60B1h (CSV, 9)
                 demand = clip(Kp (speed - 606Ch) + integral, low, high),   d integral / dt = Ki (speed - 606Ch)

@@ -1,4 +1,4 @@
-"""A device whose clock runs fast or slow (`wire.clock`), compiled.
+"""Compiled device with a clock that runs fast or slow (`wire.clock`).
 
 `on_frame`, `on_time` and `confinement_changed` adapt those of `node.core` to such a device: its
 core receives local time, and its frames are queued in bus time. Its `next_ns` is local time.

@@ -1,5 +1,4 @@
-"""Persistent parameters: 1010h store, 1011h restore, 1020h verify configuration (CiA 301, sections
-7.5.2.13 and 14, 24).
+"""Persistent parameters (CiA 301, 7.5.2.13, 14 and 24): 1010h store, 1011h restore, 1020h verify configuration.
 
 A group is a range of objects. Store saves the present values of the group's writable objects; every
 reset that would set these objects to their defaults loads them. Restore deletes the group's stored

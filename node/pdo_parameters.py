@@ -1,5 +1,4 @@
-"""PDO parameters of a node, 1400h-1BFFh: allowed writes, and the records that follow (CiA 301,
-7.5.2.35-38).
+"""PDO parameters of a node, 1400h-1BFFh: allowed writes, and the record (CiA 301, 7.5.2.35-38).
 
 The procedure to change a map: destroy the PDO (bit 31 of its COB-ID), set the count to 0, write the
 entries, set the count, create the PDO again. A write outside the procedure is aborted, a write that

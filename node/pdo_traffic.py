@@ -1,5 +1,4 @@
-"""Compiled PDOs of a node (CiA 301, section 7.2.2): reception, action on SYNC or at once,
-transmission.
+"""Compiled PDOs of a node (CiA 301, section 7.2.2): reception, action on SYNC or at once, transmission.
 
 Transmission types of a TPDO: 0 on the SYNC after a change; 1-240 every nth SYNC, from the SYNC
 start value on; 252 sampled on SYNC, sent on RTR; 253 sent on RTR; 254 and 255 on an event: the

@@ -1,5 +1,4 @@
-"""Definition of a kind of device: the objects that it acts on, its fields in the record, and its
-behaviour.
+"""Definition of a kind of device: the objects that it acts on, its fields in the record, its behaviour.
 
 A device's communication (NMT, PDO, SDO, EMCY ...) is the same for all kinds. A kind adds a
 `Profile`, in the module of its behaviour; `node.kinds` lists them. An object that a file lacks

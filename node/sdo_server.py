@@ -1,5 +1,4 @@
-"""One SDO server channel: expedited, segmented and block transfers
-both ways (CiA 301, section 7.2.4).
+"""An SDO server channel: expedited, segmented and block transfers both ways (CiA 301, section 7.2.4).
 
 The server is a function of the requests: one 8-byte request in, at most one response out (None: no
 answer), and in a block upload a `burst` of segments. `Backend` holds the objects, so that tests

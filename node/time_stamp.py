@@ -1,5 +1,6 @@
-"""The TIME message (CiA 301, section 7.2.6): six bytes TIME_OF_DAY,
-milliseconds after midnight and days since 1984-01-01.
+"""The TIME message (CiA 301, section 7.2.6).
+
+Six bytes TIME_OF_DAY: milliseconds after midnight and days since 1984-01-01.
 
 ```
 bit  47            32 31  28 27                    0

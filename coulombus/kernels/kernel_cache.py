@@ -1,5 +1,4 @@
-"""Cache directories of the kernels' machine code: one for each state of the sources, and the removal
-of old ones.
+"""Cache directories of the kernels' machine code, one per state of the sources, and their removal.
 
 ::
 

@@ -4,7 +4,7 @@ r"""Quoting of text for other programs: one function per format, by that program
 function             read by                                         its rules
 ===================  ==============================================  =====================================
 `shell`              sh, as one word                                 POSIX, Shell Command Language 2.2
-`comment`            sh, systemd, TOML: behind a ``#``               up to the line's end
+`comment`            sh, systemd, TOML: after a ``#``                up to the line's end
 `extended_regex`     pgrep                                           POSIX, Base Definitions 9.4
 `systemd_word`       systemd, as one word of ``ExecStart=``          systemd.syntax(7), systemd.service(5)
 `systemd_program`    systemd, as the first one                       the same

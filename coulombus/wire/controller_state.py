@@ -1,5 +1,6 @@
-"""State and counters of a CAN controller, as printed by ``ip -details -statistics link show`` and as a
-virtual bus reports them to a client.
+"""State and counters of a CAN controller, with the text of ``ip -details -statistics link show``.
+
+A virtual bus reports them to a client in packed form.
 """
 
 from __future__ import annotations

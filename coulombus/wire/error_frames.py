@@ -1,5 +1,4 @@
-"""Text of error frames: a CAN controller's report on itself and its wire, laid out as in
-``linux/can/error.h``.
+"""Text of error frames: a CAN controller's report on itself and its wire (``linux/can/error.h``).
 
 ::
 

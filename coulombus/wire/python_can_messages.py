@@ -1,5 +1,6 @@
-"""The only conversion between Linux's classical CAN frame (identifier with flags, length, data) and
-python-can's message.
+"""The only conversion between a classical CAN frame of Linux and python-can's message.
+
+A frame is an identifier with flags, a length and data.
 
 Imports no numba, because python-can's plugins load this module at their start.
 """

@@ -1,5 +1,4 @@
-"""A cable cut into two halves: each is a separate bus, with its own time, pending frames and
-acknowledgement.
+"""A cable cut into two halves, each with its own time, pending frames and acknowledgement.
 
 A bus is an array of two records `sim_bus.can_bus.records.BusRecord`. The first is the whole cable,
 or the first half of the cut cable; the second is in use only while the cable is cut. `half` of a

@@ -1,5 +1,6 @@
-"""Compiled bit-level model of a controller: the bit that it drives, and its reaction to the bit that
-it samples (ISO 11898-1:2015, clauses 10 and 11).
+"""Compiled bit-level model of a controller (ISO 11898-1:2015, clauses 10 and 11).
+
+It gives the bit that a controller drives, and the reaction to the bit that it samples.
 
 Bit, stuff, CRC, form and ACK errors, active and passive error flags, delimiters, overload frames,
 intermission: `follow` processes one bit of them. `BusRecord.seen` holds what the stations together

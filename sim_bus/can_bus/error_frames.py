@@ -1,5 +1,6 @@
-"""Error frames in the format of Linux's CAN drivers (include/uapi/linux/can/error.h): classes in the
-identifier, details in eight bytes.
+"""Error frames in the format of Linux's CAN drivers (include/uapi/linux/can/error.h).
+
+The identifier has the classes, the eight bytes have the details.
 
 ====== =======================================================================
 byte   content

@@ -1,12 +1,13 @@
-"""Compiled state and fault confinement of a CAN controller (ISO 11898-1:2015, 10.11 to 10.14; letters
-are those of its list of rules).
+"""Compiled state and fault confinement of a CAN controller (ISO 11898-1:2015, 10.11 to 10.14).
+
+The letters are those of the standard's list of rules.
 
 Each station of a bus has a controller, a row of `BusRecord.stations` by the low eight bits of its
 number. The transmit and receive error counters follow the standard's twelve rules; `state` results
 from them, numbered as in Linux's ``enum can_state``:
 
 ==== ==================================================================== =========================
-rule when                                                                 what
+rule when                                                                 effect
 ==== ==================================================================== =========================
 a    a receiver detects an error, but no bit error in its own active flag REC + 1
 b    a receiver sees dominant in the first bit after its error flag       REC + 8

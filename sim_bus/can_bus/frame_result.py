@@ -1,5 +1,6 @@
-"""Compiled end of a frame on the detailed path, or of a bit-level simulation: reports, and the next state of
-the senders.
+"""Compiled end of a frame on the detailed path, or of a bit-level simulation.
+
+It writes the reports to the log, and sets the next state of the senders.
 """
 
 from __future__ import annotations

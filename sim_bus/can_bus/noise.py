@@ -1,6 +1,4 @@
-"""Random bit errors with a rate and a seed: the time of the next disturbed bit, in a frame or on an idle
-wire.
-"""
+"""Random bit errors with a rate and a seed, in a frame or on an idle wire: the time of the next one."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Bit sequence of a frame on the wire (ISO 11898-1:2015, 10.4 and 10.5); `wire.bits` only counts the
-bits.
+"""Bit sequence of a frame on the wire (ISO 11898-1:2015, 10.4 and 10.5); `wire.bits` only counts the bits.
 
 It is used only for frames with errors, so it is written for readability: bit by bit, from the start
 of frame to the end of frame. Dominant is 0.

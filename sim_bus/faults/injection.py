@@ -1,6 +1,4 @@
-"""Injection of a fault file on a virtual bus: table rows, resets, and the records of injections for results
-and recordings.
-"""
+"""Injection of a fault file on a virtual bus: table rows, resets, and the records of injections."""
 
 from __future__ import annotations
 

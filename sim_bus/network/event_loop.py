@@ -1,5 +1,4 @@
-"""Virtual-time event loop: a bus, its devices, any number of axes and an optional host in one compiled
-kernel.
+"""Virtual-time event loop: bus, devices, any number of axes and an optional host in one compiled kernel.
 
 `run` goes from event to event in integer nanoseconds and returns to Python only when the control
 plane has work, as a virtual machine exits to its monitor (`Exit`). Events at the same instant have

@@ -1,5 +1,4 @@
-"""CANopen network in virtual time: a bit-true bus, any number of devices, and stations written in
-Python.
+"""CANopen network in virtual time: a bit-true bus, any number of devices, and stations in Python.
 
 It is for tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the same calls
 give the same frames to the nanosecond::
@@ -10,14 +9,14 @@ give the same frames to the nanosecond::
     network = VirtualNetwork(bitrate_bit_s=500_000)
     device = network.add("eds/motor.eds", 5)              # any EDS; profile=DRIVE402 or BRAKE404 for ours
     tester = network.station()                            # hears every frame; station({0x585}): only this identifier
-    network.power_on()                                    # all devices; boot-ups go out
+    network.power_on()                                    # all devices; they send their boot-ups
     network.wait_ns(10_000_000)
     assert tester.take(0x705)[0].data == b"\\0"
 
     tester.send(0x000, bytes((NmtCommand.START, 5)))      # now; at_ns=... for later
     tester.send(0x605, bytes.fromhex("4017100000000000"))
     assert tester.wait_for(0x585, timeout_ns=10_000_000) is not None
-    device[0x6064, 0]                                     # look into the device, or write as it does itself
+    device[0x6064, 0]                                     # read an object, or write it as the device itself does
 
 A station can answer at once: ``network.station(on_frame=lambda frame: ...)`` is called with each
 `Heard` at its end of frame, and may `send`. ``network.at(t_ns, action)`` calls ``action(network)``

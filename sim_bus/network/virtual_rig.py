@@ -1,5 +1,4 @@
-"""Complete rig in virtual time: bus, nodes, plants and hands, the host's cycle, and its control-plane
-link.
+"""Complete rig in virtual time: bus, nodes, plants, hands, the host's cycle and its control-plane link.
 
 `VirtualRig` is a `VirtualNetwork` of the devices of each axis, with the rig's mechanics between
 them. Nothing sleeps, and the same seed gives the same bytes. The rows of the devices are motor and

@@ -1,5 +1,6 @@
-r"""One step of up to three bodies in a row, with springs, dampers and backlash between them and dry
-friction on each; events are located exactly.
+r"""One step of up to three coupled bodies in a row, with dry friction on each; events are located exactly.
+
+The couplings are springs and dampers with backlash.
 
 With the mean speed :math:`u` of a step of length :math:`h` the implicit midpoint rule reads, for
 body :math:`i` with its couplings to :math:`i \pm 1`,

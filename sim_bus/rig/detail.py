@@ -1,5 +1,7 @@
-"""Parts of a plant beyond one rigid body: the record of `[plant.cable]`, `[plant.handle]`,
-`[plant.friction]`, `[plant.fluid]`, `[plant.iron]`, `[plant.ripple]` and `[plant.heat]`.
+"""Parts of a plant beyond one rigid body.
+
+They are the record of `[plant.cable]`, `[plant.handle]`, `[plant.friction]`, `[plant.fluid]`,
+`[plant.iron]`, `[plant.ripple]` and `[plant.heat]`.
 
 The bodies form a row, the motor first and the handle last, all referred to the handle. A coupling
 connects two of them. A rig without a coupling is one body, with a cable two (motor; drum and

@@ -1,5 +1,6 @@
-r"""The device's own friction as parallel springs, each of which slips at its own torque: generalised
-Maxwell-slip and Leuven models.
+r"""The device's own friction as parallel springs: generalised Maxwell-slip and Leuven models.
+
+Each spring slips at its own torque.
 
 Element :math:`j` bears :math:`F_j`, has the stiffness :math:`k_j` and the share :math:`w_j`. Its
 end moves by :math:`z`; it winds, :math:`\dot F_j = k_j \dot z`, up to its level. With the level
@@ -45,8 +46,8 @@ WINDS = math.inf
 
 @kernel
 def set_elements(d: DetailRecord, i: int, g: float, at_rest: float) -> None:
-    """Set the behaviour of a body's elements in the step that begins: the present level `g` [Nm], and the level
-    `at_rest`.
+    """Set the behaviour of a body's elements in the step that begins, by the level [Nm] at the present
+    speed, `g`, and at rest, `at_rest`.
     """
     speed = abs(d.v[i])
     d.winds[i] = 0

@@ -1,5 +1,4 @@
-r"""The device's true own friction: Coulomb, Stribeck, LuGre, with its dependence on angle, temperature
-and time.
+r"""The device's true own friction: Coulomb, Stribeck, LuGre, by angle, temperature and time.
 
 `sim_bus.rig.elements` has the generalised Maxwell-slip and Leuven models.
 

@@ -1,5 +1,4 @@
-"""Simulated devices of an axis: the kind of device for each file, and the objects for the plant's
-quantities.
+"""Simulated devices of an axis: the kind of each device, and the objects for the plant's quantities.
 
 The rig file's roles decide. The kind of device handles its own objects (6064h of a drive, 7130h of
 our brake driver); the rig handles every other object with a role, and writes the plant's quantity

@@ -1,5 +1,4 @@
-"""Python's share of a bus in real time, concurrent with the compiled loop: bus and cyclic nodes
-continue meanwhile.
+"""Python's share of a bus in real time, in a thread of its own: the compiled loop continues meanwhile.
 
 A device answers an SDO in milliseconds, and sends its PDOs meanwhile. So Python works on its own
 records, in its own thread, one job at a time:

@@ -1,5 +1,4 @@
-"""The virtual bus in real time: one compiled loop between the clients' sockets and the world of
-`sim_bus.network.event_loop`.
+"""The virtual bus in real time: a compiled loop between clients' sockets and `sim_bus.network.event_loop`.
 
 The world's time is CLOCK_MONOTONIC minus its start. The loop sleeps in ppoll(2) until the world's
 next event or a client's message, runs the world up to the present and delivers each frame at its

@@ -1,5 +1,6 @@
-"""A world in real time as one process: for clients of a virtual bus, on a SocketCAN interface, or on
-another process's virtual bus.
+"""A world in real time as one process.
+
+It serves clients of a virtual bus, or joins a SocketCAN interface or another process's virtual bus.
 
 `BusServer` handles the exits of the compiled loop (`sim_bus.server.realtime_loop.serve`).
 `sim_bus.server.admission.Admission` handles the clients' sockets.
