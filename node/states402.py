@@ -1,7 +1,7 @@
 """Compiled CiA 402 motor drive (IEC 61800-7-201/301): power state machine, option codes, statusword.
 
-`node.motion402` computes the torque. It is 0 in every state except Operation Enabled and on a ramp
-that leaves it, without supply, and while the set-point is older than 2001h.
+`node.motion402` computes the torque. It is 0 without supply, while the set-point is older than
+2001h, and in every state except Operation Enabled and a ramp that leaves it.
 
 Transitions out of Operation Enabled, and their option codes (0: torque 0 at once; a ramp, and then
 the state):

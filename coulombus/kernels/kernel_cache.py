@@ -3,7 +3,7 @@
 ::
 
     BASE/coulombus/kernels-0123456789abcdef/coulombus-kernels      the marker, locked as long as a process uses it
-    BASE/coulombus/kernels-0123456789abcdef/entries                entries fully compiled; locked while one compiles
+    BASE/coulombus/kernels-0123456789abcdef/entries                fully compiled entries; locked during a compilation
     BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     numba's cache files
 
 BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. The cached code is

@@ -1,1 +1,4 @@
-"""Operating system services: file locks, private folders, signals, real-time settings; independent of all else here."""
+"""Operating system services: file locks, private folders, signals, real-time settings, quoting.
+
+The package imports nothing else of this project.
+"""

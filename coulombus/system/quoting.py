@@ -7,7 +7,7 @@ function             read by                                         its rules
 `comment`            sh, systemd, TOML: after a ``#``                up to the line's end
 `extended_regex`     pgrep                                           POSIX, Base Definitions 9.4
 `systemd_word`       systemd, as one word of ``ExecStart=``          systemd.syntax(7), systemd.service(5)
-`systemd_program`    systemd, as the first one                       the same
+`systemd_program`    systemd, as the first word                      the same
 `unit_name`          systemd, in the name of a unit                  systemd.unit(5), string escaping
 `interface_name`     ip, systemd.network, systemd.link               netdevice(7), and no pattern
 `lua`                Wireshark's Lua                                 Lua 5.2, 3.1

@@ -1,7 +1,7 @@
 """Compiled start of frames on a bus with faults, counted errors, or a station that is alone.
 
-`sim_bus.can_bus.arbiter.start_frame` requires it if `BusRecord.alert` is set, or if two stations
-send the same arbitration field. `attempt` starts the next frame: it applies the scripted faults,
+`sim_bus.can_bus.arbiter.start_frame` leaves the start to this module if `BusRecord.alert` is set,
+or if two stations send the same arbitration field. `attempt` starts the next frame: it applies the scripted faults,
 and then either the frame passes undisturbed (`Stage.WATCHED`), or `sim_bus.can_bus.bit_level`
 simulates its bits, with all stations whose frames are ready as senders.
 `sim_bus.can_bus.frame_result` ends it.

@@ -146,8 +146,8 @@ def recover(c: ControllerRecord) -> None:
 
 
 def state_of(c: ControllerRecord) -> ControllerState:
-    """Return a controller's state and counters; ``str`` gives the text of ``ip -details -statistics
-    link show``.
+    """Return a controller's state and counters; ``str`` gives the text of
+    ``ip -details -statistics link show``.
     """
     modes = (c["loopback"], c["listen_only"], c["one_shot"])
     return ControllerState(

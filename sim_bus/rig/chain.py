@@ -15,9 +15,9 @@ a symmetric tridiagonal system in :math:`u`. Dry friction is set-valued,
 would need more than :math:`F_i`; the system's matrix is symmetric, positive definite and has no
 positive off-diagonal element, so the solution is unique. If a speed would change its sign within
 the step, or a coupling its side of the backlash, the step is split at that instant, which is found
-to rounding. So :math:`\lambda_i u_i \ge 0` in every part of a step, stuck is exactly :math:`v_i =
-0`, and each torque's work is its torque times :math:`h u_i`: the energy balance closes to rounding,
-whatever the step's length.
+to rounding. So :math:`\lambda_i u_i \ge 0` in every part of a step, stuck is exactly
+:math:`v_i = 0`, and each torque's work is its torque times :math:`h u_i`: the energy balance closes
+to rounding, whatever the step's length.
 
 Sources: V. Acary and B. Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, 2008,
 doi:10.1007/978-3-540-75392-6; backlash as a dead zone: M. Nordin and P.-O. Gutman, Automatica

@@ -16,8 +16,8 @@ Bristles (LuGre) instead have the deflection :math:`z` and give
 
 by the midpoint rule with :math:`\alpha` of the step's begin: linear in the mean speed, stable at
 any stiffness and step, of first order. With :math:`r = \sigma_0 |v|` one division is enough:
-:math:`z` after a step of :math:`h` is :math:`((g - \tfrac{h}{2} r) z + h g u) / (g + \tfrac{h}{2}
-r)`.
+:math:`z` after a step of :math:`h` is
+:math:`((g - \tfrac{h}{2} r) z + h g u) / (g + \tfrac{h}{2} r)`.
 
 LuGre's friction can generate energy if :math:`\sigma_1 |v| > 4 g` (the quadratic form
 :math:`\sigma_0\alpha z^2 + \sigma_1\alpha z\dot z + \sigma_1\dot z^2` is then indefinite); the

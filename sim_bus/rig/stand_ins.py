@@ -3,7 +3,7 @@
 The rig file's roles decide. The kind of device handles its own objects (6064h of a drive, 7130h of
 our brake driver); the rig handles every other object with a role, and writes the plant's quantity
 to it in the role's scale. If a scale of the rig file differs from `[plant]`, the object shows the
-true value: the difference of the plant's rated torque, ratio and encoder from their assumed values.
+true value, with the plant's rated torque, ratio and encoder in place of their assumed values.
 
 Another vendor's drive scales its position and velocity by its own objects (`eds.drive_scale`),
 whatever the rig file says: so a wrong rig file fails here as it does on the real rig. Only a plant
