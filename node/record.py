@@ -252,7 +252,7 @@ class NodeRecord(Clock, DriveFields, BrakeFields, InputOutputFields):
     ramping: int  # brake: 0 the set-point acts, 1 ramp to the fault value, 2 ramp ended; drive: 1 on a slope
     # tables
     values: Annotated[IntegerField, SLOTS]  # raw values of the objects, REAL as bit patterns
-    rerouted: int  # 1: `route` was written; its reader with an index (sim_bus.network.agenda) clears this
+    rerouted: int  # 1: `route` was written; its reader with an index (sim_bus.network.deadline_tree) clears this
     route: Annotated[IntegerField, 2048, np.int16]  # route of each identifier, see node.core
     rtr_route: Annotated[IntegerField, 2048, np.int16]  # route of remote frames
 

@@ -32,7 +32,7 @@ from coulombus.sim_bus.rig.plant import (
 from coulombus.sim_bus.rig.records import BODIES, PLANT, PlantRecord
 from coulombus.sim_bus.rig.wave import wave
 
-import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
+import numba  # isort: skip  (after kernels.decorator, which sets the cache directory)
 
 __all__ = ["CourseFunction", "advance_detailed", "course_of"]
 

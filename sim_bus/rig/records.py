@@ -136,19 +136,19 @@ class PlantRecord(Record):
     # parameters
     step_ns: int  # the plant's step
     h: float  # the same step [s]
-    inertia: float  # of the device [kg m2]
-    viscous: float  # of the device [Nms/rad]
-    coulomb: float  # its Coulomb friction [Nm]
+    inertia: float  # inertia of the device [kg m2]
+    viscous: float  # viscous friction of the device [Nms/rad]
+    coulomb: float  # Coulomb friction of the device [Nm]
     stribeck: float  # static friction minus Coulomb friction [Nm]
     stribeck_v: float  # Stribeck speed [rad/s]
     off_state: float  # torque of the brake without current [Nm]
-    operator_inertia: float  # of the hand [kg m2]
-    operator_damping: float  # of the hand [Nms/rad]
-    operator_stiffness: float  # of the hand [Nm/rad]
-    motor_decay: float  # exp(-h / lag)
-    motor_Nm_pm: float  # torque at the handle per per mille, with the true polarity
-    motor_peak_pm: float  # largest command of the motor
-    cogging: float  # amplitude at the handle
+    operator_inertia: float  # inertia of the hand [kg m2]
+    operator_damping: float  # damping of the hand [Nms/rad]
+    operator_stiffness: float  # stiffness of the hand [Nm/rad]
+    motor_decay: float  # exp(-h / lag) of the motor
+    motor_Nm_pm: float  # torque at the handle for one per mille, with the true polarity
+    motor_peak_pm: float  # largest torque of the motor, per mille of its rated torque
+    cogging: float  # amplitude of the cogging at the handle [Nm]
     cogging_rad: float  # periods per radian at the handle, times 2 pi
     coil_decay: float  # exp(-h / lag) of the coil
     fluid_decay: float  # exp(-h / lag) of the fluid
@@ -157,19 +157,19 @@ class PlantRecord(Record):
     counts_rad: float  # encoder counts per radian at the handle, with the true polarity
     eccentric: float  # amplitude of the encoder's eccentricity error at the handle
     eccentric_rad: float  # its phase in radians per radian at the handle
-    noise: float  # of the transducer [Nm RMS]
-    bias: float  # of the transducer [Nm]
-    drift: float  # of the transducer [Nm/s]
+    noise: float  # noise of the transducer [Nm RMS]
+    bias: float  # bias of the transducer [Nm]
+    drift: float  # drift of the transducer [Nm/s]
     transducer_decay: float  # exp(-h / lag) of the transducer
     coil_step: float  # resolution of the coil's torque; 0: continuous
-    transducer_polarity: float  # 1 or -1
+    transducer_polarity: float  # sign of the transducer, 1 or -1
     ambient: float  # temperature of the room [degC]
     K_A2: float  # steady temperature rise of the coil per square of its current
     thermal_s: float  # time constant of the coil
     remanence: float  # share of the torque that stays as remanence
     brake_gain: float  # true torque per Nm of command
     # state
-    temperature: float  # of the coil [degC]
+    temperature: float  # temperature of the coil [degC]
     coil_fault: int  # COIL_INTACT, COIL_OPEN, COIL_SHORT
     motor_pm: float  # command of the drive, per mille of the motor's rated torque
     brake_Nm: float  # command of the brake's driver

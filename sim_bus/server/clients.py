@@ -75,7 +75,7 @@ class SlotState(IntEnum):
     JOINED = 4  # the virtual bus of another process: likewise
 
 
-OWN, LISTEN_ONLY, ERRORS = 1, 2, 4  # wire.hello.Flags
+OWN, LISTEN_ONLY, ERRORS = 1, 2, 4  # wire.handshake.Flags
 INVERTED = 0x20000000  # CAN_INV_FILTER
 ECHO = 1 << 40
 """First padding byte of struct can_frame: marks the client's own frame, like MSG_CONFIRM on SocketCAN."""

@@ -20,7 +20,7 @@ class SlotRecord(Record):
 
     fd: int
     state: int
-    greeted: int  # wire.hello.Flags
+    greeted: int  # wire.handshake.Flags
     filters: int  # number of filters; 0: everything passes
     staged: int  # frames of the message being sent
     next: int  # first of them that is not on the bus yet
