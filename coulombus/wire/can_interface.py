@@ -1,6 +1,6 @@
 """python-can interface of a virtual bus: ``can.Bus(interface="coulombus", channel="bench")``.
 
-Every program that uses python-can can attach: can_viewer, can_logger, can_player, cantools monitor,
+Every python-can program can attach: can_viewer, can_logger, can_player, cantools monitor,
 canopen. python-can finds the interface by the entry point ``can.interface``.
 """
 

@@ -220,7 +220,7 @@ class Coupling(Record):
     shown: Annotated[RecordArray[ShownRecord], MOST_SHOWN]
     brake_output: int
     brake_channel: int  # channel of the module, or slot of the object
-    brake_counts: float  # counts of the set-point per per mille of a drive, or per Nm of our driver
+    brake_counts: float  # counts of the set-point for one per mille of a drive, or for one Nm of our driver
     brake_scale_Nm: float  # torque per count, without a table
     brake_points: int  # number of points of the table; 0: none
     brake_table_raw: Annotated[FloatField, TABLE_POINTS]  # ascending
