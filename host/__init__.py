@@ -1,3 +1,1 @@
-"""All that runs on the rig's PC: bring-up, the cycle, the laws, the data plane, the course of a
-run.
-"""
+"""The host on the rig's PC: bring-up, cycle, laws, data plane and run."""

@@ -1,6 +1,6 @@
-"""Why the host refuses or stops.
+"""Errors of the host.
 
-`coulombus.system.errors` has the tree of all errors, and their exit statuses.
+`coulombus.system.errors` has the tree of all errors and their exit statuses.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ __all__ = ["AnswerUntrusted", "DeviceMismatch", "HostError", "NodeMissing", "Saf
 
 
 class HostError(CoulombusError):
-    """Base of all reasons."""
+    """Base class of the host's errors."""
 
     exit_status = 1
 
@@ -29,15 +29,13 @@ class SdoAborted(HostError):
 
 
 class AnswerUntrusted(HostError):
-    """An SDO answer says nothing of the object that was asked for: it is malformed, about another
-    object, or two devices answer.
-    """
+    """An SDO response cannot be used: it is malformed, it is for another object, or two devices answer."""
 
     exit_status = 6
 
 
 class DeviceMismatch(HostError):
-    """A node's identity or configuration is not what the rig file says.
+    """A node's identity or configuration differs from the rig file.
 
     The text names each difference.
     """

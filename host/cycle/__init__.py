@@ -1,1 +1,1 @@
-"""The cycle's compiled step: process image, phases, limits, watches."""
+"""The cycle's compiled step: process image, phases, limits, monitors."""

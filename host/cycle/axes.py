@@ -1,12 +1,12 @@
-"""The axes of one bus as one host: the cycle's compiled functions over all their records.
+"""The cycle's compiled functions over all axes of one bus.
 
-Each axis is one AXIS record of the array `axes`, with its own phases, limits and law's parameters;
-the functions of `host.cycle.step` know one axis only. They share the cycle: the first axis leads,
-it sends SYNC and the host's heartbeat. A trip of one axis stops all (`Trip.OTHER_AXIS`): a hand
-that holds one handle may hold the next.
+Each axis is one AXIS record of the array `axes`, with its own phase, limits and law parameters. The
+functions of `host.cycle.step` work on one axis. All axes share the cycle: the first axis sends SYNC and
+the host's heartbeat. A trip of one axis stops all (`Trip.OTHER_AXIS`), because the same person may hold
+several handles.
 
-`owner[identifier]` is the axis that a frame belongs to; the first one counts what belongs to
-nobody.
+`owner[identifier]` is the axis to which a frame belongs; frames of unknown identifiers go to the first
+axis, which counts them.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ __all__ = [
 ]
 
 WINDOW_OPEN, WINDOW_OVER = constant(0), constant(1)
-"""Whether the time is over in which the TPDOs of a cycle have to come."""
+"""Whether the window for the TPDOs of a cycle is still open or over."""
 
 
 @kernel
 def next_ns(axes: AxisRecords) -> int:
-    """Return when `on_time` wants to be called."""
+    """Return the time at which `on_time` is due."""
     first: int = axes[0].host.next_ns
     for k in range(1, axes.shape[0]):
         first = min(first, axes[k].host.next_ns)
@@ -55,8 +55,8 @@ def phases(axes: AxisRecords) -> int:
 
 @kernel
 def on_frame(axes: AxisRecords, owner: Integers, t_ns: int, can_id: int, length: int, data: int) -> int:
-    """Take a frame; return 1 when it completes an axis' TPDOs of this cycle, 2 when the control
-    plane wants it, else 0.
+    """Handle a frame; return 1 if it completes an axis' TPDOs of this cycle, 2 if the control plane needs
+    it, else 0.
     """
     k = owner[can_id] if can_id <= 0x7FF else 0
     return int(step.on_frame(axes[k], t_ns, can_id, length, data))
@@ -64,14 +64,14 @@ def on_frame(axes: AxisRecords, owner: Integers, t_ns: int, can_id: int, length:
 
 @kernel
 def begin(axes: AxisRecords, t_ns: int, out: Queue) -> None:
-    """Begin the cycle of all axes that is due at `t_ns`."""
+    """Start the cycle of all axes due at `t_ns`."""
     for k in range(axes.shape[0]):
         step.begin(axes[k], t_ns, out)
 
 
 @kernel
 def ask_to_stop(axes: AxisRecords, trip: int) -> None:
-    """Ask all axes for the safe state for the reason `trip`, or without one (1).
+    """Request the safe state of all axes with the reason `trip`, or without a reason (1).
 
     The first reason counts.
     """
@@ -83,7 +83,7 @@ def ask_to_stop(axes: AxisRecords, trip: int) -> None:
 
 @kernel
 def _couple(axes: AxisRecords) -> None:
-    """Let all axes stop where one has tripped."""
+    """Stop all axes if one has tripped."""
     for k in range(axes.shape[0]):
         if axes[k].host.trip != Trip.NONE:
             for other in range(axes.shape[0]):
@@ -95,11 +95,9 @@ def _couple(axes: AxisRecords) -> None:
 
 @kernel
 def finish(axes: AxisRecords, law_function: LawFunction, t_ns: int, window_over: int, out: Queue) -> int:
-    """Finish the cycle of the axes whose TPDOs have all come.
+    """Finish the cycle of each axis whose TPDOs are complete, or of all waiting axes if the window is over.
 
-    When the window for them is over, of all that still wait.
-
-    Returns how many axes still wait.
+    Return the number of axes that still wait.
     """
     waiting = 0
     for k in range(axes.shape[0]):
@@ -114,9 +112,7 @@ def finish(axes: AxisRecords, law_function: LawFunction, t_ns: int, window_over:
 
 @kernel
 def on_time(axes: AxisRecords, law_function: LawFunction, t_ns: int, out: Queue) -> None:
-    """Do what is due at `t_ns`: the end of the window for TPDOs, or the next cycle, whose SYNC the
-    first axis sends.
-    """
+    """Do what is due at `t_ns`: end the window for TPDOs, or start the next cycle."""
     finish(axes, law_function, t_ns, WINDOW_OVER, out)
     first = axes[0]
     if t_ns >= first.host.sync_ns + first.control.period_ns or first.host.cycle == 0:
@@ -125,8 +121,10 @@ def on_time(axes: AxisRecords, law_function: LawFunction, t_ns: int, out: Queue)
 
 @kernel
 def ramps_a_brake(axes: AxisRecords) -> bool:
-    """Tell whether a brake still has torque that only the host ramps off: its driver would hold it,
-    or let go at once. Only our own driver ramps by itself.
+    """Return whether a brake still has torque that only the host can ramp off.
+
+    A third-party driver would hold the torque or drop it at once. Only this project's driver ramps it
+    off by itself.
     """
     for k in range(axes.shape[0]):
         h = axes[k].host
@@ -137,13 +135,12 @@ def ramps_a_brake(axes: AxisRecords) -> bool:
 
 @kernel
 def safe_setpoints(axes: AxisRecords, t_ns: int, out: Queue) -> None:
-    """Send the last set-points: drive disabled and without torque, the brake as it is, which its
-    driver ramps off.
+    """Send the last set-points: drive disabled and without torque, brake unchanged.
 
-    A brake that is a CiA 402 drive is disabled, too. While the bus lives its torque has been ramped
-    off before (`ramps_a_brake`).
+    The brake's driver ramps the brake off. A brake that is a CiA 402 drive is disabled, too. While the bus
+    works, the host has ramped its torque off before (`ramps_a_brake`).
 
-    A SYNC follows, since RPDOs may act on the next SYNC only.
+    A SYNC follows, because RPDOs may act on the next SYNC only.
     """
     for k in range(axes.shape[0]):
         h = axes[k].host

@@ -1,4 +1,4 @@
-r"""The believed hysteresis of the brake's iron and its inverse, compiled.
+r"""Model of the hysteresis of the brake's iron and its inverse, compiled.
 
 The iron between the coil's torque :math:`c` and the fluid is a sum of play operators,
 
@@ -7,13 +7,13 @@ The iron between the coil's torque :math:`c` and the fluid is a sum of play oper
     M(c) = w_0 c + \sum_j w_j P_j, \quad P_j \leftarrow \max(c - r_j, \min(c + r_j, P_j)), \quad
     w_0 = 1 - \sum_j w_j.
 
-From where the operators stand, :math:`M` never falls with :math:`c`. So the coil's torque that gives a
-wanted :math:`M` is found by bisection, a fixed number of halvings. Beyond the ends, 0 and the brake's
-limit, the inverse goes on with the slope 1. No measurement enters: a wrong belief makes the torque
-wrong by the difference, and never unstable; the limits come behind it.
+For a given state of the operators, :math:`M` never falls with :math:`c`. So bisection with a fixed number
+of halvings finds the coil's torque for a given :math:`M`. Beyond the ends, 0 and the brake's limit, the
+inverse continues with slope 1. No measurement enters: a wrong model makes the torque wrong by the
+difference, and never unstable; the limits act after it.
 
 Source: play operators and their inverse: K. Kuhnen, European Journal of Control 9(4), 2003,
-doi:10.3166/ejc.9.407-418. The plant's iron (`sim_bus.rig.mr_brake`) is other code.
+doi:10.3166/ejc.9.407-418. The simulated iron of the plant (`sim_bus.rig.mr_brake`) is separate code.
 
     c : the CONTROL record of an axis        h : its HOST record
 """
@@ -30,7 +30,7 @@ HALVINGS = 40
 
 @kernel
 def seen_by_fluid(c: ControlRecord, h: HostRecord, coil_Nm: float) -> float:
-    """Return what the fluid would see [Nm] if the coil's torque went to `coil_Nm` now."""
+    """Return the torque at the fluid [Nm] if the coil's torque went to `coil_Nm` now."""
     total: float = c.iron_direct * coil_Nm
     for j in range(c.iron_plays):
         r = c.iron_r[j]
@@ -40,7 +40,7 @@ def seen_by_fluid(c: ControlRecord, h: HostRecord, coil_Nm: float) -> float:
 
 @kernel
 def coil_for(c: ControlRecord, h: HostRecord, wanted_Nm: float) -> float:
-    """Return the coil's torque [Nm] with which the fluid sees `wanted_Nm`."""
+    """Return the coil's torque [Nm] that gives `wanted_Nm` at the fluid."""
     if c.iron_plays <= 0:
         return wanted_Nm
     low, high = 0.0, c.brake_limit_Nm
@@ -62,7 +62,7 @@ def coil_for(c: ControlRecord, h: HostRecord, wanted_Nm: float) -> float:
 
 @kernel
 def magnetise(c: ControlRecord, h: HostRecord, coil_Nm: float) -> float:
-    """Let the coil's torque go to `coil_Nm`; return what the fluid sees of it [Nm]."""
+    """Step the play operators to the coil's torque `coil_Nm`; return the torque at the fluid [Nm]."""
     if c.iron_plays <= 0:
         return coil_Nm
     for j in range(c.iron_plays):

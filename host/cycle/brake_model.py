@@ -1,24 +1,23 @@
-r"""What coil, iron and fluid of the brake are believed to do, compiled: the level that the brake must
-bear, a lead for its lags, and the torque that is expected of it.
+r"""Model of the brake's coil, iron and fluid, compiled: brake level, lead compensation, expected torque.
 
     c : the CONTROL record of an axis        h : its HOST record
 
-**Level** (`brake_level`). What a law says is what the hand is to feel. The device's own friction
-:math:`c + b|v|` is already there, and the motor takes its :math:`m` off in slip and nothing in stick,
-where it has no direction to push in. So the brake bears
+**Level** (`brake_level`). The law gives the torque :math:`\lambda` at the hand. The device's own friction
+:math:`c + b|v|` is part of it. In slip the motor compensates :math:`m` of that friction; in stick it
+compensates nothing, because there is no direction of motion. So the brake must give
 
 .. math:: \lambda_b = \max(\lambda - c - b|v| + m,\ 0).
 
 **Lead** (`lead`). Coil and fluid are two lags in series, :math:`T_c \dot c = u - c` and
-:math:`T_f \dot f = c - f`. Their believed course is stepped along (`expect`), and the set-point is
+:math:`T_f \dot f = c - f`. `expect` steps a model of both, and the set-point is
 
 .. math:: c^* = f + 3 (\lambda_b - f), \qquad u = c + 2 (c^* - c), \qquad 0 \le u \le u_{max},
 
-with which the fluid follows as if its lag were a third and the coil's a half of what they are. The
-believed course gets the set-point that was limited, so a limit winds nothing up. Iron with hysteresis
-between them (`[brake.iron]`) is inverted (`host.cycle.brake_hysteresis`): :math:`c^*` becomes the
-coil's torque with which the fluid sees that. No measurement enters: a wrong belief makes the brake
-late or early by the difference, and never unstable.
+with which the fluid's lag is effectively a third, and the coil's a half. The model gets the limited
+set-point, so there is no wind-up. Iron with hysteresis between coil and fluid (`[brake.iron]`) is
+inverted (`host.cycle.brake_hysteresis`): :math:`c^*` becomes the coil's torque that gives this torque
+at the fluid. No measurement enters: a wrong model makes the brake late or early by the difference, and
+never unstable.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ FLUID_LEAD, COIL_LEAD = 3.0, 2.0
 
 @kernel
 def brake_level(c: ControlRecord, h: HostRecord, level_Nm: float, motor_Nm: float) -> float:
-    """Return what the brake must bear [Nm] that the hand feels `level_Nm`, while the motor takes
-    `motor_Nm` off the device's own friction.
+    """Return the brake torque [Nm] with which the hand feels `level_Nm`, while the motor compensates
+    `motor_Nm` of the device's own friction.
     """
     v = abs(h.slide_counts * c.rad_count) * 1e9 / c.period_ns
     bears_Nm: float = max(level_Nm - c.friction_Nm - c.viscous * v + motor_Nm, 0.0)
@@ -44,9 +43,7 @@ def brake_level(c: ControlRecord, h: HostRecord, level_Nm: float, motor_Nm: floa
 
 @kernel
 def lead(c: ControlRecord, h: HostRecord, level_Nm: float) -> float:
-    """Return the set-point [Nm] with which the brake's torque comes to `level_Nm` sooner than its
-    lags let it.
-    """
+    """Return the set-point [Nm] that brings the brake's torque to `level_Nm` faster than its lags."""
     if c.coil_step <= 0.0 and c.fluid_step <= 0.0 and c.iron_plays <= 0:
         return level_Nm
     seen_Nm = level_Nm if c.fluid_step <= 0.0 else h.fluid_Nm + FLUID_LEAD * (level_Nm - h.fluid_Nm)
@@ -59,10 +56,10 @@ def lead(c: ControlRecord, h: HostRecord, level_Nm: float) -> float:
 
 @kernel
 def expect(c: ControlRecord, h: HostRecord) -> None:
-    """Step the brake's expected torque along by a cycle under the set-point that was sent.
+    """Step the brake's expected torque by one cycle with the set-point that was sent.
 
-    A set-point acts on the next SYNC. So the observer takes what was expected a cycle ago, but for a
-    brake whose lags are not told: their stand-in is a little too long by itself.
+    A set-point acts on the next SYNC. So the passivity observer gets the torque expected a cycle ago. For
+    a brake without lags in the rig file it gets the present one: the default lag is too long already.
     """
     if c.coil_step <= 0.0 and c.fluid_step <= 0.0:
         seen_Nm = magnetise(c, h, h.brake_Nm)

@@ -1,4 +1,4 @@
-"""Everything that the cycle's compiled step works on, made from a rig file and a mode."""
+"""Records of the cycle's compiled step, built from a rig file and a mode."""
 
 from __future__ import annotations
 
@@ -44,28 +44,24 @@ COUNTERS = (
     *("clipped_torque", "slowed_torque"),
     *("limited_by_drive", "clipped_setpoints", "slowed_setpoints", "negative_setpoints", "withheld_compensation"),
 )
-"""What `Controller.counters` counts."""
+"""Counters that `Controller.counters` returns."""
 
 TARGET_TORQUE, MAX_TORQUE = 0x6071, 0x6072
 BRAKE_LAG_S = 0.02
-"""Time constant with which the brake's torque is expected at the handle (coil and fluid of a
-typical MR brake).
-"""
+"""Default time constant of the brake's torque (coil and fluid of a typical MR brake)."""
 SIGN_HAND_S = 0.12
-"""A little more than the period of a hand's tremor (8-12 Hz), over which the sign check averages it
-out.
-"""
+"""Averaging time of the sign check: a little more than the period of a hand's tremor (8-12 Hz)."""
 SIGN_HAND_NM = 0.008
 SETTLE_S = 0.05
 CLIPPED_S = 0.5
-"""A law that is clipped for so much longer than it is not trips."""
+"""Excess of clipped over unclipped time above which the host trips."""
 UNLOADED_S = 0.1
-"""Time in which the safe state lets go of a handle without a load."""
+"""Time in which the safe state releases an unloaded handle."""
 MISMATCH_SHARE = 0.2
-"""Of the rated torque: `limits.motor_mismatch_Nm` where the rig file has none."""
+"""Default of `limits.motor_mismatch_Nm`, as a share of the rated torque."""
 MOTOR_LAG_S = 0.05
-"""Time constant with which a command to the motor stops explaining its measured torque, and the
-time for which that may go unexplained.
+"""Time constant of the envelope of the motor's commands, and the longest time for which the measured
+torque may lie outside it.
 """
 ENABLE_TIMEOUT_S = 1.0
 
@@ -90,15 +86,13 @@ def _cycles(seconds: float, period_s: float) -> int:
 
 
 def motor_mismatch_Nm(axis: Axis) -> float:
-    """Return by how much the motor's measured torque may be off from its commands [Nm]."""
+    """Return the largest permitted difference of the motor's measured torque from its commands [Nm]."""
     given = axis.limits.motor_mismatch_Nm
     return MISMATCH_SHARE * axis.motor.rated_torque_Nm * axis.mechanics.ratio if given is None else given
 
 
 def slot_of_signal(signal: Signal) -> int:
-    """Return the slot of the process image that holds a signal's raw value; -1 where the host does
-    not use it.
-    """
+    """Return the slot of a signal's raw value in the process image; -1 if the host does not use it."""
     return int(Image.DEADMAN if signal.key.endswith(".deadman") else IMAGE_OF_SIGNAL.get(signal.key, -1))
 
 
@@ -113,14 +107,14 @@ class Controller:
     ----------
     axis : one-record array of AXIS; `control`, `host`, `rpdos` and so on are views of its parts
     law_function : the friction law as a function pointer
-    declaration, parameters : what the law declares, and the values of its named parameters; None of
-        one that names none
+    declaration, parameters : the law's declaration and the values of its named parameters; None for
+        a law without named parameters
 
     Raises
     ------
     coulombus.rigs.rig.RigError
-        the law cannot be loaded, or only a recording names it and it is none of the project's own;
-        or a limit that the drive cannot take
+        the law cannot be loaded; only a recording names it and it is not built in; or the drive
+        cannot take a limit
     """
 
     def __init__(self, axis: Axis, mode: str) -> None:
@@ -156,7 +150,7 @@ class Controller:
 
     @property
     def records(self) -> Records:
-        """All of it: an array of one AXIS record."""
+        """The whole state: an array of one AXIS record."""
         return self._records
 
     @records.setter
@@ -172,7 +166,7 @@ class Controller:
 
     @property
     def host(self) -> Records:
-        """What the cycle keeps: an array of one record."""
+        """State of the cycle: an array of one record."""
         return self._parts["host"]
 
     @property
@@ -183,13 +177,13 @@ class Controller:
 
     @property
     def tpdos(self) -> Records:
-        """PDOs that it waits for; `control.tpdos` of them are used."""
+        """PDOs that the host receives; `control.tpdos` of them are used."""
         part: Records = self._parts["tpdos"][0]
         return part
 
     @property
     def motion(self) -> Records:
-        """What the law is told: an array of one record."""
+        """The law's input: an array of one record."""
         return self._parts["motion"]
 
     @property
@@ -199,12 +193,12 @@ class Controller:
 
     @property
     def state(self) -> Records:
-        """What the law keeps: an array of one record."""
+        """The law's state and output: an array of one record."""
         return self._parts["state"]
 
     @property
     def live(self) -> Records:
-        """The changes of its parameters: an array of one record."""
+        """The changes of the law's parameters: an array of one record."""
         return self._parts["live"]
 
     def _new_law(self) -> Records:
@@ -318,7 +312,7 @@ class Controller:
         return control
 
     def _check_counts(self, c: ControlRecord) -> None:
-        """Refuse limits in radians that the encoder is too coarse for."""
+        """Refuse limits in radians for which the encoder is too coarse."""
         limits, rad_count = self.axis.limits, abs(float(c["rad_count"]))
         speed, travel = rad_count / self.axis.bus.period_s, limits.sign_check_counts * rad_count
         if speed >= limits.speed_rad_s:
@@ -330,7 +324,7 @@ class Controller:
             raise self.axis.mistake("limits.sign_check_counts", expected)
 
     def _set_tpdos(self, c: ControlRecord, pdos: tuple[RigPdo, ...]) -> None:
-        """Say which TPDOs are awaited, and which of them has the position."""
+        """Set the bit masks of the TPDOs: awaited ones, those by timer, and the one with the position."""
         tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"]
         c["rpdos"], c["tpdos"] = len(pdos) - len(tpdos), len(tpdos)
         for i, pdo in enumerate(tpdos):
@@ -341,7 +335,7 @@ class Controller:
         c["awaited"] = c["every_cycle"] or c["by_timer"]
 
     def _set_scales(self, c: ControlRecord) -> None:
-        """Set what a raw count of each role is; of one that is absent, what stands for it."""
+        """Set the scale of each role, and the substitutes of absent roles."""
         bound = self.axis.allocation.bound
         c["rad_count"] = bound["position"].scale
         c["motor_Nm_raw"] = bound["torque_setpoint"].scale
@@ -357,8 +351,9 @@ class Controller:
         c["brake_ramps"] = is_own("brake", told_identity(self.axis.description("brake")))
 
     def drive_limit_pm(self) -> int:
-        """Return the drive's own torque limit in per mille of the rated torque: of 6071h the host's
-        limit, of another set-point what it is in Nm.
+        """Return the torque limit for the drive, in per mille of the rated torque.
+
+        With set-point 6071h this is the host's limit; with another set-point it is converted from Nm.
         """
         setpoint = self.axis.allocation.bound["torque_setpoint"]
         limit = int(self.control["motor_limit_raw"][0])
@@ -368,9 +363,7 @@ class Controller:
         return math.ceil(limit * abs(setpoint.scale) / rated_Nm * 1000)
 
     def motor_limit_raw(self, motor_Nm_raw: float) -> int:
-        """Return the motor's torque limit in counts of its set-point (6071h: per mille), rounded
-        down.
-        """
+        """Return the motor's torque limit in counts of its set-point (6071h: per mille), rounded down."""
         limit = math.floor(motor_limit_Nm(self.axis, self.mode) / abs(motor_Nm_raw) + 1e-9)
         motor, entry = self.axis.description("motor"), self.axis.allocation.bound["torque_setpoint"].entry
         target = motor.variable(entry.index, entry.subindex)
@@ -402,24 +395,24 @@ class Controller:
         }
 
     def start(self, t_ns: int) -> None:
-        """Begin with the first cycle at `t_ns`; all nodes were heard just now."""
+        """Begin with the first cycle at `t_ns`; all nodes count as heard at that time."""
         h = self.host[0]
         h["next_ns"] = h["heartbeat_due_ns"] = h["guard_due_ns"] = t_ns
         self.host["heard_ns"], self.host["nmt"] = [t_ns] * MOST_DEVICES, [NmtState.OPERATIONAL] * MOST_DEVICES
         h["phase"] = Phase.STILL
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
-        """Ask for the safe state: the normal end of a run, or for the reason `trip`."""
+        """Request the safe state: the normal end of a run, or with the reason `trip`."""
         self.host["stop"] = max(1, int(trip))
 
     @property
     def phase(self) -> Phase:
-        """What the cycle is doing."""
+        """Phase of the cycle."""
         return Phase(int(self._phase[0]))
 
     @property
     def trip(self) -> str | None:
-        """Why the safe state was entered, in words, or None."""
+        """Text of the reason for the safe state, or None."""
         return trip_text(self.axis, self.control, self.host)
 
     @property

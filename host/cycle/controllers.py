@@ -1,5 +1,6 @@
-"""The controllers of all axes on one bus, on one array of AXIS records: what `host.cycle.axes` and
-the data plane work on.
+"""The controllers of all axes on one bus, on one array of AXIS records.
+
+`host.cycle.axes` and the data plane work on this array.
 """
 
 from __future__ import annotations
@@ -20,20 +21,18 @@ __all__ = ["Controllers", "unused_law"]
 
 
 def unused_law() -> LawFunction:
-    """Return a compiled law, for kernels that are called without a host and need an argument of its
-    type.
-    """
+    """Return a compiled law as an argument for kernels that are called without a host."""
     return load_law("coulomb")
 
 
 class Controllers:
-    """One `Controller` for each axis of `rig`, which all hang on one bus (`Rig.on`).
+    """One `Controller` for each axis of `rig`; all axes are on one bus (`Rig.on`).
 
     Attributes
     ----------
     each : tuple of Controller
-        They work on the rows of `axes`.
-    axes : array of AXIS; `control`, `host` and `rpdos` are views of its parts, the first index is
+        Each works on a row of `axes`.
+    axes : array of AXIS; `control`, `host` and `rpdos` are views of its parts, whose first index is
         the axis
     owner : int64 array of 2048, the axis of each identifier
     law_function : the compiled law, one for all axes
@@ -41,7 +40,7 @@ class Controllers:
     Raises
     ------
     coulombus.rigs.rig.RigError
-        the law, or a limit that the drive cannot take
+        the law cannot be loaded, or the drive cannot take a limit
     """
 
     def __init__(self, rig: Rig, mode: str) -> None:
@@ -50,7 +49,7 @@ class Controllers:
         self.rig, self.mode = rig, mode
         self.each = tuple(Controller(axis, mode) for axis in rig.axes)
         self.law_function = self.each[0].law_function
-        for controller in self.each[1:]:  # the first axis leads
+        for controller in self.each[1:]:  # the first axis sends SYNC and the heartbeat
             controller.control["sync_cob_id"] = -1
             controller.control["heartbeat_ns"] = 0
         self.owner = np.zeros(2048, np.int64)
@@ -59,18 +58,14 @@ class Controllers:
         self.adopt(new_records(AxisRecord, len(self.each)))
 
     def adopt(self, axes: AxisRecords) -> None:
-        """Go on in another array of the same shape, such as shared memory: the present state is
-        copied there.
-        """
+        """Move to another array of the same shape, such as shared memory; the present state is copied."""
         for k, controller in enumerate(self.each):
             axes[k : k + 1] = controller.records
             controller.records = axes[k : k + 1]
         self.axes = axes
 
     def rename(self, rig: Rig) -> None:
-        """Be the controllers of another rig, which differs from theirs in `rigs.axis.NO_DEVICES`
-        alone.
-        """
+        """Replace the rig by `rig`, which may differ only in `rigs.axis.NO_DEVICES`."""
         self.rig = rig
         for controller, axis in zip(self.each, rig.axes, strict=True):
             controller.axis = axis
@@ -82,7 +77,7 @@ class Controllers:
 
     @property
     def host(self) -> Records:
-        """What the cycle keeps of all axes."""
+        """State of the cycle of all axes."""
         return self.axes["host"]
 
     @property
@@ -106,23 +101,23 @@ class Controllers:
             controller.start(t_ns)
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
-        """Ask all axes for the safe state."""
+        """Request the safe state for all axes."""
         for controller in self.each:
             controller.stop(trip)
 
     @property
     def ending(self) -> bool:
-        """Whether an axis is in its safe state, or beyond."""
+        """Whether an axis is in its safe state or a later phase."""
         return any(controller.phase >= Phase.SAFE for controller in self.each)
 
     @property
     def safe(self) -> bool:
-        """Whether all axes are in their safe state, or beyond."""
+        """Whether all axes are in their safe state or a later phase."""
         return all(controller.phase >= Phase.SAFE for controller in self.each)
 
     @property
     def safe_ns(self) -> int | None:
-        """When the first axis entered its safe state; None while none has."""
+        """Time at which the first axis entered its safe state; None before."""
         return min((int(k.host["trip_ns"][0]) for k in self if k.phase >= Phase.SAFE), default=None)
 
     @property
@@ -132,21 +127,21 @@ class Controllers:
 
     @property
     def enabled_ns(self) -> int | None:
-        """When the last axis entered Operation Enabled; None while one is not."""
+        """Time at which the last axis entered Operation Enabled; None before."""
         at = [int(controller.host["enabled_ns"][0]) for controller in self.each]
         return None if min(at) < 0 else max(at)
 
     @property
     def arming_s(self) -> float:
-        """How long the slowest axis may take from the first cycle to Operation Enabled [s].
+        """Longest time of any axis from the first cycle to Operation Enabled [s].
 
-        It trips by itself when it takes longer.
+        An axis that takes longer trips.
         """
         return max(self._seconds(k, "still_timeout_cycles", "enable_timeout_cycles") for k in self)
 
     @property
     def ending_s(self) -> float:
-        """How long the slowest axis may take from its trip to the end of its brake's ramp [s]."""
+        """Longest time of any axis from its trip to the end of its brake's ramp [s]."""
         return max(self._seconds(k, "safe_longest_cycles") for k in self)
 
     @staticmethod
@@ -157,14 +152,15 @@ class Controllers:
 
     @property
     def sign_result(self) -> SignResult:
-        """Outcome of the sign check: of several axes, the one that leaves the most doubt."""
+        """Outcome of the sign check: of several axes, the worst."""
         return max(controller.sign_result for controller in self.each)
 
     @property
     def tripped(self) -> Controller | None:
-        """The axis that tripped first.
+        """The axis that tripped first; None if none did.
 
-        One that was stopped because of another only where that is on another bus.
+        An axis that tripped because of another axis (`Trip.OTHER_AXIS`) is returned only if no axis of this
+        bus has a reason of its own.
         """
         tripped = [k for k in self.each if k.host["trip"][0] != Trip.NONE]
         return min(
@@ -173,9 +169,7 @@ class Controllers:
 
     @property
     def trip(self) -> str | None:
-        """Why the safe state was entered, in words, with the axis where there are several; None
-        when it was not.
-        """
+        """Text of the reason for the safe state, with the axis' name in a rig of several axes, or None."""
         first = self.tripped
         if first is None:
             return None
@@ -183,11 +177,11 @@ class Controllers:
 
     @property
     def trip_ns(self) -> int:
-        """When the first axis tripped."""
+        """Time of the first trip; 0 without a trip."""
         first = self.tripped
         return 0 if first is None else int(first.host["trip_ns"][0])
 
     def counters(self) -> dict[str, int]:
-        """Return the cycles' counters, all axes together."""
+        """Return the cycles' counters, summed over all axes."""
         each = [controller.counters() for controller in self.each]
         return {name: sum(counters[name] for counters in each) for name in each[0]}

@@ -1,13 +1,13 @@
-r"""Live parameters, compiled: values of a law and of the compensation that change while it runs.
+r"""Live parameters, compiled: values of the law and of the compensation that change during a run.
 
-A change is an order: a whole record of values, and the number of cycles in which the axis goes
-there. Whoever asks writes it into the buffer that the step does not use, and then its number into
-``wanted``. The step looks at that number when a cycle begins, so an order takes effect between two
-cycles, whole. From the values :math:`p_0` of that moment each goes on a straight line,
+A change is an order: a full record of target values, and the duration of the transition in cycles. The
+writer fills the idle buffer, then publishes the order's number in ``wanted``. The step reads that number
+at the beginning of a cycle, so an order takes effect between two cycles, as a whole. From the present
+values :math:`p_0` each parameter follows a straight line,
 
 .. math:: p(k) = p_0 + (p_1 - p_0)\, k / n, \qquad k = 1 \dots n,
 
-and the last cycle has :math:`p_1` itself. A run that never gets an order computes nothing here.
+and is exactly :math:`p_1` in the last cycle. Without an order nothing is computed here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["follow", "offer"]
 
 
 def offer(live: LiveRecord, number: int, values: Any, cycles: int) -> None:
-    """Write order `number` into its buffer; it counts when `number` is in ``wanted``."""
+    """Write order `number` into its buffer; it takes effect when `number` is in ``wanted``."""
     order = live.offered[number & 1]
     order.value[:] = values
     order.cycles = cycles
@@ -29,7 +29,7 @@ def offer(live: LiveRecord, number: int, values: Any, cycles: int) -> None:
 
 @kernel
 def _take(axis: AxisRecord) -> None:
-    """Begin to follow the order that is wanted, from the values of now on."""
+    """Begin the transition from the present values to the newest order."""
     live, law = axis.live, axis.law
     order = live.offered[live.wanted & 1]
     live.first[Slot.K_P] = law.K_p
@@ -47,7 +47,7 @@ def _take(axis: AxisRecord) -> None:
 
 @kernel
 def _at(live: LiveRecord, slot: int) -> float:
-    """Return a value on its way."""
+    """Return a parameter's value in the present cycle of the transition."""
     if live.cycle >= live.cycles:
         return float(live.last[slot])
     return float(live.first[slot] + (live.last[slot] - live.first[slot]) * (live.cycle / live.cycles))
@@ -55,9 +55,9 @@ def _at(live: LiveRecord, slot: int) -> float:
 
 @kernel
 def follow(axis: AxisRecord) -> None:
-    """Go on by a cycle towards the order that is wanted.
+    """Advance the transition to the newest order by one cycle.
 
-    While the handle is stuck, another K_p keeps the force: :math:`x_{stuck}` moves with it.
+    While the handle is stuck, a change of K_p keeps the force: :math:`x_{stuck}` is shifted.
     """
     live, law, state = axis.live, axis.law, axis.state
     if live.wanted != live.taken:

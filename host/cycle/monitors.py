@@ -1,7 +1,6 @@
-"""What the host watches in every cycle: each function returns the trip that its doubt demands, or
-`Trip.NONE`.
+"""Per-cycle monitors, compiled: each returns a `Trip`, or `Trip.NONE`.
 
-Compiled and allocation-free. `c` is the CONTROL record of an axis, `h` its HOST record.
+No monitor allocates memory. `c` is the CONTROL record of an axis, `h` its HOST record.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ VOLTAGE_LOW_CYCLES = 2
 
 @kernel
 def measure(c: ControlRecord, h: HostRecord) -> int:
-    """Turn the process image into position, velocity (backward difference) and handle torque.
+    """Convert the process image to position, velocity (backward difference) and handle torque.
 
-    May trip on an encoder jump.
+    Return `Trip.ENCODER_JUMP` for an implausible step of the position.
 
-    The position is followed across its wrap, after 2**32 counts of 6064h. A stale position keeps
-    the last velocity's value and ages.
+    The position is unwrapped (6064h wraps after 2**32 counts). While it is stale, the velocity keeps its
+    last value and the position's age grows.
     """
     h.drive = STATE_OF_STATUSWORD[h.image[Image.STATUSWORD] & 0x7F]
     h.brake_drive = STATE_OF_STATUSWORD[h.image[Image.BRAKE_STATUSWORD] & 0x7F] if c.brake_is_drive else h.drive
@@ -54,10 +53,10 @@ def measure(c: ControlRecord, h: HostRecord) -> int:
 
 @kernel
 def _pushes_unasked(c: ControlRecord, h: HostRecord) -> bool:
-    """Tell whether the motor has given more torque than its commands of late explain, or in their
-    opposite sense, for `motor_mismatch_cycles`.
+    """Return whether the motor's measured torque has been outside the envelope of its recent commands for
+    more than `motor_mismatch_cycles`: too large, or in the opposite direction.
 
-    The commands' envelope decays to 0 with a drive's lag.
+    The envelope decays to 0 with the drive's lag.
     """
     h.commanded_high_Nm = max(h.torque_Nm, h.commanded_high_Nm * c.motor_lag_decay)
     h.commanded_low_Nm = min(h.torque_Nm, h.commanded_low_Nm * c.motor_lag_decay)
@@ -69,15 +68,15 @@ def _pushes_unasked(c: ControlRecord, h: HostRecord) -> bool:
 
 @kernel
 def watch_motion(c: ControlRecord, h: HostRecord) -> int:
-    """Watch speed, travel, the motor's net work and torque, the handle torque and the coil's heat."""
+    """Check speed, travel, the motor's net work and torque, the coil's heat and the handle torque."""
     v = h.v_counts * c.rad_count * 1e9 / c.period_ns
     if abs(v) > c.speed_limit:
         return Trip.SPEED
     if abs(h.counts * c.rad_count) > c.travel_rad:
         return Trip.TRAVEL
 
-    # net work of the motor on the handle, over a sliding window. The push of a law that stores has a
-    # sum of its own for each contact; it goes into the window as a whole when the contact ends.
+    # Net work of the motor on the handle, over a sliding window. The push of a law that stores energy is
+    # summed separately for each contact; the sum enters the window when the contact ends.
     torque = h.image[Image.TORQUE] * c.torque_Nm_raw + c.torque_commanded * h.torque_Nm
     way = h.moved_counts * c.rad_count if h.fresh else 0.0
     work = torque * way
@@ -100,14 +99,13 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
     if _pushes_unasked(c, h):
         return Trip.MOTOR_TORQUE
 
-    # I2t of the coil: a first-order lag of the squared current
+    # I2t of the coil: the squared current through a first-order lag
     current = h.image[Image.COIL_CURRENT] * c.coil_A_raw + c.coil_A_Nm * h.brake_Nm
     h.coil_A2 = current * current + (h.coil_A2 - current * current) * c.coil_decay
     if h.coil_A2 > c.coil_limit_A2:
         return Trip.COIL_I2T
 
-    # The hand's torque must be what brake, friction and motor make of it: exactly so in slip, at
-    # most so when stuck.
+    # In slip, the hand's torque equals the sum of brake, friction and motor; when stuck, it is at most that.
     expect(c, h)
     level = h.brake_lagged_Nm + c.friction_Nm
     if abs(h.v_counts) > c.velocity_band_counts:
@@ -121,7 +119,7 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
 
 @kernel
 def watch_devices(c: ControlRecord, h: HostRecord, t_ns: int) -> int:
-    """Watch TPDOs, EMCY, heartbeats, NMT states and the drive's supply."""
+    """Check EMCY, TPDOs, heartbeats, NMT states and the drive's supply."""
     if h.emcy != Trip.NONE:
         return h.emcy
     if h.missed_in_a_row >= c.missed_cycles or h.oldest_tpdo > c.missed_cycles:
@@ -140,7 +138,7 @@ def watch_devices(c: ControlRecord, h: HostRecord, t_ns: int) -> int:
 
 @kernel
 def watch_switch(c: ControlRecord, h: HostRecord) -> None:
-    """Look whether the dead man's switch is held, where it is an input of one of the devices."""
+    """Read the dead man's switch, if it is an input of a device."""
     if c.deadman_slot >= 0:
         switch = h.image[c.deadman_slot]
         held = switch != 0 if c.deadman_mask == 0 else switch & c.deadman_mask == c.deadman_mask
@@ -149,8 +147,8 @@ def watch_switch(c: ControlRecord, h: HostRecord) -> None:
 
 @kernel
 def watch(c: ControlRecord, h: HostRecord, jump: int, t_ns: int) -> int:
-    """Return the first doubt of this cycle: the encoder's (`jump`), the motion's, the devices', the
-    drive's, the switch's, others'.
+    """Return the first trip of this cycle, in this order: encoder (`jump`), motion, devices, drive state,
+    dead man's switch, stop requests.
     """
     trip = jump
     if trip == Trip.NONE:

@@ -1,6 +1,4 @@
-"""The largest outputs of motor and brake: what the rig file, the drive and the brake's object allow,
-and whose limit each is.
-"""
+"""The largest outputs of motor and brake, and the source of each limit: rig file, drive or brake's object."""
 
 from __future__ import annotations
 
@@ -23,13 +21,13 @@ HYBRID_MARGIN = 1.2
 
 
 def brake_limit_raw(axis: Axis) -> int:
-    """Return the largest set-point that the brake's object takes: the high limit of the EDS file,
-    or what its data type holds.
+    """Return the largest set-point of the brake's object: the high limit of the EDS file, or the largest
+    value of its data type.
     """
     setpoint = axis.allocation.bound["brake_setpoint"]
     entry = setpoint.entry
     variable = axis.description(setpoint.node).variable(entry.index, entry.subindex)
-    assert variable.whole is not None  # the rig's reader takes integers of at most 32 bits alone
+    assert variable.whole is not None  # the rig's reader accepts only integers of at most 32 bits
     most = int(variable.largest)
     least = variable.whole[0] if variable.low is None else int(variable.low)
     for raw, _ in setpoint.table:
@@ -40,25 +38,24 @@ def brake_limit_raw(axis: Axis) -> int:
 
 
 def brake_end_Nm(axis: Axis) -> float:
-    """Return the largest braking torque that the brake's object can say: that of its largest count,
-    or of its table's last point.
+    """Return the largest braking torque that the brake's object can express [Nm]: at its largest count, or
+    at its table's last point.
     """
     setpoint = axis.allocation.bound["brake_setpoint"]
     return setpoint.table[-1][1] if setpoint.table else float(brake_limit_raw(axis) * setpoint.scale)
 
 
 def law_pushes(axis: Axis) -> bool:
-    """Tell whether the axis' law is one of the project's own that pushes back in mode hybrid."""
+    """Return whether the axis' law is a built-in law that pushes back in mode hybrid."""
     own = BUILTIN_LAWS.get(axis.law.function.strip())
     return own is not None and own.pushes
 
 
 def motor_limit_Nm(axis: Axis, mode: str) -> float:
-    """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit
-    6072h is set to.
+    """Return the largest motor torque at the handle [Nm] in a mode; the drive's limit 6072h is set to it.
 
-    In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the
-    identified friction. Of a law that pushes, the rig file's limit is the limit.
+    In `hybrid` the motor only compensates friction, so the limit is at most 1.2 times the identified
+    friction. For a law that pushes, the rig file's limit holds.
     """
     limit = axis.mode[mode].motor_limit_Nm
     if mode != "hybrid" or law_pushes(axis):
@@ -67,7 +64,7 @@ def motor_limit_Nm(axis: Axis, mode: str) -> float:
 
 
 def motor_limit(axis: Axis, mode: str) -> tuple[float, str]:
-    """Return the motor's largest torque in a mode [Nm], and whose limit that is."""
+    """Return the motor's largest torque in a mode [Nm], and the source of this limit."""
     limit = motor_limit_Nm(axis, mode)
     if limit < axis.mode[mode].motor_limit_Nm:
         return limit, f"the motor in mode {mode} (1.2 x mechanics.friction_Nm)"
@@ -75,7 +72,7 @@ def motor_limit(axis: Axis, mode: str) -> tuple[float, str]:
 
 
 def brake_limit(axis: Axis) -> tuple[float, str]:
-    """Return the brake's largest torque [Nm], and whose limit that is."""
+    """Return the brake's largest torque [Nm], and the source of this limit."""
     setpoint, device_Nm = axis.allocation.bound["brake_setpoint"], brake_end_Nm(axis)
     if device_Nm >= axis.limits.brake_torque_Nm:
         return axis.limits.brake_torque_Nm, "limits.brake_torque_Nm"
@@ -92,5 +89,5 @@ def torque_step_Nm(axis: Axis) -> float:
 
 
 def scale_Nm(axis: Axis, key: str) -> float:
-    """Return the torque of one raw count of a signal [Nm]; less than that is rounding."""
+    """Return the torque of one raw count of a signal [Nm]; smaller differences are rounding."""
     return next(abs(signal.scale) for pdo in axis.pdos() for signal in pdo.signals if signal.key == key)

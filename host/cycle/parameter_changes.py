@@ -1,14 +1,13 @@
-"""Live parameters of a run: what may be changed while it displays, within which bounds, and what was
-changed.
+"""Live parameters of a run: the parameters that may change during it, their bounds, and their changes.
 
-`parameters_of` is the one table of them. A change goes through `LiveParameters.change`: it is
-refused as a whole, with the reason, or written as an order for the compiled step (`host.cycle.live_parameters`)
-and told as a marker,
+`parameters_of` is the only table of them. `LiveParameters.change` either refuses a change as a whole,
+with the reason, or writes it as an order for the compiled step (`host.cycle.live_parameters`). Each
+change is recorded as a marker,
 
     set F_s_Nm 3.5 -> 2 Nm in 0.5 s [1: F_s_Nm=0x1.c000000000000p+1>0x1.0000000000000p+1 in 500]
 
-whose brackets hold the order's number, every value to its last bit, and the number of cycles: with
-the cycle in which the order was taken (`recording.trace`) a replay does the same bit for bit.
+whose brackets hold the order's number, every value to its last bit, and the number of cycles. With
+the cycle in which the order was taken (`recording.trace`), a replay repeats it bit for bit.
 """
 
 from __future__ import annotations
@@ -45,52 +44,54 @@ __all__ = [
 ]
 
 OVER_S, LEAST_S, MOST_S = 0.5, 0.1, 60.0
-"""How long a change takes where nothing else is said, at least, and at most."""
+"""Default, shortest and longest duration of a change."""
 MARKER = "set "
 ORDER_TEXT = re.compile(r"set .* \[(\d+): (.+) in (\d+)\]")
 OF_MODE = {"K_p_Nm_rad": Slot.K_P, "F_s_Nm": Slot.F_S, "F_d_Nm": Slot.F_D}
 """Keys of [mode.NAME] that are parameters of a law."""
 TORQUES = ("F_s_Nm", "F_d_Nm")
-"""Those of them that say how much it displays."""
+"""Those of them that set the size of the displayed torque."""
 ANYTHING = math.inf, ""
 UNDONE = 1000
-"""Changes that can be undone."""
+"""Largest number of changes that can be undone."""
 
 Floats = npt.NDArray[np.float64]
 
 
 class ChangeRefused(HostError):
-    """A change is not made; the text says why."""
+    """A change was refused; the text gives the reason."""
 
     exit_status = 2
 
 
 class NotTaken(ChangeRefused):
-    """The step has not taken the last order: no cycle has begun since."""
+    """The step has not taken the last order, because no cycle has begun since."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value that may be changed: its name in the rig file, and between what."""
+    """A live parameter: its name in the rig file, its bounds and its value."""
 
     name: str
     unit: str
     slot: int
     scale: float
-    """The step's value is this times the parameter."""
+    """Factor from the parameter to the step's value."""
     low: float
     high: float
     above_low: bool
-    """Whether it must be more than `low`."""
+    """Whether the value must be above `low`."""
     whose: str
-    """Which limit `high` is."""
+    """Name of the limit that sets `high`."""
     value: float
-    """That of the rig file."""
+    """Value in the rig file."""
 
     @property
     def step(self) -> float:
-        """By how much a slider moves it: 1, 2 or 5 times a power of ten, at most a hundredth of what
-        is likely: to its bound, or to ten times the rig file's value where the bound is far away.
+        """Step of a slider: 1, 2 or 5 times a power of ten, at most a hundredth of the likely range.
+
+        The likely range ends at the upper bound, or at ten times the rig file's value if the bound is far
+        above.
         """
         likely = 10 * self.value if 0 < 20 * self.value < self.high else self.high - max(self.low, 0.0)
         exponent = math.floor(math.log10(likely / 100)) if likely > 0 else -2
@@ -102,7 +103,7 @@ class Parameter:
         )
 
     def why_not(self, value: float) -> str | None:
-        """Return why it cannot be `value`; None where it can."""
+        """Return the reason why `value` is refused; None if it is allowed."""
         right = self.low < value if self.above_low else self.low <= value
         if math.isfinite(value) and right and value <= self.high:
             return None
@@ -112,11 +113,11 @@ class Parameter:
 
 
 def parameters_of(controller: Controller) -> tuple[Parameter, ...]:
-    """Return the live parameters of an axis: the numbers of its law that have a range, those of the
-    mode or those that the law names, and the compensation.
+    """Return the live parameters of an axis: the law's numeric parameters that have a range (those of the
+    mode, or those that the law names), and the compensation.
 
-    Bounds are those of the rig file's key. What says how much the law displays is bounded by what
-    shows it, too: the motor in mode active, else the brake.
+    Bounds are those of the rig file's key. A parameter that sets the size of the torque is also bounded by
+    the actuator that displays it: the motor in mode active, else the brake.
     """
     axis, mode, law = controller.axis, controller.mode, controller.declaration
     motor_Nm, motor_whose = motor_limit(axis, mode)
@@ -147,12 +148,12 @@ def _parameter(section: Section, name: str, slot: int, end: tuple[float, str], s
         low = float(getattr(bound, "gt", getattr(bound, "ge", low)))
         high = float(getattr(bound, "le", high))
     high, whose = min((high, "the rig file's range"), end)
-    present = float(getattr(section, name))  # `check_demand` lets less than a count pass
+    present = float(getattr(section, name))  # `check_demand` permits an excess below one count
     return Parameter(name, unit_of(name), slot, scale, low, max(high, present), above, whose, present)
 
 
 class Changed(NamedTuple):
-    """One value of a change."""
+    """Old and new value of a parameter in a change."""
 
     name: str
     unit: str
@@ -162,7 +163,7 @@ class Changed(NamedTuple):
 
 @dataclass(frozen=True)
 class Change:
-    """A change that was made: which order it is, of which axis, and what became what."""
+    """An accepted change: its order's number, its axis, and the old and new values."""
 
     number: int
     axis: str
@@ -174,7 +175,7 @@ class Change:
 
     @property
     def marker(self) -> str:
-        """The marker, which has all that a replay needs."""
+        """The change's marker, from which a replay repeats it."""
         names = [f"{self.axis}.{value.name}" if self.axis else value.name for value in self.values]
         shown = ", ".join(
             f"{name} {value.old:g} -> {value.new:g} {value.unit}".rstrip()
@@ -193,7 +194,7 @@ class Change:
 
 
 class _Axis:
-    """The live parameters of one axis, and where each is or goes."""
+    """The live parameters of one axis, with their target values."""
 
     def __init__(self, controller: Controller) -> None:
         self.controller, self.name = controller, controller.axis.name
@@ -202,16 +203,14 @@ class _Axis:
         self.number = 0
 
     def order(self, values: Mapping[str, float]) -> Floats:
-        """Return the whole record of an order by which `values` are wanted, and all else as it is
-        wanted now.
-        """
+        """Return the full record of an order: `values`, and the present targets of all other parameters."""
         order = self._present()
         for name, parameter in self.table.items():
             order[parameter.slot] = values.get(name, self.value[name]) * parameter.scale
         return order
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the parameters that the law has, as plain values; `now`: on the way there."""
+        """Return the law's parameters as plain values; `now` is the value during a transition."""
         present = self._present()
         return [
             {
@@ -231,13 +230,13 @@ class _Axis:
         ]
 
     def _present(self) -> Floats:
-        """Return the values by which the step goes now, in the order of `Slot`."""
+        """Return the values that the step uses now, in the order of `Slot`."""
         law, c = self.controller.law[0], self.controller.control[0]
         return np.array([law["K_p"], law["F_s"], law["F_d"], c["compensation_Nm"], *law["user"]], np.float64)
 
 
 class LiveParameters:
-    """What may be changed of a run's axes, and what was."""
+    """The live parameters of all axes of a run, and their changes."""
 
     def __init__(self, controllers: Controllers) -> None:
         self._axes = tuple(_Axis(controller) for controller in controllers)
@@ -250,18 +249,20 @@ class LiveParameters:
         return [axis.rows() for axis in self._axes]
 
     def change(self, values: Mapping[str, float], axis: str = "", over_s: float = OVER_S) -> Change:
-        """Write the order by which an axis goes to other values in so many seconds; whoever runs
-        the cycle lets the step want it.
+        """Write the order that brings an axis to other values within `over_s`.
+
+        The caller publishes the order's number to the step.
 
         Parameters
         ----------
         values : name -> value; a name may lack its unit ("F_s")
-        axis : of a rig that has several
+        axis : name of the axis, in a rig with several axes
+        over_s : duration of the transition [s]
 
         Raises
         ------
         ChangeRefused
-            nothing is changed; the text says why
+            nothing is changed; the text gives the reason
         """
         index = self._index(axis)
         chosen = self._axes[index]
@@ -278,12 +279,12 @@ class LiveParameters:
         return change
 
     def undo(self, over_s: float = OVER_S) -> Change:
-        """Write the order that takes the last change back; again for the one before it.
+        """Write the order that undoes the last change; a repeated call undoes the change before it.
 
         Raises
         ------
         ChangeRefused
-            nothing is left to take back, or as `change`
+            no change is left to undo, or as `change`
         """
         if not self._made:
             raise ChangeRefused("there is no change to undo")
@@ -298,7 +299,7 @@ class LiveParameters:
         axis = self._axes[index]
         if not LEAST_S <= over_s <= MOST_S:
             raise ChangeRefused(f"within {over_s:g} s: expected {LEAST_S:g} to {MOST_S:g} s")
-        if not undo:  # back to what was right before
+        if not undo:  # the old values were accepted before
             reasons = (axis.table[name].why_not(value) for name, value in goals.items())
             reason = next(filter(None, reasons), None) or _pairs(axis, {**axis.value, **goals}, goals)
             if reason is not None:
@@ -314,8 +315,8 @@ class LiveParameters:
         return Change(number, axis.name, index, values, over_s, cycles, undo)
 
     def _gentle_s(self, axis: _Axis, goals: Mapping[str, float], old: Mapping[str, float]) -> float:
-        """Return how long a torque that becomes less takes to fall at the safe state's rate [s]: a hand
-        may lean on it.
+        """Return the shortest duration of a falling torque [s], at the safe state's rate: a hand may lean
+        on it.
         """
         falls = [old[name] - value for name, value in goals.items() if axis.table[name].unit == "Nm"]
         rate_Nm_s = float(axis.controller.control["release_Nm"][0]) / self._period_s
@@ -340,7 +341,7 @@ def _short(name: str) -> str:
 
 
 def _name(given: str, axis: _Axis) -> str:
-    """Return the parameter that is meant: its name, with or without the unit."""
+    """Return the full name of a parameter that is given with or without its unit."""
     names, short = list(axis.table), {_short(name): name for name in axis.table}
     if given in names:
         return given
@@ -353,7 +354,9 @@ def _name(given: str, axis: _Axis) -> str:
 
 
 def _pairs(axis: _Axis, values: Mapping[str, float], goals: Mapping[str, float]) -> str | None:
-    """Return why values do not go together; None where they do, or where none of them is asked for."""
+    """Return the reason why values are inconsistent; None if they are consistent, or `goals` has none of
+    them.
+    """
     law = axis.controller.declaration
     relations = [("F_s_Nm", "F_d_Nm", False)] if law is None or law.uses_mode_keys else []
     if law is not None:
@@ -378,7 +381,7 @@ def _pairs(axis: _Axis, values: Mapping[str, float], goals: Mapping[str, float])
 
 
 class ParameterOrder(NamedTuple):
-    """An order, as a recording's marker has it; `axis` counts from 0."""
+    """An order from a recording's marker; `axis` counts from 0."""
 
     axis: int
     values: Floats
@@ -386,12 +389,12 @@ class ParameterOrder(NamedTuple):
 
 
 def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, ParameterOrder]:
-    """Return the orders that a recording's markers tell, by their numbers, for new `controllers`.
+    """Return the orders in a recording's markers, by their numbers, for new `controllers`.
 
     Raises
     ------
     ChangeRefused
-        a marker names a parameter or an axis that these do not have
+        a marker names a parameter or an axis that the controllers do not have
     """
     axes = {axis.name: (index, axis) for index, axis in enumerate(map(_Axis, controllers))}
     orders = {}

@@ -1,9 +1,8 @@
-"""The phases of the cycle, compiled: what arms the rig, what the law's torque becomes, and how it
-is made safe.
+"""The phases of the cycle, compiled: arming, display of the law, and safe state.
 
-One function a phase: it does what the phase does in one cycle, and returns the motor's torque [Nm]
-before the limits, and the phase that follows. `host.cycle.transitions` has the table of what
-follows when. `enter` does what the beginning of a phase needs.
+Each phase has one function. It runs one cycle of the phase, and returns the motor's torque [Nm] before
+the limits and the next phase. `host.cycle.transitions` has the table of transitions and their
+conditions. `enter` initialises a phase.
 
     c : the CONTROL record of an axis        h : its HOST record        axis : the `AxisRecord`, which holds both and the law
 """
@@ -48,8 +47,8 @@ __all__ = [
 
 STILL_COUNTS = 1
 SIGN_TRAVEL_FACTOR = 4  # the ramp ends at this multiple of the counts that the encoder's verdict needs
-SETTLE_STEPS = 5.0  # the sign check's torque is taken back so many times as fast as it came
-DISABLE_CYCLES = 100  # how long a drive may take to say that it is disabled
+SETTLE_STEPS = 5.0  # the sign check's torque falls this many times as fast as it rose
+DISABLE_CYCLES = 100  # longest wait for the drive to report that it is disabled
 
 
 @kernel
@@ -67,7 +66,7 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
     if phase == Phase.SIGN:
         h.sign_direction = 1
         h.sign_moved = 0
-    elif phase == Phase.RUN:  # stuck where the handle is, the gain at 0
+    elif phase == Phase.RUN:  # stuck at the handle's position, with gain 0
         state.stuck = 1
         state.x_stuck = h.counts * c.rad_count
         state.psi_Nm = 0.0
@@ -85,10 +84,10 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
 
 @kernel
 def trip_to_safe(c: ControlRecord, h: HostRecord, trip: int, t_ns: int) -> None:
-    """Go to the safe state; only the first reason counts.
+    """Enter the safe state; only the first reason counts.
 
-    The brake begins with the torque that the hand feels: its own, as expected behind its lags, and
-    in mode active what the motor displayed.
+    The brake begins with the torque that the hand feels: the brake's own torque, as expected behind its
+    lags, and in mode active also the motor's.
     """
     if h.phase >= Phase.SAFE:
         return
@@ -105,14 +104,14 @@ def trip_to_safe(c: ControlRecord, h: HostRecord, trip: int, t_ns: int) -> None:
 
 @kernel
 def _refuse(h: HostRecord, trip: int) -> tuple[float, int]:
-    """Leave a phase for the safe state, for the reason `trip`."""
+    """Leave the phase for the safe state, with the reason `trip`."""
     h.trip = trip
     return 0.0, Phase.SAFE
 
 
 @kernel
 def count_still(h: HostRecord) -> None:
-    """Count the cycles for which the handle has been still."""
+    """Count the cycles in a row in which the handle is still."""
     if not h.fresh or abs(h.counts - h.reference_counts) > STILL_COUNTS:
         h.reference_counts = h.counts
         h.still = 0
@@ -122,7 +121,7 @@ def count_still(h: HostRecord) -> None:
 
 @kernel
 def still(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
-    """STILL: wait, switched on and without torque, until the handle has been still and little
+    """STILL: wait without torque, with the drive switched on, until the handle has been still and not
     loaded for long enough.
     """
     count_still(h)
@@ -148,8 +147,9 @@ def still(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
 
 @kernel
 def enable(c: ControlRecord, h: HostRecord, t_ns: int) -> tuple[float, int]:
-    """ENABLE: wait until the drive says that it is enabled, and a brake with power states, too; a
-    mode with a motor goes on with the sign check.
+    """ENABLE: wait until the drive, and a brake with power states, report Operation Enabled.
+
+    A mode with a motor continues with the sign check.
     """
     if h.drive == PowerState.OPERATION_ENABLED and h.brake_drive == PowerState.OPERATION_ENABLED:
         h.enabled_ns = t_ns
@@ -162,16 +162,16 @@ def enable(c: ControlRecord, h: HostRecord, t_ns: int) -> tuple[float, int]:
 
 @kernel
 def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
-    """SIGN: ramp a small motor torque until the handle moves: the encoder must count with it, the
-    hand must resist.
+    """SIGN: ramp a small motor torque until the handle moves; the encoder must count in its direction, and
+    the hand must resist.
 
-    The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that. A handle
-    that is fast by then has its torque taken back. The hand's mean torque over `sign_hand_cycles`
-    (a tremor's period) tells the transducer's sign. The positive sense is tried first. A hand that
-    rests on the handle may hold it by friction against that; then the negative sense is tried, and
-    nothing that moves before the torque has turned its sign is evidence.
+    The encoder's sign is decided at `sign_counts`; the ramp continues to a few times that. If the handle
+    is fast by then, the torque is reduced. The hand's mean torque over `sign_hand_cycles` (a tremor's
+    period) decides the transducer's sign. The positive direction is tried first. A hand that rests on the
+    handle may hold it by friction; then the negative direction is tried. Motion before the torque has
+    changed its sign is not counted.
     """
-    u = h.torque_Nm * h.sign_direction  # torque in the sense that is tried
+    u = h.torque_Nm * h.sign_direction  # torque in the direction that is tried
     if u < 0.0:
         h.reference_counts = h.counts
     moved = (h.counts - h.reference_counts) * h.sign_direction
@@ -184,7 +184,7 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     limit = min(c.sign_torque_Nm, c.motor_limit_raw * abs(c.motor_Nm_raw))
     if moved < SIGN_TRAVEL_FACTOR * c.sign_counts:
         u = min(u + c.sign_step_Nm, limit)
-    elif abs(h.v_counts) > c.release_counts:  # a light handle that nobody holds would run away
+    elif abs(h.v_counts) > c.release_counts:  # a light handle without a hand would run away
         u = max(u - SETTLE_STEPS * c.sign_step_Nm, 0.0)
     if moved < c.sign_counts:
         h.handle_during_Nm = 0.0
@@ -212,7 +212,7 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
 
 @kernel
 def settle(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
-    """SETTLE: take the sign check's torque back, and wait until the handle is still."""
+    """SETTLE: ramp the sign check's torque to 0, and wait until the handle is still."""
     count_still(h)
     torque_Nm = max(abs(h.torque_Nm) - SETTLE_STEPS * c.sign_step_Nm, 0.0) * h.sign_direction
     if torque_Nm == 0.0 and h.still >= c.settle_cycles:
@@ -224,13 +224,13 @@ def settle(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
 
 @kernel
 def split_law(axis: AxisRecord) -> float:
-    """Split the law by mode: the brake bears it, or the motor shows it; in hybrid the motor shows
-    what the law has for it, a push that a brake cannot give.
+    """Split the law's output between brake and motor; return the motor's torque [Nm].
 
-    The motor compensates the inherent friction in slip, as far as the balance at the hand's port
-    allows; what it must not give, the brake bears.
+    In active the motor displays the law; in passive and hybrid the brake does. In hybrid the motor also
+    displays `state.motor_Nm`, the part that a brake cannot produce.
 
-    Returns the motor's torque [Nm].
+    In slip the motor compensates the inherent friction, as far as the passivity observer allows. The
+    withheld part of the compensation is added to the brake's set-point.
     """
     c, h = axis.control, axis.host
     h.gain = min(h.gain + c.gain_step, 1.0)
@@ -276,7 +276,7 @@ def split_law(axis: AxisRecord) -> float:
 
 @kernel
 def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, int]:
-    """RUN: ask the law, and split what it returns between motor and brake."""
+    """RUN: evaluate the law, and split its output between motor and brake."""
     c, h, motion, state = axis.control, axis.host, axis.motion, axis.state
     motion.x_rad = h.counts * c.rad_count
     slide_velocity(c, h)
@@ -308,12 +308,12 @@ def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, 
 
 @kernel
 def safe(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
-    """SAFE: no motor torque; release the brake as slowly as a loaded hand needs it.
+    """SAFE: no motor torque; release the brake slowly enough for a loaded hand.
 
     The set-point falls by at most `release_Nm` a cycle, and pauses while the handle is faster than
-    `release_counts`. A transducer that nobody doubts makes it gentler: once the set-point is near the
-    load, it falls to 0 in all of the time that is left; where there is no load, by `unloaded_Nm`. A
-    line that falls at the first rate to 0 at `safe_longest_cycles` bounds it, so a hand is free by
+    `release_counts`. A valid transducer signal refines this: once the set-point is near the load, it
+    falls to 0 over the whole remaining time; without a load it falls by `unloaded_Nm` a cycle. An upper
+    bound falls by `release_Nm` a cycle and reaches 0 at `safe_longest_cycles`, so the hand is free by
     then.
     """
     left = c.safe_longest_cycles - h.phase_cycle
@@ -323,7 +323,7 @@ def safe(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     if believed and load_Nm <= c.still_handle_Nm:
         fall_Nm = c.unloaded_Nm
     elif believed and h.brake_Nm <= load_Nm + c.still_handle_Nm:
-        fall_Nm = h.brake_Nm / (left + 1)  # no more than release_Nm: the line holds it below that
+        fall_Nm = h.brake_Nm / (left + 1)  # at most release_Nm, because of the upper bound below
     elif h.fresh and abs(h.v_counts) > c.release_counts:
         fall_Nm = 0.0
     h.brake_Nm = max(min(h.brake_Nm - fall_Nm, c.release_Nm * left), 0.0)
@@ -332,7 +332,7 @@ def safe(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
 
 @kernel
 def disable(h: HostRecord) -> tuple[float, int]:
-    """DISABLE: no torque; wait until the drive says that it is disabled, but not for ever."""
+    """DISABLE: no torque; wait until the drive reports that it is disabled, at most `DISABLE_CYCLES`."""
     h.brake_Nm = 0.0
     motor = h.drive == PowerState.SWITCH_ON_DISABLED or h.drive == PowerState.FAULT
     brake = h.brake_drive == PowerState.SWITCH_ON_DISABLED or h.brake_drive == PowerState.FAULT
@@ -342,9 +342,9 @@ def disable(h: HostRecord) -> tuple[float, int]:
 
 @kernel
 def _act(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, int]:
-    """Do what the present phase does in a cycle, its controlword included.
+    """Run one cycle of the present phase, and set its controlword.
 
-    Return the motor's torque [Nm] and the phase that follows.
+    Return the motor's torque [Nm] and the next phase.
     """
     c, h = axis.control, axis.host
     h.image[Image.CONTROLWORD] = CONTROLWORDS[h.phase, h.drive]
@@ -369,10 +369,10 @@ def _act(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float,
 
 @kernel
 def advance(axis: AxisRecord, law_function: LawFunction, doubt: int, t_ns: int) -> float:
-    """Bring the axis' phase on by a cycle; return the motor's torque [Nm] before the limits.
+    """Advance the axis' phase by one cycle; return the motor's torque [Nm] before the limits.
 
-    A doubt (or the wish to stop) makes the axis safe in this very cycle, whether a watch has it or
-    the phase itself; only the first reason counts.
+    A trip of a monitor (`doubt`) or of the phase itself, or a stop request, makes the axis safe in the
+    same cycle. Only the first reason counts.
     """
     c, h = axis.control, axis.host
     if doubt != Trip.NONE or h.stop != 0:

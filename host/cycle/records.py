@@ -1,7 +1,6 @@
-"""The host's compiled records: limits and scales (`CONTROL`), the process image, and what the cycle
-keeps (`HOST`).
+"""The host's compiled records: limits and scales (CONTROL), and the cycle's state (HOST) with the process image.
 
-Everything here is SI at the handle, except where a name says counts, raw or pm (per mille of the
+All values are in SI units at the handle, except where a name says counts, raw or pm (per mille of the
 motor's rated torque).
 """
 
@@ -42,21 +41,21 @@ __all__ = [
 
 
 class Phase(IntEnum):
-    """What the cycle is doing; each phase leads to the next one, and any failed check leads to SAFE."""
+    """Phase of the cycle: each phase leads to the next, and any failed check leads to SAFE."""
 
     OFF = 0  # outputs zero, controlword "disable voltage"
     STILL = 1  # drive switched on; the handle must be still before anything else
     ENABLE = 2  # controlword "enable operation" until the drive says so
-    SIGN = 3  # a small torque ramp: do motor, encoder and transducer agree?
+    SIGN = 3  # a small torque ramp checks that motor, encoder and transducer agree on the sign
     SETTLE = 4  # torque back to zero, still again
-    RUN = 5  # the law; its gain ramps in
+    RUN = 5  # the law is displayed; its gain ramps in
     SAFE = 6  # motor torque 0 and controlword "disable voltage"; the brake is released
-    DISABLE = 7  # brake off; until the drive says that it is disabled
-    DONE = 8  # nothing more to do; outputs zero
+    DISABLE = 7  # brake off; waits until the drive reports that it is disabled
+    DONE = 8  # the run has ended; outputs zero
 
 
 class Trip(IntEnum):
-    """Why the host went to its safe state, or refused to arm. 0: it did not."""
+    """Reason for the safe state or for a refusal to arm; 0: none."""
 
     NONE = 0
     SPEED = 1
@@ -101,11 +100,11 @@ class SignResult(IntEnum):
     NOT_RUN = 0
     AGREED = 1  # motor, encoder and transducer agree
     REFUSED = 3  # motor, encoder or transducer disagreed, or nothing moved
-    NO_HAND = 2  # motor and encoder agree; nothing held the handle, so the transducer could not be judged
+    NO_HAND = 2  # motor and encoder agree; no hand held the handle, so the transducer could not be checked
 
 
 class Image(IntEnum):
-    """Slots of the process image: raw values as they stand in the PDOs."""
+    """Slots of the process image: raw values of the PDOs."""
 
     CONTROLWORD = 0
     TARGET_TORQUE = 1
@@ -120,287 +119,287 @@ class Image(IntEnum):
     DEADMAN = 10
     BRAKE_STATUSWORD = 11
     BRAKE_CONTROLWORD = 12
-    CONSTANT = 16  # here and behind: what RPDOs carry beside what the host commands
+    CONSTANT = 16  # from here on: constants that the RPDOs carry besides the host's commands
 
 
 IMAGE_SLOTS = Image.CONSTANT + MOST_CONSTANTS
 TRACK = WINDOW_CYCLES
-"""Positions that the estimate of a slow velocity looks back at, at most."""
+"""Largest number of positions in the window of the slow-velocity estimate."""
 ASKED = MOST_DELAY_CYCLES - 1
-"""Cycles for which what the law asks for is held back, at most."""
+"""Largest number of cycles for which the law's output is held back."""
 KINETIC_CYCLES = 4
-"""Cycles of whose kinetic energies the observer takes the largest and the smallest."""
+"""Number of cycles over which the passivity observer takes the largest and the smallest kinetic energy."""
 DRIVE_PDOS = MOST_PDOS
-"""PDOs that the host's tables have room for, each way."""
+"""Size of the host's PDO tables, for each direction."""
 
 
 class ControlRecord(Record):
     """Limits and scales of an axis."""
 
-    period_ns: int  # of SYNC
-    window_ns: int  # SYNC to the last TPDO
-    sync_cob_id: int  # SYNC's identifier; -1: another axis leads
-    host_id: int  # the host's own node id
-    nodes: int  # motor, brake, sensors
-    node_id: Annotated[IntegerField, MOST_DEVICES]  # of each node
-    emcy_id: Annotated[IntegerField, MOST_DEVICES]  # identifier of each node's EMCYs
-    heartbeat_timeout_ns: Annotated[IntegerField, MOST_DEVICES]  # of each node; 0: not watched
-    heartbeat_ns: int  # period of the host's heartbeat; 0: it has none
-    guard_ns: int  # period of the remote frames by which the host guards; 0: it guards no node
-    guarded: int  # a bit for each node that is guarded
-    rpdos: int  # number of PDOs the host sends
-    tpdos: int  # number of PDOs it waits for
-    every_cycle: int  # bits of the TPDOs that come in each cycle
-    awaited: int  # bits of those whose arrival ends the wait: these, or all where there are none
-    by_timer: int  # bits of the others
-    position_mask: int  # the bit of the TPDO that carries the position
-    position_half: int  # half the counts after which it wraps
+    period_ns: int  # period of SYNC
+    window_ns: int  # time from SYNC to the end of the wait for TPDOs
+    sync_cob_id: int  # identifier of SYNC; -1: another axis sends SYNC
+    host_id: int  # node id of the host
+    nodes: int  # number of nodes: motor, brake, sensors
+    node_id: Annotated[IntegerField, MOST_DEVICES]  # node id of each node
+    emcy_id: Annotated[IntegerField, MOST_DEVICES]  # identifier of each node's EMCY
+    heartbeat_timeout_ns: Annotated[IntegerField, MOST_DEVICES]  # heartbeat time-out of each node; 0: not monitored
+    heartbeat_ns: int  # period of the host's heartbeat; 0: no heartbeat
+    guard_ns: int  # period of node guarding by remote frames; 0: no node is guarded
+    guarded: int  # one bit for each guarded node
+    rpdos: int  # number of RPDOs that the host sends
+    tpdos: int  # number of TPDOs that the host receives
+    every_cycle: int  # bits of the TPDOs sent in each cycle
+    awaited: int  # bits of the TPDOs that end the wait: those of each cycle, or all if there are none
+    by_timer: int  # bits of the TPDOs sent on an event timer
+    position_mask: int  # bit of the TPDO that carries the position
+    position_half: int  # half the number of counts after which the position wraps
     motor_active: int  # 1: the motor displays the law (mode active)
     brake_active: int  # 1: the brake displays the law (modes passive, hybrid)
-    is_hybrid: int  # 1: the motor displays the law's part for it (mode hybrid)
-    brake_is_drive: int  # 1: the brake has power states of its own
-    brake_ramps: int  # 1: its driver ramps it off by itself when set-points end
+    is_hybrid: int  # 1: the motor displays `LawStateRecord.motor_Nm` (mode hybrid)
+    brake_is_drive: int  # 1: the brake is a CiA 402 drive with power states
+    brake_ramps: int  # 1: the brake's driver ramps the brake off when set-points end
     # scales
     rad_count: float  # signed by the encoder's polarity
-    motor_Nm_raw: float  # torque at the handle of one count of the set-point (6071h: per mille), signed
-    torque_Nm_raw: float  # of the measured torque; 0: not measured
-    torque_commanded: float  # 1: the command stands for it
-    handle_Nm_raw: float  # of the handle's torque transducer, signed; 0: there is none
-    handle_offset_Nm: float  # what the transducer shows without a load
-    brake_Nm_raw: float  # with a table, of its last step
-    brake_points: int  # of the table; 0: a factor
-    brake_raw_at: Annotated[FloatField, TABLE_POINTS]  # the set-points of the table, ascending ...
-    brake_Nm_at: Annotated[FloatField, TABLE_POINTS]  # ... and the torques that they give
-    coil_A_raw: float  # 0: not measured
-    coil_A_Nm: float  # the command stands for it; 0: it is measured
+    motor_Nm_raw: float  # torque at the handle of one count of the motor's set-point (6071h: per mille), signed
+    torque_Nm_raw: float  # torque of one count of the measured torque; 0: not measured
+    torque_commanded: float  # 1: the commanded torque replaces the measured torque
+    handle_Nm_raw: float  # torque of one count of the handle's transducer, signed; 0: no transducer
+    handle_offset_Nm: float  # transducer torque at raw value 0
+    brake_Nm_raw: float  # torque of one count of the brake's set-point; with a table: in its last segment
+    brake_points: int  # number of points of the brake's table; 0: a factor
+    brake_raw_at: Annotated[FloatField, TABLE_POINTS]  # set-points of the table, ascending
+    brake_Nm_at: Annotated[FloatField, TABLE_POINTS]  # torques of the table
+    coil_A_raw: float  # current of one count; 0: not measured
+    coil_A_Nm: float  # coil current per commanded torque, where it is not measured; 0: it is measured
     # compensation of the inherent friction
-    friction_Nm: float  # the device's own Coulomb friction, as believed
-    compensation_Nm: float  # what the motor gives against it
-    viscous: float  # Nms/rad, compensated, too
+    friction_Nm: float  # modelled Coulomb friction of the device
+    compensation_Nm: float  # motor torque that compensates the Coulomb friction
+    viscous: float  # viscous friction [Nms/rad]
     velocity_band_counts: float  # Delta v, in encoder counts a cycle
-    slide_band_counts: float  # the band of the estimate over `window_cycles`
-    gain_step: float  # a cycle
-    delay_cycles: int  # from sampling to actuation; beyond 1 the host holds back what the law asks for
-    # what the hand feels (`host.cycle.slow_velocity`, `host.cycle.brake_model`, `host.cycle.passivity`)
-    window_cycles: int  # of the estimate of a slow velocity; 1: a backward difference
-    level_is_felt: int  # 1: the law says what the hand feels, and not what the brake bears
-    inertia: float  # kg m2, of the handle with the motor
-    coil_step: float  # share of the way that the coil goes in a cycle, as believed; 0: no lead
-    fluid_step: float  # the same share for the fluid
-    iron_plays: int  # play operators of the brake's iron, as believed; 0: it has no hysteresis
-    iron_r: Annotated[FloatField, MOST_PLAYS]  # thresholds of the play operators [Nm] ...
-    iron_w: Annotated[FloatField, MOST_PLAYS]  # ... and their weights
-    iron_direct: float  # weight of the coil itself
-    passivity_J: float  # inf: the motor's compensation is not observed
+    slide_band_counts: float  # velocity band of the estimate over `window_cycles`, in counts a cycle
+    gain_step: float  # increase of the gain in a cycle
+    delay_cycles: int  # cycles from sampling to actuation; above 1 the host holds back the law's output
+    # corrections between law and brake (`host.cycle.slow_velocity`, `host.cycle.brake_model`, `host.cycle.passivity`)
+    window_cycles: int  # longest window of the slow-velocity estimate; 1: backward difference
+    level_is_felt: int  # 1: the law gives the level at the hand; 0: the level of the brake
+    inertia: float  # inertia of handle and motor [kg m2]
+    coil_step: float  # modelled step of the coil's lag in a cycle, as a share of the remaining error; 0: no lag
+    fluid_step: float  # the same for the fluid's lag
+    iron_plays: int  # number of play operators in the model of the brake's iron; 0: no hysteresis
+    iron_r: Annotated[FloatField, MOST_PLAYS]  # thresholds of the play operators [Nm]
+    iron_w: Annotated[FloatField, MOST_PLAYS]  # weights of the play operators
+    iron_direct: float  # weight of the coil's torque itself
+    passivity_J: float  # energy at which the passivity observer begins to reduce the compensation; inf: no observer
     # limits
-    motor_limit_raw: int  # in counts of the set-point; of 6071h the same number as the drive's 6072h
-    motor_rate_Nm: float  # a cycle
+    motor_limit_raw: int  # in counts of the set-point; for 6071h the same number as the drive's 6072h
+    motor_rate_Nm: float  # largest change of the motor's torque in a cycle
     brake_limit_Nm: float  # the rig file's limit or the device's, whichever is less
-    brake_limit_raw: int  # what its object takes at most
-    brake_fall_Nm: float  # by which the law's set-point may fall in a cycle
-    clipped_cycles: int  # so many more clipped than unclipped cycles of the law trip
+    brake_limit_raw: int  # largest value of the brake's set-point object
+    brake_fall_Nm: float  # largest fall of the law's set-point in a cycle
+    clipped_cycles: int  # excess of clipped over unclipped cycles above which the host trips
     speed_limit: float  # rad/s
-    jump_counts: int  # more in a cycle is no motion
-    net_work_J: float  # that the motor may give within the window
+    jump_counts: int  # largest plausible motion in a cycle
+    net_work_J: float  # largest net work of the motor within the window
     net_work_cycles: int  # length of that window
-    stores: int  # 1: the law gives back what the hand has put into it, as a spring does
-    travel_rad: float  # inf: unlimited
-    motor_mismatch_Nm: float  # measured torque beyond the command; inf: not measured
-    motor_mismatch_cycles: int  # so many in a row trip
-    motor_lag_decay: float  # a cycle, of the command's envelope
-    mismatch_Nm: float  # transducer beyond what motor and brake explain
-    mismatch_cycles: int  # so many in a row trip
-    missed_cycles: int  # so many in a row without a TPDO trip
-    coil_limit_A2: float  # mean square of the coil's current
-    coil_decay: float  # a cycle
-    brake_lag_decay: float  # a cycle, of the brake torque expected at the handle
+    stores: int  # 1: the law returns energy to the hand, as a spring does
+    travel_rad: float  # largest travel from the start; inf: unlimited
+    motor_mismatch_Nm: float  # largest measured torque beyond the command; inf: not measured
+    motor_mismatch_cycles: int  # cycles in a row beyond it after which the host trips
+    motor_lag_decay: float  # decay of the command's envelope in a cycle
+    mismatch_Nm: float  # largest transducer torque that motor and brake do not explain
+    mismatch_cycles: int  # cycles in a row beyond it after which the host trips
+    missed_cycles: int  # cycles in a row without a TPDO after which the host trips
+    coil_limit_A2: float  # largest mean square of the coil's current
+    coil_decay: float  # decay of that mean in a cycle
+    brake_lag_decay: float  # decay of the error of the expected brake torque in a cycle
     # arming
-    still_cycles: int  # so many in a row without a count are standstill
-    still_handle_Nm: float  # more torque on the handle is a load
-    still_timeout_cycles: int  # arming is refused after so many
-    enable_timeout_cycles: int  # arming is refused after so many
-    sign_check: int  # 0: no motor in this mode, nothing to check
-    sign_step_Nm: float  # a cycle
-    sign_counts: int  # motion that is decisive
-    sign_torque_Nm: float  # the ramp's end
-    sign_travel_counts: int  # motion that is too much
-    sign_hand_Nm: float  # change of the handle torque that is decisive
-    sign_hand_cycles: int  # ... averaged over this many cycles
-    settle_cycles: int  # without torque behind the sign check
-    # dead man
-    deadman_key: int  # 1: somebody outside keeps HOST.deadman_ok
+    still_cycles: int  # cycles in a row without motion that count as standstill
+    still_handle_Nm: float  # torque on the handle above which it counts as loaded
+    still_timeout_cycles: int  # longest wait for standstill; then arming is refused
+    enable_timeout_cycles: int  # longest wait for Operation Enabled; then arming is refused
+    sign_check: int  # 0: no motor in this mode, so no sign check
+    sign_step_Nm: float  # increase of the sign check's torque in a cycle
+    sign_counts: int  # motion that decides the encoder's sign
+    sign_torque_Nm: float  # end of the torque ramp
+    sign_travel_counts: int  # largest motion in the sign check
+    sign_hand_Nm: float  # change of the handle torque that decides the transducer's sign
+    sign_hand_cycles: int  # cycles over which that change is averaged
+    settle_cycles: int  # cycles of standstill without torque after the sign check
+    # dead man's switch
+    deadman_key: int  # 1: HOST.deadman_ok is written from outside the cycle
     deadman_slot: int  # slot of the process image that holds the switch; -1: none
     deadman_mask: int  # bits that are all 1 while the switch is held; 0: any bit
     # safe state
-    safe_longest_cycles: int  # the brake is off at the latest after so many
-    release_Nm: float  # by which the brake's set-point falls in a cycle of the safe state
-    unloaded_Nm: float  # ... where no load is on the handle
-    release_counts: float  # a cycle; the release pauses while the handle is faster
-    # what the host tells of itself (`host.cycle.telemetry`)
-    law_keeps: int  # numbers, by its declaration
+    safe_longest_cycles: int  # longest time to brake off
+    release_Nm: float  # fall of the brake's set-point in a cycle of the safe state
+    unloaded_Nm: float  # the same for an unloaded handle
+    release_counts: float  # speed in counts a cycle above which the release pauses
+    # telemetry (`host.cycle.telemetry`)
+    law_keeps: int  # number of state variables that the law declares
 
 
 class HostRecord(Record):
-    """What the cycle of an axis keeps."""
+    """State of an axis' cycle."""
 
     phase: int  # a `Phase`
     phase_cycle: int  # cycles since the phase began
-    stop: int  # 1: somebody wants the safe state without a trip
+    stop: int  # 1: safe stop requested; above: the `Trip` to stop for
     trip: int  # a `Trip`
-    trip_ns: int  # when
+    trip_ns: int  # time of the trip, or of the entry into SAFE without one
     emcy_code: int  # error code of the EMCY that tripped
     sign_result: int  # a `SignResult`
-    sign_direction: int  # sense that the sign check tries: 1, then -1
-    sign_moved: int  # counts that its full torque moved the handle, at most
-    deadman_ok: int  # 1: a hand is on the switch, or none is asked for
+    sign_direction: int  # direction of the sign check's torque: 1, then -1
+    sign_moved: int  # largest motion of the handle under the sign check's full torque, in counts
+    deadman_ok: int  # 1: the switch is held, or the rig has none
     # the cycle
     cycle: int  # number of this cycle
-    next_ns: int  # when `on_time` wants to be called
-    sync_ns: int  # when this cycle's SYNC was due
-    waiting: int  # 1: SYNC is out, TPDOs are awaited
-    arrived: int  # bit mask of this cycle's TPDOs
-    enabled_ns: int  # when the drive entered Operation Enabled; -1 before
-    armed_ns: int  # when the law began; -1 before
-    full_gain_ns: int  # when its gain came to 1; -1 before
-    heartbeat_due_ns: int  # the host's next heartbeat
-    guard_due_ns: int  # its next round of guarding
-    heard_ns: Annotated[IntegerField, MOST_DEVICES]  # of each node, its last heartbeat; -1 none
-    nmt: Annotated[IntegerField, MOST_DEVICES]  # of each node, the state that its heartbeat told; -1 none
+    next_ns: int  # time at which `on_time` is due
+    sync_ns: int  # time at which this cycle's SYNC was due
+    waiting: int  # 1: SYNC is sent, TPDOs are awaited
+    arrived: int  # bits of the TPDOs that have arrived in this cycle
+    enabled_ns: int  # time at which the drive entered Operation Enabled; -1 before
+    armed_ns: int  # time at which the law began; -1 before
+    full_gain_ns: int  # time at which the law's gain reached 1; -1 before
+    heartbeat_due_ns: int  # time of the host's next heartbeat
+    guard_due_ns: int  # time of the next guarding requests
+    heard_ns: Annotated[IntegerField, MOST_DEVICES]  # time of each node's last heartbeat; -1: none
+    nmt: Annotated[IntegerField, MOST_DEVICES]  # NMT state in each node's last heartbeat; -1: none
     suspect_node: int  # the node whose EMCY or heartbeat tripped
-    law_Nm: float  # what the law returned that is not finite ...
-    law_part: int  # ... 0: as its result, 1: for the brake, 2: for the motor
+    law_Nm: float  # output of the law that is not finite
+    law_part: int  # which output that is: 0: the result, 1: the brake's, 2: the motor's
     # measured
     image: Annotated[IntegerField, IMAGE_SLOTS]  # the process image, by `Image`
-    raw_position: int  # 6064h as it came last
-    counts: int  # encoder counts since the start, without the wrap of 6064h
-    position_age: int  # cycles since it was fresh
-    has_position: int  # 1: a position has come since the start
+    raw_position: int  # last received 6064h
+    counts: int  # encoder counts since the start, unwrapped
+    position_age: int  # cycles since the last fresh position
+    has_position: int  # 1: a position has arrived since the start
     fresh: int  # 1: this cycle's position is fresh
-    reference_counts: int  # of the phase: where the handle was still, where the sign check began
+    reference_counts: int  # reference of the phase: where the handle was still, where the sign check began
     moved_counts: int  # between the last two fresh positions, however many cycles apart
-    v_counts: float  # the velocity, in counts a cycle
-    slide_counts: float  # the estimate by which the law slides or is stuck
-    track: Annotated[IntegerField, TRACK]  # the positions behind it
-    track_row: int  # where the next one goes
-    track_length: int  # how many are there
+    v_counts: float  # velocity (backward difference), in counts a cycle
+    slide_counts: float  # slow-velocity estimate, which decides between stick and slip, in counts a cycle
+    track: Annotated[IntegerField, TRACK]  # ring of the positions for that estimate
+    track_row: int  # next row of the ring
+    track_length: int  # number of positions in the ring
     handle_Nm: float  # the transducer's torque
-    drive: int  # PowerState that the statusword tells; -1: none
-    brake_drive: int  # the brake's; of one without power states the drive's
+    drive: int  # `PowerState` of the motor's drive; -1: none
+    brake_drive: int  # `PowerState` of the brake; of a brake without power states, that of the motor's drive
     # commanded
-    gain: float  # of the law, 0 to 1
-    torque_Nm: float  # the motor's
-    brake_Nm: float  # the brake's
-    brake_lagged_Nm: float  # the brake torque that is expected at the handle
-    coil_Nm: float  # the lead's belief of what the coil's current stands for ...
-    iron_Nm: float  # ... of what the fluid sees of it ...
-    iron_y: Annotated[FloatField, MOST_PLAYS]  # of the play operators, as believed
-    fluid_Nm: float  # ... and of what the fluid bears
-    asked_sense: Annotated[FloatField, ASKED]  # by the law, and held back: of the compensation ...
-    asked_psi_Nm: Annotated[FloatField, ASKED]  # ... of the motor ...
-    asked_brake_Nm: Annotated[FloatField, ASKED]  # ... and of the brake
-    asked_row: int  # where the next ones go
-    share: float  # of its compensation that the motor may give
-    port_J: float  # paid at the hand's port and still there
-    port_kinetic_J: Annotated[FloatField, KINETIC_CYCLES]  # of the last fresh cycles
-    port_row: int  # where the next energy goes
-    port_brake_Nm: float  # the brake's expected torque on the way that the position ends
-    port_handle_Nm: float  # a cycle ago: the hand ...
-    port_pushed_Nm: float  # ... and the law's part for the motor
-    port_way: float  # the last way that was not 0 [rad] ...
-    port_slid_ns: int  # ... and for how long it has had its sign
-    pushed_Nm: float  # the law's part that the motor was given last, as psi
-    handle_before_Nm: float  # sums of the handle torque before and in the sign check
-    handle_during_Nm: float  # ... and in it
-    handle_samples: int  # how many are summed
-    emcy: int  # a trip that an EMCY asks for
-    foreign_id: int  # identifier of a host's frame that somebody else sent; -1: none
-    # watches
-    still: int  # cycles in a row without a count
+    gain: float  # gain of the law, 0 to 1
+    torque_Nm: float  # torque of the motor
+    brake_Nm: float  # torque of the brake
+    brake_lagged_Nm: float  # brake torque that is expected at the handle
+    coil_Nm: float  # modelled torque of the coil's current
+    iron_Nm: float  # modelled torque behind the iron, at the fluid's input
+    iron_y: Annotated[FloatField, MOST_PLAYS]  # modelled state of the play operators
+    fluid_Nm: float  # modelled torque of the fluid
+    asked_sense: Annotated[FloatField, ASKED]  # held back outputs of the law: direction of the compensation
+    asked_psi_Nm: Annotated[FloatField, ASKED]  # held back outputs of the law: the motor's torque
+    asked_brake_Nm: Annotated[FloatField, ASKED]  # held back outputs of the law: the brake's level
+    asked_row: int  # next row of these rings
+    share: float  # share of its compensation that the motor may give
+    port_J: float  # energy balance at the hand's port
+    port_kinetic_J: Annotated[FloatField, KINETIC_CYCLES]  # kinetic energies of the last fresh cycles
+    port_row: int  # next row of that ring
+    port_brake_Nm: float  # expected brake torque during the motion to the newest position
+    port_handle_Nm: float  # handle torque a cycle ago
+    port_pushed_Nm: float  # the law's part for the motor a cycle ago
+    port_way: float  # last motion that was not 0 [rad]
+    port_slid_ns: int  # time since the motion last changed its sign
+    pushed_Nm: float  # the law's part for the motor in the last command, with the sign of psi
+    handle_before_Nm: float  # sum of the handle torque before the sign check, then its mean
+    handle_during_Nm: float  # sum of the handle torque in the sign check
+    handle_samples: int  # number of summed samples
+    emcy: int  # `Trip` of a received EMCY
+    foreign_id: int  # identifier of a host's frame that another station sent; -1: none
+    # monitors
+    still: int  # cycles in a row without motion
     missed_in_a_row: int  # cycles in a row that lack a TPDO
     tpdo_age: Annotated[
         IntegerField, DRIVE_PDOS
-    ]  # cycles since each TPDO by timer came: 1 in the cycle in which it came
-    oldest_tpdo: int  # the largest of them
-    voltage_low: int  # cycles in a row in which the drive lacked its voltage
-    commanded_high_Nm: float  # envelope of the motor's commands, which decays to 0 ...
-    commanded_low_Nm: float  # ... below and above
-    motor_mismatch: int  # cycles in a row in which the measured torque is outside
-    mismatch: int  # cycles in a row in which the transducer shows more than is explained
+    ]  # cycles since each TPDO by timer arrived: 1 in the cycle of its arrival
+    oldest_tpdo: int  # largest of these ages
+    voltage_low: int  # cycles in a row in which the drive lacked its supply
+    commanded_high_Nm: float  # upper envelope of the motor's commands, which decays to 0
+    commanded_low_Nm: float  # lower envelope of the motor's commands, which decays to 0
+    motor_mismatch: int  # cycles in a row in which the measured torque is outside the envelopes
+    mismatch: int  # cycles in a row in which the transducer torque is not explained
     coil_A2: float  # mean square of the coil's current
-    work_sum: float  # of the window [J]
-    work_row: int  # where the next one goes
-    work: Annotated[FloatField, WORK_WINDOW_CYCLES]  # of the motor in each cycle of the window [J]
-    contact_J: float  # work of a storing law's push since it began
+    work_sum: float  # net work of the motor within the window [J]
+    work_row: int  # next row of the window
+    work: Annotated[FloatField, WORK_WINDOW_CYCLES]  # work of the motor in each cycle of the window [J]
+    contact_J: float  # work of a storing law's push since the contact began
     # counters
-    clipped: int  # 1: a limit acts on what the law asks for in this cycle
-    clipped_balance: int  # clipped cycles less unclipped ones, not below 0
+    clipped: int  # 1: a limit changes the law's output in this cycle
+    clipped_balance: int  # clipped minus unclipped cycles, at least 0
     display_cycles: int  # cycles since Operation Enabled, until SAFE
-    lost_pdos: int  # TPDOs that had not come by the next SYNC
-    late_cycles: int  # whose RPDOs were handed over after the next SYNC was due
-    stray_frames: int  # of nobody that the host knows
-    malformed_pdos: int  # of a wrong length
-    malformed_services: int  # EMCYs, heartbeats, SDO responses of another length than CiA 301's
-    clipped_torque: int  # the motor's torque was more than its limit
-    slowed_torque: int  # ... was held back by its rate, or near the speed limit, in phase RUN
-    limited_by_drive: int  # the drive told of a limit of its own (statusword bit 11) in phase RUN
-    clipped_setpoints: int  # the brake's set-point was more than its limit
-    slowed_setpoints: int  # ... fell faster than its rate
-    negative_setpoints: int  # of the brake, by the law
-    withheld_compensation: int  # the observer let the motor give less than its compensation
-    # what the host has told of itself (`host.cycle.telemetry`)
-    told_cycle: int  # the last cycle of which it told
-    last_counters: Annotated[IntegerField, 6]  # counters as they were then
+    lost_pdos: int  # cycles that lacked a TPDO at the next SYNC
+    late_cycles: int  # cycles whose RPDOs were sent after the next SYNC was due
+    stray_frames: int  # frames of unknown senders or with unknown identifiers
+    malformed_pdos: int  # TPDOs of a wrong length
+    malformed_services: int  # EMCYs, heartbeats, SDO responses whose length is not that of CiA 301
+    clipped_torque: int  # the motor's torque exceeded its limit
+    slowed_torque: int  # the motor's torque was limited by its rate, or near the speed limit, in phase RUN
+    limited_by_drive: int  # the drive reported an internal limit (statusword bit 11) in phase RUN
+    clipped_setpoints: int  # the brake's set-point exceeded its limit
+    slowed_setpoints: int  # the brake's set-point fell faster than its rate
+    negative_setpoints: int  # the law gave a negative set-point for the brake
+    withheld_compensation: int  # the passivity observer reduced the motor's compensation
+    # telemetry (`host.cycle.telemetry`)
+    told_cycle: int  # last reported cycle
+    last_counters: Annotated[IntegerField, 6]  # counters in the last report
 
 
 HOST = dtype_of(HostRecord)
 
 
 class Slot(IntEnum):
-    """Places of an order's values."""
+    """Slots of an order's values."""
 
     K_P = 0  # Nm/rad
     F_S = 1  # Nm
     F_D = 2  # Nm
     COMPENSATION = 3  # Nm
-    USER = 4  # here and behind: `law.user`, where a law's named parameters lie
+    USER = 4  # from here on: `law.user`, which holds a law's named parameters
 
 
 SLOTS = Slot.USER + 16
 
 
 class OrderRecord(Record):
-    """The parameters that somebody wants."""
+    """Target values of the live parameters."""
 
     value: Annotated[FloatField, SLOTS]  # by `Slot`
-    cycles: int  # in which the axis goes there
+    cycles: int  # duration of the transition
 
 
 class LiveRecord(Record):
     """The live parameters of an axis."""
 
-    offered: Annotated[RecordArray[OrderRecord], 2]  # order n is in n & 1
-    wanted: int  # number of the newest order; 0: there was none
+    offered: Annotated[RecordArray[OrderRecord], 2]  # double buffer; order n is in row n & 1
+    wanted: int  # number of the newest order; 0: none
     taken: int  # number of the order that the step follows
-    cycle: int  # of the way there
-    cycles: int  # that the way takes
-    first: Annotated[FloatField, SLOTS]  # where it began
-    last: Annotated[FloatField, SLOTS]  # where it ends
+    cycle: int  # cycles since the transition began
+    cycles: int  # duration of the transition
+    first: Annotated[FloatField, SLOTS]  # values at its begin
+    last: Annotated[FloatField, SLOTS]  # values at its end
 
 
 class AxisRecord(Record):
-    """One axis as the kernels take it."""
+    """Record of one axis for the kernels."""
 
     control: ControlRecord  # limits and scales
-    host: HostRecord  # what the cycle keeps
-    rpdos: Annotated[RecordArray[PdoRecord], DRIVE_PDOS]  # what the host sends
-    tpdos: Annotated[RecordArray[PdoRecord], DRIVE_PDOS]  # what it waits for
-    motion: MotionRecord  # what the law is told
-    law: LawRecord  # its parameters
-    state: LawStateRecord  # what it keeps
-    live: LiveRecord  # the changes of its parameters
+    host: HostRecord  # state of the cycle
+    rpdos: Annotated[RecordArray[PdoRecord], DRIVE_PDOS]  # PDOs that the host sends
+    tpdos: Annotated[RecordArray[PdoRecord], DRIVE_PDOS]  # PDOs that the host receives
+    motion: MotionRecord  # the law's input
+    law: LawRecord  # the law's parameters
+    state: LawStateRecord  # the law's state and output
+    live: LiveRecord  # changes of the law's parameters
 
 
 AXIS = dtype_of(AxisRecord)
 
 AxisRecords: TypeAlias = RecordArray[AxisRecord]
-"""The axes of a bus, the one that sends SYNC first."""
+"""The axes of a bus; the first axis sends SYNC."""

@@ -1,19 +1,18 @@
-"""The host's cycle fed with what it received once: the same inputs give the same outputs, bit for
-bit.
+"""Replay of the host's cycle: the recorded inputs give the recorded outputs, bit for bit.
 
-What the step depends on, and where a recording has it:
+The inputs of the step, and their places in a recording:
 
 ========================================  =======================================================================================
-frames received, and their stamps         the recording, and which of its frames these are the trace (`recording.trace`); a stamp matters
-                                          to heartbeats only, which age against it
-which of them the step saw in a cycle     virtual time: their stamps; real time: the trace
-when a cycle was due and when it ended    the same; skipped periods let the position age, which divides the velocity
-the wish to stop, the dead man's switch   the trace; in virtual time so are the changes of the host's clock, on which its deadlines are
-changed parameters                        the markers "set" (`host.cycle.parameter_changes`), and the trace in which cycle they were taken
-rig, mode, law                            attached (a law of the user's own: its file beside the recording)
+received frames with their time stamps    the recording; the trace (`recording.trace`) says which of its frames these are; a stamp matters
+                                          to heartbeats only, whose age counts from it
+frames that the step saw in a cycle       virtual time: their stamps; real time: the trace
+times at which a cycle was due and ended  the same; skipped periods add to the position's age, which divides the velocity
+stop requests, the dead man's switch      the trace; in virtual time also the changes of the host's clock, which sets its deadlines
+changed parameters                        the markers "set" (`host.cycle.parameter_changes`); the trace has the cycle in which each was taken
+rig, mode, law                            attached (a user's law: its file in the folder of the recording)
 ========================================  =======================================================================================
 
-Nothing else enters: no clock, and no period but `CONTROL.period_ns`.
+The step has no other input: no clock, and no period but `CONTROL.period_ns`.
 """
 
 from __future__ import annotations
@@ -38,27 +37,29 @@ __all__ = ["HostFrame", "Inputs", "replay"]
 
 FOREVER_NS = 1 << 62
 AHEAD = 4096
-"""Frames and rows that are taken out of their arrays at a time."""
+"""Number of frames and rows that are read from their arrays at a time."""
 
 
 class HostClock(Clock):
-    """The host's clock. A record of its own, because Numba takes code that it made of `Clock` for
-    every record that begins with its fields.
+    """The host's clock.
+
+    It needs a field of its own, because Numba reuses code compiled for `Clock` for every record that
+    begins with the fields of `Clock`.
     """
 
-    changes: int  # how often it was set
+    changes: int  # number of clock changes
 
 
 class HostFrame(NamedTuple):
-    """A frame that the step sends: in which cycle (from 1), ready when, and until when it was on
-    its way if at all.
+    """A frame that the step sends: its cycle (from 1), the time at which it was ready, and the time by
+    which it was sent, if it was.
     """
 
     cycle: int
     t_ns: int
     until_ns: int
     refusable: int
-    """Frames of this cycle that the bus did not take: so many of them are not in the recording."""
+    """Number of this cycle's frames that the bus refused; these are not in the recording."""
     can_id: int
     length: int
     word: int
@@ -66,11 +67,11 @@ class HostFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the host received, in the order in which it did.
+    """The host's inputs in the order of their arrival.
 
     frames : FRAME records that the host received
-    trace : rows of `recording.trace.TRACE`; or of EVENT: virtual time, where a frame is handled at
-    its stamp and the host at its deadline
+    trace : rows of `recording.trace.TRACE`, or of EVENT for virtual time, in which a frame is handled
+    at its stamp and the host at its deadline
     orders : changed parameters, by their numbers in the trace
     """
 
@@ -80,13 +81,13 @@ class Inputs:
 
     @property
     def virtual(self) -> bool:
-        """Whether this was in virtual time."""
+        """Whether the run was in virtual time."""
         return self.trace.dtype == EVENT
 
 
 def replay(controllers: Controllers, inputs: Inputs) -> Iterator[HostFrame]:
     """Yield the frames that new `controllers` send on these inputs, until the trace ends (virtual
-    time: for ever).
+    time: without end).
     """
     run = _Replay(controllers, inputs)
     return run.in_virtual_time(inputs.trace) if inputs.virtual else run.by_trace(inputs.trace)
@@ -104,17 +105,17 @@ class _Replay:
         self.ahead: list[tuple[int, ...]] = []
 
     def _next(self) -> tuple[int, ...]:
-        """Return the next frame; behind the last one, one that never comes."""
+        """Return the next frame; after the last one, a frame at FOREVER_NS."""
         if not 0 <= self.row - self.first < len(self.ahead):
             self.first = self.row
             self.ahead = self.frames[self.row : self.row + AHEAD].tolist() or [(FOREVER_NS, 0, 0, 0)]
         return self.ahead[self.row - self.first]
 
     def _feed(self) -> int:
-        """Take the next frame; return what `on_frame` says."""
+        """Handle the next frame; return the result of `on_frame`."""
         frame = self._next()
         self.row += 1
-        if frame[1] & CAN_ERR_FLAG:  # the loop looks at these, the step does not
+        if frame[1] & CAN_ERR_FLAG:  # the loop handles error frames, the step never sees them
             return 0
         return int(axes.on_frame(self.axes, self.k.owner, int(own_ns(self.clock, frame[0])), *frame[1:]))
 
@@ -127,19 +128,19 @@ class _Replay:
             yield HostFrame(cycle, frame[0], until_ns, refusable, *frame[1:4])
 
     def _want(self, number: int) -> None:
-        """Let the step want an order from the next cycle on."""
+        """Publish an order, which the step takes in the next cycle."""
         order = self.orders[number]
         live = self.axes["live"][order.axis]
         offer(live, number, order.values, order.cycles)
         live["wanted"] = number
 
     def by_trace(self, trace: npt.NDArray[Any]) -> Iterator[HostFrame]:
-        """Do what the loop of `host.realtime.loop` did."""
+        """Repeat the loop of `host.realtime.loop`."""
         period_ns = int(self.k.control["period_ns"][0])
         cycle = due_ns = refused_before = 0
         for t_ns, received, kind, value, refused, until_ns, later in _rows(trace):
             if received > len(self.frames):
-                return  # the recording ends before
+                return  # the recording has ended
             if kind == Moment.START:
                 self.row = received
                 self.k.start(t_ns)
@@ -165,8 +166,8 @@ class _Replay:
             yield from self._sent(cycle, until_ns, later - refused_before)
 
     def in_virtual_time(self, events: npt.NDArray[Any]) -> Iterator[HostFrame]:
-        """Do what the kernel of `sim_bus.network.event_loop` did: at one instant first what arrives,
-        then the host.
+        """Repeat the kernel of `sim_bus.network.event_loop`: at one instant, arriving frames come before
+        the host.
         """
         running = False
         for t_ns, received, next_ns, kind, value in (*events.tolist(), (0, FOREVER_NS, FOREVER_NS, None, 0)):
@@ -174,7 +175,7 @@ class _Replay:
                 arrives_ns = self._next()[0]
                 due_ns = int(bus_ns(self.clock, int(self.host["next_ns"].min()))) if running else FOREVER_NS
                 if min(arrives_ns, due_ns) == FOREVER_NS:
-                    return  # the recording ends before
+                    return  # the recording has ended
                 now_ns = int(own_ns(self.clock, min(arrives_ns, due_ns)))
                 if due_ns < arrives_ns:
                     axes.on_time(self.axes, self.law_function, now_ns, self.out)
@@ -195,8 +196,8 @@ class _Replay:
 
 
 def _rows(trace: npt.NDArray[Any]) -> Iterator[tuple[int, ...]]:
-    """Yield the rows, behind each when the next cycle was due, and how many frames the bus had
-    refused by then.
+    """Yield the rows; each ends with the time of the next cycle, and the number of frames that the bus
+    had refused by then.
     """
     cycles = np.flatnonzero(np.isin(trace["kind"], (Moment.BEGIN, Moment.END)))
     following = np.searchsorted(cycles, np.arange(len(trace)), "right")

@@ -1,11 +1,11 @@
-"""The velocity of slow motion, compiled: a first-order adaptive window over the last positions.
+"""Velocity estimate of slow motion, compiled: a first-order adaptive window over the last positions.
 
     c : the CONTROL record of an axis        h : its HOST record
 
-A backward difference sees 0 or 1 count where the handle slides by less than a count a cycle. The
-first-order adaptive window takes the longest stretch of at most ``velocity_window_cycles`` whose
-ends' straight line is off no sample between them by more than a count: long when the handle creeps,
-one cycle when it starts. Source: F. Janabi-Sharifi, V. Hayward, C.-S. J. Chen, IEEE Trans. Control
+A backward difference is 0 or 1 count while the handle slides by less than a count a cycle. The
+first-order adaptive window is the longest window of at most ``velocity_window_cycles`` in which the
+straight line between its ends is within one count of every sample. It is long when the handle creeps,
+and one cycle when it starts. Source: F. Janabi-Sharifi, V. Hayward, C.-S. J. Chen, IEEE Trans. Control
 Systems Technology 8(6), 2000, doi:10.1109/87.880606.
 """
 
@@ -19,12 +19,12 @@ __all__ = ["slide_velocity"]
 
 @kernel
 def slide_velocity(c: ControlRecord, h: HostRecord) -> None:
-    """Set ``slide_counts`` [counts a cycle] from the positions of the last cycles; call it once a
-    cycle, behind `watch.measure`.
+    """Set ``slide_counts`` [counts a cycle] from the last positions; call it once a cycle, after
+    `monitors.measure`.
     """
     h.slide_counts = h.v_counts
     if c.window_cycles <= 1 or not h.fresh:
-        h.track_length = 0  # the window has no gaps
+        h.track_length = 0  # the window must not span a gap
         return
     newest = h.counts
     low, high = -1e300, 1e300

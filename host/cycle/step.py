@@ -1,17 +1,20 @@
 """The cycle's compiled step: process image in, set-points out.
 
-The same code in virtual time, in real time and in replay.
+Virtual time, real time and replay run the same code.
 
-A cycle is: `begin` (SYNC) - `on_frame` for what arrives - `finish` (measure, watch, phase, law,
-limits, RPDOs), each for one axis. `host.cycle.axes` calls them for all axes of a bus,
-`host.cycle.phases` has what a phase does.
+A cycle is `begin` (SYNC), `on_frame` for each arriving frame, and `finish` (measure, watch, phase, law,
+limits, RPDOs). Each works on one axis. `host.cycle.axes` calls them for all axes of a bus;
+`host.cycle.phases` has the phases.
 
     c : the CONTROL record of an axis        h : its HOST record        axis : the `AxisRecord`, which holds both, its PDOs and the law
 
-Safety that lives here: the brake's set-point is never negative and never becomes motor torque; the
-motor's torque is limited in size, rate and per mille, is never accelerating near the speed limit,
-and is 0 when stale; arming is refused unless the handle is still, little loaded, and motor, encoder
-and transducer agree on the sign.
+Safety rules of this module:
+
+- The brake's set-point is never negative and never becomes motor torque.
+- The motor's torque is limited in size, rate and per mille. Near the speed limit it never accelerates
+  the handle. With a stale position it is 0.
+- Arming is refused unless the handle is still and not loaded, and motor, encoder and transducer agree
+  on the sign.
 """
 
 from __future__ import annotations
@@ -37,8 +40,10 @@ SPEED_TAPER = 0.8  # above this share of the speed limit the motor may only brak
 
 @kernel
 def limit_torque(c: ControlRecord, h: HostRecord, torque_Nm: float) -> float:
-    """Return the motor torque [Nm] that may be sent: 0 outside the phases that show torque, when
-    stale or not a number; then rate, speed and size.
+    """Return the motor torque [Nm] that may be sent.
+
+    It is 0 outside the phases with motor torque, with a stale position, and for NaN. Else rate, speed
+    and size limit it, in this order.
     """
     if h.phase < Phase.SIGN or h.phase > Phase.RUN or h.position_age > 1:
         return 0.0
@@ -63,8 +68,8 @@ def limit_torque(c: ControlRecord, h: HostRecord, torque_Nm: float) -> float:
 
 @kernel
 def brake_raw(c: ControlRecord, h: HostRecord) -> int:
-    """Return the brake's set-point in counts: without a wrap, from 0 Nm to what its object takes,
-    or to the end of its table.
+    """Return the brake's set-point in counts: saturated, from 0 Nm to the largest value of its object or
+    to the end of its table.
     """
     if c.brake_points == 0:
         return min(max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw)
@@ -78,7 +83,7 @@ def brake_raw(c: ControlRecord, h: HostRecord) -> int:
 
 @kernel
 def _node(c: ControlRecord, node_id: int) -> int:
-    """Return which of the axis' nodes it is, -1 if none."""
+    """Return the index of `node_id` among the axis' nodes; -1: none."""
     for k in range(c.nodes):
         if c.node_id[k] == node_id:
             return k
@@ -87,8 +92,10 @@ def _node(c: ControlRecord, node_id: int) -> int:
 
 @kernel
 def begin(axis: AxisRecord, t_ns: int, out: Queue) -> None:
-    """Begin the cycle that is due at `t_ns`: count what the last one lost, go on towards other
-    parameters, send SYNC (the host's heartbeat and what guards nodes when due).
+    """Start the cycle due at `t_ns`.
+
+    Count the last cycle if it lacked a TPDO, advance live parameters, send SYNC; when due, send the
+    host's heartbeat and the guarding requests.
     """
     c, h = axis.control, axis.host
     if h.cycle > 0 and h.phase < Phase.SAFE and h.arrived & c.every_cycle != c.every_cycle:
@@ -99,7 +106,7 @@ def begin(axis: AxisRecord, t_ns: int, out: Queue) -> None:
     h.sync_ns = t_ns
     h.cycle += 1
     h.next_ns = t_ns + c.window_ns
-    if c.sync_cob_id >= 0:  # else another axis of this bus leads
+    if c.sync_cob_id >= 0:  # else another axis of this bus sends SYNC
         push(out, SOURCE_HOST, t_ns, c.sync_cob_id, 0, 0)
         if c.heartbeat_ns > 0 and t_ns >= h.heartbeat_due_ns:
             h.heartbeat_due_ns = t_ns + c.heartbeat_ns
@@ -113,11 +120,11 @@ def begin(axis: AxisRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def _only_of_host(axis: AxisRecord, can_id: int, data: int) -> bool:
-    """Tell whether nobody but the host sends such a frame while it displays: a set-point (RPDO), or
-    a request that writes an object of one of the axis' nodes (SDO download, block download).
+    """Return whether only the host may send such a frame during a run: a set-point (RPDO), or a request
+    that writes an object of one of the axis' nodes (SDO download, block download).
 
-    The host's own frames do not come back to it, and it writes no object between arming and the
-    safe state.
+    The host does not receive its own frames, and it writes no object between arming and the safe
+    state. So another station sent a frame of this kind.
     """
     for k in range(axis.control.rpdos):
         if axis.rpdos[k].cob_id == can_id:
@@ -129,8 +136,10 @@ def _only_of_host(axis: AxisRecord, can_id: int, data: int) -> bool:
 
 @kernel
 def _on_emergency(h: HostRecord, k: int, length: int, data: int) -> None:
-    """Take an EMCY of node `k`: any code trips, whatever the frame's length, and so does a frame
-    without one. Only an error reset (code 0000h) does not.
+    """Handle an EMCY of node `k`.
+
+    Any error code trips, whatever the frame's length. A frame without a code trips, too. Only an error
+    reset (code 0000h) does not.
     """
     if length != 8:
         h.malformed_services += 1
@@ -143,9 +152,10 @@ def _on_emergency(h: HostRecord, k: int, length: int, data: int) -> None:
 
 @kernel
 def _on_heartbeat(h: HostRecord, k: int, t_ns: int, length: int, state: int) -> int:
-    """Take a heartbeat of node `k` (-1: of none of the axis'); 2 when the control plane wants it.
+    """Handle a heartbeat of node `k` (-1: not a node of the axis); return 2 if the control plane needs it,
+    else 0.
 
-    One of another length than a byte counts as no sign of life.
+    A heartbeat whose length is not one byte is not accepted as a heartbeat.
     """
     if length != 1:
         h.malformed_services += 1
@@ -160,9 +170,9 @@ def _on_heartbeat(h: HostRecord, k: int, t_ns: int, length: int, state: int) -> 
 
 @kernel
 def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -> int:
-    """Take a frame from the bus.
+    """Handle a frame from the bus.
 
-    Return 1 when it completes this cycle's TPDOs, 2 when the control plane wants it, else 0.
+    Return 1 if it completes this cycle's TPDOs, 2 if the control plane needs it, else 0.
     """
     c, h = axis.control, axis.host
     for k in range(c.tpdos):
@@ -201,8 +211,8 @@ def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -
 
 @kernel
 def _doubt_clipped_law(c: ControlRecord, h: HostRecord) -> None:
-    """Ask for the safe state when limits act on the law in most cycles: it is not the law that the
-    hand feels.
+    """Request the safe state if limits change the law's output in most cycles: the hand does not feel the
+    law then.
     """
     if h.phase == Phase.RUN:
         h.clipped_balance = max(h.clipped_balance + (1 if h.clipped else -1), 0)
@@ -213,7 +223,7 @@ def _doubt_clipped_law(c: ControlRecord, h: HostRecord) -> None:
 
 @kernel
 def _close(c: ControlRecord, h: HostRecord, t_ns: int) -> None:
-    """End the window for this cycle's TPDOs: count a cycle that is late or that lacks one."""
+    """End the wait for this cycle's TPDOs; count a late cycle and a cycle that lacks a TPDO."""
     h.waiting = 0
     h.next_ns = h.sync_ns + c.period_ns
     if t_ns > h.next_ns:
@@ -229,7 +239,7 @@ def _close(c: ControlRecord, h: HostRecord, t_ns: int) -> None:
 
 @kernel
 def send(axis: AxisRecord, t_ns: int, out: Queue) -> None:
-    """Send the RPDOs: torque and brake in raw counts, beside the controlword of the phase."""
+    """Send the RPDOs: motor torque and brake set-point in raw counts, and the controlword of the phase."""
     c, h = axis.control, axis.host
     h.image[Image.TARGET_TORQUE] = round(h.torque_Nm / c.motor_Nm_raw)
     h.image[Image.BRAKE_SETPOINT] = brake_raw(c, h)
@@ -240,8 +250,8 @@ def send(axis: AxisRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def finish(axis: AxisRecord, law_function: LawFunction, t_ns: int, out: Queue) -> None:
-    """Finish the cycle at `t_ns`: measure, watch, advance the phase (which asks the law), limit,
-    and send the RPDOs.
+    """Finish the cycle at `t_ns`: measure, watch, advance the phase (which evaluates the law), limit the
+    torque, and send the RPDOs.
     """
     c, h = axis.control, axis.host
     _close(c, h, t_ns)
@@ -251,4 +261,4 @@ def finish(axis: AxisRecord, law_function: LawFunction, t_ns: int, out: Queue) -
     h.torque_Nm = limit_torque(c, h, torque_Nm)
     _doubt_clipped_law(c, h)
     send(axis, t_ns, out)
-    h.arrived &= ~c.by_timer  # one that comes by its own timer counts from here on for the next cycle
+    h.arrived &= ~c.by_timer  # a TPDO by timer that arrives from here on counts for the next cycle

@@ -1,11 +1,10 @@
-"""A longer delay for study, compiled: what the law asks for is held back for whole cycles.
+"""Artificial delay for studies, compiled: the law's output is held back for whole cycles.
 
-With ``bus.delay_cycles`` = n an RPDO still acts on the next SYNC, which is one cycle. What is held
-back for the other n - 1 is what the *law* asks for: the sense of the compensation, the motor's
-torque, the brake's level. All that makes it safe comes behind that and acts at once: the observer's
-share, the gain, the limits, the rate, the speed's taper. No phase but RUN holds anything back, so a
-trip, a stop and the dead man's switch take the torque away in their own cycle, and arming is as
-fast as ever.
+With ``bus.delay_cycles`` = n an RPDO still acts on the next SYNC, after one cycle. For the other n - 1
+cycles the *law's* output is held back: the direction of the compensation, the motor's torque, the
+brake's level. The safety functions act after the delay and at once: the observer's share, the gain, the
+limits, the rate, the taper near the speed limit. Only phase RUN holds outputs back. So a trip, a stop
+and the dead man's switch remove the torque in their own cycle, and arming takes no longer.
 
     c : the CONTROL record of an axis        h : its HOST record
 """
@@ -20,7 +19,7 @@ __all__ = ["forget", "hold_back"]
 
 @kernel
 def forget(h: HostRecord) -> None:
-    """Hold nothing back: what a display before this one asked for is gone."""
+    """Clear the held back outputs of an earlier phase RUN."""
     h.asked_row = 0
     for k in range(ASKED):
         h.asked_sense[k] = h.asked_psi_Nm[k] = h.asked_brake_Nm[k] = 0.0
@@ -30,8 +29,10 @@ def forget(h: HostRecord) -> None:
 def hold_back(
     c: ControlRecord, h: HostRecord, sense: float, psi_Nm: float, level_Nm: float
 ) -> tuple[float, float, float]:
-    """Return what the law asked for `delay_cycles` - 1 cycles ago - the sense of the compensation, the motor's
-    torque [Nm], the brake's level [Nm] - and keep what it asks for now. Nothing before the first.
+    """Return the law's output of `delay_cycles` - 1 cycles ago, and store the present output.
+
+    An output is the direction of the compensation, the motor's torque [Nm] and the brake's level [Nm]. It
+    is 0 for cycles before the first.
     """
     if c.delay_cycles <= 1:
         return sense, psi_Nm, level_Nm

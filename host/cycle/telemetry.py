@@ -1,7 +1,7 @@
-"""What the host tells of itself after each cycle: frames for the second interface of a recording.
+"""Telemetry of the host after each cycle: frames for the second interface of a recording.
 
-They never go to a bus (`recording.host_telemetry` has their layout). Nothing here changes what the cycle
-does: it is read, and what was told last is kept beside it.
+They never go to a bus (`recording.host_telemetry` has their layout). Telemetry only reads the cycle's
+state; it writes nothing but the fields for the last report.
 
     h : the `HostRecord` of an axis
 """
@@ -24,7 +24,7 @@ MOST_AGE = 127
 
 @kernel
 def _grown(last: Records, k: int, count: int) -> int:
-    """Return 1 when a counter is more than at the last cycle's end."""
+    """Return 1 if a counter has increased since the last cycle's end."""
     grown = 1 if count > last[k] else 0
     last[k] = count
     return grown
@@ -32,7 +32,7 @@ def _grown(last: Records, k: int, count: int) -> int:
 
 @kernel
 def _limits(h: HostRecord) -> int:
-    """Return which limits acted in this cycle: bits of `recording.host_telemetry.Limit`."""
+    """Return the limits that acted in this cycle: bits of `recording.host_telemetry.Limit`."""
     limits = 0
     counts = h.clipped_torque, h.slowed_torque, h.limited_by_drive, h.clipped_setpoints, h.negative_setpoints
     for k, count in enumerate((*counts, h.withheld_compensation)):
@@ -56,7 +56,7 @@ def _put(rows: Records, row: int, t_ns: int, can_id: int, word: int, length: int
 
 @kernel
 def _two(first: float, second: float) -> int:
-    """Return two numbers, as REAL32 one behind the other, as a frame's word."""
+    """Return two numbers as a frame's data word: two REAL32, the first in the low half."""
     low, high = np.float32(first).view(np.uint32), np.float32(second).view(np.uint32)
     word: int = np.int64(low) | np.int64(high) << 32  # type: ignore[assignment]
     return word
@@ -64,8 +64,10 @@ def _two(first: float, second: float) -> int:
 
 @kernel
 def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> int:
-    """Write what axis `number` tells of the cycle that it has finished into `rows`, from `row` on;
-    return the row behind. Of one that was told it tells nothing more.
+    """Write the telemetry of the finished cycle of axis `number` into `rows`, from `row` on; return the
+    next row.
+
+    Does nothing while the cycle waits for TPDOs, or if it was reported already.
     """
     c, h, state = axis.control, axis.host, axis.state
     if h.waiting or h.cycle == h.told_cycle:
@@ -89,7 +91,7 @@ def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> i
 
 @kernel
 def tell_all(axes: AxisRecords, t_ns: int, rows: RecordArray[Frame], row: int) -> int:
-    """Write what all axes tell; return the row behind."""
+    """Write the telemetry of all axes; return the next row."""
     for k in range(axes.shape[0]):
         row = tell(axes[k], k, t_ns, rows, row)
     return row

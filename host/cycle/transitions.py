@@ -1,10 +1,8 @@
-"""The phases of the cycle as tables: which phase follows which, when, and why; and what controlword
-each sends.
+"""Tables of the cycle's phases: transitions with their conditions and trips, and controlwords.
 
-`host.cycle.phases` does what the table says; the tests hold every transition of the compiled step
-against it. The diagram of docs/safety.md is drawn from it. Two changes of the phase are none of the
-step's: `Controller.start` begins with STILL, and the data plane that ends is DONE, whatever its
-phase was.
+`host.cycle.phases` implements the table. The tests compare every transition of the compiled step with
+it, and the diagram of docs/safety.md is drawn from it. Two changes of the phase happen outside the step:
+`Controller.start` sets STILL, and the end of the data plane sets DONE from any phase.
 """
 
 from __future__ import annotations
@@ -21,9 +19,9 @@ __all__ = ["BRAKE_CONTROLWORDS", "CONTROLWORDS", "TRANSITIONS", "Transition", "a
 
 
 class Transition(NamedTuple):
-    """A row: in one of `phases`, under the condition, `following` begins.
+    """A row of the table: from one of `phases`, under `condition`, to `following`.
 
-    Into SAFE with one of the reasons `trips`.
+    A row to SAFE has the possible reasons in `trips`.
     """
 
     phases: tuple[Phase, ...]
@@ -37,13 +35,13 @@ ANY_TIME = (
     *(Trip.TPDO_LOST, Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.HEARTBEAT_MOTOR, Trip.HEARTBEAT_BRAKE, Trip.NMT_STATE),
     *(Trip.EMCY_SENSOR, Trip.HEARTBEAT_SENSOR, Trip.MOTOR_TORQUE),
 )
-"""Doubts of the watches that look in every phase."""
+"""Trips of the monitors that run in every phase."""
 
 FROM_OUTSIDE = (
     *(Trip.TRANSMIT, Trip.RECORDING, Trip.BUS_LOST, Trip.SECOND_HOST, Trip.DATA_PLANE, Trip.OTHER_AXIS, Trip.HOST),
     Trip.NONE,
 )
-"""Reasons for which others ask for the safe state; NONE is the normal end."""
+"""Trips that come from outside the step; NONE is the normal end."""
 
 BEFORE_SAFE = tuple(phase for phase in Phase if phase < Phase.SAFE)
 
@@ -77,32 +75,32 @@ TRANSITIONS = (
     Transition((Phase.SAFE,), "brake ramped off", Phase.DISABLE),
     Transition((Phase.DISABLE,), "drive disabled, or time over", Phase.DONE),
 )
-"""Every transition that the compiled step makes. A phase that no row leaves in a cycle goes on."""
+"""Every transition of the compiled step. Without a matching row the phase continues."""
 
 
 def _controlwords(disabled_from: Phase) -> npt.NDArray[np.int64]:
-    """Controlword by phase and by the drive's state; from phase `disabled_from` on 0.
+    """Return the controlwords by phase and by the drive's state; 0 from phase `disabled_from` on.
 
-    The last column is for a statusword of no state (-1).
+    The last column is for a statusword that matches no state (-1).
     """
     table = np.zeros((len(Phase), len(PowerState) + 1), np.int64)
     table[[Phase.STILL, Phase.ENABLE], :-1] = CONTROLWORD_TO_ENABLE
-    table[Phase.STILL, PowerState.SWITCHED_ON] = CONTROLWORD[Command.SWITCH_ON]  # and no further
+    table[Phase.STILL, PowerState.SWITCHED_ON] = CONTROLWORD[Command.SWITCH_ON]  # stays in Switched On
     table[Phase.SIGN : disabled_from, PowerState.OPERATION_ENABLED] = CONTROLWORD[Command.ENABLE_OPERATION]
     return table
 
 
 CONTROLWORDS = _controlwords(Phase.SAFE)
-"""``CONTROLWORDS[phase, state of the drive]``: what the host sends to the motor's drive; 0, disable
-voltage, wherever it does not want the drive enabled.
+"""``CONTROLWORDS[phase, state of the drive]``: the controlword for the motor's drive; 0 (disable voltage)
+in every phase in which the drive must not be enabled.
 """
 BRAKE_CONTROLWORDS = _controlwords(Phase.DISABLE)
-"""The same for a brake that has power states: it is enabled until it is ramped off."""
+"""The same for a brake with power states, which stays enabled until it is ramped off."""
 
 
 def allowed(phase: Phase, following: Phase, trip: Trip = Trip.NONE) -> bool:
-    """Return whether the table has a row from `phase` to `following` (for SAFE: with this reason),
-    or the phase goes on.
+    """Return whether the table has a row from `phase` to `following` (for SAFE: with this trip), or the
+    phase continues.
     """
     if phase is following:
         return True
@@ -113,12 +111,12 @@ def allowed(phase: Phase, following: Phase, trip: Trip = Trip.NONE) -> bool:
 
 
 def diagram() -> str:
-    """Return the table as a state diagram in Mermaid's words, one arrow for each pair of phases."""
+    """Return the table as a Mermaid state diagram, with one arrow for each pair of phases."""
     lines = ["stateDiagram-v2", "    direction LR", "    [*] --> STILL: bring-up is done"]
     arrows: dict[tuple[Phase, Phase], list[str]] = {}
     for row in TRANSITIONS:
         for phase in row.phases:
-            if phase is not Phase.OFF:  # before the start: nothing to be drawn
+            if phase is not Phase.OFF:  # before the start: not drawn
                 arrows.setdefault((phase, row.following), []).append(row.condition)
     for (phase, following), conditions in arrows.items():
         text = "a failed check, or the end" if following is Phase.SAFE else "; ".join(conditions)

@@ -1,4 +1,4 @@
-"""Why the safe state was entered, in words."""
+"""Texts of the reasons for the safe state."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from coulombus.wire.frame import Records
 __all__ = ["TRIP_TEXT", "trip_text"]
 
 CLIPPING = ("clipped_torque", "slowed_torque", "clipped_setpoints", "slowed_setpoints")
-"""Counters of the limits that act on what a law asks for."""
+"""Counters of the limits that change a law's output."""
 
 TRIP_TEXT = {
     Trip.SPEED: "the handle was faster than limits.speed_rad_s",
@@ -49,12 +49,11 @@ TRIP_TEXT = {
     Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
     Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
 }
-"""Each trip in words, with the rig file's key that decides it; `trip_text` fills in the `{}`.
-"""
+"""Text of each trip, with the rig file's key that decides it; `trip_text` fills in the `{}`."""
 
 
 def trip_text(axis: Axis, control: Records, host: Records) -> str | None:
-    """Return why an axis' safe state was entered, of its CONTROL and its HOST record; None: it was not."""
+    """Return the text of the reason for an axis' safe state, from its CONTROL and HOST records, or None."""
     trip = Trip(int(host["trip"][0]))
     if trip is Trip.NONE:
         return None
@@ -83,7 +82,7 @@ def trip_text(axis: Axis, control: Records, host: Records) -> str | None:
 
 
 def _foreign(host: Records) -> str:
-    """Return which frame came from somebody else (`Trip.SECOND_HOST`)."""
+    """Return the description of the frame that another station sent (`Trip.SECOND_HOST`)."""
     can_id = int(host["foreign_id"][0])
     if can_id < 0:
         return "SYNC, or its heartbeat"
@@ -94,7 +93,7 @@ def _foreign(host: Records) -> str:
 
 
 def _still_because(host: Records) -> str:
-    """Return why the sign check saw too little motion (`Trip.SIGN_NO_MOTION`)."""
+    """Return the likely cause of too little motion in the sign check (`Trip.SIGN_NO_MOTION`)."""
     if host["sign_moved"][0] > 0:
         return "it is held, there is more friction than mechanics.friction_Nm, or the encoder is too coarse for so many"
     return (
@@ -104,8 +103,8 @@ def _still_because(host: Records) -> str:
 
 
 def _starved(control: Records, host: Records) -> bool:
-    """Tell whether so many TPDOs were lost that even a handle at rest could not count as still for
-    long enough.
+    """Return whether so many TPDOs were lost that even a handle at rest could not count as still for long
+    enough.
     """
     c = control[0]
     return bool(host["lost_pdos"][0] * c["still_cycles"] >= c["still_timeout_cycles"])
