@@ -1,1 +1,1 @@
-"""The course of a run: dead man's switch, stop, buses, result."""
+"""A run from arming to its safe end: dead man's switch, control socket, buses, result."""

@@ -1,8 +1,8 @@
-"""The arm key: what a change of parameters needs where a hand may be on the handle.
+"""The arm key: a change of parameters needs it when a hand may be on the handle.
 
-It has six digits, so the tries are limited: after `TRIES` wrong ones within `WINDOW_NS` no key is
-taken for `LOCK_NS`, not even the right one, and for twice as long each time that it happens again.
-The tries of all who ask the host count together.
+The key has six digits, so attempts are limited. After `TRIES` wrong keys within `WINDOW_NS` every key is
+refused for `LOCK_NS`, even the right one. Each repetition doubles this time. The attempts of all clients
+count together.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ LONGEST_NS = 3600_000_000_000
 
 
 def new_arm_key(address: BusAddress) -> str:
-    """Return the arm key of a run: six digits; none on a virtual bus, which moves nobody."""
+    """Return the arm key of a run: six digits, or "" on a virtual bus, which moves no hardware."""
     return f"{secrets.randbelow(10**6):06d}" if address.moves_hardware else ""
 
 
 class ArmKey:
-    """The key of one host, with the tries of all who ask it.
+    """The key of one host, with the attempts of all clients.
 
     Parameters
     ----------
-    text : the key; "": none is needed
+    text : the key; "": no key is needed
     """
 
     def __init__(self, text: str) -> None:
@@ -40,11 +40,11 @@ class ArmKey:
         self._lock_ns, self._until_ns = LOCK_NS, 0
 
     def why_not(self, given: str, now_ns: int) -> str | None:
-        """Return why a key is refused; None where it is taken. None given is no try.
+        """Return the reason why a key is refused; None if it is accepted. An empty key is no attempt.
 
         Parameters
         ----------
-        now_ns : of a clock that is never set
+        now_ns : time of a monotonic clock
         """
         if not self.text:
             return None
@@ -53,14 +53,14 @@ class ArmKey:
             return f"too many wrong arm keys: none is taken for another {left_s} s, the right one neither"
         if not given:
             return "a hand may be on the handle: a change needs the arm key; " + _WHERE
-        if hmac.compare_digest(given.encode(errors="surrogatepass"), self.text.encode()):  # JSON: half a character
+        if hmac.compare_digest(given.encode(errors="surrogatepass"), self.text.encode()):  # JSON may hold a surrogate
             self._wrong_ns.clear()
             self._lock_ns = LOCK_NS
             return None
         return "the arm key is wrong; " + (self._locked(now_ns) or _WHERE)
 
     def _locked(self, now_ns: int) -> str | None:
-        """Count a wrong try; return what follows where it is one too many."""
+        """Count a wrong key; return the text of the lock if it was one too many."""
         self._wrong_ns.append(now_ns)
         if len(self._wrong_ns) < TRIES or now_ns - self._wrong_ns[0] > WINDOW_NS:
             return None

@@ -1,9 +1,8 @@
-"""A rig whose axes hang on several buses: one process for each of them (where they are:
-`rigs.buses`).
+"""Runs on a rig with several buses: one process for each bus (`rigs.buses` has their addresses).
 
-Every bus has its own cycle, its own SYNC and its own process, started with ``--channel``: the buses
-share no thread and no lock. Their supervisor passes signals on, and when one ends other than well
-it ends the others, which is their safe end.
+Every bus has its own cycle, its own SYNC and its own process, started with ``--channel``. The buses
+share no thread and no lock. The supervisor forwards signals. When a process fails, the supervisor stops
+the others safely.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from coulombus.system.stop_signals import status_of, taken
 __all__ = ["BusProcess", "merged", "path_on", "supervise"]
 
 SIGN_CHECKS = ("not_run", "agreed", "no_hand", "refused")
-"""Outcomes of the sign check, the most doubtful last, as in `host.cycle.records.SignResult`."""
+"""Outcomes of the sign check, the worst last, as in `host.cycle.records.SignResult`."""
 
 
 def path_on(path: Path, channel: str) -> Path:
@@ -37,7 +36,7 @@ def path_on(path: Path, channel: str) -> Path:
 
 @dataclass
 class BusProcess:
-    """The process of one bus and what it has said."""
+    """The process of one bus, and its output."""
 
     channel: str
     process: subprocess.Popen[str]
@@ -46,13 +45,13 @@ class BusProcess:
 
     @property
     def status(self) -> int:
-        """The exit status of a process that has ended, as a shell counts it."""
+        """The exit status of an ended process, as a shell reports it."""
         code: int = self.process.returncode
         return code if code >= 0 else 128 - code
 
     @property
     def result(self) -> dict[str, Any] | None:
-        """The JSON object that it printed, None where it printed none."""
+        """The JSON object that the process printed; None if it printed none."""
         try:
             result = json.loads("".join(self.lines))
         except ValueError:
@@ -61,7 +60,7 @@ class BusProcess:
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment of a process that finds this project wherever it stands."""
+    """Return the environment for a process, with this project's location in PYTHONPATH."""
     root = str(Path(__file__).parents[__name__.count(".")])
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))}
 
@@ -69,11 +68,11 @@ def _environment() -> dict[str, str]:
 def supervise(
     channels: Sequence[str], arguments: Callable[[str], Sequence[str]], tell: Callable[[str, str], None] | None = None
 ) -> list[BusProcess]:
-    """Run ``coulombus ARGUMENTS`` once for each channel, until all have ended.
+    """Run ``coulombus ARGUMENTS`` once for each channel, and return when all have ended.
 
     Parameters
     ----------
-    arguments : channel -> the command's words
+    arguments : channel -> the command's arguments
     tell : called with (channel, line) for each line of output; default keeps them in
         `BusProcess.lines`
     """
@@ -116,7 +115,7 @@ def supervise(
                 text=True,
                 start_new_session=True,
                 env=_environment(),
-                preexec_fn=lambda: die_with_parent(parent, signal.SIGTERM),  # its safe end, should this one be killed
+                preexec_fn=lambda: die_with_parent(parent, signal.SIGTERM),  # ends safely if this process is killed
             )
             buses.append(BusProcess(channel, process))
             if signal_number:
@@ -138,12 +137,11 @@ def supervise(
 
 
 def merged(results: Mapping[str, Mapping[str, Any] | None], statuses: Mapping[str, int]) -> dict[str, Any]:
-    """Return the results of several buses as one.
+    """Return the merged results of several buses.
 
-    The figures of the first bus that has any, the axes of all, the sums of the counters, the sign
-    check that leaves the most doubt, the remarks of all, the first trip, every bus' own result
-    under ``buses``, and the exit status that counts, with its reason: that of the first bus that
-    did not end well by itself.
+    It has the figures of the first bus with a result, the axes of all, the sums of the counters, the
+    worst sign check, the remarks of all, the first trip, and every bus' own result under ``buses``. Exit
+    status and error are those of the first bus that failed by itself.
     """
     known = {channel: result for channel, result in results.items() if result is not None}
     whole: dict[str, Any] = dict(next((result for result in known.values() if "error" not in result), {}))

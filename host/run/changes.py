@@ -1,16 +1,16 @@
-"""What the host answers to who asks for other parameters: ``coulombus set``, and the page.
+"""The host's answers to requests for a change of parameters, by ``coulombus set`` and the page.
 
-Who asks sends a JSON object::
+The client sends a JSON object::
 
     {"values": {"F_s_Nm": 2.0}, "axis": "", "over_s": 0.5, "undo": false, "key": ""}
 
-All keys may be left out; without `values` and `undo` nothing is changed. The answer has the
-parameters of each axis, with bounds, and what was changed; or ``error``, the reason of a refusal,
-and ``again`` where it may be asked again at once.
+All keys are optional; without `values` and `undo` nothing is changed. The answer has the parameters of
+each axis with their bounds, and the change; or ``error``, the reason of a refusal, and ``again`` if the
+request may be repeated at once.
 
-On a rig that is not simulated a hand may be on the handle. There a change needs the arm key, which
-the host prints where it was started: who changes what the hand feels stands beside the rig, or has
-it from who does. The tries are limited (`host.run.arm_key`).
+On a real rig a hand may be on the handle. There a change needs the arm key, which the host prints on the
+terminal where it was started. So the person who changes the display is at the rig, or in contact with
+someone who is. Attempts are limited (`host.run.arm_key`).
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ KEYS = ("values", "axis", "over_s", "undo", "key")
 
 
 class Changes:
-    """Answers who asks for other parameters.
+    """Answers requests for a change of parameters.
 
     Parameters
     ----------
-    parameters : of the run
-    arm_key : that a change needs (`host.run.arm_key`); "": none
-    apply : lets the step want a change, and marks it
-    why_not : why nothing can be changed now; None where it can
+    parameters : live parameters of the run
+    arm_key : key that a change needs (`host.run.arm_key`); "": none
+    apply : publishes a change to the step, and sets its marker
+    why_not : returns the reason why no change is possible now, or None
     """
 
     def __init__(
@@ -54,11 +54,11 @@ class Changes:
         return self.parameters.rows()
 
     def answer(self, text: str, now_ns: int) -> dict[str, Any]:
-        """Do what a JSON text asks for, and return the answer.
+        """Execute the request in a JSON text, and return the answer.
 
         Parameters
         ----------
-        now_ns : of a clock that is never set
+        now_ns : time of a monotonic clock
         """
         try:
             order = _order(text)
@@ -83,12 +83,12 @@ class Changes:
 
 
 def _order(text: str) -> dict[str, Any]:
-    """Return what is asked for, each key of its type.
+    """Return the parsed request, with defaults, after a check of the types.
 
     Raises
     ------
     ChangeRefused
-        it is nothing of the kind
+        the text is not a valid request
     """
     try:
         request = json.loads(text or "{}")

@@ -1,7 +1,6 @@
-"""What a live run tells other programs, and does for who asks at its door: its state, a mark, a
-change of parameters.
+"""Answers of a live run to other programs: its state, a marker, a change of parameters.
 
-What goes wrong in here concerns nobody but who asked.
+Errors are returned to the client; they never affect the run.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ class Answers:
     Raises
     ------
     coulombus.host.run.status_socket.StatusError
-        the socket that ``outputs.status`` names cannot be made
+        the socket at ``outputs.status`` cannot be created
     """
 
     def __init__(self, run: Course, plane: DataPlane, changes: Changes, address: BusAddress, outputs: Outputs) -> None:
@@ -38,9 +37,9 @@ class Answers:
         self._teller = None if outputs.status is None else StatusSocket(outputs.status, self.status)
 
     def status(self) -> dict[str, Any]:
-        """Return the run's state for other programs, as plain values; SI at the handle.
+        """Return the run's state for other programs, as plain values in SI units at the handle.
 
-        It is read while the data plane writes: values of one line may be of two cycles.
+        The data plane writes meanwhile, so the values may come from two cycles.
         """
         run, rig = self._run, self._run.k.rig
         enabled = run.enabled_ns
@@ -62,16 +61,14 @@ class Answers:
         }
 
     def state(self) -> bytes:
-        """Return the state for who asks at the door."""
+        """Return the state as the answer for a client."""
         try:
             return encoded(self.status())
         except Exception as error:
             return encoded({"error": f"{type(error).__name__}: {error}"})
 
     def tell(self, now_ns: int) -> None:
-        """Tell the readers of the status socket, where it is time; what goes wrong there ends the
-        telling alone.
-        """
+        """Send the status to the readers of the status socket when due; an error closes that socket only."""
         if self._teller is None:
             return
         try:
@@ -81,7 +78,7 @@ class Answers:
             say(f"coulombus: the status socket is closed: {type(error).__name__}: {error}")
 
     def mark(self, text: str) -> bytes:
-        """Mark the recording now with what somebody says."""
+        """Set a marker with a client's text in the recording, and return the answer."""
         run = self._run
         if run.recorder is None or run.failure is not None:
             return encoded({"error": "it does not record; start it with --record"})
@@ -93,14 +90,14 @@ class Answers:
         return encoded({"marker": marker, "recording": str(run.path)})
 
     def change(self, text: str) -> bytes:
-        """Change parameters as somebody asks."""
+        """Change parameters as a client requests, and return the answer."""
         try:
             return encoded(self._changes.answer(text, self._run.now_ns))
         except Exception as error:
             return encoded({"error": f"{type(error).__name__}: {error}"})
 
     def close(self) -> None:
-        """End the telling."""
+        """Close the status socket."""
         if self._teller is not None:
             self._teller.close()
             self._teller = None

@@ -1,12 +1,13 @@
-"""The running host's door: a socket beside the bus', by which ``coulombus stop`` asks for a safe
-stop, ``coulombus status`` for its state, and by which a second host knows of it.
+"""Control socket of a running host: stop, status, mark and set requests; detects a second host.
 
-The asker sends ``stop``. The host answers ``accepted`` as soon as it has read it, and at its end
-what came of it, as JSON. Only after ``accepted`` is the end of the connection the end of the host;
-before, it may be anything, and the rig may be armed still. Who sends ``status`` gets one JSON
-object at once; so does who sends ``mark TEXT``, by which ``coulombus mark`` marks the recording,
-and who sends ``set`` with a JSON object, by which ``coulombus set`` and the page change parameters
-(`host.run.changes`).
+The requests, and their answers as JSON:
+
+- ``stop`` (``coulombus stop``): the host answers ``accepted`` as soon as it has read the request, and the
+  result at its end. After ``accepted``, the end of the connection is the end of the host. Before, the
+  connection may end for any reason, and the rig may still be armed.
+- ``status`` (``coulombus status``): the state, at once.
+- ``mark TEXT`` (``coulombus mark``): sets a marker in the recording.
+- ``set`` with a JSON object (``coulombus set``, the page): changes parameters (`host.run.changes`).
 """
 
 from __future__ import annotations
@@ -39,39 +40,39 @@ __all__ = [
 ]
 
 STOP_TIMEOUT_S = 30.0
-"""How long a stop that the host has taken may last."""
+"""Longest time to the host's end after it has accepted a stop."""
 LET_IN_S = 3.0
-"""How long the host may need to take it."""
+"""Longest time for the host to accept a stop."""
 MESSAGE_BYTES = 1 << 16
 STOP, ACCEPTED, STATUS, MARK, SET = b"stop", b"accepted", b"status", b"mark ", b"set "
 STATUS_TIMEOUT_S = 3.0
 ASKERS = 16
-"""Who may be connected at a time.
+"""Largest number of connected clients.
 
-One more takes the place of the one that has been silent for longest.
+One more replaces the client that has been silent for longest.
 """
 SILENT_S = 1.0
-"""How long one may be connected and say nothing."""
+"""Longest time for which a client may be connected without a request."""
 BACKLOG = 8
 TOLD = {"mode": (str,), "cycles": (int,), "trip": (str, type(None))}
-"""What a host tells of its end, and of which types it is."""
+"""Entries of a host's result, with their types."""
 RETRY_S = 0.01
 
 
 class NoHost(HostError):
-    """No host runs on the bus, or it did not take the request, or it did not end."""
+    """No host runs on the bus, or it did not accept the request, or it did not end."""
 
     exit_status = 4
 
 
 class NotMarked(HostError):
-    """The host runs and marks nothing; the text says why."""
+    """The host refused a marker; the text gives the reason."""
 
     exit_status = 2
 
 
 class NotChanged(HostError):
-    """The host runs and changes no parameter; the text says why."""
+    """The host refused a change of parameters; the text gives the reason."""
 
     exit_status = 2
 
@@ -87,9 +88,7 @@ def _new() -> socket.socket:
 
 
 def _probe(path: Path) -> bool | None:
-    """Tell who is at a host's door: True, a host; False, nobody, a killed one left it; None, there
-    is no door.
-    """
+    """Return True if a host answers, False for a stale socket of a killed host, None for no socket."""
     with _new() as probe:
         try:
             probe.connect(str(path))
@@ -97,18 +96,18 @@ def _probe(path: Path) -> bool | None:
             return None
         except ConnectionRefusedError:
             return False
-        except BlockingIOError:  # so many wait that there is no room: it lives
+        except BlockingIOError:  # the backlog is full: a host listens
             return True
     return True
 
 
 def host_runs(address: BusAddress) -> bool:
-    """Tell whether a host of this machine has the bus; nothing is asked of it."""
+    """Return whether a host of this machine has the bus; sends it no request."""
     return _probe(control_path(address)) is True
 
 
 def hosts_here() -> list[BusAddress]:
-    """Return the buses on which a host of this user and machine runs; nothing is asked of it."""
+    """Return the buses on which a host of this user and machine runs; sends no request."""
     names = (name.removesuffix(HOST_SUFFIX) for name in socket_names() if name.endswith(HOST_SUFFIX))
     return [address for address in map(_address_of, names) if host_runs(address)]
 
@@ -123,15 +122,17 @@ def _address_of(name: str) -> BusAddress:
 
 
 class _Client:
-    """Somebody at the door."""
+    """A connected client."""
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
         self.connection, self.since, self.accepted = connection, time.monotonic(), False
 
     def asks(self, door: HostSocket) -> bool | None:
-        """Tell whether a stop is asked for now; None: it has gone, has its answer, talks nonsense,
-        or has said nothing for too long.
+        """Read and answer a request; return whether it is a stop request.
+
+        None: the connection is finished. The client has disconnected, has its answer, sent an invalid
+        request, or was silent for too long.
         """
         try:
             message = self.connection.recv(MESSAGE_BYTES)
@@ -151,16 +152,15 @@ class _Client:
         return True
 
     def tell(self, message: bytes) -> None:
-        with suppress(OSError):  # it has gone: what it asked for stands
+        with suppress(OSError):  # the client has disconnected; its request holds
             self.connection.send(message)
 
 
 class HostSocket:
-    """Claims the bus at `address` for this process.
+    """Claims the bus at `address` for this process, and serves the control socket.
 
-    `status` makes the answer to who asks for the state, `mark` marks the recording with a text and
-    makes the answer to that, `change` changes parameters as a JSON text says and makes the answer;
-    all may be set later.
+    Three functions return the answers, and may be set later: `status` for the state, `mark` for a marker
+    with a text, `change` for a change of parameters from a JSON text.
 
     Raises
     ------
@@ -177,7 +177,7 @@ class HostSocket:
         heard = _probe(self._path)
         if heard:
             raise SafetyTrip(_occupied(address))
-        if heard is False:  # where there was no door, one that is there now is a host's that starts
+        if heard is False:  # without a socket before, a socket found by bind belongs to a host that starts
             self._path.unlink(missing_ok=True)
         self._listener = _new()
         try:
@@ -192,9 +192,9 @@ class HostSocket:
             raise
 
     def stop_wanted(self) -> bool:
-        """Tell whether somebody has asked for a stop since the last time.
+        """Serve all clients; return whether one has requested a stop since the last call.
 
-        OSError: nobody can come in any more.
+        OSError: the socket accepts no more clients.
         """
         self._let_in()
         stop = False
@@ -206,7 +206,7 @@ class HostSocket:
         return stop
 
     def _let_in(self) -> None:
-        for _ in range(ASKERS):  # a bound: who comes again and again holds up nobody
+        for _ in range(ASKERS):  # a bound: a client that reconnects repeatedly must not block the run
             try:
                 connection, _ = self._listener.accept()
             except BlockingIOError:
@@ -226,13 +226,13 @@ class HostSocket:
         asker.connection.close()
 
     def close(self, result: dict[str, Any] | None = None) -> None:
-        """Tell those who asked what came of it, and let go of the bus.
+        """Send the result to the clients that requested a stop, and release the bus.
 
-        May be called again; raises nothing.
+        May be called again; never raises.
         """
         if self._listener.fileno() < 0:
             return
-        with suppress(Exception):  # who asked at the last moment hears of it, too
+        with suppress(Exception):  # accepts requests of the last moment
             self.stop_wanted()
         with suppress(OSError):
             self._path.unlink()
@@ -249,13 +249,11 @@ def _occupied(address: BusAddress) -> str:
 
 
 class StopRequest:
-    """Asks the host on a bus to stop safely; `result` waits for its end.
-
-    What goes wrong is told there.
+    """Requests a safe stop of the host on a bus; `result` waits for its end, and reports errors.
 
     Parameters
     ----------
-    timeout_s : for all of it: to get in and be heard, which is `LET_IN_S` at most, and the host's end
+    timeout_s : time for the whole request: connection and acceptance, at most `LET_IN_S`, and the host's end
     """
 
     def __init__(self, address: BusAddress, timeout_s: float = STOP_TIMEOUT_S) -> None:
@@ -283,7 +281,7 @@ class StopRequest:
         while True:
             try:
                 return self._socket.connect(path)
-            except BlockingIOError:  # no room among those who wait at its door: connect() would wait for ever
+            except BlockingIOError:  # the backlog is full: a blocking connect() would wait without end
                 if time.monotonic() >= self._heard_by:
                     raise TimeoutError from None
                 time.sleep(RETRY_S)
@@ -293,14 +291,14 @@ class StopRequest:
         return self._socket.recv(MESSAGE_BYTES)
 
     def result(self) -> dict[str, Any]:
-        """Wait for the host's end and return what it tells.
+        """Wait for the host's end and return its result.
 
-        Empty: it took the request and ended without a word.
+        The result is empty if the host accepted the request and ended without one.
 
         Raises
         ------
         NoHost
-            none runs there, it did not take the request, or it does not come to an end
+            no host runs there, it did not accept the request, or it did not end
         """
         with self._socket:
             if self._failure is None:
@@ -331,7 +329,7 @@ class StopRequest:
             return {}
         try:
             answer = json.loads(message)
-        except (ValueError, RecursionError):  # RecursionError: brackets within brackets
+        except (ValueError, RecursionError):  # RecursionError: deeply nested brackets
             answer = None
         if not isinstance(answer, dict) or not all(
             isinstance(answer.get(key, 0.5), kinds) for key, kinds in TOLD.items()
@@ -342,38 +340,39 @@ class StopRequest:
 
 
 def stop_host(address: BusAddress, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, Any]:
-    """Ask the host on a bus to stop safely, wait for its end, and return what it tells
+    """Request a safe stop of the host on a bus, wait for its end, and return its result
     (`StopRequest.result`).
 
     Raises
     ------
     NoHost
-        none runs there, it did not take the request, or it does not come to an end
+        no host runs there, it did not accept the request, or it did not end
     """
     return StopRequest(address, timeout_s).result()
 
 
 def ask_status(address: BusAddress, timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
-    """Ask the host on a bus for its state.
+    """Return the state of the host on a bus.
 
     Raises
     ------
     NoHost
-        none runs there, or it gives no answer that is one
+        no host runs there, or its answer is not valid
     """
     return _ask(address, STATUS, timeout_s)
 
 
 def ask_mark(address: BusAddress, text: str, timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
-    """Ask the host on a bus to mark its recording, and return what it tells: ``marker``, the text
-    as it is recorded, and ``recording``, where.
+    """Request a marker in the recording of the host on a bus; return its answer.
+
+    The answer has ``marker``, the recorded text, and ``recording``, the path.
 
     Raises
     ------
     NoHost
-        none runs there, or it gives no answer that is one
+        no host runs there, or its answer is not valid
     NotMarked
-        it does not record, or refuses the text
+        the host does not record, or refuses the text
     """
     answer = _ask(address, MARK + text.encode(errors="replace"), timeout_s)
     if "error" in answer:
@@ -382,14 +381,14 @@ def ask_mark(address: BusAddress, text: str, timeout_s: float = STATUS_TIMEOUT_S
 
 
 def ask_change(address: BusAddress, order: dict[str, Any], timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
-    """Ask the host on a bus for other parameters, and return what it tells (`host.run.changes`).
+    """Request a change of parameters from the host on a bus; return its answer (`host.run.changes`).
 
     Raises
     ------
     NoHost
-        none runs there, or it gives no answer that is one
+        no host runs there, or its answer is not valid
     NotChanged
-        it refuses; nothing is changed
+        the host refuses; nothing is changed
     """
     message = SET + json.dumps(order).encode(errors="replace")
     deadline = time.monotonic() + timeout_s

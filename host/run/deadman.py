@@ -1,14 +1,13 @@
-"""The dead man's switch: what the rig file asks for, and who watches it where it is no object of a
-device.
+"""The dead man's switch: the rig file's choice, and watchers for switches that are no object of a device.
 
-A watcher is a thread of the data plane's parent. Whenever it sees the switch held, it lets it count
-as held for a short time ahead (``hold(until_ns)``); the compiled loop compares that with its own
-clock in each cycle. So whatever befalls the watcher - it dies, it is stalled, its device or its
-client goes - the switch is released by itself.
+A watcher is a thread of the data plane's parent. Each time it reads the switch as held, it counts it as
+held for a short time ahead (``hold(until_ns)``). The compiled loop compares that time with its own clock
+in each cycle. So if the watcher dies or stalls, or its device or client goes, the switch counts as
+released.
 
-The key: a held one reaches a program as repeats, which begin some tenths of a second after the
-first stroke. So one stroke counts for nothing; two within `RELEASE_S` count as held, until none has
-come for `RELEASE_S`.
+The key: a terminal sends a held key as repeats, which begin tenths of a second after the first stroke. So
+one stroke does not count. Two strokes within `RELEASE_S` count as held, until `RELEASE_S` passes without
+a stroke.
 """
 
 from __future__ import annotations
@@ -37,13 +36,13 @@ def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
     """Return the dead man's switch of a run: "none", "key", "object:INDEX:SUB",
     "object:INDEX:SUB:MASK", "gpio:gpiochipN:LINE", "gpio:gpiochipN:LINE:low" or "socket:/PATH".
 
-    A virtual bus moves nobody, and needs none. On an interface of Linux a mode in which the motor
-    of any axis has torque needs one, or the rig file says in so many words that there is none.
+    A virtual bus moves no hardware and needs no switch. On a Linux interface, a mode in which the motor
+    of any axis has torque needs a switch, unless the rig file says "none" explicitly.
 
     Raises
     ------
     SafetyTrip
-        the rig file says nothing
+        the rig file names no switch, and the mode needs one
     """
     if rig.host.deadman:
         return rig.host.deadman
@@ -58,16 +57,16 @@ def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
 
 
 class Switch(ABC):
-    """A switch that somebody holds, watched as a context manager.
+    """A dead man's switch, which the context manager watches.
 
     Parameters
     ----------
     hold : called with the time [ns, CLOCK_MONOTONIC] until which the switch counts as held; with 0
-        when it is let go
+        when it is released
     """
 
     invitation: ClassVar[str]
-    """What is said to the operator."""
+    """Instruction for the operator."""
     name: ClassVar[str]
 
     def __init__(self, hold: Callable[[int], None]) -> None:
@@ -75,13 +74,13 @@ class Switch(ABC):
 
     @abstractmethod
     def __enter__(self) -> Self:
-        """Watch from now on."""
+        """Begin to watch."""
 
     @abstractmethod
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Watch no more."""
+        """Stop watching."""
 
     @property
     def held(self) -> bool:
@@ -98,7 +97,7 @@ class Switch(ABC):
 
 
 class Watcher(Switch):
-    """A switch that a thread of its own watches."""
+    """A switch with a watcher thread of its own."""
 
     def __init__(self, hold: Callable[[int], None]) -> None:
         super().__init__(hold)
@@ -115,20 +114,19 @@ class Watcher(Switch):
 
     @abstractmethod
     def _watch(self) -> None:
-        """Watch until `_lookout.ready` says that it is over; then, and after an error, the switch
-        is let go.
+        """Watch until `_lookout.ready` returns None; then, and after an error, the switch is released.
 
         OSError: the switch is gone.
         """
 
 
 class HeldKey(Switch):
-    """The space bar of the terminal; `other` is called with all other strokes.
+    """The space bar of the terminal; `other` is called with all other keys.
 
     Raises
     ------
     SafetyTrip
-        the standard input is no terminal
+        the standard input is not a terminal
     """
 
     name = "the space bar"

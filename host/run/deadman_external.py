@@ -1,12 +1,11 @@
-"""Dead man's switches without a terminal: an input line of this computer, and a process that keeps
-a socket alive.
+"""Dead man's switches without a terminal: a GPIO line of this computer, and a UNIX socket with a client.
 
-``host.deadman = "gpio:gpiochip0:17"``: line 17 of ``/dev/gpiochip0``, by Linux's own interface
-(``GPIO_V2_GET_LINE_IOCTL``, ``linux/gpio.h``). The kernel is asked for a pull-down, so that a cable
-that breaks has let go; with ``:low`` behind it the line is held while it is 0, and has a pull-up.
+``host.deadman = "gpio:gpiochip0:17"``: line 17 of ``/dev/gpiochip0``, by the Linux interface
+(``GPIO_V2_GET_LINE_IOCTL``, ``linux/gpio.h``). The line has a pull-down, so a broken cable is a release.
+With ``:low`` appended, the switch is held while the line is 0, and the line has a pull-up.
 
-``host.deadman = "socket:/run/coulombus/deadman"``: a client connects to this UNIX socket and sends
-any byte at least every 100 ms while the switch is held, better every 20 ms. Silence, an end of the
+``host.deadman = "socket:/run/coulombus/deadman"``: a client connects to this UNIX socket and sends any
+byte at least every 100 ms while the switch is held, preferably every 20 ms. Silence, the end of the
 connection, or a second client is a release.
 """
 
@@ -31,7 +30,7 @@ __all__ = ["SILENCE_S", "HeldLine", "HeldSocket", "switch_of"]
 
 SILENCE_S = 0.1
 LOOK_S, LEVEL_S = 0.002, 0.03
-"""A line is looked at so often, and one that is held counts so long."""
+"""Period in which a line is read, and time for which a held line counts as held."""
 
 Ioctl: TypeAlias = Callable[[int, int, bytes], bytes]
 
@@ -51,13 +50,15 @@ REASONS = {
 def switch_of(
     deadman: str, hold: Callable[[int], None], other: Callable[[bytes], None] = lambda strokes: None
 ) -> Switch | None:
-    """Return the switch that `host.deadman` names; None where it is an object of a device, which
-    the cycle looks at itself, or "none". `other` gets a terminal's keys that are no switch.
+    """Return the switch that `host.deadman` names.
+
+    None: it is an object of a device, which the cycle reads itself, or "none". `other` gets the terminal's
+    other keys.
 
     Raises
     ------
     coulombus.host.errors.SafetyTrip
-        the switch is not there
+        the switch is not available
     """
     kind, _, rest = deadman.partition(":")
     if kind == "key":
@@ -71,17 +72,17 @@ def switch_of(
 
 
 class HeldLine(Watcher):
-    """An input line of this computer.
+    """A GPIO line of this computer.
 
     Parameters
     ----------
-    low : the line is held while it is 0
-    ioctl : of the kernel
+    low : whether the switch is held while the line is 0
+    ioctl : the kernel's ioctl, or a substitute
 
     Raises
     ------
     SafetyTrip
-        the line cannot be had; the text says why
+        the line is not available; the text gives the reason
     """
 
     name = "the switch at the GPIO line"
@@ -121,12 +122,12 @@ class HeldLine(Watcher):
 
 
 class HeldSocket(Watcher):
-    """A UNIX socket that one client keeps alive; it is made for this user alone.
+    """A UNIX socket on which a client keeps sending; only this user may connect.
 
     Raises
     ------
     SafetyTrip
-        the socket cannot be made, or another host has it
+        the socket cannot be created, or another host has it
     """
 
     name = "the socket"
@@ -165,7 +166,7 @@ class HeldSocket(Watcher):
                     other = _accepted(self._listener)
                     if client is None:
                         client = other
-                    elif other is not None:  # whose hand counts? nobody's
+                    elif other is not None:  # with two clients neither hand counts
                         client.close()
                         other.close()
                         client = None
@@ -183,7 +184,7 @@ class HeldSocket(Watcher):
 
 
 def _accepted(listener: socket.socket) -> socket.socket | None:
-    """Return who has come; None where he has gone again."""
+    """Return the connection of a new client; None if it has disconnected."""
     with suppress(BlockingIOError, ConnectionAbortedError):
         connection, _ = listener.accept()
         connection.setblocking(False)
@@ -192,7 +193,7 @@ def _accepted(listener: socket.socket) -> socket.socket | None:
 
 
 def _spoke(client: socket.socket) -> bool:
-    """Take what a client says; return False where it has gone."""
+    """Read a client's bytes; return False if it has disconnected."""
     try:
         return bool(client.recv(4096))
     except OSError:
@@ -200,9 +201,9 @@ def _spoke(client: socket.socket) -> bool:
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Remove a socket on which nobody listens any more.
+    """Remove a stale socket.
 
-    OSError: somebody does, or it is another thing.
+    OSError: another host listens on it, or the path is not a socket.
     """
     try:
         kind = path.lstat().st_mode

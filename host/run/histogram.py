@@ -1,6 +1,4 @@
-"""The picture of a real run's timing: how late the cycle woke, and how long after SYNC its
-set-points went out.
-"""
+"""Figure of a real-time run's timing: wake-up delay of the cycle, and time from SYNC to the last RPDO."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ from coulombus.recording.pictures.style import BLACK, BLUE, VERMILION, figure, l
 __all__ = ["Counts", "coarse", "coarse_dict", "draw_histograms"]
 
 Counts: TypeAlias = npt.NDArray[np.int64]
-"""How many times fell into each bin."""
+"""Number of times in each bin."""
 
 BINS_PER_DECADE = 20
 
@@ -44,9 +42,7 @@ def coarse_dict(bins: Counts) -> dict[str, Any]:
 
 
 def draw_histograms(wakeup: Counts, latency: Counts, period_us: float, path: Path) -> None:
-    """Write the picture of both histograms to `path`, with the end of the period: the deadline of
-    either.
-    """
+    """Write the figure of both histograms to `path`, with the period as the deadline of both."""
     with figure(7.0, 4.2) as (made, axes):
         for bins, colour, name in (
             (wakeup, BLUE, "woke after its deadline"),

@@ -1,11 +1,9 @@
-"""How long the host takes from the last TPDO of a cycle to its RPDOs, measured on this PC without
-any bus.
+"""Measurement of the host's time from a cycle's last TPDO to its last RPDO, on this PC and without a bus.
 
-The very process of a run does it (`host.realtime.data_plane`), with its real-time rights, its law
-and the PDOs of the rig; this process plays the devices at the other end of a socket. They stand
-still, enabled, so that the law is asked in each cycle. What is measured runs from the stamp that
-the kernel gave the last TPDO to the instant at which the last RPDO was handed over: waking up,
-decoding, watching, the law, encoding and sending.
+The process of a real run (`host.realtime.data_plane`) is measured, with its real-time rights, its law and
+the PDOs of the rig. The present process simulates the devices at the other end of a socket. They are
+enabled and at rest, so the law is evaluated in each cycle. The time runs from the kernel's stamp of the
+last TPDO to the hand-over of the last RPDO: wake-up, decoding, monitors, law, encoding and sending.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ __all__ = ["compute_times_ns", "measure_compute"]
 
 LEAD_NS, BATCH_S = 20_000_000, 0.05
 REST_S = 100e-6
-"""How long the played devices take, so that the cycle sleeps when their TPDOs come, as on a bus."""
+"""Response time of the simulated devices, so that the cycle sleeps when their TPDOs come, as on a bus."""
 BEAT_CYCLES = 16
 HELD_NS = 3600 * 1_000_000_000
 PATIENCE_S = 20.0
@@ -54,20 +52,19 @@ def measure_compute(
     cpu: int | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[tuple[int, ...], list[dict[str, Any]]]:
-    """Return the times of so many cycles [ns], those of each axis, and which real-time rights were
-    granted.
+    """Return the times [ns] of `cycles` cycles, for all axes, and the real-time rights with their grants.
 
     Parameters
     ----------
-    rig : on one bus
-    progress : called with how many cycles are done; what it raises ends the measurement
+    rig : a rig on one bus
+    progress : called with the number of finished cycles; an exception from it ends the measurement
 
     Raises
     ------
     coulombus.host.realtime.data_plane.PlaneError
         the process of the cycle did not start
     coulombus.rigs.rig.RigError
-        the law
+        the law cannot be loaded
     """
     controllers = Controllers(rig, mode)
     own, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -96,7 +93,7 @@ def measure_compute(
 
 
 def _cycle(plane: DataPlane, controllers: Controllers, cycles: int, progress: Callable[[int], None]) -> tuple[int, ...]:
-    """Let the data plane cycle, and take the times out of its log."""
+    """Run the data plane's cycle, and compute the times from its log."""
     period = int(controllers.control["period_ns"][0])
     plane.hold_deadman(time.monotonic_ns() + HELD_NS)
     plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
@@ -122,7 +119,7 @@ def _identifiers(pdos: Records) -> set[int]:
 
 
 def _stand_still(controllers: Controllers) -> None:
-    """Let each axis be armed already, with its handle at rest: the law is asked from the first
+    """Set each axis to phase RUN with its handle at rest, so that the law is evaluated from the first
     cycle on.
     """
     now = time.monotonic_ns()
@@ -135,10 +132,9 @@ def _stand_still(controllers: Controllers) -> None:
 
 
 def compute_times_ns(log: Records, axes: Sequence[tuple[set[int], set[int]]]) -> tuple[int, ...]:
-    """Return the times from the last TPDO of an axis to its last RPDO [ns], for each axis and
-    cycle.
+    """Return the times from the last TPDO of an axis to its last RPDO [ns], for each axis and cycle.
 
-    A cycle in which a TPDO came too late, or not at all, tells nothing: the host waited for it.
+    A cycle with a late or missing TPDO is left out, because the host waited for it.
 
     Parameters
     ----------
@@ -169,8 +165,9 @@ def compute_times_ns(log: Records, axes: Sequence[tuple[set[int], set[int]]]) ->
 
 
 class _Devices:
-    """All devices of the rig at the other end of a socket, in a thread: each SYNC is answered by
-    all TPDOs, and by heartbeats now and then.
+    """All devices of the rig, simulated by a thread at the other end of a socket.
+
+    They answer each SYNC by all TPDOs, and every `BEAT_CYCLES` cycles also by heartbeats.
     """
 
     def __init__(self, controllers: Controllers, line: socket.socket) -> None:
@@ -182,11 +179,11 @@ class _Devices:
         self.thread = threading.Thread(target=self._serve, daemon=True)
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start the thread."""
         self.thread.start()
 
     def close(self) -> None:
-        """End it, and close the socket."""
+        """End the thread, and close the socket."""
         self.quit.set()
         if self.thread.is_alive():
             self.thread.join()
@@ -194,7 +191,7 @@ class _Devices:
 
     def _serve(self) -> None:
         sync, cycle = pack_frame(CobId.SYNC), 0
-        with suppress(OSError):  # the other end has gone
+        with suppress(OSError):  # the other end has closed
             while not self.quit.is_set():
                 if not select.select([self.line], [], [], BATCH_S)[0]:
                     continue
@@ -209,8 +206,8 @@ class _Devices:
 
 
 def _tpdos(controller: Controller) -> list[bytes]:
-    """Return the frames of the TPDOs of devices that are enabled and stand still: every input 0,
-    the dead man's switch held.
+    """Return the TPDOs of devices that are enabled and at rest, with the dead man's switch held and all
+    other inputs 0.
     """
     values = new_records(HostRecord)[0].image.copy()
     enabled = int(STATUSWORD[PowerState.OPERATION_ENABLED]) | VOLTAGE_ENABLED

@@ -1,7 +1,7 @@
-"""The last word of a host: what it was, when and why it ended. It stands in a file beside the host's
-socket, for observers that come later than the end, and until the next host begins.
+"""Final report of a host: mode, cycles, time and reason of its end.
 
-A host that was killed leaves none.
+The report is a file in the folder of the host's socket. Observers read it after the host's end, until
+the next host begins. A killed host leaves no report.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ def _path(address: BusAddress) -> Path:
 
 
 def leave_word(address: BusAddress, outcome: Mapping[str, Any] | None) -> None:
-    """Write what a run came to, with the time of now; nothing for None. Raises nothing.
+    """Write the report of a run, with the present time; does nothing for None. Never raises.
 
     Parameters
     ----------
-    outcome : has the entries of `KINDS` except ``ended``
+    outcome : the entries of `KINDS` except ``ended``
     """
     if outcome is None:
         return
-    with suppress(Exception):  # the run has its result: a word that cannot be left changes nothing
+    with suppress(Exception):  # an error here must not change the run's result
         path = _path(address)
         new = path.with_name(f"{path.name}.{os.getpid()}")
         try:
@@ -60,13 +60,13 @@ def leave_word(address: BusAddress, outcome: Mapping[str, Any] | None) -> None:
 
 
 def forget_word(address: BusAddress) -> None:
-    """Remove the word of an earlier host: another one begins. Raises nothing."""
+    """Remove the report of an earlier host. Never raises."""
     with suppress(Exception):
         _path(address).unlink(missing_ok=True)
 
 
 def last_word(address: BusAddress) -> dict[str, Any] | None:
-    """Return what the last host on a bus left; None where there is none that can be read."""
+    """Return the report of the last host on a bus; None if there is no readable one."""
     try:
         with _path(address).open("rb") as file:
             word = json.loads(file.read(MOST_BYTES))
@@ -77,7 +77,7 @@ def last_word(address: BusAddress) -> dict[str, Any] | None:
 
 
 def ending(word: Mapping[str, Any]) -> str:
-    """Return when and why a host ended, as words: "2026-11-27 10:31:02, stopped by coulombus stop"."""
+    """Return time and reason of a host's end as text: "2026-11-27 10:31:02, stopped by coulombus stop"."""
     trip, stopped_by = word["trip"], word["stopped_by"]
     why = f"trip {trip}" if trip else f"stopped by {stopped_by}" if stopped_by else "its display was over"
     try:

@@ -1,10 +1,10 @@
-"""The course of a run of the rig against the wall clock, on a bus: the host alone.
+"""Sequence of a real-time run on a bus.
 
-The nodes are where the bus says, simulated or not.
+The nodes on the bus may be real or simulated.
 
-The parent of the data plane (`host.realtime.data_plane`) lives here: it brings the nodes up over
-SDO, starts the cycle, writes what the data plane logs to the recording, watches everything, and
-ends the run safely - when the time is over, on a signal, on ``coulombus stop``, or on a trip.
+This process is the parent of the data plane (`host.realtime.data_plane`). It brings the nodes up over
+SDO, starts the cycle, records the data plane's log, supervises the run, and ends it safely: when the
+time is over, on a signal, on ``coulombus stop``, or on a trip.
 """
 
 from __future__ import annotations
@@ -53,16 +53,14 @@ __all__ = ["LISTEN_S", "RealCourse"]
 
 POLL_S = 0.01
 LISTEN_S = 1.0
-"""How long a host is listened for, before it counts as alone on its bus."""
+"""Time of listening for another host before this host counts as the only one on its bus."""
 LEAD_NS = 20_000_000
-FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
-HAND_TIMEOUT_S, STUCK_S = 30.0, 2.0  # until a hand is there; without a cycle of the data plane
+FAILURES = 1000  # errors of this process at a safe end before it stops waiting; the data plane ends by itself
+HAND_TIMEOUT_S, STUCK_S = 30.0, 2.0  # longest wait for the dead man's switch; longest time without a cycle
 
 
 class RealCourse(Course):
-    """The course against the wall clock: times are CLOCK_MONOTONIC's, and in them the data plane is
-    looked after.
-    """
+    """The course of a real-time run: times are those of CLOCK_MONOTONIC; supervises the data plane."""
 
     def __init__(
         self,
@@ -80,16 +78,16 @@ class RealCourse(Course):
         self.zero_ns = time.monotonic_ns()
         controllers = Controllers(rig, mode)
         super().__init__(controllers, outputs.record, with_states(progress, controllers))
-        self.error: str | None = None  # of this process, while the rig was armed
-        self._fate = ""  # of a data plane that cycles no more
+        self.error: str | None = None  # error of this process while the rig was armed
+        self._fate = ""  # how the data plane's process ended
         self.stopped_by: str | None = None
         self._order = StampOrder(self.zero_ns)
         self._keys = StruckKeys(time.monotonic_ns)
         self._touched = False  # whether this host has sent anything
         self._seen = (0, time.monotonic())
-        self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
+        self._outcome: dict[str, Any] | None = None  # result for the clients that requested a stop
         self._stack = ExitStack()
-        self.notifier = Notifier()  # before anything is started that would inherit its variables
+        self.notifier = Notifier()  # before any process starts that would inherit its variables
         try:
             self.door = HostSocket(address)
             self._stack.callback(lambda: self.door.close(self._outcome))
@@ -97,7 +95,7 @@ class RealCourse(Course):
             self._stack.callback(lambda: leave_word(address, self._outcome))
             self.plane = DataPlane(self.k, address, cpu=cpu)
             self._stack.callback(self.plane.close)
-            parameters = LiveParameters(self.k)  # in the memory that is shared by now
+            parameters = LiveParameters(self.k)  # the controllers are in shared memory by now
             self.changes = Changes(parameters, new_arm_key(address), self._apply, self._why_no_change)
             self.answers = Answers(self, self.plane, self.changes, address, outputs)
             self._stack.callback(self.answers.close)
@@ -117,7 +115,7 @@ class RealCourse(Course):
     # markers, changes, recording
 
     def mark(self, t_ns: int, text: str) -> None:
-        """Mark the recording, whose time begins with the run's."""
+        """Set a marker in the recording, whose time 0 is the start of the run."""
         super().mark(t_ns - self.zero_ns, text)
 
     def _why_no_change(self) -> str | None:
@@ -126,23 +124,21 @@ class RealCourse(Course):
         return "the host ends: it is in its safe state" if self.k.ending else None
 
     def _apply(self, change: Change) -> None:
-        """Let the step follow a change from the next cycle on; mark it."""
+        """Publish a change, which the step takes in the next cycle; set its marker."""
         self.plane.order(change.index, change.number)
         self.mark(self.now_ns, change.marker)
 
     def _watch_keys(self) -> None:
-        """Let the keys 1 to 9 set markers, and q and Escape stop, where a terminal is there."""
+        """Read the terminal's keys, if there is one: 1 to 9 set markers, q and Escape stop."""
         if in_foreground():
             with suppress(OSError, termios.error):
                 self._stack.enter_context(Keys(self._keys.strike, earlier=self._keys.strike_early))
 
     def drain(self, seen_ns: int | None = None) -> None:
-        """Write what the data plane has logged, in the order of the stamps.
+        """Write the data plane's log to the recording, in the order of the stamps.
 
-        With `seen_ns` the rest waits for the next batch.
-
-        All that was to be marked up to `seen_ns` is marked: a frame that may still get a marker is
-        not written.
+        With `seen_ns`, later frames wait for the next batch. All markers up to `seen_ns` are set by then:
+        a frame that could still get a marker is not written.
         """
         rows, frames = self.plane.take_trace(), self.plane.take()
         if self.recorder is None or self.failure is not None:
@@ -151,7 +147,7 @@ class RealCourse(Course):
         self.record(lambda recorder: batch.write(recorder, self._bits))
 
     def _give_up_recording(self) -> None:
-        """Close the recording, if it is not closed yet: what stands in it stays readable."""
+        """Close the recording, if it is still open; its content stays readable."""
         if self.recorder is not None:
             self._attempt(self.recorder.close, RecordingError)
 
@@ -163,14 +159,14 @@ class RealCourse(Course):
         return time.monotonic_ns()
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
-        """Let the data plane make the rig safe."""
+        """Request the safe state from the data plane."""
         self.plane.stop(trip)
 
     def prepare(self) -> None:
-        """Be alone on the bus, load the data plane, bring the nodes up."""
+        """Load the data plane, check that no other host is on the bus, bring the nodes up."""
         alone_at = time.monotonic() + LISTEN_S
         self.plane.wait_ready()
-        self.drain(time.monotonic_ns())  # compiles what the run needs of it: now, not while it is armed
+        self.drain(time.monotonic_ns())  # compiles its functions now, not while the rig is armed
         self.control.check_alone(alone_at)
         for right in self.plane.real_time:
             if not right["granted"]:
@@ -189,11 +185,11 @@ class RealCourse(Course):
         self.mark(now, f"deadman {self.deadman}")
 
     def _hold(self, until_ns: int) -> None:
-        """Let the dead man's switch count as held until then."""
+        """Count the dead man's switch as held until `until_ns`."""
         self.plane.hold_deadman(until_ns)
 
     def _await_hand(self, switch: Switch) -> None:
-        """Wait until a dead man's switch is held that is no object of a device."""
+        """Wait until the dead man's switch is held; for a switch that is not an object of a device."""
         self.k.control["deadman_key"] = 1
         self._stack.enter_context(switch)
         say(f"coulombus: {switch.invitation}")
@@ -204,7 +200,7 @@ class RealCourse(Course):
             time.sleep(POLL_S)
 
     def course(self, seconds: float | None) -> None:
-        """Run from arming to the safe end; `seconds` as `display`."""
+        """Run from arming to the safe end; `seconds` as in `display`."""
         switch = switch_of(self.deadman, self._hold, self._keys.strike)
         if self.deadman != "key":
             self._watch_keys()
@@ -227,13 +223,13 @@ class RealCourse(Course):
             self.display(seconds)
         except Exception as error:
             self._fail(error)
-        finally:  # whatever came: the rig is made safe before anything else
+        finally:  # in every case the rig is made safe first
             self.make_safe()
 
     def _fail(self, error: Exception) -> None:
-        """Make a trip of an error of this process; the first one counts.
+        """Trip with `Trip.HOST` for an error of this process; the first error counts.
 
-        Raises nothing, be there no memory even for the text.
+        Never raises, not even out of memory.
         """
         first, self.error = self.error is None, self.error or "an error"
         with suppress(Exception):
@@ -242,7 +238,7 @@ class RealCourse(Course):
                 self.error = f"{type(error).__name__}: {error} ({place_of(error.__traceback__)})"
 
     def _attempt(self, what: Callable[[], object], *expected: type[Exception]) -> None:
-        """Do something, after which the safe end goes on, whatever comes of it."""
+        """Call `what`; ignore errors of `expected`, and trip for others. Never raises."""
         try:
             what()
         except expected:
@@ -251,9 +247,9 @@ class RealCourse(Course):
             self._fail(error)
 
     def make_safe(self) -> None:
-        """Ask for the safe state and wait for its end.
+        """Request the safe state and wait for its end.
 
-        The data plane goes there by itself: an error in here ends the looking on, not the waiting.
+        The data plane reaches it by itself: an error here interrupts supervision, and the wait goes on.
         """
         deadline, failures = 0, 0
         self._attempt(lambda: self.notifier.tell(STOPPING=1, STATUS="ending safely"))
@@ -272,9 +268,9 @@ class RealCourse(Course):
         self._attempt(self.mark_end)
 
     def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
-        """Look after the run once, a little later.
+        """Advance the run by one supervision step.
 
-        Return False when it is to end: on a signal, on request, or because it has tripped.
+        Return False if the run must end: after a signal, a stop request, a key, or a trip.
         """
         if not self._supervise() or self.k.ending or self.plane.status is PlaneStatus.LOST:
             return False
@@ -290,9 +286,9 @@ class RealCourse(Course):
         return True
 
     def _supervise(self) -> bool:
-        """Mark what has begun, drain the log, see whether the data plane is alive.
+        """Set due markers, drain the log, serve status readers, check that the data plane is alive.
 
-        Return False when it is not.
+        Return False if it is not.
         """
         time.sleep(POLL_S)
         self.plane.attend()
@@ -307,12 +303,12 @@ class RealCourse(Course):
             say(f"coulombus: {text}" if self.recorder is not None else f"coulombus: {text}: nothing is recorded")
         enabled = self.enabled_ns
         if enabled is not None and self.progress is not None:
-            with suppress(OSError):  # of a terminal that was closed
+            with suppress(OSError):  # the terminal was closed
                 self.progress((time.monotonic_ns() - enabled) * 1e-9)
         self.drain(seen_ns)
         self.answers.tell(seen_ns)
         with suppress(BusUnavailable):  # the data plane notices
-            self.control.wait_ns(0)  # heartbeats that nobody reads fill the bus's queue
+            self.control.wait_ns(0)  # unread heartbeats would fill the socket's queue
         stuck = now - self._seen[1] > STUCK_S
         if (stuck or not self.plane.alive) and self.plane.status not in (PlaneStatus.LOST, PlaneStatus.ENDED):
             self._plane_gone()
@@ -320,7 +316,7 @@ class RealCourse(Course):
         return True
 
     def _plane_gone(self) -> None:
-        """The nodes' own watchdogs have made the rig safe, or are about to."""
+        """Set `Trip.DATA_PLANE`: the nodes' own watchdogs make the rig safe."""
         h = self.k.host
         running = h["phase"] < Phase.SAFE
         h["trip"][running], h["trip_ns"][running] = Trip.DATA_PLANE, time.monotonic_ns()
@@ -328,9 +324,7 @@ class RealCourse(Course):
         self._fate = self._fate or self.plane.fate
 
     def _never_cycled(self) -> None:
-        """The bus was lost between the last look at the data plane and its first cycle: that is a
-        trip, too.
-        """
+        """Set `Trip.BUS_LOST` if the bus was lost after the last check and before the first cycle."""
         h = self.k.host
         running = h["phase"] < Phase.SAFE
         if self.plane.status is PlaneStatus.LOST and running.any():
@@ -340,13 +334,13 @@ class RealCourse(Course):
     def end(self) -> None:
         """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording.
 
-        An error of one of them keeps none of the others from it.
+        An error in one of these steps does not prevent the others.
         """
         cycling = self.plane.status is PlaneStatus.CYCLING and self.plane.alive
-        if cycling and not self.k.done:  # a brake that only the host ramps off is, before NMT ends the PDOs
+        if cycling and not self.k.done:  # ramps a brake off that only the host can ramp, before NMT ends the PDOs
             self.plane.end_cycle()
             self._attempt(self.plane.await_end)
-        if cycling:  # first: a node that misses SYNC, or the heartbeat, would call it a fault
+        if cycling:  # before the cycle ends: a node that misses SYNC or the heartbeat would report a fault
             self._attempt(lambda: release(self.k, self.control), BusUnavailable)  # the bus may be gone
             self.plane.end_cycle()
         if self._touched:
@@ -356,19 +350,17 @@ class RealCourse(Course):
         self._attempt(self.plane.close)
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release all resources."""
         try:
             self._stack.close()
-        except Exception as error:  # the run has its result already
+        except Exception as error:  # the run's result exists already
             say(f"coulombus: something is left behind: {error}")
 
     # the result
 
     @property
     def trip(self) -> str | None:
-        """Why the run ended in its safe state, with what this process and the bus have to say of
-        it.
-        """
+        """Text of the trip, with details from this process and the bus, or None."""
         trip, first = super().trip, self.k.tripped
         if self.failure is not None:
             return trip
@@ -376,7 +368,7 @@ class RealCourse(Course):
         if self.error is not None and number in (Trip.NONE, Trip.HOST):
             return f"HOST: {self.error}"
         details = {
-            Trip.HOST: f"it hung for {PARENT_NS // 1_000_000_000} s",  # it has neither failed nor ended
+            Trip.HOST: f"it hung for {PARENT_NS // 1_000_000_000} s",  # without an error of its own
             Trip.DATA_PLANE: f"it {self._fate or 'is not there'}",
             Trip.BUS_LOST: self.plane.lost_text,
         }
@@ -395,7 +387,7 @@ class RealCourse(Course):
         return 8 if self._lost_share() > self.rig.host.loss_limit else 0
 
     def figures(self) -> Figures:
-        """Return the display's figures; an error of them is this process', and a trip."""
+        """Return the display's figures; an error in computing them is a trip."""
         try:
             return super().figures()
         except Exception as error:
@@ -403,7 +395,7 @@ class RealCourse(Course):
         return Figures([Measures() for _ in self.k], None)
 
     def result(self) -> RunResult:
-        """Return what the run came to."""
+        """Return the result of the run."""
         k, plane = self.k, self.plane
         figures = self.figures()
         wakeup, latency = plane.wakeup(), plane.latency()
@@ -429,12 +421,12 @@ class RealCourse(Course):
         )
 
     def concluded(self) -> RunResult:
-        """Return what the run came to, also when telling it fails once.
+        """Return the result of the run; a first error becomes a trip, and the result is computed again.
 
         Raises
         ------
         SafetyTrip
-            it fails again: not even the figures can be told
+            the second attempt failed, too
         """
         try:
             return self.result()
