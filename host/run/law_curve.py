@@ -1,9 +1,9 @@
-r"""A law's curve over the velocity: what it displays at a steady speed, with the parameters of now.
+r"""A law's curve over the velocity: its torque at a steady speed, with the present parameters.
 
-At each speed :math:`v` the law is driven with the cycle's own period from its relaxed state, over
-`FAR_RAD`, for at least `LEAST_S` and at most `MOST_S`; the curve is the mean of the last tenth. A law
-whose torque varies in that tenth, or is another one far away, depends on where the handle is and
-not on its speed alone: it has no curve.
+At each speed :math:`v` the law is evaluated with the cycle's period from its relaxed state, over
+`FAR_RAD`, for at least `LEAST_S` and at most `MOST_S`. The curve is the mean of the last tenth. A law has
+no curve if its torque varies in that tenth, or differs far away: then it depends on the position, and not
+on the speed alone.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ SPEEDS = tuple(float(speed) for speed in np.geomspace(5e-4, 1.0, 18))
 FAR_RAD, AWAY_RAD = 0.3, 1000.0
 LEAST_S, MOST_S = 1.0, 15.0
 SAME = 0.02
-"""By which share of its largest torque a law may vary at a steady speed and still have a curve."""
+"""Largest variation of a law with a curve at a steady speed, as a share of its largest torque."""
 FIELDS = {Slot.K_P: "K_p", Slot.F_S: "F_s", Slot.F_D: "F_d"}
 
 Line: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
-"""Velocities [rad/s] that rise, and the friction there [Nm]."""
+"""Ascending velocities [rad/s], and the friction at each [Nm]."""
 
 
 def law_curve(axis: Axis, mode: str, live: Mapping[str, float]) -> Line | None:
-    """Return what the law of an axis displays in a mode at steady speeds of both signs; None of a law
-    that has no such curve.
+    """Return the torque of an axis' law in a mode at steady speeds of both signs; None for a law without
+    a curve.
 
     Parameters
     ----------
-    live : values of live parameters by name; those of the rig file where one is not named
+    live : values of live parameters by name; others have the rig file's values
 
     Raises
     ------
     coulombus.rigs.rig.RigError
         the law cannot be loaded
     coulombus.host.laws.laws.LawError
-        it returned no finite number
+        the law returned a number that is not finite
     """
     controller = Controller(axis, mode)
     law, law_name = controller.law.copy(), axis.law.function

@@ -1,7 +1,6 @@
-"""What is marked in the recording while the host runs, besides its course: keys of the terminal,
-``coulombus mark``, bits of signals.
+"""Markers set during a run by keys of the terminal, ``coulombus mark``, and bits of signals.
 
-None of these markers can be taken for one of the run's own.
+None of them can be mistaken for a marker of the run itself.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from coulombus.wire.frame import Records
 __all__ = ["BitMark", "BitMarks", "StruckKeys", "bit_mark", "marker_of"]
 
 SAID, MOST_SAID, KEYS = "mark", 200, "123456789"
-"""How such a marker begins; how long it is at most; the keys that set one."""
+"""Prefix of such a marker, its largest length, and the keys that set one."""
 STOP_KEYS = (b"q", b"Q", b"\x1b")
 
 
 def marker_of(text: str) -> str:
-    """Return the marker of what somebody says.
+    """Return the marker with a client's text.
 
     Raises
     ------
     ValueError
-        Nothing is said, too much, or what cannot be printed.
+        the text is empty, too long, or not printable
     """
     marker = f"{SAID} {text.strip()}"
     if not marker.isprintable() or not len(SAID) + 1 < len(marker) <= MOST_SAID:
@@ -39,9 +38,9 @@ def marker_of(text: str) -> str:
 
 @dataclass(frozen=True)
 class BitMark:
-    """Frames of the identifier `can_id` in which all bits of `mask` become 1 set the marker `text`.
+    """Marker `text`, set when all bits of `mask` become 1 in frames with identifier `can_id`.
 
-    `mask` is of the frame's data as a little-endian word; `length` is the PDO's.
+    `mask` applies to the frame's data as a little-endian word; `length` is the PDO's.
     """
 
     signal: str
@@ -52,12 +51,12 @@ class BitMark:
 
 
 def bit_mark(given: str, rig: Rig) -> BitMark:
-    """Return what ``SIGNAL:MASK=TEXT`` says, as in ``motor.statusword:0x400=target reached``.
+    """Return the `BitMark` of ``SIGNAL:MASK=TEXT``, as in ``motor.statusword:0x400=target reached``.
 
     Raises
     ------
     ValueError
-        it is not of that form, the signal is in no PDO of the rig, or has no such bits
+        the form is wrong, no PDO of the rig carries the signal, or the signal has no such bits
     """
     place, equals, text = given.partition("=")
     name, colon, bits = place.rpartition(":")
@@ -86,18 +85,17 @@ def bit_mark(given: str, rig: Rig) -> BitMark:
 
 
 class BitMarks:
-    """Looks for the bits of those `BitMark` in what is recorded whose signals the rig has: of several
-    buses each is recorded by itself.
+    """Finds the rising bits of each `BitMark` in recorded frames.
+
+    Marks whose signals are on another bus of the rig are ignored: each bus has its own recording.
     """
 
     def __init__(self, marks: Sequence[BitMark], rig: Rig) -> None:
         here = {signal.name for pdo in rig.pdos() for signal in pdo.signals}
-        self._marks = {mark: True for mark in marks if mark.signal in here}  # set from the start on is no change
+        self._marks = {mark: True for mark in marks if mark.signal in here}  # bits set at the start are no change
 
     def edges(self, frames: Records) -> list[tuple[int, str]]:
-        """Return the markers of a batch: of each frame in which the bits have become 1, its stamp
-        and the text.
-        """
+        """Return the markers of a batch: time stamp and text for each frame in which the bits become 1."""
         markers = []
         for mark, before in self._marks.items():
             some = frames[(frames["can_id"] == mark.can_id) & (frames["length"] == mark.length)]
@@ -110,28 +108,30 @@ class BitMarks:
 
 
 class StruckKeys:
-    """The keys of the terminal during a run, whose thread strikes them: 1 to 9 are markers, which the
-    run takes when it looks next, and q or Escape asks for the safe state.
+    """Keys struck on the terminal during a run, passed from the keyboard's thread to the run.
+
+    1 to 9 set markers, which the run takes in its next supervision step; q or Escape requests the safe
+    state.
     """
 
     def __init__(self, now_ns: Callable[[], int]) -> None:
         self.stop = False
-        """Whether q or Escape was struck; every key that sends Escape first stops, too."""
+        """Whether q, Escape, or a key that sends Escape first was struck."""
         self._now_ns = now_ns
         self._struck: deque[tuple[int, str]] = deque()
 
     def strike(self, strokes: bytes) -> None:
-        """Keep what these strokes mark, with the present time, and whether one of them stops."""
+        """Store the markers of these strokes with the present time, and whether a stroke stops the run."""
         self.strike_early(strokes)
         for digit in strokes.decode("ascii", "replace"):
             if digit in KEYS:
                 self._struck.append((self._now_ns(), marker_of(digit)))
 
     def strike_early(self, strokes: bytes) -> None:
-        """Keep whether one of these strokes stops; they came before the run, and mark nothing of it."""
+        """Store whether one of these strokes stops the run; strokes before the run set no markers."""
         self.stop |= any(key in strokes for key in STOP_KEYS)
 
     def take(self) -> Iterator[tuple[int, str]]:
-        """Yield the time [ns] and the marker of each that has not been taken."""
+        """Yield the time [ns] and the marker of each stroke that was not taken yet."""
         while self._struck:
             yield self._struck.popleft()

@@ -1,8 +1,7 @@
-"""Measure a rig's devices on their bus, and the host on this PC: the times that the planner counts.
+"""Measurement of the planner's times: response of a rig's devices on their bus, and latency of the host.
 
-The bus is claimed as for a run (`host.run.control_socket`), and refused where another host cycles.
-Nothing is armed: see `host.setup.device_response`. The values proposed are the longest times with a
-margin.
+The bus is claimed as for a run (`host.run.control_socket`), and refused if another host is active on it.
+Nothing is armed (`host.setup.device_response`). The proposed values are the longest times with a margin.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ FULL_S = 1.0
 
 @dataclass(frozen=True)
 class Spread:
-    """How many times there are, their median, 99th percentile and maximum [us]."""
+    """Number of times, and their median, 99th percentile and maximum [us]."""
 
     count: int
     p50: float
@@ -62,12 +61,12 @@ def proposed_ns(longest_ns: float) -> int:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured on one bus.
+    """Measured times of one bus.
 
     Attributes
     ----------
     host : times of the host
-    real_time : which real-time rights the host was granted (`system.realtime`)
+    real_time : the host's real-time rights, each with its grant (`system.realtime`)
     """
 
     devices: tuple[DeviceTimes, ...]
@@ -75,21 +74,17 @@ class Measured:
     real_time: tuple[dict[str, Any], ...]
 
     def response_us(self, device: DeviceTimes) -> float | None:
-        """Return the value proposed for `response_us` of a device; None where nothing was
-        measured.
-        """
+        """Return the proposed value of `response_us` of a device; None if nothing was measured."""
         longest = max((max(pdo.times_ns) for pdo in device.pdos if pdo.times_ns), default=None)
         return None if longest is None else proposed_ns(longest) / 1e3
 
     @property
     def compute_s(self) -> float:
-        """The value proposed for `host.compute_s`."""
+        """The proposed value of `host.compute_s`."""
         return round(proposed_ns(self.host.max * 1e3) * 1e-9, 9)
 
     def numbers(self, rig: Rig) -> dict[Key, float]:
-        """Return the proposed values by the rig file's keys, those of named axes under
-        their axis.
-        """
+        """Return the proposed values by the rig file's keys; keys of named axes begin with the axis."""
         numbers: dict[Key, float] = {("host", "compute_s"): self.compute_s}
         for device in self.devices:
             value = self.response_us(device)
@@ -108,18 +103,18 @@ def _axis_of(rig: Rig, name: str) -> Axis:
 
 
 def quiet_mode(rig: Rig) -> str:
-    """Return the mode in which the devices are configured: that whose motors may do least."""
+    """Return the mode in which the devices are configured: the mode with the smallest motor limit."""
     return min(rig.modes, key=lambda mode: max(motor_limit_Nm(axis, mode) for axis in rig.axes))
 
 
 class _BusWire:
-    """The host's station on a real bus (`host.setup.device_response.Wire`), by the kernel's stamps."""
+    """The host's station on a real bus (`host.setup.device_response.Wire`), with the kernel's stamps."""
 
     def __init__(self, address: BusAddress) -> None:
         self.client = Client(address, Hello(Flags.OWN))
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame; a queue that is full is waited for."""
+        """Send a frame; wait up to `FULL_S` for room in a full queue."""
         deadline = time.monotonic() + FULL_S
         while True:
             try:
@@ -130,7 +125,7 @@ class _BusWire:
                 time.sleep(1e-3)
 
     def listen(self, duration_ns: int, until: Collection[int] = ()) -> list[Stamped]:
-        """Return what is heard, as the protocol says."""
+        """Return the received frames, as `Wire.listen`."""
         frames: list[Stamped] = []
         missing = set(until)
         deadline = time.monotonic() + duration_ns * 1e-9
@@ -164,20 +159,19 @@ def measure_rig(
 
     Parameters
     ----------
-    rounds : SYNCs for each device
-    cycles : of the host
-    progress : called with "host" or a device's name, and how much of it is done; what it raises
-        ends the measurement safely
+    rounds : number of SYNCs for each device
+    cycles : number of cycles of the host
+    progress : called with "host" or a device's name, and the number of finished cycles or rounds; an
+        exception from it ends the measurement safely
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
         no such bus, or it is lost
     coulombus.host.errors.HostError
-        another host has the bus, a node is missing, refuses a value or is not what the rig file
-        says
+        another host has the bus; or a node is missing, refuses a value, or differs from the rig file
     coulombus.rigs.rig.RigError
-        a rehearsal's file on a real bus, a law, a limit that the drive cannot take
+        a rehearsal's file on a real bus, a law that cannot be loaded, a limit that the drive cannot take
     """
     check_no_rehearsal(rig, address)
     mode = quiet_mode(rig)
@@ -189,7 +183,7 @@ def measure_rig(
         def report(what: str, done: int) -> None:
             if door.stop_wanted():
                 raise SafetyTrip("the measurement was ended by `coulombus stop`; nothing was armed")
-            control.wait_ns(0)  # a bus that is gone is told here
+            control.wait_ns(0)  # raises if the bus is gone
             progress(what, done)
 
         try:
@@ -209,5 +203,5 @@ def measure_rig(
 
 
 def _loudest(rig: Rig) -> str:
-    """Return the mode in which the cycle has most to do: the one that uses motor and brake."""
+    """Return the mode with the most work in a cycle: hybrid, else active, else passive."""
     return next(mode for mode in ("hybrid", "active", "passive") if mode in rig.modes)

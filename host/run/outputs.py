@@ -1,4 +1,4 @@
-"""What a run leaves behind: where, and whether it may replace what stands there."""
+"""Output files of a run, and whether they may overwrite existing files."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ __all__ = ["Outputs"]
 
 @dataclass(frozen=True)
 class Outputs:
-    """What a run writes; None: it does not."""
+    """Output files of a run; None: not written."""
 
     record: Path | None = None
     """The recording: a file, or with `rotation` a folder of segments."""
     rotation: Rotation | None = None
-    """When a segment ends (`recording.segments`)."""
+    """Rule for the end of a segment (`recording.segments`)."""
     meta: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """What a person says of the recording; it is attached."""
+    """The user's notes on the recording, which are attached to it."""
     mark_on: tuple[BitMark, ...] = ()
     """Bits of signals that set a marker when they become 1."""
     histogram: Path | None = None
-    """A picture of the wake-up and the SYNC-to-RPDO times."""
+    """Figure of the wake-up and the SYNC-to-RPDO times."""
     status: Path | None = None
-    """A socket is made there that tells the run's state (`host.run.status_socket`)."""
+    """Path of the status socket (`host.run.status_socket`)."""
     force: bool = False
-    """Replace `record` and `histogram` where they exist."""
+    """Overwrite existing files at `record` and `histogram`."""

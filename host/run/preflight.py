@@ -1,4 +1,4 @@
-"""What a live run refuses before anything is armed, and the words of a refusal."""
+"""Checks of a live run before anything is armed, and the texts of refusals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
     Raises
     ------
     RigError
-        the file has marks of `coulombus init --rehearse`; each is named
+        the file has marks of `coulombus init --rehearse`; the text names each line
     """
     marks = rehearsal_marks(rig.origin.text) if address.moves_hardware else ()
     if marks:
@@ -32,13 +32,13 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
 
 
 def check_no_guess(rig: Rig, address: BusAddress) -> None:
-    """Refuse a guess that would move the hand, on a real bus.
+    """Refuse a rig file on a real bus with a guess that could move the hand.
 
     Raises
     ------
     RigError
-        the file still marks guesses of `coulombus init` about the drive's torque, scale or sense;
-        each is named
+        the file still marks guesses of `coulombus init` about the drive's torque, scale or sign; the
+        text names each
     """
     left = [guess for guess in guesses(rig.origin.text) if guess.moves_hand] if address.moves_hardware else []
     if left:
@@ -47,12 +47,12 @@ def check_no_guess(rig: Rig, address: BusAddress) -> None:
 
 
 def check_no_delay(rig: Rig, address: BusAddress) -> None:
-    """Refuse a delay for study on a live bus, where a hand may be on the handle.
+    """Refuse an artificial delay on a live bus, where a hand may be on the handle.
 
     Raises
     ------
     RigError
-        `bus.delay_cycles` is more than 1
+        `bus.delay_cycles` is above 1
     """
     if rig.bus.cycles_to_actuation > 1:
         expected = f"1 or no such key on {address}: a longer delay is for study in virtual time (coulombus simulate)"
@@ -61,13 +61,12 @@ def check_no_delay(rig: Rig, address: BusAddress) -> None:
 
 @contextmanager
 def refusing() -> Iterator[None]:
-    """Make a refusal, with its exit status, of every error that is nobody's mistake and comes
-    before anything is armed (after it: a trip).
+    """Turn an unexpected error before arming into a refusal (status 7). After arming it is a trip.
 
     Raises
     ------
     SafetyTrip
-        an error came that is none of this project's
+        an error that is not a `CoulombusError`
     """
     try:
         yield
@@ -79,7 +78,7 @@ def refusing() -> Iterator[None]:
 
 
 def place_of(trace: TracebackType | None) -> str:
-    """Return where an error came from: file and line."""
+    """Return the file and line of an error's origin."""
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     return "" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"

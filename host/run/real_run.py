@@ -1,4 +1,4 @@
-"""One run of the rig against the wall clock, on a bus."""
+"""A real-time run of the rig on a bus."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ def real_run(
     progress: Progress | None = None,
     cpu: int | None = None,
 ) -> RunResult:
-    """Run the host on a bus and return what came of it.
+    """Run the host on a bus and return the result.
 
     Parameters
     ----------
     mode : ``active``, ``passive`` or ``hybrid``
     seconds : length of the display, from Operation Enabled on; None: until it is stopped
-    bus : the bus; default is the virtual one of the rig's name
-    outputs : what is written; the display's figures are computed from the recording
+    bus : the bus; default is the virtual bus with the rig's name
+    outputs : output files; the display's figures are computed from the recording
     signals : entered by the caller; a signal then ends the run safely
     progress : called with the display's time in s and each axis' state (`run_state.axis_state`)
-    cpu : for the data plane; default is the last one that this process may use
+    cpu : CPU of the data plane; default is the last CPU that this process may use
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable, coulombus.host.errors.HostError
         nothing was armed
     coulombus.rigs.rig.RigError
-        the law, a rehearsal's file or a marked guess on a real bus, a delay for study, a limit that the drive cannot take, or a law that
-        a limit would cut off
+        the law cannot be loaded, or a limit would clip it; a rehearsal's file or a marked guess on a real
+        bus; an artificial delay; a limit that the drive cannot take
     coulombus.recording.pcapng_blocks.RecordingError
         the recording cannot be created, or exists
     """
@@ -90,7 +90,7 @@ def real_run(
                     raise
                 say(
                     f"coulombus: {picture}: cannot be written ({error.strerror})"
-                )  # a picture that is missing hides no trip
+                )  # a missing figure must not hide a trip
         return result
     finally:
         run.close()

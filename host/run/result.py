@@ -1,4 +1,4 @@
-"""What a run came to, in virtual time or on a rig."""
+"""Result of a run, in virtual time or on a rig."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Doubts", "RunResult", "Timing", "file_sha256"]
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """How a run kept time. None: virtual time has no such figure."""
+    """Timing of a run. None: virtual time has no such figure."""
 
     period_ns: int
     missed_deadlines: int
@@ -27,46 +27,43 @@ class Timing:
     sync_to_rpdo_us: dict[str, float] | None = None
     cpu_us_per_cycle: float | None = None
     real_time: list[dict[str, Any]] | None = None
-    """Each real-time right that the data plane asked for: name, granted, detail, remedy."""
+    """Real-time rights that the data plane requested: name, granted, detail, remedy."""
     simulated_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doubts:
-    """What went wrong in a run, or was made to."""
+    """Trips, remarks, losses and injected faults of a run."""
 
     trip: str | None
     trip_ns: int | None = None
-    """When the trip was, in the recording's time."""
+    """Time of the trip, in the recording's time."""
     stopped_by: str | None = None
-    """Who ended the run before its time without a trip: SIGINT, SIGTERM, "coulombus stop"."""
+    """Cause of an early end without a trip: SIGINT, SIGTERM, "coulombus stop", "a key"."""
     remarks: tuple[str, ...] = ()
-    """Where the display was not what the rig file says: a limit cut the law off, or the hand began
-    before the law's gain was 1.
+    """Deviations of the display from the rig file: a limit clipped the law, or the hand began before the
+    law's gain was 1.
     """
     losses: list[str] | None = None
-    """What bring-up left out, as a device is not ours or has no such object, and what the host
-    loses by that.
+    """Settings that bring-up left out, because a device is third-party or lacks the object, each with the
+    protection that the host loses.
     """
     opened: list[str] | None = None
-    """What simulated devices have otherwise than their EDS files, as the real ones have.
+    """Differences of simulated devices from their EDS files, as in the real devices.
 
-    None on a rig, and where nothing was opened.
+    None on a rig, and if there are none.
     """
     faults: list[dict[str, Any]] | None = None
-    """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
+    """Effect of each fault of a fault file: kind, line, times, first_s, last_s."""
     controllers: dict[str, dict[str, Any]] | None = None
-    """State and error counters of each node's CAN controller at the end, where there was a fault
-    file.
-    """
+    """State and error counters of each node's CAN controller at the end, in a run with a fault file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult(Doubts, Timing, Measures):
-    """What a run came to: the display's figures, its timing, its doubts, and where all that is
-    recorded.
+    """Result of a run: the display's figures, timing, `Doubts`, and the recording.
 
-    Figures of the display are None when nothing was recorded, or without the phase they belong to.
+    Figures of the display are None without a recording, or without their phase of the schedule.
     """
 
     mode: str
@@ -76,21 +73,19 @@ class RunResult(Doubts, Timing, Measures):
     recording_sha256: str | None
     sign_check: str
     full_gain_s: float | None = None
-    """When the law was shown whole, its gain at 1: from Operation Enabled, where the operator's
-    schedule begins.
-    """
+    """Time from Operation Enabled, where the operator's schedule begins, to the law's gain 1."""
     counters: dict[str, int]
     exit_status: int
     bus: str | None = None
-    """Where the run was; None in virtual time."""
+    """Address of the bus; None in virtual time."""
     deadman: str | None = None
     axes: dict[str, dict[str, Any]] | None = None
-    """Each axis' own figures by its name; None where the rig has one axis. The figures of hold and
-    dwells above are then those of the first, `cycles` and `full_gain_s` the most, `sign_check` the
-    one that leaves the most doubt, and all counters sums.
+    """Figures of each axis by its name; None for a rig with one axis. With several axes, the figures of
+    hold and dwells above are those of the first axis, `cycles` and `full_gain_s` the largest,
+    `sign_check` the worst, and all counters sums.
     """
     buses: dict[str, dict[str, Any]] | None = None
-    """Each bus' own result by its channel; None where the rig has one bus."""
+    """Result of each bus by its channel; None for a rig with one bus."""
 
     @classmethod
     def of(
@@ -103,13 +98,12 @@ class RunResult(Doubts, Timing, Measures):
         losses: Sequence[str],
         **own: Any,
     ) -> RunResult:
-        """Return what a run came to: what is alike in virtual time and on a rig from its
-        controllers, the rest as given.
+        """Return the result of a run from its controllers.
 
         Parameters
         ----------
-        figures : the display's, of each axis
-        own : the fields that are left
+        figures : the display's figures of each axis
+        own : fields that differ between virtual time and a rig
         """
         return cls(
             mode=host.mode,
@@ -139,7 +133,7 @@ def file_sha256(path: Path) -> str:
 
 
 def _axis_results(controllers: Controllers, figures: Sequence[Measures]) -> dict[str, dict[str, Any]] | None:
-    """Return what a run came to for each axis; None where there is only one."""
+    """Return the result of each axis by its name; None for a rig with one axis."""
     if not controllers.rig.axis_names:
         return None
     return {

@@ -1,6 +1,4 @@
-"""The recording of a live run: its beginning by the clock of the wall, and what the data plane logs
-in the order of its stamps.
-"""
+"""Recording of a live run: its start by the wall clock, and the data plane's log in the order of the stamps."""
 
 from __future__ import annotations
 
@@ -21,19 +19,19 @@ from coulombus.wire.frame import Records
 
 __all__ = ["Batch", "StampOrder", "begin_recording"]
 
-HOLD_BACK_NS = 50_000_000  # frames come into the log a little out of order; younger ones wait for the next batch
+HOLD_BACK_NS = 50_000_000  # frames enter the log slightly out of order; younger ones wait for the next batch
 
 
 def begin_recording(outputs: Outputs, k: Controllers, zero_ns: int) -> Recorder | None:
-    """Begin the recording that `outputs` asks for; None: it asks for none.
+    """Begin the recording at ``outputs.record``; return None if that is None.
 
-    `zero_ns`, of CLOCK_MONOTONIC, is the time 0 of the recording. The recording says when that was
-    by the clock of the wall.
+    `zero_ns`, of CLOCK_MONOTONIC, is time 0 of the recording. The recording contains the wall clock's time
+    at this instant.
 
     Raises
     ------
     coulombus.recording.pcapng_blocks.RecordingError
-        it exists, or cannot be created
+        the file exists, or cannot be created
     """
     path, rig, mode = outputs.record, k.rig, k.mode
     if path is None:
@@ -54,15 +52,15 @@ def begin_recording(outputs: Outputs, k: Controllers, zero_ns: int) -> Recorder 
 
 @dataclass(frozen=True)
 class Batch:
-    """Frames in the order of their stamps, and what the host traced of its cycles."""
+    """Frames in the order of their stamps, and the host's trace of its cycles."""
 
     frames: Records
     rows: Records
     last: bool
-    """Nothing comes after it: the recording is closed with it."""
+    """Whether this is the last batch, after which the recording is closed."""
 
     def write(self, recorder: Recorder, bits: BitMarks) -> None:
-        """Write it, with the markers that `bits` finds in it.
+        """Write the batch, with the markers that `bits` finds in it.
 
         Raises
         ------
@@ -81,11 +79,11 @@ class Batch:
 
 
 class StampOrder:
-    """Puts what the data plane logs in the order of the stamps.
+    """Sorts the data plane's log by the stamps.
 
     Parameters
     ----------
-    zero_ns : the time 0 of the recording, of CLOCK_MONOTONIC
+    zero_ns : time 0 of the recording, of CLOCK_MONOTONIC
     """
 
     def __init__(self, zero_ns: int) -> None:
@@ -93,10 +91,10 @@ class StampOrder:
         self._waiting: Records | None = None
 
     def batch(self, frames: Records, rows: Records, seen_ns: int | None) -> Batch:
-        """Return the frames that no frame to come can stand before, as far as was seen.
+        """Return the frames that are older than every frame still to come.
 
-        Frames of the last `HOLD_BACK_NS` before `seen_ns` wait for the next batch; with None,
-        nothing waits. The times of `frames` and `rows` become the recording's.
+        Frames of the last `HOLD_BACK_NS` before `seen_ns` wait for the next batch; with None, no frame
+        waits. The times of `frames` and `rows` are converted to the recording's time, in place.
         """
         frames["t_ns"] -= self._zero_ns
         rows["t_ns"] -= self._zero_ns

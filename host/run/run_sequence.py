@@ -1,9 +1,8 @@
-"""The course of a run: arming, display, safe end, and what came of it.
+"""Sequence of a run: arming, display, safe end, result.
 
-It is the same in virtual time and against the wall clock. `lab.simulate` and `host.run.real_run`
-say what time is and how it passes; what is done in it, and in which order, stands here. The
-recording's markers are made here, too: for each axis ``phase KIND`` ... ``phase end``, and at last
-``safe`` or ``trip WHY``.
+Virtual time and real time share this sequence. `lab.simulate` and `host.run.real_run` define the time;
+this module defines the steps and their order. It also sets the recording's markers: for each axis
+``phase KIND`` ... ``phase end``, and at the end ``safe`` or ``trip WHY``.
 """
 
 from __future__ import annotations
@@ -27,29 +26,29 @@ __all__ = ["SAFE_TIMEOUT_NS", "Course", "Figures"]
 FOREVER_NS = 1 << 62
 
 SAFE_TIMEOUT_NS = 10_000_000_000
-"""How long the safe state is waited for, beside the brake's ramp."""
+"""Longest wait for the end of the safe state, in addition to the brake's ramp."""
 
 
 class Figures(NamedTuple):
-    """What a recording tells of a run."""
+    """Figures of a run, computed from its recording."""
 
     each: Sequence[Measures]
     """The display's figures of each axis."""
     sha256: str | None
-    """Of the recording; None where there is none."""
+    """SHA-256 of the recording; None without a recording."""
 
 
 class Course(ABC):
-    """The course of one run.
+    """The sequence of one run.
 
     All times are nanoseconds of the run's own clock, which `now_ns` reads.
 
     Attributes
     ----------
     k : the host's controllers
-    path, recorder : of the recording; None where nothing is recorded
-    failure : why the recording could not be written, None while it could
-    losses : what bring-up left out, and what the host loses by that
+    path, recorder : path and recorder of the recording; None without a recording
+    failure : reason why the recording could not be written, or None
+    losses : settings that bring-up left out, each with the protection that the host loses
     """
 
     def __init__(self, k: Controllers, path: Path | None, progress: Callable[[float], None] | None) -> None:
@@ -69,39 +68,36 @@ class Course(ABC):
 
     @property
     def starts_ns(self) -> tuple[int | None, ...]:
-        """When each axis' drive entered Operation Enabled, which begins its schedule; None while it
-        has not.
-        """
+        """Time at which each axis' drive entered Operation Enabled, which begins its schedule; None before."""
         enabled_ns = (int(controller.host["enabled_ns"][0]) for controller in self.k)
         return tuple(None if start < 0 else start for start in enabled_ns)
 
     @property
     def safe_ns(self) -> int | None:
-        """When the first axis entered its safe state; None while none has."""
+        """Time at which the first axis entered its safe state; None before."""
         return self.k.safe_ns
 
     @abstractmethod
     def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
-        """Let a little time pass, at most to `until_ns` or until `done`, and look after the run
-        once; return False when it is to end.
+        """Advance the run by one supervision step, at most to `until_ns` or until `done`.
+
+        Return False if the run must end.
         """
 
     @abstractmethod
     def stop(self, trip: Trip = Trip.NONE) -> None:
-        """Ask the host for the safe state: the normal end, or for the reason `trip`."""
+        """Request the safe state from the host: the normal end, or with the reason `trip`."""
 
     # the course
 
     @property
     def enabled_ns(self) -> int | None:
-        """When the last axis' drive entered Operation Enabled; None while one has not."""
+        """Time at which the last axis' drive entered Operation Enabled; None before."""
         starts = self.starts_ns
         return None if None in starts else max(start for start in starts if start is not None)
 
     def display(self, seconds: float | None) -> None:
-        """Wait until all axes are armed, and display for `seconds` from then on; None: until
-        something ends it.
-        """
+        """Wait until all axes are armed, then display for `seconds`; None: until the run is ended."""
         arming_ends = self.now_ns + round(2e9 * self.k.arming_s)
         while self.enabled_ns is None and self.now_ns < arming_ends and self.look(arming_ends, self._one_more):
             pass
@@ -114,9 +110,7 @@ class Course(ABC):
             self.mark(*marker)
 
     def make_safe(self) -> None:
-        """Ask for the safe state, and wait until the brakes are ramped off and the drives
-        disabled.
-        """
+        """Request the safe state, and wait until the brakes are ramped off and the drives disabled."""
         self.stop()
         ends = self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
         while not self.k.done and self.now_ns < ends:
@@ -124,23 +118,20 @@ class Course(ABC):
         self.mark_end()
 
     def _one_more(self) -> bool:
-        """Tell whether a drive has been enabled whose schedule has not begun, or the arming has
-        ended.
-        """
+        """Return whether a drive is enabled whose schedule has not begun, or an axis is in its safe state."""
         return self.marks.begun < len(self.k.each) - self.starts_ns.count(None) or self.k.ending
 
     # markers and recording
 
     def mark(self, t_ns: int, text: str) -> None:
-        """Mark the recording at `t_ns`."""
+        """Set a marker in the recording at `t_ns`."""
         if self.recorder is not None:
             self.recorder.mark(t_ns, text)
 
     def mark_course(self, before_ns: int) -> None:
-        """Mark the phases that began before `before_ns`, each axis' from its own start, and the
-        safe state.
+        """Set the markers of the safe state, and of the schedules' phases that began before `before_ns`.
 
-        To be called before the frames of that time are recorded.
+        Call it before the frames of that time are recorded.
         """
         for axis, start_ns in enumerate(self.starts_ns):
             if start_ns is not None:
@@ -151,7 +142,7 @@ class Course(ABC):
             self.mark_end()
 
     def mark_end(self) -> None:
-        """Mark when the safe state began - now, where it is not known - and why; once."""
+        """Set the marker of the safe state with its reason, once; at the present time if its start is unknown."""
         if self._end_marked:
             return
         self._end_marked = True
@@ -159,16 +150,14 @@ class Course(ABC):
         self.mark(self.now_ns if safe_ns is None else safe_ns, f"trip {trip}" if trip else "safe")
 
     def _shown_ns(self) -> int:
-        """Return until when there is, or was, something to display: until now, or until the safe
-        state began.
-        """
+        """Return the end of the display so far: the present time, or the start of the safe state."""
         now_ns, safe_ns = self.now_ns, self.safe_ns
         return now_ns if safe_ns is None else min(now_ns, safe_ns)
 
     def record(self, write: Callable[[Recorder], None]) -> None:
         """Write to the recording.
 
-        Where that fails, the rig is made safe, and nothing more is written.
+        After an error the rig is made safe, and nothing more is written.
         """
         if self.recorder is None or self.failure is not None:
             return
@@ -182,7 +171,7 @@ class Course(ABC):
 
     @property
     def trip(self) -> str | None:
-        """Why the run ended in its safe state, in words; None when it was not for a trip."""
+        """Text of the trip, or None."""
         return self.k.trip if self.failure is None else f"RECORDING: {self.failure}"
 
     def figures(self) -> Figures:
@@ -196,9 +185,7 @@ class Course(ABC):
         return Figures([measure(axis) for axis in blocks(self.path).axes], sha256)
 
     def result_of(self, figures: Figures, **own: Any) -> RunResult:
-        """Return what the run came to; `own` are the fields of `RunResult` that virtual time and a
-        rig do not have alike.
-        """
+        """Return the result of the run; `own`: fields that differ between virtual time and a rig."""
         return RunResult.of(
             self.k,
             figures.each,

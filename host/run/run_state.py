@@ -12,11 +12,11 @@ from coulombus.host.run.histogram import coarse_dict
 __all__ = ["Progress", "axis_state", "plane_state", "with_states"]
 
 Progress: TypeAlias = Callable[[float, list[dict[str, Any]]], None]
-"""Takes the display's time in s and the state of each axis (`axis_state`)."""
+"""Callback with the display's time in s and the state of each axis (`axis_state`)."""
 
 
 def plane_state(plane: DataPlane, period_ns: int) -> dict[str, Any]:
-    """Return the state of the data plane as plain values; `period_ns` is the cycle's."""
+    """Return the state of the data plane as plain values; `period_ns` is the period of the cycle."""
     wakeup, latency = plane.wakeup(), plane.latency()
     return {
         "data_plane": plane.status.name.lower(),
@@ -33,7 +33,7 @@ def plane_state(plane: DataPlane, period_ns: int) -> dict[str, Any]:
 
 
 def axis_state(controller: Controller) -> dict[str, Any]:
-    """Return the state of an axis as plain values, SI at the handle."""
+    """Return the state of an axis as plain values in SI units at the handle."""
     h, c = controller.host[0], controller.control[0]
     count_rad = float(c["rad_count"])
     return {
@@ -52,7 +52,7 @@ def axis_state(controller: Controller) -> dict[str, Any]:
 
 
 def with_states(progress: Progress | None, controllers: Iterable[Controller]) -> Callable[[float], None] | None:
-    """Return what calls `progress` with the state of each controller's axis, too; None for None."""
+    """Return a function of the time that calls `progress` with the time and each axis' state; None for None."""
     if progress is None:
         return None
     return lambda t_s: progress(t_s, [axis_state(controller) for controller in controllers])

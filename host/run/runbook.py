@@ -1,4 +1,4 @@
-"""Where the runbook tells what to do about a trip."""
+"""The runbook's entry for a trip."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _WORD = re.compile(r"[A-Z][A-Z0-9_]{2,}")
 
 
 def anchor(trip: str) -> str | None:
-    """Return the page and heading for a trip's words, as in ``docs/runbook.md#speed``; None where
-    they name no trip.
+    """Return the page and heading for a trip's text, as in ``docs/runbook.md#speed``; None if it names no
+    trip.
 
-    What another axis, or another bus, did comes second: the cause is of more use.
+    A cause takes precedence over the trip of another axis or bus (OTHER_AXIS).
     """
     names = [word for word in _WORD.findall(trip) if word in Trip.__members__ and word != Trip.NONE.name]
     name = next((word for word in names if word != Trip.OTHER_AXIS.name), next(iter(names), None))
@@ -26,8 +26,9 @@ def anchor(trip: str) -> str | None:
 
 
 def entry(trip: str) -> str | None:
-    """Return the runbook's paragraph for a trip's words, as plain text; None where they name no trip,
-    or where the documents are not installed with the program.
+    """Return the runbook's paragraph for a trip's text, as plain text.
+
+    None: the text names no trip, or the documents are not installed with the program.
     """
     place = anchor(trip)
     return None if place is None else _entries().get(place.rpartition("#")[2])
@@ -47,6 +48,6 @@ def _entries() -> dict[str, str]:
 
 
 def _plain(text: str) -> str:
-    """Return a paragraph without the marks of Markdown."""
+    """Return a paragraph without Markdown markup."""
     text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text)
     return " ".join(re.sub(r"[*`]", "", text).split())

@@ -1,6 +1,4 @@
-"""The operator's schedule in a run: the markers of its phases, each axis' from its own start, and
-what a run has to tell about the display.
-"""
+"""The operator's schedule in a run: markers of its phases for each axis, and remarks on the display."""
 
 from __future__ import annotations
 
@@ -22,13 +20,13 @@ CLIPPED = {
     "clipped_setpoints": "the law asked more of the brake than its limit (limits.brake_torque_Nm, or 7300h:01 in its EDS file)",
     "slowed_setpoints": "the law let the brake go faster than limits.brake_fall_Nm_s",
 }
-"""Counters of cycles in which something cut the law off, and what."""
+"""Texts of the counters of cycles in which a limit changed the law's output."""
 
 
 class PhaseMarks:
-    """The markers "phase KIND" and "phase end" of every axis that has begun.
+    """The markers "phase KIND" and "phase end" of every axis whose schedule has begun.
 
-    With several axes the axis stands before, "left.phase hold".
+    With several axes the axis comes first, as in "left.phase hold".
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -41,11 +39,11 @@ class PhaseMarks:
 
     @property
     def begun(self) -> int:
-        """How many axes have begun."""
+        """Number of axes whose schedule has begun."""
         return len(self._begun)
 
     def begin(self, number: int, start_ns: int) -> None:
-        """Let the schedule of an axis begin at `start_ns`; once is enough."""
+        """Begin the schedule of an axis at `start_ns`; further calls have no effect."""
         if number in self._begun or self._over:
             return
         self._begun.add(number)
@@ -59,7 +57,7 @@ class PhaseMarks:
         self._open.add(axis.prefix)
 
     def due(self, until_ns: int) -> Iterator[tuple[int, str]]:
-        """Yield what is to be marked before `until_ns`, once."""
+        """Yield each marker before `until_ns`, once."""
         while self._waiting and self._waiting[0][0] < until_ns:
             t_ns, text = self._waiting.pop(0)
             if text.endswith("phase end"):
@@ -67,13 +65,13 @@ class PhaseMarks:
             yield t_ns, text
 
     def stop(self) -> None:
-        """Mark nothing more: the display is over."""
+        """End the markers: the display is over."""
         self._over = True
         self._waiting.clear()
         self._open.clear()
 
     def end(self, t_ns: int) -> Iterator[tuple[int, str]]:
-        """Yield the ends, at `t_ns`, of the schedules that have not come to theirs."""
+        """Yield "phase end" at `t_ns` for each schedule that has not ended."""
         still_open = [axis.prefix for axis in self._axes if axis.prefix in self._open]
         self.stop()
         for prefix in still_open:
@@ -81,8 +79,8 @@ class PhaseMarks:
 
 
 def full_gain_s(controllers: Controllers) -> float | None:
-    """Return when the law of the last axis was shown whole, its gain at 1, from the start of that
-    axis' schedule [s]; None: it never was.
+    """Return the time from the start of an axis' schedule to the law's gain 1 [s], the largest of all axes;
+    None: an axis never reached it.
     """
     times_s = [_full_gain_s(k) for k in controllers]
     return None if None in times_s else max(time_s for time_s in times_s if time_s is not None)
@@ -94,8 +92,8 @@ def _full_gain_s(controller: Controller) -> float | None:
 
 
 def display_remarks(controllers: Controllers) -> tuple[str, ...]:
-    """Return in words where a display was not what the rig file says: a law that was cut off, a
-    hand that began too early.
+    """Return the texts of deviations of the display from the rig file: a clipped law, a hand that began
+    too early.
     """
     return tuple(text for k in controllers for text in (*_clipped(k), *_too_early(k)))
 
@@ -109,9 +107,10 @@ def _clipped(k: Controller) -> Iterator[str]:
 
 
 def _too_early(k: Controller) -> Iterator[str]:
-    """The hand's schedule counts from Operation Enabled.
+    """Yield a remark if the hand's first motion began before the law's gain was 1.
 
-    The sign check and the ramp of the law's gain follow that.
+    The hand's schedule counts from Operation Enabled; the sign check and the ramp of the law's gain come
+    after that.
     """
     moves = [
         (at, phase) for at, phase in zip(k.axis.phase_starts_s, k.axis.phases, strict=False) if phase.kind != "rest"

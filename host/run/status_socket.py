@@ -1,9 +1,8 @@
-"""What a running host tells other programs: one JSON line ten times a second, to each that connects
-to a socket (``run --status``).
+"""Status socket of a running host (``run --status``): one JSON line ten times a second to each reader.
 
-Whoever connects reads and says nothing. The data plane knows nothing of it: the lines are made of
-the memory that it shares with its parent. A reader that is slow is not waited for: lines that find
-no room are left out for it and counted, and one that reads nothing for `SLOW_S` is let go.
+Readers send nothing. The data plane takes no part: the lines are built from the memory that it shares
+with its parent. The host never waits for a slow reader. It skips and counts lines for which the reader's
+buffer has no room, and disconnects a reader that reads nothing for `SLOW_S`.
 """
 
 from __future__ import annotations
@@ -26,18 +25,18 @@ PERIOD_NS = 100_000_000
 READERS, BACKLOG = 16, 8
 SLOW_S = 5.0
 RUBBISH = 4096
-"""Bytes that a reader may say at a time; they are thrown away."""
+"""Bytes that are read from a reader at a time, and discarded."""
 MOST_RUBBISH = 16
 
 
 class StatusError(HostError):
-    """The socket cannot be made; the text says why."""
+    """The socket cannot be created; the text gives the reason."""
 
     exit_status = 2
 
 
 def encoded(document: dict[str, Any]) -> bytes:
-    """Return a document as one line of JSON; what is no number in it is null."""
+    """Return a document as one line of JSON; NaN and infinite numbers become null."""
     try:
         text = json.dumps(document, allow_nan=False)
     except ValueError:
@@ -54,14 +53,14 @@ def _finite(value: Any) -> Any:
 
 
 class _Reader:
-    """Somebody who reads, and what of a line is still to be sent."""
+    """A connected reader, and the unsent rest of its line."""
 
     def __init__(self, connection: socket.socket, now_ns: int) -> None:
         connection.setblocking(False)
         self.connection, self.rest, self.took_ns = connection, b"", now_ns
 
     def gone(self) -> bool:
-        """Throw away what it says; tell whether it has closed, or says too much."""
+        """Discard the reader's input; return whether it has disconnected, or sends too much."""
         for _ in range(MOST_RUBBISH):
             try:
                 if not self.connection.recv(RUBBISH):
@@ -73,7 +72,7 @@ class _Reader:
         return True
 
     def send(self, line: bytes, now_ns: int) -> bool:
-        """Send a line behind the rest of the last one; return False where it finds no room."""
+        """Send a line after the rest of the last one; return False if there is no room for it."""
         free = not self.rest
         self.rest = self.rest or line
         sent = self.connection.send(self.rest, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
@@ -86,16 +85,16 @@ class _Reader:
 
 
 class StatusSocket:
-    """Listens at `path` and tells a document to all who read.
+    """Listens at `path` and sends a document to all readers.
 
     Parameters
     ----------
-    document : makes it; called at most once in `PERIOD_NS`, and only where somebody reads
+    document : returns the document; called at most once in `PERIOD_NS`, and only with a reader connected
 
     Raises
     ------
     StatusError
-        another host serves this socket, something else is there, or it cannot be made
+        another host serves this socket, the path is not a socket, or it cannot be created
     """
 
     def __init__(self, path: Path, document: Callable[[], dict[str, Any]]) -> None:
@@ -117,9 +116,9 @@ class StatusSocket:
         self._inode = os.stat(path).st_ino
 
     def serve(self, now_ns: int) -> None:
-        """Let in who comes, and tell everybody, where it is time; waits for nobody.
+        """Accept new readers and send the status when due; never blocks.
 
-        OSError: nobody can come in any more.
+        OSError: the socket accepts no more readers.
         """
         if now_ns < self._next_ns:
             return
@@ -157,7 +156,7 @@ class StatusSocket:
                 connection.close()
 
     def close(self) -> None:
-        """Let everybody go and remove the socket, if it is still this one; may be called again."""
+        """Disconnect all readers, and remove the socket if it is still this one; may be called again."""
         if self._listener.fileno() < 0:
             return
         with suppress(OSError):
@@ -170,7 +169,7 @@ class StatusSocket:
 
 
 def _clear(path: Path) -> None:
-    """Remove a socket that a killed host has left behind; StatusError for anything else."""
+    """Remove a stale socket of a killed host; StatusError for anything else."""
     try:
         kind = path.lstat().st_mode
     except FileNotFoundError:
