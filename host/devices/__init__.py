@@ -1,1 +1,1 @@
-"""Services for devices that no rig file describes yet: find, number, read, write, start them."""
+"""Services for devices without a rig file: scan, LSS, SDO access, NMT commands."""

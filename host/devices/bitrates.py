@@ -1,9 +1,8 @@
-"""Which bit rate a CAN bus has: the interface listens at each of them, and disturbs nobody.
+"""Detection of a CAN bus' bit rate, without disturbing its traffic.
 
-A controller at the wrong rate answers every frame of the others with an error frame. So each rate
-is listened to first ("listen-only", which acknowledges nothing). Where all is quiet nothing can be
-heard: then the interface asks for a node at each rate, for there is no traffic that it could
-disturb.
+A controller at the wrong rate answers every frame of other nodes with an error frame. So the interface
+first listens at each rate in listen-only mode, in which it sends neither acknowledge nor error frames. On
+a bus without traffic it then sends SDO requests at each rate, because there is no traffic to disturb.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ LISTEN_S, ASK_S, COMMAND_S = 1.0, 0.3, 10.0
 NODES = range(1, 128)
 
 Commands = Callable[[Sequence[str]], str]
-"""Runs a command and returns what it prints; raises BusUnavailable where it fails."""
+"""Runs a command and returns its output; raises BusUnavailable if it fails."""
 
 
 def run(command: Sequence[str]) -> str:
@@ -36,7 +35,7 @@ def run(command: Sequence[str]) -> str:
     Raises
     ------
     BusUnavailable
-        (exit status 4) it is not installed, or failed; the text has the command to be run by hand
+        (exit status 4) it is not installed, or failed; the text has the command for a manual run
     """
     line = " ".join(command)
     try:
@@ -58,18 +57,18 @@ def choose(
 ) -> int:
     """Find the bit rate of a bus, leave the interface up at it, and return it [bit/s].
 
-    Where none is found the interface is as it was.
+    If no rate is found, the interface is restored.
 
     Parameters
     ----------
-    show : called with each bit rate that is tried
+    show : called with each bit rate before it is tried
 
     Raises
     ------
     BusUnavailable
-        (exit status 4) the interface is none with a bit rate, or may not be set
+        (exit status 4) the interface has no bit rate, or must not be configured
     NodeMissing
-        (5) nobody was heard at any bit rate
+        (5) no node was heard at any bit rate
     """
     before = _before(name, commands)
     quiet: list[int] = []
@@ -85,7 +84,7 @@ def choose(
                 if not bus.error_frames:
                     quiet.append(rate)
         else:
-            if len(quiet) == len(RATES):  # nobody talks: nobody can be disturbed
+            if len(quiet) == len(RATES):  # no traffic that requests could disturb
                 heard_rate = _rate_by_request(name, commands, link, show)
     finally:
         if heard_rate is None:
@@ -120,7 +119,7 @@ def _hears(link: FrameLink, seconds: float) -> bool:
 
 
 class _Before(NamedTuple):
-    """How the interface was: bit rate (0: none was set yet), reports of bus errors, up or down."""
+    """Earlier state of the interface: bit rate (0: not set yet), bus-error reporting, up or down."""
 
     rate: int
     reports: bool
@@ -142,7 +141,7 @@ def _before(name: str, commands: Commands) -> _Before:
 
 
 def _set_back(name: str, before: _Before, commands: Commands) -> None:
-    """Leave the interface as it was; one that had no bit rate stays down."""
+    """Restore the interface; an interface that had no bit rate stays down."""
     if before.rate:
         _set(name, before.rate, commands)
     if not (before.rate and before.reports and before.up):
@@ -158,6 +157,6 @@ def _set(name: str, rate: int, commands: Commands, *, listen: bool = False) -> N
     commands(("ip", "link", "set", name, "down"))
     mode = ("listen-only", "on" if listen else "off")
     commands(("ip", "link", "set", name, "type", "can", "bitrate", str(rate), *mode))
-    with suppress(BusUnavailable):  # a driver without it tells less of the wire, and all is found without it
+    with suppress(BusUnavailable):  # optional: some drivers lack it, and detection works without it
         commands(("ip", "link", "set", name, "type", "can", "berr-reporting", "on"))
     commands(("ip", "link", "set", name, "up"))

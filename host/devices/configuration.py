@@ -1,7 +1,7 @@
-"""A device's configuration as a DCF: read out, held against the device, written back.
+"""A device's configuration as a DCF: dump, comparison with the device, restore.
 
-What acts when it is written is no configuration: set-points and controlwords, what the device's
-RPDOs carry, and commands as store and restore. It is neither dumped nor restored.
+Objects that act when written are not configuration: set-points, controlwords, objects in the device's
+RPDOs, and commands such as store and restore. They are neither dumped nor restored.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ Place = tuple[int, int]
 Show = Callable[[int, int], None]
 WRITABLE = ("rw", "rwr")
 SETPOINTS = (0x6040, 0x6042, 0x6071, 0x607A, 0x60FF, 0x60B0, 0x60B1, 0x60B2, 0x60FE)
-"""Of CiA 402, of a drive's first axis."""
+"""Set-points of CiA 402, of a drive's first axis."""
 OUTPUTS = (0x6200, 0x6300, 0x6400, 0x6411, 0x7300, 0x9300)
-"""Of CiA 401 and 404."""
+"""Outputs of CiA 401 and 404."""
 COMMANDS = (0x1003, 0x1010, 0x1011, 0x1020, 0x1021, 0x1022, 0x1023, 0x1024, 0x1F50, 0x1F51, 0x1F80)
 RPDO_MAPS = range(0x1600, 0x1800)
 INVALID = 1 << 31
 MOST_BYTES = 4096
-"""An object of more is no setting."""
+"""Largest size of a setting."""
 
 
 def acts(variable: Variable, mapped: Iterable[Place] = ()) -> bool:
-    """Tell whether a write of the object does something now.
+    """Return whether a write of the object has an immediate effect.
 
     Parameters
     ----------
-    mapped : objects that the device's RPDOs carry
+    mapped : objects in the device's RPDOs
     """
     index = variable.index
     return (
@@ -53,19 +53,19 @@ def acts(variable: Variable, mapped: Iterable[Place] = ()) -> bool:
 
 
 def _mapped(values: Mapping[Place, Value]) -> set[Place]:
-    """Return the objects that RPDO mappings name."""
+    """Return the objects in RPDO mappings."""
     entries = (value for (index, sub), value in values.items() if index in RPDO_MAPS and sub and isinstance(value, int))
     return {(entry >> 16, entry >> 8 & 0xFF) for entry in entries}
 
 
 @dataclass(frozen=True)
 class Dump:
-    """What a device holds.
+    """Configuration of a device.
 
     Attributes
     ----------
-    aborted : objects that cannot be read, with the abort's text, or hold what a file cannot
-    left_out : objects that act when they are written
+    aborted : objects that cannot be read, with the abort's text, or whose value does not fit into a file
+    left_out : objects that act when written
     """
 
     values: Mapping[Place, Value]
@@ -74,14 +74,14 @@ class Dump:
 
 
 def dump(device: KnownDevice, show: Show = lambda done, total: None) -> Dump:
-    """Read all that can be configured of a device.
+    """Read the configuration of a device.
 
     Raises
     ------
     SdoSilent
-        (exit status 5) it does not answer (any more)
+        (exit status 5) the device does not answer, or no longer answers
     AnswerUntrusted
-        (6, or 3 of two devices) an answer is none: what was read before may be another device's
+        (6, or 3 for two devices) an answer is not valid: earlier values may be another device's
     """
     variables = [
         variable
@@ -122,12 +122,12 @@ def _fits_a_line(text: str) -> bool:
 
 
 def check_file(device: KnownDevice, description: Description) -> dict[Place, Value]:
-    """Return the values of a DCF that are to be written to this device.
+    """Return the values of a DCF for this device.
 
     Raises
     ------
     DeviceMismatch
-        (exit status 3) it is of another device, has no values, or one that cannot be read
+        (exit status 3) the file is for another device, has no values, or has an unreadable value
     """
     expected, identity = told_identity(description), identity_of(device.client)
     if any(expected) and expected != identity[:2]:
@@ -154,7 +154,7 @@ def check_file(device: KnownDevice, description: Description) -> dict[Place, Val
 
 @dataclass(frozen=True)
 class Difference:
-    """An object that the device has otherwise than the file; `held` None: it cannot be read."""
+    """An object whose value in the device differs from the file; `held` None: it cannot be read."""
 
     variable: Variable
     held: Value
@@ -166,7 +166,7 @@ class Difference:
         return self.variable.index, self.variable.subindex
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON has it; bytes in hexadecimal."""
+        """Return plain values for JSON; bytes in hexadecimal."""
         held, file_value = (value.hex() if isinstance(value, bytes) else value for value in (self.held, self.wanted))
         return {
             "index": self.variable.index,
@@ -180,12 +180,12 @@ class Difference:
 def differences(
     device: KnownDevice, description: Description, values: Mapping[Place, Value], show: Show = lambda done, total: None
 ) -> list[Difference]:
-    """Return what the device has otherwise than `values`.
+    """Return the differences of the device from `values`.
 
     Raises
     ------
     SdoSilent
-        (exit status 5) it does not answer
+        (exit status 5) the device does not answer
     """
     rows = []
     for number, (place, value) in enumerate(values.items()):
@@ -205,12 +205,12 @@ def differences(
 
 @dataclass
 class Restored:
-    """What came of writing.
+    """Result of a restore.
 
     Attributes
     ----------
-    written : objects that hold the file's value now
-    failed : what went wrong, object by object
+    written : objects that now have the file's value
+    failed : error of each object that does not
     """
 
     written: list[Place] = field(default_factory=list)
@@ -224,18 +224,19 @@ def restore(
     show: Show = lambda done, total: None,
     result: Restored | None = None,
 ) -> Restored:
-    """Write what differs, and read it back. A PDO is made invalid before its mapping is changed,
-    and valid at its end, as CiA 301 (section 7.5.2.36) wants it.
+    """Write the differences, and read them back.
+
+    A PDO is made invalid before its mapping is changed, and valid at its end (CiA 301, section 7.5.2.36).
 
     Parameters
     ----------
-    values : all values of the file: of a PDO whose mapping differs all entries are written
-    result : filled as it goes, for who is interrupted
+    values : all values of the file: for a PDO with a different mapping, all entries are written
+    result : filled during the restore, for callers that are interrupted
 
     Raises
     ------
     SdoSilent
-        (exit status 5) the device does not answer any more
+        (exit status 5) the device no longer answers
     """
     result = result or Restored()
     of_pdos: dict[int, list[Difference]] = {}
@@ -259,7 +260,7 @@ def restore(
 
 
 def _pdo_of(index: int) -> int | None:
-    """Return the communication parameter (14xxh, 18xxh) of a PDO's object, None of others."""
+    """Return the communication parameter (14xxh, 18xxh) of a PDO's object; None for other objects."""
     for first in (0x1400, 0x1800):
         if first <= index < first + 0x400:
             return first + (index & 0x1FF)
@@ -267,7 +268,7 @@ def _pdo_of(index: int) -> int | None:
 
 
 def _same(variable: Variable, data: bytes, value: Value) -> bool:
-    """Tell whether bytes are a value; a text may have zeros behind it."""
+    """Return whether `data` encodes `value`; a text may have trailing zeros."""
     return data == encode(variable, value) or decode(variable, data) == value
 
 
@@ -290,12 +291,12 @@ def _write(device: KnownDevice, variable: Variable, value: Value, result: Restor
 def _write_pdo(
     device: KnownDevice, pdo: int, values: Mapping[Place, Value], differing: set[Place], result: Restored
 ) -> None:
-    """Write the parameters of one PDO in the order that a device asks for."""
+    """Write the parameters of one PDO in the order that devices require."""
     steps = Restored()
     cob, mapping = device.at(pdo, 1), pdo + 0x200
 
     def write(place: Place, value: Value) -> bool:
-        """Write one; what does not differ is written for its mapping's sake, and not counted."""
+        """Write one object; objects without a difference are part of the mapping, and are not counted."""
         step = Restored()
         well = _write(device, device.at(*place), value, step)
         steps.failed += step.failed
@@ -326,7 +327,7 @@ def _write_pdo(
             entry = values.get((mapping, sub))
             if whole and entry is not None:
                 whole = write((mapping, sub), entry)
-        for index, sub in sorted(differing):  # beyond the count: they are kept, and mean nothing
+        for index, sub in sorted(differing):  # entries beyond the count are stored, and have no effect
             if whole and index == mapping and sub > count:
                 whole = write((index, sub), values[index, sub])
         whole = whole and write((mapping, 0), count)

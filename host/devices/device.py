@@ -1,4 +1,4 @@
-"""A device and its EDS file: objects by number or by name, values typed and with their units."""
+"""A device with its EDS file: objects by number or by name, typed values with units."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ LARGEST_REAL32 = (2 - 2**-23) * 2.0**127
 
 
 class ObjectUnknown(HostError):
-    """A name that no object has; the text tells the nearest one."""
+    """No object has this name; the text has the nearest names."""
 
     exit_status = 2
 
 
 class ValueRefused(HostError):
-    """A value that the object cannot take; the text tells what it can."""
+    """The object cannot take this value; the text has the expected values."""
 
     exit_status = 2
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What an object holds.
+    """Value of an object.
 
     Attributes
     ----------
-    raw : the number as it is transferred; of what is no number its bytes in hexadecimal
-    value : raw in `unit`; a text as text
-    remark : that the object has another length than its type, "" where it has not
+    raw : the transferred number; for other types the bytes in hexadecimal
+    value : the number in `unit`; for a text the text
+    remark : text if the object's length differs from its data type, else ""
     """
 
     variable: Variable
@@ -67,7 +67,7 @@ class Reading:
     remark: str = ""
 
     def as_dict(self, node_id: int) -> dict[str, Any]:
-        """Return it as JSON has it; a REAL that is no number is its text."""
+        """Return plain values for JSON; a REAL that is NaN or infinite becomes text."""
         kind = DATA_TYPES.get(self.variable.data_type)
         return {
             "node_id": node_id,
@@ -96,14 +96,14 @@ def _finite(value: float | str) -> float | str:
 
 
 def identity_of(client: SdoClient) -> tuple[int, int, int]:
-    """Return vendor id, product code and revision of a node, 0 where it tells none.
+    """Return vendor id, product code and revision of a node; 0 for entries that it lacks.
 
     Raises
     ------
     SdoSilent
-        (exit status 5) it does not answer
+        (exit status 5) the node does not answer
     AnswerUntrusted
-        (6, or 3) its answer is none, or two devices answer
+        (6, or 3) its answer is not valid, or two devices answer
     """
     numbers = []
     for part in (1, 2, 3):
@@ -117,20 +117,19 @@ def identity_of(client: SdoClient) -> tuple[int, int, int]:
 def describe(
     client: SdoClient, source: Path | str | None, progress: Progress = lambda done, total: None
 ) -> Description | None:
-    """Return the EDS file of a node, None where there is none.
+    """Return the EDS file of a node; None if there is none.
 
     Parameters
     ----------
-    source : an EDS or DCF file; a folder of them, in which that of the node's identity is taken;
-        "device": what the node itself keeps (1021h); None: one of our own devices' files, if it is
-        one
+    source : an EDS or DCF file; a folder of them, of which the file with the node's identity is used;
+        "device": the file stored in the node (1021h); None: the packaged file of this project's device
 
     Raises
     ------
     EdsError
         (exit status 3) the file cannot be read
     DeviceMismatch
-        (3) it is another device's, or the folder has none of this one
+        (3) the file is for another device, or the folder has no file for this device
     """
     if source == "device":
         return parse_eds(
@@ -156,11 +155,11 @@ def describe(
 
 @dataclass
 class KnownDevice:
-    """A node with its EDS file, None where there is none.
+    """A node with its EDS file; None without one.
 
     Attributes
     ----------
-    units : of objects, as a rig file has them; they go before CiA's
+    units : units of objects from a rig file; they take precedence over CiA's
     """
 
     client: SdoClient
@@ -176,7 +175,7 @@ class KnownDevice:
     # objects
 
     def variables(self) -> Iterator[Variable]:
-        """Yield all variables that the EDS file describes, from 1000h on."""
+        """Yield all variables in the EDS file, from 1000h on."""
         for index, entry in sorted((self.description.objects if self.description else {}).items()):
             if index >= 0x1000:
                 yield from entry.variables.values()
@@ -185,7 +184,7 @@ class KnownDevice:
     def names(self) -> Mapping[str, Variable]:
         """Objects by name: "Heartbeat_time", "Identity.Vendor_ID"; blanks are underscores.
 
-        A name that is given twice has its number behind it: "Current_2003h00".
+        A duplicate name gets its number appended: "Current_2003h00".
         """
         variables: dict[str, list[tuple[str, Variable]]] = {}
         for variable in self.variables():
@@ -201,13 +200,13 @@ class KnownDevice:
         }
 
     def find(self, text: str) -> Variable:
-        """Return the object that a text names: ``6041h``, ``0x6041``, ``6041:00`` (sub-indices are
+        """Return the object named by a text: ``6041h``, ``0x6041``, ``6041:00`` (sub-indices are
         hexadecimal, too), or its name in the EDS file.
 
         Raises
         ------
         ObjectUnknown
-            (exit status 2) there is none
+            (exit status 2) there is no such object
         """
         small = {name.lower(): variable for name, variable in self.names.items()}
         if (word := _word(text).lower()) in small:
@@ -229,7 +228,7 @@ class KnownDevice:
         raise ObjectUnknown(f"{text!r}: {self.description.path} has no such object{hint}")
 
     def at(self, index: int, subindex: int) -> Variable:
-        """Return the object of a number; one that the EDS file does not describe has no type."""
+        """Return the object with these indices; an object that is not in the EDS file has no type."""
         if self.description is not None and self.description.has(index, subindex):
             return self.description.variable(index, subindex)
         return Variable(index, subindex, "", 0, "rw", None, False, None, None, False, 0)
@@ -237,7 +236,7 @@ class KnownDevice:
     # values
 
     def unit(self, variable: Variable) -> Unit | None:
-        """Return the unit of an object: the rig file's, CiA's, or what the device tells (6131h)."""
+        """Return the unit of an object: the rig file's, CiA's, or the device's (6131h)."""
         place = variable.index, variable.subindex
         unit = self.units.get(place) or fixed_unit(*place)
         if unit is None and variable.index in BLOCK_UNITS and variable.subindex:
@@ -258,26 +257,27 @@ class KnownDevice:
     def upload(
         self, variable: Variable, *, most: int = MOST_BYTES, progress: Progress = lambda done, total: None
     ) -> bytes:
-        """Return an object's bytes, without those that only extend its number. Raises as
-        `host.sdo.sdo_client.SdoClient.upload`.
+        """Return an object's bytes, without fill bytes of a number.
+
+        Raises as `host.sdo.sdo_client.SdoClient.upload`.
         """
         size = (variable.bits + 7) // 8
         data = self.client.upload(
             variable.index,
             variable.subindex,
             most=most,
-            unsized=lambda data: data[: size or None],  # four bytes, and nobody says how many count
+            unsized=lambda data: data[: size or None],  # four bytes without a length: the type decides
             progress=progress,
         )
         return without_fill(variable, data)
 
     def read(self, variable: Variable, progress: Progress = lambda done, total: None) -> Reading:
-        """Return what an object holds. Raises as `host.sdo.sdo_client.SdoClient.upload`."""
+        """Return the value of an object. Raises as `host.sdo.sdo_client.SdoClient.upload`."""
         most = (variable.bits + 7) // 8 + 8 if variable.bits else MOST_BYTES
         return self.reading(variable, self.upload(variable, most=most, progress=progress))
 
     def reading(self, variable: Variable, data: bytes) -> Reading:
-        """Return the meaning of bytes; without a type: a number, where they may be one."""
+        """Return the value of bytes; without a data type, 1, 2, 4 or 8 bytes are read as a number."""
         kind = variable
         if not variable.data_type and len(data) in BY_WIDTH:
             kind = Variable(**{**vars(variable), "data_type": BY_WIDTH[len(data)]})
@@ -301,19 +301,19 @@ class KnownDevice:
         return f"{place} has {len(data)} bytes in the device; {kind.name} has {size} ({self._path})"
 
     def parse(self, variable: Variable, text: str, *, type_name: str = "") -> bytes:
-        """Return the bytes of a value that a user writes, checked against type, limits and access.
+        """Return the bytes of a value that a user enters, checked against type, limits and access.
 
-        A number is raw; behind it the object's unit may stand ("0.5 Nm"), and it is converted.
-        Bytes are hexadecimal, or a file's: ``@FILE``.
+        A number without a unit is raw; a number with the object's unit ("0.5 Nm") is converted. Bytes are
+        hexadecimal, or those of a file: ``@FILE``.
 
         Parameters
         ----------
-        type_name : data type of an object that no EDS file describes, as UNSIGNED16
+        type_name : data type of an object without an EDS file, as UNSIGNED16
 
         Raises
         ------
         ValueRefused
-            (exit status 2) the text spells no such value
+            (exit status 2) the text is not a valid value of the object
         """
         if type_name:
             code = TYPE_CODES.get(type_name.upper())
@@ -379,7 +379,7 @@ class KnownDevice:
         return number
 
     def write(self, variable: Variable, data: bytes, progress: Progress = lambda done, total: None) -> Reading | None:
-        """Write an object and read it back; None where it can only be written.
+        """Write an object and return the value read back; None for a write-only object.
 
         Raises as `host.sdo.sdo_client.SdoClient.upload`.
         """

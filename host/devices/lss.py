@@ -1,15 +1,14 @@
-"""The master of the layer setting services (CiA 305): find devices without a node id, and give them
-one.
+"""LSS master (CiA 305): find devices without a node id, and assign node ids and bit rates.
 
-A fastscan halves what an identity may be, bit by bit from the highest: all devices that the bits so
-far fit answer, with the same frame. What has been found is in LSS configuration then, and takes no
-part in the next scan; so all devices are found one after the other. Silence means "1", and an
-answer that is late (of the slowest of them) would be taken for one to the next step. So each step
-waits for those behind the first, each number is confirmed at its end, and all is scanned again with
-more patience where it is not.
+Fastscan is a binary search for an identity, bit by bit from the highest. All devices that match the bits
+so far answer with the same frame. No answer means that the bit is 1. A found device is in LSS
+configuration and takes no part in the next scan, so all devices are found one after the other. A late
+answer of a slow device could be taken for an answer to the next step. So each step also waits for
+further answers after the first, each number is confirmed at its end, and a scan without confirmation is
+repeated with longer waits.
 
-A slow device misses a message that comes some ms behind the one before: messages have a pause
-between them, and what is not answered is sent again with longer ones.
+A slow device misses a message that follows the previous one within a few ms. So there is a pause between
+messages, and an unanswered message is repeated with longer pauses.
 """
 
 from __future__ import annotations
@@ -31,24 +30,24 @@ INQUIRE = (S.INQUIRE_VENDOR, S.INQUIRE_PRODUCT, S.INQUIRE_REVISION, S.INQUIRE_SE
 SERIAL = 3
 LENGTH = 8
 ANSWER_S, STORE_S, START_S, INQUIRE_S = 1.0, 10.0, 0.5, 0.2
-"""How long an answer may take; to a store, which writes flash; to the fastscan's start; to an inquiry
-to several devices.
+"""Time-outs of an answer: in general; to a store, which writes flash; to the fastscan's start; to an
+inquiry to several devices.
 """
 LATE_S = 2.0
-"""For so long afterwards an answer is listened for, to tell that it is late."""
+"""Time of listening after a time-out, to distinguish a late answer from none."""
 PAUSES_S = (0.005, 0.02, 0.1)
-"""Between two messages of the master, of each attempt."""
+"""Pause between two messages of the master, for each attempt."""
 
 
 class _Patience(NamedTuple):
-    """How long a step of a fastscan waits for an answer, and for those behind the first [s]."""
+    """Time for which a step of a fastscan waits for the first answer, and for further answers [s]."""
 
     first_s: float
     behind_s: float
 
 
 PATIENCE = (_Patience(0.02, 0.002), _Patience(0.04, 0.012), _Patience(0.08, 0.06), _Patience(0.16, 0.16))
-"""Of each attempt."""
+"""Waits of each attempt."""
 MOST_DEVICES = 127
 REASONS = {
     (S.CONFIGURE_NODE_ID, 1): "the node id is out of range",
@@ -59,7 +58,7 @@ REASONS = {
 
 
 class LssRefused(HostError):
-    """A device refused a setting; the text says which and why."""
+    """A device refused a setting; the text names the setting and the reason."""
 
     exit_status = 6
 
@@ -77,12 +76,12 @@ class Identity(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Identity:
-        """Return the identity that ``VENDOR:PRODUCT:REVISION:SERIAL`` spells, each in hexadecimal.
+        """Return the identity of ``VENDOR:PRODUCT:REVISION:SERIAL``, each in hexadecimal.
 
         Raises
         ------
         ValueError
-            it spells none
+            the text is not of this form
         """
         try:
             parts = [int(part, 16) for part in text.split(":")]
@@ -94,12 +93,12 @@ class Identity(NamedTuple):
 
 
 def rate_index(bit_s: int) -> int:
-    """Return the entry of CiA 305's table of a bit rate [bit/s].
+    """Return the index of a bit rate [bit/s] in CiA 305's table.
 
     Raises
     ------
     ValueError
-        it has none
+        the table does not have this bit rate
     """
     for index, rate in BIT_RATES.items():
         if rate == bit_s:
@@ -109,20 +108,20 @@ def rate_index(bit_s: int) -> int:
 
 
 class LssMaster:
-    """The master, on a link.
+    """The LSS master on a link.
 
-    As a context it leaves all devices in LSS waiting, where they are in normal use.
+    At the end of its context all devices are in LSS waiting, the state of normal use.
 
     Parameters
     ----------
-    timeout_s : how long an answer may take [s]; None: `ANSWER_S`, of a store `STORE_S`
+    timeout_s : time-out of an answer [s]; None: `ANSWER_S`, and `STORE_S` for a store
     """
 
     def __init__(self, link: FrameLink, timeout_s: float | None = None) -> None:
         self._link = link
         self._answer_s, self._store_s = timeout_s or ANSWER_S, timeout_s or STORE_S
-        self._pause_s, self._free_ns = PAUSES_S[0], 0  # between two messages; the next one may go
-        self._odd = b""  # the last answer that is none to the last message
+        self._pause_s, self._free_ns = PAUSES_S[0], 0  # pause between messages; earliest time of the next one
+        self._odd = b""  # last frame that is no valid answer to the last message
 
     def __enter__(self) -> LssMaster:
         return self
@@ -131,16 +130,14 @@ class LssMaster:
         if kind is None:
             self.wait_state()
             return
-        with suppress(OSError):  # the bus may be what has failed
+        with suppress(OSError):  # the bus itself may have failed
             for self._pause_s in PAUSES_S[1:]:
                 self.wait_state()
 
     # messages
 
     def _send(self, service: int, data: bytes = b"") -> None:
-        """Send a message; before the next one there is a pause. What has come until then is no answer
-        to it.
-        """
+        """Send a message, after the pause since the last one; frames received before are discarded."""
         while self._link.receive(max(self._link.now_ns(), self._free_ns)) is not None:
             pass
         self._odd = b""
@@ -148,7 +145,7 @@ class LssMaster:
         self._free_ns = self._link.now_ns() + round(self._pause_s * 1e9)
 
     def _answer(self, service: int, timeout_s: float) -> bytes | None:
-        """Return the bytes behind the service of the next answer, None without one in time."""
+        """Return the data of the next answer, without its service byte; None at the time-out."""
         until_ns = self._link.now_ns() + round(timeout_s * 1e9)
         while (frame := self._link.receive(until_ns)) is not None:
             if frame.can_id != CobId.LSS_TX:
@@ -159,7 +156,7 @@ class LssMaster:
         return None
 
     def _ask(self, service: LssService, data: bytes, timeout_s: float, attempts: int) -> bytes | None:
-        """Return the answer to a message of `attempts`, None without one."""
+        """Send a message up to `attempts` times, and return the answer; None without one."""
         for _ in range(attempts):
             self._send(service, data)
             answer = self._answer(service, timeout_s)
@@ -169,7 +166,7 @@ class LssMaster:
         return None
 
     def _no_answer(self, service: LssService, what: str, timeout_s: float) -> HostError:
-        """Return what it is that no answer to a message came in time."""
+        """Return the error for a missing answer: late, invalid, or none."""
         odd = self._odd
         if self._answer(service, LATE_S) is not None:
             return NodeMissing(
@@ -183,12 +180,11 @@ class LssMaster:
     # finding
 
     def wait_state(self) -> None:
-        """Send all devices to LSS waiting; one that has been given its first node id boots."""
+        """Switch all devices to LSS waiting; a device with its first node id boots then."""
         self._send(S.SWITCH_STATE_GLOBAL, bytes((LssState.WAITING,)))
 
     def unconfigured(self, progress: Callable[[int], None] = lambda count: None) -> list[Identity]:
-        """Return the identities of all devices without a node id; they are in LSS configuration
-        then.
+        """Return the identities of all devices without a node id, and leave these in LSS configuration.
 
         Parameters
         ----------
@@ -197,8 +193,8 @@ class LssMaster:
         Raises
         ------
         NodeMissing
-            one answers, and its identity cannot be found: two devices have the same, the bus loses
-            frames, or the device leaves the scan before its end
+            a device answers, but its identity is not found: two devices have the same identity, the bus
+            loses frames, or the device leaves the scan before its end
         """
         identities: list[Identity] = []
         while len(identities) < MOST_DEVICES:
@@ -233,9 +229,9 @@ class LssMaster:
         return True
 
     def _scan(self, patience: _Patience, known: Sequence[Identity]) -> Identity | None:
-        """Scan one device's identity, None where a number is not confirmed.
+        """Scan one device's identity; return None if a number is not confirmed.
 
-        Devices are often of one maker: what is `known` of others is tried first.
+        Devices often have the same vendor, so the numbers of `known` devices are tried first.
         """
         numbers: list[int] = []
         for part in range(4):
@@ -256,8 +252,9 @@ class LssMaster:
         return Identity(*numbers)
 
     def _early(self, identity: Identity) -> Identity | None:
-        """Return the identity, if a device in LSS configuration has it: one may go there at the last
-        bit, and answers the scan no more. None else.
+        """Return the identity if a device in LSS configuration has it, else None.
+
+        A device may enter this state at the last bit, and then no longer answers the scan.
         """
         for service, number in zip(INQUIRE, identity, strict=True):
             self._send(service)
@@ -277,9 +274,9 @@ class LssMaster:
         NodeMissing
             no device has this identity
         AnswerUntrusted
-            the device's answer is none
+            the device's answer is not valid
         """
-        for self._pause_s in PAUSES_S:  # what the device needs, it needs for its settings, too
+        for self._pause_s in PAUSES_S:  # the pause that the device needs is kept for its settings
             self.wait_state()
             for service, part in zip(SELECTIVE, identity, strict=True):
                 self._send(service, part.to_bytes(4, "little"))
@@ -292,30 +289,30 @@ class LssMaster:
             f"{self._answer_s:g} s (--timeout)"
         )
 
-    # settings of the device that is selected
+    # settings of the selected device
 
     def node_id(self) -> int | None:
-        """Return the node id of the device that is selected, None without one (or without this
-        service).
-        """
+        """Return the node id of the selected device; None without a node id, or without this service."""
         answer = self._ask(S.INQUIRE_NODE_ID, b"", self._answer_s, 2)
         return None if answer is None or answer[0] == UNCONFIGURED else answer[0]
 
     def set_node_id(self, node_id: int) -> None:
-        """Give the device that is selected a node id; it takes effect with its next reset of the
-        communication, without an old one in `wait_state`. Raises `LssRefused`.
+        """Set the node id of the selected device. Raises `LssRefused`.
+
+        It takes effect at the next reset of communication; for a device without a node id, in `wait_state`.
         """
         self._configure(S.CONFIGURE_NODE_ID, bytes((node_id,)), f"the node id {node_id}")
 
     def set_bit_rate(self, bit_s: int) -> None:
-        """Give the device that is selected a bit rate [bit/s]; it takes effect when it has been
-        stored and the device is switched on again. Raises `LssRefused`.
+        """Set the bit rate [bit/s] of the selected device. Raises `LssRefused`.
+
+        It takes effect at the next power-on after `store`.
         """
         self._configure(S.CONFIGURE_BIT_TIMING, bytes((0, rate_index(bit_s))), f"{bit_s} bit/s")
 
     def store(self) -> None:
-        """Let the device that is selected keep its node id and bit rate. Raises `LssRefused`."""
-        self._configure(S.STORE_CONFIGURATION, b"", "store", self._store_s, 1)  # once: its memory wears out
+        """Store node id and bit rate in the selected device. Raises `LssRefused`."""
+        self._configure(S.STORE_CONFIGURATION, b"", "store", self._store_s, 1)  # one attempt: flash wears out
 
     def _configure(
         self, service: LssService, data: bytes, what: str, timeout_s: float | None = None, attempts: int = 2

@@ -1,4 +1,4 @@
-"""NMT commands to nodes, and whether their heartbeat or boot-up says that they followed."""
+"""NMT commands to nodes, with a check of the result by heartbeat or boot-up."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ COMMANDS = {
     "reset": (NmtCommand.RESET_NODE, NmtState.INITIALISING),
     "reset-communication": (NmtCommand.RESET_COMMUNICATION, NmtState.INITIALISING),
 }
-"""Word -> the command, and the state that a heartbeat tells then (a boot-up: INITIALISING)."""
+"""Word -> the command, and the state in the following heartbeat (a boot-up: INITIALISING)."""
 HEARTBEAT = (0x1017, 0)
 ASK_S, QUIET_S = 1.0, 0.5
 TIMEOUT_S, BOOT_S = 2.0, 5.0
-"""How long a heartbeat may take; a boot-up."""
+"""Longest wait for a heartbeat, and for a boot-up."""
 
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What a node did.
+    """Result of an NMT command for one node.
 
     Attributes
     ----------
-    state : what its heartbeat or boot-up told last, None: none came
-    well : whether it told what was wanted; None: it cannot tell, for it sends no heartbeat
-    odd_length : bytes of its last heartbeat that is none, as it has not one; None without one
+    state : state in the last heartbeat or boot-up; None: none arrived
+    well : whether that is the commanded state; None: unknown, because the node sends no heartbeat
+    odd_length : length of the last heartbeat whose length is not one byte; None without one
     """
 
     node_id: int
@@ -55,24 +55,24 @@ class CommandResult:
 def command(
     link: FrameLink, word: str, node_id: int | None, timeout_s: float | None = None
 ) -> tuple[CommandResult, ...]:
-    """Send an NMT command, and wait for what the nodes say.
+    """Send an NMT command, and wait for the nodes' heartbeats or boot-ups.
 
     Parameters
     ----------
-    word : of `COMMANDS`
-    timeout_s : how long that may take [s]; None: `BOOT_S` after a reset, else `TIMEOUT_S`
-    node_id : None: all nodes; then those are returned that say something within the time
+    word : key of `COMMANDS`
+    timeout_s : longest wait [s]; None: `BOOT_S` after a reset, else `TIMEOUT_S`
+    node_id : the node; None: all nodes, of which those heard within the time are returned
 
     Raises
     ------
     NodeMissing
-        (exit status 5) all nodes were meant, and none said anything after a reset
+        (exit status 5) all nodes were reset, and none booted
     """
     what, goal = COMMANDS[word]
     if timeout_s is None:
         timeout_s = BOOT_S if goal is NmtState.INITIALISING else TIMEOUT_S
     silent = node_id is not None and goal is not NmtState.INITIALISING and _has_no_heartbeat(link, node_id)
-    while link.receive(link.now_ns()) is not None:  # of before
+    while link.receive(link.now_ns()) is not None:  # frames from before the command
         pass
     link.send(CobId.NMT, bytes((what, node_id or 0)))
     heard: dict[int, NmtState] = {}
@@ -86,7 +86,7 @@ def command(
             odd[sender] = frame.length
             continue
         state = frame.data[0] & 0x7F
-        if state in tuple(NmtState) and heard.get(sender) is not goal:  # behind its boot-up others come
+        if state in tuple(NmtState) and heard.get(sender) is not goal:  # heartbeats follow a boot-up
             heard[sender] = NmtState(state)
         if node_id is not None and heard.get(sender) is goal:
             break
@@ -101,7 +101,7 @@ def command(
 
 
 def _has_no_heartbeat(link: FrameLink, node_id: int) -> bool:
-    """Tell whether 1017h says so; a node that does not answer (it is stopped) may have one."""
+    """Return whether 1017h is 0; a node that does not answer (it is stopped) may have a heartbeat."""
     try:
         return not any(SdoClient(link, node_id, ASK_S).upload(*HEARTBEAT, most=4))
     except HostError:

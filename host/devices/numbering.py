@@ -1,4 +1,4 @@
-"""Node ids for devices by LSS: which are free, what a device is given, whether it boots with it."""
+"""Assignment of node ids and bit rates by LSS, with a check for free ids and for the boot-up."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from coulombus.wire.bus_link import BusFrame, FrameLink
 __all__ = ["BOOT_S", "AssignedId", "check_free", "give", "only"]
 
 BOOT_S = 5.0
-"""How long a device may take to boot with its new node id."""
+"""Longest wait for a device's boot-up with its new node id."""
 LAST = 127
 
 
 @dataclass(frozen=True)
 class AssignedId:
-    """What a device was given.
+    """Result of an assignment to a device.
 
     Attributes
     ----------
-    before : the node id that it had, None without one
-    booted : whether its boot-up was heard under the new one; None where it has no reason to boot
-    boot_s : how long it was waited for [s]
+    before : its earlier node id; None without one
+    booted : whether its boot-up with the new id was heard; None if it need not boot
+    boot_s : longest wait for the boot-up [s]
     """
 
     identity: Identity
@@ -39,7 +39,7 @@ class AssignedId:
     boot_s: float = BOOT_S
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
+        """Return plain values for JSON."""
         return {
             **self.identity._asdict(),
             "node_id": self.node_id,
@@ -69,7 +69,7 @@ def only(identities: Sequence[Identity]) -> Identity:
     Raises
     ------
     NodeMissing
-        (exit status 5) there is none
+        (exit status 5) there is no such device
     DeviceMismatch
         (3) there are several
     """
@@ -84,7 +84,7 @@ def only(identities: Sequence[Identity]) -> Identity:
 
 
 def check_free(link: FrameLink, ids: Sequence[int], show: Callable[[str], None]) -> None:
-    """Refuse node ids that do not exist, or that a node on the bus has.
+    """Refuse node ids that are out of range or in use on the bus.
 
     Raises
     ------
@@ -109,15 +109,14 @@ def give(
     store: bool = False,
     boot_s: float = BOOT_S,
 ) -> AssignedId:
-    """Give one device what was asked for, and wait `boot_s` at most for its boot-up under a new node
-    id.
+    """Assign node id and bit rate to a device; wait up to `boot_s` for its boot-up with a new node id.
 
     Raises
     ------
     NodeMissing
         (exit status 5) no device has this identity, or it does not answer
     LssRefused, AnswerUntrusted
-        (6) it refused a setting, or its answer is none
+        (6) the device refused a setting, or its answer is not valid
     """
     master.select(identity)
     before = master.node_id()

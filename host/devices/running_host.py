@@ -1,4 +1,6 @@
-"""Is somebody at work on this bus? Whoever holds the handle of a display is not to be disturbed."""
+"""Detection of a running host on a bus: services for devices are refused there, because a hand may be on
+the handle.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ from coulombus.wire.bus_link import FrameLink
 __all__ = ["FILTERS", "LISTEN_S", "check_alone", "who_is_at_work"]
 
 LISTEN_S = 0.3
-"""A display has a SYNC at least so often."""
+"""Time of listening: every host sends a SYNC within it."""
 NODES = range(1, 128)
 HOST_ID = 127
 """The host's node id in all packaged rigs."""
@@ -19,21 +21,18 @@ FILTERS = (
     *((CobId.SYNC, 0x7FF), (CobId.SDO_TX, 0x780), (CobId.SDO_RX, 0x780)),
     *((CobId.HEARTBEAT, 0x780), (CobId.LSS_TX, 0x7FE)),
 )
-"""What a service for devices takes of a bus: SYNC, SDO, heartbeats, LSS.
-
-A flood of PDOs stays out.
-"""
+"""Receive filters of a service for devices: SYNC, SDO, heartbeats, LSS, and no PDOs."""
 
 
 def who_is_at_work(link: FrameLink, address: BusAddress, listen_s: float = LISTEN_S) -> str:
-    """Return what tells of a host on the bus, "" where nothing does.
+    """Return the evidence for a host on the bus; "" without any.
 
-    A host of this machine has its control socket. Another one sends SYNC in its cycle, its
-    heartbeat (OPERATIONAL, of `HOST_ID`), and SDO requests before it.
+    A host of this machine has a control socket. Any host sends SDO requests in bring-up, and SYNC and its
+    heartbeat (OPERATIONAL, node `HOST_ID`) in the cycle.
     """
     if host_runs(address):
         return "its control socket answers"
-    while link.receive(link.now_ns()) is not None:  # of before: it may have ended since
+    while link.receive(link.now_ns()) is not None:  # older frames: their host may have ended since
         pass
     until_ns = link.now_ns() + round(listen_s * 1e9)
     while (frame := link.receive(until_ns)) is not None:
@@ -47,12 +46,12 @@ def who_is_at_work(link: FrameLink, address: BusAddress, listen_s: float = LISTE
 
 
 def check_alone(link: FrameLink, address: BusAddress, *, beside: bool = False) -> str:
-    """Refuse to go on where a host is at work; with `beside` only return what tells of it.
+    """Refuse a bus with a running host; with `beside`, return the evidence instead.
 
     Raises
     ------
     SafetyTrip
-        (exit status 7) a host is there, and `beside` was not said
+        (exit status 7) a host runs on the bus, and `beside` is False
     """
     host = who_is_at_work(link, address)
     if host and not beside:

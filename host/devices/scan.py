@@ -1,8 +1,8 @@
-"""Who is on a bus, and what they say of themselves. Nothing is written to any device.
+"""Scan of a bus: its nodes and their identities, without a write to any device.
 
-Every node id is asked for its device type (1000h) once, a request each millisecond. Whoever answers
-is asked for the rest, all of them at a time. Whoever only sends heartbeats or boots up is found by
-them. Devices without a node id are found by LSS (`host.devices.lss`).
+The scan requests the device type (1000h) of every node id once, with one request per millisecond. Then it
+reads further objects of the nodes that answered, in parallel. Nodes that only send heartbeats or boot-ups
+are found by these. `host.devices.lss` finds devices without a node id.
 """
 
 from __future__ import annotations
@@ -27,41 +27,40 @@ from coulombus.wire.bus_link import BusFrame, BusLink, FrameLink
 __all__ = ["ASKED", "IDENTITY", "TIMEOUT_S", "TOLD", "Answers", "scan", "survey", "trouble"]
 
 IDENTITY = ((0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
-"""Numbers: device type, identity."""
+"""Numeric objects: device type, identity."""
 ASKED = (
     *IDENTITY,
     *((0x6502, 0), (0x6075, 0), (0x6076, 0), (0x6410, 1), *SCALE_OBJECTS, (VELOCITY_UNIT, 0), POLARITY),
     *((0x6301, 1), (0x6302, 1), (0x6131, 1), (0x6132, 1)),
 )
-"""Numbers for a rig file: a drive's modes, rated current and torque, scale and polarity, too.
-
-Units of CiA 404.
+"""Numeric objects for a rig file: identity, a drive's modes, rated current and torque, scale and polarity,
+units of CiA 404.
 """
 TOLD = ((0x1008, 0), (0x1009, 0), (0x100A, 0))
-"""Texts: the device's name, its hardware's and its software's version."""
+"""Text objects: the device's name, hardware version and software version."""
 VISIBLE_STRING = 0x0009
 NODES = range(1, 128)
 TIMEOUT_S, PACE_S = 0.5, 1e-3
-"""How long an answer may take; between two node ids."""
+"""Time-out of an answer; time between requests to two node ids."""
 SILENT = 2
-"""So many requests without an answer: the node has gone, or never spoke SDO."""
+"""Number of requests in a row without an answer after which a node is no longer read."""
 MOST_TEXT = 1000
 TEXT = Variable(0x1008, 0, "", VISIBLE_STRING, "const", None, False, None, None, False, 0)
 
 ACKNOWLEDGE, BUS_OFF, WIRE = 0x020, 0x040, 0x188
-"""Classes of error frames (``linux/can/error.h``): nobody acknowledged; bus off; violations."""
+"""Classes of error frames (``linux/can/error.h``): no acknowledge; bus off; violations."""
 
 
 @dataclass(frozen=True)
 class Answers:
-    """What one node said; an object that it does not have is missing.
+    """Answers of one node, without the objects that it lacks.
 
     Attributes
     ----------
-    state : its NMT state, None where no heartbeat told it
-    answers_sdo : whether it answers at all; else it was heard by its heartbeat or boot-up
+    state : its NMT state; None without a heartbeat
+    answers_sdo : whether the node answers SDO; else only its heartbeat or boot-up was heard
     twice : two devices have this node id (`host.sdo.bus_answers`)
-    doubt : why what it says of its type and identity cannot be trusted, "" where it can
+    doubt : reason why its type and identity are not reliable, or ""
     """
 
     node_id: int
@@ -74,22 +73,22 @@ class Answers:
 
     @property
     def identity(self) -> tuple[int, int]:
-        """Vendor id and product code, 1018h:01 and :02; 0 where it tells none."""
+        """Vendor id and product code, 1018h:01 and :02; 0 for missing ones."""
         return self.numbers.get((0x1018, 1), 0), self.numbers.get((0x1018, 2), 0)
 
     @property
     def profile(self) -> int:
-        """The CANopen profile that 1000h tells, 402 for a drive."""
+        """The CANopen profile in 1000h, 402 for a drive."""
         return self.numbers.get((0x1000, 0), 0) & 0xFFFF
 
     @property
     def name(self) -> str:
-        """The device's name and its versions, "" where it tells none."""
+        """The device's name and versions, or ""."""
         return " ".join(self.texts[place] for place in TOLD if place in self.texts)
 
     @property
     def remark(self) -> str:
-        """What is wrong with it, "" where nothing is."""
+        """Problem of the node, or ""."""
         if self.twice:
             return f"node {self.node_id} answers requests twice, or differently: two devices have this node id"
         if self.doubt:
@@ -108,14 +107,14 @@ class Answers:
 
 @dataclass
 class _Heard:
-    """What was heard on the bus, node by node."""
+    """Received heartbeats and SDO responses of each node."""
 
     states: dict[int, NmtState] = field(default_factory=dict)
     answers: BusAnswers = field(default_factory=BusAnswers)
     answering: set[int] = field(default_factory=set)
 
     def hear(self, frame: BusFrame) -> None:
-        """Take a frame: a heartbeat, a boot-up, or an SDO response."""
+        """Handle a frame: heartbeat, boot-up, or SDO response."""
         node_id = frame.can_id & 0x7F
         if frame.can_id == CobId.HEARTBEAT + node_id and node_id and frame.length == 1 and frame.data:
             state = frame.data[0] & 0x7F
@@ -126,7 +125,7 @@ class _Heard:
             self.answers.hear(frame)
 
     def listen(self, link: FrameLink, seconds: float) -> None:
-        """Listen for so long."""
+        """Handle all frames for `seconds`."""
         until_ns = link.now_ns() + round(seconds * 1e9)
         while (frame := link.receive(until_ns)) is not None:
             self.hear(frame)
@@ -144,14 +143,14 @@ def scan(
     timeout_s: float = TIMEOUT_S,
     progress: Callable[[str, float, float], None] = _nothing,
 ) -> tuple[Answers, ...]:
-    """Return what each node of a bus says, by node ids.
+    """Return the answers of each node on a bus, ordered by node id.
 
     Parameters
     ----------
-    numbers : objects of at most four bytes that are asked for, besides the texts `TOLD`
-    listen_s : for so long heartbeats and boot-ups are waited for, from the beginning on [s]
-    timeout_s : how long an answer may take [s]
-    progress : called with a label, seconds or node ids so far, and all of them
+    numbers : objects of at most four bytes to read, besides the texts `TOLD`
+    listen_s : time from the beginning for heartbeats and boot-ups [s]
+    timeout_s : time-out of an answer [s]
+    progress : called with a label, finished seconds or node ids, and their total
     """
     heard, begin_ns = _Heard(), link.now_ns()
     for node_id in NODES:
@@ -209,18 +208,18 @@ def _text(raw: bytes) -> str:
 
 
 def survey(address: BusAddress, drive_axis: int = 1) -> tuple[Answers, ...]:
-    """Return what each node of a bus says that answers SDO, with all that a rig file is made of.
+    """Return the answers of all nodes that answer SDO, with the objects for a rig file.
 
     Parameters
     ----------
-    drive_axis : of a drive of several; its objects are read besides those of the first
+    drive_axis : axis of a multi-axis drive, whose objects are read besides those of the first axis
 
     Raises
     ------
     BusUnavailable
-        no such bus
+        the bus does not exist
     SafetyTrip
-        a host is cycling there: whoever holds the handle is not to be disturbed
+        a host is active on the bus, and a hand may be on the handle
     """
     numbers = tuple(dict.fromkeys((*ASKED, *((of_axis(index, drive_axis), sub) for index, sub in ASKED))))
     with BusLink(address, FILTERS) as link:
@@ -229,12 +228,12 @@ def survey(address: BusAddress, drive_axis: int = 1) -> tuple[Answers, ...]:
 
 
 def trouble(error_frames: int, classes: int, anybody: bool) -> str:
-    """Return what error frames tell of the wire, "" where there were none.
+    """Return the likely cause of error frames; "" without any.
 
     Parameters
     ----------
-    classes : bits of ``linux/can/error.h`` of all of them
-    anybody : whether a node was heard all the same
+    classes : classes of all error frames, bits of ``linux/can/error.h``
+    anybody : whether a node was heard
     """
     if not error_frames:
         return ""

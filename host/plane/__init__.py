@@ -1,1 +1,1 @@
-"""Friction in the plane on two joints: the force of a law shared out over brakes and motors; no bus, no file."""
+"""Friction in the plane on two joints: split of a law's force between brakes and motors, without bus or file."""

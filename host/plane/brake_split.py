@@ -1,22 +1,23 @@
-r"""A wanted force in the plane, shared out over the brakes and motors of two joints.
+r"""Split of a force in the plane between the brakes and motors of two joints.
 
-The law wants :math:`\psi`; the hand is to feel :math:`F = -\psi`. At the joints that is
-:math:`\tau = J^T F`. A joint's own friction :math:`f_i` is a brake that is always on.
+The law gives :math:`\psi`, and the hand feels :math:`F = -\psi`. The torques of the joints are
+:math:`\tau = J^T F`. A joint's own friction :math:`f_i` acts as a brake that is always on.
 
-In slip, with the sense :math:`s_i = \mathrm{sgn}\,\dot q_i`:
+In slip, with the direction :math:`s_i = \mathrm{sgn}\,\dot q_i`:
 
 .. math::
 
     b_i &= \max(0, -\tau_i s_i - f_i)\,\min\left(1, \frac{|\dot q_i|}{T_r |\ddot q_i|}\right) \\
     \tau_{m,i} &= \tau_i + \hat s_i (\hat b_i + f_i)
 
-:math:`\hat b_i` is what brake i gives by the host's model: the set-point behind the bus, the coil's lag
-and the fluid's. So the motors give what the brakes do not give, while these lag and where they would
-have to push. The second factor is below 1 only for a joint that comes to rest within :math:`T_r`: its
-brake lets go before, because a brake that lags behind a reversal pulls the other way.
-:math:`\hat s_i` is the sense when the commands act, :math:`\mathrm{sgn}(\dot q_i + \ddot q_i T_l)`: the
-measured speed is some milliseconds old. A joint that stands still while the other one moves has no sense:
-its motor has all. Without motors (passive) the second factor is 1.
+:math:`\hat b_i` is the torque of brake i in the host's model: the set-point after the bus delay, the
+coil's lag and the fluid's lag. So the motors give the part that the brakes do not give: while the brakes
+lag, and where a brake would have to push. The second factor is below 1 only for a joint that comes to
+rest within :math:`T_r`. Its brake is released before, because a brake that lags behind a reversal pulls
+in the wrong direction. :math:`\hat s_i` is the direction at the time when the commands act,
+:math:`\mathrm{sgn}(\dot q_i + \ddot q_i T_l)`, because the measured speed is a few milliseconds old. A
+joint at rest while the other joint moves has no direction; its motor gives the whole torque. Without
+motors (passive) the second factor is 1.
 
 At rest, under the hand's force :math:`F_h` with the joint torques :math:`\tau_h = J^T F_h`:
 
@@ -25,14 +26,17 @@ At rest, under the hand's force :math:`F_h` with the joint torques :math:`\tau_h
     b_i = |\tau_{h,i}| + (F_s - |F_h|)\,\|J_i\| - f_i \quad (|F_h| \le F_s), \qquad
     b_i = |\tau_{h,i}|\,F_s/|F_h| - f_i \quad (|F_h| > F_s)
 
-A box in the joints' torques never cuts the disc :math:`|F_h| \le F_s`, because
-:math:`|J_i \cdot \Delta F| \le \|J_i\||\Delta F|`. At its edge both joints let go together.
+The box of the joints' torques always contains the disc :math:`|F_h| \le F_s`, because
+:math:`|J_i \cdot \Delta F| \le \|J_i\||\Delta F|`. At the edge of the disc both joints slip together.
 
-Three bounds hold whatever is wanted. No command exceeds its limit. A set-point is never negative. The
-motors' torques, with those that the brakes are expected to give, take up power: where a limit would
-make the whole active, the pushing torques are shortened until it takes none (``push_N``, the spring of a
-wall, is exempt). Where the motors have given more energy than the whole has taken up, and
-``passivity_J``, they push no more.
+Three bounds always hold:
+
+- No command exceeds its limit.
+- A set-point is never negative.
+- The motors' torques and the brakes' expected torques together absorb power. If a limit would make the
+  sum active, the pushing torques are reduced until the power is 0 (``push_N``, the spring of a wall, is
+  exempt). If the motors have given more energy than ``passivity_J`` above the absorbed energy, they no
+  longer push.
 
     c : the `SplitControlRecord`      s : the `SplitStateRecord`      pose : a `PoseRecord`
 """
@@ -49,24 +53,26 @@ from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
 __all__ = ["expect_brakes", "hold", "observe", "slip"]
 
 FLUID_LEAD, COIL_LEAD = 3.0, 2.0
-"""How much sooner than by its lags a brake's torque comes to a level (`host.cycle.brake_model`)."""
+"""Gains of the lead compensation of a brake's lags (`host.cycle.brake_model`)."""
 
 
 @kernel
 def _seen(c: SplitControlRecord, before: float, now: float) -> float:
-    """Return the coil's torque that the fluid follows in a cycle: the mean, or all of one without a lag."""
+    """Return the coil's torque that the fluid follows in a cycle: the mean, or the new torque without a coil
+    lag.
+    """
     return now if c.coil_step >= 1.0 else 0.5 * (before + now)
 
 
 @kernel
 def _sense(v_rad_s: float) -> float:
-    """Return the sense of a speed: 1, -1, or 0 at rest."""
+    """Return the direction of a speed: 1, -1, or 0 at rest."""
     return 1.0 if v_rad_s > 0.0 else -1.0 if v_rad_s < 0.0 else 0.0
 
 
 @kernel
 def _lead(c: SplitControlRecord, s: SplitStateRecord, joint: int, level_Nm: float) -> float:
-    """Return the set-point with which a brake comes to a level sooner than its lags let it."""
+    """Return the set-point that brings a brake to a level faster than its lags."""
     seen, wish = s.expected_Nm[joint], level_Nm
     if c.fluid_step < 1.0:
         wish = seen + FLUID_LEAD * (level_Nm - seen)
@@ -77,11 +83,10 @@ def _lead(c: SplitControlRecord, s: SplitStateRecord, joint: int, level_Nm: floa
 
 @kernel
 def expect_brakes(c: SplitControlRecord, s: SplitStateRecord) -> None:
-    """Step the brakes' expected torques along by a cycle; call it once a cycle, before
-    `slip` or `hold`.
+    """Step the brakes' expected torques by one cycle; call it once a cycle, before `slip` or `hold`.
 
-    A set-point acts a cycle after it was sent, and so do the motors' commands: these are made for what the
-    brakes give by then.
+    Set-points and motor commands act a cycle after they were sent. So the motors' commands are computed for
+    the brakes' torques at that time.
     """
     for i in range(JOINTS):
         before = s.coil_Nm[i]
@@ -94,7 +99,8 @@ def expect_brakes(c: SplitControlRecord, s: SplitStateRecord) -> None:
 
 @kernel
 def observe(c: SplitControlRecord, s: SplitStateRecord, v_rad_s: FloatField) -> None:
-    """Add up the energies of the cycle that has passed: each motor's, and what the whole has taken up.
+    """Add the energies of the last cycle: each motor's work, and the absorbed energy of motors, brakes and
+    friction.
 
     Call it once a cycle, before `expect_brakes`.
     """
@@ -118,9 +124,9 @@ def slip(
 
     Parameters
     ----------
-    psi_N : the friction to be displayed, against the motion
-    push_N : the part of it that pushes back whatever the motion: the motors' alone
-    v_rad_s, rate_rad_s2 : the joints' speeds, and how these change
+    psi_N : the law's force, against the motion
+    push_N : the part of it that pushes back independently of the motion, for the motors alone
+    v_rad_s, rate_rad_s2 : the joints' speeds and accelerations
     """
     power = 0.0
     pushing = 0.0
@@ -152,12 +158,12 @@ def slip(
 
 @kernel
 def _kept_share(c: SplitControlRecord, s: SplitStateRecord, power: float, pushing: float) -> float:
-    """Return which share of the pushing torques is left, for the whole to take up power.
+    """Return the share of the pushing torques with which the joints absorb power.
 
     Parameters
     ----------
-    power : of motors, brakes and friction on the joints [W]
-    pushing : the part of it that motors give to the motion [W]
+    power : power of motors, brakes and friction on the joints [W]
+    pushing : the part of it that motors add to the motion [W]
     """
     owed = s.motor_J[0] + s.motor_J[1] - max(s.taken_J, 0.0) > c.passivity_J
     if pushing <= 0.0 or not (power > 0.0 or owed):
@@ -168,12 +174,12 @@ def _kept_share(c: SplitControlRecord, s: SplitStateRecord, power: float, pushin
 
 @kernel
 def hold(c: SplitControlRecord, s: SplitStateRecord, pose: PoseRecord, level_N: float, hand_Nm: FloatField) -> None:
-    """Set the commands for a tip at rest, which the brakes hold up to a force of the hand.
+    """Set the commands for a tip at rest, which the brakes hold up to a limit of the hand's force.
 
     Parameters
     ----------
     level_N : F_s, against the direction in which the hand pushes
-    hand_Nm : the hand's torques on the joints, by their transducers
+    hand_Nm : the hand's torques on the joints, from the transducers
     """
     a, b, d, e = pose.jacobian[0, 0], pose.jacobian[0, 1], pose.jacobian[1, 0], pose.jacobian[1, 1]
     determinant = a * e - b * d

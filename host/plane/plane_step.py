@@ -25,21 +25,21 @@ __all__ = ["ACTIVE", "HYBRID", "PASSIVE", "TRACK", "PlaneHostRecord", "plane_ste
 
 ACTIVE, PASSIVE, HYBRID = 0, 1, 2
 TRACK = 64
-"""Positions that the speeds can look back over."""
+"""Size of the ring of positions for the speeds."""
 
 
 class PlaneHostRecord(Record):
-    """A host of two joints: what it believes, measures and commands."""
+    """State of a host of two joints: model, measurements and commands."""
 
     mechanism: MechanismRecord
     control: SplitControlRecord
     law: PlaneLawRecord
     mode: int
-    window_cycles: int  # cycles over which the joints' speeds are taken, at most TRACK // 2 - 1
-    turn_cycles: int  # cycles over which the speeds' change is taken for the law; with the window below TRACK
-    count_rad: Annotated[FloatField, JOINTS]  # an encoder count at the joint
-    start_rad: Annotated[FloatField, JOINTS]  # the joints' angles at a count of 0
-    least_condition: float  # no force in a pose that is nearer to a singular one
+    window_cycles: int  # window of the joints' speeds, at most TRACK // 2 - 1
+    turn_cycles: int  # window of the speeds' change for the law; together with the speeds' window below TRACK
+    count_rad: Annotated[FloatField, JOINTS]  # angle of an encoder count at the joint
+    start_rad: Annotated[FloatField, JOINTS]  # the joints' angles at count 0
+    least_condition: float  # smallest condition of a pose with force; below it, the pose is too near to singular
 
     counts: Annotated[IntegerField, JOINTS]  # encoders
     hand_Nm: Annotated[FloatField, JOINTS]  # transducers: the hand's torques on the joints
@@ -57,7 +57,7 @@ class PlaneHostRecord(Record):
 
 @kernel
 def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHostRecord) -> None:
-    """Do one cycle: measure, ask the law, share its force out."""
+    """Do one cycle: measure, evaluate the law, split its force."""
     _measure(mechanism, h)
     observe(h.control, h.split, h.v_rad_s)
     expect_brakes(h.control, h.split)
@@ -75,7 +75,7 @@ def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHost
 
 @kernel
 def _measure(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
-    """Set pose, speeds and the law's view from the encoders' counts and the transducers."""
+    """Set pose, speeds and the law's input from the encoders' counts and the transducers."""
     window = min(h.window_cycles, h.cycle)
     for i in range(JOINTS):
         moved = h.counts[i] - h.track[(h.cycle - window) % TRACK, i] if window > 0 else 0
@@ -102,9 +102,10 @@ def _measure(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
 
 @kernel
 def _soon(h: PlaneHostRecord, joint: int) -> float:
-    """Return a joint's speed when the commands act: the measured one, and its change over ``turn_cycles``.
+    """Return a joint's speed at the time when the commands act: the measured speed, extrapolated by its
+    change over ``turn_cycles``.
 
-    The change over so many cycles has little of the encoder's counts, and follows a turning motion.
+    This window is long enough to smooth the encoder's counts, and short enough to follow a turning motion.
     """
     v, window, back = h.v_rad_s[joint], h.window_cycles, h.turn_cycles
     if back <= 0 or h.cycle < back + window or v == 0.0:

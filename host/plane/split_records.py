@@ -1,4 +1,4 @@
-"""The records of the split: what two joints can give, and what they were last told to."""
+"""Records of the split: capabilities of two joints, and their state."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ __all__ = ["SplitControlRecord", "SplitStateRecord"]
 
 
 class SplitControlRecord(Record):
-    """What the joints can give, as the host believes it."""
+    """Limits and model of the joints."""
 
     brake_limit_Nm: Annotated[FloatField, JOINTS]  # 0: no brakes (active)
     motor_limit_Nm: Annotated[FloatField, JOINTS]  # 0: no motors (passive)
-    friction_Nm: Annotated[FloatField, JOINTS]  # the joints' own friction, which is there as a brake is
-    compensation: float  # share of it that the motors may take off the joints
+    friction_Nm: Annotated[FloatField, JOINTS]  # the joints' own friction, which acts as a constant brake
+    compensation: float  # share of that friction that the motors compensate
     coil_step: float  # 1 - exp(-period / coil lag), 1 without a lag
     fluid_step: float  # 1 - exp(-period / fluid lag), 1 without a lag
-    reversal_s: float  # a joint that comes to rest within this time lets its brake go before
-    lead_s: float  # from the instant that the measured speeds are of to that when the commands act
+    reversal_s: float  # time before a joint comes to rest in which its brake is released
+    lead_s: float  # time from the measured speeds to the effect of the commands
     period_s: float
-    passivity_J: float  # energy that the motors may have given more than the whole has taken up
+    passivity_J: float  # largest excess of the motors' work over the absorbed energy
 
 
 class SplitStateRecord(Record):
-    """What is commanded, what the brakes are expected to give, and the energies."""
+    """Commands, expected torques of the brakes, and energies."""
 
     brake_Nm: Annotated[FloatField, JOINTS]  # set-points of the brakes, >= 0
     motor_Nm: Annotated[FloatField, JOINTS]  # torques of the motors
-    sent_Nm: Annotated[FloatField, JOINTS]  # set-points of the cycle before, which act now
-    motor_sent_Nm: Annotated[FloatField, JOINTS]  # and the motors' torques
-    coil_Nm: Annotated[FloatField, JOINTS]  # behind the coil's lag
-    expected_Nm: Annotated[FloatField, JOINTS]  # behind the fluid's lag, too: what the brake can bear now
-    ahead_Nm: Annotated[FloatField, JOINTS]  # what it can bear when the next commands act
+    sent_Nm: Annotated[FloatField, JOINTS]  # set-points of the last cycle, which act now
+    motor_sent_Nm: Annotated[FloatField, JOINTS]  # torques of the motors in the last cycle, which act now
+    coil_Nm: Annotated[FloatField, JOINTS]  # modelled torque behind the coil's lag
+    expected_Nm: Annotated[FloatField, JOINTS]  # modelled torque behind coil and fluid: the brake's torque now
+    ahead_Nm: Annotated[FloatField, JOINTS]  # modelled brake torque at the time when the next commands act
     motor_J: Annotated[FloatField, JOINTS]  # net work of each motor on its joint
-    taken_J: float  # what motors, brakes and friction together have taken up of the joints' motion
-    withheld: int  # cycles in which the motors gave less than their part, for the whole to stay passive
+    taken_J: float  # energy of the joints' motion absorbed by motors, brakes and friction together
+    withheld: int  # cycles in which the motors' torques were reduced to stay passive

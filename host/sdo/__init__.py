@@ -1,1 +1,1 @@
-"""The SDO client of the host: bring-up and the services for devices use it alike."""
+"""SDO client of the host, for bring-up and the services for devices."""

@@ -1,5 +1,6 @@
-"""The SDO responses of all nodes of a bus to one client, and the search for two devices of one node
-id: bring-up, `sdo`, `scan` and the check of free node ids use this one.
+"""SDO responses of all nodes to one client, and detection of two devices with the same node id.
+
+Bring-up, `sdo`, `scan` and the check of free node ids share this detection.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ LENGTH = 8
 
 
 class BusAnswers:
-    """What each node was asked by this client, and what it answered (`eds.sdo_answers`)."""
+    """Requests of one client to each node, and the responses (`eds.sdo_answers`)."""
 
     def __init__(self) -> None:
         self._nodes: defaultdict[int, SdoAnswers] = defaultdict(SdoAnswers)
@@ -27,17 +28,17 @@ class BusAnswers:
         return self._nodes[node_id]
 
     def hear(self, frame: BusFrame) -> None:
-        """Take a frame that no transfer waits for; only SDO responses of nodes that were asked count."""
+        """Handle a frame that no transfer waits for; only SDO responses of requested nodes count."""
         node_id = frame.can_id - CobId.SDO_TX
         if node_id in self._nodes and frame.length == LENGTH:
             self._nodes[node_id].take(frame.data)
 
     def listen(self, link: FrameLink, until_ns: int) -> None:
-        """Take all frames that come until `until_ns`: a second device may be the slower one."""
+        """Handle all frames until `until_ns`: a second device may answer later."""
         while (frame := link.receive(until_ns)) is not None:
             self.hear(frame)
 
     @property
     def duplicate_node_ids(self) -> tuple[int, ...]:
-        """The node ids as which two devices have answered."""
+        """The node ids with answers of two devices."""
         return tuple(node_id for node_id, answers in sorted(self._nodes.items()) if answers.duplicate_node_id)

@@ -1,6 +1,4 @@
-"""The client of SDO servers on a link: one transfer at a time with one node, or one with each of
-many.
-"""
+"""SDO client on a link: sequential transfers with one node, or with several nodes in parallel."""
 
 from __future__ import annotations
 
@@ -41,24 +39,24 @@ __all__ = [
 
 T = TypeVar("T")
 TIMEOUT_S = 1.0
-"""How long an answer may take."""
+"""Time-out of an answer."""
 STORING_S = 10.0
-"""How long a device may take to write its storage: flash takes seconds."""
+"""Time-out of a write to 1010h or 1011h: flash takes seconds."""
 STORING = (0x1010, 0x1011)
 LATE_S = 2.0
-"""For so long after the time-out a verb listens for a late answer, to tell it from none."""
+"""Time of listening after a time-out, to distinguish a late answer from none."""
 SETTLE_S = 0.02
-"""A second answer to the last request has come by then."""
+"""Longest delay of a second device's answer to the last request."""
 
 
 class SdoSession(Generic[T]):
-    """A transfer with one node, under way.
+    """An active transfer with one node.
 
     Attributes
     ----------
-    done : it has ended, with `value` or with `error`
-    odd_length : bytes of the last frame that is no SDO message, as it has not eight; None without one
-    deadline_ns : by which the node has to answer
+    done : whether it has ended, with `value` or with `error`
+    odd_length : length of the last frame whose length is not eight bytes; None without one
+    deadline_ns : time by which the node must answer
     """
 
     def __init__(
@@ -74,15 +72,15 @@ class SdoSession(Generic[T]):
         self._go_on(lambda: next(transfer))
 
     def hear(self, message: bytes) -> None:
-        """Take a message of the server."""
+        """Handle a message of the server."""
         if self._answers.take(message):
             self._go_on(lambda: self._transfer.send(message))
 
     def look(self, now_ns: int) -> None:
-        """End the transfer where the server's time is over."""
+        """End the transfer after the server's time-out."""
         if self.done or now_ns < self.deadline_ns:
             return
-        if again := self._answers.again:  # nothing else came: it was no frame delivered twice
+        if again := self._answers.again:  # no other answer came, so the repeated frame was the answer
             self._answers.again = b""
             self._go_on(lambda: self._transfer.send(again))
             return
@@ -100,7 +98,7 @@ class SdoSession(Generic[T]):
             self._end(SdoSilent(text))
 
     def leave(self) -> None:
-        """Abort the transfer where it is still under way: the server waits for it else."""
+        """Abort the transfer if it has not ended: the server would wait for it."""
         if not self.done:
             with suppress(OSError):
                 self._send(abort(*self._place))
@@ -149,14 +147,14 @@ def run_transfers(
     answers: BusAnswers,
     hear: Callable[[BusFrame], None] | None = None,
 ) -> None:
-    """Do the transfers of each node one after the other, those of different nodes at a time.
+    """Run transfers sequentially per node, nodes in parallel.
 
     Parameters
     ----------
     transfers : the transfers of each node id
     tell : called with (node id, value or error) at the end of each transfer
-    answers : what the nodes were asked and answered so far
-    hear : takes the frames that no transfer waits for, in the place of `answers`
+    answers : requests and responses so far
+    hear : handles the frames that no transfer waits for, instead of `answers`
     """
     hear = hear or answers.hear
     waiting = {node_id: iter(row) for node_id, row in transfers.items()}
@@ -185,7 +183,7 @@ def run_transfers(
             for node_id, talk in list(talks.items()):
                 talk.look(now_ns)
                 if talk.done:
-                    tell(node_id, talk.error or talk.value)  # type: ignore[arg-type]  # one of them it is
+                    tell(node_id, talk.error or talk.value)  # type: ignore[arg-type]  # one of the two is set
                     begin(node_id)
     finally:
         for talk in talks.values():
@@ -197,10 +195,10 @@ class SdoClient:
 
     Parameters
     ----------
-    timeout_s : how long an answer may take [s]
-    storing_s : how long that to a write to 1010h or 1011h may take, if that is longer [s]
-    late_s : for so long an answer is listened for afterwards, to tell that it is late [s]
-    answers : shared by the clients of several nodes on one link, which hear each other's late answers
+    timeout_s : time-out of an answer [s]
+    storing_s : time-out of a write to 1010h or 1011h, if longer [s]
+    late_s : time of listening after a time-out, to report a late answer [s]
+    answers : shared by the clients of several nodes on one link, which receive each other's late answers
     """
 
     def __init__(
@@ -226,18 +224,18 @@ class SdoClient:
         unsized: Callable[[bytes], bytes] = bytes,
         progress: Progress = lambda done, total: None,
     ) -> bytes:
-        """Return what an object holds (`host.sdo.transfers.upload`).
+        """Return the bytes of an object (`host.sdo.transfers.upload`).
 
         Raises
         ------
         SdoSilent
             (exit status 5) the node does not answer
         SdoRefused
-            (6) it aborted the transfer
+            (6) the node aborted the transfer
         SdoProtocolError
-            (6) its answer is none
+            (6) the node's answer is not valid
         DuplicateNodeId
-            (3) two devices have its node id
+            (3) two devices have this node id
         """
         transfer = upload(index, subindex, most=most, unsized=unsized, progress=progress)
         return self._do((index, subindex), transfer, self.timeout_s)
@@ -255,7 +253,7 @@ class SdoClient:
         self._refuse_duplicate()
 
     def _do(self, place: tuple[int, int], transfer: Transfer[T], timeout_s: float) -> T:
-        self._answers.listen(self.link, self.link.now_ns())  # a late answer, which is nobody's any more
+        self._answers.listen(self.link, self.link.now_ns())  # late answers, for which no transfer waits
         self._refuse_duplicate()
         results: list[T | HostError] = []
         run_transfers(
@@ -295,14 +293,14 @@ class SdoClient:
 
 
 def store_parameters(link: FrameLink, node_id: int, part: int = 1, timeout_s: float = STORING_S) -> None:
-    """Let a node keep its parameters when it is switched off: 1010h, "save" (part 1: all, 2:
-    communication, 3: application). Raises as `SdoClient.upload`.
+    """Store a node's parameters permanently: 1010h, "save" (part 1: all, 2: communication, 3:
+    application). Raises as `SdoClient.upload`.
     """
     _storing(link, node_id, timeout_s).download(0x1010, part, b"save")
 
 
 def load_defaults(link: FrameLink, node_id: int, part: int = 1, timeout_s: float = STORING_S) -> None:
-    """Give a node its maker's parameters back, from its next reset on: 1011h, "load". Raises as
+    """Restore a node's default parameters, from its next reset on: 1011h, "load". Raises as
     `SdoClient.upload`.
     """
     _storing(link, node_id, timeout_s).download(0x1011, part, b"load")

@@ -1,11 +1,11 @@
-"""SDO transfers of a client as generators: they yield what is to be sent and are sent what came.
+"""SDO transfers of a client as generators: they yield messages to send, and receive the responses.
 
-A transfer knows no bus and no clock: `host.sdo.sdo_client` drives it, for one node or for all nodes of
-a bus at a time. A `SdoStep` has the messages to the server, eight bytes each. It gets the server's
-next message, or `SdoSilent` thrown in.
+A transfer knows no bus and no clock; `host.sdo.sdo_client` drives it, for one node or for several nodes
+in parallel. A `SdoStep` has the messages to the server, eight bytes each. The generator then receives the
+server's next message.
 
-The tester of `coulombus conformance` checks each bit of a server, and can do it wrong. This client
-takes what devices in the field do, as long as the data cannot be misunderstood.
+The tester of `coulombus conformance` checks each bit of a server, and can send wrong messages on purpose.
+This client accepts deviations of real devices, as long as the data are unambiguous.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ T = TypeVar("T")
 
 
 class SdoStep(NamedTuple):
-    """Messages to the server, and whether its next one is waited for; if not, b"" comes back.
+    """Messages to the server, and whether the transfer waits for a response; if not, it receives b"".
 
     Attributes
     ----------
-    initiates : the message begins a transfer
+    initiates : whether the message initiates a transfer
     """
 
     messages: Sequence[bytes] = ()
@@ -52,23 +52,23 @@ class SdoStep(NamedTuple):
 
 Transfer: TypeAlias = Generator[SdoStep, bytes, T]
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the bytes that are there, and how many there will be; 0: the server does not tell."""
+"""Called with the number of bytes so far, and the total; 0: the total is unknown."""
 
 ABORT = 0x80
 BLOCK = 127
-"""Segments of a block, at most."""
+"""Largest number of segments in a block."""
 LONG = 7 * BLOCK
-"""More bytes than this go by block transfer, where the server has it."""
+"""Size above which block transfer is used, if the server supports it."""
 MOST_BYTES = 1 << 26
-"""An upload that tells a greater length has no end that matters."""
+"""Largest accepted length of an upload."""
 MOST_UNTOLD = 1 << 22
-"""An upload that does not tell its length is given up here."""
+"""Largest accepted length of an upload that does not indicate its length."""
 APART = (
     "take one off the bus, and give the other another id (coulombus lss); or another SDO client asks it now (sdo, scan)"
 )
-"""What to do about two devices of one node id."""
+"""Remedy for two devices with the same node id."""
 REPEATS = 5
-"""So often in a row a server may ask for the same segments."""
+"""Largest number of repeated requests in a row for the same segments."""
 
 
 class SdoSilent(NodeMissing):
@@ -84,12 +84,12 @@ class SdoRefused(SdoAborted):
 
 
 class SdoProtocolError(AnswerUntrusted):
-    """The server's answer is none.
+    """Invalid SDO response.
 
     Attributes
     ----------
     code : abort code that the client sends
-    reason : what is wrong with the answer, without the object's name
+    reason : the error of the response, without the object's name
     """
 
     def __init__(self, text: str, code: int, reason: str = "") -> None:
@@ -113,7 +113,7 @@ def _nothing(done: int, total: int) -> None:
 
 
 class _Answers:
-    """What the server sends in one transfer, checked."""
+    """The server's responses in one transfer, with checks."""
 
     def __init__(self, what: str, index: int, subindex: int) -> None:
         self.what, self.index, self.subindex = what, index, subindex
@@ -123,8 +123,8 @@ class _Answers:
         """Send messages; return the server's next one. An abort raises `SdoRefused`."""
         answer = yield SdoStep(messages, initiates=initiates)
         while answer[0] == ABORT and named(answer) not in ((self.index, self.subindex), (0, 0)):
-            answer = yield SdoStep()  # of a transfer before this one
-        if answer == self.refusal:  # delivered twice: this client asks in another way meanwhile
+            answer = yield SdoStep()  # an abort of an earlier transfer
+        if answer == self.refusal:  # the same abort delivered twice, while this client tries another protocol
             answer = yield SdoStep()
         if answer[0] == ABORT:
             self.refusal = answer
@@ -132,7 +132,7 @@ class _Answers:
         return answer
 
     def first(self, message: bytes) -> Transfer[bytes]:
-        """Initiate; what answers an earlier request (another object) is let pass."""
+        """Initiate the transfer; ignore answers to an earlier request (another object)."""
         answer = yield from self.next(message, initiates=True)
         for _ in range(BLOCK):
             if named(answer) == (self.index, self.subindex) and answer[0] >> 5 in (2, 3, 5, 6):
@@ -141,7 +141,7 @@ class _Answers:
         raise self.wrong(f"{answer.hex(' ')} is no answer", Abort.COMMAND)
 
     def no_segment(self, answer: bytes, text: str) -> SdoProtocolError:
-        """Return what an answer is that came in the place of a segment's."""
+        """Return the error for an answer that is not that of a segment."""
         if answer[0] >> 5 in (2, 3) and named(answer) != (self.index, self.subindex):
             return DuplicateNodeId(
                 f"an answer to an SDO of {where(*named(answer))} came within the {self.what} "
@@ -163,27 +163,28 @@ def upload(
     unsized: Callable[[bytes], bytes] = bytes,
     progress: Progress = _nothing,
 ) -> Transfer[bytes]:
-    """Read an object, as the server wants it; what is long by block transfer, where it has that.
+    """Read an object: expedited or by segments, as the server chooses; long ones by block transfer, if the
+    server supports it.
 
     Parameters
     ----------
-    most : bytes that it can have at most
-    block : whether a long one may be asked for by block transfer
-    unsized : returns the object's bytes of the four of an expedited answer that tells no length
+    most : largest accepted number of bytes
+    block : whether block transfer may be used for a long object
+    unsized : returns the object's bytes from the four of an expedited answer without a length
 
     Raises
     ------
     SdoRefused
-        the server aborted it
+        the server aborted the transfer
     SdoProtocolError
-        the server's answer is none, or the object has more bytes than `most`, or than it told
+        the server's answer is not valid, or the object has more bytes than `most` or than indicated
     """
     say = _Answers("upload of", index, subindex)
     answer = yield from say.first(head(0x40, index, subindex))
     if answer[0] >> 5 == 2 and answer[0] & 0x03 == 0x01 and block:
         size = int.from_bytes(answer[4:8], "little")
         if LONG < size <= most:
-            yield SdoStep((abort(index, subindex),), waits=False)  # the ordinary one
+            yield SdoStep((abort(index, subindex),), waits=False)  # aborts the segmented transfer
             try:
                 content = yield from _block_upload(say, most, progress)
                 if content is not None:
@@ -192,7 +193,7 @@ def upload(
                 if refused.code != Abort.COMMAND:
                     raise
             answer = yield from say.first(head(0x40, index, subindex))
-            if answer[0] >> 5 == 6:  # the block's: what came in its place was the first answer once more
+            if answer[0] >> 5 == 6:  # the block upload's late answer: the first answer had been delivered twice
                 answer = yield from say.next()
     if answer[0] & 0xE3 == 0x42:
         return unsized(answer[4:8])
@@ -200,7 +201,7 @@ def upload(
 
 
 def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Transfer[bytes]:
-    """Go on with an upload that the server has answered, expedited or by segments."""
+    """Continue an upload after the server's first answer, expedited or by segments."""
     if answer[0] >> 5 != 2:
         raise say.wrong(f"command {answer[0]:02X}h is no upload response", Abort.COMMAND)
     if answer[0] & 0x02:
@@ -227,12 +228,13 @@ def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Tr
 
 
 def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[bytes | None]:
-    """Return the object's bytes, None where the server begins an ordinary upload: it has no block
-    transfer, or its answer to the request before was delivered twice.
+    """Return the object's bytes; None if the server begins a segmented upload.
+
+    Then the server lacks block transfer, or its answer to the previous request was delivered twice.
     """
     answer = yield from say.first(head(0xA4, say.index, say.subindex, bytes((BLOCK, 0))))
     if answer[0] >> 5 == 2:
-        say.refusal = abort(say.index, say.subindex, Abort.COMMAND)  # may come yet
+        say.refusal = abort(say.index, say.subindex, Abort.COMMAND)  # may still arrive
         return None
     if answer[0] & 0xE1 != 0xC0:
         raise say.wrong(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
@@ -273,15 +275,15 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
 
 
 def download(index: int, subindex: int, data: bytes, *, progress: Progress = _nothing) -> Transfer[None]:
-    """Write an object: expedited up to four bytes, long ones by block transfer where the server has
-    it, else by segments.
+    """Write an object: expedited up to four bytes, long ones by block transfer if the server supports it,
+    else by segments.
 
     Raises
     ------
     SdoRefused
-        the server aborted it
+        the server aborted the transfer
     SdoProtocolError
-        the server's answer is none
+        the server's answer is not valid
     """
     say = _Answers("download to", index, subindex)
     if 1 <= len(data) <= 4:

@@ -1,10 +1,10 @@
-"""Bring-up over SDO: know the devices, configure them, read everything back, start them.
+"""Bring-up over SDO: identify the devices, configure them, read everything back, start them.
 
-Then, and only then, the cycle may begin.
+The cycle begins only after a complete bring-up.
 
-What is written and read back stands in `host.setup.device_plan`, made from EDS and rig file. What
-is wrong with it is told before anything is sent, all of it at once; every difference of the devices
-is collected and told at once, too. With any of them the host refuses to go on.
+`host.setup.device_plan` has the objects to write and to read back, from EDS and rig file. All problems of
+the plan are reported together, before the first frame is sent. All differences of the devices are
+collected and reported together, too. Any problem or difference is a refusal.
 """
 
 from __future__ import annotations
@@ -51,30 +51,28 @@ __all__ = [
 
 SETTLE_NS = 50_000_000
 LATE_HEARTBEATS = 5
-"""So many more are waited for after NMT start before a node counts as missing."""
+"""Number of further heartbeat periods after NMT start before a node counts as missing."""
 
 
 class ControlPlane(FrameLink, Protocol):
-    """The slow side of a bus: a link, heartbeats, and time that passes while one waits."""
+    """The control plane of a bus: a link for SDO and NMT, heartbeats, and waiting."""
 
     sdo_timeout_s: float
-    """How long an SDO response is waited for: the rig file's host.sdo_timeout_s."""
+    """Time-out of an SDO response: the rig file's host.sdo_timeout_s."""
 
     def wait_ns(self, duration_ns: int) -> None:
-        """Let `duration_ns` pass while frames are received."""
+        """Wait for `duration_ns` while frames are received."""
 
     def nmt_state(self, node_id: int) -> int | None:
-        """Return the NMT state that the node's last heartbeat told, None when it was never
-        heard.
-        """
+        """Return the NMT state in the node's last heartbeat; None before the first."""
 
 
 class _Device:
-    """SDO access to one node, with sizes from its EDS and errors in words.
+    """SDO access to one node, with sizes from its EDS and readable errors.
 
     Parameters
     ----------
-    answers : of all nodes that are brought up
+    answers : SDO answers of all nodes of this bring-up
     """
 
     def __init__(self, plane: ControlPlane, plan: DevicePlan, answers: BusAnswers) -> None:
@@ -93,7 +91,7 @@ class _Device:
 
     @contextmanager
     def _named(self, index: int, subindex: int) -> Iterator[None]:
-        """Say of an error which device and object it is about."""
+        """Add the device and the object to the text of an error."""
         try:
             yield
         except SdoRefused as error:
@@ -123,12 +121,12 @@ class _Device:
         return self.description.variable(index, subindex) if self.description.has(index, subindex) else None
 
     def number(self, index: int, subindex: int) -> int:
-        """Return an unsigned object of 32 bits, as 1000h, 1018h and 6502h are.
+        """Return an UNSIGNED32 object, such as 1000h, 1018h and 6502h.
 
         Raises
         ------
         DeviceMismatch
-            it has another length
+            the object has another length
         """
         data = self.upload(index, subindex)
         if len(data) != 4:
@@ -138,13 +136,15 @@ class _Device:
         return int.from_bytes(data, "little")
 
     def write(self, setting: Setting) -> None:
-        """Write the object in the size that the EDS declares; a maker's own only where the maker is
-        this project, or the rig file lists it.
+        """Write the object in the size that the EDS declares.
+
+        A manufacturer-specific object is written only if the device is this project's, or the rig file
+        lists the object.
 
         Raises
         ------
         DeviceMismatch, OverflowError
-            a device of another maker, a value that does not fit: nothing was sent
+            a third-party device, or a value that does not fit; nothing was sent
         """
         index, subindex = setting.index, setting.subindex
         if index in MANUFACTURER and not (setting.listed or is_own(self.plan.role, self.identity)):
@@ -160,10 +160,7 @@ class _Device:
             self.client.download(index, subindex, data)
 
     def identify(self) -> list[str]:
-        """Read device type (1000h) and identity (1018h).
-
-        Return how they differ from the EDS and the rig file.
-        """
+        """Read device type (1000h) and identity (1018h); return their differences from EDS and rig file."""
         expected: dict[tuple[int, int], tuple[str, str, Value]] = {
             (0x1000, 0): ("device type", "the EDS file", self.description.default(0x1000, 0, self.node_id)),
             **{(0x1018, sub): (what, "the rig file", value) for sub, what, value in self.plan.identity},
@@ -180,7 +177,7 @@ class _Device:
         return differences
 
     def check_modes(self) -> None:
-        """Refuse a drive whose supported drive modes 6502h lack the one that is needed."""
+        """Refuse a drive whose supported drive modes 6502h lack the required mode."""
         index = of_axis(SUPPORTED_MODES, drive_axis_of(self.plan.part))
         if self.plan.mode is None or not self.description.has(index):
             return
@@ -191,15 +188,13 @@ class _Device:
             )
 
     def scale_differences(self) -> Iterator[str]:
-        """Yield how the drive's own scale differs from the rig file's (`setup.position_scale`)."""
+        """Yield the differences of the drive's own scale from the rig file's (`setup.position_scale`)."""
         return scale_differences(self.plan.position, self.description.has, self.upload)
 
     def configure(self) -> list[str]:
-        """Write every setting in its order, then read all of them back, whole.
+        """Write every setting in its order, then read all of them back; return the texts of differences.
 
-        Return the differences in words.
-
-        What the host can do without, and the device refuses, is a loss.
+        A refused setting that the host can do without is a loss.
         """
         left_out = set()
         for setting in self.plan.writes:
@@ -238,7 +233,7 @@ def check_plan(rig: Rig) -> None:
     Raises
     ------
     DeviceMismatch
-        Naming each late frame.
+        the text names each late frame
     """
     for planned in plans(rig).values():
         if not planned.fits:
@@ -246,20 +241,18 @@ def check_plan(rig: Rig) -> None:
 
 
 def plans_of(controllers: Controllers) -> tuple[DevicePlan, ...]:
-    """Return what bring-up does to each device of all axes: drive, brake and sensors of the first,
-    of the second ...
-    """
+    """Return the bring-up plans of all devices, axis by axis: drive, brake, sensors."""
     if controllers not in _plans:
         _plans[controllers] = tuple(plan for controller in controllers for plan in device_plans(controller))
     return _plans[controllers]
 
 
 _plans: WeakKeyDictionary[Controllers, tuple[DevicePlan, ...]] = WeakKeyDictionary()
-"""They are asked for at the beginning and at the end of a run."""
+"""Cache of the plans, which are needed at the beginning and at the end of a run."""
 
 
 def meet(plans: Sequence[DevicePlan], controllers: Controllers) -> None:
-    """Know the devices of these plans, which are set up already, as after `bring_up`."""
+    """Store the plans of devices that are already set up, as after `bring_up`."""
     _plans[controllers] = tuple(plans)
 
 
@@ -268,22 +261,22 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
 
     Parameters
     ----------
-    controllers : whose rig it is; the drives' own torque limits 6072h are theirs
+    controllers : controllers of the rig; they set the drives' torque limits 6072h
     plane : the control plane; the nodes are on the bus and powered
 
     Returns
     -------
     tuple of str
-        What was not written, as a device has no such object or is not ours, and what the host loses
-        by that.
+        The settings that were not written, because a device lacks the object or is third-party, each
+        with the protection that the host loses.
 
     Raises
     ------
     NodeMissing, SdoAborted, AnswerUntrusted, DeviceMismatch
-        nothing was armed; the nodes are left in PRE-OPERATIONAL, or nothing was sent where EDS and
-        rig file do not fit
+        nothing was armed; the nodes are left in PRE-OPERATIONAL, or nothing was sent if EDS and rig file
+        do not match
     coulombus.rigs.rig.RigError
-        a limit would cut the law off; the nodes were not touched
+        a limit would clip the law; nothing was sent
     """
     check_plan(controllers.rig)
     check_demand(controllers.rig, controllers.mode)
@@ -295,7 +288,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
 
 
 def _shown_modes(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:
-    """Hold the modes that the drives show against those that were written; return what is lost."""
+    """Compare the modes that the drives display with the written modes; return the losses."""
     devices = [_Device(plane, plan, BusAnswers()) for plan in plans]
     try:
         told = [check_shown_mode(device.plan, device.upload, plane.wait_ns) for device in devices]
@@ -307,10 +300,10 @@ def _shown_modes(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str,
 
 
 def configure(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:
-    """Write to the devices what their plans have, and read it back.
+    """Write the settings of the plans to the devices, and read them back.
 
-    They are left in PRE-OPERATIONAL. Returns and raises as `bring_up`; whether the cycle fits on
-    the bus is not looked at.
+    The devices are left in PRE-OPERATIONAL. Returns and raises as `bring_up`, but does not check whether
+    the cycle fits on the bus.
     """
     _refuse(str(problem) for plan in plans for problem in plan.problems)
     _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
@@ -322,7 +315,7 @@ def configure(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ..
         for device in devices:
             device.check_modes()
         _refuse([text for device in devices for text in (*device.configure(), *device.scale_differences())])
-    except HostError:  # a second device of one node id may answer yet, which explains the rest
+    except HostError:  # a second device with the same node id may still answer, which would explain the error
         answers.listen(plane, plane.now_ns() + SETTLE_NS)
         _refuse_duplicates(devices, answers)
         raise
@@ -347,12 +340,12 @@ def _refuse_duplicates(devices: Sequence[_Device], answers: BusAnswers) -> None:
 
 
 def wait_operational(plans: Sequence[DevicePlan], plane: ControlPlane) -> None:
-    """Wait until the heartbeats of these devices, which were told to start, say OPERATIONAL.
+    """Wait until the heartbeats of these devices report OPERATIONAL after NMT start.
 
     Raises
     ------
     NodeMissing
-        one of them says otherwise, or nothing
+        a device reports another state, or sends no heartbeat
     """
     heartbeat_ns = round(1e9 * max(plan.part.heartbeat_s for plan in plans))
     plane.wait_ns(SETTLE_NS + 2 * heartbeat_ns)
@@ -371,19 +364,19 @@ def wait_operational(plans: Sequence[DevicePlan], plane: ControlPlane) -> None:
 
 
 def _refuse(differences: Iterable[str]) -> None:
-    """Raise DeviceMismatch with all differences at once, where there are any."""
+    """Raise DeviceMismatch with all differences, if there are any."""
     text = "; ".join(differences)
     if text:
         raise DeviceMismatch(text)
 
 
 def release(controllers: Controllers, plane: ControlPlane) -> None:
-    """Put the nodes into PRE-OPERATIONAL and, at a normal end, take the watch over this host off
-    them (1016h:01 = 0).
+    """Put the nodes into PRE-OPERATIONAL; at a normal end also disable their heartbeat consumer for this
+    host (1016h:01 = 0).
 
-    Else each of them would tell of a lost heartbeat (EMCY 8130h) as soon as this host has gone.
-    After a trip, or where a drive is not known to be disabled, the watch stays. To be called before
-    the host's heartbeat is missed.
+    Otherwise each node would send an EMCY for the lost heartbeat (8130h) after this host's end. After a
+    trip, or while a drive may still be enabled, the consumer stays active. Call it before the nodes miss
+    the host's heartbeat.
     """
     _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
     drives = [STATE_OF_STATUSWORD[int(k.host["image"][0, Image.STATUSWORD]) & 0x7F] for k in controllers]
@@ -395,14 +388,14 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
         if watch is None:
             continue
         data = encoded(watch.variable(plan.description), 0)
-        with suppress(HostError):  # then it says so: nothing is lost by that
+        with suppress(HostError):  # then the node sends the EMCY, which is harmless
             SdoClient(plane, plan.node_id, plane.sdo_timeout_s).download(0x1016, 1, data)
 
 
 def shut_down(plane: ControlPlane) -> None:
-    """Leave the nodes in PRE-OPERATIONAL, where no PDO acts.
+    """Leave the nodes in PRE-OPERATIONAL, where PDOs have no effect.
 
-    Only the heartbeat is still watched there.
+    In this state the nodes monitor only the heartbeat.
     """
     _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)

@@ -1,4 +1,4 @@
-"""The slow side of a bus in real time, on a connection of its own."""
+"""The control plane of a bus in real time, on its own connection."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from coulombus.wire.bus_link import BusFrame, BusLink
 __all__ = ["RealControlPlane"]
 
 KEPT = 256
-"""Frames that wait for `receive`; of more the oldest are forgotten."""
+"""Largest number of frames that wait for `receive`; beyond it, the oldest are dropped."""
 
 
 class RealControlPlane:
@@ -22,12 +22,12 @@ class RealControlPlane:
 
     Implements `host.setup.bringup.ControlPlane`.
 
-    It takes SDO responses, EMCY and heartbeats only: the PDOs are the data plane's.
+    It receives only SDO responses, EMCY and heartbeats; the data plane receives the PDOs.
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        no such bus; later: it went away, or takes no frame
+        the bus does not exist; later: it disappeared, or accepts no frame
     """
 
     def __init__(self, rig: Rig, address: BusAddress) -> None:
@@ -43,9 +43,8 @@ class RealControlPlane:
         self._link = BusLink(address, _filters(self._own | set(self._foreign)))
 
     def check_alone(self, until_s: float) -> None:
-        """Listen until `time.monotonic()` is `until_s`.
-
-        Then listen no more for SYNC, which this host is to send.
+        """Listen for another host until `time.monotonic()` is `until_s`; then filter SYNC out, which this
+        host sends itself.
 
         Raises
         ------
@@ -72,7 +71,7 @@ class RealControlPlane:
         self._link.send(can_id, data, length)
 
     def receive(self, until_ns: int) -> BusFrame | None:
-        """Return the next frame, None when it is `until_ns` and there was none."""
+        """Return the next frame, or None if none arrives until `until_ns`."""
         if self._waiting:
             return self._waiting.popleft()
         frame = self._link.receive(until_ns)
@@ -81,12 +80,12 @@ class RealControlPlane:
         return frame
 
     def wait_ns(self, duration_ns: int) -> None:
-        """Let time pass; what comes is kept for `receive`.
+        """Wait; arriving frames are kept for `receive`.
 
         Raises
         ------
         coulombus.wire.address.BusUnavailable
-            the bus went away
+            the bus disappeared
         """
         until_ns = self.now_ns() + duration_ns
         while (frame := self._link.receive(until_ns)) is not None:
@@ -98,7 +97,7 @@ class RealControlPlane:
             self._nmt[frame.can_id & 0x7F] = frame.data[0] & 0x7F
 
     def nmt_state(self, node_id: int) -> int | None:
-        """Return the NMT state that the node's last heartbeat told."""
+        """Return the NMT state in the node's last heartbeat; None before the first."""
         return self._nmt.get(node_id)
 
     def close(self) -> None:

@@ -1,9 +1,9 @@
-"""What bring-up does to one device, and why it would be refused: judged before anything is sent.
+"""Plan of bring-up for one device: the objects to write and read back, and the reasons for a refusal.
 
-`coulombus check` tells what `host.setup.bringup` executes, so that both say the same: one list of
-steps (`DevicePlan.steps`). The objects 2000h to 5FFFh are written where 1018h of the EDS file is
-our own device's (and, in `host.setup.bringup`, of the device as well), or where the rig file lists
-them: elsewhere they mean what another maker says.
+The plan is made before anything is sent. `coulombus check` prints the same steps that
+`host.setup.bringup` executes (`steps_of`). The objects 2000h to 5FFFh are written only if 1018h of the EDS
+file is that of this project's device (`host.setup.bringup` also checks 1018h of the device), or if the rig
+file lists them. In other devices these objects have another meaning.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ __all__ = ["MODE_DISPLAY", "NOT_SHOWN", "SUPPORTED_MODES", "DevicePlan", "device
 READ_ONLY = ("ro", "const")
 TARGET_TORQUE, MAX_TORQUE, SUPPORTED_MODES, MODE_DISPLAY = 0x6071, 0x6072, 0x6502, 0x6061
 NOT_SHOWN = "6061h does not show the mode"
-"""What host.accept acknowledges of a drive, after its name."""
+"""Text in host.accept after the drive's name: the difference is acknowledged."""
 NO_TORQUE_LIMIT = "no torque limit of its own"
 
 
 @dataclass(frozen=True)
 class DevicePlan:
-    """What bring-up does to one device.
+    """Plan of bring-up for one device.
 
     Attributes
     ----------
-    name, node_id, role, part, description : which device it is
-    mode : of operation, of a CiA 402 drive; None of any other device
+    name, node_id, role, part, description : the device
+    mode : mode of operation of a CiA 402 drive; None for any other device
     writes : settings in their order; an object may be written more than once
-    read_backs : ((index, sub-index), value) that each object must have afterwards; some are not
-        written, as they cannot be
-    problems : why bring-up would be refused, each with what to do; empty when it may begin
-    questions : what the EDS file does not tell, and the device itself is asked
-    losses : what is not written, and what the host loses by that
-    reactions : who notices the host's loss, and what happens then
-    shows_mode : whether a drive's mode is held against what 6061h shows
-    position : the scale of the drive's position, which bring-up holds against the drive's own; None
-        where it has none
+    read_backs : ((index, sub-index), value) that each object must have afterwards, including objects
+        that cannot be written
+    problems : reasons for a refusal of bring-up, each with a remedy; empty if it may begin
+    questions : values that the EDS file lacks, and that bring-up reads from the device
+    losses : settings that are not written, each with the protection that the host loses
+    reactions : the device's reactions to the loss of the host
+    shows_mode : whether bring-up compares the drive's mode with 6061h
+    position : the scale of the drive's position, which bring-up compares with the drive's own; None
+        if there is nothing to compare
     """
 
     name: str
@@ -75,19 +75,17 @@ class DevicePlan:
 
     @property
     def identity(self) -> tuple[tuple[int, str, int], ...]:
-        """What is compared of 1018h: (sub-index, what it is, what the rig file says)."""
+        """The compared entries of 1018h: (sub-index, name, value in the rig file)."""
         said = ((1, "vendor id", self.part.vendor_id), (2, "product code", self.part.product_code))
         return tuple((sub, what, value) for sub, what, value in said if value is not None and self.has_identity(sub))
 
     def has_identity(self, subindex: int) -> bool:
-        """Tell whether the device has 1018h with this sub-index."""
+        """Return whether the device has 1018h with this sub-index."""
         return self.description.has(0x1018, subindex)
 
 
 def device_plans(controller: Controller) -> tuple[DevicePlan, ...]:
-    """Return the plans of the devices of one axis in the controller's mode: drive, brake,
-    sensors.
-    """
+    """Return the plans of the devices of one axis in the controller's mode: drive, brake, sensors."""
     axis, limit_pm = controller.axis, controller.drive_limit_pm()
     plans = [_Planner(axis, node, controller.mode, limit_pm).plan() for node in axis.devices]
     of_roles = tuple(f"{axis.prefix}{text}" for text in axis.allocation.losses)
@@ -96,7 +94,7 @@ def device_plans(controller: Controller) -> tuple[DevicePlan, ...]:
 
 
 class _Planner:
-    """Judges what one device is to be set to."""
+    """Makes the plan of one device."""
 
     def __init__(self, axis: Axis, node: str, mode: str, limit_pm: int) -> None:
         self.axis, self.node, self.mode, self.limit_pm = axis, node, mode, limit_pm
@@ -164,7 +162,7 @@ class _Planner:
         self.problems.append(Problem("", self.node, place, f"{self.who}{text}", remedy, accept))
 
     def _acknowledge(self, what: str, why: str, needed: bool) -> None:
-        """Refuse what a device cannot do, unless the rig file acknowledges it by name."""
+        """Add a problem for a missing capability, unless host.accept acknowledges it."""
         sentence = f"{self.name}: {what}"
         if sentence in self.axis.host.accept:
             self.losses.append(f"{sentence}: {why} (host.accept)")
@@ -173,7 +171,7 @@ class _Planner:
             self._problem(f": {what}: {why}", remedy, accept=sentence)
 
     def _described(self) -> list[Setting]:
-        """Return the settings whose objects the device has; the others are lost, or refused."""
+        """Return the settings whose objects the device has; each other setting is a loss or a problem."""
         there = []
         for setting in settings_of(self.axis, self.node, self.mode, self.limit_pm):
             meant = self.ours or setting.listed or setting.index not in MANUFACTURER
@@ -195,7 +193,7 @@ class _Planner:
         return there
 
     def _can_be_set(self, setting: Setting, final: Mapping[tuple[int, int], int]) -> bool:
-        """Tell whether a setting stays in the plan; why not is a loss or a problem."""
+        """Return whether a setting stays in the plan; else add the reason as a loss or a problem."""
         variable = setting.variable(self.description)
         locked = _locked(self.description, setting)
         misfit, remedy = _misfit(variable, setting) or _other(variable, final, self.part.node_id, locked) or ("", "")
@@ -215,7 +213,7 @@ class _Planner:
         return True
 
     def _granularity(self, written: Sequence[Setting]) -> None:
-        """Say that a file without mapping granularity is mapped anew all the same."""
+        """Add a question for an EDS file with Granularity=0, whose PDOs are mapped nevertheless."""
         info = {name.lower(): text for name, text in self.description.info.items()}
         number = number_of(info.get("granularity", ""))
         maps = any(setting.index & ~0x1FF in (0x1600, 0x1A00) for setting in written)
@@ -224,7 +222,7 @@ class _Planner:
             self.questions.append(f"{self.who}: {self.description.path} {text}")
 
     def _emergency(self) -> None:
-        """Refuse a device whose EMCYs come as SYNC, for ever: nobody could tell whose fault it is."""
+        """Refuse a device whose EMCYs always have SYNC's identifier: they cannot be assigned to the device."""
         default = emcy_default(self.description, self.part.node_id)
         if default == CobId.SYNC and not writable(self.description.variable(0x1014, 0)):
             where = f"{self.description.path}:{self.description.variable(0x1014, 0).line}"
@@ -234,7 +232,7 @@ class _Planner:
             )
 
     def _identity(self) -> None:
-        """Look at 1000h and 1018h: what the EDS file lacks, or has otherwise than the rig file."""
+        """Check 1000h and 1018h: entries that the EDS file lacks, or that differ from the rig file."""
         description, said = self.description, (self.part.vendor_id, self.part.product_code)
         keys = ("vendor_id", "product_code")
         if not description.has(0x1000, 0):
@@ -264,7 +262,7 @@ class _Planner:
                 )
 
     def _modes(self) -> int:
-        """Return the mode of operation, and hold it against 6502h."""
+        """Return the mode of operation, and check it against 6502h."""
         assert isinstance(self.part, Motor | Brake)
         mode, description = mode_of(self.part, self.description), self.description
         index = of_axis(SUPPORTED_MODES, drive_axis_of(self.part))
@@ -285,7 +283,7 @@ class _Planner:
         return mode
 
     def _shows_mode(self) -> bool:
-        """Tell whether the mode is held against what the drive shows; ours shows it always."""
+        """Return whether bring-up compares the mode with 6061h; this project's drive always displays it."""
         sentence = f"{self.name}: {NOT_SHOWN}"
         if sentence in self.axis.host.accept:
             self.losses.append(f"{sentence} (host.accept)")
@@ -294,7 +292,7 @@ class _Planner:
         return not self.ours and self.description.has(index, 0) and self.description.variable(index, 0).access != "wo"
 
     def _further_axis(self) -> None:
-        """Refuse a set-point of another axis of the drive than the one that bring-up sets."""
+        """Refuse a set-point of an axis of the drive that bring-up does not configure."""
         entry, own = self.axis.allocation.bound["torque_setpoint"].entry, drive_axis_of(self.axis.motor)
         number = axis_of(entry.index)
         if number != own and first_axis_object(entry.index) == TARGET_TORQUE:
@@ -306,7 +304,9 @@ class _Planner:
             self._acknowledge(f"its set-point is axis {number}'s", why, True)
 
     def _position(self) -> BelievedScale | None:
-        """Return the scale that bring-up holds against the drive's; say what the file leaves open."""
+        """Return the scale that bring-up compares with the drive's; add questions and losses for gaps of the
+        EDS file.
+        """
         scale = believed_scale(self.axis, self.who, self.name)
         question, loss = ("", "") if scale is None else remark_of(self.axis, scale)
         self.questions += [question] if question else []
@@ -314,9 +314,7 @@ class _Planner:
         return scale
 
     def _silent(self) -> None:
-        """Tell where the host notices a device's loss late: it has no TPDO that would be
-        missing.
-        """
+        """Add a loss for a device without a TPDO: the host detects its failure late, by the heartbeat alone."""
         if beats(self.description) and not any(
             pdo.node == self.name and pdo.layout.direction == "tpdo" for pdo in self.axis.pdos()
         ):
@@ -324,7 +322,7 @@ class _Planner:
             self.losses.append(f"{self.who} sends no TPDO; {late}")
 
     def _limits(self) -> None:
-        """Demand a torque limit that the drive itself keeps."""
+        """Require a torque limit in the drive itself."""
         number = drive_axis_of(self.axis.motor)
         indices, max_torque = torque_limits(self.description, number), of_axis(MAX_TORQUE, number)
         if not indices:
@@ -352,14 +350,12 @@ def _label(description: Description, setting: Setting) -> str:
 
 
 def _opened(variable: Variable, setting: Setting) -> bool:
-    """Tell whether the file's limits leave no room for what CiA 301 says of the object: 1016h has
-    the node id above bit 16.
-    """
+    """Return whether the file's limits contradict CiA 301: 1016h has the node id above bit 16."""
     return setting.index == 0x1016 and variable.high is not None and 0 < variable.high <= 0xFFFF and variable.bits == 32
 
 
 def _misfit(variable: Variable, setting: Setting) -> tuple[str, str] | None:
-    """Return why a value cannot be sent and read back whole, and what to do; None when it can."""
+    """Return the reason why a value cannot be written and read back, with a remedy; None if it can."""
     value, limits = setting.value, variable.whole
     shown = f"{value} ({value:#x})" if abs(value) > 9 else f"{value}"
     change = f"change {setting.key}" if setting.key else "take another device"
@@ -386,8 +382,9 @@ def _misfit(variable: Variable, setting: Setting) -> tuple[str, str] | None:
 
 
 def _locked(description: Description, setting: Setting) -> str:
-    """Return why an object cannot be written, "" where it can: it is read-only, or belongs to a PDO
-    that cannot be made invalid for it.
+    """Return the reason why an object cannot be written, or "".
+
+    It is read-only, or it belongs to a PDO that cannot be made invalid for the write.
     """
     access = setting.variable(description).access
     if access in READ_ONLY:
@@ -405,8 +402,8 @@ def _locked(description: Description, setting: Setting) -> str:
 def _other(
     variable: Variable, final: Mapping[tuple[int, int], int], node_id: int, locked: str
 ) -> tuple[str, str] | None:
-    """Return why an object that cannot be written will not have its value, and what to do; None
-    where it can, or has it already.
+    """Return the reason why an object will not have its value, with a remedy; None if it can be written, or
+    has the value already.
     """
     if not locked:
         return None
@@ -423,8 +420,8 @@ def _other(
 
 
 def missing_mode(modes: int, mode: int) -> str:
-    """Return the mode that 6502h does not name, in words; "" where it does, or a maker's own mode
-    is used.
+    """Return the name of a mode that 6502h lacks; "" if it has the mode, or for a manufacturer-specific
+    mode.
     """
     if mode not in (OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE) or modes >> (mode - 1) & 1:
         return ""

@@ -1,15 +1,14 @@
-"""How long the devices of a rig take from SYNC to their TPDOs, measured on the bus by the host.
+"""Measurement of the devices' response times from SYNC to their TPDOs, on the bus.
 
-The devices are configured as for a run, and one after the other is made OPERATIONAL, alone: so no
-other device's TPDO keeps its own waiting. SYNC goes out again and again, and no other PDO: no
-controlword, no set-point, so that no drive is enabled. With the ends of frames t, as they are
-stamped, and a bit's time tau::
+The devices are configured as for a run. One device at a time is made OPERATIONAL, so no other device's
+TPDO delays its own. The host sends SYNC repeatedly, and no RPDO: no controlword and no set-point, so no
+drive is enabled. With the time stamps t of the frames' ends, and the bit time tau::
 
     response = t(TPDO) - t(SYNC) - (bits(TPDO) - 3) tau - sum of bits tau of the frames in between
 
-which is the time from SYNC's end to the instant at which the device asks to send, as the planner
-counts it (`rigs.plan.worst_cycle`). bits are those of the very frames, stuffing included, with
-three of inter-frame space.
+which is the time from SYNC's end to the device's transmission request, as the planner uses it
+(`rigs.plan.worst_cycle`). bits are the bits of the actual frames, with stuff bits and the three bits of
+the inter-frame space.
 """
 
 from __future__ import annotations
@@ -33,16 +32,15 @@ __all__ = ["DeviceTimes", "PdoTimes", "Stamped", "Wire", "measure_devices", "res
 
 INTER_FRAME_BITS = 3
 ROUND_NS = 250_000_000
-"""How long a TPDO is waited for; who needs longer has none for this SYNC."""
+"""Longest wait for a TPDO; a later TPDO counts as missed for this SYNC."""
 LATE_NS = 1_000_000_000
-"""How long one that did not come is waited for still, so that it is not taken for the next SYNC's.
-"""
+"""Longest further wait for a late TPDO, so that it is not assigned to the next SYNC."""
 SILENT_ROUNDS = 4
-"""A TPDO that has not come in so many rounds, one after the other, has stopped coming."""
+"""Number of rounds in a row without a TPDO after which the measurement is refused."""
 
 
 class Stamped(NamedTuple):
-    """A frame that was heard, with the stamp of its end; `can_id` with Linux's flags."""
+    """A received frame with the time stamp of its end; `can_id` has Linux's flags."""
 
     t_ns: int
     can_id: int
@@ -50,22 +48,20 @@ class Stamped(NamedTuple):
 
 
 class Wire(Protocol):
-    """A station on the bus that hears what it sends itself, too."""
+    """A station on the bus that also receives its own frames."""
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame."""
 
     def listen(self, duration_ns: int, until: Collection[int] = ()) -> list[Stamped]:
-        """Return what is heard from now on, and what was not taken yet: for `duration_ns`, or until
-        each identifier of `until` has come.
+        """Return the frames received within `duration_ns`, and those not returned yet; stop early if each
+        identifier of `until` has arrived.
         """
 
 
 @dataclass(frozen=True)
 class PdoTimes:
-    """The response times of one TPDO [ns], in their order of time, and after how many SYNCs it did
-    not come.
-    """
+    """The response times of one TPDO [ns] in the order of time, and the number of SYNCs without it."""
 
     name: str
     can_id: int
@@ -75,7 +71,7 @@ class PdoTimes:
 
 @dataclass(frozen=True)
 class DeviceTimes:
-    """What was measured of one device; `why` tells it where nothing was."""
+    """Measured times of one device; `why` is the reason if nothing was measured."""
 
     plan: DevicePlan
     pdos: tuple[PdoTimes, ...]
@@ -84,8 +80,9 @@ class DeviceTimes:
 
 
 def responses_ns(heard: Sequence[Stamped], can_ids: Collection[int], bitrate_bit_s: int) -> dict[int, int]:
-    """Return the response time [ns] of each of `can_ids` to the first SYNC among the frames that
-    were heard; who did not come is not among them, and none is below 0.
+    """Return the response time [ns] of each of `can_ids` to the first SYNC in `heard`.
+
+    Identifiers without a frame are left out; no time is below 0.
     """
     responses: dict[int, int] = {}
     sync_ns, between_bits = -1, 0
@@ -119,17 +116,17 @@ def measure_devices(
 
     Parameters
     ----------
-    progress : called with a device's name and how many rounds of it are done; what it raises ends
+    progress : called with a device's name and its number of finished rounds; an exception from it ends
         the measurement
 
     Raises
     ------
     NodeMissing, SdoAborted, DeviceMismatch
-        as `bring_up`, or a TPDO that SYNC asks for does not come
+        as `bring_up`, or a synchronous TPDO does not arrive
     SafetyTrip
-        another host cycles on the bus
+        another host is active on the bus
     coulombus.wire.address.BusUnavailable
-        no SYNC gets through
+        no SYNC reaches the bus
     """
     plans = plans_of(controllers)
     try:
@@ -140,7 +137,7 @@ def measure_devices(
 
 
 class _Device:
-    """One device while it is measured."""
+    """One device during its measurement."""
 
     def __init__(self, controllers: Controllers, plan: DevicePlan, plane: ControlPlane, wire: Wire) -> None:
         self.plan, self.plane, self.wire = plan, plane, wire
@@ -150,10 +147,10 @@ class _Device:
         self.pdos: list[RigPdo] = [pdo for pdo in pdos if pdo.every_cycle]
         self.why = "" if self.pdos else "no TPDO follows SYNC" if pdos else "it has no TPDO"
         self.emergencies: set[int] = set()
-        self.awaited = 0  # SYNCs that were sent and not heard yet
+        self.awaited = 0  # SYNCs that were sent and not received back yet
 
     def measure(self, rounds: int, progress: Callable[[str, int], None]) -> DeviceTimes:
-        """Return its times; it is OPERATIONAL meanwhile."""
+        """Return the device's times; it is OPERATIONAL during the measurement."""
         name = self.plan.name
         progress(name, 0)
         if not self.pdos:
@@ -181,7 +178,7 @@ class _Device:
         self.plane.send(CobId.NMT, bytes((command, self.plan.node_id)))
 
     def _round(self, can_ids: Collection[int]) -> dict[int, int]:
-        """Send SYNC; return the response time of each TPDO that came, and rest for the period."""
+        """Send SYNC; return the response time of each TPDO that arrived; then wait for a period."""
         self._look(self.wire.listen(0))
         self.wire.send(CobId.SYNC, b"")
         self.awaited += 1
@@ -193,7 +190,7 @@ class _Device:
         return responses
 
     def _look(self, heard: Sequence[Stamped]) -> None:
-        """Note emergencies; refuse a SYNC that is not this host's."""
+        """Store the codes of EMCYs; refuse a SYNC of another host."""
         self.awaited -= sum(frame.can_id == CobId.SYNC for frame in heard)
         if self.awaited < 0:
             raise SafetyTrip("another host is on the bus: a SYNC was heard that is not this one's; end it first")

@@ -1,6 +1,4 @@
-"""Who notices the loss of the host, within what time, and what happens then: of each device, from
-what bring-up sets in it.
-"""
+"""Reactions of motor and brake to the loss of the host: monitor, time, effect, from bring-up's settings."""
 
 from __future__ import annotations
 
@@ -19,16 +17,15 @@ __all__ = ["NO_REACTION", "Reaction", "reactions_of"]
 
 NO_REACTION = "no reaction to the host's loss"
 FAULTS = ("host dies", "bus cut", "host hangs")
-"""In each of them set-points, SYNC, heartbeats and guarding end: the cycle sends them all."""
+"""In each of these faults set-points, SYNC, heartbeats and guarding end, because the cycle sends them all."""
 FAULT_VALUES = ((0x7341, 0x6340), (0x6444, 0x6443))
-"""What an output becomes, and whether it does: CiA 404, CiA 401."""
+"""Objects of an output's fault value and of its enable: CiA 404, CiA 401."""
 
 
 class Reaction(NamedTuple):
-    """A device, a fault, by what the device notices it ("" where by nothing), within what time [s],
-    and what happens.
+    """Reaction of a device to a fault: the monitor that detects it ("": none), its time [s], and the effect.
 
-    `safe_s` is the time from the fault to the torque 0 [s]; None where no object tells it.
+    `safe_s` is the time from the fault to torque 0 [s]; None if no object sets it.
     """
 
     device: str
@@ -40,8 +37,9 @@ class Reaction(NamedTuple):
 
 
 def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Reaction, ...]:
-    """Return what motor or brake does when the host is lost, with these `settings`: the fastest of
-    its watches acts.
+    """Return the reactions of motor or brake to the loss of the host, with these `settings`.
+
+    The fastest of its monitors acts.
     """
     part, description = axis.part(node), axis.description(node)
     assert isinstance(part, Motor | Brake)
@@ -69,7 +67,7 @@ def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Re
 def _watches(
     axis: Axis, node: str, part: Motor | Brake, set_there: Mapping[tuple[int, int], int]
 ) -> Iterator[tuple[float, str]]:
-    """Yield what a device notices the host's loss by, and within what time [s]."""
+    """Yield the time [s] and the name of each monitor by which a device detects the host's loss."""
     for pdo in axis.pdos():
         communication = 0x1400 + pdo.layout.number - 1
         mine = pdo.node == axis.prefix + node and pdo.layout.direction == "rpdo"
@@ -81,15 +79,17 @@ def _watches(
     elif (0x1016, 1) in set_there:
         yield part.heartbeat_timeout_s, "heartbeat consumer 1016h:01"
     own_drive = node == "motor" and is_own(node, told_identity(axis.description(node)))
-    if own_drive and set_there.get((0x2002, 0)):  # another maker's 2002h is something else
+    if own_drive and set_there.get((0x2002, 0)):  # in a third-party drive 2002h has another meaning
         yield part.sync_timeout_s, "SYNC time-out 2002h"
 
 
 def _brakes_own(
     watches: Sequence[tuple[float, str]], set_there: Mapping[tuple[int, int], int]
 ) -> list[tuple[float, str]]:
-    """Return what begins the ramp of our own brake: the age of its set-point, and where that is not
-    watched the loss of the host's heartbeat. Its RPDO deadline tells only (docs/devices.md).
+    """Return the monitors that start the ramp of this project's brake.
+
+    The age of its set-point starts it; without that monitor, the loss of the host's heartbeat. Its RPDO
+    deadline only reports (docs/devices.md).
     """
     hold_us = set_there.get((0x2001, 0), 0)
     return (

@@ -1,10 +1,8 @@
-"""What a law asks of motor and brake at most, held against what they can show: a law that a limit
-cuts off is refused before it is armed.
+"""Peak output of the law against the limits of motor and brake; a law that a limit would clip is refused.
 
-Of the project's own laws the largest outputs follow from their parameters
-(`host.laws.law.Declaration.extremes`). Those of a law of the user's own are not known before it runs; what is
-cut off then is counted in every cycle (``clipped_torque``, ``clipped_setpoints``) and told at the
-end of the run.
+The peak outputs of built-in laws follow from their parameters (`host.laws.law.Declaration.extremes`).
+Those of a user's law are unknown before it runs. Clipping is then counted in every cycle
+(``clipped_torque``, ``clipped_setpoints``) and reported at the end of the run.
 """
 
 from __future__ import annotations
@@ -22,23 +20,21 @@ __all__ = ["check_demand", "cut_off", "remarks"]
 
 
 class Demand(NamedTuple):
-    """One extreme of a law: the key of the rig file that makes it, and its size [Nm]."""
+    """A peak output of a law: the rig file's key that sets it, and its torque [Nm]."""
 
     key: str
     torque_Nm: float
 
 
 def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
-    """Yield what the motor's limit cuts off: of the law in mode active, of the compensation in
-    each.
-    """
+    """Yield an error for each demand above the motor's limit: the law's, and the compensation's."""
     chosen, scale = axis.mode[mode], torque_step_Nm(axis)
     compensation = chosen.compensation * axis.mechanics.friction_Nm
     demands = [Demand(f"mode.{mode}.compensation", compensation)]
-    if mode == "active":  # in slip the compensation takes its share off
+    if mode == "active":  # in slip the compensation is subtracted
         slip = f"mode.{mode}.F_d_Nm"
         demands = [Demand(key, Nm - compensation if key == slip else Nm) for key, Nm in _law(axis, mode)] + demands
-    elif mode == "hybrid" and law_pushes(axis):  # it pushes back while it compensates
+    elif mode == "hybrid" and law_pushes(axis):  # push and compensation add up
         demands = [Demand(key, Nm + compensation) for key, Nm in _law(axis, mode)] + demands
     limit, whose = motor_limit(axis, mode)
     for key, torque_Nm in demands:
@@ -47,7 +43,7 @@ def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
 
 
 def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
-    """Yield what the brake's limits cut off of the law in the modes in which the brake
+    """Yield an error for each demand of the law above the brake's limit, in modes in which the brake
     displays it.
     """
     if mode == "active":
@@ -59,7 +55,7 @@ def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
 
 
 def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
-    """Return what the rig's law displays at most in a mode; nothing where that is not known."""
+    """Return the peak outputs of the rig's law in a mode; empty if they are unknown."""
     own = BUILTIN_LAWS.get(axis.law.function.strip())
     if own is None:
         return ()
@@ -73,16 +69,14 @@ def _expected(limit_Nm: float, torque_Nm: float, whose: str, key: str) -> str:
 
 
 def cut_off(rig: Rig, mode: str) -> list[str]:
-    """Return what a limit of any axis would cut off of the law in this mode, each with
+    """Return the texts of all demands that a limit of an axis would clip in this mode, each with
     ``file:line``, key and remedy.
     """
     return _texts(error for axis in rig.axes for part in (_motor, _brake) for error in part(axis, mode))
 
 
 def remarks(rig: Rig) -> list[str]:
-    """Return what is allowed and yet may not be meant, with ``file:line``: a friction that grows when
-    it slips.
-    """
+    """Return warnings for valid but unlikely values, with ``file:line``: a friction that grows in slip."""
     errors = []
     for axis in rig.axes:
         for mode in axis.mode:
@@ -95,17 +89,17 @@ def remarks(rig: Rig) -> list[str]:
 
 
 def _texts(errors: Iterable[RigError]) -> list[str]:
-    """Return what the errors say, each text once."""
+    """Return the errors' texts without duplicates."""
     return list(dict.fromkeys(text for error in errors for text in error.errors))
 
 
 def check_demand(rig: Rig, mode: str) -> None:
-    """Refuse a law that a limit would cut off: what is felt would not be what the rig file says.
+    """Refuse a law that a limit would clip: the display would differ from the rig file.
 
     Raises
     ------
     coulombus.rigs.rig.RigError
-        with everything that would be cut off
+        the text names every clipped demand
     """
     texts = cut_off(rig, mode)
     if texts:

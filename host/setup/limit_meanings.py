@@ -1,4 +1,4 @@
-"""What the limits of a rig file mean for the handle, and which of them cannot act, for `check`."""
+"""Effects of a rig file's limits on the handle, and limits without effect, for `check`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NO_EFFECT = "it never acts"
 
 
 def meanings_of(axis: Axis, mode: str) -> Iterator[str]:
-    """Yield a sentence for each limit of a rate, in this mode."""
+    """Yield a sentence for each limit of motor and brake in this mode."""
     limits, period_s = axis.limits, axis.bus.period_s
     motor_Nm, brake_Nm = motor_limit_Nm(axis, mode), brake_limit(axis)[0]
     if motor_Nm > 0.0:

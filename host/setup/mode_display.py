@@ -1,8 +1,9 @@
-"""The mode of operation that a live drive takes, held against the one that bring-up wrote.
+"""Check that a live drive displays the mode of operation that bring-up wrote (6061h).
 
-A drive may take 6060h without an abort and keep its mode, as with an option that is not enabled.
-Its file does not tell that, and a rehearsal does not show it. So bring-up looks at 6061h when the
-nodes are OPERATIONAL. A drive may take its time, and one that shows 0 until it is enabled is told.
+A drive may accept 6060h without an abort and keep its mode, for example if an option is not enabled. Its
+EDS file does not say so, and a rehearsal does not show it. So bring-up reads 6061h when the nodes are
+OPERATIONAL. A drive may need time for the change. A drive that displays 0 until it is enabled is reported
+as a loss.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from coulombus.rigs.devices import drive_axis_of
 __all__ = ["check_shown_mode", "mode_remedy", "mode_words"]
 
 LONGEST_NS, STEP_NS = 500_000_000, 20_000_000
-"""How long a drive may take to show a mode, and how often it is asked."""
+"""Longest time until a drive displays a mode, and period of the reads."""
 
 Upload = Callable[[int, int], bytes]
 
@@ -30,7 +31,7 @@ def mode_words(mode: int) -> str:
 
 
 def mode_remedy(plan: DevicePlan, upload: Upload) -> str:
-    """Return what the drive says that it offers (6502h), and what can be done."""
+    """Return the modes that the drive supports (6502h), and the remedy, as text."""
     number = drive_axis_of(plan.part)
     supported = of_axis(SUPPORTED_MODES, number)
     offered: Sequence[str] = ()
@@ -45,13 +46,12 @@ def mode_remedy(plan: DevicePlan, upload: Upload) -> str:
 
 
 def check_shown_mode(plan: DevicePlan, upload: Upload, wait_ns: Callable[[int], None]) -> str:
-    """Wait until a drive shows the mode that was written to it; return what is lost, "" where
-    nothing is.
+    """Wait until a drive displays the mode that was written to it; return the loss, or "".
 
     Raises
     ------
     DeviceMismatch
-        it shows another one
+        the drive displays another mode
     """
     if plan.mode is None or not plan.shows_mode:
         return ""
@@ -73,7 +73,7 @@ def check_shown_mode(plan: DevicePlan, upload: Upload, wait_ns: Callable[[int], 
 
 
 def _shown(upload: Upload, index: int) -> int | None:
-    """Return the mode that the drive shows; None where it has no such object."""
+    """Return the mode that the drive displays; None if it has no such object."""
     try:
         return int.from_bytes(upload(index, 0), "little", signed=True)
     except SdoAborted:

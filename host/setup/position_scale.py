@@ -1,9 +1,9 @@
-"""The drive's own scale of its position, held against the rig file's before anything moves.
+"""Comparison of the drive's own position scale with the rig file's, before anything moves.
 
-The host's bounds in radians (the sign check's travel, the speed limit, the release) are wrong by
-the factor by which the rig file's counts are. So bring-up reads the objects that decide the drive's
-scale (`eds.drive_scale`), after what it has written itself, and refuses a difference. Our own drive
-has no user units.
+A wrong number of counts in the rig file makes all of the host's limits in radians wrong by the same
+factor: the sign check's travel, the speed limit, the release. So bring-up reads the objects that set the
+drive's scale (`eds.drive_scale`), after its own writes, and refuses a difference. This project's drive has
+no user units.
 """
 
 from __future__ import annotations
@@ -23,25 +23,23 @@ from coulombus.rigs.devices import drive_axis_of
 __all__ = ["OWN_SCALE", "BelievedScale", "believed_scale", "early_wrap", "remark_of", "scale_differences"]
 
 OWN_SCALE = "position scale is the rig file's"
-"""What host.accept acknowledges, after the drive's name, where its objects tell another scale than
-it has.
-"""
+"""Text in host.accept after the drive's name: the scale in the drive's objects is wrong."""
 MARKS = "coulombus commission --step encoder measures it between two marks"
 RANGE_LIMIT = 0x607B
 POSITION, INCREMENTS = (0x6064, 0), (0x6063, 0)
 
 
 class BelievedScale(NamedTuple):
-    """Counts of the position in one turn of the motor, as the rig file has them.
+    """Counts of the position in one turn of the motor, according to the rig file.
 
     Attributes
     ----------
-    who, name : the drive, in words and by its name in host.accept
-    place : the object that is the position
-    counts_rev : in one turn of the motor
-    key : of the rig file that decides it
-    accepted : host.accept says that it is the rig file's, whatever the drive tells
-    drive_axis : which axis of the drive it is
+    who, name : the drive, as text and by its name in host.accept
+    place : the position's object
+    counts_rev : counts in one turn of the motor
+    key : the rig file's key that sets the scale
+    accepted : whether host.accept gives the rig file's scale precedence over the drive's
+    drive_axis : number of the axis in the drive
     """
 
     who: str
@@ -53,9 +51,7 @@ class BelievedScale(NamedTuple):
     drive_axis: int
 
     def told(self, value: Callable[[int, int], int | None]) -> PositionScale:
-        """Return the scale that these values of the drive's objects make; they are asked for as the
-        first axis' objects.
-        """
+        """Return the scale from the values of the drive's objects; `value` takes the first axis' objects."""
         if first_axis_object(self.place[0]) == POSITION[0]:
             return position_scale(value, self.drive_axis)
         increments = resolution(value)
@@ -64,7 +60,7 @@ class BelievedScale(NamedTuple):
         )
 
     def difference(self, value: Callable[[int, int], int | None]) -> str:
-        """Return how the drive's scale differs, "" where it does not, or the drive does not tell."""
+        """Return the text of the drive's different scale; "" if it agrees, or the drive has no scale."""
         told = self.told(value)
         if told.counts_rev is None or told.agrees(self.counts_rev):
             return ""
@@ -75,18 +71,19 @@ class BelievedScale(NamedTuple):
         )
 
     def objects(self, has: Callable[[int, int], bool]) -> tuple[tuple[int, int], ...]:
-        """Return the objects to read, of those that the drive has."""
+        """Return the objects of the scale that the drive has."""
         places = ((of_axis(index, self.drive_axis), subindex) for index, subindex in SCALE_OBJECTS)
         return tuple(place for place in places if has(*place))
 
 
 def believed_scale(axis: Axis, who: str, name: str) -> BelievedScale | None:
-    """Return the scale that the rig file gives the drive's position; None of our own drive, and
-    where another object or device is the position.
+    """Return the drive's position scale according to the rig file.
+
+    None: the drive is this project's, or the position is another object or comes from another device.
 
     Parameters
     ----------
-    who, name : the drive, in words and by its name in host.accept
+    who, name : the drive, as text and by its name in host.accept
     """
     binding = axis.allocation.bound.get("position")
     if binding is None or binding.node != "motor" or is_own("motor", told_identity(axis.description("motor"))):
@@ -101,8 +98,9 @@ def believed_scale(axis: Axis, who: str, name: str) -> BelievedScale | None:
 
 
 def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
-    """Return what the EDS file alone says of the scale: a question that only the drive can answer,
-    and what is lost where it cannot; "" where there is none.
+    """Return the question and the loss that follow from the EDS file alone; "" for none.
+
+    A question is answered by the drive in bring-up. A loss is a scale that no object can confirm.
     """
     description = axis.description("motor")
     if scale.accepted:
@@ -126,8 +124,8 @@ def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
 
 
 def early_wrap(axis: Axis, who: str) -> str:
-    """Return that the drive's position wraps sooner than its type does (607Bh); "" where the EDS file
-    does not say so.
+    """Return the loss of a position that wraps earlier than its data type (607Bh); "" if the EDS file has no
+    such range.
     """
     binding, description = axis.allocation.bound["position"], axis.description("motor")
     index = of_axis(RANGE_LIMIT, drive_axis_of(axis.motor))
@@ -143,17 +141,17 @@ def early_wrap(axis: Axis, who: str) -> str:
 def scale_differences(
     scale: BelievedScale | None, has: Callable[[int, int], bool], upload: Callable[[int, int], bytes]
 ) -> Iterator[str]:
-    """Yield how the live drive's scale differs from the rig file's, after bring-up's own writes.
+    """Yield the differences of the live drive's scale from the rig file's, after bring-up's own writes.
 
     Parameters
     ----------
-    has : whether the drive's file describes an object
-    upload : the object as the live drive has it; `SdoAborted` where it has none
+    has : returns whether the drive's EDS file describes an object
+    upload : returns an object of the live drive; `SdoAborted` if the drive lacks it
 
     Raises
     ------
     NodeMissing, AnswerUntrusted
-        the drive does not answer, or something else than it is asked
+        the drive does not answer, or its answer cannot be used
     """
     if scale is None or scale.accepted:
         return

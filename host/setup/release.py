@@ -1,14 +1,14 @@
-r"""How fast a hand goes when the brake lets it go, for `check`.
+r"""Speed of a hand when the brake releases it, for `check`.
 
-The hand that leans on the brake is the rig file's [operator], a spring :math:`K` that it has
-wound up to the brake's limit :math:`F`, with its damping :math:`B`; with the handle it has the inertia
-:math:`J`. While the brake's torque falls at the rate :math:`R`, the handle follows as
+The hand that leans on the brake is the rig file's [operator]: a spring :math:`K`, loaded to the brake's
+limit :math:`F`, with damping :math:`B`. Hand and handle have the inertia :math:`J`. While the brake's
+torque falls at the rate :math:`R`, the handle moves by
 
-.. math:: J \dot v + B v + K \int v\,dt = R t,
+.. math:: J \dot v + B v + K \int v\,dt = R t.
 
-whose speed begins at 0, goes to :math:`R / K`, and overshoots it by the share
+Its speed begins at 0, approaches :math:`R / K`, and overshoots it by the share
 :math:`e^{-\pi\zeta/\sqrt{1-\zeta^2}}` with :math:`\zeta = B / (2\sqrt{JK})`. The pauses of the release
-only make it slower. A brake that is off at once is the step response of the same system.
+only reduce the speed. A brake that is switched off at once gives the step response of the same system.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from coulombus.rigs.plant import Operator
 __all__ = ["GENTLE_RAD_S", "Release", "release_of", "speed_of_ramp", "speed_of_step"]
 
 GENTLE_RAD_S = 1.2
-"""A release up to this speed does not throw a hand."""
+"""Largest speed of a release that does not throw a hand."""
 LIGHT_HAND = Operator(
     inertia_kg_m2=5e-4, damping_Nms_rad=0.1, stiffness_Nm_rad=5.0, tremor_Nm=0.0, tremor_Hz=0.0, population=0.0
 )
-"""The hand that is assumed where the rig file has none."""
+"""Default hand for a rig file without [operator]."""
 
 
 class Release(NamedTuple):
@@ -34,8 +34,9 @@ class Release(NamedTuple):
 
     Attributes
     ----------
-    speed_rad_s, within_s : after an end or a trip, when the host ramps the brake off
-    alone_rad_s : when the brake's own driver ends its torque, as after the host's loss
+    speed_rad_s, within_s : largest speed and duration when the host ramps the brake off, after an end or
+        a trip
+    alone_rad_s : largest speed when the brake's own driver ends the torque, as after the host's loss
     """
 
     axis: str
@@ -65,8 +66,8 @@ def _damping(B: float, K: float, J: float) -> float:
 def speed_of_ramp(rate_Nm_s: float, B: float, K: float, J: float) -> float:
     """Return the largest speed [rad/s] while the brake's torque falls at a rate.
 
-    A hand without a spring is only damped; its speed is that at which the damping bears the load in
-    the end, and infinite without damping.
+    It is infinite for a hand without a spring; `speed_of_step`, at which the damping bears the load, bounds
+    the speed of such a hand.
     """
     if K <= 0.0:
         return math.inf
@@ -97,7 +98,7 @@ def release_of(axis: Axis, load_Nm: float, driver_ramp_s: float) -> Release:
     Parameters
     ----------
     load_Nm : the brake's limit
-    driver_ramp_s : time in which its own driver ramps it off; 0: at once
+    driver_ramp_s : time in which the brake's own driver ramps it off; 0: at once
     """
     limits, hand = axis.limits, axis.operator or LIGHT_HAND
     J = axis.mechanics.inertia_kg_m2 + hand.inertia_kg_m2

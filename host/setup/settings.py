@@ -1,8 +1,8 @@
-"""The objects that bring-up sets in each device, made from its EDS file and the rig file alone.
+"""Settings of each device for bring-up, from its EDS file and the rig file alone.
 
-Nothing is assumed of a drive's defaults: PDOs are mapped anew where they can be, inhibit times set
-to 0, limits written and read back. In a device that is not ours the reactions to the host's loss
-are set, too, and objects that a maker may have made constant are read first.
+No default value of a drive is assumed: PDOs are mapped anew if possible, inhibit times are set to 0,
+limits are written and read back. In a third-party device the reactions to the host's loss are set, too,
+and objects that may be constant are read first.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ DISABLE_VOLTAGE, FREE, TO_PRE_OPERATIONAL = 2, 0, 0
 
 @dataclass(frozen=True)
 class Setting:
-    """One object to write and read back.
+    """An object to write and read back.
 
     Attributes
     ----------
-    key : the rig file's key that the value comes from, "" where there is none
+    key : the rig file's key that sets the value, or ""
     optional : a device without the object is accepted
-    why : what it is for
-    lost : what the host loses without it; "" where nothing is
-    told : what is told although it is set: the device takes another value than the host wants
-    soft : a device that does not take the value is accepted, too
-    unless_equal : it is read first, and written only if it is different
-    verify : it is read back
-    type : the data type that the rig file says, of an object that the EDS file need not describe
-    while_valid : an entry of a PDO's map that is written although the PDO cannot be made invalid
-    listed : the rig file names it, as a role or in its list, so that it may be a maker's own object
+    why : purpose of the setting
+    lost : the protection that the host loses without it, or ""
+    told : remark on a written setting: the device takes another value than the host intends
+    soft : a device that refuses the value is accepted, too
+    unless_equal : the object is read first, and written only if it differs
+    verify : the object is read back
+    type : the data type in the rig file, for an object that the EDS file may lack
+    while_valid : an entry of a PDO mapping that is written although the PDO cannot be made invalid
+    listed : the rig file names the object, as a role or in its list, so it may be manufacturer-specific
     """
 
     index: int
@@ -71,13 +71,11 @@ class Setting:
 
     @property
     def variable_bits(self) -> int:
-        """Width of the type that the rig file says; 0 where it says none."""
+        """Width of the data type in the rig file; 0 without one."""
         return DATA_TYPES[CODE_OF_TYPE[self.type]].bits if self.type else 0
 
     def variable(self, description: Description) -> Variable:
-        """Return what the EDS file says of the object, or what the rig file does where it
-        does not.
-        """
+        """Return the object's description from the EDS file, else from the rig file."""
         if description.has(self.index, self.subindex) or not self.type:
             return description.variable(self.index, self.subindex)
         return Variable(
@@ -86,7 +84,7 @@ class Setting:
 
 
 def settings_of(axis: Axis, node: str, mode: str, limit_pm: int) -> Iterator[Setting]:
-    """Yield what one device is to be set to, in its order.
+    """Yield the settings of one device in their order.
 
     Parameters
     ----------
@@ -110,7 +108,7 @@ def settings_of(axis: Axis, node: str, mode: str, limit_pm: int) -> Iterator[Set
 
 
 def _listed(part: DeviceSection, node: str, when: Literal["before", "after", "end"]) -> Iterator[Setting]:
-    """The rig file's own list. The polarity is written where the drive has another one only."""
+    """Yield the settings that the rig file lists; a polarity is written only if the drive's differs."""
     polarity = of_axis(POLARITY[0], drive_axis_of(part)), POLARITY[1]
     for k, setting in enumerate(part.sdo):
         if setting.when == when:
@@ -126,8 +124,8 @@ def _listed(part: DeviceSection, node: str, when: Literal["before", "after", "en
 
 
 def _pdo_settings(pdo: RigPdo, node: str, deadline_ms: int, ours: bool) -> Iterator[Setting]:
-    """The prescribed procedure: invalid, no entries, parameters, entries, their number, valid (CiA
-    301, 7.5.2.36).
+    """Yield the settings of a PDO in the order of CiA 301, 7.5.2.36: invalid, no entries, parameters,
+    entries, number of entries, valid.
     """
     layout, why = pdo.layout, f"{pdo.name} carries {', '.join(signal.key for signal in pdo.signals)}"
     receive = layout.direction == "rpdo"
@@ -158,8 +156,8 @@ def _pdo_settings(pdo: RigPdo, node: str, deadline_ms: int, ours: bool) -> Itera
 
 
 def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int) -> Iterator[Setting]:
-    """Switch every PDO off that the rig does not use: a default PDO would load the bus
-    unplanned.
+    """Yield the settings that disable every unused PDO: a default PDO would load the bus without being
+    planned.
     """
     used = {(pdo.layout.direction, pdo.layout.number) for pdo in pdos}
     described = sorted(description.objects)
@@ -182,7 +180,7 @@ def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int)
 
 
 def _common_settings(axis: Axis, node: str, part: DeviceSection, ours: bool) -> Iterator[Setting]:
-    """Heartbeats both ways, or guarding; the loss of SYNC."""
+    """Yield the settings of heartbeats in both directions or of guarding, of SYNC and of EMCY."""
     description = axis.description(node)
     if is_guarded(description):
         guard_ms, factor = life_of(axis.host.heartbeat_s, part.heartbeat_timeout_s)
@@ -220,10 +218,10 @@ def _common_settings(axis: Axis, node: str, part: DeviceSection, ours: bool) -> 
 
 
 def _emergency(description: Description, node_id: int) -> Setting:
-    """EMCY's identifier: read, and written where the device has another one."""
+    """Return the setting of EMCY's identifier, which is written only if the device's differs."""
     mute, default = is_mute(description, node_id), emcy_default(description, node_id)
     off = default is not None and bool(default & INVALID)
-    refused = default == CobId.SYNC  # the planner says so
+    refused = default == CobId.SYNC  # `device_plan` reports it
     return Setting(
         *(0x1014, 0, emcy_identifier(description, node_id)),
         optional=True,
@@ -236,9 +234,7 @@ def _emergency(description: Description, node_id: int) -> Setting:
 
 
 def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bool) -> Iterator[Setting]:
-    """What every CiA 402 drive needs: the mode, a set-point of 0, and a free shaft where something
-    is lost.
-    """
+    """Yield the settings of a CiA 402 drive: mode, set-point 0, torque slope, and no torque after faults."""
     description = axis.description(setpoint.node)
 
     def at(index: int) -> int:
@@ -273,10 +269,9 @@ def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bo
 
 
 def torque_limits(description: Description, drive_axis: int = 1) -> tuple[int, ...]:
-    """Return the objects that limit the torque of a drive's axis: 6072h, else 60E0h and 60E1h, else
-    6073h.
+    """Return the objects that limit the torque of a drive's axis: 6072h, else 60E0h and 60E1h, else 6073h.
 
-    None where it has none that can be written.
+    Empty if none can be written.
     """
     max_torque, max_current = of_axis(MAX_TORQUE, drive_axis), of_axis(MAX_CURRENT, drive_axis)
     both_ways = tuple(of_axis(index, drive_axis) for index in TORQUE_LIMITS)
@@ -342,12 +337,12 @@ def _brake_settings(axis: Axis, ours: bool) -> Iterator[Setting]:
 
 
 def encoded(variable: Variable, value: int) -> bytes:
-    """Return `value` as the object's type is transferred.
+    """Return the bytes of `value` in the object's data type.
 
     Raises
     ------
     OverflowError
-        The value does not fit into the type; nothing is ever cut.
+        the value does not fit into the type; it is never truncated
     """
     limits = variable.whole
     if limits is None or not limits[0] <= value <= limits[1]:
@@ -356,5 +351,5 @@ def encoded(variable: Variable, value: int) -> bytes:
 
 
 def number_of(variable: Variable, data: bytes) -> int:
-    """Return the number that an integer object's bytes are."""
+    """Return the number in the bytes of an integer object."""
     return int.from_bytes(data, "little", signed=variable.whole is not None and variable.whole[0] < 0)
