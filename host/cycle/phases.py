@@ -171,7 +171,7 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     handle may hold it by friction; then the negative direction is tried. Motion before the torque has
     changed its sign is not counted.
     """
-    u = h.torque_Nm * h.sign_direction  # torque in the direction that is tried
+    u = h.torque_Nm * h.sign_direction  # torque in the sense that is tried
     if u < 0.0:
         h.reference_counts = h.counts
     moved = (h.counts - h.reference_counts) * h.sign_direction

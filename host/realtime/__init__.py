@@ -1,1 +1,1 @@
-"""The data plane: the cycle's process against the wall clock."""
+"""The data plane: the process that runs the cycle in real time."""

@@ -1,6 +1,4 @@
-"""The parent's handle of the data plane: start its process, command it, take its log and its
-figures.
-"""
+"""The parent's handle of the data plane: start its process, command it, read its log and figures."""
 
 from __future__ import annotations
 
@@ -32,13 +30,13 @@ from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["DataPlane", "PlaneError", "Spread", "rig_filters"]
 
-START_TIMEOUT_S = 180.0  # the first start ever compiles the loop
+START_TIMEOUT_S = 180.0  # the very first start compiles the loop
 BATCH_FRAMES = 1 << 14
 CAN_SFF_EXACT = 0x7FF | 0xC0000000  # the whole identifier, no extended and no remote frames
 PRIORITY = 80
 PARENT_NS = 2_000_000_000
-"""How long the parent may stand still while the rig is armed: nobody can stop it then, and nobody
-records it.
+"""Longest time for which the parent may hang while the rig is armed: it could neither stop nor record the
+run.
 """
 
 
@@ -58,7 +56,7 @@ class Spread:
 
     @classmethod
     def of(cls, bins: np.ndarray[Any, np.dtype[np.int64]], max_ns: int) -> Spread | None:
-        """Return the spread of a histogram of microseconds; None when it is empty."""
+        """Return the spread of a histogram with bins of 1 us; None if it is empty."""
         total = int(bins.sum())
         if total == 0:
             return None
@@ -77,11 +75,10 @@ class Spread:
 
 
 def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
-    """Return the receive filters of the data plane: the CANopen objects of host, motors and brakes,
-    and no other identifier.
+    """Return the receive filters of the data plane: the CANopen objects of host, motors and brakes, and no
+    other identifier.
 
-    So a flood of foreign frames ends at the bus (or in Linux's CAN core) and costs the cycle
-    nothing.
+    So the bus (or Linux's CAN core) drops foreign frames, and a flood of them costs the cycle nothing.
     """
     c = controllers.control[0]
     identifiers = {int(CobId.NMT), int(c["sync_cob_id"]), CobId.HEARTBEAT + int(c["host_id"])}
@@ -93,23 +90,22 @@ def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
 class DataPlane:
     """The process that runs the cycle of `controllers` on the bus at `address`.
 
-    From now on they work on the shared records.
+    The controllers work on the shared records from then on.
 
     Parameters
     ----------
-    priority : of SCHED_FIFO; None asks for no real-time right
-    cpu : CPU to pin it to; None leaves it free
-    line : a socket on which somebody plays the bus, in the place of that at `address`; it is closed
-        with this
+    priority : SCHED_FIFO priority; None requests no real-time right
+    cpu : CPU to which the process is pinned; None leaves it free
+    line : socket of a simulated bus, used instead of the bus at `address`; closed with the data plane
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        no such bus
+        the bus does not exist
     """
 
     MODULE = "coulombus.host.realtime.process"
-    """What the process runs."""
+    """Module that the process runs."""
 
     def __init__(
         self,
@@ -156,7 +152,7 @@ class DataPlane:
             stdout=subprocess.PIPE,
             text=True,
             pass_fds=(self._client.fileno(), self.shared.fd),
-            start_new_session=True,  # the terminal's Ctrl-C is the parent's
+            start_new_session=True,  # Ctrl-C of the terminal goes to the parent only
             env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )
 
@@ -166,9 +162,7 @@ class DataPlane:
         return self._process.pid
 
     def wait_ready(self, timeout_s: float = START_TIMEOUT_S) -> None:
-        """Wait until the data plane has loaded everything and listens; PlaneError when it does not
-        come to that.
-        """
+        """Wait until the data plane has loaded everything and listens; PlaneError if it does not."""
         out = self._process.stdout
         assert out is not None
         ready, _, _ = select.select([out], [], [], timeout_s)
@@ -183,12 +177,12 @@ class DataPlane:
 
     @property
     def status(self) -> PlaneStatus:
-        """What the data plane is doing."""
+        """State of the data plane."""
         return PlaneStatus(int(self.shared.plane["status"][0]))
 
     @property
     def cycles(self) -> int:
-        """Cycles run so far."""
+        """Number of cycles so far."""
         return int(self.shared.plane["cycles"][0])
 
     @property
@@ -198,7 +192,7 @@ class DataPlane:
 
     @property
     def fate(self) -> str:
-        """What has become of a process that does not cycle any more, in words."""
+        """Text of the state of a process that no longer cycles."""
         status = self._process.poll()
         if status is None:
             stopped = os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
@@ -207,7 +201,7 @@ class DataPlane:
 
     @property
     def lost_text(self) -> str:
-        """Why the bus is lost, in words."""
+        """Text of the reason why the bus is lost."""
         number = int(self.shared.plane["error"][0])
         return "its process ended" if number == 0 else os.strerror(number)
 
@@ -220,7 +214,7 @@ class DataPlane:
         self.shared.plane["command"] = PlaneCommand.CYCLE
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
-        """Ask for the safe state: the normal end, or for the reason `trip`.
+        """Request the safe state: the normal end, or with the reason `trip`.
 
         The first reason counts.
         """
@@ -228,51 +222,46 @@ class DataPlane:
         plane["stop"] = max(1, int(trip)) if plane["stop"][0] <= 1 else plane["stop"]
 
     def attend(self) -> None:
-        """Show that the parent runs: the data plane goes to the safe state when it has not seen
-        that for `PARENT_NS`.
-        """
+        """Report that the parent runs: without a report for `PARENT_NS`, the data plane enters the safe state."""
         self.shared.plane["parent_ns"] = time.monotonic_ns() + PARENT_NS
 
     def hold_deadman(self, until_ns: int) -> None:
-        """Let the dead man's key count as held until CLOCK_MONOTONIC = `until_ns`."""
+        """Count the dead man's switch as held until CLOCK_MONOTONIC = `until_ns`."""
         self.shared.plane["deadman_ns"] = until_ns
 
     def order(self, axis: int, number: int) -> None:
-        """Let the axis follow order `number`, which is in its buffer, from the next cycle on."""
+        """Publish order `number` in the axis' buffer, which the step takes in the next cycle."""
         plane = self.shared.plane
         plane["order_axis"] = axis
         plane["order"] = number
 
     def end_cycle(self) -> None:
-        """End the cycle, with set-points of zero torque last, and listen on."""
+        """End the cycle, with set-points of zero torque last, and continue to listen."""
         self.shared.plane["command"] = PlaneCommand.LISTEN
 
     def await_end(self) -> None:
-        """Wait until the cycle that was ended has ramped off what it had to."""
+        """Wait until the ended cycle has ramped the brakes off."""
         deadline = time.monotonic() + 1.0 + self._controllers.ending_s
         while self.alive and self.status is PlaneStatus.CYCLING and time.monotonic() < deadline:
             self.attend()
             time.sleep(2e-3)
 
     def take(self) -> Records:
-        """Return copies of the frames that were logged since the last time.
-
-        Stamps of CLOCK_MONOTONIC.
-        """
+        """Return copies of the frames logged since the last call, with stamps of CLOCK_MONOTONIC."""
         count = take_log(self.shared.plane, self.shared.ring, self._batch)
         return self._batch[:count].copy()
 
     def take_trace(self) -> Records:
-        """Return copies of the rows of the trace (`recording.trace`) since the last time.
-
-        Stamps of CLOCK_MONOTONIC.
+        """Return copies of the trace's rows (`recording.trace`) since the last call, with stamps of
+        CLOCK_MONOTONIC.
         """
         count = take_trace(self.shared.plane, self.shared.trace, self._rows)
         return self._rows[:count].copy()
 
     def close(self, timeout_s: float = 2.0) -> None:
-        """End the process: as commanded if it obeys (within `timeout_s` more than the safe state
-        takes), else by force. May be called again.
+        """End the process by command, or kill it after the longest safe state plus `timeout_s`.
+
+        May be called again.
         """
         if self._process.stdout is None or self._process.stdout.closed:
             return
@@ -290,19 +279,19 @@ class DataPlane:
     # figures
 
     def wakeup(self) -> Spread | None:
-        """How late the cycle woke."""
+        """Wake-up delay of the cycle."""
         return Spread.of(self.shared.wakeup_bins, int(self.shared.plane["wakeup_max_ns"][0]))
 
     def latency(self) -> Spread | None:
-        """From SYNC sent to the last RPDO sent."""
+        """Time from SYNC sent to the last RPDO sent."""
         return Spread.of(self.shared.latency_bins, int(self.shared.plane["latency_max_ns"][0]))
 
     def cpu_us_per_cycle(self) -> float | None:
-        """Processor time of the loop for one cycle."""
+        """CPU time of the loop for one cycle."""
         return float(self.shared.plane["cpu_ns"][0]) / 1000 / self.cycles if self.cycles else None
 
     def counters(self) -> dict[str, int]:
-        """Return what the data plane counted."""
+        """Return the counters of the data plane."""
         names = (
             *("missed_deadlines", "tx_full", "rx_frames", "rx_malformed", "rx_overflow", "error_frames"),
             *("foreign_sync", "log_dropped"),

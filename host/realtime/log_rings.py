@@ -1,8 +1,9 @@
-"""The two rings between the data plane's loop and its parent, compiled: the log of frames, and the trace
-of the moments of each cycle.
+"""Ring buffers between the data plane's loop and its parent, compiled: the log of frames, and the trace of
+the events of each cycle.
 
-The loop writes at a ring's head, the parent reads at its tail. Each moves its own end alone, behind
-the row, so a row is seen whole or not at all. What finds no room is left out and counted.
+The loop writes at a ring's head, and the parent reads at its tail. Each side moves only its own end, after
+the access to the row, so a row is visible as a whole or not at all. Rows without room are dropped and
+counted.
 
     p : the PLANE record        f, g, r : a frame or a row
 """
@@ -32,7 +33,7 @@ def log_frame(
     word: int,
     source: int,
 ) -> None:
-    """Append a frame to the ring; the parent sees it whole or not at all."""
+    """Append a frame to the ring; without room it is dropped and counted."""
     p = plane[0]
     head = p.log_head
     if head - load_acquire(plane.ctypes.data + AT_TAIL) >= ring.shape[0]:
@@ -49,7 +50,7 @@ def log_frame(
 
 @kernel
 def log_moment(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], kind: int, t_ns: int, value: int) -> None:
-    """Append a row to the trace; without room it is left out, as are the frames of that time."""
+    """Append a row to the trace; without room it is dropped and counted."""
     p = plane[0]
     head = p.trace_head
     if head - load_acquire(plane.ctypes.data + AT_TRACE_TAIL) >= trace.shape[0]:
@@ -67,7 +68,7 @@ def log_moment(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], ki
 
 @kernel
 def take_trace(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], out: Records) -> int:
-    """Move rows from the trace to `out`; return how many. For the parent."""
+    """Move rows from the trace to `out`; return their number. Called by the parent."""
     p = plane[0]
     tail = p.trace_tail
     count: int = min(load_acquire(plane.ctypes.data + AT_TRACE_HEAD) - tail, out.shape[0])
@@ -85,7 +86,7 @@ def take_trace(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], ou
 
 @kernel
 def take_log(plane: RecordArray[PlaneRecord], ring: RecordArray[Frame], out: Records) -> int:
-    """Move frames from the ring to `out`; return how many. For the parent."""
+    """Move frames from the ring to `out`; return their number. Called by the parent."""
     p = plane[0]
     tail = p.log_tail
     count: int = min(load_acquire(plane.ctypes.data + AT_HEAD) - tail, out.shape[0])

@@ -1,21 +1,25 @@
-"""The data plane: the cycle against the wall clock, on a non-blocking socket, compiled into one
-loop without allocation.
+"""The data plane's loop: the cycle in real time on a non-blocking socket, compiled, without allocation.
 
-    sleep to t_k - drain what is late - SYNC - receive until all TPDOs or the end of the window -
+    sleep until t_k - receive late frames - SYNC - receive until all TPDOs or the end of the window -
     `host.cycle.step` - RPDOs - count
 
-t_k are absolute times of CLOCK_MONOTONIC. Periods that have passed are skipped and counted, never
-caught up. The loop logs every frame, its own and the others', into a ring that another process
-empties (`host.realtime.log_rings`). However it ends, it sends set-points of zero torque last.
+t_k are absolute times of CLOCK_MONOTONIC. Missed periods are skipped and counted, and never caught up. The
+loop logs every frame, its own and received ones, into a ring that the parent reads
+(`host.realtime.log_rings`). In every case it sends set-points of zero torque last.
 
-It looks after its parent, too: one that has ended, or that has not shown itself in time
-(`PLANE.parent_ns`), is a reason for the safe state (HOST). After a parent that has ended the loop
-ends by itself, when all axes are done.
+The loop also monitors its parent. A parent that has ended, or has not reported in time
+(`PLANE.parent_ns`), is a reason for the safe state (HOST). After the parent's end the loop ends when all
+axes are done.
 
-Answers to what the system says: EINTR - again; EAGAIN, ENOBUFS on sending - the frame is lost,
-counted, not repeated (a frame that waits is a wrong set-point later), and too many cycles of it
-trip; everything else, and the other side closing - the bus is lost. Only the safe set-points behind
-the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothing comes after them.
+Results of system calls:
+
+- EINTR: the call is repeated.
+- EAGAIN or ENOBUFS on sending: the frame is lost and counted. It is not repeated, because a delayed frame
+  would be a wrong set-point. Too many such cycles trip.
+- Every other error, or the other side's close: the bus is lost.
+
+Only the safe set-points after the last cycle are repeated until they are accepted, for up to
+`END_ATTEMPTS` ms, because nothing follows them.
 
     b : the Buffers        p : the `PlaneRecord`        c, h : the `ControlRecord` and the `HostRecord` of an axis
     f : a frame
@@ -60,15 +64,15 @@ from coulombus.wire.recvmsg import Mailbox, receive
 __all__ = ["MESSAGE_FRAMES", "Buffers", "run_plane"]
 
 MESSAGE_FRAMES = 64
-"""Frames that one message may bring."""
+"""Largest number of frames in a message."""
 
 SOURCE_BUS = 0
-"""Station number of everything that came from the bus, in the log."""
+"""Station number of received frames in the log."""
 
 
 class Buffers(NamedTuple):
-    """What the loop works on: its socket, what it shares with the parent (`SharedPlane`), and what
-    it receives into and sends from.
+    """Buffers of the loop: its socket, the memory shared with the parent (`SharedPlane`), and the receive
+    and send buffers.
     """
 
     fd: int
@@ -84,27 +88,27 @@ class Buffers(NamedTuple):
     tx: Integers
     poll: Integers
     out: Queue
-    told: RecordArray[Frame]  # room for what one axis tells of itself (`host.cycle.telemetry`)
+    told: RecordArray[Frame]  # telemetry frames of one axis (`host.cycle.telemetry`)
 
 
 AT_COMMAND, AT_STATUS, AT_STOP = field_offset("command"), field_offset("status"), field_offset("stop")
 AT_CYCLES, AT_PARENT, AT_ORDER = field_offset("cycles"), field_offset("parent_ns"), field_offset("order")
 AT_DEADMAN = field_offset("deadman_ns")
 
-LISTEN_NS = 5_000_000  # how soon a command is seen while listening
-DRAIN_MESSAGES = 512  # bound of what one cycle takes from a bus that is flooded
+LISTEN_NS = 5_000_000  # period of the check for commands while listening
+DRAIN_MESSAGES = 512  # largest number of messages that a cycle reads from a flooded bus
 END_ATTEMPTS, END_PAUSE_NS = 20, 1_000_000  # for the last set-points, which no cycle repeats
-STAMP_AGE_NS = 1_000_000_000  # an older stamp is a clock that was set
+STAMP_AGE_NS = 1_000_000_000  # an older stamp means that the clock was set
 CAN_ERR_BUSOFF = 0x40
 CLOSED = -1
 
-# what `_take` returns
+# results of `_take`
 EMPTY, TOOK, COMPLETE, GONE = 0, 1, 2, 3
 
 
 @kernel
 def _tell(b: Buffers, t_ns: int) -> None:
-    """Log what the axes tell of themselves, behind the frames of their cycle."""
+    """Log the telemetry of all axes, after the frames of their cycle."""
     for k in range(b.axes.shape[0]):
         for i in range(tell(b.axes[k], k, t_ns, b.told, 0)):
             f = b.told[i]
@@ -113,7 +117,7 @@ def _tell(b: Buffers, t_ns: int) -> None:
 
 @kernel
 def _stop(p: PlaneRecord, axes: AxisRecords, trip: int) -> None:
-    """Ask all axes for the safe state for the reason `trip`, or without one (1).
+    """Request the safe state of all axes with the reason `trip`, or without a reason (1).
 
     The first reason counts.
     """
@@ -124,9 +128,7 @@ def _stop(p: PlaneRecord, axes: AxisRecords, trip: int) -> None:
 
 @kernel
 def _skip(p: PlaneRecord, axes: AxisRecords, periods: int) -> int:
-    """Skip so many periods that have passed, and count them: what every axis knows is as much
-    older. Returns how many.
-    """
+    """Skip and count missed periods, and add them to the position's age of every axis; return their number."""
     if periods <= 0:
         return 0
     p.missed_deadlines += periods
@@ -137,7 +139,7 @@ def _skip(p: PlaneRecord, axes: AxisRecords, periods: int) -> int:
 
 @kernel
 def _take(b: Buffers, live: int) -> int:
-    """Receive one message if there is one; `live`: the cycle wants its frames."""
+    """Receive one message if there is one; `live`: pass its frames to the cycle."""
     p, c, words = b.plane[0], b.axes[0].control, b.words
     n = receive(b.fd, b.box, MSG_DONTWAIT)
     if n <= 0:
@@ -155,11 +157,11 @@ def _take(b: Buffers, live: int) -> int:
         p.rx_malformed += 1
         return TOOK
     t_ns = now_ns()
-    if m.stamp_ns > 0:  # the stamp is of the other clock: take its age
+    if m.stamp_ns > 0:  # the stamp is of CLOCK_REALTIME: convert it by its age
         age = clock_ns(CLOCK_REALTIME) - m.stamp_ns
         if 0 < age < STAMP_AGE_NS:
             t_ns -= age
-    t_ns = max(t_ns, p.rx_ns)  # the queue keeps the order; two clocks that are read one after the other may not
+    t_ns = max(t_ns, p.rx_ns)  # keeps the queue's order, which the difference of two clocks may break
     p.rx_ns = t_ns
     result = TOOK
     for i in range(n // 16):
@@ -190,10 +192,10 @@ def _take(b: Buffers, live: int) -> int:
 
 @kernel
 def _transmit(b: Buffers, patience: int) -> int:
-    """Send the queue's frames; return 0, or the error of a bus that is lost.
+    """Send the queue's frames; return 0, or the error number of a lost bus.
 
-    A frame that is not taken is lost; with `patience` it is offered again, so often in all,
-    END_PAUSE_NS apart.
+    A frame that the bus does not accept is lost. With `patience`, frames are offered again, up to
+    `patience` times in total, with pauses of `END_PAUSE_NS`.
     """
     p, tx, out = b.plane[0], b.tx, b.out
     count = out.count
@@ -230,9 +232,9 @@ def _transmit(b: Buffers, patience: int) -> int:
 
 @kernel
 def _look_after_parent(p: PlaneRecord, base: int, axes: AxisRecords) -> None:
-    """Ask for the safe state when the parent has ended or stands still.
+    """Request the safe state if the parent has ended or hangs.
 
-    When it has ended and all axes are done, there is nothing left to do.
+    If it has ended and all axes are done, end the loop.
     """
     until = load_acquire(base + AT_PARENT)
     orphan = p.parent != 0 and getppid() != p.parent
@@ -244,7 +246,7 @@ def _look_after_parent(p: PlaneRecord, base: int, axes: AxisRecords) -> None:
 
 @kernel
 def _all_done(axes: AxisRecords) -> bool:
-    """Tell whether all axes are done: from then on the nodes may be told to send no TPDO."""
+    """Return whether all axes are done; from then on the nodes may be stopped from sending TPDOs."""
     done = 0
     for k in range(axes.shape[0]):
         done += 1 if axes[k].host.phase == Phase.DONE else 0
@@ -253,8 +255,8 @@ def _all_done(axes: AxisRecords) -> bool:
 
 @kernel
 def _failed(p: PlaneRecord) -> bool:
-    """Tell whether a call that returned -1 has failed for good: waiting that fails comes back at
-    once, for ever.
+    """Return whether a call that returned -1 has a permanent error: a failing wait would return at once,
+    without end.
     """
     error = errno()
     if error in (EINTR, EAGAIN):
@@ -270,7 +272,7 @@ def _count(bins: Integers, t_ns: int) -> None:
 
 @kernel
 def _drain(b: Buffers) -> int:
-    """Take what the bus carried since the last cycle; return 1 when it is lost."""
+    """Receive the frames since the last cycle; return 1 if the bus is lost."""
     result = TOOK
     messages = 0
     while result != EMPTY and messages < DRAIN_MESSAGES:
@@ -283,8 +285,8 @@ def _drain(b: Buffers) -> int:
 
 @kernel
 def _obey(b: Buffers) -> None:
-    """Do what the parent asks for: the safe state, the dead man's key, other parameters; and look
-    whether it is there.
+    """Execute the parent's requests (safe state, dead man's switch, changed parameters), and check that
+    the parent runs.
     """
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
     _stop(p, axes, load_acquire(base + AT_STOP))
@@ -304,7 +306,7 @@ def _obey(b: Buffers) -> None:
 def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
     """Receive until all axes have finished their cycle, or until the window for TPDOs is over.
 
-    Return 1 when the bus is lost.
+    Return 1 if the bus is lost.
     """
     p, axes = b.plane[0], b.axes
     messages = 0
@@ -315,7 +317,7 @@ def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
         ready = ppoll_ns(b.poll.ctypes.data, 1, left)
         if ready < 0 and _failed(p):
             return 1
-        if ready <= 0:  # the window is over, or a signal came
+        if ready <= 0:  # the window is over, or a signal interrupted the wait
             continue
         result = _take(b, 1)
         messages += 1
@@ -336,8 +338,9 @@ def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
 
 @kernel
 def _goes_on(p: PlaneRecord, axes: AxisRecords, command: int) -> bool:
-    """Tell whether another cycle begins: as commanded, or as a brake is to be ramped off before the
-    end, which the safe state does within its time.
+    """Return whether another cycle begins: by command, or to ramp a brake off before the end.
+
+    For the latter, the safe state is requested, which ends within its time.
     """
     if command == PlaneCommand.CYCLE:
         return True
@@ -349,11 +352,11 @@ def _goes_on(p: PlaneRecord, axes: AxisRecords, command: int) -> bool:
 
 @kernel
 def _cycle(b: Buffers, law_function: LawFunction) -> int:
-    """Cycle until the parent commands otherwise, and brakes that only the host ramps are off
-    (returns 0), or the bus is lost (returns 1).
+    """Run cycles; return 0 after the parent's command, when brakes that only the host ramps are off, and 1
+    if the bus is lost.
     """
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
-    c = axes[0].control  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
+    c = axes[0].control  # all axes share the cycle, the host's own identifiers and the dead man's switch
     missed_cycles = c.missed_cycles
     for k in range(1, axes.shape[0]):
         missed_cycles = min(missed_cycles, axes[k].control.missed_cycles)
@@ -399,10 +402,7 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
 
 @kernel
 def run_plane(b: Buffers, law_function: LawFunction) -> int:
-    """Do what the parent commands until it commands QUIT or the bus is lost.
-
-    Return the `PlaneStatus`.
-    """
+    """Execute the parent's commands until QUIT or the loss of the bus; return the `PlaneStatus`."""
     p, axes = b.plane[0], b.axes
     base = b.plane.ctypes.data
     b.poll[0] = b.fd | POLLIN << 32

@@ -1,14 +1,14 @@
 """The data plane's process: ``python -m coulombus.host.realtime.process SETTINGS``, started by
 `coulombus.host.realtime.data_plane` with two open descriptors.
 
-It is apart from the parent's interpreter, so that no lock, no garbage collection and no other
-thread of it can hold a cycle up. Until it is ready it dies with its parent (PR_SET_PDEATHSIG). From
-then on the loop looks after the parent: when that has ended, the rig is made safe as after a trip,
-and the process ends (`host.realtime.loop`). The signals that end a verb are the parent's business:
-this process has a session of its own, out of the terminal's reach, and they are blocked.
+The process is separate from the parent's interpreter, so no lock, garbage collection or thread of the
+parent can delay a cycle. Until it is ready, it dies with its parent (PR_SET_PDEATHSIG). From then on the
+loop monitors the parent: when the parent has ended, the loop makes the rig safe as after a trip, and the
+process ends (`host.realtime.loop`). Only the parent handles the signals that end a verb: this process
+blocks them, and has its own session, which the terminal does not signal.
 
-One line of JSON on the standard output tells that it is ready, and which real-time rights it was
-refused.
+One line of JSON on the standard output reports that it is ready, with the granted and refused real-time
+rights.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["main", "new_buffers", "warm_up"]
 
 
 def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
-    """Return what the loop works on, for a socket and a shared memory."""
+    """Return the loop's buffers for a socket and a shared memory."""
     s = shared
     box, words = new_mailbox(MESSAGE_FRAMES)
     tx, poll = np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)
@@ -44,8 +44,8 @@ def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
 
 
 def warm_up(shared: SharedPlane, buffers: Buffers, law_function: LawFunction) -> None:
-    """Load (or compile) the loop by a call that ends at once, and touch every page of the ring and
-    the histograms.
+    """Load (or compile) the loop by a call that returns at once, and touch every page of the rings and the
+    histograms.
     """
     command = int(shared.plane["command"][0])
     shared.plane["command"] = PlaneCommand.QUIT

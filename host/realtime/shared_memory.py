@@ -1,9 +1,8 @@
-"""What the data plane and its parent share: one anonymous file in memory, mapped by both processes.
+"""Shared memory of the data plane and its parent: one anonymous file in memory, mapped by both processes.
 
-The parent fills in the AXIS records, and commands; the data plane runs the cycle on the very same
-records, logs the frames into a ring and counts. Fields of PLANE that one side polls and the other
-writes are read and written atomically (`kernels.libc`); everything else is written by one side
-only while the other looks on.
+The parent fills in the AXIS records and gives commands. The data plane runs the cycle on the same records,
+logs the frames into a ring, and counts. Fields of PLANE that one side polls and the other writes are
+accessed atomically (`kernels.libc`). Every other field has only one writer.
 """
 
 from __future__ import annotations
@@ -24,89 +23,89 @@ from coulombus.wire.frame import FRAME, Frame
 __all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "PlaneCommand", "PlaneStatus", "SharedPlane", "field_offset"]
 
 RING_FRAMES = 1 << 17
-"""About nine seconds of frames, and of what the host tells of itself, at 1 kHz; a power of two."""
+"""Size of the ring: about nine seconds of frames and telemetry at 1 kHz; a power of two."""
 
 BINS = 20_000
-"""Microseconds that the histograms resolve.
+"""Number of bins of the histograms, each 1 us wide.
 
-What is later is in the last bin, and its maximum is kept.
+Longer times are in the last bin; their maximum is stored separately.
 """
 
 TRACE_ROWS = 1 << 15
-"""Rows of the trace (`recording.trace`), two or three for each cycle."""
+"""Size of the trace (`recording.trace`), with two or three rows for each cycle."""
 
 PAGE = 4096
 
 
 class PlaneCommand(IntEnum):
-    """What the parent wants."""
+    """Command of the parent."""
 
-    LISTEN = 0  # log what the bus carries
+    LISTEN = 0  # log the frames on the bus
     CYCLE = 1  # run the cycle from `start_ns` on
     QUIT = 2
 
 
 class PlaneStatus(IntEnum):
-    """What the data plane is doing."""
+    """State of the data plane."""
 
     STARTING = 0
     LISTENING = 1
     CYCLING = 2
     ENDED = 3  # as commanded
-    LOST = 4  # the bus is gone; `error` is the system's number, 0 when the other side has closed
+    LOST = 4  # the bus is lost; `error` is the errno, 0 if the other side has closed
 
 
 class PlaneRecord(Record):
-    """What the data plane and its parent tell each other."""
+    """Commands of the parent, and state of the data plane."""
 
     # written by the parent
     command: int  # a `PlaneCommand`
-    stop: int  # for HOST.stop: 1 a safe stop, above it a Trip
-    deadman_ns: int  # CLOCK_MONOTONIC until which the dead man's key counts as held
-    start_ns: int  # when the first cycle is due
-    parent: int  # its process id; 0: its end is not looked for
-    parent_ns: int  # CLOCK_MONOTONIC until which it counts as running; 0: not looked at
-    log_tail: int  # frames that the parent has taken from the ring
-    trace_tail: int  # and rows from the trace
-    packed: int  # 1: one message may carry several frames
+    stop: int  # value for HOST.stop: 1 a safe stop, above it a Trip
+    deadman_ns: int  # CLOCK_MONOTONIC until which the dead man's switch counts as held
+    start_ns: int  # time at which the first cycle is due
+    parent: int  # the parent's process id; 0: its end is not monitored
+    parent_ns: int  # CLOCK_MONOTONIC until which the parent counts as running; 0: not monitored
+    log_tail: int  # number of frames that the parent has read from the ring
+    trace_tail: int  # number of rows that the parent has read from the trace
+    packed: int  # 1: a message may carry several frames
     order: int  # number of the newest order of parameters (`host.cycle.live_parameters`)
-    order_axis: int  # ... and whose it is
+    order_axis: int  # axis of that order
     # written by the data plane
     status: int  # a `PlaneStatus`
-    error: int  # the system's number, where the bus is lost
-    log_head: int  # frames that the ring was given
-    trace_head: int  # and rows that the trace was given
-    rx_ns: int  # stamp of the frame that was received last
-    ordered: int  # number of the order that was wanted last
-    asked: int  # the reason for which all axes were asked to stop
-    cycles: int  # done
-    missed_deadlines: int  # periods at whose end their RPDOs were not out
-    full_in_a_row: int  # cycles one after another in which the bus did not take a frame
-    cpu_ns: int  # of this thread while it cycled
-    wakeup_max_ns: int  # the latest that a cycle began
-    latency_max_ns: int  # SYNC to the last RPDO
-    interrupted: int  # waits that a signal ended
-    tx_full: int  # frames that the bus did not take: EAGAIN, ENOBUFS
-    rx_frames: int  # frames that were received
-    rx_malformed: int  # messages that are no frame
-    rx_overflow: int  # frames that this socket's queue has dropped
-    error_frames: int  # error frames that were received
+    error: int  # errno of a lost bus
+    log_head: int  # number of frames written to the ring
+    trace_head: int  # number of rows written to the trace
+    rx_ns: int  # stamp of the last received frame
+    ordered: int  # number of the last published order
+    asked: int  # reason of the last stop request to all axes
+    cycles: int  # number of finished cycles
+    missed_deadlines: int  # periods whose RPDOs were not sent at their end
+    full_in_a_row: int  # cycles in a row in which the bus did not accept a frame
+    cpu_ns: int  # CPU time of this thread in cycles
+    wakeup_max_ns: int  # largest wake-up delay
+    latency_max_ns: int  # largest time from SYNC to the last RPDO
+    interrupted: int  # number of waits interrupted by a signal
+    tx_full: int  # frames that the bus did not accept: EAGAIN, ENOBUFS
+    rx_frames: int  # received frames
+    rx_malformed: int  # received messages that are not valid frames
+    rx_overflow: int  # frames dropped by this socket's queue
+    error_frames: int  # received error frames
     foreign_sync: int  # SYNC or the host's heartbeat from another station
-    log_dropped: int  # frames that found no place in the ring
+    log_dropped: int  # frames and rows dropped for lack of room
 
 
 PLANE = dtype_of(PlaneRecord)
 
 
 def field_offset(name: str) -> int:
-    """Return where a field of the PLANE record is, in bytes from its begin."""
+    """Return the offset of a field in the PLANE record, in bytes."""
     fields = PLANE.fields
     assert fields is not None
     return int(fields[name][1])
 
 
 def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]:
-    """Return name, records and shape of each section for so many axes."""
+    """Return name, data type and shape of each section for `axes` axes."""
     return (
         ("plane", PLANE, (1,)),
         ("axes", AXIS, (axes,)),
@@ -119,9 +118,7 @@ def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ..
 
 
 def _places(axes: int) -> tuple[dict[str, int], int]:
-    """Return where each section begins, each on a cache line of its own, and the size of the
-    whole.
-    """
+    """Return the offset of each section, each on its own cache line, and the total size."""
     places, end = {}, 0
     for name, dtype, shape in _sections(axes):
         places[name] = end
@@ -130,9 +127,9 @@ def _places(axes: int) -> tuple[dict[str, int], int]:
 
 
 class SharedPlane:
-    """The shared memory of so many axes behind the descriptor `fd`; each section is an attribute.
+    """The shared memory at the descriptor `fd` for `axes` axes; each section is an attribute.
 
-    The arrays point into the mapping, which lasts as long as any of them.
+    The arrays point into the mapping, which exists as long as any of them.
     """
 
     plane: RecordArray[PlaneRecord]
@@ -163,5 +160,5 @@ class SharedPlane:
             raise
 
     def close(self) -> None:
-        """Close the descriptor; the mapping stays while arrays use it."""
+        """Close the descriptor; the mapping exists as long as arrays use it."""
         os.close(self.fd)

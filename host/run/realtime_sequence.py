@@ -368,7 +368,7 @@ class RealCourse(Course):
         if self.error is not None and number in (Trip.NONE, Trip.HOST):
             return f"HOST: {self.error}"
         details = {
-            Trip.HOST: f"it hung for {PARENT_NS // 1_000_000_000} s",  # without an error of its own
+            Trip.HOST: f"it hung for {PARENT_NS // 1_000_000_000} s",  # it has neither failed nor ended
             Trip.DATA_PLANE: f"it {self._fate or 'is not there'}",
             Trip.BUS_LOST: self.plane.lost_text,
         }
