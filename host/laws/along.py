@@ -1,12 +1,12 @@
-r"""A law along a motion that is given: sample after sample, by the very function that the cycle asks.
+r"""A law along a given motion: sample by sample, with the compiled function that the cycle uses.
 
 Between two samples the angle is a straight line. So the speed of a sample is the slope of the
-interval that ends there, as it is in the cycle,
+interval that ends there, as in the cycle,
 
 .. math:: v_k = \frac{x_k - x_{k-1}}{t_k - t_{k-1}}, \quad v_0 = 0
 
 and the torque of a sample is :math:`\psi` at the end of that interval: positive against a positive
-speed. A law that keeps something begins relaxed, stuck where the motion begins.
+speed. A law with a state begins relaxed, stuck at the start of the motion.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ __all__ = ["COUNT_RAD", "Driven", "GivenLaw", "drive", "given_law"]
 Floats = npt.NDArray[np.float64]
 
 OF_MODE = "karnopp"
-"""Its parameters are those of [mode.*], which a law without parameters of its own sees, too."""
+"""The law whose parameters, those of [mode.*], also apply to a law without named parameters."""
 
 COUNT_RAD = 2 * math.pi / 8192 / 9.587
-"""An encoder count at the handle of the rig ``bench`` [rad]."""
+"""Angle of an encoder count at the handle of the rig ``bench`` [rad]."""
 
 
 class Sample(Record):
-    """What is asked of a law, and what it answers."""
+    """Input and output of a law for one sample."""
 
     t_s: float
     x_rad: float
@@ -48,7 +48,7 @@ class Sample(Record):
 
 
 class Asked(Record):
-    """A law and what it is asked with."""
+    """Input, parameters and state of a law."""
 
     motion: MotionRecord
     law: LawRecord
@@ -58,8 +58,8 @@ class Asked(Record):
 
 @kernel
 def _drive(inputs: Asked, law_function: LawFunction, samples: RecordArray[Sample]) -> int:
-    """Ask the law at each of `samples`; return the first whose torque is no finite number, -1 where
-    there is none.
+    """Evaluate the law at each of `samples`; return the first sample with a torque that is not finite, or
+    -1.
     """
     motion, state = inputs.motion, inputs.state
     state.stuck = 1
@@ -83,9 +83,9 @@ def _drive(inputs: Asked, law_function: LawFunction, samples: RecordArray[Sample
 
 @dataclass(frozen=True)
 class Driven:
-    """What a law displays along a motion.
+    """Output of a law along a motion.
 
-    samples : array of `SAMPLE`
+    samples : array of `Sample`
     """
 
     samples: RecordArray[Sample]
@@ -97,8 +97,8 @@ class Driven:
 
     @property
     def work_J(self) -> Floats:
-        r"""The work that the law has taken up by each sample, :math:`\int \psi\,dx` by the
-        trapezium rule; negative where it has given more than it took.
+        r"""The work absorbed by the law up to each sample, :math:`\int \psi\,dx` by the trapezium rule; negative
+        if the law has returned more than it absorbed.
         """
         torque, x = self.samples["torque_Nm"], self.samples["x_rad"]
         steps = 0.5 * (torque[1:] + torque[:-1]) * np.diff(x)
@@ -112,7 +112,7 @@ class GivenLaw:
     name: str
     pointer: LawFunction
     declaration: Declaration | None
-    """None: it names no parameters."""
+    """None: the law has no named parameters."""
     parameters: Parameters
 
     @property
@@ -123,18 +123,18 @@ class GivenLaw:
         ]
 
     def along(self, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float = COUNT_RAD) -> Driven:
-        """Drive the law along a motion, from its relaxed state.
+        """Evaluate the law along a motion, from its relaxed state.
 
         Parameters
         ----------
-        t_s : times that grow [s], two or more
-        x_rad : angles there [rad]
-        count_rad : what the encoder resolves [rad], for laws that compare counts
+        t_s : ascending times [s], two or more
+        x_rad : angles at these times [rad]
+        count_rad : angle of an encoder count [rad], for laws that compare counts
 
         Raises
         ------
         coulombus.host.laws.laws.LawError
-            it returned no finite number
+            the law returned a number that is not finite
         """
         inputs, samples = new_records(Asked), new_records(Sample, len(t_s))
         samples["t_s"], samples["x_rad"] = t_s, x_rad
@@ -146,7 +146,7 @@ class GivenLaw:
 def drive(
     name: str, pointer: LawFunction, law: Records, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float
 ) -> Driven:
-    """Drive a law whose parameters are a record of `LawRecord` along a motion, as `GivenLaw.along` does."""
+    """Evaluate a law with parameters in a record of `LawRecord` along a motion, as `GivenLaw.along` does."""
     inputs, samples = new_records(Asked), new_records(Sample, len(t_s))
     samples["t_s"], samples["x_rad"] = t_s, x_rad
     inputs[0]["count_rad"], inputs[0]["law"] = count_rad, law[0]
@@ -165,15 +165,16 @@ def _driven(name: str, pointer: LawFunction, inputs: Records, samples: RecordArr
 
 
 def given_law(name: str, overrides: Sequence[str] = (), directory: Path | None = None) -> GivenLaw:
-    """Return a law by its name, with its defaults but for "KEY=VALUE"; of a law that names no
-    parameters those of [mode.*], with the defaults of `karnopp`.
+    """Return a law by its name, with its default parameters except for "KEY=VALUE".
+
+    A law without named parameters gets those of [mode.*], with the defaults of `karnopp`.
 
     Raises
     ------
     coulombus.host.laws.laws.LawError
         there is no such law
     coulombus.rigs.rig.RigError
-        a parameter is none of this law's, or its value is refused
+        the law does not have a parameter, or its value is refused
     """
     loaded = load_declared(name, directory)
     parameters = set_parameters(loaded.declaration or BUILTIN_LAWS[OF_MODE], overrides)

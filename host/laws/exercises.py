@@ -1,9 +1,9 @@
-r"""Exercises: laws that display nothing, and move motor or brake in a known way so that a recording
-tells what the rig is like (`host.commission`).
+r"""Exercises of commissioning: laws that drive motor or brake with a known signal, to identify the rig from
+the recording (`host.commission`).
 
-They are laws of the one signature (`host.laws.laws`), so what they ask for goes through the same
-compiled cycle, with its limits and watches, as any friction law. Their parameters are ``law.user``,
-in the order that each docstring names; none of them is in a rig file.
+They have the signature of a law (`host.laws.laws`), so they run in the same compiled cycle, with its limits
+and monitors, as any friction law. Their parameters are ``law.user``, in the order in each docstring; rig
+files do not have them.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ __all__ = ["hold", "square", "stair", "sweep"]
 
 
 def hold(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    """Hold the brake at ``user[0]`` [Nm]; the motor gives nothing."""
+    """Hold the brake at ``user[0]`` [Nm], without motor torque."""
     state.brake_Nm = law.user[0]
     return 0.0
 
 
 def sweep(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    r"""Turn the handle to and fro by :math:`\pm` ``user[1]`` [rad] about where it is, at the speeds
-    ``user[4]``, ``user[5]``, ``user[6]`` [rad/s] in turn, each there and back, by the motor alone.
+    r"""Turn the handle to and fro by the motor, by :math:`\pm` ``user[1]`` [rad] about its position, at the
+    speeds ``user[4]``, ``user[5]``, ``user[6]`` [rad/s] in turn, each in both directions.
 
     .. math:: \tau = K e + I, \quad \dot I = K_i e, \quad e = v_r - v, \quad |\tau|, |I| \le \tau_{max}
 
     with ``user[0]`` the largest torque [Nm], ``user[2]`` K [Nm s/rad], ``user[3]`` K_i [Nm/rad].
-    Where the handle does not come on for 0.5 s - a hand holds it, or a stop - it turns back. The
-    first 0.2 s are without torque: so a recording shows where the sign check has ended.
+    If the handle makes no progress for 0.5 s, because a hand or a stop holds it, the direction is reversed.
+    The first 0.2 s are without torque, so that a recording shows the end of the sign check.
     """
-    own = state.user  # 0: sense, 1: integral, 2: turns, 3: where it began, 4: time without progress, 5: time
+    own = state.user  # 0: direction, 1: integral, 2: reversals, 3: start angle, 4: time without progress, 5: time
     own[5] += motion.dt_s
     if own[5] < 0.2:
         return 0.0
@@ -52,8 +52,8 @@ def sweep(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
 
 
 def stair(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    """Let the brake climb from 0 to ``user[0]`` [Nm] in ``user[1]`` steps, ``user[2]`` [s] on each
-    of them, and down again; then it is 0.
+    """Raise the brake from 0 to ``user[0]`` [Nm] in ``user[1]`` steps of ``user[2]`` [s] each, and lower it
+    again; then it stays 0.
     """
     state.user[0] += motion.dt_s
     step = state.user[0] // law.user[2]
@@ -64,8 +64,8 @@ def stair(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
 
 
 def square(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    """Let the motor's torque be ``user[0]`` and its opposite [Nm] in turn, and the brake
-    ``user[2]`` [Nm] and off, ``user[1]`` [s] each.
+    """Alternate the motor between ``user[0]`` and its opposite [Nm], and the brake between ``user[2]`` [Nm]
+    and off, ``user[1]`` [s] each.
     """
     state.user[0] += motion.dt_s
     first = state.user[0] // law.user[1] % 2.0 == 0.0

@@ -1,7 +1,7 @@
-r"""What a friction law is: a function of one fixed signature, its records, and its declaration.
+r"""Definition of a friction law: a function with a fixed signature, its records, and its declaration.
 
 `friction_law` declares a law's named parameters - a model with unit, range, default and meaning of
-each, as those of the rig file - and the state that it keeps::
+each, as in the rig file - and its state::
 
     class MyLaw(Parameters):
         F_c_Nm: float = Field(1.0, gt=0, le=1e4, description="Coulomb friction")
@@ -10,9 +10,9 @@ each, as those of the rig file - and the state that it keeps::
     def my_law(motion, law, state):
         return law.F_c_Nm * math.copysign(1.0, motion.v_rad_s)
 
-They stand in ``[law.my_law]`` of the rig file. In the records `LAW` and `LAW_STATE` they lie where
-``user`` lies: the names are another view of the same 16 numbers, so that one signature does for
-every law, and a recording, a replay and the shared memory know nothing of them.
+The parameters are in ``[law.my_law]`` of the rig file. In the records `LAW` and `LAW_STATE`, parameters
+and state are stored in the field ``user``: the names are a view of these 16 numbers. So all laws have the
+same signature, and a recording, a replay and the shared memory do not depend on the names.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ __all__ = [
 
 
 class MotionRecord(Record):
-    """What a law sees."""
+    """Input of a law."""
 
     x_rad: float  # the handle's angle [rad]
-    v_rad_s: float  # backward difference of the position, or its mean over law.velocity_window_cycles
+    v_rad_s: float  # backward difference of the position, or its mean over up to law.velocity_window_cycles
     v_counts: float  # the same in encoder counts a cycle
-    dt_s: float  # the cycle [s]
-    handle_Nm: float  # torque transducer, the hand's torque on the handle
+    dt_s: float  # period of the cycle [s]
+    handle_Nm: float  # the hand's torque on the handle, from the torque transducer
 
 
 MOTION = dtype_of(MotionRecord)
 
 USER = 16
-"""Numbers that a law has for parameters of its own, and as many for its state."""
+"""Number of values for a law's own parameters, and for its state."""
 
 
 class LawRecord(Record):
@@ -71,9 +71,9 @@ class LawRecord(Record):
     K_p: float  # Nm/rad
     F_s: float  # Nm
     F_d: float  # Nm
-    velocity_band_counts: float  # Delta v, in encoder counts a cycle: the key's, divided by the window's cycles
+    velocity_band_counts: float  # Delta v, in encoder counts a cycle: the rig file's key divided by the window's cycles
     paper_entry: int  # 1: x_stuck = x at stick entry, as printed in the paper
-    brake_spring: int  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
+    brake_spring: int  # 1: the brake displays |K_p (x - x_stuck)| when stuck, as printed in the paper
     user: Annotated[FloatField, USER]  # a law's own parameters, in the order of its declaration
 
 
@@ -81,20 +81,20 @@ LAW = dtype_of(LawRecord)
 
 
 class LawStateRecord(Record):
-    """What a law keeps from cycle to cycle."""
+    """State of a law, kept from cycle to cycle, and its further outputs."""
 
     stuck: int  # 1: the handle sticks
-    x_stuck: float  # rad
-    psi_Nm: float  # what the law returned last; kept by the host
+    x_stuck: float  # position at which the stick spring is at rest [rad]
+    psi_Nm: float  # last result of the law; stored by the host
     brake_Nm: float  # the law's set-point for the brake, >= 0
-    motor_Nm: float  # the law's part for the motor in mode hybrid, as psi; 0 but for laws that push back
-    user: Annotated[FloatField, USER]  # what a law keeps by names of its own
+    motor_Nm: float  # the law's part for the motor in mode hybrid, signed as psi; 0 except for laws that push back
+    user: Annotated[FloatField, USER]  # a law's own state variables
 
 
 LAW_STATE = dtype_of(LawStateRecord)
 
 LawFunction: TypeAlias = Callable[[MotionRecord, LawRecord, LawStateRecord], float]
-"""A compiled law (`host.laws.laws`): the torque that it asks for [Nm]."""
+"""A compiled law (`host.laws.laws`), which returns the friction torque psi [Nm]."""
 
 FIELD_OF_MODE: Mapping[str, str] = MappingProxyType(
     {
@@ -110,23 +110,23 @@ FIELD_OF_MODE: Mapping[str, str] = MappingProxyType(
 
 
 class Parameters(Section):
-    """A law's named parameters: as frozen and as strict as the sections of the rig file.
+    """A law's named parameters: frozen and strict, like the sections of the rig file.
 
-    A parameter is a number, its unit at the end of its name, or a choice of words (`Literal`), of
-    which the law sees the place, from 0.
+    A parameter is a number with its unit at the end of its name, or a choice of words (`Literal`), of
+    which the law gets the index, from 0.
     """
 
     at_least: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    """Parameter -> the one that it is not to be less than."""
+    """Parameter -> its lower bound, another parameter."""
     above: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    """Parameter -> the one that it must exceed."""
+    """Parameter -> another parameter that it must exceed."""
 
 
 F = TypeVar("F", bound=Callable[..., float])
 
 
 def _view(base: np.dtype[Any], names: Iterable[tuple[str, int]]) -> np.dtype[Any]:
-    """Return `base` with names in the place of its field ``user``."""
+    """Return `base` with `names` instead of its field ``user``."""
     assert base.fields is not None
     assert base.names is not None
     shared = [name for name in base.names if name != "user"]
@@ -147,9 +147,7 @@ def _view(base: np.dtype[Any], names: Iterable[tuple[str, int]]) -> np.dtype[Any
 
 
 class _Named:
-    """A record seen through the names of a declaration: what plain Python sees where compiled code
-    has a type of its own.
-    """
+    """A record with the names of a declaration, for plain Python; compiled code has a type of its own."""
 
     __slots__ = ("_places", "_record")
 
@@ -180,21 +178,20 @@ def _places(names: Iterable[tuple[str, int]]) -> dict[str, tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Declaration:
-    """A law: its function, its parameters by name, and what it keeps.
+    """A law: its function, its named parameters, and its state.
 
     Attributes
     ----------
     function : the plain Python function
     parameters : the model of its parameters
-    state : names of what it keeps, with how many numbers each has
-    extremes : the parameters that say how much it displays at most [Nm]; none where that depends on
-        the motion
-    uses_mode_keys : the parameters are keys of [mode.*] and [law], as those of the first two laws are
-    pushes : in mode hybrid the motor displays its ``state.motor_Nm``
+    state : names of its state variables, each with its number of values
+    extremes : the parameters that set its peak output [Nm]; none if the peak depends on the motion
+    uses_mode_keys : whether the parameters are keys of [mode.*] and [law], as for karnopp and coulomb
+    pushes : whether the motor displays ``state.motor_Nm`` in mode hybrid
     """
 
     BASES: ClassVar[tuple[np.dtype[Any], np.dtype[Any]]] = (LAW, LAW_STATE)
-    """The records of parameters and of state, without these names."""
+    """The records of parameters and of state, without a law's own names."""
 
     function: Callable[..., Any]
     parameters: type[Parameters]
@@ -217,7 +214,7 @@ class Declaration:
 
     @property
     def name(self) -> str:
-        """The function's name: the table of its parameters is [law.NAME]."""
+        """The function's name; the table of its parameters is [law.NAME]."""
         return self.function.__name__
 
     @property
@@ -232,7 +229,7 @@ class Declaration:
 
     @property
     def state_dtype(self) -> np.dtype[Any]:
-        """`LAW_STATE` with the names of what it keeps."""
+        """`LAW_STATE` with the names of the state variables."""
         return _view(self.BASES[1], self.state) if self.state else self.BASES[1]
 
     @property
@@ -243,11 +240,11 @@ class Declaration:
 
     @property
     def dois(self) -> tuple[str, ...]:
-        """The sources that its docstring names."""
+        """The DOIs in its docstring."""
         return tuple(doi.rstrip(".,;") for doi in re.findall(r"doi:(\S+)", inspect.getdoc(self.function) or ""))
 
     def numbers(self, values: Parameters) -> dict[str, float]:
-        """Return the parameters as the law sees them: of a choice, its place."""
+        """Return the parameters as numbers for the law; a choice becomes its index."""
         numbers = {}
         for name, info in self.parameters.model_fields.items():
             value = getattr(values, name)
@@ -286,16 +283,16 @@ def friction_law(
     Parameters
     ----------
     parameters : the model of its parameters
-    state : what the law keeps from cycle to cycle: a class of a `LawStateRecord` with further fields,
-        or their names, of which ("F_Nm", 4) is an array
-    extremes : the parameters that say how much the law displays at most [Nm]
-    pushes : in mode hybrid the motor displays ``state.motor_Nm``. Of the project's own laws alone
-        this lifts hybrid's limit of the motor (`host.cycle.output_limits.motor_limit_Nm`).
+    state : the state that the law keeps from cycle to cycle: a subclass of `LawStateRecord` with further
+        fields, or their names, where ("F_Nm", 4) is an array
+    extremes : the parameters that set the law's peak output [Nm]
+    pushes : whether the motor displays ``state.motor_Nm`` in mode hybrid. For built-in laws only, this
+        lifts hybrid's limit of the motor (`host.cycle.output_limits.motor_limit_Nm`).
 
     Raises
     ------
     ValueError
-        more than 16 numbers, or a name that the records have already
+        more than 16 numbers, or a name that the records already have
     """
     if isinstance(state, type):
         kept = tuple(state_fields(state, LAW_STATE))
@@ -310,7 +307,7 @@ def friction_law(
 
 
 def state_fields(state: type[Record], base: np.dtype[Any]) -> Iterator[tuple[str, int]]:
-    """Yield name and length of each field that a law's state has beside those of all laws, `base`."""
+    """Yield name and length of each field of a law's state that `base`, the state of all laws, lacks."""
     dtype = dtype_of(state)
     assert dtype.names is not None
     for name in dtype.names:
@@ -319,13 +316,13 @@ def state_fields(state: type[Record], base: np.dtype[Any]) -> Iterator[tuple[str
 
 
 def declaration_of(function: Any) -> Declaration | None:
-    """Return what a law declares; None of one without named parameters."""
+    """Return the declaration of a law; None for a law without named parameters."""
     declaration = getattr(function, "declaration", None)
     return declaration if isinstance(declaration, Declaration) else None
 
 
 def described(law: Declaration) -> dict[str, Any]:
-    """Return what a law declares as plain values, for tables and JSON."""
+    """Return the declaration of a law as plain values, for tables and JSON."""
     parameters = [
         {
             "name": name,

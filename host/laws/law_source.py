@@ -1,5 +1,5 @@
-"""The source of a friction law, which a recording carries: so that it tells what was felt, and a
-replay whether the law is still the same.
+"""Source of a friction law, attached to a recording: it documents the displayed law, and a replay compares it
+with the present source.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ __all__ = ["SHA256", "SOURCE", "LawSource", "law_attachments", "law_source", "re
 
 MOST_BYTES = 1 << 20
 SOURCE, SHA256 = "host.law.py", "host.law.sha256"
-"""The attachments' names."""
+"""Names of the attachments."""
 
 
 @dataclass(frozen=True)
 class LawSource:
-    """A law's name, and the text in which it stands.
+    """A law's name and source text.
 
-    That is a law's whole file, without what it imports; of the project's own laws without named
-    parameters the function alone.
+    The text is the law's whole file, without its imports. For `karnopp` and `coulomb` it is the function
+    alone.
     """
 
     name: str
@@ -40,15 +40,12 @@ class LawSource:
 
     @property
     def attachments(self) -> dict[str, bytes]:
-        """What a recording carries of it."""
+        """The attachments of a recording with this law."""
         return {SOURCE: self.text, SHA256: self.sha256.encode()}
 
 
 def law_source(rig: Rig) -> LawSource | None:
-    """Return the source of the rig's law; None where there is none to be read.
-
-    The law is not run for it.
-    """
+    """Return the source of the rig's law, without running it; None if it cannot be read."""
     name = rig.law_function
     place = name.rpartition(":")[0]
     if name in BUILTIN_LAWS:
@@ -67,11 +64,11 @@ def law_source(rig: Rig) -> LawSource | None:
 
 
 def law_attachments(rig: Rig) -> dict[str, bytes]:
-    """Return what a recording carries of the rig's law: nothing where its source cannot be read."""
+    """Return the attachments for the rig's law; empty if its source cannot be read."""
     source = law_source(rig)
     return {} if source is None else source.attachments
 
 
 def recorded_sha256(attachments: Mapping[str, bytes]) -> str | None:
-    """Return the hash of the law's source that a recording tells; None where it tells none."""
+    """Return the hash of the law's source in a recording; None without one."""
     return attachments[SHA256].decode(errors="replace") if SHA256 in attachments else None

@@ -1,7 +1,7 @@
-r"""Friction laws: what the display should feel like, as compiled functions of one fixed signature.
+r"""Loading and compilation of friction laws, which are functions with a fixed signature.
 
-A law is named in the rig file: ``karnopp``, ``lugre`` or another of `BUILTIN_LAWS`, a file of this
-folder each; ``file.py:function``; or ``module:function``. It is one plain function::
+The rig file names a law: ``karnopp``, ``lugre`` or another of `BUILTIN_LAWS`, each in a file of this
+folder; ``file.py:function``; or ``module:function``. A law is a plain function::
 
     def my_law(motion, law, state):
         state.brake_Nm = law.F_d                      # what the brake should bear, >= 0
@@ -10,18 +10,18 @@ folder each; ``file.py:function``; or ``module:function``. It is one plain funct
 motion : `MotionRecord`
     measured: angle, speed, speed in encoder counts a cycle, cycle time, handle torque
 law : `LawRecord`
-    parameters of the mode: K_p, F_s, F_d, the velocity band, and those that the law names
-    (`host.laws.law.friction_law`); of a law that names none ``user``, 16 numbers of the rig file
+    parameters of the mode: K_p, F_s, F_d, the velocity band, and the law's named parameters
+    (`host.laws.law.friction_law`); for a law without named parameters ``user``, 16 numbers of the rig file
 state : `LawStateRecord`
-    what the law keeps from cycle to cycle, and its second output ``brake_Nm``
+    the law's state, kept from cycle to cycle, and its second output ``brake_Nm``
 returns
     :math:`\psi` [Nm], the friction to be displayed: :math:`\psi > 0` opposes :math:`v > 0`. A motor
-    shows :math:`-\psi`; a brake cannot push and is given ``state.brake_Nm`` instead.
+    displays :math:`-\psi`; a brake cannot push and gets ``state.brake_Nm`` instead.
 
-The function must be what Numba compiles; nothing may be imported in it. The compiled law is passed
-as a function pointer, so the host's kernels are not compiled again for it. A law of the user's own,
-and what it calls, is compiled with bounds checks: an index beyond an array raises as it does in
-Python, and a law that raises trips.
+Numba must be able to compile the function, and the function must not import anything. The compiled law is
+passed as a function pointer, so the host's kernels are not compiled again for it. A user's law, and the
+functions that it calls, are compiled with bounds checks: an index beyond an array raises as in Python, and
+a law that raises trips.
 """
 
 from __future__ import annotations
@@ -96,17 +96,17 @@ __all__ = [
 ]
 
 OLD_PLACE = "host.laws"
-"""What stood before their names in earlier rig files."""
+"""Module prefix of built-in laws in earlier rig files."""
 
 COLOURS = re.compile(r"\x1b\[[\d;]*m")
-"""What numba puts into its messages where colorama is installed."""
+"""Colour codes in numba's messages, present with colorama."""
 
 EXERCISES = "coulombus.host.laws.exercises"
-"""The module of the exercises of commissioning, which are the project's own, too."""
+"""The module of the exercises of commissioning, which are built in, too."""
 
 
 class LawError(CoulombusError):
-    """A law cannot be loaded; the text names it, the reason and what a law looks like."""
+    """A law cannot be loaded; the text has its name, the reason and the expected form."""
 
     exit_status = 3
 
@@ -115,33 +115,29 @@ LAWS = (
     *(stribeck, regularised, dahl, lugre, elastoplastic, gms, leuven, bliman_sorine, kikuuwe),
     *(wall, detent, texture, viscous, inertia),
 )
-"""The laws with named parameters, a file of this folder each."""
+"""The laws with named parameters, each in a file of this folder."""
 
 BUILTIN_LAWS: Mapping[str, Declaration] = MappingProxyType(
     {law.name: law for law in (KARNOPP, COULOMB, *filter(None, map(declaration_of, LAWS)))}
 )
-"""The project's own laws by their names: of all laws that a recording may name these alone run
-without being named again.
-"""
+"""The built-in laws by their names. Only these run from a recording without `--law`."""
 
 
 @lru_cache(64)
 def _signature(declared: Declaration | None = None) -> Any:
-    """Return the one signature of a law; of one with named parameters, with their names in the
-    records.
-    """
+    """Return the signature of a law; with a declaration, its names are in the records."""
     named = (LAW, LAW_STATE) if declared is None else (declared.law_dtype, declared.state_dtype)
     return numba.float64(*map(numba.from_dtype, (MOTION, *named)))
 
 
 class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
-    """A compiled law as a function pointer of the one signature.
+    """A compiled law as a function pointer with the common signature.
 
-    A record is a pointer in it, and its names are only another view of the same bytes.
+    A record is passed as a pointer, so its names do not matter.
     """
 
     def signature(self) -> Any:
-        """Return the signature that every law has."""
+        """Return the common signature of all laws."""
         return _signature()
 
 
@@ -150,9 +146,7 @@ _CHECKING = threading.Lock()
 
 @contextmanager
 def bounds_checked() -> Iterator[None]:
-    """Let all that is compiled meanwhile check its indices, also functions that have a decorator of
-    their own.
-    """
+    """Compile with bounds checks inside this context, also functions with a decorator of their own."""
     with _CHECKING:
         before = numba.config.BOUNDSCHECK
         numba.config.BOUNDSCHECK = 1
@@ -163,13 +157,11 @@ def bounds_checked() -> Iterator[None]:
 
 
 def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
-    """Compile `function` for the one signature of a law.
+    """Compile `function` with the signature of a law; return a function pointer for kernels.
 
-    What is returned is passed to kernels as a function pointer.
-
-    A law that raises returns NaN, which trips; an index beyond an array's ends raises. Only the
-    project's own laws are cached, and without these checks, which they do not need: the cache would
-    not notice an edit of what a law imports.
+    A law that raises returns NaN, which trips; an index beyond an array's ends raises. Only built-in laws
+    are cached, because the cache would not notice a change in a module that a law imports. They are
+    compiled without these checks, which they do not need.
     """
 
     def guarded(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
@@ -207,9 +199,7 @@ def _line(function: Any, line: int | None = None) -> str:
 
 
 def _unknown_field(function: Any, name: str, motion: np.dtype[Any]) -> str | None:
-    """Say where a law uses a field that its records do not have; None where that is not to be
-    found.
-    """
+    """Return the place at which a law uses a field that its records lack; None if it is not found."""
     try:
         tree = ast.parse(Path(function.__code__.co_filename).read_text(encoding="utf-8"))
     except (OSError, ValueError, SyntaxError):
@@ -231,7 +221,7 @@ def _unknown_field(function: Any, name: str, motion: np.dtype[Any]) -> str | Non
 
 
 def why_not(function: Any, error: Exception, motion: np.dtype[Any] = MOTION) -> str:
-    """Return why `function` does not compile: the user's ``file:line``, and one sentence."""
+    """Return the reason why `function` does not compile: the user's ``file:line``, and a sentence."""
     if (
         isinstance(error, KeyError) and error.args and isinstance(error.args[0], str)
     ):  # numba: no such field in a record
@@ -259,18 +249,16 @@ def why_not(function: Any, error: Exception, motion: np.dtype[Any] = MOTION) -> 
 
 
 def _import_error(error: Exception, place: str) -> str:
-    """Return what is wrong with a law's file: the kind of error, the words, and the file's line."""
+    """Return the text of an error in a law's file: its type, its message, and the file's line."""
     if isinstance(error, SyntaxError):
-        return str(error)  # it names file and line itself
+        return str(error)  # its text has file and line
     said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     own = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.endswith(Path(place).name)]
     return f"{said} ({place}, line {own[-1].lineno})" if own else said
 
 
 def find_law(place: str, directory: Path | None) -> Path:
-    """Return the law's file: beside the rig file, else in the current folder, as EDS files are
-    looked for.
-    """
+    """Return the law's file in the rig file's folder, else in the current folder, as for EDS files."""
     tried = [folder / place for folder in (directory, Path()) if folder is not None]
     path = next((candidate for candidate in tried if candidate.is_file()), None)
     if path is None:
@@ -279,12 +267,12 @@ def find_law(place: str, directory: Path | None) -> Path:
 
 
 class LoadedLaw(NamedTuple):
-    """A law that is ready to be asked."""
+    """A compiled law with its declaration."""
 
     pointer: LawFunction
-    """The compiled function, as kernels take it."""
+    """The compiled function for kernels."""
     declaration: Declaration | None
-    """Its named parameters; None of a law that has none."""
+    """Its named parameters; None for a law without any."""
 
 
 def load_law(name: str, directory: Path | None = None) -> LawFunction:
@@ -320,12 +308,12 @@ def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
 
 @cache
 def _own(name: str) -> LawFunction:
-    """Return one of `BUILTIN_LAWS`, compiled; it keeps nothing, so a process loads it once."""
+    """Return one of `BUILTIN_LAWS`, compiled; it has no state of its own, so a process loads it once."""
     return _compiled(name, BUILTIN_LAWS[name].function, own_law=True)
 
 
 def law_function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> Any:
-    """Return the plain Python function that `name` says."""
+    """Return the plain Python function of the law `name`."""
     checked = (
         nullcontext() if own_law or JIT_DISABLED else bounds_checked()
     )  # a decorator with a signature compiles at once
@@ -345,7 +333,7 @@ def law_function(name: str, place: str, attribute: str, directory: Path | None, 
     except LawError as error:
         raise LawError(f"law {name!r}: {error}") from None
     except Exception as error:
-        if isinstance(error, (CoulombusError, MemoryError)):  # interrupted, and no mistake of the law
+        if isinstance(error, (CoulombusError, MemoryError)):  # an interruption, not an error of the law
             raise
         if isinstance(error, ModuleNotFoundError) and place.startswith(error.name or place):
             text = "there is no module of that name; expected FILE.py:FUNCTION or MODULE:FUNCTION"

@@ -1,5 +1,5 @@
-"""A law's parameters as a rig file gives them: in its table [law.NAME], held against what the law
-declares, or in [mode.NAME] and [law].
+"""A law's parameters from a rig file: its table [law.NAME], checked against the law's declaration, or
+[mode.NAME] and [law].
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ __all__ = ["axis_parameters", "law_parameters", "set_parameters"]
 
 
 def axis_parameters(axis: Axis, law: Declaration | None, mode: str) -> Parameters | None:
-    """Return the parameters of an axis' law in a mode; None of a law that names none.
+    """Return the parameters of an axis' law in a mode; None for a law without named parameters.
 
-    The tables of the project's other laws are looked at, too. A table of another law of the user's
-    own is left alone: what it may hold is not known while that law is not loaded.
+    The tables of other built-in laws are checked, too. A table of another user's law is not checked,
+    because its declaration is unknown while the law is not loaded.
 
     Raises
     ------
     coulombus.rigs.rig.RigError
-        with every mistake that was found, with ``file:line``
+        the text names every error with ``file:line``
     """
     sections = law_parameters(axis.law.tables, law, axis.origin.source(axis.name))
     if law is None:
@@ -40,7 +40,7 @@ def axis_parameters(axis: Axis, law: Declaration | None, mode: str) -> Parameter
 
 
 def _of_mode(axis: Axis, law: Declaration, mode: str) -> Parameters:
-    """Return the parameters of a law that takes those of the mode."""
+    """Return the parameters of a law that uses the keys of the mode."""
     section = axis.mode[mode]
     return law.parameters(
         **{name: getattr(section if name in type(section).model_fields else axis.law, name) for name in law.names}
@@ -50,12 +50,12 @@ def _of_mode(axis: Axis, law: Declaration, mode: str) -> Parameters:
 def law_parameters(
     tables: Mapping[str, Mapping[str, Any]], law: Declaration | None, source: Source
 ) -> dict[str, Parameters]:
-    """Return the parameters of the laws that have tables, and of `law`, by their names.
+    """Return the parameters of the laws with tables, and of `law`, by the laws' names.
 
     Raises
     ------
     coulombus.rigs.rig.RigError
-        with every mistake that was found
+        the text names every error
     """
     declared = {name: builtin for name, builtin in BUILTIN_LAWS.items() if not builtin.uses_mode_keys}
     if law is not None and (not law.uses_mode_keys or law is not BUILTIN_LAWS.get(law.name)):
@@ -79,12 +79,12 @@ def law_parameters(
 
 
 def set_parameters(law: Declaration, overrides: Sequence[str]) -> Parameters:
-    """Return a law's parameters, defaults but for "KEY=VALUE", as ``--set`` takes them.
+    """Return a law's parameters: the defaults except for "KEY=VALUE" from ``--set``.
 
     Raises
     ------
     coulombus.rigs.rig.RigError
-        with every mistake that was found
+        the text names every error
     """
     source = Source("", read_toml(""))
     values: dict[str, dict[str, Any]] = {"law": {law.name: {}}}
@@ -106,7 +106,7 @@ def set_parameters(law: Declaration, overrides: Sequence[str]) -> Parameters:
 def _validated(
     known: Mapping[str, Mapping[str, Any]], declared: Mapping[str, Declaration], source: Source
 ) -> dict[str, Parameters]:
-    """Return the parameters by the laws' names; mistakes are noted in `source`."""
+    """Return the parameters by the laws' names; errors are added to `source`."""
     schema = _schema(tuple((name, declared[name]) for name in known))
     try:
         model = schema.model_validate({"law": known})
@@ -121,14 +121,14 @@ def _validated(
 
 @lru_cache(64)
 def _schema(laws: tuple[tuple[str, Declaration], ...]) -> type[Section]:
-    """Return the model of a file with the tables of these laws; it is made once for the same laws."""
+    """Return the model of a file with the tables of these laws (cached)."""
     models: dict[str, Any] = {name: (law.parameters, Field(description=law.title)) for name, law in laws}
     section = create_model("Laws", __base__=Section, **models)
     return create_model("File", __base__=Section, law=(section, Field(description="the laws")))
 
 
 def _hold_together(name: str, values: Parameters, source: Source) -> None:
-    """Note which parameters are not what another one of the same law asks of them."""
+    """Add an error for each parameter that violates its relation to another parameter of the law."""
     relations = [(first, second, "at least") for first, second in values.at_least.items()]
     relations += [(first, second, "more than") for first, second in values.above.items()]
     for first, second, words in relations:

@@ -1,4 +1,4 @@
-"""Motions along which a law is driven: a CSV file, a sine, a ramp."""
+"""Motions for the evaluation of a law: a CSV file, a sine, a ramp."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = ["MotionFileError", "MotionPath", "ramp", "read_columns", "read_motion
 COLUMNS = ("t_s", "x_rad")
 MOST_ERRORS = 10
 MOST = 1e100
-"""No number of a motion is larger: what is computed of it stays finite."""
+"""Largest number in a motion, so that all computed values stay finite."""
 
 
 class MotionFileError(CoulombusError):
-    """A motion file cannot be used; each line says where, what, and what is expected."""
+    """A motion file cannot be used; each line has the place, the value and the expectation."""
 
     exit_status = 3
 
@@ -47,25 +47,26 @@ def ramp(speed_rad_s: float, seconds: float, rate_Hz: float) -> MotionPath:
 
 
 def read_motion(path: Path) -> MotionPath:
-    """Read a CSV file with the columns t_s [s] and x_rad [rad]; further columns are left alone, so
-    are empty lines and those that begin with #.
+    """Read a CSV file with the columns t_s [s] and x_rad [rad].
+
+    Further columns, empty lines and lines that begin with # are ignored.
 
     Raises
     ------
     MotionFileError
-        with the first mistakes, each with ``file:line``
+        the text names the first errors, each with ``file:line``
     """
     t_s, x_rad = read_columns(path, COLUMNS)
     return MotionPath(t_s, x_rad)
 
 
 def read_columns(path: Path, columns: tuple[str, ...]) -> tuple[npt.NDArray[np.float64], ...]:
-    """Read columns of numbers from a CSV file, the first of which is times that grow.
+    """Read columns of numbers from a CSV file; the first column has ascending times.
 
     Raises
     ------
     MotionFileError
-        with the first mistakes, each with ``file:line``
+        the text names the first errors, each with ``file:line``
     """
     expected = f"a CSV file with the columns {','.join(columns)}"
     try:
@@ -115,12 +116,12 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> tuple[npt.NDArray[np.f
 
 
 def _cells(line: str) -> list[str]:
-    """Return a line's cells; quotes may stand around one."""
+    """Return a line's cells; a cell may be quoted."""
     return line.split(",") if '"' not in line else next(csv.reader([line]))
 
 
 def _number(cell: str) -> float:
-    if "_" in cell:  # Python's own grouping: 1_000
+    if "_" in cell:  # Python's digit grouping: 1_000
         return math.nan
     try:
         return float(cell)

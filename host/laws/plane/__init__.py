@@ -1,1 +1,1 @@
-"""Friction laws in the plane: force and motion are vectors; one file a law, and how they are loaded."""
+"""Friction laws in the plane, with force and motion as vectors: one file for each law, and their loading."""

@@ -1,7 +1,7 @@
-r"""The limit curve of friction in the plane: an ellipse of forces, and the rule of the largest dissipation.
+r"""Limit curve of friction in the plane: an ellipse of forces, with the rule of maximum dissipation.
 
 Within the ellipse, with the semi-axis F along the angle :math:`\beta` and :math:`\rho F` across it, the
-tip sticks. In slip the force is the point of the ellipse that takes the most power of the velocity:
+tip sticks. In slip the force is the point of the ellipse that dissipates the most power:
 
 .. math::
 
@@ -25,7 +25,7 @@ __all__ = ["gauge", "slip_force"]
 
 @kernel
 def slip_force(vx: float, vy: float, level_N: float, ratio: float, angle_rad: float) -> tuple[float, float]:
-    """Return the force in slip with a velocity that is not 0 [N]."""
+    """Return the force in slip [N] for a velocity that is not 0."""
     if ratio == 1.0:
         share = level_N / math.sqrt(vx * vx + vy * vy)
         return share * vx, share * vy
@@ -38,7 +38,7 @@ def slip_force(vx: float, vy: float, level_N: float, ratio: float, angle_rad: fl
 
 @kernel
 def gauge(fx: float, fy: float, level_N: float, ratio: float, angle_rad: float) -> float:
-    """Return the share of the way to the limit that a force is: 1 on the ellipse."""
+    """Return a force as a share of the limit in its direction: 1 on the ellipse."""
     if ratio == 1.0:
         return math.sqrt(fx * fx + fy * fy) / level_N if level_N > 0.0 else math.inf
     c, s = math.cos(angle_rad), math.sin(angle_rad)

@@ -19,7 +19,7 @@ class PlaneDahlParameters(Parameters):
 
 
 class PlaneDahlState(PlaneStateRecord):
-    """What it keeps."""
+    """State of the law."""
 
     F_N: Annotated[FloatField, 2]  # the spring's force
 
@@ -30,10 +30,10 @@ def plane_dahl(motion: PlaneMotionRecord, law: PlaneDahlParameters, state: Plane
 
     .. math:: \frac{d\psi}{ds} = \sigma \left(\frac{v}{|v|} - \frac{\psi}{F_c}\right)
 
-    along the path s; it depends on the path alone. A step is solved exactly: psi goes to
-    :math:`F_c v/|v|` by :math:`e^{-\sigma |v| dt/F_c}`. With :math:`|\psi|^2/2\sigma` stored it is
-    passive: what is lost is :math:`|\psi|^2/F_c` per length of path. It turns with the velocity
-    (rotation invariance), and is the law ``dahl`` with alpha = 1 along a straight line.
+    along the path s; it depends on the path alone. A step is solved exactly: psi approaches
+    :math:`F_c v/|v|` with :math:`e^{-\sigma |v| dt/F_c}`. With the stored energy :math:`|\psi|^2/2\sigma`
+    the law is passive: it dissipates :math:`|\psi|^2/F_c` per length of path. It turns with the velocity
+    (rotation invariance). Along a straight line it is the law ``dahl`` with alpha = 1.
 
     Source: P. R. Dahl, AIAA J. 14(12), 1976, doi:10.2514/3.61511; as a vector: V. Hayward, B. Armstrong,
     A new computational model of friction applied to haptic rendering, Experimental Robotics VI, 2000.

@@ -24,9 +24,9 @@ class PlaneKarnoppParameters(Parameters):
 
 
 class PlaneKarnoppState(PlaneStateRecord):
-    """What it keeps."""
+    """State of the law."""
 
-    anchor_m: Annotated[FloatField, 2]  # where the stick spring is at rest
+    anchor_m: Annotated[FloatField, 2]  # position at which the stick spring is at rest
 
 
 @plane_law(PlaneKarnoppParameters, state=PlaneKarnoppState, extremes=("F_s_N", "F_d_N"))

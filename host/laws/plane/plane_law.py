@@ -1,6 +1,6 @@
-r"""What a law in the plane is: a function of one fixed signature, its records, and its declaration.
+r"""Definition of a law in the plane: a function with a fixed signature, its records, and its declaration.
 
-It is a law as on one axis (`host.laws.law`), with vectors::
+It corresponds to a law on one axis (`host.laws.law`), with vectors::
 
     class MyLaw(Parameters):
         F_c_N: float = Field(1.0, gt=0, le=1e4, description="Coulomb friction")
@@ -43,38 +43,38 @@ __all__ = [
 
 
 class PlaneMotionRecord(Record):
-    """What a law in the plane sees."""
+    """Input of a law in the plane."""
 
-    x_m: Annotated[FloatField, 2]  # the tip
-    v_m_s: Annotated[FloatField, 2]  # its velocity
-    hand_N: Annotated[FloatField, 2]  # the hand's force on the tip, by the joints' transducers
-    dt_s: float  # the cycle
+    x_m: Annotated[FloatField, 2]  # position of the tip
+    v_m_s: Annotated[FloatField, 2]  # velocity of the tip
+    hand_N: Annotated[FloatField, 2]  # the hand's force on the tip, from the joints' transducers
+    dt_s: float  # period of the cycle
 
 
 class PlaneLawRecord(Record):
     """A law's parameters."""
 
-    user: Annotated[FloatField, USER]  # in the order of its declaration
+    user: Annotated[FloatField, USER]  # the parameters in the order of the declaration
 
 
 class PlaneStateRecord(Record):
-    """What a law keeps from cycle to cycle, and its further outputs."""
+    """State of a law, kept from cycle to cycle, and its further outputs."""
 
     stuck: int  # 1: the tip sticks
-    psi_N: Annotated[FloatField, 2]  # what the law returned last; kept by the host
+    psi_N: Annotated[FloatField, 2]  # last result of the law; stored by the host
     motor_N: Annotated[FloatField, 2]  # the part of psi that pushes back, for the motors alone
-    hold_N: float  # the level that brakes hold at rest, against the hand's present direction; 0: they hold nothing
-    user: Annotated[FloatField, USER]  # what a law keeps by names of its own
+    hold_N: float  # force that the brakes hold at rest, in the hand's present direction; 0: none
+    user: Annotated[FloatField, USER]  # a law's own state variables
 
 
 PLANE_MOTION = dtype_of(PlaneMotionRecord)
 
 PlaneLawFunction: TypeAlias = Callable[[PlaneMotionRecord, PlaneLawRecord, PlaneStateRecord], tuple[float, float]]
-"""A compiled law in the plane (`host.laws.plane.plane_laws`): the force that it asks for [N]."""
+"""A compiled law in the plane (`host.laws.plane.plane_laws`), which returns the friction force psi [N]."""
 
 
 class PlaneDeclaration(Declaration):
-    """A law in the plane: its function, its parameters by name, and what it keeps."""
+    """A law in the plane: its function, its named parameters, and its state."""
 
     BASES: ClassVar[tuple[np.dtype[Any], np.dtype[Any]]] = (dtype_of(PlaneLawRecord), dtype_of(PlaneStateRecord))
 
@@ -94,14 +94,15 @@ def plane_law(
     Parameters
     ----------
     parameters : the model of its parameters
-    state : what the law keeps from cycle to cycle: a class of a `PlaneStateRecord` with further fields
-    extremes : the parameters that say how much it displays at most [N]
-    pushes : the motors display ``state.motor_N``
+    state : the state that the law keeps from cycle to cycle: a subclass of `PlaneStateRecord` with further
+        fields
+    extremes : the parameters that set the law's peak output [N]
+    pushes : whether the motors display ``state.motor_N``
 
     Raises
     ------
     ValueError
-        more than 16 numbers, or a name that the records have already
+        more than 16 numbers, or a name that the records already have
     """
     kept = () if state is None else tuple(state_fields(state, dtype_of(PlaneStateRecord)))
 

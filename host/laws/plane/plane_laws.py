@@ -1,4 +1,4 @@
-"""The laws in the plane by their names, compiled: the project's, and functions of the user's own files."""
+"""Loading and compilation of laws in the plane: built-in laws, and functions in the user's files."""
 
 from __future__ import annotations
 
@@ -50,29 +50,30 @@ PLANE_LAWS: Mapping[str, Declaration] = MappingProxyType(
         if law is not None
     }
 )
-"""The project's laws in the plane by their names."""
+"""The built-in laws in the plane by their names."""
 
 
 @lru_cache(64)
 def _signature(declared: Declaration | None = None) -> Any:
-    """Return the one signature of a law in the plane, with the names of its parameters in the records."""
+    """Return the signature of a law in the plane; with a declaration, its names are in the records."""
     named = PlaneDeclaration.BASES if declared is None else (declared.law_dtype, declared.state_dtype)
     return numba.types.UniTuple(numba.float64, 2)(*map(numba.from_dtype, (PLANE_MOTION, *named)))
 
 
 class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
-    """A compiled law as a function pointer of the one signature."""
+    """A compiled law as a function pointer with the common signature."""
 
     def signature(self) -> Any:
-        """Return the signature that every law in the plane has."""
+        """Return the common signature of all laws in the plane."""
         return _signature()
 
 
 def compile_plane_law(function: Callable[..., Any], cache: bool = False) -> PlaneLawFunction:
-    """Compile `function` for the one signature of a law in the plane, as `host.laws.laws.compile_law` does
-    for one axis: with `cache` for the project's own laws, else with checked indices.
+    """Compile `function` with the signature of a law in the plane, as `host.laws.laws.compile_law` does for
+    one axis.
 
-    A law that raises returns NaN.
+    With `cache`, for built-in laws, the result is cached; else indices are checked. A law that raises
+    returns NaN.
     """
 
     def guarded(motion: PlaneMotionRecord, law: PlaneLawRecord, state: PlaneStateRecord) -> tuple[float, float]:
@@ -118,7 +119,7 @@ def _drive(
     x_m: npt.NDArray[np.float64],
     psi_N: npt.NDArray[np.float64],
 ) -> int:
-    """Ask the law along a motion; return the first sample with no finite force, -1 where there is none."""
+    """Evaluate the law along a motion; return the first sample with a force that is not finite, or -1."""
     for k in range(len(t_s)):
         before = max(k - 1, 0)
         motion.dt_s = t_s[k] - t_s[before] if k > 0 else t_s[1] - t_s[0]
@@ -139,9 +140,9 @@ class PlaneLaw:
 
     Attributes
     ----------
-    name : as the rig file spells it
-    function : the compiled function, as kernels take it
-    declaration, parameters : None of a law that names none
+    name : the name in the rig file
+    function : the compiled function for kernels
+    declaration, parameters : None for a law without named parameters
     """
 
     name: str
@@ -150,7 +151,7 @@ class PlaneLaw:
     parameters: Parameters | None
 
     def record(self) -> RecordArray[PlaneLawRecord]:
-        """Return the parameters as kernels take them, as an array of one record."""
+        """Return the parameters for kernels, as an array of one record."""
         record = new_records(PlaneLawRecord)
         if self.declaration is not None and self.parameters is not None:
             for k, number in enumerate(self.declaration.numbers(self.parameters).values()):
@@ -164,13 +165,13 @@ class PlaneLaw:
 
         Parameters
         ----------
-        t_s : times that grow, two or more [s]
-        x_m : places there, shape (n, 2) [m]
+        t_s : ascending times, two or more [s]
+        x_m : positions at these times, shape (n, 2) [m]
 
         Raises
         ------
         coulombus.host.laws.laws.LawError
-            it returned no finite force
+            the law returned a force that is not finite
         """
         times, places = np.ascontiguousarray(t_s, np.float64), np.ascontiguousarray(x_m, np.float64)
         forces = np.zeros_like(places)
@@ -185,19 +186,19 @@ class PlaneLaw:
 
 
 def load_plane_law(name: str, overrides: Sequence[str] = (), directory: Path | None = None) -> PlaneLaw:
-    """Return a law in the plane by its name, with its defaults but for "KEY=VALUE".
+    """Return a law in the plane by its name, with its default parameters except for "KEY=VALUE".
 
     Parameters
     ----------
     name : one of `PLANE_LAWS`, ``file.py:function`` or ``module:function``
-    directory : where a file is looked for before the current folder
+    directory : folder in which a file is searched before the current folder
 
     Raises
     ------
     coulombus.host.laws.laws.LawError
         there is no such law, or it does not compile
     coulombus.rigs.rig.RigError
-        a parameter is none of this law's, or its value is refused
+        the law does not have a parameter, or its value is refused
     """
     if name in PLANE_LAWS:
         declared: Declaration | None = PLANE_LAWS[name]

@@ -27,9 +27,9 @@ class PlaneLuGreParameters(Parameters):
 
 
 class PlaneLuGreState(PlaneStateRecord):
-    """What it keeps."""
+    """State of the law."""
 
-    z_m: Annotated[FloatField, 2]  # the bristle
+    z_m: Annotated[FloatField, 2]  # deflection of the bristle
 
 
 @plane_law(PlaneLuGreParameters, state=PlaneLuGreState, extremes=("F_s_N",))
@@ -42,9 +42,9 @@ def plane_lugre(motion: PlaneMotionRecord, law: PlaneLuGreParameters, state: Pla
         g = F_c + (F_s - F_c)\,e^{-(|v|/v_s)^2}, \quad
         \psi = \sigma_0 z + \sigma_1 \dot z + \sigma_2 v
 
-    Within a cycle v is one vector; z goes by its exact exponential to :math:`g v/(\sigma_0 |v|)`. So
-    :math:`|z| \le F_s/\sigma_0` always. It turns with the velocity (rotation invariance), and is the law
-    ``lugre`` along a straight line.
+    Within a cycle v is constant, and z approaches :math:`g v/(\sigma_0 |v|)` by its exact exponential. So
+    :math:`|z| \le F_s/\sigma_0` always holds. The law turns with the velocity (rotation invariance). Along a
+    straight line it is the law ``lugre``.
 
     Source: E. Velenis, P. Tsiotras, C. Canudas de Wit, M. Sorine, Dynamic tyre friction models for
     combined longitudinal and lateral vehicle motion, Vehicle System Dynamics 43(1), 2005; C. Canudas

@@ -22,8 +22,8 @@ def plane_viscous(
 ) -> tuple[float, float]:
     r"""A viscous damper in the plane that ends at a force: :math:`\psi = B v`, at most :math:`F_{max}` long.
 
-    It turns with the velocity (rotation invariance), and is the law ``viscous`` along a straight line.
-    Brakes hold nothing at rest.
+    It turns with the velocity (rotation invariance). Along a straight line it is the law ``viscous``. The
+    brakes hold nothing at rest.
 
     Source: J. E. Colgate, G. G. Schenkel, Passivity of a class of sampled-data systems, J. Robotic
     Systems 14(1), 1997, doi:10.1002/(SICI)1097-4563(199701)14:1<37::AID-ROB4>3.0.CO;2-V.
