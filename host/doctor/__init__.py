@@ -1,5 +1,5 @@
-"""What is wrong with a rig's PC, and how it is mended.
+"""Checks of a rig's PC, each with the command that fixes the problem.
 
-Each module has the checks of one subject. They read the machine through `machine.Machine`, which
-tests replace by a tree of files; no check changes anything.
+Each module has the checks of one subject. They read the machine through `machine.Machine`, which tests
+replace by a tree of files. No check changes anything.
 """

@@ -1,4 +1,4 @@
-"""The CAN interface: its driver, how it is set up, and what it has counted."""
+"""Checks of the CAN interface: driver, settings, and error counters."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ __all__ = ["Interface", "checks"]
 
 ARPHRD_CAN = 280
 SHORTEST_QUEUE, LONGEST_QUEUE = 16, 256
-"""Frames: below, an SDO beside the cycle finds no room; above, set-points that nobody wants any
-more wait in it.
+"""Limits of the queue in frames: a shorter queue has no room for an SDO during the cycle; in a longer one
+outdated set-points wait.
 """
 RESTART_MS = 100
 IRQ_PRIORITY = 90
-"""Of SCHED_FIFO, for the thread of the card's interrupt: above the host's."""
+"""SCHED_FIFO priority of the card's interrupt thread: above the host's."""
 RT_PRIORITY = 40 - 3
-"""Field rt_priority of /proc/PID/stat, counted from the first one behind the name (proc(5))."""
+"""Index of the field rt_priority in /proc/PID/stat, counted from the first field after the name (proc(5))."""
 SAMPLE_POINTS = {1_000_000: (0.75, 0.90), 800_000: (0.75, 0.90)}
 SAMPLE_POINT, BEST_SAMPLE_POINT = (0.85, 0.90), 0.875
-"""CiA 301, bit timing: the range of the sample point, which is wider at 800 and 1000 kbit/s."""
+"""Range of the sample point (CiA 301, bit timing), which is wider at 800 and 1000 kbit/s."""
 
 
 @dataclass(frozen=True)
 class Interface:
-    """An interface, what is wanted of it, and what ``ip -details -json link`` says of it."""
+    """An interface, its required bit rate, and the output of ``ip -details -json link`` for it."""
 
     machine: Machine
     name: str
@@ -46,7 +46,7 @@ class Interface:
 
     @property
     def setup(self) -> str:
-        """The commands that set the interface up as it is wanted."""
+        """The commands that set the interface up."""
         rate = self.bitrate_bit_s or "BITRATE"
         link = f"sudo ip link set {shell(self.name)}"
         return (
@@ -57,7 +57,7 @@ class Interface:
 
     @property
     def details(self) -> dict[str, Any]:
-        """What `ip` says of the interface, asked once; CannotRead where that is nothing."""
+        """Output of `ip` for the interface, read once; CannotRead if it is not valid."""
         if "link" not in self._kept:
             text = self.machine.ask(["ip", "-details", "-statistics", "-json", "link", "show", "dev", self.name])
             try:
@@ -70,7 +70,7 @@ class Interface:
         return details
 
     def data(self, *keys: str) -> Any:
-        """Return what stands under `keys` of the details; CannotRead where nothing does."""
+        """Return the value under `keys` of the details; CannotRead if there is none."""
         value: Any = self.details
         for key in keys:
             if not isinstance(value, dict) or key not in value:
@@ -79,7 +79,7 @@ class Interface:
         return value
 
     def number(self, *keys: str) -> float:
-        """Return the number under `keys`; CannotRead where none is."""
+        """Return the number under `keys`; CannotRead if there is none."""
         value = self.data(*keys)
         try:
             return float(value)
@@ -87,12 +87,12 @@ class Interface:
             raise CannotRead(f"{'.'.join(keys)} of {self.name}: got {value!r}, expected a number") from None
 
     def info(self, *keys: str) -> Any:
-        """Return what stands under `keys` of the controller's own data."""
+        """Return the value under `keys` of the controller's data."""
         return self.data("linkinfo", "info_data", *keys)
 
     @property
     def modes(self) -> frozenset[str]:
-        """The controller's modes that are on; `ip` leaves the list out where none is."""
+        """The active modes of the controller; `ip` omits the list if there are none."""
         data = self.data("linkinfo", "info_data")
         modes = data.get("ctrlmode", []) if isinstance(data, dict) else None
         if not isinstance(modes, list):
@@ -101,17 +101,17 @@ class Interface:
 
     @property
     def virtual(self) -> bool:
-        """Whether there is no controller behind it (vcan, vxcan)."""
+        """Whether the interface has no controller (vcan, vxcan)."""
         kind = self.details.get("linkinfo")
         return isinstance(kind, dict) and kind.get("info_kind") in ("vcan", "vxcan")
 
 
 def checks(machine: Machine, name: str, bitrate_bit_s: int | None = None) -> list[Check]:
-    """Return the checks of the interface `name`, which is to have this bit rate (None: any)."""
+    """Return the checks of the interface `name`, with its required bit rate (None: any)."""
     can = Interface(machine, name, bitrate_bit_s)
     if not machine.path(f"/sys/class/net/{name}").exists():
         return [("can.interface", partial(_missing, can))]
-    if not _is_can(machine, name):  # of nothing else anything is to be mended
+    if not _is_can(machine, name):  # the other checks apply to CAN interfaces only
         return [("can.interface", partial(interface, can))]
     general = (interface, driver, up, txqueuelen)
     of_controller = (
@@ -154,7 +154,7 @@ def _missing(can: Interface) -> Outcome:
 
 
 def interface(can: Interface) -> Outcome:
-    """The interface is one of CAN."""
+    """Check that the interface is a CAN interface."""
     kind = can.machine.number(f"/sys/class/net/{can.name}/type")
     if kind == ARPHRD_CAN:
         return Outcome(True, f"{can.name} is a CAN interface")
@@ -164,7 +164,7 @@ def interface(can: Interface) -> Outcome:
 
 
 def driver(can: Interface) -> Outcome:
-    """Which driver; slcan is a serial line and no match for a cycle of a millisecond."""
+    """Check the driver: slcan is a serial line, too slow for a cycle of a millisecond."""
     target = can.machine.path(f"/sys/class/net/{can.name}/device/driver")
     name = os.path.basename(os.path.realpath(target)) if target.exists() else ""
     if not name and can.virtual:
@@ -179,7 +179,7 @@ def driver(can: Interface) -> Outcome:
 
 
 def up(can: Interface) -> Outcome:
-    """The interface is up."""
+    """Check that the interface is up."""
     flags = can.machine.text(f"/sys/class/net/{can.name}/flags")
     try:
         is_up = bool(int(flags, 16) & 1)
@@ -192,7 +192,7 @@ def up(can: Interface) -> Outcome:
 
 
 def txqueuelen(can: Interface) -> Outcome:
-    """What waits to be sent: too little room loses frames, too much keeps old set-points."""
+    """Check the length of the transmit queue: a short queue loses frames, a long queue keeps old set-points."""
     length = can.machine.number(f"/sys/class/net/{can.name}/tx_queue_len")
     fix = f"sudo ip link set {shell(can.name)} txqueuelen 64"
     if can.virtual:
@@ -205,8 +205,10 @@ def txqueuelen(can: Interface) -> Outcome:
 
 
 def irq_thread(can: Interface) -> Outcome:
-    """A PREEMPT_RT kernel empties the card's receive buffer in a thread, by default of priority 50:
-    below the host's it waits while the host polls, and frames are lost.
+    """Check the priority of the card's interrupt thread.
+
+    A PREEMPT_RT kernel empties the card's receive buffer in a thread, by default with priority 50. Below the
+    host's priority it waits while the host polls, and frames are lost.
     """
     machine = can.machine
     if not preempt_rt(machine).ok:
@@ -218,7 +220,7 @@ def irq_thread(can: Interface) -> Outcome:
             name = machine.text(f"/proc/{pid}/comm")
             if (thread := re.match(r"irq/(\d+)-", name)) and thread[1] in numbers:
                 priorities[name] = _priority(machine, pid)
-        except Absent:  # it has ended meanwhile
+        except Absent:  # the process has ended in the meantime
             continue
     if not priorities:
         return Outcome(True, f"no interrupt of {can.name} has a thread")
@@ -232,8 +234,8 @@ def irq_thread(can: Interface) -> Outcome:
 
 
 def _interrupts(can: Interface) -> set[str]:
-    """Return the numbers of the interrupts that have the interface's name, or are of its device: a
-    USB card's are those of the USB controller.
+    """Return the numbers of the interrupts with the interface's name, or of its device; for a USB card, of
+    the USB controller.
     """
     machine = can.machine
     numbers = [name for name in machine.names("/proc/irq") if name.isdecimal()]
@@ -255,7 +257,7 @@ def _interrupts(can: Interface) -> set[str]:
 
 
 def _priority(machine: Machine, pid: str) -> int:
-    """Return the real-time priority of a thread; 0: it has none."""
+    """Return the real-time priority of a thread; 0: none."""
     text = machine.text(f"/proc/{pid}/stat")
     try:
         return int(text.rpartition(")")[2].split()[RT_PRIORITY])
@@ -264,7 +266,7 @@ def _priority(machine: Machine, pid: str) -> int:
 
 
 def state(can: Interface) -> Outcome:
-    """The controller takes part in the bus."""
+    """Check that the controller is error-active."""
     name = str(can.info("state"))
     if name == "ERROR-ACTIVE":
         return Outcome(True, name)
@@ -278,7 +280,7 @@ def state(can: Interface) -> Outcome:
 
 
 def mode(can: Interface) -> Outcome:
-    """No mode in which frames are not sent, or not sent again."""
+    """Check that no mode suppresses frames or their retransmission."""
     bad = sorted(can.modes & {"LOOPBACK", "LISTEN-ONLY", "ONE-SHOT", "PRESUME-ACK"})
     if not bad:
         return Outcome(True, "sends, and sends again what was destroyed")
@@ -289,7 +291,7 @@ def mode(can: Interface) -> Outcome:
 
 
 def bitrate(can: Interface) -> Outcome:
-    """The bit rate is the rig's."""
+    """Check that the bit rate is that of the rig file."""
     rate = can.number("linkinfo", "info_data", "bittiming", "bitrate")
     if can.bitrate_bit_s is None:
         return Outcome(True, f"{rate / 1000:g} kbit/s")
@@ -299,7 +301,7 @@ def bitrate(can: Interface) -> Outcome:
 
 
 def sample_point(can: Interface) -> Outcome:
-    """Where in a bit it is looked at: 87.5 % (CiA 301, bit timing)."""
+    """Check the sample point: 87.5 % (CiA 301, bit timing)."""
     rate = round(can.number("linkinfo", "info_data", "bittiming", "bitrate"))
     point = can.number("linkinfo", "info_data", "bittiming", "sample_point")
     low, high = SAMPLE_POINTS.get(rate, SAMPLE_POINT)
@@ -308,7 +310,7 @@ def sample_point(can: Interface) -> Outcome:
 
 
 def restart_ms(can: Interface) -> Outcome:
-    """After a bus-off the interface comes back by itself; the host has tripped and stays so."""
+    """Check that the interface restarts after a bus-off; the host has tripped, and stays tripped."""
     after = can.number("linkinfo", "info_data", "restart_ms")
     if after > 0:
         return Outcome(True, f"{after:g} ms")
@@ -316,7 +318,7 @@ def restart_ms(can: Interface) -> Outcome:
 
 
 def berr_reporting(can: Interface) -> Outcome:
-    """Each error on the bus comes as an error frame, is counted and recorded."""
+    """Check that each bus error is reported as an error frame, so that it is counted and recorded."""
     if "BERR-REPORTING" in can.modes:
         return Outcome(True, "on")
     supported = can.info().get("ctrlmode_supported")
@@ -326,7 +328,7 @@ def berr_reporting(can: Interface) -> Outcome:
 
 
 def error_counters(can: Interface) -> Outcome:
-    """The controller has met no errors since it was set up."""
+    """Check that the controller has counted no errors since its set-up."""
     tx, rx = (can.number("linkinfo", "info_data", "berr_counter", counter) for counter in ("tx", "rx"))
     try:
         counted = can.data("linkinfo", "info_xstats")
@@ -339,7 +341,9 @@ def error_counters(can: Interface) -> Outcome:
 
 
 def timestamps(can: Interface) -> Outcome:
-    """A card that stamps itself tells the time on the wire; without, the kernel's is used."""
+    """Report the source of the time stamps: a card with its own stamps gives the time on the wire; else the
+    kernel's stamps are used.
+    """
     if can.machine.stamps(can.name):
         return Outcome(True, "in hardware")
     return Outcome(True, "by the kernel, when the frame is handed over: some tens of microseconds late")

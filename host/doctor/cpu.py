@@ -1,4 +1,4 @@
-"""The processors: which one the cycle has for itself, and what takes time from it."""
+"""Checks of the CPUs: isolation of the cycle's CPU, and causes of its delays."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ __all__ = ["checks", "cycle_cpu", "others_mask"]
 CPUS = "/sys/devices/system/cpu"
 GRUB = "/etc/default/grub"
 DEEP_US = 50
-"""Waking from a deeper sleep takes longer than a cycle can spare."""
+"""Longest acceptable wake-up latency of an idle state [us]."""
 SHOWN = 6
 
 
 def cycle_cpu(machine: Machine, given: int | None = None) -> int:
     """Return the CPU for the cycle: the given one, else the machine's last.
 
-    CannotRead where the machine does not tell its CPUs.
+    CannotRead if the machine does not list its CPUs.
     """
     return max(machine.online(), default=0) if given is None else given
 
 
 def checks(machine: Machine, given: int | None = None) -> list[Check]:
-    """Return the checks of the processors; `given` is the CPU for the cycle."""
+    """Return the checks of the CPUs; `given` is the CPU for the cycle."""
     of_cpu = (isolated, nohz_full, irq_affinity, governor)
     entries: list[Check] = [(f"cpu.{check.__name__}", partial(check, machine, given)) for check in of_cpu]
     return [*entries, ("cpu.c_states", partial(c_states, machine))]
@@ -50,12 +50,12 @@ def _listed(machine: Machine, name: str, given: int | None, why: str) -> Outcome
 
 
 def isolated(machine: Machine, given: int | None = None) -> Outcome:
-    """Ordinary threads stay away from an isolated CPU (isolcpus)."""
+    """Check that the cycle's CPU is isolated (isolcpus), so that ordinary threads do not run there."""
     return _listed(machine, "isolated", given, "is not isolated: ordinary threads run there, too")
 
 
 def nohz_full(machine: Machine, given: int | None = None) -> Outcome:
-    """A CPU of nohz_full has no timer tick while one thread runs there."""
+    """Check that the cycle's CPU is in nohz_full: it has no timer tick while a single thread runs there."""
     return _listed(machine, "nohz_full", given, "is not in nohz_full: the timer ticks there")
 
 
@@ -64,7 +64,7 @@ def _cpus(cpus: frozenset[int]) -> str:
 
 
 def others_mask(online: frozenset[int], cpu: int) -> str:
-    """Return the mask of all CPUs but one, as /proc/irq takes it: 32 bits a word."""
+    """Return the mask of all CPUs except `cpu` in the format of /proc/irq: words of 32 bits."""
     bits = sum(1 << other for other in online - {cpu}) or 1
     words = []
     while bits:
@@ -74,7 +74,7 @@ def others_mask(online: frozenset[int], cpu: int) -> str:
 
 
 def irq_affinity(machine: Machine, given: int | None = None) -> Outcome:
-    """Interrupts of other devices on the cycle's CPU hold it up."""
+    """Check that no interrupts of other devices come to the cycle's CPU, where they would delay the cycle."""
     online, cpu = machine.online(), cycle_cpu(machine, given)
     if len(online) < 2:
         return Outcome(
@@ -116,7 +116,7 @@ def _affinity(machine: Machine, number: str) -> frozenset[int]:
 
 
 def governor(machine: Machine, given: int | None = None) -> Outcome:
-    """A governor that saves power changes the clock while the cycle runs."""
+    """Check the CPU governor: one that saves power changes the clock during the cycle."""
     cpu = cycle_cpu(machine, given)
     try:
         name = machine.text(f"{CPUS}/cpu{cpu}/cpufreq/scaling_governor")
@@ -131,7 +131,7 @@ def governor(machine: Machine, given: int | None = None) -> Outcome:
 
 
 def c_states(machine: Machine) -> Outcome:
-    """The host forbids deep sleep while it runs, where it may write /dev/cpu_dma_latency."""
+    """Check that the host can prevent deep idle states, by /dev/cpu_dma_latency."""
     from coulombus.host.doctor.rights import DMA_FIX, dma_writable
 
     deepest, which = 0, ""

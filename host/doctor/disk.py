@@ -1,4 +1,4 @@
-"""Room for recordings."""
+"""Check of the disk space for recordings."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from coulombus.host.doctor.wanted import RigDemands
 __all__ = ["bytes_s", "checks"]
 
 PACKET_BYTES, TRACE_BYTES = 48, 12
-"""Of a recording: each frame, and what the trace keeps of each cycle, rounded up."""
+"""Size of a frame and of a cycle's trace in a recording, rounded up."""
 ENOUGH_H = 8.0
-"""A day of work."""
+"""Required recording time [h]: a working day."""
 
 
 def bytes_s(demands: RigDemands) -> float:
-    """Return how fast a recording grows, in bytes a second of display."""
+    """Return the data rate of a recording [bytes/s]."""
     return (PACKET_BYTES * demands.frames + TRACE_BYTES) / demands.period_s
 
 
@@ -29,7 +29,7 @@ def checks(folder: Path, demands: RigDemands) -> list[Check]:
 
 
 def free(folder: Path, demands: RigDemands) -> Outcome:
-    """A day's recordings find room."""
+    """Check that the disk has room for a day's recordings."""
     try:
         volume = os.statvfs(folder)
     except OSError as error:

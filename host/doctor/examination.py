@@ -1,4 +1,4 @@
-"""All checks of a machine for a rig, in the order in which they are told."""
+"""All checks of a machine for a rig, in the order of the report."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def examination(
     given_cpu: int | None = None,
     folder: Path | None = None,
 ) -> list[Finding]:
-    """Look at a machine and return what was found; raises nothing and changes nothing.
+    """Check a machine and return the findings; never raises, and changes nothing.
 
     Parameters
     ----------
-    demands : what the rig asks for
-    addresses : the buses by their channels; the checks of a card are of those of Linux
-    machine : what is looked at; default is this one
-    given_cpu : for the cycle; default is the one that the host takes
-    folder : where recordings go; default is the present one
+    demands : the rig's requirements
+    addresses : the buses by their channels; a card is checked for Linux interfaces only
+    machine : the machine to check; default is this one
+    given_cpu : CPU for the cycle; default is the host's default
+    folder : folder for recordings; default is the current folder
     """
     computer = Machine() if machine is None else machine
     checks = linux_kernel.checks(computer) + cpu.checks(computer, given_cpu) + rights.checks(computer)

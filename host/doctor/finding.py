@@ -1,4 +1,4 @@
-"""What a check finds, and how the checks are run: none of them ever raises."""
+"""Outcomes of checks, and their execution, which never raises."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ __all__ = ["Check", "Finding", "Outcome", "examine", "script"]
 
 
 class Outcome(NamedTuple):
-    """What a check says: whether all is well, what it found, and the command that mends it.
+    """Outcome of a check: whether it is ok, what it found, and the command that fixes it.
 
-    What no command mends is a comment of the shell: ``# ...``.
+    Without such a command, the fix is a comment of the shell: ``# ...``.
     """
 
     ok: bool
@@ -24,7 +24,7 @@ class Outcome(NamedTuple):
 
 
 Check: TypeAlias = tuple[str, Callable[[], Outcome]]
-"""A check's name (SUBJECT.WHAT) and what it does."""
+"""A check's name (SUBJECT.NAME) and its function."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Finding:
     found: str
     fix: str = ""
     figures: dict[str, Any] = field(default_factory=dict)
-    """Of the latency test; else empty."""
+    """Figures of the latency test; else empty."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, `figures` only where there are some."""
+        """Return plain values for JSON, without empty `figures`."""
         fields = asdict(self)
         return fields if self.figures else {name: fields[name] for name in fields if name != "figures"}
 
@@ -47,7 +47,7 @@ class Finding:
 def examine(checks: Iterable[Check]) -> list[Finding]:
     """Run the checks.
 
-    What cannot be read is said as such, and is not ok: nobody knows.
+    An unreadable value is reported as unknown, not as ok.
     """
     findings = []
     for name, check in checks:
@@ -67,10 +67,7 @@ def _line(text: str) -> str:
 
 
 def script(findings: Iterable[Finding]) -> str:
-    """Return a shell script of all fixes, each once, under what was found.
-
-    Nothing of what was found is a command: a line of it is a comment.
-    """
+    """Return a shell script of all fixes, each once, with the findings as comments."""
     lines = ["#!/bin/sh", "# made by `coulombus doctor --fix`: read it before you run it", "set -eu", ""]
     done: set[str] = set()
     for finding in findings:

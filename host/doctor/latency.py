@@ -1,6 +1,4 @@
-"""The latency test: how late the cycle would wake while the machine has other work, beside what
-cyclictest says of the same machine, in turns.
-"""
+"""Latency test: wake-up delay of the cycle on a loaded machine, measured in turns with cyclictest."""
 
 from __future__ import annotations
 
@@ -29,39 +27,37 @@ __all__ = ["Latency", "Wakeups", "bars", "judge", "measure_latency", "read_cycli
 
 PRIORITY = 80
 ROUND_S = 5.0
-"""How long one contestant measures before the other one's turn."""
-SLACK_S = 180.0  # the first start ever compiles
+"""Duration of a turn of the cycle's loop or of cyclictest."""
+SLACK_S = 180.0  # the very first start compiles
 POLL_S = 0.1
 BINS = 20_000
 EDGES = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
 BAR = 18
 LATE_SHARE = 0.1
-"""Of the period: where the 99th percentile of the wake-ups has to be."""
+"""Limit of the 99th percentile of the wake-up delays, as a share of the period."""
 _COUNT = re.compile(r"^(\d+)\s+(\d+)\s*$", re.MULTILINE)
 _MOST = re.compile(r"^# Max Latencies:\s*(\d+)", re.MULTILINE)
 
 
 @dataclass
 class Wakeups:
-    """How many wake-ups were so many whole us late, and how late the latest was."""
+    """Number of wake-ups by their delay in whole us, and the largest delay."""
 
     counts: Counter[int] = field(default_factory=Counter)
     latest_us: float = 0.0
 
     def add(self, counts: Mapping[int, int], latest_us: float) -> None:
-        """Count more of them."""
+        """Add further wake-ups."""
         self.counts.update(counts)
         self.latest_us = max(self.latest_us, latest_us)
 
     @property
     def total(self) -> int:
-        """All of them."""
+        """Number of all wake-ups."""
         return sum(self.counts.values())
 
     def at(self, share: float) -> float:
-        """Return the time [us] within which so large a share of them was; 0 where there are
-        none.
-        """
+        """Return the delay [us] that `share` of the wake-ups did not exceed; 0 without wake-ups."""
         least, seen = share * self.total, 0
         for us in sorted(self.counts):
             seen += self.counts[us]
@@ -70,11 +66,11 @@ class Wakeups:
         return 0.0
 
     def beyond(self, us: float) -> int:
-        """Return how many were later than `us`."""
+        """Return the number of wake-ups with a delay of `us` or more."""
         return sum(count for late, count in self.counts.items() if late >= us)
 
     def between(self, low: int, high: int) -> int:
-        """Return how many were so late."""
+        """Return the number of wake-ups with a delay from `low` to below `high`."""
         return sum(count for late, count in self.counts.items() if low <= late < high)
 
     def as_dict(self) -> dict[str, float]:
@@ -84,13 +80,13 @@ class Wakeups:
 
 @dataclass
 class Latency:
-    """What the test found.
+    """Result of the test.
 
     Attributes
     ----------
-    own, cyclictest : the wake-ups; None where cyclictest did not run, for `reason`
-    refused : the real-time rights that were refused
-    loads : how many processes worked beside it
+    own, cyclictest : the wake-ups; None if cyclictest did not run, for `reason`
+    refused : the refused real-time rights
+    loads : number of busy processes
     """
 
     own: Wakeups
@@ -101,15 +97,13 @@ class Latency:
 
 
 class LatencyError(CoulombusError, RuntimeError):
-    """The test did not run; the text says why."""
+    """The test did not run; the text gives the reason."""
 
     exit_status = 1
 
 
 def read_cyclictest(text: str) -> tuple[dict[int, int], float]:
-    """Return counts and maximum of what ``cyclictest -q -h`` prints; LatencyError for anything
-    else.
-    """
+    """Return counts and maximum from the output of ``cyclictest -q -h``; LatencyError for other texts."""
     most = _MOST.search(text)
     if most is None:
         raise LatencyError("what cyclictest printed is no histogram")
@@ -133,7 +127,7 @@ def _environment() -> dict[str, str]:
 
 @contextmanager
 def _loaded(count: int, folder: str) -> Iterator[None]:
-    """Let so many processes work meanwhile."""
+    """Run `count` busy processes inside this context."""
     started: list[subprocess.Popen[bytes]] = []
     try:
         for number in range(count):
@@ -150,7 +144,7 @@ def _loaded(count: int, folder: str) -> Iterator[None]:
 
 
 def _ran(words: Sequence[str], seconds: float, tick: Callable[[float], None]) -> str:
-    """Return what a contestant prints; LatencyError where it fails."""
+    """Run a measuring program and return its output; LatencyError if it fails."""
     parent, began = os.getpid(), time.monotonic()
     with os.fdopen(os.memfd_create("out"), "w+b") as out, os.fdopen(os.memfd_create("err"), "w+b") as err:
         process = subprocess.Popen(
@@ -159,7 +153,7 @@ def _ran(words: Sequence[str], seconds: float, tick: Callable[[float], None]) ->
             stdout=out,
             stderr=err,
             env=_environment(),
-            start_new_session=True,  # the terminal's Ctrl-C is the parent's
+            start_new_session=True,  # Ctrl-C of the terminal goes to the parent only
             preexec_fn=lambda: die_with_parent(parent),
         )
         try:
@@ -187,7 +181,7 @@ def _ran(words: Sequence[str], seconds: float, tick: Callable[[float], None]) ->
 
 
 def _folder() -> str:
-    """Return where the load writes; a folder that takes nothing where there is none."""
+    """Return the folder for the load's writes; an unusable path if there is none."""
     try:
         return tempfile.gettempdir()
     except OSError:
@@ -203,14 +197,14 @@ def measure_latency(
     loads: int | None = None,
     progress: Callable[[float], None] = lambda t: None,
 ) -> Latency:
-    """Measure for so many seconds in all, in turns with cyclictest where that is installed.
+    """Measure for `seconds` in total, in turns with cyclictest if it is installed.
 
     Parameters
     ----------
-    cpu : for the loop
-    priority : of SCHED_FIFO; None asks for no real-time right
-    loads : how many processes work meanwhile; default is one for each CPU
-    progress : called with the time spent [s]
+    cpu : CPU for the loop
+    priority : SCHED_FIFO priority; None requests no real-time right
+    loads : number of busy processes; default is one for each CPU
+    progress : called with the elapsed time [s]
 
     Raises
     ------
@@ -262,10 +256,10 @@ def measure_latency(
 
 
 def judge(latency: Latency, demands: RigDemands) -> Finding:
-    """Say whether the machine is fit for a rig's limits, and why not.
+    """Return whether the machine meets a rig's limits, with the reasons if not.
 
-    A wake-up that is a watchdog's time late, a period included, trips; one that leaves no room for
-    the TPDOs' window loses its period; and the 99th percentile is within a tenth of the period.
+    A wake-up trips if its delay plus a period exceeds a watchdog's time. A wake-up that leaves no room for
+    the TPDOs' window loses its period. The 99th percentile must be within a tenth of the period.
     """
     own = latency.own
     period_us, window_us, watchdog_us = (1e6 * t for t in (demands.period_s, demands.window_s, demands.watchdog_s))
@@ -301,8 +295,8 @@ def judge(latency: Latency, demands: RigDemands) -> Finding:
 
 
 def bars(latency: Latency) -> list[tuple[str, int, str, int | None, str]]:
-    """Return the rows of the histogram: how late, and for each contestant the number and a bar
-    (logarithmic).
+    """Return the rows of the histogram: range of the delay, and for the loop and cyclictest the number and a
+    bar (logarithmic).
     """
 
     def bar(count: int, total: int) -> str:

@@ -1,4 +1,4 @@
-"""The kernel: PREEMPT_RT, its clock, throttling of real-time threads, swap, and who is below it."""
+"""Checks of the kernel: PREEMPT_RT, clock source, real-time throttling, swap, hypervisor, container."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RT_KERNELS = {
     "arch": "# install linux-rt and boot it: sudo pacman -S linux-rt",
 }
 THROTTLED_SHARE = 0.9
-"""A loop that sleeps in each period uses less of its CPU."""
+"""Smallest acceptable share of CPU time for real-time threads; a loop that sleeps in each period uses less."""
 
 
 def checks(machine: Machine) -> list[Check]:
@@ -28,7 +28,7 @@ def checks(machine: Machine) -> list[Check]:
 
 
 def preempt_rt(machine: Machine) -> Outcome:
-    """A kernel without PREEMPT_RT lets a driver hold the cycle up for milliseconds."""
+    """Check for PREEMPT_RT: without it, a driver may delay the cycle by milliseconds."""
     version = machine.text("/proc/version")
     words = version.split()
     if words[:2] != ["Linux", "version"]:
@@ -55,8 +55,8 @@ def _distribution(machine: Machine) -> str:
 
 
 def clocksource(machine: Machine) -> Outcome:
-    """A clock that is a system call or a port's read away costs the cycle microseconds
-    each time.
+    """Check the clock source: a clock that needs a system call or a port access costs microseconds for each
+    read.
     """
     name = machine.text(f"{CLOCKS}/current_clocksource")
     if name in GOOD_CLOCKS:
@@ -72,7 +72,7 @@ def clocksource(machine: Machine) -> Outcome:
 
 
 def rt_throttling(machine: Machine) -> Outcome:
-    """The kernel stops real-time threads that use more than this share of a second."""
+    """Check the throttling, which stops real-time threads that use more than a share of the CPU."""
     path = "/proc/sys/kernel/sched_rt_runtime_us"
     runtime, period = machine.number(path), machine.number("/proc/sys/kernel/sched_rt_period_us")
     if runtime == -1:
@@ -87,7 +87,7 @@ def rt_throttling(machine: Machine) -> Outcome:
 
 
 def swap(machine: Machine) -> Outcome:
-    """The cycle's memory is locked; that of the recording and of bring-up is not."""
+    """Check that swap is off: only the cycle's memory is locked, not that of recording and bring-up."""
     lines = machine.text("/proc/swaps").splitlines()
     if not lines or not lines[0].startswith("Filename"):
         raise nonsense("/proc/swaps", lines[0] if lines else "", "the line 'Filename ...'")
@@ -98,7 +98,7 @@ def swap(machine: Machine) -> Outcome:
 
 
 def hypervisor(machine: Machine) -> Outcome:
-    """A hypervisor stops the whole processor when it likes."""
+    """Check for a hypervisor, which may stop the whole CPU at any time."""
     flags = [line for line in machine.text("/proc/cpuinfo").splitlines() if line.startswith(("flags", "Features"))]
     try:
         kind = machine.text("/sys/hypervisor/type")
@@ -118,7 +118,7 @@ def hypervisor(machine: Machine) -> Outcome:
 
 
 def container(machine: Machine) -> Outcome:
-    """A container is no trouble by itself; what it may not do is told by the checks of rights."""
+    """Report a container; it is no problem in itself, and the checks of rights report its limits."""
     for name, kind in (("/.dockerenv", "docker"), ("/run/.containerenv", "podman")):
         if machine.path(name).exists():
             return Outcome(True, f"this is a container ({kind}): limits and devices are those that it was given")

@@ -1,7 +1,8 @@
-"""Ordinary work that a machine may have beside the cycle: ``python -m coulombus.host.doctor.load
-PARENT NUMBER FOLDER``, until it is ended.
+"""Ordinary load for the latency test: ``python -m coulombus.host.doctor.load PARENT NUMBER FOLDER``; it runs
+until it is killed.
 
-One copies memory about, the next one makes system calls and writes to the disk.
+Processes with an even number copy memory; those with an odd number make system calls and write to the
+disk.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def _call(folder: str) -> None:
             for _ in range(SYSTEM_CALLS):
                 os.write(writing, b"x")
                 os.read(reading, 1)
-    while True:  # a folder that takes nothing
+    while True:  # the folder cannot be written
         os.write(writing, b"x")
         os.read(reading, 1)
 

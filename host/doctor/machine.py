@@ -1,4 +1,4 @@
-"""The machine that is looked at: files below a root folder, and the programs that are asked."""
+"""Access to the checked machine: files below a root folder, and programs."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ MOST_BYTES = 1 << 20
 PROGRAM_S = 10.0
 SIOCETHTOOL, ETHTOOL_GET_TS_INFO = 0x8946, 0x41
 SOF_TIMESTAMPING_RX_HARDWARE = 1 << 2
-SHOWN = 40  # characters of what makes no sense
+SHOWN = 40  # shown characters of an invalid text
 
 
 class CannotRead(Exception):
-    """What a check wanted to know cannot be read; the text says what and why."""
+    """A value for a check cannot be read; the text has the value and the reason."""
 
 
 class Absent(CannotRead):
-    """There is no such file: for many a check this is an answer."""
+    """The file or program does not exist, which is a valid result for many checks."""
 
 
 def run_program(words: Sequence[str]) -> str:
-    """Return what a program prints; CannotRead where it is not there, fails, or does not end."""
+    """Return the output of a program; CannotRead if it is not installed, fails, or does not end."""
     try:
         done = subprocess.run(
             words,
@@ -56,9 +56,7 @@ def run_program(words: Sequence[str]) -> str:
 
 
 def hardware_stamps(interface: str) -> bool:
-    """Tell whether the interface stamps what it receives itself; CannotRead where it does not
-    say.
-    """
+    """Return whether the interface stamps received frames in hardware; CannotRead if it does not report it."""
     info = bytearray(struct.pack("<I40x", ETHTOOL_GET_TS_INFO))
     place = (ctypes.c_char * len(info)).from_buffer(info)
     request = struct.pack("16sP", interface.encode(), ctypes.addressof(place)) + bytes(16)
@@ -72,13 +70,13 @@ def hardware_stamps(interface: str) -> bool:
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine as the checks see it.
+    """Interface of the checks to a machine.
 
     Attributes
     ----------
-    root : the folder that stands for ``/``
-    ask : runs a program and returns what it prints; raises CannotRead
-    stamps : tells whether an interface stamps frames itself; raises CannotRead
+    root : the folder in place of ``/``
+    ask : runs a program and returns its output; raises CannotRead
+    stamps : returns whether an interface stamps frames in hardware; raises CannotRead
     """
 
     root: Path = Path("/")
@@ -86,18 +84,18 @@ class Machine:
     stamps: Callable[[str], bool] = hardware_stamps
 
     def path(self, name: str) -> Path:
-        """Return where the file `name` of the machine is."""
+        """Return the path of the machine's file `name`."""
         return self.root / name.lstrip("/")
 
     def text(self, name: str) -> str:
-        """Return what a file holds, without the blanks around it; at most a megabyte.
+        """Return the text of a file, stripped, at most a megabyte.
 
         Raises
         ------
         Absent
             there is no such file
         CannotRead
-            it is there, and cannot be read
+            the file exists, but cannot be read
         """
         try:
             fd = os.open(self.path(name), os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
@@ -108,7 +106,7 @@ class Machine:
             raise kind(f"{name} cannot be read: {error.strerror}") from None
 
     def number(self, name: str) -> int:
-        """Return the integer that a file holds; CannotRead where it holds none."""
+        """Return the integer in a file; CannotRead if there is none."""
         text = self.text(name)
         try:
             return int(text)
@@ -116,7 +114,7 @@ class Machine:
             raise nonsense(name, text, "an integer") from None
 
     def names(self, folder: str) -> list[str]:
-        """Return the names in a folder, sorted; none where there is no such folder."""
+        """Return the sorted names in a folder; empty if there is no such folder."""
         try:
             return sorted(path.name for path in self.path(folder).iterdir())
         except (FileNotFoundError, NotADirectoryError):
@@ -125,9 +123,7 @@ class Machine:
             raise CannotRead(f"{folder} cannot be read: {error.strerror}") from None
 
     def cpus(self, name: str) -> frozenset[int]:
-        """Return the CPUs of a list as the kernel writes it: ``0-2,4``; CannotRead where it is
-        none.
-        """
+        """Return the CPUs of a list in the kernel's format, ``0-2,4``; CannotRead if it is not valid."""
         text = self.text(name)
         try:
             return cpu_list(text)
@@ -135,16 +131,16 @@ class Machine:
             raise nonsense(name, text, "a list of CPUs, as in 0-2,4") from None
 
     def online(self) -> frozenset[int]:
-        """Return the CPUs that are running; CannotRead where that is not told."""
+        """Return the online CPUs; CannotRead if the machine does not list them."""
         return self.cpus("/sys/devices/system/cpu/online")
 
     @property
     def root_user(self) -> bool:
-        """Whether this process is root's; CannotRead where that is not told."""
+        """Whether this process runs as root; CannotRead if that is unknown."""
         return self.status("Uid").split()[1:2] == ["0"]
 
     def status(self, key: str) -> str:
-        """Return a line of /proc/self/status; CannotRead where there is none."""
+        """Return the value of a line of /proc/self/status; CannotRead if there is none."""
         for line in self.text("/proc/self/status").splitlines():
             name, colon, value = line.partition(":")
             if colon and name == key:
@@ -152,7 +148,7 @@ class Machine:
         raise CannotRead(f"/proc/self/status has no {key}")
 
     def capable(self, bit: int) -> bool:
-        """Whether this process has a capability; CannotRead where that is not told."""
+        """Whether this process has a capability; CannotRead if that is unknown."""
         text = self.status("CapEff")
         try:
             return bool(int(text, 16) >> bit & 1)
@@ -161,5 +157,5 @@ class Machine:
 
 
 def nonsense(name: str, text: str, expected: str) -> CannotRead:
-    """Return the error of a file that holds something else than it should."""
+    """Return the error for a file with unexpected content."""
     return CannotRead(f"{name} cannot be read: got {text[:SHOWN]!r}, expected {expected}")

@@ -1,4 +1,4 @@
-"""Power saving of the port where the card is."""
+"""Check of the power saving of the CAN card's USB port."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ def checks(machine: Machine, interface: str) -> list[Check]:
 
 
 def usb(machine: Machine, interface: str) -> Outcome:
-    """A USB port that saves power sleeps when the bus is quiet, and wakes milliseconds late."""
+    """Check that the USB port stays awake: with power saving it sleeps on a quiet bus, and wakes milliseconds
+    late.
+    """
     device = machine.path(f"/sys/class/net/{interface}/device")
     if not device.exists():
         return Outcome(True, f"{interface} is on no port")

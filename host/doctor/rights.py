@@ -1,4 +1,4 @@
-"""The rights of this user: real-time priority, locked memory, and CPUs that stay awake."""
+"""Checks of this user's rights: real-time priority, locked memory, and CPU idle states."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def checks(machine: Machine) -> list[Check]:
 
 
 def _limit(machine: Machine, name: str) -> float:
-    """Return the soft limit `name` of /proc/self/limits; infinite where unlimited."""
+    """Return the soft limit `name` of /proc/self/limits; infinite if unlimited."""
     for line in machine.text("/proc/self/limits").splitlines():
         if line.startswith(name):
             soft = line[len(name) :].split()[:1]
@@ -45,7 +45,7 @@ def _limit(machine: Machine, name: str) -> float:
 
 
 def rtprio(machine: Machine) -> Outcome:
-    """SCHED_FIFO for the cycle needs a limit of its priority, or CAP_SYS_NICE."""
+    """Check the real-time limit: SCHED_FIFO for the cycle needs it at the cycle's priority, or CAP_SYS_NICE."""
     limit = _limit(machine, "Max realtime priority")
     if machine.capable(CAP_SYS_NICE):
         return Outcome(True, "any priority (CAP_SYS_NICE)")
@@ -55,7 +55,9 @@ def rtprio(machine: Machine) -> Outcome:
 
 
 def memlock(machine: Machine) -> Outcome:
-    """Locked memory has no page faults; under a limit a later allocation would fail."""
+    """Check that locked memory is unlimited: it has no page faults, and under a limit a later allocation would
+    fail.
+    """
     limit = _limit(machine, "Max locked memory")
     if machine.root_user or limit == float("inf"):
         return Outcome(True, "unlimited")
@@ -63,12 +65,12 @@ def memlock(machine: Machine) -> Outcome:
 
 
 def dma_writable(machine: Machine) -> bool:
-    """Tell whether this user may keep the CPUs out of deep sleep."""
+    """Return whether this user may keep the CPUs out of deep idle states."""
     return os.access(machine.path(DMA), os.W_OK)
 
 
 def dma_latency(machine: Machine) -> Outcome:
-    """The host holds /dev/cpu_dma_latency open at 0 us."""
+    """Check that /dev/cpu_dma_latency is writable, which the host holds open at 0 us."""
     if dma_writable(machine):
         return Outcome(True, f"{DMA} can be written")
     there = os.path.lexists(machine.path(DMA))

@@ -1,7 +1,7 @@
-"""How late this machine wakes a loop that sleeps as the data plane does: ``python -m
-coulombus.host.doctor.sleeper SETTINGS``.
+"""Wake-up delays of a loop that sleeps like the data plane: ``python -m coulombus.host.doctor.sleeper
+SETTINGS``.
 
-A process of its own, since it asks for real time. It prints one JSON object.
+It is a separate process, because it requests real-time rights. It prints one JSON object.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ from coulombus.system.realtime import ask_for_real_time, die_with_parent
 __all__ = ["BINS", "main", "wake"]
 
 BINS = 20_000
-"""Microseconds that are told apart; what is later is in the last bin."""
+"""Number of bins of 1 us; longer delays are in the last bin."""
 LEAD_NS = 2_000_000
 
 
 @kernel
 def wake(bins: Integers, start_ns: int, period_ns: int, cycles: int) -> int:
-    """Sleep to `start_ns` and so many periods from there on, and count in `bins` how many us late
-    each wake-up was.
+    """Sleep until `start_ns` and then for `cycles` periods; count each wake-up's delay in `bins`.
 
-    Periods that have passed are skipped, as the data plane does. Return the latest [ns].
+    Missed periods are skipped, as in the data plane. Return the largest delay [ns].
     """
     latest = 0
     end_ns = start_ns + cycles * period_ns
@@ -49,7 +48,7 @@ def main(settings: dict[str, Any]) -> int:
     """Measure, and print the counts; return the exit status of the process."""
     die_with_parent(settings["parent"])
     bins = np.zeros(BINS, np.int64)
-    wake(bins, time.monotonic_ns(), 1_000_000, 2)  # compiles, and touches what is used
+    wake(bins, time.monotonic_ns(), 1_000_000, 2)  # compiles, and touches the memory
     bins[:] = 0
     rights = ask_for_real_time(settings["priority"], settings["cpu"])
     period_ns = int(settings["period_ns"])

@@ -1,4 +1,4 @@
-"""What is installed: versions, and whether another `coulombus` stands in the way of this one."""
+"""Checks of the installed software: versions, and other packages or commands named `coulombus`."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _BOUND = re.compile(r"\s*(>=|<=|==|!=|~=|>|<)\s*([0-9][0-9a-zA-Z.*+!]*)\s*$")
 def checks(
     path: Sequence[str] | None = None, programs: Sequence[str] | None = None, own: Path | None = None
 ) -> list[Check]:
-    """Return the checks of what is installed.
+    """Return the checks of the installed software.
 
     Parameters
     ----------
-    path, programs : where modules and programs are looked for; default is this process'
-    own : the package's folder; default is this one's
+    path, programs : search paths of modules and programs; default are those of this process
+    own : the package's folder; default is the folder of this package
     """
     modules = sys.path if path is None else path
     folders = os.environ.get("PATH", "").split(os.pathsep) if programs is None else programs
@@ -46,7 +46,7 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def requirement_met(bounds: str, version: str) -> bool:
-    """Tell whether a version is within ``>=1.2,<3``; bounds of other kinds are not looked at."""
+    """Return whether a version is within bounds such as ``>=1.2,<3``; other kinds of bounds are ignored."""
     have = _numbers(version)
     for text in filter(None, bounds.split(",")):
         match = _BOUND.match(text)
@@ -63,7 +63,7 @@ def requirement_met(bounds: str, version: str) -> bool:
 def versions(
     requires: Callable[[str], list[str] | None] = metadata.requires, version: Callable[[str], str] = metadata.version
 ) -> Outcome:
-    """Everything that this project needs is here, in a version that it was tried with."""
+    """Check that all dependencies are installed in a supported version."""
     try:
         needed = requires(NAME) or []
         names = [f"{NAME} {version(NAME)}", f"Python {platform.python_version()}"]
@@ -88,10 +88,10 @@ def versions(
 
 
 def import_name(path: Sequence[str], own: Path) -> Outcome:
-    """Where a module is looked for there is no other `coulombus`.
+    """Check that the module path has no other `coulombus`.
 
-    A folder `coulombus` in the present one, without `__init__.py`, as a clone is one, hides a
-    package that Python finds by no entry of its path: one that is installed in editable mode.
+    A folder `coulombus` without `__init__.py` in the current folder, such as a clone, hides a package in
+    editable mode, which is not found through the module path.
     """
     others = []
     clone = Path.cwd() / NAME
@@ -111,7 +111,7 @@ def import_name(path: Sequence[str], own: Path) -> Outcome:
 
 
 def script_name(folders: Sequence[str], prefix: Path) -> Outcome:
-    """The command `coulombus` of the shell is this environment's."""
+    """Check that the shell's command `coulombus` is that of this environment."""
     scripts: list[Path] = []
     for folder in dict.fromkeys(filter(None, folders)):
         script = Path(folder) / NAME

@@ -1,4 +1,4 @@
-"""What a rig wants of its PC: times and the bit rate, the strictest of all its axes and buses."""
+"""Requirements of a rig on its PC: times and bit rates, the strictest of all its axes and buses."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ class RigDemands:
     Attributes
     ----------
     period_s : SYNC period
-    window_s : how long of it the TPDOs have
-    watchdog_s : after so long without a set-point, or a TPDO, somebody makes the rig safe
-    loss_limit : share of cycles that may be lost
+    window_s : part of the period for the TPDOs
+    watchdog_s : shortest watchdog: time without a set-point or TPDO after which host or device makes the
+        rig safe
+    loss_limit : largest share of lost cycles
     bitrates_bit_s : bit rate of each bus by its channel
-    frames : frames that all axes of a bus have in a cycle, at most
+    frames : largest number of frames of all axes in a cycle
     """
 
     period_s: float
@@ -32,7 +33,7 @@ class RigDemands:
 
     @classmethod
     def of(cls, rig: Rig) -> RigDemands:
-        """Return what a rig wants."""
+        """Return the requirements of a rig."""
         period_s = min(bus.period_s for bus in rig.buses)
         limits = [axis.limits.missed_tpdo_cycles * period_s for axis in rig.axes]
         for axis in rig.axes:

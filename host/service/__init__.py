@@ -1,1 +1,1 @@
-"""The host as a service of the system: units of systemd and what belongs to them."""
+"""The host as a system service: systemd units and their configuration files."""

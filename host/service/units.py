@@ -1,7 +1,7 @@
-"""The files that make services of host, simulation and bridge: systemd units, device rules, limits,
-and the CAN interface's set-up.
+"""Files for host, simulation and bridge as services: systemd units, device rules, limits, set-up of the CAN
+interface.
 
-The host's unit never restarts: after a trip nothing re-arms by itself, and a person starts it.
+The host's unit never restarts: after a trip nothing re-arms by itself, and a person must start it.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ __all__ = ["Service", "files"]
 USER, GROUP = "coulombus", "realtime"
 WATCHDOG_S, SIM_WATCHDOG_S = 5, 10
 START_S = 300
-"""The first start compiles."""
+"""Time-out of the start: the first start compiles."""
 SAFE_S = 30
-"""For the safe end, beside the brake's hold and ramp."""
+"""Time for the safe end, in addition to the brake's hold and ramp."""
 STATUSES = "143 130 129"
-"""SIGTERM, SIGINT and SIGHUP, each after a safe end."""
+"""Exit statuses of SIGTERM, SIGINT and SIGHUP, each after a safe end."""
 
 USB_DRIVERS = "gs_usb|peak_usb|kvaser_usb|ems_usb|esd_usb|mcba_usb|usb_8dev|etas_es58x|ucan"
 
@@ -64,17 +64,17 @@ UMask=0027
 
 @dataclass(frozen=True)
 class Service:
-    """What the units are made for.
+    """Settings of the units.
 
     Attributes
     ----------
-    program : the words that start `coulombus`
+    program : the command that starts `coulombus`
     rig : a packaged rig's name, or the path of a rig file
     bus : the bus of the host
-    mode : of the display
-    bitrate_bit_s : of the CAN interface
-    ending_s : how long the brake's hold and ramp may take
-    user : for a user's own service manager, and not the system's
+    mode : mode of the display
+    bitrate_bit_s : bit rate of the CAN interface
+    ending_s : longest time of the brake's hold and ramp
+    user : whether the units are for a user's service manager, not the system's
     """
 
     program: Sequence[str]
@@ -87,9 +87,9 @@ class Service:
 
     @property
     def interface(self) -> str:
-        """The CAN interface: the host's, or can0 where that is on a virtual bus.
+        """The CAN interface: the host's, or can0 if the host is on a virtual bus.
 
-        AddressError: the bus has no name that can stand in these files.
+        AddressError: the name of the bus cannot be used in these files.
         """
         address = parse_address(self.bus)
         return interface_name(address.name) if address.is_interface else "can0"
@@ -101,7 +101,7 @@ class Service:
 
 
 def files(service: Service) -> dict[str, str]:
-    """Return the files by their names; those beside the units only for the system's manager."""
+    """Return the files by their names; files other than units only for the system's manager."""
     units = {
         "coulombus-host.service": _host(service),
         "coulombus-sim.service": _sim(service),
@@ -175,7 +175,7 @@ def _host(service: Service) -> str:
         f"KillMode=control-group\nTimeoutStopSec={stop_s}\nOOMScoreAdjust=-900\n"
     )
     if service.user:
-        lines = lines.replace("OOMScoreAdjust=-900\n", "")  # only the system's manager may
+        lines = lines.replace("OOMScoreAdjust=-900\n", "")  # only the system's manager may set it
     else:
         lines += f"{raised}DeviceAllow=/dev/cpu_dma_latency rw\n"
         lines += "# the dead man's switch, where host.deadman is a GPIO line\nDeviceAllow=char-gpiochip r\n"
