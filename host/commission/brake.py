@@ -1,13 +1,13 @@
-"""The brake: its torque at each set-point, up and down a stair, in slip and at break-away.
+"""Step "brake": torque of the brake at each set-point, up and down a stair, in slip and at break-away.
 
-A hand strokes the handle to and fro while the brake climbs a stair of set-points and comes down
-again. In slip the hand bears the brake's torque, the device's own friction and the inertia: what it
-bears more than on the first stair, with the brake off, is the brake's torque. Up and down differ by
-the brake's hysteresis; the table has the mean of both.
+A hand strokes the handle to and fro while the brake's set-point goes up and down a stair. In slip the hand
+bears the brake's torque, the device's own friction and the inertia. The brake's torque is the difference to
+the first stair, with the brake off. Up and down differ by the brake's hysteresis; the table has the mean of
+both.
 
-The interval of a point has the scatter of its stairs' means over independent samples
-(`host.commission.samples.independent`), that of the first stair, and the transducer's scale. The
-table is stated with the widest of them.
+The interval of a point combines the scatter of its stairs' means over independent samples
+(`host.commission.samples.independent`), that of the first stair, and the transducer's scale. The table
+is given with the widest of these intervals.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ STROKING_HAND = (
 STEPS, STAIR_S, LEAD_S = 5, 2.4, 3.0
 SPEED_RAD_S, MOVE_S, DWELL_S = 1.0, 1.0, 0.1
 FOLLOWED_S = 0.4
-"""So long after a new set-point coil and fluid have followed."""
+"""Time after which coil and fluid have followed a new set-point."""
 SLIP_SHARE = 0.5
-"""Of the mean stroke: slower samples do not count as slip."""
+"""Lowest speed that counts as slip, as a share of the typical stroke's."""
 LEAST_SAMPLES = 40
 SMOOTH = 15
 TOP_SHARE = 0.95
@@ -62,16 +62,16 @@ TOP_SHARE = 0.95
 
 @dataclass(frozen=True)
 class _Stair:
-    """What one stair came to."""
+    """Result of one stair."""
 
     raw: int
     up: bool
     slip_Nm: float
-    """Mean of both senses."""
+    """Mean of both directions."""
     reach_Nm: float
     """Half of its 95 % interval."""
     breakaway_Nm: float
-    """NaN where the handle never stuck."""
+    """Break-away torque; NaN if the handle never stuck."""
 
 
 class Brake(Step):
@@ -81,11 +81,11 @@ class Brake(Step):
     title = "brake's torque at each set-point, up and down"
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return what the rig has not."""
+        """Return the role that the rig lacks, or None."""
         return lacks_roles(axis, "handle_torque")
 
     def _top(self, axis: Axis) -> float:
-        """Return the highest stair [Nm]: what limits, coil and set-point bear for long."""
+        """Return the highest stair [Nm] that limits, coil and set-point permit continuously."""
         coil = (
             axis.brake.coil_continuous_A / axis.brake.coil_A_Nm
             if axis.brake.coil_A_Nm > 0
@@ -94,7 +94,7 @@ class Brake(Step):
         return round(TOP_SHARE * min(axis.limits.brake_torque_Nm, brake_end_Nm(axis), coil), 3)
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return what the brake bears."""
+        """Return the brake's torque and the operator's strokes."""
         return Risk(
             "The brake's torque climbs a stair and comes down again.",
             brake_Nm=self._top(axis),
@@ -107,7 +107,7 @@ class Brake(Step):
         )
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
-        """Return the stair."""
+        """Return the run with the stair."""
         axis = rig.one_axis()
         length = self.risk(axis, given).seconds
         move = move_s(axis, SPEED_RAD_S, MOVE_S)
@@ -115,11 +115,9 @@ class Brake(Step):
         return (exercise(self.name, rig, "stair", [self._top(axis), STEPS, STAIR_S], [stroke], hand=STROKING_HAND),)
 
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
-        """Return the table, the hysteresis, and the share of the slip torque at which it
-        lets go.
-        """
+        """Return the table, the hysteresis, and the ratio of break-away to slip torque."""
         stairs = _stairs(runs[0].recording, axis)
-        zero = stairs[0].slip_Nm  # before the iron has anything to remember
+        zero = stairs[0].slip_Nm  # before the iron has a history
         table: list[list[float]] = [[stairs[0].raw, 0.0]]
         reaches = [0.0]
         for raw in sorted({stair.raw for stair in stairs} - {stairs[0].raw}, key=lambda raw: abs(raw - stairs[0].raw)):
@@ -180,7 +178,7 @@ class Brake(Step):
 
 
 def _believed(axis: Axis, raw: float) -> float:
-    """Return the torque that a set-point is believed to be [Nm]."""
+    """Return the torque of a set-point according to the rig file [Nm]."""
     setpoint = axis.allocation.bound["brake_setpoint"]
     if not setpoint.table:
         return float(raw * abs(setpoint.scale))
@@ -189,12 +187,12 @@ def _believed(axis: Axis, raw: float) -> float:
 
 
 def _stairs(recording: Recording, axis: Axis) -> list[_Stair]:
-    """Return what each stair came to, in their order, those on which the handle slid both ways.
+    """Return the results of the stairs on which the handle slid both ways, in their order.
 
     Raises
     ------
     CommissionError
-        the first one, with the brake off, is not among them
+        the first stair, with the brake off, is not among them
     """
     angle, hand = recording["motor.position_rad"], handle_torque(recording)
     signal = recording.signal("brake.setpoint_Nm")
@@ -224,13 +222,13 @@ def _stairs(recording: Recording, axis: Axis) -> list[_Stair]:
 
 
 def _stair(raw: int, up: bool, v: Floats, torque: Floats, slip: float) -> _Stair | None:
-    """Return what one stair came to; None where the handle did not slide both ways."""
+    """Return the result of one stair; None if the handle did not slide both ways."""
     ways = [torque[np.sign(v) * (np.abs(v) > slip) == sign] * sign for sign in (1, -1)]
     if min(map(len, ways)) < LEAST_SAMPLES:
         return None
     stuck = np.abs(v) < 0.02 * slip
     lets = np.flatnonzero(stuck[:-1] & ~stuck[1:])
-    # where it lets go the hand bears most
+    # at break-away the hand's torque is largest
     peaks = [float(np.max(np.abs(torque[max(at - 10, 0) : at + 10]))) for at in lets]
     return _Stair(
         raw=raw,

@@ -1,16 +1,16 @@
-r"""Delays: from the SYNC whose samples a set-point was computed from, to the torque that it makes.
+r"""Step "delay": time from the SYNC whose samples give a set-point, to the torque of that set-point.
 
-Torque and brake are switched to and fro, below the friction, so that nothing moves. What the device
-measures answers with one lag,
+Motor torque and brake are switched to and fro, below the friction, so that nothing moves. The measured
+signal responds with one lag,
 
 .. math:: y(t) = A\,(1 - e^{-(t - d)/\tau}), \quad t > d,
 
-sampled at each SYNC: delay d, time constant :math:`\tau` and size A are fitted by least squares to
-the mean over all steps. With actuation on the next SYNC, d is one period.
+sampled at each SYNC. Delay d, time constant :math:`\tau` and size A are fitted by least squares to the mean
+over all steps. With actuation on the next SYNC, d is one period.
 
-The covariance is the delta method's, :math:`\sigma^2 (J^T J)^{-1}` with the fit's Jacobian J. A
-sample's :math:`\sigma^2` has the scatter from step to step, divided by their number, and the error
-of its count, :math:`\Delta^2/12`, which does not average out over steps that are all alike
+The covariance is that of the delta method, :math:`\sigma^2 (J^T J)^{-1}` with the fit's Jacobian J. A
+sample's :math:`\sigma^2` is the sum of the scatter from step to step, divided by the number of steps, and
+of the error of its count, :math:`\Delta^2/12`, which does not average out over equal steps
 (`host.commission.samples.counted_reach`).
 """
 
@@ -47,24 +47,24 @@ __all__ = ["Delay"]
 
 HALF_S, SECONDS, SKIP_S = 0.04, 5.0, 1.5
 FRICTION_SHARE = 0.5
-"""The motor stays so far below the friction: the handle does not move."""
+"""Motor torque as a share of the friction, with which the handle does not move."""
 BRAKE_NM = 1.0
 LEAST_SHARE = 0.03
-"""Of the answer: what is below is noise."""
+"""Share of the response below which a sample counts as noise."""
 LEAST_EDGES = 10
 CLEAN_SHARE = 0.02
-"""The command is constant to this share before and behind a step that counts."""
+"""Largest variation of the command before and after a valid step, as a share of its size."""
 SETTLED = 5
 AFTER = 25
 
 
 class _Answer(NamedTuple):
-    """What the device answers to a step; half of the 95 % intervals beside the figures."""
+    """Response of the device to a step, with half of the 95 % intervals."""
 
     delay_us: float
     delay_reach_us: float
     tau_ms: float | None
-    """None: it answers within a cycle."""
+    """None: the response is complete within a cycle."""
     tau_reach_ms: float | None
     t_ms: list[float]
     y: list[float]
@@ -77,7 +77,7 @@ class Delay(Step):
     title = "delays: SYNC to torque and to coil current"
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return what the rig has not."""
+        """Return the roles that the rig lacks, or None."""
         bound = axis.allocation.bound
         if bound.get("torque") is None and bound.get("coil_current") is None:
             return "the rig has neither a role torque nor a role coil_current"
@@ -92,7 +92,7 @@ class Delay(Step):
         return min(BRAKE_NM, axis.limits.brake_torque_Nm) if axis.allocation.bound.get("coil_current") else 0.0
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return what is switched, and what the sign check before it may push with."""
+        """Return the switched torques, and the limit of the sign check before them."""
         return Risk(
             "The motor's torque is switched to and fro, too little to move the handle; then the brake's.",
             motor_Nm=axis.limits.sign_check_torque_Nm if self._motor(axis) else 0.0,
@@ -139,12 +139,12 @@ class Delay(Step):
 
 
 def _answer(recording: Recording, command_name: str, answered: str, size: float) -> _Answer:
-    """Return the answer of `answered` to the steps of `command_name`, which are of `size`.
+    """Return the response of `answered` to the steps of `command_name`, which have the size `size`.
 
     Raises
     ------
     CommissionError
-        there are hardly any steps
+        there are too few steps
     """
     t, answers = _steps(recording, command_name, answered, size)
     if len(answers) < LEAST_EDGES:
@@ -154,10 +154,10 @@ def _answer(recording: Recording, command_name: str, answered: str, size: float)
     t_ms, shares = [round(float(v) * 1e3, 3) for v in t], [round(float(v / top), 4) for v in mean]
     count = abs(recording.scale(answered))
     scatter = float(np.sqrt(np.mean(np.var(answers, axis=0, ddof=1))))
-    # a difference of two counts, the mean before a step and the sample behind it, and the scatter
+    # error of a difference of two counted values (mean before a step, sample after it), and the scatter
     sigma = float(np.hypot(2 * counted_reach(scatter, count) / np.sqrt(12), scatter / np.sqrt(len(answers))))
     first = int(np.argmax(mean > max(LEAST_SHARE * top, 2 * sigma)))
-    if mean[first] > (1 - LEAST_SHARE) * top:  # within a cycle: no line can be laid through it
+    if mean[first] > (1 - LEAST_SHARE) * top:  # complete within a cycle: no fit is possible
         reached, cycle = float(t[first]), float(t[1] - t[0])
         return _Answer(1e6 * (reached - cycle / 2), 1e6 * cycle / 2, None, None, t_ms, shares)
     delay, tau, reach = _fitted(t[first:], mean[first:], top, sigma)
@@ -165,7 +165,7 @@ def _answer(recording: Recording, command_name: str, answered: str, size: float)
 
 
 def _fitted(t: Floats, y: Floats, top: float, sigma: float) -> tuple[float, float, Floats]:
-    """Return delay and time constant of samples that answer, and half of their 95 % intervals [s]."""
+    """Return delay and time constant of the responding samples, and half of their 95 % intervals [s]."""
     half = float(np.interp(0.63 * top, y, t))
     fit = least_squares(
         lambda p: (p[2] * (1 - np.exp(-(t - p[0] * half) / (p[1] * half))) - y) / top,
@@ -178,19 +178,19 @@ def _fitted(t: Floats, y: Floats, top: float, sigma: float) -> tuple[float, floa
 
 
 def _steps(recording: Recording, command_name: str, answered: str, size: float) -> tuple[Floats, list[Floats]]:
-    """Return times since the SYNC before a step was sent, and each step's answer, its sign taken off.
+    """Return the times since the SYNC before a step was sent, and each step's response without its sign.
 
     Raises
     ------
     CommissionError
-        nothing was recorded
+        the signals were not recorded
     """
     target, value = recording[command_name], recording[answered]
     if not (len(target) and len(value)):
         raise CommissionError(f"{answered}: nothing was recorded of it")
     sampled, sent = sync_before(recording, value.t_s), sync_before(recording, target.t_s)
     y, command = np.asarray(value.values, np.float64), np.asarray(target.values, np.float64)
-    edges = 1 + np.flatnonzero(np.abs(np.diff(command)) > 0.5 * size)  # the sign check ramps: it has none
+    edges = 1 + np.flatnonzero(np.abs(np.diff(command)) > 0.5 * size)  # the ramp of the sign check has none
     begin_s = target.t_s[edges[0]] + SKIP_S if len(edges) else 0.0
     lags: list[Floats] = []
     answers: list[Floats] = []
@@ -198,7 +198,7 @@ def _steps(recording: Recording, command_name: str, answered: str, size: float) 
         if target.t_s[edge] < begin_s or target.t_s[following] - target.t_s[edge] < 0.9 * HALF_S:
             continue
         level = command[max(edge - SETTLED, 0) : edge], command[edge : edge + AFTER // 2]
-        if max(map(np.ptp, level)) > CLEAN_SHARE * size:  # a brake that is let go falls in several steps
+        if max(map(np.ptp, level)) > CLEAN_SHARE * size:  # a released brake falls in several steps
             continue
         first = int(np.searchsorted(sampled, sent[edge]))
         until_s = min(target.t_s[following], target.t_s[edge] + HALF_S)

@@ -1,4 +1,4 @@
-"""The last step: the rig displays its law, hold and stroke, with what was found."""
+"""Step "display", the last: hold and stroke test of the rig's law with the measured values."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Display(Step):
         return next(mode for mode in MODES if mode in axis.mode)
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return what the mode allows: these are the rig file's own limits."""
+        """Return the limits of the mode, from the rig file."""
         mode = self._mode(axis)
         chosen = axis.mode[mode]
         return Risk(
@@ -45,13 +45,13 @@ class Display(Step):
         )
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
-        """Return a run of the law as the rig file has it."""
+        """Return a run with the rig file's law."""
         schedule = f"phase=[{', '.join(SCHEDULE)}]"
         chosen = rig.variant(schedule)
         return (Exercise(self.name, chosen, self._mode(rig.one_axis()), chosen.schedule_s, (schedule,)),)
 
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
-        """Return whether the handle held still while it was pushed."""
+        """Return the figures of the hold test: whether the handle stayed still while it was pushed."""
         recording = runs[0].recording
         measures = measure(recording)
         basis = f"mode {self._mode(axis)}, hold and stroke"

@@ -1,12 +1,12 @@
-r"""What the steps before have measured, for the intervals of those behind.
+r"""Uncertainties of earlier steps, for the intervals of later steps.
 
-A step computes with the rig file's figures, each of which is a factor of what it finds. So their
-intervals belong to its own: by the delta method, relative 95 % reaches add in squares,
+A step computes with figures of the rig file, each of which is a factor of its result. So their intervals
+contribute to its own: by the delta method, the squares of relative 95 % reaches add,
 
 .. math:: \Bigl(\frac{r}{x}\Bigr)^2 = \Bigl(\frac{r_0}{x}\Bigr)^2 + \sum_i s_i^2
 
-(JCGM 100:2008, GUM, 5.1.6). A figure that was measured and not written, because it did not differ
-significantly, counts with that difference on top: the file has the old value.
+(JCGM 100:2008, GUM, 5.1.6). If a measured figure was not written because its difference was not
+significant, this difference is added to its reach: the file has the old value.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["ANGLE", "HANDLE_TORQUE", "INERTIA", "SCALE", "rounded", "shares"]
 
 SCALE = "role.handle_torque.scale_Nm"
 HANDLE_TORQUE = "torque at the handle at 1000 per mille"
-"""The motor's torque times the ratio: it is measured as a whole, so the ratio has no part in it."""
+"""The motor's torque times the ratio; it is measured as a product, so the ratio's interval has no part in it."""
 ANGLE = ("mechanics.ratio", "role.position.scale_rad")
 INERTIA = "mechanics.inertia_kg_m2"
 
@@ -27,7 +27,7 @@ INERTIA = "mechanics.inertia_kg_m2"
 def shares(steps: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Return the relative 95 % reach of each figure of the rig file that the steps have measured.
 
-    `steps`: of `Progress`.
+    `steps`: `Progress.steps`
     """
     known: dict[str, float] = {}
     for step in steps.values():
@@ -43,7 +43,7 @@ def shares(steps: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 
 def rounded(value: float, reach: float) -> float:
-    """Return a value without the digits that its 95 % reach says nothing about."""
+    """Return a value rounded to the digits that its 95 % reach justifies."""
     if not reach > 0.0:
         return float(f"{value:.6g}")
     return round(value, math.ceil(-math.log10(reach)) + 1)

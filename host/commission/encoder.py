@@ -1,11 +1,11 @@
-"""Encoder and transmission by hand: the operator turns the handle from one mark to another.
+"""Step "encoder": encoder and transmission by hand; the operator turns the handle from one mark to another.
 
-The angle between the marks is known. The encoder's counts for it give its sign, and how many of
-them the handle's turn has. That is one figure: the counts of the motor's turn times the
-transmission's ratio. The data sheet's counts are believed, and the ratio is corrected.
+The angle between the marks is known. The encoder's counts give its sign, and the number of counts in a turn
+of the handle. That number is the product of the counts in a turn of the motor and the transmission's ratio.
+The data sheet's counts are taken as correct, and the ratio is corrected.
 
-The interval has the hand's setting of the marks, which only the operator knows
-(`Given.marks_reach_rad`), the counts, and the scatter of the readings.
+The interval combines the accuracy of the marks, which only the operator knows (`Given.marks_reach_rad`), the
+counts, and the scatter of the readings.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FIRM_HAND = (
     "operator.damping_Nms_rad=20.0",
     "operator.tremor_Nm=0.0",
 )
-"""The simulated hand looks where it goes."""
+"""Settings of a simulated hand that follows its course firmly."""
 
 REST_S, MOVE_S, STAY_S = 3.0, 5.0, 5.0
 SETTLED_S = 2.0
@@ -48,15 +48,15 @@ LEAST_SHARE = 0.1
 
 
 class Encoder(Step):
-    """Sign of the encoder, and counts of a turn of the handle; these stay in the rig file as the
-    second witness of the position's scale.
+    """Sign of the encoder, and counts of a turn of the handle, which stay in the rig file as a second check of
+    the position's scale.
     """
 
     name = "encoder"
     title = "encoder's sign and the ratio, by hand between two marks"
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return what the operator has not."""
+        """Return the input that the operator has not given, or None."""
         if given.marks_rad is None:
             return "give --marks-rad: the angle between two marks at the handle"
         if not LEAST_RAD <= given.marks_rad <= min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad):
@@ -65,7 +65,7 @@ class Encoder(Step):
         return None
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return that only the hand moves."""
+        """Return the risk: only the hand moves the handle."""
         return Risk(
             "Only your hand moves the handle.",
             speed_rad_s=(given.marks_rad or 0.0) / MOVE_S,
@@ -76,7 +76,7 @@ class Encoder(Step):
         )
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
-        """Return a run in which nothing but the hand acts."""
+        """Return a run without torque of motor and brake."""
         speed = (given.marks_rad or 0.0) / MOVE_S
         phases = (
             f'{{kind="rest", duration_s={REST_S}}}',

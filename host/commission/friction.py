@@ -1,18 +1,20 @@
-r"""The device's own friction, by the motor alone: Coulomb, viscous, inertia, Coulomb by sectors of
-the angle, and the motor's cogging.
+r"""Step "friction": the device's own friction, identified by the motor alone.
+
+The results are Coulomb friction, viscous friction, inertia, Coulomb friction by sectors of the angle, and
+the motor's cogging.
 
 While the handle slides, motor and hand bear the device's friction together:
 
 .. math:: \tau_m + f = J\,\dot v + (c + b\,|v|)\,\mathrm{sgn}(v)
 
-The motor sweeps to and fro at three speeds with the handle free. The belief in the friction has no
-part in it: the exercise is in mode active, whose sign check may push with
-``limits.sign_check_torque_Nm``, and compensates nothing. Samples of the sign check, of the gain's
-ramp and of reversals are left out (`recording.friction.sliding`).
+The motor sweeps to and fro at three speeds with the handle free. The rig file's friction has no influence:
+the exercise is in mode active, whose sign check may push with ``limits.sign_check_torque_Nm``, and
+compensates nothing. Samples of the sign check, of the gain's ramp and of reversals are left out
+(`recording.friction.sliding`).
 
-Cogging is part of the fit where it stands out, and so is a delay of the measured torque. Each
-interval is that of the fit (`recording.friction.regression`), with the intervals of the motor's
-torque and of the angle, which the steps before have measured (`host.commission.earlier`).
+Cogging is part of the fit if it is significant, and so is a delay of the measured torque. Each interval is
+that of the fit (`recording.friction.regression`), combined with the intervals of the motor's torque and of
+the angle from earlier steps (`host.commission.earlier`).
 """
 
 from __future__ import annotations
@@ -55,26 +57,27 @@ FREE_HAND = (
     "operator.stiffness_Nm_rad=0.0",
     "operator.tremor_Nm=0.0",
 )
-"""The simulated hand lets go of the handle."""
+"""Settings of the simulation without a hand on the handle."""
 
 HALF_TRAVEL_RAD = 0.6
 SPEEDS_RAD_S, SPEED_SHARE = (0.4, 1.0, 2.0), 0.2
 RESPONSE_S, INTEGRAL_S = 0.02, 0.05
-"""Of the sweep's speed loop: time constant by the inertia that is believed, and of its integral."""
+"""Time constants of the sweep's speed loop (with the rig file's inertia), and of its integral."""
 SECONDS = 21.0
 WINDOW_S, REVERSAL_S = 0.031, 0.003
-"""Of the regression: shorter than for what is felt, because the motor's torque is measured."""
+"""Window and reversal time of the regression, shorter than for the felt friction, because the motor's torque
+is measured.
+"""
 SECTORS = 8
 LEAST_SECTOR = 12
 UNEVEN = 0.1
-"""From this share on the friction counts as different from sector to sector."""
+"""Relative difference above which the friction counts as uneven between sectors."""
 
 
 def sweep_exercise(rig: Rig, name: str, hand: Sequence[str], phases: Sequence[str] = ()) -> Exercise:
-    """Return a run in which the motor sweeps the handle to and fro, within the sign check's
-    torque.
+    """Return a run in which the motor sweeps the handle to and fro, within the sign check's torque.
 
-    `phases`: what the hand does, for `SECONDS`; nothing where there are none.
+    `phases`: schedule of the hand, for `SECONDS`; empty: no hand
     """
     axis = rig.one_axis()
     risk = sweep_risk(axis)
@@ -85,7 +88,7 @@ def sweep_exercise(rig: Rig, name: str, hand: Sequence[str], phases: Sequence[st
 
 
 def sweep_risk(axis: Axis) -> Risk:
-    """Return what the sweep moves at most."""
+    """Return the limits of the sweep."""
     half = min(HALF_TRAVEL_RAD, TRAVEL_SHARE * axis.limits.travel_limit_rad)
     torque = axis.limits.sign_check_torque_Nm
     if axis.mode.active is not None:
@@ -111,12 +114,12 @@ class Friction(Step):
     title = "inherent friction: Coulomb, viscous, by angle"
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return what the rig has not."""
+        """Return the role that the rig lacks, or None."""
         lacks = lacks_roles(axis, "torque", "handle_torque")
         return lacks and f"{lacks}: motor and hand together tell the friction"
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return what the sweep moves."""
+        """Return the limits of the sweep."""
         return sweep_risk(axis)
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
@@ -124,7 +127,7 @@ class Friction(Step):
         return (sweep_exercise(rig, self.name, FREE_HAND),)
 
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
-        """Return friction, and the motor's limit that goes with it."""
+        """Return the friction, and the motor's limit that follows from it."""
         recording, mechanics = runs[0].recording, axis.mechanics
         try:
             slides = sliding(recording, WINDOW_S, REVERSAL_S)
@@ -183,7 +186,7 @@ class _Wave:
 
     @classmethod
     def of(cls, identification: Identification, torque_share: float) -> _Wave | None:
-        """Return it with the interval of its amplitude, by the delta method; None where there is none."""
+        """Return the cogging with the interval of its amplitude, by the delta method; None without cogging."""
         if identification.cogging is None:
             return None
         sine, cosine = (identification.device.others[f"cogging {name}"] for name in ("sine", "cosine"))
@@ -196,12 +199,12 @@ class _Wave:
 def _written(
     coulomb: Estimate, sectors: Sequence[Estimate | None], torque_share: float
 ) -> tuple[Estimate, tuple[str, ...]]:
-    """Return the Coulomb friction that is written, and a remark where it is a sector's.
+    """Return the Coulomb friction to write, and a remark if it is that of a sector.
 
     Raises
     ------
     CommissionError
-        what brakes seems to push
+        the friction is negative
     """
     if coulomb.high < 0:
         raise CommissionError(
@@ -225,7 +228,9 @@ def _finding(key: str, name: str, old: float, unit: str, estimate: Estimate, bas
 
 
 def _limit(axis: Axis, friction_Nm: float) -> list[Finding]:
-    """Return the limit of the motor in hybrid that lets the compensation through, and no more."""
+    """Return a new motor limit for hybrid, 1.2 times the friction, if the present one would clip the
+    compensation.
+    """
     mode = axis.mode.hybrid
     limit = round(HYBRID_MARGIN * friction_Nm, 4)
     if mode is None or mode.motor_limit_Nm >= mode.compensation * friction_Nm:
@@ -237,7 +242,7 @@ def _limit(axis: Axis, friction_Nm: float) -> list[Finding]:
 
 
 def _cogging(axis: Axis, wave: _Wave | None, basis: str) -> list[Finding]:
-    """Return amplitude and periods; nothing where none stands out and none was believed."""
+    """Return amplitude and periods; empty if no cogging is significant and the rig file has none."""
     mechanics = axis.mechanics
     if wave is None and mechanics.cogging_Nm == 0:
         return []
@@ -259,7 +264,7 @@ def _cogging(axis: Axis, wave: _Wave | None, basis: str) -> list[Finding]:
 
 
 def _cogging_curve(slides: Sliding, identification: Identification, wave: _Wave, ratio: float) -> Curve:
-    """Return the cogging against the motor's angle, all revolutions one above the other."""
+    """Return the curve of the cogging against the motor's angle, with all revolutions overlaid."""
     rows, x, torque = _device(slides, identification)
     device = identification.device
     viscous = 0.0 if device.viscous_Nms_rad is None else device.viscous_Nms_rad.value
@@ -278,8 +283,8 @@ def _cogging_curve(slides: Sliding, identification: Identification, wave: _Wave,
 
 
 def _by_sector(slides: Sliding, identification: Identification) -> tuple[Floats, list[Estimate | None]]:
-    """Return the edges of the angle's sectors, and the Coulomb friction in each, all fitted together;
-    None where there are hardly any samples.
+    """Return the edges of the angle's sectors, and the Coulomb friction in each from a common fit; None for a
+    sector with too few samples.
     """
     rows, x, _ = _device(slides, identification)
     edges = np.linspace(x.min(), x.max(), SECTORS + 1)
@@ -309,7 +314,7 @@ def _by_sector(slides: Sliding, identification: Identification) -> tuple[Floats,
 
 
 def _device(slides: Sliding, identification: Identification) -> tuple[Equations, Floats, Floats]:
-    """Return the equations, each one's angle, and its torque without the inertia's part."""
+    """Return the equations, the angle of each, and its torque without the inertia's part."""
     rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
     used = [slide for slide in slides.slides if len(slide.t_s) >= len(rows.weight)]
     start = np.array([slide.x_rad[0] for slide in used])

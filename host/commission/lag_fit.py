@@ -1,24 +1,24 @@
-r"""Two lags in series, coil and fluid, from a handle that slides while the brake is switched.
+r"""Fit of two lags in series, coil and fluid, from a handle that slides while the brake is switched.
 
 In slip the hand bears the device's friction, the inertia and the brake,
 
 .. math:: f - J\,\dot v = \mathrm{sgn}(v)\,(c + b\,|v| + D\,B(t)) + f_0 + A \sin(\kappa x + \varphi),
 
-where B is the recorded set-point, late by d since the SYNC before it was sent, behind two lags,
+where B is the recorded set-point, delayed by d from the SYNC before it was sent, after two lags,
 
 .. math:: \frac{B(s)}{u(s)} = \frac{e^{-d s}}{1 + S s + P s^2}, \quad S = \tau_c + \tau_f, \; P = \tau_c \tau_f.
 
-B is computed along the whole recording. Both sides go through one filter
-(`recording.friction.equations`), so inertia and torque are smoothed alike. For d, S and
-:math:`q = 4 P/S^2` least squares has the other coefficients by projection (G. H. Golub, V. Pereyra,
-SIAM Journal on Numerical Analysis 10(2):413-432, 1973, doi:10.1137/0710036). In S and q the model
-is smooth where the lags are equal (q = 1); in the time constants,
+B is computed along the whole recording. Both sides pass the same filter (`recording.friction.equations`), so
+inertia and torque are smoothed in the same way. Least squares fits d, S and :math:`q = 4 P/S^2`; the other
+coefficients follow by variable projection (G. H. Golub, V. Pereyra, SIAM Journal on Numerical Analysis
+10(2):413-432, 1973, doi:10.1137/0710036). For equal lags (q = 1) the model is smooth in S and q, but not in
+the time constants,
 
-.. math:: \tau_{f,c} = \tfrac{S}{2} \bigl(1 \pm \sqrt{\max(1 - q, 0)}\bigr),
+.. math:: \tau_{f,c} = \tfrac{S}{2} \bigl(1 \pm \sqrt{\max(1 - q, 0)}\bigr).
 
-it is not. So their intervals are those of draws from the normal distribution of (d, S, q). Its
-covariance is that of clusters, a stroke each, with the model's tangents as columns
-(`recording.friction.regression`), plus what the inertia's own interval moves.
+So their intervals are computed from draws of the normal distribution of (d, S, q). Its covariance is that
+of clusters, one for each stroke, with the model's tangents as columns (`recording.friction.regression`), plus
+the effect of the inertia's own interval.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ LOW, HIGH = (0.0, 5e-4, 1e-3), (0.03, 0.3, 2.0)
 STARTS = ((1e-3, 0.012, 0.8), (1e-3, 0.025, 0.4))
 CURVE_S = 0.15
 TOGETHER = 0.025
-"""From this share of draws with equal lags on, the two cannot be told apart."""
+"""Share of draws with equal lags above which the two lags cannot be distinguished."""
 
 
 def step_answer(t: Floats, delay_s: float, total_s: float, q: float) -> Floats:
-    """Return the answer of the two lags to a step of 1 at the time 0."""
+    """Return the response of the two lags to a step of 1 at time 0."""
     s = np.maximum(t - delay_s, 0.0)
     spread = np.sqrt(complex(1.0 - min(max(q, 1e-6), 4.0)))
     if abs(spread) < 1e-4:
@@ -68,14 +68,14 @@ def step_answer(t: Floats, delay_s: float, total_s: float, q: float) -> Floats:
 
 @dataclass(frozen=True)
 class LagFit:
-    """The fit.
+    """Result of the fit.
 
     Attributes
     ----------
     best : delay d [s], sum of the time constants S [s], q
-    covariance : of `best`
-    samples : that slide
-    curve : times since the SYNC [s] and shares, the mean of the steps up
+    covariance : covariance of `best`
+    samples : number of sliding samples
+    curve : times since the SYNC [s] and shares, the mean of the upward steps
     """
 
     best: Floats
@@ -85,7 +85,7 @@ class LagFit:
 
     @cached_property
     def draws(self) -> Floats:
-        """`best` as often as its covariance has it, (3, n)."""
+        """Draws from the normal distribution of `best`, shape (3, n)."""
         rng = np.random.default_rng(SEED)
         drawn = rng.multivariate_normal(self.best, self.covariance, DRAWS, method="eigh").T
         return np.clip(drawn, np.array(LOW)[:, None], np.array([1.0, 1.0, 4.0])[:, None])
@@ -120,14 +120,14 @@ def _reached(share: float, delay: float, total: float, q: float) -> float:
 
 @dataclass(frozen=True)
 class _Rows:
-    """What the regression is made of."""
+    """Data of the regression."""
 
     rows: Equations
     slides: tuple[Slide, ...]
     first: tuple[int, ...]
-    """Of each slide, the sample with which it begins."""
+    """Index of the first sample of each slide."""
     setpoint: Floats
-    """At the SYNC of each sample of the recording [Nm]."""
+    """Set-point at the SYNC of each sample of the recording [Nm]."""
     period_s: float
     linear: Floats
     """Columns that do not depend on the lags."""
@@ -140,7 +140,7 @@ class _Rows:
 
 
 def _lagged(u: Floats, period_s: float, delay_s: float, total_s: float, q: float) -> Floats:
-    """Return the set-point behind delay and lags, at the SYNCs."""
+    """Return the set-point after delay and lags, at the SYNCs."""
     whole, part = divmod(delay_s / period_s, 1.0)
     late = np.concatenate([np.full(int(whole) + 1, u[0]), u])
     end = len(late)
@@ -152,7 +152,7 @@ def _lagged(u: Floats, period_s: float, delay_s: float, total_s: float, q: float
 
 
 def _gathered(recording: Recording, wave_rad: float | None) -> _Rows:
-    """Return the rows.
+    """Return the data of the regression.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def _gathered(recording: Recording, wave_rad: float | None) -> _Rows:
 
 
 def _best(gathered: _Rows, torque: Floats, starts: tuple[tuple[float, ...], ...]) -> tuple[Floats, float]:
-    """Return (d, S, q) that leave least, and the brake's coefficient."""
+    """Return the (d, S, q) with the smallest residual, and the brake's coefficient."""
     base, _ = np.linalg.qr(gathered.linear)
     left = torque - base @ (base.T @ torque)
 
@@ -216,14 +216,14 @@ def fit_lags(recording: Recording, inertia: float, inertia_share: float, wave_ra
 
     Parameters
     ----------
-    inertia : at the handle [kg m2]
-    inertia_share : relative 95 % reach of it
-    wave_rad : of the motor's cogging for each rad of the handle, None: it has none
+    inertia : inertia at the handle [kg m2]
+    inertia_share : relative 95 % reach of the inertia
+    wave_rad : phase of the motor's cogging per rad of the handle; None: no cogging
 
     Raises
     ------
     CommissionError
-        the recording does not carry it
+        the recording does not permit the fit
     """
     gathered = _gathered(recording, wave_rad)
     rows = gathered.rows
@@ -252,7 +252,7 @@ def fit_lags(recording: Recording, inertia: float, inertia_share: float, wave_ra
 
 
 def _curve(gathered: _Rows, share: Floats) -> tuple[Floats, Floats]:
-    """Return the mean answer to the steps up, for the picture."""
+    """Return the mean response to the upward steps, for the figure."""
     rows, period, half = gathered.rows, gathered.period_s, len(gathered.rows.weight) // 2
     counts = [(len(slide.t_s) - len(rows.weight)) // rows.hop + 1 for slide in gathered.slides]
     at = np.concatenate(

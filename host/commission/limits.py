@@ -1,9 +1,8 @@
-"""Limits that noise, counts and cycle suggest: those of the rig file that contradict what was
-measured.
+"""Step "limits": limits of the rig file that contradict the measured noise and counts.
 
-A limit that is narrower than the noise trips by itself; one that a healthy rig never reaches guards
-nothing. A wider limit is only suggested where the present one would trip without a fault. Nothing
-moves: the handle is let alone.
+A limit that is narrower than the noise trips without a fault. A limit that is too wide protects against
+nothing. A wider limit is only proposed if the present limit would trip without a fault. Nothing moves, and
+the handle is free.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ __all__ = ["Limits"]
 
 SECONDS = 4.0
 NOISE_FACTOR = 6.0
-"""So many standard deviations are never reached in a day of samples at 1 kHz."""
+"""Number of standard deviations that a day of samples at 1 kHz does not reach."""
 JUMP_MARGIN = 1.5
 JUMP_LOOSE = 10.0
-"""From so many times the counts at the speed limit on, a jump passes unseen."""
+"""Multiple of the counts at the speed limit above which a jump would not be detected."""
 
 
 class Limits(Step):
@@ -37,16 +36,16 @@ class Limits(Step):
     title = "limits against noise, counts and speed"
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return that nothing moves."""
+        """Return the risk: nothing moves."""
         return Risk("Nothing moves: encoder and transducer are read.", seconds=SECONDS)
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
-        """Return a run in which nothing happens."""
+        """Return a run without torque."""
         rest = f'{{kind="rest", duration_s={SECONDS}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND),)
 
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
-        """Return the limits that cannot stay."""
+        """Return noise and jitter, and the checked limits."""
         return Outcome(tuple(_findings(runs[0].recording, axis)))
 
 

@@ -1,17 +1,17 @@
-r"""The motor: its sign and its torque constant, against the transducer, with a hand that gives way.
+r"""Step "motor": sign and torque constant of the motor, against the transducer, with a yielding hand.
 
 While the handle slides,
 
 .. math:: f = -k\,(\tau_m + \delta\,\dot\tau_m) + c\,\mathrm{sgn}(v) + b v + J\dot v + f_0 + A \sin(\kappa x + \varphi)
 
-with the motor's torque :math:`\tau_m` as it is believed, late by :math:`\delta`, its cogging
-(`recording.friction.cogging`), and the hand's torque f as the transducer reads it: k is what the
-belief is short of. The interval of k is that of clusters (`recording.friction.regression`), with
-the transducer's scale. The torque constant has the ratio's besides.
+with the motor's torque :math:`\tau_m` according to the rig file, delayed by :math:`\delta`, its cogging
+(`recording.friction.cogging`), and the hand's torque f from the transducer. k is the ratio of the true to
+the assumed torque. The interval of k is that of clusters (`recording.friction.regression`), combined with
+the transducer's scale. The interval of the torque constant also includes the ratio's.
 
-The hand must resist, so that f and the motor's torque go from one end to the other, and turn the
-handle slowly, so that the cogging is seen over an angle. The sign check, which comes first, tells a
-motor that turns the wrong way; the encoder's sign is known from the step encoder.
+The hand must resist, so that f and the motor's torque cover their range. It must turn the handle slowly, so
+that the cogging is visible over an angle. The sign check, which comes first, detects a motor that turns in
+the wrong direction; the encoder's sign is known from the step encoder.
 """
 
 from __future__ import annotations
@@ -51,13 +51,15 @@ __all__ = ["Motor"]
 
 LEAST_SHARE = 0.3
 MOST_REACH = 0.03
-"""A wider interval tells nothing: the motor's torque changed with the sense of motion alone, as
+"""Widest useful interval: beyond it, the motor's torque changed with the direction of motion alone, as
 friction does.
 """
 SIGN = "SIGN_ENCODER"
 STILL_S, SPEED_RAD_S, MOVE_S, DWELL_S = 4.0, 0.2, 2.3, 0.2
-"""The hand waits for the sign check. Then it moves: a cogging of few periods that is only seen near
-one angle cannot be told from the hand's own stiffness, and would be taken for the motor's torque.
+"""The hand waits for the sign check, then moves.
+
+A cogging of few periods that is only visible near one angle could not be distinguished from the hand's
+stiffness, and would change the motor's torque.
 """
 
 
@@ -72,11 +74,11 @@ class Motor(Step):
     title = "motor's sign and torque constant, against the transducer"
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return what the rig has not."""
+        """Return the role that the rig lacks, or None."""
         return lacks_roles(axis, "torque", "handle_torque")
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return what the sweep moves."""
+        """Return the limits of the sweep."""
         operator = (
             f"Hold the handle loosely, as a soft spring does, and keep holding it. Leave it where it is for {STILL_S:g} s; "
             f"then turn it slowly to and fro, about {SPEED_RAD_S:g} rad/s, {_move_s(axis):g} s each way, "

@@ -1,13 +1,12 @@
-"""What an afternoon's commissioning has come to so far: a folder beside the rig file, so that it
-can be resumed.
+"""Progress of a commissioning, stored in a folder next to the rig file, so that it can be resumed.
 
-    my.toml                         the rig file, with what was found
-    my.commission/state.json        the outcome of each step that is done
-    my.commission/friction.pcapng   the recordings behind them
-    my.commission/my.TIME.toml      the rig file as it was before each change
-    my.commission/report.html       all of it on one page
+    my.toml                         the rig file, with the findings
+    my.commission/state.json        the outcome of each finished step
+    my.commission/friction.pcapng   the recordings of the steps
+    my.commission/my.TIME.toml      the rig file before each change
+    my.commission/report.html       the report on one page
 
-Of a rig file with named axes each axis has such a folder: ``my.commission/left``.
+For a rig file with named axes, each axis has such a folder: ``my.commission/left``.
 """
 
 from __future__ import annotations
@@ -25,22 +24,22 @@ __all__ = ["Progress", "folder_of"]
 VERSION = 1
 LARGEST = 1 << 24
 KEPT = ("at", "title", "findings", "remarks", "curves", "recordings")
-"""What is kept of a step."""
+"""Stored entries of a step."""
 
 
 def folder_of(rig_path: Path, axis: str | None = None) -> Path:
-    """Return the folder of a rig file's commissioning; of an axis, the folder in it."""
+    """Return the folder of a rig file's commissioning, or the folder of an axis in it."""
     folder = rig_path.with_name(f"{rig_path.stem}.commission")
     return folder if axis is None else folder / axis
 
 
 @dataclass
 class Progress:
-    """The steps that are done, in the order in which they were.
+    """The finished steps, in their order.
 
     Attributes
     ----------
-    folder : where all of it stands
+    folder : folder of the commissioning
     steps : name of a step -> {"at": time, "findings": [...], "remarks": [...], "curves": [...],
         "recordings": [...]}
     """
@@ -50,18 +49,19 @@ class Progress:
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the state file."""
         return self.folder / "state.json"
 
     @classmethod
     def load(cls, folder: Path) -> Progress:
-        """Return what the folder holds; nothing where there is none.
+        """Return the progress in a folder; empty if there is none.
 
         Raises
         ------
         CommissionError
-            the file is no state of this version
+            the file is not a state of this version
         OSError
+            the file cannot be read
         """
         state = cls(folder)
         try:
@@ -80,12 +80,12 @@ class Progress:
         return state
 
     def keep(self, name: str, outcome: dict[str, Any]) -> None:
-        """Keep the outcome of a step; the file is replaced as a whole.
+        """Store the outcome of a step; the file is replaced as a whole.
 
         Raises
         ------
         OSError
-            it cannot be written; it is as it was
+            the file cannot be written; it is unchanged
         """
         steps = {other: kept for other, kept in self.steps.items() if other != name} | {name: outcome}
         write_whole(self.path, json.dumps({"version": VERSION, "steps": steps}, indent=1).encode())

@@ -1,6 +1,4 @@
-"""The report of a commissioning: one HTML page, with its pictures in it, that needs
-nothing else.
-"""
+"""Report of a commissioning: a self-contained HTML page with its figures."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ def report(rig: Rig, state: Progress, titles: Mapping[str, str]) -> str:
 
     Parameters
     ----------
-    titles : of all steps, in their order; those that are not done are told, too
+    titles : titles of all steps in their order, including steps that are not done
     """
     return "\n".join(_page(rig, state, titles)) + "\n"
 
@@ -98,7 +96,7 @@ def _picture(curve: Mapping[str, Any]) -> str:
         label(ax, curve["x"], curve["y"], curve["title"])
         low, high = ax.get_ylim()
         middle = 0.5 * (low + high)
-        if high - low < 0.1 * abs(middle):  # what hardly differs is to look so
+        if high - low < 0.1 * abs(middle):  # small differences must look small
             ax.set_ylim(middle - 0.1 * abs(middle), middle + 0.1 * abs(middle))
         if len(lines) > 1:
             ax.legend()

@@ -1,8 +1,8 @@
-"""The brake's answer to a step of its set-point: coil and fluid, as the hand feels them.
+"""Step "response": the brake's response to a step of its set-point, coil and fluid, at the hand.
 
-A hand strokes the handle while the brake is switched on and off; `host.commission.lag_fit` fits two
-lags in series to what it bears. The two time constants come with the 95 % interval of that fit, and
-with what the inertia's own interval adds. Where they may be equal within it, a remark says so.
+A hand strokes the handle while the brake is switched on and off. `host.commission.lag_fit` fits two lags in
+series to the hand's torque. The 95 % intervals of the two time constants include that of the inertia. A
+remark says whether they may be equal within their intervals.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from coulombus.rigs.rig import Rig
 __all__ = ["Response"]
 
 BRAKE_NM, HALF_S, SECONDS = 0.6, 0.187, 24.0
-"""The steps are no whole number in a stroke: each falls on another angle."""
+"""The number of steps in a stroke is not an integer, so each step falls on another angle."""
 SPEED_RAD_S, MOVE_S, DWELL_S = 1.5, 1.5, 0.1
 
 
@@ -46,14 +46,14 @@ class Response(Step):
     title = "brake's answer to a step: delay, coil, fluid"
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return what the rig has not."""
+        """Return the role that the rig lacks, or None."""
         return lacks_roles(axis, "handle_torque")
 
     def _brake(self, axis: Axis) -> float:
         return min(BRAKE_NM, axis.limits.brake_torque_Nm)
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return what the brake bears."""
+        """Return the brake's torque and the operator's strokes."""
         return Risk(
             "The brake is switched on and off five times in two seconds.",
             brake_Nm=self._brake(axis),

@@ -1,4 +1,4 @@
-"""What the steps read out of a recording: figures of each cycle, and windows."""
+"""Samples of a recording for the steps: signals at each cycle, means in windows, and their intervals."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Mean:
 
 
 def independent(values: Floats) -> float:
-    r"""Return how many independent samples a stationary signal is worth.
+    r"""Return the effective number of independent samples of a stationary signal.
 
     .. math:: n_{eff} = n \Big/ \Bigl(1 + 2 \sum_{k=1}^{K} \rho_k\Bigr)
 
@@ -66,11 +66,11 @@ def independent(values: Floats) -> float:
 
 
 def counted_reach(deviation: float, count: float) -> float:
-    r"""Return by how much the mean of a signal may be off because it comes in whole counts.
+    r"""Return the largest error of a signal's mean due to its quantisation in counts.
 
-    Noise of :math:`\sigma` dithers it: the error is below
+    Noise of :math:`\sigma` dithers the signal: the error is below
     :math:`\tfrac{\Delta}{2} e^{-2 \pi^2 \sigma^2/\Delta^2}` (B. Widrow, I. Kollar, Quantization Noise,
-    2008, chapter 19). The counts' own :math:`\Delta^2/12` is taken off the observed variance first.
+    2008, chapter 19). The counts' own :math:`\Delta^2/12` is subtracted from the observed variance first.
     """
     if count == 0.0:
         return 0.0
@@ -79,12 +79,12 @@ def counted_reach(deviation: float, count: float) -> float:
 
 
 def mean_in(series: Series, begin_s: float, end_s: float, what: str, count: float = 0.0) -> Mean:
-    """Return the mean of a signal in a window; `count`: of the signal, in its unit.
+    """Return the mean of a signal in a window; `count`: one count of the signal, in its unit.
 
     Raises
     ------
     CommissionError
-        there are hardly any samples in it
+        the window has too few samples
     """
     values = np.asarray(series.values, np.float64)[(series.t_s >= begin_s) & (series.t_s < end_s)]
     worth = independent(values) if len(values) >= 10 else 0.0
@@ -96,7 +96,7 @@ def mean_in(series: Series, begin_s: float, end_s: float, what: str, count: floa
 
 
 def held(series: Series, t: Floats) -> Floats:
-    """Return a signal's last value at or before each of `t`, 0 before its first."""
+    """Return a signal's last value at or before each of `t`; 0 before its first value."""
     last = np.searchsorted(series.t_s, t, side="right") - 1
     values = np.asarray(series.values, np.float64)
     return np.where(last >= 0, values[np.maximum(last, 0)], 0.0) if len(values) else np.zeros(len(t))
@@ -126,7 +126,7 @@ def motion(angle: Series, period_s: float, smooth: int) -> tuple[Floats, Floats]
 
 
 def sync_before(recording: Recording, t_s: Floats) -> Floats:
-    """Return the time of the last SYNC before each time, of the first where there is none before.
+    """Return the time of the last SYNC before each time; that of the first SYNC if there is none before.
 
     Raises
     ------
@@ -156,6 +156,6 @@ def span_of(recording: Recording, kind: str, number: int = 0) -> PhaseSpan:
 
 
 def thinned(x: Floats, y: Floats, points: int = CURVE_POINTS) -> tuple[list[float], list[float]]:
-    """Return some hundred points of a curve, for the report."""
+    """Return about `points` points of a curve, for the report."""
     every = max(len(x) // points, 1)
     return [round(float(v), 6) for v in x[::every]], [round(float(v), 6) for v in y[::every]]

@@ -1,7 +1,7 @@
-"""Commissioning, step after step: each is announced, run, analysed, and written into the rig file.
+"""Session of a commissioning: each step is announced, run, analysed, and written into the rig file.
 
-Nothing is written before a step is over: what ends it - a trip, a signal, a lost device, a full
-disk - leaves the rig file as it was, and the steps before it done.
+Nothing is written before a step is finished. If a trip, a signal, a lost device or a full disk ends it, the
+rig file is unchanged, and the earlier steps remain done.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from coulombus.system.errors import CoulombusError
 __all__ = ["MARK", "RunEnded", "Runner", "Session", "StepEnd", "results"]
 
 MARK = "commission"
-"""How the comments begin that commissioning puts above a key."""
+"""Prefix of the comments that commissioning writes above a key."""
 
 Runner: TypeAlias = Callable[[Exercise, Path], RunResult]
-"""Runs an exercise, recorded at a path: on a bus (`host.run.real_run`), or in virtual time."""
+"""Runs an exercise with a recording at a path: on a bus (`host.run.real_run`), or in virtual time."""
 
 
 class RunEnded(CoulombusError):
-    """A run was ended from outside, by Ctrl-C or ``coulombus stop``."""
+    """A run was ended by Ctrl-C or ``coulombus stop``."""
 
     def __init__(self, by: str, exit_status: int) -> None:
         super().__init__(f"ended by {by}; nothing of this step was written")
@@ -50,7 +50,9 @@ class RunEnded(CoulombusError):
 
 @dataclass(frozen=True)
 class StepEnd:
-    """A step's end: "done", "skipped" (by the operator) or "lacking" (the rig cannot), and why."""
+    """A step's end: "done", "skipped" (by the operator) or "lacking" (not possible on the rig), with the
+    reason.
+    """
 
     step: str
     title: str
@@ -61,7 +63,7 @@ class StepEnd:
     """The keys of the rig file that were changed."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values; curves are left to the report."""
+        """Return plain values, without the curves, which are in the report."""
         outcome = self.outcome
         findings = [asdict(finding) for finding in outcome.findings] if outcome else []
         remarks = list(outcome.remarks) if outcome else []
@@ -81,19 +83,19 @@ class Session:
 
     Parameters
     ----------
-    path : of the rig file; it is written
+    path : path of the rig file, which is written
     run : runs an exercise
-    given : what the operator knows
+    given : the operator's inputs
     now : returns date and time as text, "2026-11-22T14:03:05Z"
     overrides : ``SECTION.KEY=VALUE``, for this session alone
-    axis : of a rig file with named axes; what is found is written below ``[axis.NAME]``
+    axis : name of an axis, for a rig file with named axes; findings are written below ``[axis.NAME]``
 
     Raises
     ------
     coulombus.rigs.rig.RigError
-        the rig file is wrong, or it has axes and none of them is named here
+        the rig file is not valid, or it has named axes and `axis` is None
     CommissionError
-        the folder beside it holds something else
+        the folder of the commissioning has other content
     """
 
     def __init__(
@@ -119,22 +121,22 @@ class Session:
         return load_rig(str(self.path.resolve()), self.overrides)
 
     def rig(self) -> Rig:
-        """Return the rig, or its axis as a rig of its own, as the file says now."""
+        """Return the rig, or its axis as a separate rig, from the present file."""
         return self._whole().alone(self.axis)
 
     def do(self, step: Step, agree: Callable[[Step, Risk], bool]) -> StepEnd:
-        """Do one step: `agree` is asked before anything moves.
+        """Do one step; `agree` is called before anything moves, and may refuse.
 
         Raises
         ------
         RunEnded
-            it was stopped from outside
+            the run was stopped by Ctrl-C or ``coulombus stop``
         coulombus.host.errors.SafetyTrip
             a run tripped
         CommissionError
-            the recording does not carry what was looked for
+            the recording does not give the result
         OSError, coulombus.rigs.rig.RigError
-            what was found cannot be written; the rig file is as it was
+            the findings cannot be written; the rig file is unchanged
         """
         for last in (False, True):
             rig = self.rig()
@@ -174,17 +176,17 @@ class Session:
         return ExerciseResult(read(path), trip)
 
     def _write(self, step: Step, outcome: Outcome) -> tuple[str, ...]:
-        """Write what was found into the rig file; return the keys that were changed."""
+        """Write the findings into the rig file; return the changed keys."""
         changed = [finding for finding in outcome.findings if finding.key and finding.changed]
         if not changed:
             return ()
         at, rig = self.now(), self._whole()
-        above = () if self.axis is None else ("axis", self.axis)  # what all axes share is true of the others
+        above = () if self.axis is None else ("axis", self.axis)  # shared keys hold for the other axes, too
         values = {
             (*above, *finding.key.split(".")): NewValue(finding.new, f"{at}: {_said(finding)}") for finding in changed
         }
         text = rewritten(rig.text, values, MARK, str(self.path))
-        load_rig_text(text, str(self.path.resolve()), overrides=self.overrides)  # what it refuses is not written
+        load_rig_text(text, str(self.path.resolve()), overrides=self.overrides)  # an invalid file is not written
         stamp = at.replace(":", "").replace("-", "")
         backup = self.state.folder / f"{self.path.stem}.{stamp}.{step.name}.toml"
         replace_file(self.path, rig.text, text, backup)
@@ -192,7 +194,7 @@ class Session:
 
 
 def _said(finding: Finding) -> str:
-    """Return a finding as the comment above its key."""
+    """Return the comment for a finding above its key."""
     short = toml_value(finding.old) if finding.old is not None else "nothing"
     was = short if len(short) <= 40 else f"{short[:37]}..."
     reach = "" if finding.uncertainty is None else f"; 95 %: +- {finding.uncertainty:.2g} {finding.unit}"
@@ -200,5 +202,5 @@ def _said(finding: Finding) -> str:
 
 
 def results(done: Sequence[StepEnd]) -> Mapping[str, Any]:
-    """Return what `coulombus commission --json` prints."""
+    """Return the output of `coulombus commission --json`."""
     return {"steps": [end.as_dict() for end in done]}

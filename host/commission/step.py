@@ -1,6 +1,4 @@
-"""What a step of commissioning is: what will move, the exercise that moves it, and what its
-recording says.
-"""
+"""Interface of a commissioning step: its risk, its exercises, and the analysis of their recordings."""
 
 from __future__ import annotations
 
@@ -35,34 +33,34 @@ __all__ = [
 
 
 class CommissionError(CoulombusError):
-    """A step found nothing that could be written: the text says why, and what to do."""
+    """A step has no result to write; the text has the reason and a remedy."""
 
     exit_status = 1
 
 
 @dataclass(frozen=True)
 class Given:
-    """What only the operator knows: None where it was not given."""
+    """The operator's inputs; None if not given."""
 
     weight_Nm: float | None = None
-    """Torque of a known weight on an arm of known length at the handle, in its positive sense."""
+    """Torque of a known weight on an arm of known length at the handle, in its positive direction."""
     marks_rad: float | None = None
     """Angle between two marks at the handle."""
     marks_reach_rad: float = 0.002
-    """Half of the 95 % interval of that angle, as the hand sets it."""
+    """Half of the 95 % interval of that angle, as set by hand."""
     weight_reach_Nm: float = 0.0
     """Half of the 95 % interval of the weight's torque."""
     shares: Mapping[str, float] = field(default_factory=dict)
-    """Relative 95 % reaches of what earlier steps have measured (`host.commission.earlier`)."""
+    """Relative 95 % reaches of the figures that earlier steps have measured (`host.commission.earlier`)."""
 
     def share(self, *names: str) -> float:
-        """Return the relative reach of the first of the figures that was measured; 0 if none was."""
+        """Return the relative reach of the first measured figure of `names`; 0 if none was measured."""
         return next((self.shares[name] for name in names if name in self.shares), 0.0)
 
     def exact(self, figures: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
         """Return a remark on the figures that no step has measured, and that count as exact.
 
-        `figures`: words for each, and the keys or names under which a step has it.
+        `figures`: text of each figure -> its keys or names in the steps
         """
         missing = [words for words, names in figures.items() if not any(name in self.shares for name in names)]
         return (f"not measured, so the interval takes it as exact: {', '.join(missing)}",) if missing else ()
@@ -70,9 +68,9 @@ class Given:
 
 @dataclass(frozen=True)
 class Risk:
-    """What a step moves, and at most how much.
+    """Motion of a step, with its limits.
 
-    The exercise keeps to these by its law; the limits of the rig file hold besides.
+    The exercise's law keeps these limits; the limits of the rig file hold in addition.
     """
 
     moves: str
@@ -82,10 +80,10 @@ class Risk:
     brake_Nm: float = 0.0
     seconds: float = 0.0
     operator: str = "Let go of the handle, and stay clear of it."
-    """What the operator has to do."""
+    """Instruction for the operator."""
 
     def lines(self) -> list[str]:
-        """Return it in words."""
+        """Return the lines of the announcement."""
         most = [
             f"motor {self.motor_Nm:.3g} Nm" if self.motor_Nm else "no motor torque",
             f"brake {self.brake_Nm:.3g} Nm" if self.brake_Nm else "brake off",
@@ -98,32 +96,30 @@ class Risk:
 
 @dataclass(frozen=True)
 class Exercise:
-    """One run: the rig file as it is for it, the mode, and how the rehearsal's hand behaves."""
+    """A run: its rig, its mode, and the settings of the simulated hand in a rehearsal."""
 
     name: str
     rig: Rig
     mode: str
     seconds: float
     hand: tuple[str, ...] = ()
-    """Overrides of [operator] and [[phase]] for the simulated hand, which does what `Risk.operator`
-    asks for.
-    """
+    """Overrides of [operator] and [[phase]] for the simulated hand, which follows `Risk.operator`."""
     may_trip: tuple[str, ...] = ()
-    """Trips that do not spoil what the recording says."""
+    """Trips after which the recording is still valid."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was measured.
+    """A measured figure.
 
     Attributes
     ----------
-    key : of the rig file; "" where there is none, and the figure is for people
-    name : in words
-    old, new : what the rig file says, and what was found
-    uncertainty : half of the 95 % interval, in `unit`; None where there is none
-    basis : what it rests on
-    changed : whether the difference is more than can be told apart
+    key : key of the rig file; "": none, the figure is for information
+    name : text of the figure
+    old, new : the rig file's value, and the measured value
+    uncertainty : half of the 95 % interval, in `unit`; None without one
+    basis : data of the measurement
+    changed : whether the difference is significant
     """
 
     key: str
@@ -138,7 +134,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Curve:
-    """A picture for the report: lines of points, drawn as `style` says ("-", "o")."""
+    """A figure for the report: lines of points, each with a matplotlib style such as "-" or "o"."""
 
     title: str
     x: str
@@ -148,14 +144,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a step came to."""
+    """Result of a step."""
 
     findings: tuple[Finding, ...]
     remarks: tuple[str, ...] = ()
     curves: tuple[Curve, ...] = ()
     again: bool = False
-    """The rig could not be armed for the exercise as it was believed: with the findings it can, and
-    the step is to be done once more.
+    """Whether the step must be repeated: with the old values the rig could not be armed for the exercise, with
+    the findings it can.
     """
 
     def as_dict(self) -> dict[str, Any]:
@@ -165,7 +161,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class TrippedExercise:
-    """How an exercise ended otherwise than planned: the trip's name, and its words."""
+    """Trip of an exercise: its name, and its text."""
 
     name: str
     text: str
@@ -173,61 +169,59 @@ class TrippedExercise:
 
 @dataclass(frozen=True)
 class ExerciseResult:
-    """What an exercise gave: its recording, and the trip where it tripped as it may."""
+    """Result of an exercise: its recording, and its trip if it was one of `Exercise.may_trip`."""
 
     recording: Recording
     trip: TrippedExercise | None = field(default=None)
 
 
 class Step(ABC):
-    """One step."""
+    """A step of commissioning."""
 
     name: ClassVar[str]
     title: ClassVar[str]
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return why the step cannot be done on this rig, None where it can."""
+        """Return the reason why the step is not possible on this rig, or None."""
         return None
 
     @abstractmethod
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return what will move, and at most how much."""
+        """Return the motion of the step, with its limits."""
 
     @abstractmethod
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
-        """Return the runs of the step; none where nothing has to move."""
+        """Return the runs of the step; empty if nothing has to move."""
 
     @abstractmethod
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
-        """Return what the recordings say.
+        """Return the result from the recordings.
 
         Raises
         ------
         CommissionError
-            they do not carry it
+            the recordings do not give a result
         """
 
 
 TRAVEL_SHARE = 0.6
-"""A step keeps to this share of ``limits.travel_rad``."""
+"""Largest travel of a step, as a share of ``limits.travel_rad``."""
 
 
 def lacks_roles(axis: Axis, *roles: str) -> str | None:
-    """Return the first of the roles that the rig has not, in words."""
+    """Return a text with the first of `roles` that the rig lacks, or None."""
     missing = next((role for role in roles if axis.allocation.bound.get(role) is None), None)
     return None if missing is None else f"the rig has no role {missing}"
 
 
 def strokes(seconds: float, speed_rad_s: float, move_s: float, dwell_s: float) -> str:
-    """Return a phase of a schedule in which the handle is stroked to and fro."""
+    """Return a schedule's phase in which the hand strokes the handle to and fro."""
     times = f"duration_s={seconds!r}, speed_rad_s={speed_rad_s!r}, move_s={move_s!r}, dwell_s={dwell_s!r}"
     return f'{{kind="stroke", {times}}}'
 
 
 def move_s(axis: Axis, speed_rad_s: float, wanted_s: float) -> float:
-    """Return how long a move of the hand at a speed is [s]: as wanted, or what the travel
-    allows.
-    """
+    """Return the duration of the hand's move at a speed [s]: `wanted_s`, or less if the travel limits it."""
     return round(min(wanted_s, TRAVEL_SHARE * axis.limits.travel_limit_rad / speed_rad_s), 3)
 
 
@@ -244,8 +238,8 @@ def exercise(
 ) -> Exercise:
     """Return a run of one of `host.laws.exercises`, for the length of its `phases`.
 
-    With motor torque it is in mode active: the sign check comes first. Else it is in mode passive,
-    where the motor has none. The rig file's limits are taken as they are.
+    With motor torque it is in mode active, which begins with the sign check. Else it is in mode passive,
+    in which the motor has no torque. The rig file's limits are unchanged.
     """
     mode = "active" if motor_Nm > 0 else "passive"
     law_keys = {"K_p_Nm_rad": 1.0, "F_s_Nm": 0.0, "F_d_Nm": 0.0, "compensation": 0.0, "motor_limit_Nm": motor_Nm}

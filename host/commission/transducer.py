@@ -1,9 +1,9 @@
-"""The torque transducer: its zero and noise with nobody at the handle, then its sign and scale with
-a known weight.
+"""Steps "zero" and "weight": zero and noise of the torque transducer with a free handle, then its sign and
+scale with a known weight.
 
-Its signal is raw counts times a scale plus an offset, both turned by the polarity. The zero is the
-offset's, the weight the scale's and the polarity's. Neither step gives the motor any torque. While
-the weight hangs, the brake holds the handle.
+The signal is the raw counts times a scale plus an offset, both signed by the polarity. The step zero gives
+the offset; the step weight gives scale and polarity. The motor has no torque in either step. While the weight
+hangs, the brake holds the handle.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ ZERO_S = 4.0
 REST_S, HANG_S, TAIL_S = 3.0, 9.0, 3.0
 HANGING = "a weight that hangs still"
 SETTLED_S = 3.0
-"""The last so many seconds of a phase count: by then the operator has done what the phase asks."""
+"""Evaluated time at the end of a phase, when the operator has finished its action."""
 HOLDS = 1.5
-"""How much more than the weight the brake is told to bear ..."""
+"""Factor from the weight's torque to the brake's set-point."""
 HOLDS_NM = 0.5
-"""... and so much on top [Nm]."""
+"""Torque that is added to the brake's set-point [Nm]."""
 LEAST_SHARE = 0.1
 
 
 def _binding(axis: Axis) -> Binding:
     binding = axis.allocation.bound.get("handle_torque")
-    assert binding is not None  # `lacks` has told
+    assert binding is not None  # checked by `lacks`
     return binding
 
 
@@ -59,23 +59,23 @@ class Zero(Step):
     title = "torque transducer: zero and noise"
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return what the rig has not."""
+        """Return the role that the rig lacks, or None."""
         return lacks_roles(axis, "handle_torque")
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return that nothing moves."""
+        """Return the risk: nothing moves."""
         return Risk("Nothing moves: the transducer is read.", seconds=ZERO_S)
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
-        """Return a run in which nothing happens.
+        """Return a run without torque.
 
-        A zero that is far off lets the arming be refused; the signal is there all the same.
+        With a large zero offset arming is refused (HANDLE_LOADED); the signal is recorded nevertheless.
         """
         rest = f'{{kind="rest", duration_s={ZERO_S}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND, may_trip=("HANDLE_LOADED",)),)
 
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
-        """Return the offset that makes the mean zero, and the noise."""
+        """Return the offset that brings the mean to zero, and the noise."""
         series = handle_torque(runs[0].recording)
         binding, turned = _binding(axis), axis.mechanics.transducer_polarity
         span = float(series.t_s[0]), float(series.t_s[-1])
@@ -101,7 +101,7 @@ class Weight(Step):
     title = "torque transducer: sign and scale by a known weight"
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
-        """Return what the rig or the operator has not."""
+        """Return the role or the input that is missing, or None."""
         if given.weight_Nm is None:
             return "give --weight-Nm: the torque of a known weight at the handle, in its positive sense"
         if not 0 < given.weight_Nm <= axis.limits.brake_torque_Nm / HOLDS:
@@ -114,7 +114,7 @@ class Weight(Step):
         return min(HOLDS * (given.weight_Nm or 0.0) + HOLDS_NM, axis.limits.brake_torque_Nm)
 
     def risk(self, axis: Axis, given: Given) -> Risk:
-        """Return what the brake bears."""
+        """Return the brake's torque and the operator's actions."""
         return Risk(
             "The brake holds the handle while the weight hangs on it.",
             brake_Nm=self._brake(axis, given),
@@ -135,7 +135,7 @@ class Weight(Step):
         return (exercise(self.name, rig, "hold", [self._brake(rig.one_axis(), given)], phases, hand=FREE_HAND),)
 
     def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
-        """Return scale and polarity that read the weight as it is."""
+        """Return the scale and polarity with which the transducer reads the weight's torque."""
         recording, weight = runs[0].recording, given.weight_Nm or 0.0
         series = handle_torque(recording)
         rest, hang = span_of(recording, "rest"), span_of(recording, "file")
@@ -164,7 +164,7 @@ class Weight(Step):
             offset = binding.offset * turned
             zero_reach = abs(offset) * factor * math.hypot(given.share(OFFSET), share)
             moved = rounded(offset * factor, zero_reach)
-            stated = zero_reach if OFFSET in given.shares else None  # not by this session: it has no interval
+            stated = zero_reach if OFFSET in given.shares else None  # an offset of no step has no interval
             findings.append(Finding(OFFSET, "transducer's zero", offset, moved, "Nm", stated, "with the new scale"))
         curve = Curve("Weight", "time [s]", "[Nm]", {"as it read": (*thinned(series.t_s, series.values), "-")})
         return Outcome(tuple(findings), curves=(curve,))
