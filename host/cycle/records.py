@@ -45,7 +45,7 @@ class Phase(IntEnum):
 
     OFF = 0  # outputs zero, controlword "disable voltage"
     STILL = 1  # drive switched on; the handle must be still before anything else
-    ENABLE = 2  # controlword "enable operation" until the drive says so
+    ENABLE = 2  # controlword "enable operation" until the drive reports Operation Enabled
     SIGN = 3  # a small torque ramp checks that motor, encoder and transducer agree on the sign
     SETTLE = 4  # torque back to zero, still again
     RUN = 5  # the law is displayed; its gain ramps in
@@ -185,7 +185,7 @@ class ControlRecord(Record):
     level_is_felt: int  # 1: the law gives the level at the hand; 0: the level of the brake
     inertia: float  # inertia of handle and motor [kg m2]
     coil_step: float  # modelled step of the coil's lag in a cycle, as a share of the remaining error; 0: no lag
-    fluid_step: float  # the same for the fluid's lag
+    fluid_step: float  # modelled step of the fluid's lag in a cycle, as a share of the remaining error; 0: no lag
     iron_plays: int  # number of play operators in the model of the brake's iron; 0: no hysteresis
     iron_r: Annotated[FloatField, MOST_PLAYS]  # thresholds of the play operators [Nm]
     iron_w: Annotated[FloatField, MOST_PLAYS]  # weights of the play operators
@@ -201,17 +201,17 @@ class ControlRecord(Record):
     speed_limit: float  # rad/s
     jump_counts: int  # largest plausible motion in a cycle
     net_work_J: float  # largest net work of the motor within the window
-    net_work_cycles: int  # length of that window
+    net_work_cycles: int  # length of the window of the net work
     stores: int  # 1: the law returns energy to the hand, as a spring does
     travel_rad: float  # largest travel from the start; inf: unlimited
     motor_mismatch_Nm: float  # largest measured torque beyond the command; inf: not measured
-    motor_mismatch_cycles: int  # cycles in a row beyond it after which the host trips
+    motor_mismatch_cycles: int  # cycles in a row above motor_mismatch_Nm after which the host trips
     motor_lag_decay: float  # decay of the command's envelope in a cycle
     mismatch_Nm: float  # largest transducer torque that motor and brake do not explain
-    mismatch_cycles: int  # cycles in a row beyond it after which the host trips
+    mismatch_cycles: int  # cycles in a row above mismatch_Nm after which the host trips
     missed_cycles: int  # cycles in a row without a TPDO after which the host trips
     coil_limit_A2: float  # largest mean square of the coil's current
-    coil_decay: float  # decay of that mean in a cycle
+    coil_decay: float  # decay of the mean square of the coil's current in a cycle
     brake_lag_decay: float  # decay of the error of the expected brake torque in a cycle
     # arming
     still_cycles: int  # cycles in a row without motion that count as standstill
@@ -224,7 +224,7 @@ class ControlRecord(Record):
     sign_torque_Nm: float  # end of the torque ramp
     sign_travel_counts: int  # largest motion in the sign check
     sign_hand_Nm: float  # change of the handle torque that decides the transducer's sign
-    sign_hand_cycles: int  # cycles over which that change is averaged
+    sign_hand_cycles: int  # cycles over which the handle torque is averaged in the sign check
     settle_cycles: int  # cycles of standstill without torque after the sign check
     # dead man's switch
     deadman_key: int  # 1: HOST.deadman_ok is written from outside the cycle
@@ -233,7 +233,7 @@ class ControlRecord(Record):
     # safe state
     safe_longest_cycles: int  # longest time to brake off
     release_Nm: float  # fall of the brake's set-point in a cycle of the safe state
-    unloaded_Nm: float  # the same for an unloaded handle
+    unloaded_Nm: float  # fall of the brake's set-point in a cycle of the safe state, with an unloaded handle
     release_counts: float  # speed in counts a cycle above which the release pauses
     # telemetry (`host.cycle.telemetry`)
     law_keeps: int  # number of state variables that the law declares
@@ -267,7 +267,7 @@ class HostRecord(Record):
     nmt: Annotated[IntegerField, MOST_DEVICES]  # NMT state in each node's last heartbeat; -1: none
     suspect_node: int  # the node whose EMCY or heartbeat tripped
     law_Nm: float  # output of the law that is not finite
-    law_part: int  # which output that is: 0: the result, 1: the brake's, 2: the motor's
+    law_part: int  # the law's output that is not finite: 0: the result, 1: the brake's, 2: the motor's
     # measured
     image: Annotated[IntegerField, IMAGE_SLOTS]  # the process image, by `Image`
     raw_position: int  # last received 6064h
@@ -279,9 +279,9 @@ class HostRecord(Record):
     moved_counts: int  # between the last two fresh positions, however many cycles apart
     v_counts: float  # velocity (backward difference), in counts a cycle
     slide_counts: float  # slow-velocity estimate, which decides between stick and slip, in counts a cycle
-    track: Annotated[IntegerField, TRACK]  # ring of the positions for that estimate
-    track_row: int  # next row of the ring
-    track_length: int  # number of positions in the ring
+    track: Annotated[IntegerField, TRACK]  # ring of the positions for the slow-velocity estimate
+    track_row: int  # next row of the ring of positions
+    track_length: int  # number of positions in the ring of positions
     handle_Nm: float  # the transducer's torque
     drive: int  # `PowerState` of the motor's drive; -1: none
     brake_drive: int  # `PowerState` of the brake; of a brake without power states, that of the motor's drive
@@ -297,11 +297,11 @@ class HostRecord(Record):
     asked_sense: Annotated[FloatField, ASKED]  # held back outputs of the law: direction of the compensation
     asked_psi_Nm: Annotated[FloatField, ASKED]  # held back outputs of the law: the motor's torque
     asked_brake_Nm: Annotated[FloatField, ASKED]  # held back outputs of the law: the brake's level
-    asked_row: int  # next row of these rings
+    asked_row: int  # next row of the rings of held back outputs
     share: float  # share of its compensation that the motor may give
     port_J: float  # energy balance at the hand's port
     port_kinetic_J: Annotated[FloatField, KINETIC_CYCLES]  # kinetic energies of the last fresh cycles
-    port_row: int  # next row of that ring
+    port_row: int  # next row of the ring of kinetic energies
     port_brake_Nm: float  # expected brake torque during the motion to the newest position
     port_handle_Nm: float  # handle torque a cycle ago
     port_pushed_Nm: float  # the law's part for the motor a cycle ago
@@ -319,7 +319,7 @@ class HostRecord(Record):
     tpdo_age: Annotated[
         IntegerField, DRIVE_PDOS
     ]  # cycles since each TPDO by timer arrived: 1 in the cycle of its arrival
-    oldest_tpdo: int  # largest of these ages
+    oldest_tpdo: int  # largest of the ages of the TPDOs by timer
     voltage_low: int  # cycles in a row in which the drive lacked its supply
     commanded_high_Nm: float  # upper envelope of the motor's commands, which decays to 0
     commanded_low_Nm: float  # lower envelope of the motor's commands, which decays to 0
@@ -327,7 +327,7 @@ class HostRecord(Record):
     mismatch: int  # cycles in a row in which the transducer torque is not explained
     coil_A2: float  # mean square of the coil's current
     work_sum: float  # net work of the motor within the window [J]
-    work_row: int  # next row of the window
+    work_row: int  # next row of the window of the net work
     work: Annotated[FloatField, WORK_WINDOW_CYCLES]  # work of the motor in each cycle of the window [J]
     contact_J: float  # work of a storing law's push since the contact began
     # counters
@@ -382,8 +382,8 @@ class LiveRecord(Record):
     taken: int  # number of the order that the step follows
     cycle: int  # cycles since the transition began
     cycles: int  # duration of the transition
-    first: Annotated[FloatField, SLOTS]  # values at its begin
-    last: Annotated[FloatField, SLOTS]  # values at its end
+    first: Annotated[FloatField, SLOTS]  # values at the beginning of the transition
+    last: Annotated[FloatField, SLOTS]  # values at the end of the transition
 
 
 class AxisRecord(Record):

@@ -2,15 +2,18 @@
 
 The inputs of the step, and their places in a recording:
 
-========================================  =======================================================================================
-received frames with their time stamps    the recording; the trace (`recording.trace`) says which of its frames these are; a stamp matters
-                                          to heartbeats only, whose age counts from it
-frames that the step saw in a cycle       virtual time: their stamps; real time: the trace
-times at which a cycle was due and ended  the same; skipped periods add to the position's age, which divides the velocity
-stop requests, the dead man's switch      the trace; in virtual time also the changes of the host's clock, which sets its deadlines
-changed parameters                        the markers "set" (`host.cycle.parameter_changes`); the trace has the cycle in which each was taken
-rig, mode, law                            attached (a user's law: its file in the folder of the recording)
-========================================  =======================================================================================
+=========================================  ============================================================================
+received frames with their time stamps     the recording; the trace (`recording.trace`) says which of its frames these
+                                           are; a stamp matters to heartbeats only, whose age counts from it
+frames that the step saw in a cycle        virtual time: their stamps; real time: the trace
+times at which a cycle was due and ended   the same; skipped periods add to the position's age, which divides the
+                                           velocity
+stop requests, the dead man's switch       the trace; in virtual time also the changes of the host's clock, which sets
+                                           its deadlines
+changed parameters                         the markers "set" (`host.cycle.parameter_changes`); the trace has the cycle
+                                           in which each was taken
+rig, mode, law                             attached (a user's law: its file in the folder of the recording)
+=========================================  ============================================================================
 
 The step has no other input: no clock, and no period but `CONTROL.period_ns`.
 """

@@ -1,4 +1,4 @@
-"""A virtual inertia beside the handle's own."""
+"""A virtual inertia, added to the handle's own."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ The rig file names a law: ``karnopp``, ``lugre`` or another of `BUILTIN_LAWS`, e
 folder; ``file.py:function``; or ``module:function``. A law is a plain function::
 
     def my_law(motion, law, state):
-        state.brake_Nm = law.F_d                      # what the brake should bear, >= 0
+        state.brake_Nm = law.F_d                      # set-point of the brake, >= 0
         return law.F_d * motion.v_rad_s / (abs(motion.v_rad_s) + 0.1)
 
 motion : `MotionRecord`
@@ -76,7 +76,7 @@ from coulombus.kernels.decorator import JIT_DISABLED, cacheable
 from coulombus.system.errors import CoulombusError
 
 import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
-import numba.experimental.function_type  # isort: skip  (what the type of a compiled law is)
+import numba.experimental.function_type  # isort: skip  (defines the type of a compiled law)
 
 __all__ = [
     "BUILTIN_LAWS",

@@ -69,7 +69,7 @@ class PlaneRecord(Record):
     trace_tail: int  # number of rows that the parent has read from the trace
     packed: int  # 1: a message may carry several frames
     order: int  # number of the newest order of parameters (`host.cycle.live_parameters`)
-    order_axis: int  # axis of that order
+    order_axis: int  # axis of the newest order
     # written by the data plane
     status: int  # a `PlaneStatus`
     error: int  # errno of a lost bus

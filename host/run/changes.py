@@ -9,8 +9,8 @@ each axis with their bounds, and the change; or ``error``, the reason of a refus
 request may be repeated at once.
 
 On a real rig a hand may be on the handle. There a change needs the arm key, which the host prints on the
-terminal where it was started. So the person who changes the display is at the rig, or in contact with
-someone who is. Attempts are limited (`host.run.arm_key`).
+terminal where it was started. So a change comes from a person at the rig, or from a person to whom that
+person gave the key. Attempts are limited (`host.run.arm_key`).
 """
 
 from __future__ import annotations

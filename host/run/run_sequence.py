@@ -59,7 +59,7 @@ class Course(ABC):
         self.marks = PhaseMarks(k.rig)
         self._end_marked = False
 
-    # what time is, and what the run is on
+    # time, start and safe state
 
     @property
     @abstractmethod

@@ -36,7 +36,7 @@ from coulombus.kernels.records import RecordArray, new_records
 from coulombus.system.errors import CoulombusError
 
 import numba  # isort: skip  (after kernels.decorator, which names the cache directory)
-import numba.experimental.function_type  # isort: skip  (what the type of a compiled law is)
+import numba.experimental.function_type  # isort: skip  (defines the type of a compiled law)
 
 __all__ = ["PLANE_LAWS", "PlaneLaw", "compile_plane_law", "load_plane_law"]
 
