@@ -34,7 +34,7 @@ __all__ = ["MODE_DISPLAY", "NOT_SHOWN", "SUPPORTED_MODES", "DevicePlan", "device
 READ_ONLY = ("ro", "const")
 TARGET_TORQUE, MAX_TORQUE, SUPPORTED_MODES, MODE_DISPLAY = 0x6071, 0x6072, 0x6502, 0x6061
 NOT_SHOWN = "6061h does not show the mode"
-"""Text in host.accept after the drive's name: the difference is acknowledged."""
+"""Text in host.accept, after the drive's name, that acknowledges a drive without a display of its mode."""
 NO_TORQUE_LIMIT = "no torque limit of its own"
 
 

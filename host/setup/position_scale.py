@@ -23,7 +23,7 @@ from coulombus.rigs.devices import drive_axis_of
 __all__ = ["OWN_SCALE", "BelievedScale", "believed_scale", "early_wrap", "remark_of", "scale_differences"]
 
 OWN_SCALE = "position scale is the rig file's"
-"""Text in host.accept after the drive's name: the scale in the drive's objects is wrong."""
+"""Text in host.accept, after the drive's name, that acknowledges a wrong scale in the drive's objects."""
 MARKS = "coulombus commission --step encoder measures it between two marks"
 RANGE_LIMIT = 0x607B
 POSITION, INCREMENTS = (0x6064, 0), (0x6063, 0)

@@ -180,7 +180,7 @@ def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int)
 
 
 def _common_settings(axis: Axis, node: str, part: DeviceSection, ours: bool) -> Iterator[Setting]:
-    """Yield the settings of heartbeats in both directions or of guarding, of SYNC and of EMCY."""
+    """Yield the settings of heartbeats in both directions or of guarding, of SYNC and its loss, and of EMCY."""
     description = axis.description(node)
     if is_guarded(description):
         guard_ms, factor = life_of(axis.host.heartbeat_s, part.heartbeat_timeout_s)
