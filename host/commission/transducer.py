@@ -1,9 +1,9 @@
-"""Steps "zero" and "weight": zero and noise of the torque transducer with a free handle, then its sign and
-scale with a known weight.
+"""Steps "zero" and "weight": zero, noise, sign and scale of the torque transducer.
 
-The signal is the raw counts times a scale plus an offset, both signed by the polarity. The step zero gives
-the offset; the step weight gives scale and polarity. The motor has no torque in either step. While the weight
-hangs, the brake holds the handle.
+Zero and noise are measured with a free handle, sign and scale with a known weight. The signal is the raw
+counts times a scale plus an offset, both signed by the polarity. The step zero gives the offset; the step
+weight gives scale and polarity. The motor has no torque in either step. While the weight hangs, the brake
+holds the handle.
 """
 
 from __future__ import annotations

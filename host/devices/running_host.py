@@ -1,5 +1,6 @@
-"""Detection of a running host on a bus: services for devices are refused there, because a hand may be on
-the handle.
+"""Detection of a running host on a bus.
+
+Services for devices are refused there, because a hand may be on the handle.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Ordinary load for the latency test: ``python -m coulombus.host.doctor.load PARENT NUMBER FOLDER``; it runs
-until it is killed.
+"""Ordinary load for the latency test: ``python -m coulombus.host.doctor.load PARENT NUMBER FOLDER``.
 
-Processes with an even number copy memory; those with an odd number make system calls and write to the
-disk.
+The process runs until it is killed. With an even number it copies memory; with an odd number it makes system
+calls and writes to the disk.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Wake-up delays of a loop that sleeps like the data plane: ``python -m coulombus.host.doctor.sleeper
-SETTINGS``.
+"""Measurement of wake-up delays: ``python -m coulombus.host.doctor.sleeper SETTINGS``.
 
-It is a separate process, because it requests real-time rights. It prints one JSON object.
+The loop sleeps like the data plane's. It runs in a separate process, because it requests real-time rights.
+The process prints one JSON object.
 """
 
 from __future__ import annotations

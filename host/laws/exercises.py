@@ -1,9 +1,8 @@
-r"""Exercises of commissioning: laws that drive motor or brake with a known signal, to identify the rig from
-the recording (`host.commission`).
+r"""Exercises of commissioning (`host.commission`): laws that drive motor or brake with a known signal.
 
-They have the signature of a law (`host.laws.laws`), so they run in the same compiled cycle, with its limits
-and monitors, as any friction law. Their parameters are ``law.user``, in the order in each docstring; rig
-files do not have them.
+The recordings of exercises identify the rig. Exercises have the signature of a law (`host.laws.laws`), so
+they run in the same compiled cycle, with its limits and monitors, as any friction law. Their parameters
+are ``law.user``, in the order in each docstring; rig files do not have them.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""Source of a friction law, attached to a recording: it documents the displayed law, and a replay compares it
-with the present source.
+"""Source of a friction law, attached to a recording.
+
+It documents the displayed law, and a replay compares it with the present source.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""A law's parameters from a rig file: its table [law.NAME], checked against the law's declaration, or
-[mode.NAME] and [law].
+"""A law's parameters from a rig file, checked against the law's declaration.
+
+They are in its table [law.NAME], or in [mode.NAME] and [law].
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Ring buffers between the data plane's loop and its parent, compiled: the log of frames, and the trace of
-the events of each cycle.
+"""Ring buffers between the data plane's loop and its parent, compiled.
 
-The loop writes at a ring's head, and the parent reads at its tail. Each side moves only its own end, after
-the access to the row, so a row is visible as a whole or not at all. Rows without room are dropped and
-counted.
+One ring is the log of frames, the other the trace of the events of each cycle. The loop writes at a
+ring's head, and the parent reads at its tail. Each side moves only its own end, after the access to the
+row, so a row is visible as a whole or not at all. Rows without room are dropped and counted.
 
     p : the PLANE record        f, g, r : a frame or a row
 """

@@ -1,11 +1,11 @@
-"""The data plane's process: ``python -m coulombus.host.realtime.process SETTINGS``, started by
-`coulombus.host.realtime.data_plane` with two open descriptors.
+"""The data plane's process: ``python -m coulombus.host.realtime.process SETTINGS``.
 
-The process is separate from the parent's interpreter, so no lock, garbage collection or thread of the
-parent can delay a cycle. Until it is ready, it dies with its parent (PR_SET_PDEATHSIG). From then on the
-loop monitors the parent: when the parent has ended, the loop makes the rig safe as after a trip, and the
-process ends (`host.realtime.loop`). Only the parent handles the signals that end a verb: this process
-blocks them, and has its own session, which the terminal does not signal.
+`coulombus.host.realtime.data_plane` starts it with two open descriptors. The process is separate from the
+parent's interpreter, so no lock, garbage collection or thread of the parent can delay a cycle. Until it
+is ready, it dies with its parent (PR_SET_PDEATHSIG). From then on the loop monitors the parent: when the
+parent has ended, the loop makes the rig safe as after a trip, and the process ends
+(`host.realtime.loop`). Only the parent handles the signals that end a verb: this process blocks them, and
+has its own session, which the terminal does not signal.
 
 One line of JSON on the standard output reports that it is ready, with the granted and refused real-time
 rights.

@@ -1,5 +1,4 @@
-"""Files for host, simulation and bridge as services: systemd units, device rules, limits, set-up of the CAN
-interface.
+"""Files for host, simulation and bridge as services: systemd units, device rules, limits, CAN set-up.
 
 The host's unit never restarts: after a trip nothing re-arms by itself, and a person must start it.
 """
