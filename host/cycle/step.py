@@ -124,7 +124,7 @@ def _only_of_host(axis: AxisRecord, can_id: int, data: int) -> bool:
     that writes an object of one of the axis' nodes (SDO download, block download).
 
     The host does not receive its own frames, and it writes no object between arming and the safe
-    state. So another station sent a frame of this kind.
+    state. So a received frame of this kind comes from another station.
     """
     for k in range(axis.control.rpdos):
         if axis.rpdos[k].cob_id == can_id:
