@@ -257,7 +257,7 @@ class LiveParameters:
         ----------
         values : name -> value; a name may lack its unit ("F_s")
         axis : name of the axis, in a rig with several axes
-        over_s : duration of the transition [s]
+        over_s : requested duration of the transition [s]; a falling torque may take longer
 
         Raises
         ------
