@@ -22,7 +22,7 @@ class BlimanSorineParameters(Parameters):
 
 
 class BlimanSorineState(LawStateRecord):
-    """State of the law."""
+    """What it keeps."""
 
     x_1_Nm: float
     x_2_Nm: float
@@ -39,9 +39,9 @@ def bliman_sorine(motion: MotionRecord, law: BlimanSorineParameters, state: Blim
         \eta \varepsilon_f \frac{dx_1}{ds} = -x_1 + f_1\,\mathrm{sgn}(v), \quad
         \varepsilon_f \frac{dx_2}{ds} = -x_2 - f_2\,\mathrm{sgn}(v), \quad \psi = x_1 + x_2
 
-    It depends on the path alone, and is solved exactly. In slip the level is f_1 - f_2. Before, it passes
-    a peak that does not depend on the speed: below f_1 from rest, below f_1 + f_2 after a reversal. The
-    brake bears f_1 - f_2.
+    It depends on the path alone, and is solved exactly. In slip the level is f_1 - f_2; on the way
+    there it passes a peak, which the speed does not change: below f_1 from rest, below f_1 + f_2 after
+    a reversal. The brake bears f_1 - f_2.
 
     Source: P.-A. Bliman, M. Sorine, Easy-to-use realistic dry friction models for automatic
     control, European Control Conference, 1995; described in H. Olsson, K. J. Astrom, C. Canudas de

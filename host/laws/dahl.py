@@ -18,7 +18,7 @@ class DahlParameters(Parameters):
 
 
 class DahlState(LawStateRecord):
-    """State of the law."""
+    """What it keeps."""
 
     F_Nm: float
 
@@ -32,8 +32,8 @@ def dahl(motion: MotionRecord, law: DahlParameters, state: DahlState) -> float:
         \frac{dF}{dx} = \sigma \left(1 - \frac{F}{F_c}\,\mathrm{sgn}(v)\right)^{\alpha}, \quad
         \psi = F
 
-    It depends on the path alone, not on the time. Along a step :math:`s = |\Delta x|` in one direction
-    it is solved exactly. With :math:`u = 1 - (F/F_c)\,\mathrm{sgn}(v)`, which is between 0 and 2:
+    It depends on the path alone, not on the time. Along a step :math:`s = |\Delta x|` in one sense
+    it is solved exactly. With :math:`u = 1 - (F/F_c)\,\mathrm{sgn}(v)`, which lies in 0 to 2:
 
     .. math::
 
@@ -55,7 +55,7 @@ def dahl(motion: MotionRecord, law: DahlParameters, state: DahlState) -> float:
         path = law.sigma_Nm_rad * abs(step) / law.F_c_Nm
         if law.alpha == 1.0:
             u *= math.exp(-path)
-        elif u > 1e-30:  # smaller values count as 0, because their powers would not be finite
+        elif u > 1e-30:  # less is none, and its powers would not be finite
             power = 1.0 - law.alpha
             left = u**power - power * path
             u = left ** (1.0 / power) if left > 0.0 else 0.0

@@ -24,9 +24,9 @@ def detent(motion: MotionRecord, law: DetentParameters, state: LawStateRecord) -
 
     .. math:: \psi = A \sin\frac{2\pi x}{P} + F_c\,\mathrm{sat}(v/v_t)
 
-    The first part is the slope of a potential: it returns the energy that it stores, and pulls the handle
-    to the angles n P. The second part, the damping, absorbs the energy that a sampled display generates. The
-    brake bears F_c.
+    The first part is the slope of a potential: it gives back what it takes, and pulls the handle to
+    the angles n P. The second makes up for what a sampled display gives besides. The brake bears
+    F_c.
 
     Source of the bound of its stiffness :math:`2\pi A/P` in a sampled display: J. J. Abbott, A. M.
     Okamura, Effects of position quantization and sampling rate on virtual-wall passivity, IEEE

@@ -11,7 +11,7 @@ from coulombus.host.laws.stribeck import stribeck_level
 __all__ = ["elastoplastic"]
 
 STEPS = 16
-"""Number of integration steps over the range in which the bristles begin to yield."""
+"""Steps over the width in which the bristles begin to yield."""
 MOST_STEPS = 512
 
 
@@ -31,7 +31,7 @@ class ElastoPlasticParameters(Parameters):
 
 
 class ElastoPlasticState(LawStateRecord):
-    """State of the law."""
+    """What it keeps."""
 
     z_rad: float
 
@@ -45,14 +45,13 @@ def elastoplastic(motion: MotionRecord, law: ElastoPlasticParameters, state: Ela
         \dot z = v \left(1 - \alpha(z, v)\,\frac{\sigma_0 z}{g(v)}\,\mathrm{sgn}(v)\right), \quad
         \psi = \sigma_0 z + \sigma_1 \dot z + \sigma_2 v
 
-    with LuGre's g(v). :math:`\alpha = 0` while z is deflected against the motion or
-    :math:`|\sigma_0 z| \le F_{ba}`: under a load below F_ba the handle does not drift, even if it vibrates.
-    :math:`\alpha = 1` from :math:`z_{ss} = g/\sigma_0` on, and half a sine in between.
+    with LuGre's g(v). :math:`\alpha = 0` while z is wound against the motion or
+    :math:`|\sigma_0 z| \le F_{ba}`: a load below F_ba does not let the handle drift, however it
+    shakes. :math:`\alpha = 1` from :math:`z_{ss} = g/\sigma_0` on, and half a sine between.
 
-    Within a cycle v is constant, and z depends on the path alone. The elastic part and the part beyond
-    z_ss are solved exactly, the part in between by the classical Runge-Kutta method in 16 steps over its
-    width. After 32 widths the sine is approximated by a parabola, which is solved exactly, too. The brake
-    bears :math:`g(v) + \sigma_2 |v|`.
+    Within a cycle v is one number, and z depends on the path alone. The elastic part and that beyond
+    z_ss are solved exactly, the part between by the classical Runge-Kutta method in 16 steps over its
+    width; after 32 widths it is a parabola, which is solved, too. The brake bears :math:`g(v) + \sigma_2 |v|`.
 
     Source: P. Dupont, V. Hayward, B. Armstrong, F. Altpeter, Single state elastoplastic friction
     models, IEEE Trans. Automat. Control 47(5), 2002, doi:10.1109/TAC.2002.1000274.
@@ -64,7 +63,7 @@ def elastoplastic(motion: MotionRecord, law: ElastoPlasticParameters, state: Ela
         return float(law.sigma_0_Nm_rad * state.z_rad)
     sense = 1.0 if v > 0.0 else -1.0
     z_ss, z_ba = g / law.sigma_0_Nm_rad, law.F_ba_Nm / law.sigma_0_Nm_rad
-    y, left = sense * state.z_rad, abs(v) * motion.dt_s  # deflection in the direction of the motion, path
+    y, left = sense * state.z_rad, abs(v) * motion.dt_s  # how far they are bent in the sense of the motion
     if y < z_ba:
         elastic = min(left, z_ba - y)
         y += elastic
@@ -86,7 +85,7 @@ def elastoplastic(motion: MotionRecord, law: ElastoPlasticParameters, state: Ela
         left -= steps * h
     if left > 0.0 and y > z_ss:
         y = z_ss + (y - z_ss) * math.exp(-left / z_ss)
-    elif left > 0.0 and y < z_ss:  # near z_ss the sine is approximated by a parabola: Bernoulli's equation
+    elif left > 0.0 and y < z_ss:  # so near to z_ss that the sine is a parabola: Bernoulli's equation
         bend = 0.25 * scale * scale * z_ss
         y = z_ss - 1.0 / ((1.0 / (z_ss - y) + bend) * math.exp(min(left / z_ss, 700.0)) - bend)
     state.z_rad = sense * y

@@ -34,7 +34,7 @@ class GmsParameters(Parameters):
 
 
 class GmsState(LawStateRecord):
-    """State of the law."""
+    """What it keeps."""
 
     F_Nm: Annotated[FloatField, 4]
     slips: Annotated[FloatField, 4]
@@ -52,9 +52,9 @@ def gms(motion: MotionRecord, law: GmsParameters, state: GmsState) -> float:
         \dot F_i = \mathrm{sgn}(v)\,C \left(\alpha_i - \frac{|F_i|}{g(v)}\right), \quad
         \psi = \sum F_i + \sigma_2 v
 
-    Its hysteresis has non-local memory: after a closed inner loop it continues along the outer loop.
-    Within a cycle v is constant, and both parts are solved exactly, with the instant between them. The
-    brake bears :math:`g(v) + \sigma_2 |v|`.
+    Its hysteresis has a memory that is not local: behind a small loop it goes on along the large
+    one, as if that had not been. Within a cycle v is one number, and both parts are solved exactly,
+    with the instant between them. The brake bears :math:`g(v) + \sigma_2 |v|`.
 
     Source: F. Al-Bender, V. Lampaert, J. Swevers, The generalized Maxwell-slip model: a novel model
     for friction simulation and compensation, IEEE Trans. Automat. Control 50(11), 2005,

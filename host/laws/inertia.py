@@ -1,4 +1,4 @@
-"""A virtual inertia, added to the handle's own."""
+"""A virtual inertia beside the handle's own."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class InertiaParameters(Parameters):
 
 
 class InertiaState(LawStateRecord):
-    """State of the law."""
+    """What it keeps."""
 
     v_rad_s: float
 
@@ -29,10 +29,10 @@ def inertia(motion: MotionRecord, law: InertiaParameters, state: InertiaState) -
 
     .. math:: \dot v_f = (v - v_f)/\tau_f, \quad \psi = \mathrm{sat}(J \dot v_f/\tau_{max})\,\tau_{max}
 
-    An encoder measures no acceleration, so that of a filtered speed is used: solved exactly within a
-    cycle, and averaged over it. An inertia stores energy and returns it. A brake cannot, so it bears nothing.
+    An encoder tells no acceleration, so it is that of a filtered speed: solved exactly within a
+    cycle, and averaged over it. It stores energy and gives it back; a brake cannot, and bears nothing.
 
-    Source of the effect of a filter: J. E. Colgate, J. M. Brown, Factors affecting the Z-width of a
+    Source of what a filter costs: J. E. Colgate, J. M. Brown, Factors affecting the Z-width of a
     haptic display, IEEE Int. Conf. Robotics and Automation, 1994, doi:10.1109/ROBOT.1994.351077.
     """
     state.brake_Nm = 0.0

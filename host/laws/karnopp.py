@@ -31,8 +31,8 @@ def karnopp(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> floa
 
     At stick entry and on saturation :math:`x_{stuck} = x - F/K_p`, so the torque neither jumps nor
     winds up. ``paper_entry`` takes the paper's :math:`x_{stuck} = x` at entry instead. The brake
-    bears F_s when stuck and F_d in slip. With ``brake_spring`` it displays the spring, which is a coarse
-    switch on an encoder (K_p = 10000 Nm/rad is 0.8 Nm per count).
+    bears F_s whenever stuck and F_d in slip; with ``brake_spring`` it shows the spring, which on an
+    encoder is a coarse switch (K_p = 10000 Nm/rad is 0.8 Nm a count).
 
     Source: the paper, section 5; D. Karnopp, J. Dyn. Sys. Meas. Control 107(1), 1985,
     doi:10.1115/1.3140698.

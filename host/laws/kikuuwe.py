@@ -16,7 +16,7 @@ class KikuuweParameters(Parameters):
 
 
 class KikuuweState(LawStateRecord):
-    """State of the law."""
+    """What it keeps."""
 
     e_rad: float
 
@@ -31,9 +31,9 @@ def kikuuwe(motion: MotionRecord, law: KikuuweParameters, state: KikuuweState) -
         \psi_k = \mathrm{sat}\left(\frac{K e_{k-1} + (K T + B) v_k}{F_c}\right) F_c, \quad
         e_k = e_{k-1} + T\,\frac{\psi_k - K e_{k-1}}{K T + B}
 
-    e is the deflection of the spring. The law has no velocity band, and does not chatter at any period: the
-    torque is bounded by F_c, and constant at rest. For B = 0 it is exact along any path; with B it is of
-    the first order in the time between two samples. The brake bears F_c.
+    e is how far the spring is wound. There is no velocity band and no chatter at any period: the
+    torque is bounded by F_c, and at rest it holds. For B = 0 it is exact along any path; with B it
+    is of the first order in the time between two samples. The brake bears F_c.
 
     Source: R. Kikuuwe, N. Takesue, A. Sano, H. Mochiyama, H. Fujimoto, Admittance and impedance
     representations of friction based on implicit Euler integration, IEEE Trans. Robotics 22(6),

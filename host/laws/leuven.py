@@ -13,9 +13,7 @@ from coulombus.kernels.records import FloatField
 __all__ = ["leuven"]
 
 PIECES = 12
-"""Bound of the pieces in a cycle, which has at most five: one for each element that begins to slip, and the
-last.
-"""
+"""A cycle has at most five: one for each element that begins to slip, and the last."""
 
 
 class LeuvenParameters(Parameters):
@@ -39,7 +37,7 @@ class LeuvenParameters(Parameters):
 
 
 class LeuvenState(LawStateRecord):
-    """State of the law."""
+    """What it keeps."""
 
     F_Nm: Annotated[FloatField, 4]
 
@@ -53,13 +51,13 @@ def leuven(motion: MotionRecord, law: LeuvenParameters, state: LeuvenState) -> f
         \dot z = v \left(1 - \mathrm{sgn}(v)\,\frac{F_h(z)}{g(v)}\right), \quad
         \psi = F_h(z) + \sigma_1 \dot z + \sigma_2 v
 
-    with LuGre's g(v). F_h is the force of four parallel springs :math:`k_i`, each of which slips at its
-    :math:`w_i F_s / \sum w`. It depends on every reversal point that the motion has not passed again. With
-    one element this is Dahl's law.
+    with LuGre's g(v). F_h is that of four springs :math:`k_i` beside each other, each of which slips at
+    its :math:`w_i F_s / \sum w`: what it is depends on every point of return that has not been passed
+    again. With one element it is Dahl's law.
 
-    Within a cycle v is constant. While the same springs stick, F_h approaches :math:`g\,\mathrm{sgn}(v)`
-    exponentially along the path. So each piece is solved exactly, up to the point at which the next spring
-    slips. The brake bears :math:`g(v) + \sigma_2 |v|`.
+    Within a cycle v is one number, and F_h goes to :math:`g\,\mathrm{sgn}(v)` as an exponential of the
+    way while the same springs stick. So each piece is solved exactly, with the place at which the next
+    spring slips. The brake bears :math:`g(v) + \sigma_2 |v|`.
 
     Source: J. Swevers, F. Al-Bender, C. G. Ganseman, T. Prajogo, An integrated friction model structure
     with improved presliding behavior for accurate friction compensation, IEEE Trans. Automat. Control
@@ -79,10 +77,10 @@ def leuven(motion: MotionRecord, law: LeuvenParameters, state: LeuvenState) -> f
     for i in range(4):
         bears += state.F_Nm[i]
     for _ in range(PIECES):
-        short = 1.0 - sense * bears / g  # dz per path, in the direction of the motion
+        short = 1.0 - sense * bears / g  # dz over the way, in the sense of the motion
         if left <= 0.0 or short == 0.0:
             break
-        way = sense if short > 0.0 else -sense  # direction of z: backwards if g has fallen below the force
+        way = sense if short > 0.0 else -sense  # of z: back where g has fallen below what is borne
         stiff, edge = 0.0, math.inf
         for i in range(4):
             room = law.F_s_Nm * shares[i] / whole - way * state.F_Nm[i]
@@ -91,7 +89,7 @@ def leuven(motion: MotionRecord, law: LeuvenParameters, state: LeuvenState) -> f
                 edge = min(edge, room / stiffness[i])
         if stiff == 0.0:
             break
-        far = abs(short) * g / stiff  # largest possible change of z
+        far = abs(short) * g / stiff  # how far z could go
         z = -far * math.expm1(-left * stiff / g)
         if z < edge or edge >= far:
             left = 0.0

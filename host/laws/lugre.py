@@ -25,7 +25,7 @@ class LuGreParameters(Parameters):
 
 
 class LuGreState(LawStateRecord):
-    """State of the law."""
+    """What it keeps."""
 
     z_rad: float
 
@@ -40,9 +40,10 @@ def lugre(motion: MotionRecord, law: LuGreParameters, state: LuGreState) -> floa
         g(v) = F_c + (F_s - F_c)\,e^{-(v/v_s)^2}, \quad
         \psi = \sigma_0 z + \sigma_1 \dot z + \sigma_2 v
 
-    Within a cycle v is constant, and the equation of z is linear: z follows its exact exponential, and
-    :math:`\dot z` is taken at the end of the cycle. So the law is stable at any stiffness and any period,
-    and :math:`|z| \le F_s/\sigma_0` always holds. The brake bears :math:`g(v) + \sigma_2 |v|`.
+    Within a cycle v is one number, and the equation of z is linear: z is carried on by its exact
+    exponential, and :math:`\dot z` is that at the end of the cycle. So the law is stable at any
+    stiffness and any period, and :math:`|z| \le F_s/\sigma_0` always. The brake bears
+    :math:`g(v) + \sigma_2 |v|`.
 
     Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, A new model for control of
     systems with friction, IEEE Trans. Automat. Control 40(3), 1995, doi:10.1109/9.376053.

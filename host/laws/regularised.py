@@ -27,17 +27,17 @@ def regularised(motion: MotionRecord, law: RegularisedParameters, state: LawStat
         \psi = F_c\,\mathrm{sat}(v/v_t), \quad F_c \tanh(v/v_t), \quad
         \frac{2 F_c}{\pi} \arctan\frac{\pi v}{2 v_t}
 
-    each with the slope :math:`F_c/v_t` at rest. It has no stiction: a load creeps. On a motor the slope
-    is a damper, with which a sampled loop is stable up to a bound: :math:`F_c/v_t < 2m/T` for a mass m
-    alone without delay. The brake bears :math:`|\psi|`.
+    each with the slope :math:`F_c/v_t` at rest. It has no stiction: a load creeps. On a motor the
+    slope is a damper, which a sampled loop bears up to a bound of its own: :math:`F_c/v_t <
+    2m/T` for a mass m alone without delay. The brake bears :math:`|\psi|`.
 
     Source of the bound for haptic displays: N. Diolaiti, G. Niemeyer, F. Barbagli, J. K. Salisbury,
     Stability of haptic rendering, IEEE Trans. Robotics 22(2), 2006, doi:10.1109/TRO.2005.862487.
     """
     ratio = motion.v_rad_s / law.v_t_rad_s
-    if law.form == 0.0:  # type: ignore[comparison-overlap]  # a choice is its index
+    if law.form == 0.0:  # type: ignore[comparison-overlap]  # a choice is its place
         share = min(max(ratio, -1.0), 1.0)
-    elif law.form == 1.0:  # type: ignore[comparison-overlap]  # a choice is its index
+    elif law.form == 1.0:  # type: ignore[comparison-overlap]  # a choice is its place
         share = math.tanh(ratio)
     else:
         share = math.atan(0.5 * math.pi * ratio) * 2.0 / math.pi

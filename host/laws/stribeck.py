@@ -50,7 +50,7 @@ def stribeck(motion: MotionRecord, law: StribeckParameters, state: LawStateRecor
     """
     v = motion.v_rad_s
     ratio = abs(v) / law.v_s_rad_s
-    if law.form == 0.0:  # type: ignore[comparison-overlap]  # a choice is its index
+    if law.form == 0.0:  # type: ignore[comparison-overlap]  # a choice is its place
         level = stribeck_level(v, law.F_c_Nm, law.F_s_Nm, law.v_s_rad_s)
     else:
         share = math.exp(-ratio) if law.form == 1.0 else 1.0 / (1.0 + ratio * ratio)  # type: ignore[comparison-overlap]

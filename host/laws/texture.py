@@ -28,7 +28,7 @@ def texture(motion: MotionRecord, law: TextureParameters, state: LawStateRecord)
     .. math:: \psi = \left(F_c + A \cos\frac{2\pi x}{P}\right)\mathrm{sat}(v/v_t), \quad A \le F_c
 
     It never drives the handle: with :math:`A \le F_c` the level is never negative, so a brake can
-    display it. The brake bears the level.
+    show it. The brake bears the level.
 
     Source: M. Minsky, M. Ouh-young, O. Steele, F. P. Brooks, M. Behensky, Feeling and seeing: issues
     in force display, Symp. Interactive 3D Graphics, 1990, doi:10.1145/91385.91451.

@@ -20,7 +20,7 @@ def viscous(motion: MotionRecord, law: ViscousParameters, state: LawStateRecord)
 
     .. math:: \psi = \mathrm{sat}(B v / \tau_{max})\,\tau_{max}
 
-    The brake bears :math:`|\psi|`. Source of the bound of B in a sampled display: J. E. Colgate, G. G.
+    The brake bears :math:`|\psi|`. What B a sampled display bears is bounded: J. E. Colgate, G. G.
     Schenkel, Passivity of a class of sampled-data systems, J. Robotic Systems 14(1), 1997,
     doi:10.1002/(SICI)1097-4563(199701)14:1<37::AID-ROB4>3.0.CO;2-V.
     """

@@ -25,12 +25,12 @@ def wall(motion: MotionRecord, law: WallParameters, state: LawStateRecord) -> fl
     .. math:: \psi = \mathrm{sat}\left(\max(K p + B v, 0)/\tau_{max}\right)\tau_{max}, \quad
         \tau_{brake} = \min(B |v|, \tau_{max}), \quad \tau_{motor} = \min(K p, \tau_{max})
 
-    Outside all are 0. The wall never pulls: on the way out the brake gives at most :math:`\tau_{motor}`, so
-    it does not hold the hand in the wall. Mode active displays :math:`\psi`, damping included. In hybrid
-    the motor displays the stiffness, which must push back, and the brake the damping, which only
-    dissipates. In passive the brake displays the damping alone.
+    Outside all are 0. The wall never pulls: on the way out the brake has at most
+    :math:`\tau_{motor}`, so that it does not hold the hand in the wall. Mode active shows :math:`\psi`, damping included. In
+    hybrid the motor has the stiffness, which must push back when the hand lets go, and the brake the
+    damping, which only takes. In passive the brake has the damping alone.
 
-    Source: the paper, Fig. 8; for the bound of a sampled wall's stiffness, J. J. Abbott, A. M. Okamura,
+    Source: the paper, Fig. 8; of what stiffness a sampled wall bears, J. J. Abbott, A. M. Okamura,
     Effects of position quantization and sampling rate on virtual-wall passivity, IEEE Trans.
     Robotics 21(5), 2005, doi:10.1109/TRO.2005.851377.
     """
