@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import click
@@ -178,20 +180,36 @@ def fig10(**options: Any) -> None:
 
 
 @click.command("laws", epilog=EXIT_STATUS, short_help="The friction laws compared with the literature.")
+@figures_option
 @json_option
-def laws_command(as_json: bool) -> None:
+def laws_command(figures: Path | None, as_json: bool) -> None:
     """Compute the published benchmarks of the friction laws, their describing functions (v = 1 rad/s,
-    1 Hz) and what they give back.
+    1 Hz) and what they give back; then the curves of the literature beside their own.
 
     Ends with 1 when a law does not give what the literature says.
+
+    \b
+    Examples:
+      coulombus analyse laws --figures out/laws
     """
     with errors():
+        from coulombus.analysis.theory import published_curves
         from coulombus.analysis.theory.law_benchmarks import benchmarks, lines, plain, sweep
 
-        with steps(2) as step:
+        with steps(3) as step:
             step("benchmarks")
             results = benchmarks()
             step("describing functions")
             swept = sweep()
+            step("curves of the literature")
+            curves = published_curves.literature_curves()
+        if figures is not None:
+            from coulombus.analysis.figures.literature import write_literature_figures
+
+            tell_paths(write_literature_figures(figures, curves))
         with verdict(0 if all(result.ok for result in results) else 1):
-            tell(as_json, lambda: plain(results, swept), lambda: lines(results, swept))
+            tell(
+                as_json,
+                lambda: {**plain(results, swept), "curves": published_curves.plain(curves)},
+                lambda: chain(lines(results, swept), [""], published_curves.lines(curves)),
+            )
