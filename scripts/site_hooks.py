@@ -1,7 +1,7 @@
 """What `make docs` does besides MkDocs: pages made from the code, links out of docs/, diagrams.
 
 - `reference/verbs.md` from click, `reference/rig-keys.md` from the rig file's models,
-  `reference/python.md` for mkdocstrings from the list `PYTHON`, `reference/commands.md`: which test
+  `reference/python.md` for mkdocstrings from the public names, `reference/commands.md`: which test
   runs which command of the documents;
 - CHANGELOG, CONTRIBUTING, SECURITY, and each source file that a page links to, as pages;
 - notebooks as pages; Mermaid's text as SVG (`site_diagrams`);
@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import json
 import os
@@ -66,26 +67,23 @@ if (location.protocol === "file:") window.Worker = class extends EventTarget {
 frame.
 """
 
-PYTHON = {
-    "Run and read": (
-        "lab.simulate.simulate",
-        "recording.reading.read",
-        "recording.signals.Recording",
-        "recording.signals.Series",
-    ),
-    "Rigs": ("rigs.rig.load_rig", "rigs.rig.Rig"),
-    "Laws": ("host.laws.law.friction_law", "host.laws.law.Parameters"),
-    "Buses and devices": (
-        *("monitor.callbacks.live", "monitor.callbacks.LiveBus"),
-        *("sim_bus.server.own_device.Device", "sim_bus.network.network.VirtualNetwork"),
-    ),
-    "Errors": ("system.errors.CoulombusError",),
-    "Theory": (
-        *("analysis.theory.describing.coulomb_psi", "analysis.theory.describing.karnopp_psi"),
-        *("analysis.theory.describing.numeric", "analysis.theory.bounds.bounds", "analysis.theory.crossings.crossings"),
-    ),
-}
-"""What `reference/python.md` shows, without `coulombus.`."""
+API = ("coulombus", "coulombus.analysis", "coulombus.lab", "coulombus.recording")
+"""The packages whose public names docs/api.md lists."""
+
+BESIDE = ("coulombus.rigs.rig.Rig", "coulombus.host.laws.law.Parameters", "coulombus.monitor.callbacks.LiveBus")
+"""Classes that the public functions return or take."""
+
+
+def documented_names() -> dict[str, list[str]]:
+    """Return what `reference/python.md` shows: a heading, and full names."""
+    shown: dict[str, list[str]] = {}
+    seen: set[str] = set()
+    for package in API:
+        values = [getattr(importlib.import_module(package), name) for name in importlib.import_module(package).__all__]
+        names = [f"{value.__module__}.{value.__qualname__}" for value in values]
+        shown[f"`{package}`"] = [name for name in names if name not in seen]
+        seen.update(names)
+    return {**shown, "Classes beside them": list(BESIDE)}
 
 
 def verbs_page() -> str:
@@ -165,12 +163,11 @@ def _sections(model: type[BaseModel], above: tuple[str, ...]) -> Iterator[tuple[
 def python_page() -> str:
     """Return the page that mkdocstrings fills with signatures, units, shapes and sources."""
     parts = [
-        "# Python\n\nWhat a script may import, with units, shapes and errors. The page is made from",
-        "the docstrings. The six names of `import coulombus` are `Device`, `VirtualNetwork`, `live`,",
-        "`load_rig`, `read` and `simulate`; the others are imported from where they stand here.",
+        "# Python\n\nThe public names of the package, with units, shapes and errors. The page is made from",
+        "the docstrings. [The Python API](../api.md) has them in a table, and promises which stay.",
     ]
-    for title, names in PYTHON.items():
-        parts += [f"\n## {title}\n", *(f"::: coulombus.{name}\n" for name in names)]
+    for title, names in documented_names().items():
+        parts += [f"\n## {title}\n", *(f"::: {name}\n" for name in names)]
     return "\n".join(parts) + "\n"
 
 

@@ -14,7 +14,6 @@ import pytest
 import yaml
 from mkdocs.exceptions import PluginError
 
-import coulombus
 from coulombus.cli.main import main
 from coulombus.kernels.records import Record, dtype_of
 from coulombus.rigs.axis import Sections
@@ -46,11 +45,16 @@ def test_every_section_of_the_rig_file_is_on_the_page():
 
 
 def test_every_public_name_of_the_package_is_on_the_page():
-    shown = {name.rpartition(".")[2] for names in hooks.PYTHON.values() for name in names}
-    assert set(dir(coulombus)) <= shown
-    for name in [name for names in hooks.PYTHON.values() for name in names]:
+    full = [name for names in hooks.documented_names().values() for name in names]
+    assert len(full) == len(set(full)) > 60
+    for package in hooks.API:
+        for name in importlib.import_module(package).__all__:
+            value = getattr(importlib.import_module(package), name)
+            assert f"{value.__module__}.{value.__qualname__}" in full
+    for name in full:
         module, _, what = name.rpartition(".")
-        assert hasattr(importlib.import_module(f"coulombus.{module}"), what)
+        assert hasattr(importlib.import_module(module), what)
+        assert f"::: {name}\n" in hooks.python_page()
 
 
 def test_every_field_of_the_records_is_on_the_page():

@@ -333,12 +333,10 @@ def _tell(result: StepEnd) -> None:
 
 def _report(session: Session, path: Path | None) -> None:
     """Write the report after each step: what was found is on paper, whatever comes next."""
-    from coulombus.host.commission.report import report
-    from coulombus.host.commission.steps import STEPS
+    from coulombus.host.commission.report import write_report
     from coulombus.rigs.rewrite import write_whole
 
-    page = report(session.rig(), session.state, {step.name: step.title for step in STEPS}).encode()
-    write_whole(session.state.folder / "report.html", page)
+    page = write_report(session).read_bytes()
     if path is not None:
         write_whole(path, page)
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping
 from html import escape
+from pathlib import Path
 from typing import Any
 
 from coulombus.host.commission.progress import Progress
+from coulombus.host.commission.session import Session
+from coulombus.host.commission.steps import STEPS
+from coulombus.rigs.rewrite import write_whole
 from coulombus.rigs.rig import Rig
 
-__all__ = ["report"]
+__all__ = ["report", "write_report"]
 
 PICTURE_INCHES = (4.4, 2.9)
 STYLE = """
@@ -37,6 +41,13 @@ def report(rig: Rig, state: Progress, titles: Mapping[str, str]) -> str:
     titles : titles of all steps in their order, including steps that are not done
     """
     return "\n".join(_page(rig, state, titles)) + "\n"
+
+
+def write_report(session: Session) -> Path:
+    """Write the report of a session into its folder, and return its path."""
+    path = session.state.folder / "report.html"
+    write_whole(path, report(session.rig(), session.state, {step.name: step.title for step in STEPS}).encode())
+    return path
 
 
 def _page(rig: Rig, state: Progress, titles: Mapping[str, str]) -> Iterator[str]:

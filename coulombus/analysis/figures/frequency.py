@@ -4,6 +4,7 @@ certificates.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -205,7 +206,7 @@ def draw_certificate(axes: Axes, data: Loci, absolute: AbsoluteStability, period
 
 
 def write_frequency_figures(
-    directory: Path, parameters: Parameters, intersections: Crossings, absolute: AbsoluteStability
+    directory: str | os.PathLike[str], parameters: Parameters, intersections: Crossings, absolute: AbsoluteStability
 ) -> list[Path]:
     """Write fig02, fig06, fig07 and certificate as PNG and SVG; return their paths."""
     data = loci(parameters)

@@ -4,6 +4,7 @@ the maps.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -112,10 +113,11 @@ def draw_residuals(axes: Axes, identification: Identification) -> None:
     label(axes, "velocity [rad/s]", "residual [Nm]")
 
 
-def write_identification(path: Path, identification: Identification) -> Path:
+def write_identification(path: str | os.PathLike[str], identification: Identification) -> Path:
     """Write the plot of one identification, with what the fit leaves of it; the ending names the
     format.
     """
+    path = Path(path)
     with figure(6.4, 6.0, 2, 1, sharex=True, height_ratios=(2, 1)) as (made, (axes, below)):
         draw_identification(axes, identification, f"Friction identified: {Path(identification.path).name}")
         axes.set_xlabel("")

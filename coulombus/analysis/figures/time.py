@@ -4,6 +4,7 @@ delay.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -142,7 +143,7 @@ def draw_delay(frequency: Axes, amplitude: Axes, rows: Sequence[DelayRow]) -> No
     amplitude.legend(title="sampling rate", loc="lower right", ncols=2)
 
 
-def write_fig10(directory: Path, runs: Fig10) -> list[Path]:
+def write_fig10(directory: str | os.PathLike[str], runs: Fig10) -> list[Path]:
     """Write fig10-active-passive as PNG and SVG; return the paths."""
     with figure(10.4, 7.6, 3, 2, sharey="row") as (made, axes):
         pairs = ((runs.active, "(a) active force feedback"), (runs.passive, "(b) passive force feedback"))
@@ -154,7 +155,7 @@ def write_fig10(directory: Path, runs: Fig10) -> list[Path]:
         return list(save(made, directory, "fig10-active-passive"))
 
 
-def write_orbit_figure(directory: Path, parameters: Parameters, motions: Orbits) -> list[Path]:
+def write_orbit_figure(directory: str | os.PathLike[str], parameters: Parameters, motions: Orbits) -> list[Path]:
     """Write limit-cycle as PNG and SVG; return the paths: none without an orbit."""
     shown = motions.found[:SHOWN_ORBITS]
     if not shown:

@@ -29,6 +29,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -200,7 +201,7 @@ def _settings(table: Mapping[str, float], mode: str, level: float) -> list[str]:
     return [f"{key.replace('{mode}', mode)}={toml_value(share * level)}" for key, share in table.items()]
 
 
-def read_study(path: Path) -> Study:
+def read_study(path: str | os.PathLike[str]) -> Study:
     """Return the study of the file `path`.
 
     Raises
@@ -211,6 +212,7 @@ def read_study(path: Path) -> Study:
     coulombus.rigs.rig.RigError
         the rig file has a mistake
     """
+    path = Path(path)
     text, file, mistakes = read_checked(path, "study", StudyFile, StudyError)
     method = _method(file, mistakes)
     conditions = _conditions(file, mistakes)

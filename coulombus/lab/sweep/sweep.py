@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -65,7 +66,7 @@ class SweepResult:
 
 def run_sweep(
     sweep: Sweep,
-    folder: Path,
+    folder: str | os.PathLike[str],
     *,
     processes: int | None = None,
     dask: str | None = None,
@@ -90,7 +91,7 @@ def run_sweep(
         there is no cluster
     """
     job = Job.of(sweep, keep)
-    with Folder.open(folder, sweep, force=force) as kept:
+    with Folder.open(Path(folder), sweep, force=force) as kept:
         left = kept.left
         if left:
             _carry_out(kept, job, left, processes or len(usable_cpus()), dask, progress)

@@ -22,6 +22,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -141,7 +142,7 @@ class Sweep:
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def read_sweep(path: Path) -> Sweep:
+def read_sweep(path: str | os.PathLike[str]) -> Sweep:
     """Return the sweep of the file `path`.
 
     Raises
@@ -151,6 +152,7 @@ def read_sweep(path: Path) -> Sweep:
     coulombus.rigs.rig.RigError
         the rig file has a mistake
     """
+    path = Path(path)
     text, file, mistakes = read_checked(path, "sweep", _File, SweepError)
     vary = _vary(file, mistakes)
     _check_design(file, vary, mistakes)

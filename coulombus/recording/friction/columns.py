@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -77,7 +78,7 @@ def is_table(path: Path) -> bool:
         return b"arbitration_id" not in file.read(1000)
 
 
-def read_table(path: Path, columns: Sequence[str] = (), units: Sequence[str] = ()) -> TorqueTable:
+def read_table(path: str | os.PathLike[str], columns: Sequence[str] = (), units: Sequence[str] = ()) -> TorqueTable:
     """Read a table.
 
     Parameters
@@ -90,6 +91,7 @@ def read_table(path: Path, columns: Sequence[str] = (), units: Sequence[str] = (
     TableError
         a column lacks, is no series of numbers, or has another length; the times do not grow
     """
+    path = Path(path)
     chosen, given = _pairs(path, "--column", columns), _pairs(path, "--unit", units)
     try:
         raw = {".csv": _csv, ".parquet": _parquet, ".mat": _mat}[path.suffix.lower()](path)

@@ -4,6 +4,7 @@ deterministic PNG and SVG.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -115,11 +116,12 @@ def figure(
         yield made, made.subplots(rows, columns, **options)
 
 
-def save(made: Figure, directory: Path, name: str) -> tuple[Path, Path]:
+def save(made: Figure, directory: str | os.PathLike[str], name: str) -> tuple[Path, Path]:
     """Write `name`.png and `name`.svg, the same bytes for the same figure.
 
     Call it within `figure`.
     """
+    directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     png, svg = directory / f"{name}.png", directory / f"{name}.svg"
     made.savefig(png, metadata={"Software": None})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import tomllib
 import warnings
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,7 @@ OPTIMISERS = ("bfgs", "lbfgs", "powell")
 """One after the other, until one converges; the last needs no slope."""
 
 
-def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
+def report(folder: str | os.PathLike[str], *, exploration: bool = False) -> dict[str, Any]:
     """Return what the answers of a folder come to, as plain values for JSON.
 
     How the hands explored is read from the recordings where nothing was asked, and everywhere where
@@ -46,6 +47,7 @@ def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
     StudyFolderError
         it is the folder of no study, or a file of it cannot be used
     """
+    folder = Path(folder)
     study = _study_of(folder)
     posteriors: dict[tuple[str, str], Posterior] = {}
     subjects = {
