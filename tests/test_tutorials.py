@@ -13,6 +13,7 @@ from reader import Reader, missing
 TUTORIALS = ROOT / "docs" / "tutorials"
 NOT_RUN = ("dask ", "coulombus sweep still.toml -o out --dask")
 """Commands of a cluster: tests/lab runs a sweep on one."""
+NOTEBOOKS = ("own-law.ipynb", "recording.ipynb", "limit-cycle.ipynb", "commission-a-rig.ipynb")
 pytestmark = pytest.mark.slow
 
 
@@ -65,7 +66,7 @@ def test_a_tutorial_on_a_live_bus(page, tmp_path, private_sockets):
     follow(page, folder)
 
 
-@pytest.mark.parametrize("name", ["own-law.ipynb", "recording.ipynb"])
+@pytest.mark.parametrize("name", NOTEBOOKS)
 def test_a_notebook_runs_from_its_first_cell_to_its_last(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     cells = json.loads((TUTORIALS / name).read_text())["cells"]
@@ -81,5 +82,5 @@ def test_every_tutorial_is_followed():
     found = {path.name for path in TUTORIALS.iterdir()}
     assert found == {
         *("index.md", "first-experiment.md", "first-rig.md", "sweep.md", "study.md", "can-tour.md", "own-device.md"),
-        *("own-law.ipynb", "recording.ipynb", "my-machine-stopped.md"),
+        *(*NOTEBOOKS, "my-machine-stopped.md"),
     }
