@@ -82,6 +82,43 @@ def test_the_packages_load_nothing_before_a_name_is_used():
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
+def returned():
+    """Return {class: its attributes} of the page's last table."""
+    part = TEXT.partition("\n## Returned values\n")[2]
+    found = re.findall(r"^\| `([\w.]+)\.(\w+)` \| (.+) \|$", part, re.M)
+    return {
+        getattr(importlib.import_module(module), name): re.findall(r"`(\w+)(?:\(\))?`", attributes)
+        for module, name, attributes in found
+    }
+
+
+def has(kind, name):
+    return hasattr(kind, name) or any(name in vars(base).get("__annotations__", {}) for base in kind.__mro__)
+
+
+def test_each_returned_value_has_the_attributes_of_the_page():
+    values = returned()
+    assert len(values) > 40
+    assert {kind.__name__: name for kind, names in values.items() for name in names if not has(kind, name)} == {}
+    assert all(len(names) == len(set(names)) > 0 for names in values.values())
+
+
+def test_the_page_has_each_class_of_this_project_that_a_function_returns():
+    described = {"CoulombusError", "LiveBus", "Rig", "Study", "Sweep"}  # pages of their own, or handed on only
+    shown = {kind.__name__ for kind in returned()} | described
+    missing = set()
+    for module in MODULES:
+        for name in importlib.import_module(module).__all__:
+            function = getattr(importlib.import_module(module), name)
+            if not inspect.isfunction(function):
+                continue
+            for word in re.findall(r"[A-Z]\w*", str(inspect.signature(function).return_annotation)):
+                kind = function.__globals__.get(word)
+                if isinstance(kind, type) and kind.__module__.startswith("coulombus."):
+                    missing |= {word} - shown
+    assert missing == set()
+
+
 def test_the_page_has_the_promise():
     assert "`DeprecationWarning`" in TEXT
     assert "MAJOR.MINOR.PATCH" in TEXT
