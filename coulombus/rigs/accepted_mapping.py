@@ -1,5 +1,6 @@
-"""Objects that a device maps into its PDOs although its EDS file says that they cannot be: the rig
-file acknowledges each of them in ``host.accept``, and the device's answer decides at bring-up.
+"""Objects that a device can map into PDOs although its EDS file denies it.
+
+The rig file acknowledges each of them in ``host.accept``; the device's answer at bring-up decides.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ SENTENCE = re.compile(r"(?P<node>[\w.]+): (?P<index>[0-9A-F]{4})h(?::(?P<sub>[0-
 
 
 def mapping_sentence(name: str, index: int, subindex: int) -> str:
-    """Return what acknowledges that a device maps an object; `name` is the device's."""
+    """Return the sentence of ``host.accept`` that acknowledges a mapping; `name` is the device's."""
     place = f"{index:04X}h:{subindex:X}" if subindex else f"{index:04X}h"
     return f"{name}: {place} can be mapped"
 

@@ -1,4 +1,4 @@
-"""What a script hands over, looked at where it comes in: an error names the right call."""
+"""Argument checks of the Python API; errors show a correct call."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["WrongCall", "a_number", "path_text", "texts"]
 
 
 class WrongCall(CoulombusError, TypeError):
-    """An argument is of a type that the call does not take; the text says how to call."""
+    """An argument has the wrong type; the text shows a correct call."""
 
     exit_status = 2
 
@@ -24,9 +24,9 @@ def path_text(value: Any, name: str, call: str) -> str:
     Parameters
     ----------
     value
-        A text, or any os.PathLike of one.
+        A str or os.PathLike.
     name, call
-        What the argument is called, and the right call: both are told.
+        Name of the argument and a correct call, for the message.
 
     Raises
     ------
@@ -44,19 +44,19 @@ def path_text(value: Any, name: str, call: str) -> str:
 
 
 def texts(values: Any, name: str, example: str) -> tuple[str, ...]:
-    """Return a list of texts as a tuple.
+    """Return a list of str as a tuple.
 
     Parameters
     ----------
     values
         The list.
     name, example
-        What the argument is called, and an entry that it could have: both are told.
+        Name of the argument and an example entry, for the message.
 
     Raises
     ------
     WrongCall
-        It is one text, no list, or an entry is no text.
+        It is a single str, not a list, or an entry is not a str.
     """
     if isinstance(values, str):
         raise WrongCall(f"{name} is {values!r}: expected a list, as in {name}=[{values!r}]")
@@ -70,16 +70,16 @@ def texts(values: Any, name: str, example: str) -> tuple[str, ...]:
 
 
 def a_number(value: Any, name: str, example: str, *, whole: bool = False) -> None:
-    """Refuse what is no number.
+    """Raise unless `value` is a number.
 
     Parameters
     ----------
     value
-        The number; NumPy's are numbers, too. True and False are none.
+        The number, also one of NumPy's; bools are refused.
     name, example
-        What the argument is called, and a value that it could have: both are told.
+        Name of the argument and an example value, for the message.
     whole
-        Whether it has to be an integer.
+        Whether it must be an integer.
 
     Raises
     ------

@@ -1,14 +1,13 @@
-"""Several axes in one rig file: what each has of its own in ``[axis.NAME]``, and what all must
-share.
+"""Several axes in one rig file: values of each in ``[axis.NAME]``, and the keys that all must share.
 
 ::
 
-    [axis.x]                 # everything that is not said here is as in the file's plain sections
+    [axis.x]                 # keys that are absent here come from the file's plain sections
     motor.node_id = 1
     brake.node_id = 2
 
     [axis.y]
-    bus.channel = "b"        # hangs on another bus
+    bus.channel = "b"        # on another bus
     motor.node_id = 3
     mode.hybrid.F_s_Nm = 2.0
 """
@@ -39,7 +38,7 @@ SHARED: tuple[tuple[Key, str], ...] = (
     (("law", "function"), "one compiled law drives all axes; its parameters may differ"),
     (("plant", "step_s"), "the axes are simulated together"),
 )
-"""What must be the same on all axes, and why."""
+"""Keys that must be equal on all axes, with the reason."""
 
 ON_ONE_BUS: tuple[tuple[Key, str], ...] = ((("bus", "bitrate_bit_s"), "both hang on one bus"),)
 
@@ -47,7 +46,7 @@ ON_ONE_BUS: tuple[tuple[Key, str], ...] = ((("bus", "bitrate_bit_s"), "both hang
 def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, Any]] | None:
     """Return each axis' values, the shared ones included; None for a file without ``[axis.NAME]``.
 
-    `values` is not changed; mistakes of the axes' names are noted in `source`.
+    `values` is not changed; errors in the axes' names are noted in `source`.
     """
     if "axis" not in values:
         return None
@@ -69,7 +68,7 @@ def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, An
 
 
 def _merge(shared: Table, own: Table) -> dict[str, Any]:
-    """Return `shared` with the values of `own` in their places; a list is replaced as a whole."""
+    """Return `shared` overridden by `own`; a list is replaced as a whole."""
     merged = deepcopy(dict(shared))
     for key, value in own.items():
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
@@ -78,7 +77,7 @@ def _merge(shared: Table, own: Table) -> dict[str, Any]:
 
 
 def device_keys(values: Table) -> list[Key]:
-    """Return where the devices of an axis stand in its values: motor, brake, sensors."""
+    """Return the keys of an axis' devices: motor, brake, sensors."""
     sensors = values.get("sensor")
     return [("motor",), ("brake",), *(("sensor", name) for name in (sensors if isinstance(sensors, Mapping) else ()))]
 
@@ -91,7 +90,7 @@ def _get(values: Table, key: Key) -> Any:
 
 
 def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source]) -> None:
-    """Note what the axes must share and do not, and node ids that two of one bus have."""
+    """Note shared keys that differ between axes, and duplicate node ids on one bus."""
     for first, second in combinations(axes, 2):
         earlier, later, source = axes[first], axes[second], sources[second]
         names = {first: second, second: first}

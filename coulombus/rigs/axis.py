@@ -1,8 +1,6 @@
-"""One axis of a rig: a motor and a brake on one handle, with what the host believes of them and
-what the law is to display.
+"""One axis of a rig: a motor and a brake on one handle, the host's model of them, and the law.
 
-What is per axis takes an `Axis`; what belongs to all of them - buses, host, name - is the
-`rigs.rig.Rig`'s. An axis is frozen through and through.
+Code that works per axis takes an `Axis`; buses, host and name belong to the `rigs.rig.Rig`. An axis is deeply frozen.
 """
 
 from __future__ import annotations
@@ -30,13 +28,11 @@ from coulombus.rigs.toml_lines import Key, read_toml
 __all__ = ["NO_DEVICES", "Axis", "Origin", "Sections", "Simulation"]
 
 NO_DEVICES = frozenset(("plant", "operator", "phases"))
-"""The sections that say nothing of the devices, nor of what the host sets them up with."""
+"""Sections that describe neither the devices nor their set-up by the host."""
 
 
 class Sections(Section):
-    """The sections of a rig file, as one axis has them: its own values, and the shared ones in the
-    places of those that it does not have.
-    """
+    """The sections of a rig file for one axis: its own values, else the shared ones."""
 
     rig: About = Field(description="what the rig is called")
     bus: Bus = Field(description="the CAN bus and the cycle")
@@ -79,9 +75,9 @@ class Origin:
     ----------
     path : the file, or the name given to `load_rig_text`
     text : the source text, without overrides
-    overrides : as they were given, the last one of a key counts
-    attached : the text is of a recording, perhaps a stranger's
-    law_named : whoever loaded the rig has named its law
+    overrides : as given; the last of a key counts
+    attached : the text comes from a recording, which may be untrusted
+    law_named : the caller who loaded the rig named its law
     """
 
     path: str
@@ -91,7 +87,7 @@ class Origin:
     law_named: bool = False
 
     def source(self, axis: str = "") -> Source:
-        """Return where each value of an axis stands."""
+        """Return the `Source` of an axis' values."""
         document = read_toml(self.text)
         source = Source(self.path, document)
         for override in self.overrides:
@@ -100,19 +96,19 @@ class Origin:
 
 
 class Simulation(NamedTuple):
-    """What only the simulation knows of an axis."""
+    """Sections of an axis that only the simulation uses."""
 
     plant: Plant
     operator: Operator
 
 
 class Axis(Sections):
-    """One axis: the sections of the rig file as they hold for it, its EDS files, and its PDOs.
+    """One axis: its sections of the rig file, its EDS files, and its PDOs.
 
     Attributes
     ----------
     name : "" where the rig has one axis; else its signals are called NAME.motor.position_rad
-    descriptions : what the EDS files say of its `devices`, in their order
+    descriptions : parsed EDS files of its `devices`, in their order
     origin : where the values come from
     """
 
@@ -131,9 +127,7 @@ class Axis(Sections):
         origin: Origin,
         allocation: AxisPdos | None = None,
     ) -> Axis:
-        """Return the axis that has these sections and EDS files; `allocation` is theirs, where it is
-        known already.
-        """
+        """Return the axis of these sections and EDS files; `allocation`: theirs, if already computed."""
         values: dict[str, Any] = {key: getattr(sections, key) for key in Sections.model_fields}
         ordered = tuple(descriptions[node] for node in sections.devices)
         axis = cls(**values, name=name, descriptions=ordered, origin=origin)
@@ -142,26 +136,26 @@ class Axis(Sections):
         return axis
 
     def from_origin(self, origin: Origin) -> Axis:
-        """Return the axis with another origin."""
+        """Return a copy with another origin."""
         descriptions = dict(zip(self.devices, self.descriptions, strict=True))
         return Axis.of(self, self.name, descriptions, origin, self.allocation)
 
     def has_devices_of(self, sections: Sections, descriptions: Mapping[Node, Description]) -> bool:
-        """Tell whether sections and EDS files are this axis' own but for those of `NO_DEVICES`."""
+        """Return whether sections and EDS files equal this axis' own, `NO_DEVICES` aside."""
         names = Sections.model_fields.keys() - NO_DEVICES
         return all(getattr(sections, name) == getattr(self, name) for name in names) and [
             descriptions[node].text for node in sections.devices
         ] == [description.text for description in self.descriptions]
 
     def without(self, *roles: str) -> Axis:
-        """Return the axis as it were if the rig file took these roles out (object = "none")."""
+        """Return the axis as if the rig file removed these roles (object = "none")."""
         said = self.role.model_dump(exclude_none=True) | {role: {"object": "none"} for role in roles}
         lean = self.model_copy(update={"role": Roles.model_validate(said)})
         return Axis.of(lean, self.name, dict(zip(self.devices, self.descriptions, strict=True)), self.origin)
 
     @property
     def prefix(self) -> str:
-        """What stands before the names of the axis' nodes and signals: "" or "NAME."."""
+        """Prefix of the axis' node and signal names: "" or "NAME."."""
         return f"{self.name}." if self.name else ""
 
     @property
@@ -182,11 +176,11 @@ class Axis(Sections):
 
     @property
     def phase_starts_s(self) -> tuple[float, ...]:
-        """When each phase of the schedule begins, and when the last one ends [s]."""
+        """Start of each phase of the schedule, and the end of the last [s]."""
         return tuple(accumulate((phase.duration_s for phase in self.phases), initial=0.0))
 
     def description(self, node: Node) -> Description:
-        """Return what the EDS file says of a device."""
+        """Return the EDS file of a device."""
         return self.descriptions[self.devices.index(node)]
 
     def pdos(self) -> tuple[RigPdo, ...]:
@@ -200,21 +194,17 @@ class Axis(Sections):
 
     @property
     def law_of_recording(self) -> bool:
-        """Whether nobody but a recording names the law: then it is run only if it is one of the
-        project's own.
-        """
+        """Whether only a recording names the law: it is run then only if it is built in."""
         return self.origin.attached and not self.origin.law_named
 
     @property
     def law_directory(self) -> Path:
-        """Where the file of a law is looked for before the current folder: beside the rig file,
-        never beside a recording.
-        """
+        """Folder searched for a law's file before the current one: the rig file's, never a recording's."""
         return Path() if self.origin.attached else Path(self.origin.path).parent
 
     def said(self, text: str) -> str:
-        """Return `text` with each of the rig file's keys in it as the user wrote it:
-        ``axis.NAME.limits.travel_rad`` where this axis has its own.
+        """Return `text` with its rig-file keys as the user wrote them: ``axis.NAME.limits.travel_rad`` if this axis has
+        its own.
         """
         return self.origin.source(self.name).said(text) if self.name else text
 

@@ -1,6 +1,4 @@
-"""One axis of a rig file, from the values that stand there to an `Axis`: its sections, the EDS files
-of its devices, their PDOs.
-"""
+"""Build an `Axis` from the rig file's values: sections, EDS files of its devices, their PDOs."""
 
 from __future__ import annotations
 
@@ -23,9 +21,7 @@ __all__ = ["AxisParts"]
 
 
 class _Unnamed:
-    """An axis while it is checked: its sections, and what the EDS files say of its devices
-    (`rigs.signals.Parts`).
-    """
+    """An axis under check: its sections and the EDS files of its devices (`rigs.signals.Parts`)."""
 
     def __init__(self, sections: Sections, descriptions: Mapping[Node, Description]) -> None:
         self._sections, self._descriptions = sections, descriptions
@@ -34,13 +30,13 @@ class _Unnamed:
         return getattr(self._sections, name)
 
     def description(self, node: Node) -> Description:
-        """Return what the EDS file says of a device."""
+        """Return the EDS file of a device."""
         return self._descriptions[node]
 
 
 @dataclass(frozen=True)
 class AxisParts:
-    """What an axis is made of; `sections` is None where they are refused."""
+    """The parts of an axis; `sections` is None if they are refused."""
 
     sections: Sections | None
     descriptions: Mapping[Node, Description]
@@ -57,7 +53,7 @@ class AxisParts:
         attached: bool,
         earlier: Axis | None,
     ) -> AxisParts:
-        """Validate the values of one axis; mistakes are noted in `source`."""
+        """Validate the values of one axis; errors are noted in `source`."""
         read_schedules(values, source, attached=attached)
         misspelt_sections(values, Sections, source)
         sections: Sections | None = None
@@ -80,6 +76,6 @@ class AxisParts:
         return cls(sections, descriptions, allocation)
 
     def axis(self, name: str, origin: Origin) -> Axis:
-        """Return the axis; nothing of it was refused."""
+        """Return the axis; call only if nothing was refused."""
         assert self.sections is not None
         return Axis.of(self.sections, name, self.descriptions, origin, self.allocation)

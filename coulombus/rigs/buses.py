@@ -1,7 +1,7 @@
-"""Which of a rig's buses is where: the values of ``--bus`` and ``--channel``.
+"""Addresses of a rig's buses: the values of ``--bus`` and ``--channel``.
 
-``--bus`` is ``B`` for a rig with one bus, ``CHANNEL=B`` for each of several. What is not given is
-the virtual bus ``coulombus:RIG``, or ``coulombus:RIG.CHANNEL`` where there are several.
+``--bus`` is ``B`` for a rig with one bus, ``CHANNEL=B`` for each of several. The default is the virtual bus
+``coulombus:RIG``, or ``coulombus:RIG.CHANNEL`` for each of several.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def bus_addresses(rig: Rig, given: Sequence[str] = (), channel: str | None = Non
     Raises
     ------
     AddressError
-        a channel that the rig does not have, two addresses for one, or no address
+        a channel that the rig does not have, two addresses for one channel, or no address
     """
     if channel is not None and channel not in rig.channels:
         raise AddressError(f"--channel {channel}: the rig has {_names(rig)}")
@@ -34,13 +34,12 @@ def bus_addresses(rig: Rig, given: Sequence[str] = (), channel: str | None = Non
 
 
 def one_bus(rig: Rig, given: str | None, channel: str | None) -> tuple[Rig, BusAddress]:
-    """Return the rig as it is on one bus, and that bus' address, for who looks at one bus at a
-    time.
+    """Return the rig's part on one bus, and the address of that bus.
 
     Raises
     ------
     AddressError
-        as above, or the rig has several buses and none was named
+        as above, or the rig has several buses and `channel` names none
     """
     if channel is None and len(rig.channels) > 1:
         raise AddressError(f"the rig has {_names(rig)}; name one with --channel")

@@ -1,4 +1,4 @@
-"""The dead man's switch where it is an object of a device:
+"""A dead man's switch that is an object of a device:
 ``host.deadman = "object:60FD:0:0x00010000"``.
 """
 
@@ -13,14 +13,14 @@ from coulombus.rigs.signals import Parts
 __all__ = ["bind_switch", "deadman_mask"]
 
 ANY_BIT = 8
-"""Up to so many bits an object may be a switch by itself.
+"""Widest object [bits] that may be a switch without a mask.
 
-A wider one has other inputs beside it, such as limit switches in 60FDh.
+A wider object has further inputs, such as limit switches in 60FDh.
 """
 
 
 def deadman_mask(deadman: str) -> int:
-    """Return the mask of ``host.deadman``; 0 where it names none."""
+    """Return the mask of ``host.deadman``; 0 if it has none."""
     parts = deadman.split(":")
     return int(parts[3], 16) if len(parts) == 4 else 0
 
@@ -54,7 +54,7 @@ def bind_switch(parts: Parts, bindings: Sequence[Binding]) -> Binding | None:
 
 
 def _check_mask(deadman: str, node: str, entry: Entry) -> None:
-    """Refuse a mask that is no switch; ValueError says what is wrong with it."""
+    """Raise ValueError with the reason if the mask cannot be a switch."""
     what = f"{entry.index:04X}h:{entry.subindex} of the {node}"
     mask = deadman_mask(deadman)
     if deadman.count(":") < 3:

@@ -1,5 +1,6 @@
-"""What the keys of a plant in detail must be together: bodies with an inertia, couplings that the
-step can take, bristles with a stiffness, iron whose weights fit.
+"""Rules across keys of a detailed plant.
+
+Bodies need an inertia, couplings must suit the step, bristles need a stiffness, and the iron's weights must fit.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ COUPLINGS = (("cable", "motor_inertia_kg_m2"), ("handle", "inertia_kg_m2"))
 
 
 def check_detail(values: Table, source: Source) -> None:
-    """Note what is wrong between keys of `[plant]` and its sections that are right by themselves,
-    and in what the host believes of the brake's iron.
+    """Note conflicts between valid keys of `[plant]` and its sections, and errors in the host's model of the brake's
+    iron.
     """
     for section in ("plant", "brake"):
         _check_iron(section, values.get(section), source)
@@ -62,7 +63,7 @@ def _check_friction(friction: Table, source: Source) -> None:
 
 
 def _number(source: Source, values: Any, *key: str) -> float | None:
-    """Return a number of `[plant]` that is right by itself; None where there is none."""
+    """Return a valid number of `[plant]`, else None."""
     for part in key:
         values = values.get(part) if isinstance(values, Mapping) else None
     right = type(values) in (int, float) and not source.is_wrong(("plant", *key))

@@ -1,8 +1,7 @@
-"""The devices of a rig, and which of their objects has which role: [motor], [brake], [sensor.NAME]
-and [role.NAME].
+"""The devices of a rig and the roles of their objects: [motor], [brake], [sensor.NAME] and [role.NAME].
 
-A role is what the host's cycle needs of the devices: a position, a torque set-point, a handle
-torque. Where [role] says nothing, the CANopen profile of the device's EDS file does (`rigs.roles`).
+A role is a quantity that the host's cycle needs of the devices: a position, a torque set-point, a handle torque.
+Without [role.NAME] the CANopen profile of the device's EDS file decides (`rigs.roles`).
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ OBJECT = r"^(|none|[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{1,2})?)$"
 SAYS_OBJECT: Any = {"expected": '"INDEX", "INDEX:SUB" (hexadecimal) or "none"'}
 SENSOR_NAME = r"[a-z][a-z0-9_]{0,15}"
 TABLE_POINTS = 16
-"""Points that a brake's table has at most."""
+"""Maximum number of points of a brake's table."""
 
 SdoType = Literal[
     "BOOLEAN",
@@ -56,9 +55,7 @@ SdoType = Literal[
 
 
 class Sdo(Section):
-    """[[motor.sdo]], [[brake.sdo]], [[sensor.NAME.sdo]]: an object that bring-up writes because the
-    rig file says so.
-    """
+    """[[motor.sdo]], [[brake.sdo]], [[sensor.NAME.sdo]]: an object that bring-up writes at the rig file's request."""
 
     index: int = Field(ge=0x1000, le=0xFFFF, description="the object")
     sub: int = Field(0, ge=0, le=255, description="its sub-index")
@@ -71,7 +68,7 @@ class Sdo(Section):
 
 
 class DeviceSection(Section):
-    """What every device of the rig has."""
+    """Keys that every device of the rig has."""
 
     node_id: int = Field(ge=1, le=127, description="the device's node id")
     eds: str = Field(min_length=1, description="EDS file: beside the rig file, else one of the package's")
@@ -153,18 +150,16 @@ class Brake(_Actuator):
 
 
 class Sensor(DeviceSection):
-    """[sensor.NAME]: a further node on the bus that only tells: a torque transducer's amplifier, an
-    encoder.
-    """
+    """[sensor.NAME]: a further node that only measures: a torque transducer's amplifier, an encoder."""
 
 
 def drive_axis_of(part: DeviceSection) -> int:
-    """Return which axis of a drive a device is in the rig, from 1 on; 1 where the rig file names none."""
+    """Return the number of the drive's axis that a device is, from 1; 1 if the rig file names none."""
     return (part.drive_axis or 1) if isinstance(part, _Actuator) else 1
 
 
 class Role(Section):
-    """[role.statusword], [role.controlword] and the brake's: which object of which device it is."""
+    """[role.statusword], [role.controlword] and the brake's: the device and the object."""
 
     node: str = Field(
         "", description="the device: motor, brake, or a sensor's name", json_schema_extra={"expected": "a text"}
@@ -252,9 +247,9 @@ class BrakeRole(Role):
 
 
 class Roles(Section):
-    """[role.NAME]: which object of which device has which role.
+    """[role.NAME]: the object and device of each role.
 
-    What is absent follows from the devices' profiles.
+    Absent roles follow from the devices' profiles.
     """
 
     position: AngleRole | None = Field(None, description="the encoder's counts")

@@ -1,4 +1,4 @@
-"""Where a node sends its EMCYs: the COB-ID 1014h of its EDS file (CiA 301, section 7.5.2.17)."""
+"""COB-ID of a node's EMCYs: 1014h of its EDS file (CiA 301, section 7.5.2.17)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _EXTENDED = 1 << 29
 
 
 def emcy_default(description: Description, node_id: int) -> int | None:
-    """Return the default of 1014h; None where the file has none."""
+    """Return the default of 1014h, or None."""
     default = description.default(0x1014, 0, node_id) if description.has(0x1014, 0) else None
     return default if isinstance(default, int) else None
 
@@ -21,8 +21,8 @@ def emcy_default(description: Description, node_id: int) -> int | None:
 def emcy_identifier(description: Description, node_id: int) -> int:
     """Return the identifier under which the node is to send its EMCYs.
 
-    It is the file's, where that one is valid, has 11 bits and belongs to no other service; else that
-    of the pre-defined connection set, which bring-up writes.
+    It is the file's if valid, of 11 bits and not used by another service; else that of the pre-defined connection set,
+    which bring-up writes.
     """
     usual, default = CobId.EMCY + node_id, emcy_default(description, node_id)
     if default is None or default & (COB_ID_INVALID | _EXTENDED) or default == CobId.SYNC:
@@ -32,9 +32,7 @@ def emcy_identifier(description: Description, node_id: int) -> int:
 
 
 def is_mute(description: Description, node_id: int) -> bool:
-    """Tell whether the node sends no EMCY and cannot be made to: its file has no 1014h, or one that
-    is switched off and read-only.
-    """
+    """Return whether the node cannot send EMCYs: 1014h is absent, or disabled and read-only."""
     if not description.has(0x1014, 0):
         return True
     default = emcy_default(description, node_id)

@@ -1,4 +1,4 @@
-"""The mistakes of a rig file: where they stand, and all of them at once."""
+"""Errors of a rig file: their places, all reported together."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LONGEST = 60
 _KEY = re.compile(
     r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|kinematics|law|mode|limits|plane|plant|operator)(?:\.\w+)+"
 )
-"""What reads as a key of the rig file in a text."""
+"""Pattern of a rig-file key in a text."""
 _WITH_UNIT = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z\u00b5\u03bc%\u00b0][^\d]*)")
 _WITH_COMMA = re.compile(r"[+-]?\d+,\d+")
 PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
@@ -28,10 +28,9 @@ PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 
 
 
 class RigError(CoulombusError):
-    """A rig file is refused; `errors` holds one line for each mistake, all that were found.
+    """A rig file is refused; `errors` holds one line for each error.
 
-    `problems` are those of them that are about a role; `lacking` has the keys that are missing in a
-    section that is there, as ``--set`` takes them.
+    `problems`: errors about a role. `lacking`: keys that are missing in an existing section, as ``--set`` takes them.
     """
 
     exit_status = 3
@@ -46,32 +45,30 @@ class RigError(CoulombusError):
 
 @dataclass
 class Source:
-    """Where values come from: a file's lines, and overrides by their ``--set`` text.
+    """Origin of values: a file's lines, and overrides by their ``--set`` text.
 
-    Collects the mistakes.
+    Collects the errors.
     """
 
     path: str
     document: Document
     overrides: dict[Key, str] = field(default_factory=dict)
     axis: Key = ()
-    """("axis", NAME) while the values of one axis are looked at: what it has of its own stands
-    below this.
-    """
+    """("axis", NAME) while the values of one axis are checked: the prefix of its own keys."""
     found: list[tuple[float, str]] = field(default_factory=list)
     wrong: set[Key] = field(default_factory=set)
     problems: list[Problem] = field(default_factory=list)
-    """What is wrong with roles."""
+    """Problems with roles."""
     lacking: list[str] = field(default_factory=list)
-    """Keys that are missing in a section that is there."""
+    """Keys that are missing in an existing section."""
 
     def of_axis(self, name: str) -> Source:
-        """Return a source of its own for the axis `name` of the same file."""
+        """Return a separate source for the axis `name` of the same file."""
         return Source(self.path, self.document, self.overrides, ("axis", name))
 
     def full(self, key: Key) -> Key:
-        """Return `key` as the user wrote it: below the axis where the axis has it of its own, or
-        more of what holds it than all axes share.
+        """Return `key` as the user wrote it: below the axis if the axis has it, or more of its parents than the shared
+        part.
         """
         if not self.axis:
             return key
@@ -84,7 +81,7 @@ class Source:
         return dotted(self.full(key))
 
     def said(self, text: str) -> str:
-        """Return `text` with each of the rig file's keys in it as the user wrote it."""
+        """Return `text` with its rig-file keys as the user wrote them."""
         return _KEY.sub(lambda match: self.spelled(tuple(match[0].split("."))), text) if self.axis else text
 
     def where(self, key: Key) -> tuple[float, str]:
@@ -103,23 +100,23 @@ class Source:
         return line, f"{self.path}:{line}"
 
     def say(self, key: Key, text: str) -> None:
-        """Note a mistake of `key`; `text` follows the key's name."""
+        """Note an error of `key`; `text` follows the key's name."""
         place, where = self.where(key)
         self.wrong.add(key)
         self.found.append((place, f"{where}: {self.spelled(key)}: {self.said(text)}"))
 
     def stands(self, key: Key, value: Any, expected: str, known: Iterable[str] = ()) -> None:
-        """Note that `value` is not what is `expected`."""
+        """Note that `value` is not as `expected`."""
         hint = nearest(value, known) if isinstance(value, str) else ""
         self.say(key, f"got '{shown(value)}', expected {expected}{hint}")
 
     def lacks(self, key: Key, expected: str) -> None:
-        """Note that `key` is missing in a section that is there."""
+        """Note that `key` is missing in an existing section."""
         self.lacking.append(self.spelled(key))
         self.say(key, f"missing in [{dotted(key[:-1])}]; expected {expected}")
 
     def is_wrong(self, key: Key) -> bool:
-        """Tell whether the value of `key`, or one that holds it, is known to be wrong."""
+        """Return whether the value of `key`, or of a parent, is known to be wrong."""
         if self.wrong and any(key[:length] in self.wrong for length in range(1, len(key) + 1)):
             return True
         return bool(self.document.broken) and (
@@ -127,15 +124,15 @@ class Source:
         )
 
     def raise_all(self) -> None:
-        """Raise RigError with every mistake, in the file's order, if there is one."""
+        """Raise RigError with all errors in the file's order, if any."""
         if self.found:
             ordered = [text for _, text in sorted(self.found, key=lambda item: item[0])]
-            said_once = list(dict.fromkeys(ordered))  # what several axes share
+            said_once = list(dict.fromkeys(ordered))  # shared by several axes
             raise RigError(said_once, self.problems, list(dict.fromkeys(self.lacking)))
 
 
 def _depth(values: Any, key: Key) -> int:
-    """Return how many parts of `key` are found in `values`, one within the other."""
+    """Return the number of leading parts of `key` that exist in `values`."""
     for depth, part in enumerate(key):
         inside = part in values if isinstance(values, Mapping) else isinstance(part, int) and isinstance(values, list)
         if not inside or (isinstance(part, int) and part >= len(values)):
@@ -169,7 +166,7 @@ def shown(value: Any) -> str:
 
 
 def nearest(given: str, known: Iterable[str]) -> str:
-    """Return "; did you mean ...?" for the known word nearest to `given`, or nothing."""
+    """Return "; did you mean ...?" for the known word nearest to `given`, or ""."""
     by_small, small = {word.lower(): word for word in known}, given.lower()
     words = difflib.get_close_matches(small, by_small, 1, 0.6)
     words = words or [word for word in by_small if len(small) > 2 and word.startswith(small)]  # a name without its unit
@@ -177,13 +174,12 @@ def nearest(given: str, known: Iterable[str]) -> str:
 
 
 def number_hint(given: str, unit: str) -> str:
-    """Return "; ..." that says how to write a number which is given with a unit or a decimal comma;
-    nothing where it is neither.
+    """Return a hint "; ..." for a number written with a unit or a decimal comma, else "".
 
     Parameters
     ----------
-    given : the text that stands where a number is meant
-    unit : in which the number is; "" where it has none
+    given : the text in place of a number
+    unit : of the number, or ""
     """
     text = given.strip()
     if _WITH_COMMA.fullmatch(text):

@@ -1,6 +1,4 @@
-"""The rig file's models in words: what a key accepts, and pydantic's findings as a lab engineer
-reads them.
-"""
+"""Texts from the rig file's models: accepted values of a key, and pydantic's errors in plain words."""
 
 from __future__ import annotations
 
@@ -64,7 +62,7 @@ UNITS = {
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that stands in a key's name; empty where there is none."""
+    """Return the unit in a key's name, or ""."""
     return next((unit for suffix, unit in UNITS.items() if name.endswith(suffix)), "")
 
 
@@ -79,9 +77,7 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 def named_in(info: FieldInfo | None) -> type[BaseModel] | None:
-    """Return the model of a table of tables with names of the user's own ([sensor.NAME]); None
-    where the field is none.
-    """
+    """Return the model of a table of user-named tables ([sensor.NAME]); None for other fields."""
     if info is None or get_origin(info.annotation) is not FrozenMap:
         return None
     model: type[BaseModel] = get_args(info.annotation)[0]
@@ -89,7 +85,7 @@ def named_in(info: FieldInfo | None) -> type[BaseModel] | None:
 
 
 def kinds_of(info: FieldInfo | None) -> dict[str, type[BaseModel]]:
-    """Return the models of an array of tables by their kinds; a plain section stands under ""."""
+    """Return the models of an array of tables by kind; a plain section has the kind ""."""
     kinds: dict[str, type[BaseModel]] = {}
     if named_in(info) is not None:
         return kinds
@@ -118,7 +114,7 @@ def _spelled(bound: float) -> str:
 
 
 def accepted_range(info: FieldInfo) -> str:
-    """Return what a key accepts, in few words: numbers' bounds, the words of a choice."""
+    """Return the accepted values of a key in short: bounds of a number, words of a choice."""
     extra = _extra(info)
     if "range" in extra or "expected" in extra:
         return str(extra.get("range", extra.get("expected")))
@@ -132,7 +128,7 @@ def accepted_range(info: FieldInfo) -> str:
 
 
 def expected(name: str, info: FieldInfo) -> str:
-    """Say what a key accepts, with its unit and its meaning."""
+    """Return the accepted values of a key, with its unit and its meaning."""
     extra, unit = _extra(info), unit_of(name)
     if "expected" in extra:
         text = str(extra["expected"])
@@ -156,7 +152,7 @@ def expected(name: str, info: FieldInfo) -> str:
 
 
 def misspelt_sections(values: Table, schema: type[BaseModel], source: Source) -> None:
-    """Note each unknown section whose name is nearly that of one that is missing: one mistake, not two."""
+    """Note each unknown section whose name is close to a missing one: one error, not two."""
     known = fields_of(schema)
     for name in [name for name in values if name not in known]:
         meant = difflib.get_close_matches(name, known.keys() - values.keys(), 1, 0.75)
@@ -166,7 +162,7 @@ def misspelt_sections(values: Table, schema: type[BaseModel], source: Source) ->
 
 
 def explain(error: ValidationError, values: Table, schema: type[BaseModel], source: Source) -> None:
-    """Note every mistake that pydantic found in `values`, once for each key."""
+    """Note every pydantic error in `values`, once per key."""
     for detail in error.errors():
         key, holder, info = _follow(detail["loc"], values, schema)
         if isinstance(key[-1], int) and not kinds_of(info):
@@ -204,9 +200,7 @@ def _value(values: Any, key: Key) -> Any:
 def _follow(
     loc: Sequence[str | int], values: Any, schema: type[BaseModel]
 ) -> tuple[Key, type[BaseModel], FieldInfo | None]:
-    """Turn pydantic's location into a key (union tags are no part of it), the model that holds it,
-    and its field.
-    """
+    """Turn pydantic's location into a key (without union tags), its model, and its field."""
     key: Key = ()
     holder: type[BaseModel] = schema
     here: type[BaseModel] | None = schema
@@ -232,9 +226,7 @@ def _follow(
 
 
 def _unknown(key: Key, holder: type[BaseModel], schema: type[BaseModel], source: Source) -> None:
-    """Note an unknown key: what its section knows, and where the same name is known, or the nearest
-    name here.
-    """
+    """Note an unknown key: the keys of its section, and where the same name is known, or the nearest name here."""
     name, section = str(key[-1]), dotted(key[:-1])
     known = list(fields_of(holder))
     homes = [path for path in _paths(schema) if path.rpartition(".")[2] == name]

@@ -26,7 +26,7 @@ MOST_ERRORS = 10
 def _find(name: str, rig_path: str, package: Path | None) -> tuple[Path | None, list[Path]]:
     """Look for a file beside the rig file, in the package, in the current folder.
 
-    Return it and where was looked.
+    Return it and the paths tried.
     """
     folders = [Path(rig_path).parent, *([package] if package else []), Path()]
     tried = list(dict.fromkeys(folder / name for folder in folders))
@@ -38,8 +38,8 @@ def read_descriptions(
 ) -> dict[Node, Description]:
     """Return the devices' EDS files by "motor", "brake" and the sensors' names.
 
-    Mistakes are noted in `source`. What host.accept says of objects that can be mapped holds;
-    `prefix` is the axis', before the names of its devices.
+    Errors are noted in `source`. Mappings acknowledged in host.accept are applied; `prefix` is the axis', before the
+    names of its devices.
     """
     descriptions: dict[Node, Description] = {}
     host = values.get("host")
@@ -84,8 +84,7 @@ def read_schedules(values: Table, source: Source, *, attached: bool = False) -> 
 
     Mistakes are noted in `source`.
 
-    Of a rig that is `attached` to a recording no file is read: the recording has the schedule's
-    values.
+    For a rig `attached` to a recording no file is read: the recording has the schedule's values.
     """
     phases = values.get("phase")
     for i, phase in enumerate(phases if isinstance(phases, list) else ()):
@@ -129,7 +128,7 @@ def _read_schedule(phase: dict[str, Any], key: tuple[str, int], source: Source) 
 
 
 def _rows(path: Path, columns: tuple[list[float], list[float]], names: tuple[str, str]) -> Iterator[str]:
-    """Read a schedule into `columns`; yield the mistakes, each with file:line."""
+    """Read a schedule into `columns`; yield the errors, each with file:line."""
     header = ",".join(names)
     try:
         lines = read_regular(path).decode("utf-8-sig").splitlines()

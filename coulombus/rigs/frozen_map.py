@@ -1,6 +1,4 @@
-"""A mapping of names to models that pydantic validates, and that nobody can change:
-``[sensor.NAME]`` of the rig file.
-"""
+"""An immutable mapping of names to models, validated by pydantic: ``[sensor.NAME]`` of the rig file."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ Value = TypeVar("Value")
 
 
 class FrozenMap(Mapping[str, Value], Generic[Value]):
-    """Names and what they stand for, in the file's order; hashable where the values are."""
+    """Immutable mapping in the file's order; hashable if its values are."""
 
     __slots__ = ("pairs",)
     pairs: tuple[tuple[str, Value], ...]
@@ -50,7 +48,7 @@ class FrozenMap(Mapping[str, Value], Generic[Value]):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Validate as a table of models, and keep it frozen."""
+        """Validate a table of models, then freeze it."""
         (model,) = get_args(source)
 
         def frozen(value: Any, validate: Callable[[Any], dict[str, Value]]) -> FrozenMap[Value]:

@@ -1,6 +1,4 @@
-"""The brake's magnetic hysteresis, as it truly is ([plant.iron]) or as the host believes it to be
-([brake.iron]).
-"""
+"""Magnetic hysteresis of the brake: the true one ([plant.iron]) or the host's model ([brake.iron])."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""The rig file as frozen models: bus, host, the controller's beliefs, law, modes, limits.
+"""The rig file as frozen models: bus, host, the controller's model, law, modes, limits.
 
-The models are the schema: every key has its range and its meaning here, `docs/rig-file.md` is held
-against them by a test, and `rigs.errors` makes its texts of them. The devices and their roles are
-in `rigs.devices`, the simulated rig ([plant], [operator], [[phase]]) is in `rigs.plant`. SI units
-stand in the keys' names. Times are seconds in the file; `*_ns` properties give int64 nanoseconds.
+The models are the schema: they define the range and meaning of every key. A test compares `docs/rig-file.md` with them,
+and `rigs.errors` takes its texts from them. The devices and their roles are in `rigs.devices`, the simulated rig
+([plant], [operator], [[phase]]) is in `rigs.plant`. SI units stand in the keys' names. Times are seconds in the file;
+`*_ns` properties give int64 nanoseconds.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ __all__ = [
 
 MODES = ("active", "passive", "hybrid")
 MOST_DEVICES = 8
-"""Nodes of an axis that the host watches at most."""
+"""Maximum number of nodes of an axis that the host monitors."""
 WORK_WINDOW_CYCLES = 4096
-"""Cycles that the host's net-work watch can look back."""
+"""Longest window of the host's net-work watch [cycles]."""
 MOST_DELAY_CYCLES = 16
-"""Cycles from sampling to actuation at most, where a longer delay is studied."""
+"""Maximum cycles from sampling to actuation, for studies of a longer delay."""
 WINDOW_CYCLES = 64
-"""Cycles that the estimate of a slow velocity can look back."""
+"""Longest window of the slow-velocity estimate [cycles]."""
 BRAKE_FALL_S = 0.01
-"""In which a law may take the brake's whole torque away, where the rig file says no rate."""
+"""Default time in which a law may reduce the brake's torque from full to zero."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 CHANNEL = r"^[a-z0-9_]{0,16}$"
 DEADMAN = r"^(|none|key|object:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{1,2}(:0x[0-9A-Fa-f]{1,16})?|gpio:gpiochip\d+:\d+(:low)?|socket:/.+)$"
@@ -56,9 +56,7 @@ def to_ns(seconds: float) -> int:
 
 
 def _grid(unit_s: float, name: str, why: str) -> Any:
-    """Return a validator that wants whole multiples of `unit_s`, because the device counts
-    in them.
-    """
+    """Return a validator for whole multiples of `unit_s`, in which the device counts."""
 
     def whole(value: float) -> float:
         if abs(value / unit_s - round(value / unit_s)) > 1e-6:
@@ -102,7 +100,7 @@ class Section(BaseModel):
 
 
 class About(Section):
-    """[rig]: what the rig is called."""
+    """[rig]: the rig's name."""
 
     name: PlainText = Field(
         min_length=1, description="short name, in titles and file names", json_schema_extra=SAYS_PLAIN
@@ -185,7 +183,7 @@ class Host(Section):
 
 
 class Mechanics(Section):
-    """[mechanics]: the device at the handle, as the controller believes it to be."""
+    """[mechanics]: the controller's model of the device at the handle."""
 
     ratio: float = Field(gt=0, le=1e4, description="motor revolutions for one of the handle")
     motor_polarity: Polarity = Field(
@@ -223,8 +221,7 @@ class Mechanics(Section):
 class Law(Section):
     """[law]: the friction law and its options, and the tables of the laws' named parameters.
 
-    What stands in [law.NAME] is known to the law alone, which may be one of the user's own: the
-    host looks at it (`host.laws.parameters`).
+    Only the law knows the keys of [law.NAME], and it may be user-defined: `host.laws.parameters` checks them.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -232,7 +229,7 @@ class Law(Section):
 
     @property
     def tables(self) -> dict[str, dict[str, Any]]:
-        """The tables [law.NAME], as they stand in the file."""
+        """The tables [law.NAME], as in the file."""
         return dict(self.__pydantic_extra__ or {})
 
     function: str = Field(
@@ -270,7 +267,7 @@ class Mode(Section):
 class Modes(Section):
     """[mode]: the modes that the rig may run in.
 
-    A mapping in use: ``rig.mode["active"]``, ``"active" in rig.mode``, ``list(rig.mode)``.
+    Used as a mapping: ``rig.mode["active"]``, ``"active" in rig.mode``, ``list(rig.mode)``.
     """
 
     active: Mode | None = Field(None, description="force feedback by the motor alone")
@@ -291,7 +288,7 @@ class Modes(Section):
 
 
 class Limits(Section):
-    """[limits]: what trips, and the safe state."""
+    """[limits]: trip limits, and the safe state."""
 
     torque_rate_Nm_s: float = Field(gt=0, le=1e9, description="rate of the motor's command at the handle")
     brake_torque_Nm: float = Field(ge=0, le=1e4, description="largest braking torque commanded")

@@ -1,4 +1,4 @@
-"""Overrides of the rig file that more than one verb gives."""
+"""Overrides of the rig file shared by several verbs."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ SHARED_MACHINE = (
     f"{MISSED}=50",
     "host.loss_limit=1.0",
 )
-"""Overrides for a machine that is shared with others and may stand still for tens of milliseconds.
+"""Overrides for a shared machine, which may stall for tens of milliseconds.
 
-The rig's PC needs none of them. The missed cycles are those of a cycle of 1 ms.
+The rig's PC needs none of them. The missed cycles assume a cycle of 1 ms.
 """
 
 
 def shared_machine(rig: Rig) -> tuple[str, ...]:
-    """Return `SHARED_MACHINE` for a rig: a missed TPDO may take 50 ms, whatever the cycle is, or what
-    the rig itself allows, if that is longer; at most 50 cycles.
+    """Return `SHARED_MACHINE` for a rig: a TPDO may be missing for 50 ms at any cycle, or as long as the rig allows if
+    that is longer; at most 50 cycles.
     """
     longest_s = max(axis.bus.period_s for axis in rig.axes)
     own = max(axis.limits.missed_tpdo_cycles for axis in rig.axes)

@@ -1,15 +1,11 @@
-"""Which PDO carries which role: each device's PDOs as its EDS file lets them be mapped, filled with
-the roles that the host needs of it.
+"""Allocate roles to PDOs, within the mappings that each device's EDS file allows.
 
-1. A PDO that cannot be mapped anew or made invalid, and carries nothing but roles, is taken as it
-   is.
-2. PDOs that can be mapped anew take up what is left, in the order of their numbers, those that
-   cannot be made invalid for it last: at most 64 bits, and as many entries as the EDS file has
-   sub-indices. Statusword and position stay together where they fit, so do a controlword and its
-   set-point.
-3. What is left then is looked for in the PDOs that cannot be mapped anew. Further entries of a TPDO
-   are not used; those of an RPDO are sent with the value that bring-up set, or the EDS file's
-   default.
+1. A PDO that can be neither remapped nor made invalid, and carries only roles, is used as it is.
+2. Remappable PDOs take the remaining roles in the order of their numbers, those that cannot be made
+   invalid last: at most 64 bits, and as many entries as the EDS file has sub-indices. Statusword and
+   position stay together if they fit, and so do a controlword and its set-point.
+3. The rest is searched in the PDOs that cannot be remapped. Further entries of a TPDO are ignored;
+   those of an RPDO are sent with the value that bring-up set, or the EDS file's default.
 """
 
 from __future__ import annotations
@@ -34,16 +30,14 @@ __all__ = ["MOST_CONSTANTS", "MOST_PDOS", "AxisPdos", "allocate", "mode_of", "wr
 
 MODE, SUPPORTED_MODES = 0x6060, 0x6502
 MOST_PDOS, MOST_CONSTANTS = 8, 16
-"""What the host's tables have room for: PDOs of an axis each way, entries of RPDOs that it does not
-command.
-"""
+"""Sizes of the host's tables: PDOs of an axis in each direction, entries of RPDOs that it does not command."""
 TOGETHER = (("controlword", "torque_setpoint"), ("statusword", "position"), ("brake_controlword", "brake_setpoint"))
 """Roles that are read or commanded together, and stay in one PDO where they fit."""
 
 
 @dataclass(frozen=True)
 class AxisPdos:
-    """The PDOs of an axis, what follows from its roles, and what is wrong with them."""
+    """The PDOs of an axis, its bound roles, and the problems with them."""
 
     bound: Bound
     pdos: tuple[RigPdo, ...]
@@ -52,11 +46,11 @@ class AxisPdos:
 
 
 def allocate(parts: Parts, prefix: str = "") -> AxisPdos:
-    """Return the PDOs of an axis; with `problems`, they are not complete.
+    """Return the PDOs of an axis; incomplete if there are `problems`.
 
     Parameters
     ----------
-    prefix : what stands before the names of the axis' nodes and signals
+    prefix : of the axis' node and signal names
     """
     bound = bind(parts)
     problems, losses, bindings = [*bound.problems], [*bound.losses], [*bound.bindings]
@@ -97,7 +91,7 @@ def _shared(pdos: Sequence[RigPdo]) -> Iterator[Problem]:
     owners: dict[int, RigPdo] = {}
     for pdo in pdos:
         first = owners.setdefault(pdo.layout.cob_id, pdo)
-        if first is not pdo and first.node_id != pdo.node_id:  # equal ids are told as such
+        if first is not pdo and first.node_id != pdo.node_id:  # duplicate node ids are reported elsewhere
             text = (
                 f"{pdo.name} of {pdo.node} has the identifier {pdo.layout.cob_id:03X}h of {first.name} of {first.node}"
             )
@@ -105,7 +99,7 @@ def _shared(pdos: Sequence[RigPdo]) -> Iterator[Problem]:
 
 
 def _ambiguous(parts: Parts, bound: Bound) -> Iterator[Problem]:
-    """Refuse an encoder whose counts wrap so soon that a jump and a wrap look alike."""
+    """Refuse an encoder whose counts wrap too soon to tell a jump from a wrap."""
     position = bound.get("position")
     if position is None or position.entry.bits > 31:
         return
@@ -127,12 +121,12 @@ class _Device:
         self.problems: list[Problem] = []
         self.losses: list[str] = []
         self.absent: set[str] = set()
-        """Roles that find no place, and that the host can do without."""
+        """Optional roles without a place in a PDO."""
 
     def fill(self, bindings: Sequence[Binding]) -> list[RigPdo]:
         """Return the PDOs that carry `bindings`, by their numbers.
 
-        What finds no place is noted in `problems`.
+        Entries without a place are noted in `problems`.
         """
         if not bindings:
             return []
@@ -219,15 +213,15 @@ class _Device:
         return RigPdo(self.prefix + self.node, self.part.node_id, layout, signals, fixed=stands, constants=constants)
 
     def _where(self, record: PdoParameters) -> str:
-        """Return where the EDS file tells a PDO's transmission type."""
+        """Return the place of a PDO's transmission type in the EDS file."""
         index = COMMUNICATION[self.direction] + record.number - 1
         subindex = 2 if self.description.has(index, 2) else 1
         return f"{self.description.path}:{self.description.variable(index, subindex).line}"
 
     def _timed(self, record: PdoParameters, name: str, mine: Sequence[Binding]) -> None:
-        """Tell that a TPDO does not follow SYNC.
+        """Note that a TPDO does not follow SYNC.
 
-        Refuse it where it comes too seldom for its roles.
+        Refuse it if it is too rare for its roles.
         """
         cycles = record.transmission if 0 < record.transmission <= 240 else 0
         every_ns = cycles * self.parts.bus.period_ns if cycles else record.event_ns
@@ -265,7 +259,7 @@ class _Device:
             yield Constant(*place, value)
 
     def _standing(self, index: int, subindex: int) -> tuple[int, str]:
-        """Return the value that an object of an RPDO is sent with, and why."""
+        """Return the constant value of an RPDO entry, and the reason."""
         said = [write.value for write in self.part.sdo if (write.index, write.sub) == (index, subindex)]
         if said:
             return said[-1], f"[[{self.node}.sdo]]"
@@ -285,8 +279,8 @@ class _Device:
 
 
 def mode_of(part: Motor | Brake, description: Description) -> int:
-    """Return the mode of operation of a CiA 402 drive: the rig file's, else CST where 6502h offers
-    it or tells nothing, else profile torque.
+    """Return the mode of operation of a CiA 402 drive: the rig file's, else CST if 6502h offers it or is absent, else
+    profile torque.
     """
     if part.mode is not None:
         return part.mode
@@ -303,10 +297,7 @@ def _carries(entry: Entry, left: Mapping[tuple[int, int], Binding]) -> bool:
 
 
 def _groups(left: Iterable[Binding]) -> list[list[Entry]]:
-    """Return the entries that are to be placed, in their order.
-
-    Those of `TOGETHER` in one group.
-    """
+    """Return the entries to place, in order; those of `TOGETHER` form one group."""
     groups: list[list[Entry]] = []
     names: list[str] = []
     for binding in left:
@@ -322,9 +313,9 @@ def _groups(left: Iterable[Binding]) -> list[list[Entry]]:
 def _first_fit(
     free: Sequence[PdoParameters], groups: Sequence[list[Entry]]
 ) -> Iterator[tuple[PdoParameters, list[Entry]]]:
-    """Put each group into the first PDO that has room for it.
+    """Put each group into the first PDO with room for it.
 
-    One that fits nowhere is put there entry by entry.
+    A group that fits nowhere is placed entry by entry.
     """
     placed: dict[int, list[Entry]] = {record.number: [] for record in free}
 

@@ -1,12 +1,10 @@
-"""The PDOs of a device as its EDS file lets them be: identifier, transmission type, event timer, and
-what they can be mapped with.
+"""The PDOs that a device's EDS file allows: identifier, transmission type, event timer, mapping.
 
 Identifiers are those of the pre-defined connection set for the first four PDOs of each direction,
-where the device lets them be set, and the device's own elsewhere. A further axis of a drive takes
-the PDOs that belong to it, where the file has some (65 to 68 for the second, or those whose default
-maps hold its objects). One of them that has no identifier takes that of PDO 1 to 4 in its place,
-as bring-up makes the first axis' PDOs invalid. A TPDO follows SYNC (transmission
-type 1) where it can; one that cannot is sent by the device's event timer.
+if the device lets them be set, else the device's own. A further axis of a drive takes its own PDOs, if the file has any
+(65 to 68 for the second, or those whose default maps hold its objects). If such a PDO has no identifier, it takes that
+of PDO 1 to 4, because bring-up makes the first axis' PDOs invalid. A TPDO follows SYNC (transmission type 1) if it can;
+otherwise the device's event timer sends it.
 """
 
 from __future__ import annotations
@@ -30,23 +28,22 @@ INVALID, NO_RTR = 1 << 31, 1 << 30
 
 
 def writable(variable: Variable) -> bool:
-    """Tell whether an object can be written by SDO."""
+    """Return whether an object can be written by SDO."""
     return variable.access not in ("ro", "const")
 
 
 @dataclass(frozen=True)
 class PdoParameters:
-    """What an EDS file lets a PDO be.
+    """Settings that an EDS file allows for a PDO.
 
     Attributes
     ----------
     identifier : 11 bits
-    room : entries that it can be mapped with; 0: only as it is
-    settable : its identifier can be written, so that it can be made invalid while it is mapped
-    entries : its default map; empty where there is none, or none that can be read
-    transmission : the type that it will have
-    event_ns : of a TPDO that does not follow SYNC, the event timer that it will have; 0: it has
-        none
+    room : number of entries for a new map; 0: fixed map
+    settable : its identifier can be written, so that it can be invalid while it is remapped
+    entries : its default map; empty if absent or unreadable
+    transmission : its future transmission type
+    event_ns : future event timer of a TPDO that does not follow SYNC; 0: none
     deadline : an RPDO's deadline can be set (1400h:05)
     """
 
@@ -70,12 +67,12 @@ def records_of(
     transmission: int,
     drive_axis: int = 1,
 ) -> tuple[PdoParameters, ...]:
-    """Return the PDOs of a device that can carry something: found once for a description.
+    """Return the usable PDOs of a device, cached per EDS file.
 
     Parameters
     ----------
-    transmission : the type that they are to have, where they can
-    drive_axis : which axis of a drive they are for
+    transmission : requested type, used if possible
+    drive_axis : number of the drive's axis
     """
     known = description.derived.setdefault(records_of, {})
     key = node_id, direction, period_ns, transmission, drive_axis
@@ -129,7 +126,7 @@ def _records_of(
 
 
 def _belongs(description: Description, node_id: int, direction: Direction, number: int, drive_axis: int) -> bool:
-    """Tell whether a PDO is a further axis' of a drive: by its number, or by what it carries."""
+    """Return whether a PDO belongs to a further axis of a drive, by its number or its map."""
     return drive_axis > 1 and (
         number in pdo_numbers(drive_axis)
         or any(axis_of(entry.index) == drive_axis for entry in _default_map(description, node_id, direction, number))
@@ -137,12 +134,12 @@ def _belongs(description: Description, node_id: int, direction: Direction, numbe
 
 
 def _keeps(description: Description, index: int) -> bool:
-    """Tell whether a PDO keeps its identifier, as nobody can make it invalid."""
+    """Return whether a PDO keeps its identifier because it cannot be made invalid."""
     return description.has(index, 1) and not writable(description.variable(index, 1))
 
 
 def _transmission(description: Description, index: int, preferred: int, direction: Direction) -> int | None:
-    """Return the transmission type that a PDO will have; None where it is sent on request only."""
+    """Return the future transmission type of a PDO; None if it is sent on request only."""
     if not description.has(index, 2):
         return 255
     variable = description.variable(index, 2)
@@ -156,9 +153,7 @@ def _transmission(description: Description, index: int, preferred: int, directio
 
 
 def _event_ns(description: Description, index: int, node_id: int, period_ns: int) -> int:
-    """Return the event timer of a TPDO that does not follow SYNC: the cycle in whole milliseconds,
-    or what the device has.
-    """
+    """Return the event timer of a TPDO that does not follow SYNC: the cycle in whole milliseconds, or the device's own."""
     if not description.has(index, 5):
         return 0
     variable = description.variable(index, 5)
@@ -169,7 +164,7 @@ def _event_ns(description: Description, index: int, node_id: int, period_ns: int
 
 
 def _room(description: Description, mapping: int) -> int:
-    """Return how many entries the PDO can be mapped with anew; 0 where it keeps its map."""
+    """Return the number of entries for a new map of the PDO; 0 if its map is fixed."""
     variables = description.objects[mapping].variables
     if not writable(variables[0]):
         return 0

@@ -1,6 +1,4 @@
-"""The rig file's second half: the simulated rig as it truly is, the simulated hand, and its
-schedule.
-"""
+"""The simulation part of the rig file: the true rig, the simulated hand, and its schedule."""
 
 from __future__ import annotations
 
@@ -28,9 +26,9 @@ __all__ = [
 
 
 class Plant(Section):
-    """[plant]: the rig as it truly is, for the simulation only.
+    """[plant]: the true rig, for the simulation only.
 
-    Nothing is taken over from [mechanics].
+    Nothing is copied from [mechanics].
     """
 
     step_s: Nanoseconds = Field(
@@ -105,7 +103,7 @@ class Plant(Section):
 
     @property
     def in_detail(self) -> bool:
-        """Whether it has anything beyond one rigid body."""
+        """Whether it has more than one rigid body."""
         parts = self.cable, self.handle, self.friction, self.fluid, self.iron, self.ripple, self.heat
         return any(part is not None for part in (*parts, self.transducer_inertia_kg_m2))
 
@@ -156,7 +154,7 @@ class HoldPhase(_Phase):
 
 
 class StrokePhase(_Phase):
-    """[[phase]] of kind "stroke": to and fro at a constant desired speed, with dwells."""
+    """[[phase]] of kind "stroke": back and forth at a constant desired speed, with dwells."""
 
     kind: Literal["stroke"]
     speed_rad_s: float = Field(ge=-1e3, le=1e3, description="desired speed of the first move; the next goes back")
@@ -178,7 +176,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 
 
 def _column(value: Any) -> Any:
-    """Make a read-only array of a list of finite numbers (bools and texts are refused)."""
+    """Return a read-only array of a list of finite numbers (bools and strings are refused)."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if not isinstance(value, list | tuple) or not all(type(x) in (int, float) for x in value):
@@ -191,7 +189,7 @@ def _column(value: Any) -> Any:
 
 
 class FilePhase(Section):
-    """[[phase]] of kind "file": torque over time from a CSV file, straight lines between its rows.
+    """[[phase]] of kind "file": torque over time from a CSV file, linearly interpolated.
 
     The loader reads `path` into `t_s` and `torque_Nm`; a file that has both (a recording's rig)
     needs no CSV file.
@@ -222,8 +220,7 @@ class FilePhase(Section):
 
 
 class MotionPhase(Section):
-    """[[phase]] of kind "motion": where a recorded hand was, from a CSV file, straight lines between
-    its rows.
+    """[[phase]] of kind "motion": position of a recorded hand from a CSV file, linearly interpolated.
 
     The hand's impedance follows it: f_h = K_o theta_d + B_o theta_d'. The loader reads `path` into
     `t_s` and `x_rad`.

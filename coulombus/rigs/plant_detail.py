@@ -1,4 +1,4 @@
-"""What a simulated rig may have beyond one rigid body: [plant.cable], [plant.handle],
+"""Details of a simulated rig beyond one rigid body: [plant.cable], [plant.handle],
 [plant.friction], [plant.fluid], [plant.ripple] and [plant.heat]; [plant.iron] is in `rigs.hysteresis`.
 
 A rig file without these sections has one rigid body.
@@ -24,7 +24,7 @@ class _Coupling(Section):
 
 
 class Cable(_Coupling):
-    """[plant.cable]: the elastic transmission between the motor and the drum that the brake holds.
+    """[plant.cable]: the elastic transmission between the motor and the brake's drum.
 
     The encoder is on the motor's side.
     """
@@ -38,13 +38,13 @@ class Cable(_Coupling):
 
 
 class Handle(_Coupling):
-    """[plant.handle]: the elastic shaft between the drum and the handle, on which the hand is."""
+    """[plant.handle]: the elastic shaft between the drum and the handle that the hand holds."""
 
     inertia_kg_m2: float = Field(gt=0, le=1e3, description="what of plant.inertia_kg_m2 is the handle's")
 
 
 class Friction(Section):
-    """[plant.friction]: more of the device's own friction."""
+    """[plant.friction]: details of the device's own friction."""
 
     law: Literal["coulomb", "lugre", "gms", "leuven"] = Field(
         "coulomb",
@@ -76,7 +76,7 @@ class Friction(Section):
 
 
 class Fluid(Section):
-    """[plant.fluid]: more of the brake's fluid."""
+    """[plant.fluid]: details of the brake's fluid."""
 
     viscous_Nms_rad: float = Field(0.0, ge=0, le=1e3, description="viscous friction of the fluid, on the drum")
     viscous_1_K: float = Field(0.0, ge=0, le=1, description="by which share that falls with each kelvin, at first")
@@ -98,9 +98,9 @@ class Ripple(Section):
 
 
 class Heat(Section):
-    """[plant.heat]: the device's temperature, which friction and the coil raise.
+    """[plant.heat]: the device's temperature, raised by friction and the coil.
 
-    It begins at plant.temperature_degC.
+    It starts at plant.temperature_degC.
     """
 
     capacity_J_K: float = Field(gt=0, le=1e9, description="heat capacity of brake and bearings")

@@ -1,4 +1,4 @@
-"""What a problem with a device of a rig is: where, what, and what to do."""
+"""A problem with a device of a rig: place, reason, remedy."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ __all__ = ["Problem"]
 
 
 class Problem(NamedTuple):
-    """Why a device cannot have a role, or bring-up would be refused, and what to do.
+    """The reason why a device cannot have a role or bring-up is refused, and the remedy.
 
-    `accept` is the sentence of ``host.accept`` that acknowledges it; "" where nothing does.
+    `accept` is the sentence of ``host.accept`` that acknowledges it, or "".
     """
 
     role: str

@@ -1,9 +1,8 @@
-"""Change single values of a rig file as a person would: every other line, comment and blank stays.
+"""Change single values of a rig file in place: every other line, comment and blank stays.
 
-A value takes the old one's place. The comment at its line's end stays, in its column where it can,
-and a line above it says where the value comes from. A key that is not there yet is put below the
-header of its section, and its section at the file's end where that is missing, too. A `# CHECK:`
-above a key is a guess that nobody has proved (`rigs.draft.draft_text`): with a found value it is gone.
+The new value replaces the old one. The comment at the line's end stays, in its column if possible, and a line above it
+states the value's source. A new key is inserted below the header of its section; a missing section is appended to the
+file. A `# CHECK:` above a key marks an unverified guess (`rigs.draft.draft_text`): a measured value removes it.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ _ASSIGNMENT = re.compile(r"(?P<head>\s*[^=#]*=\s*)(?P<rest>.*)")
 _TEXT_OR_COMMENT = re.compile(r""""(?:[^"\\]|\\.)*"|'[^']*'|(?P<comment>\s*\#.*)""")
 _GUESS = re.compile(rf"\s*#\s*{CHECK}:")
 LONGEST = 200
-"""Lines of a statement."""
+"""Maximum lines of a statement."""
 MOST_COPIES = 999
 
 
 @dataclass(frozen=True)
 class NewValue:
-    """A value for a key, and the comment that stands above it."""
+    """A value for a key, and the comment above it."""
 
     value: Any
     comment: str
@@ -46,12 +45,12 @@ def rewritten(text: str, values: Mapping[Key, NewValue], mark: str, path: str) -
 
     Parameters
     ----------
-    mark : how the comments of this hand begin; an older one of a key is replaced
+    mark : beginning of these comments; an older one of the same key is replaced
 
     Raises
     ------
     RigError
-        a key stands where it cannot be changed alone, as in an inline table
+        a key cannot be changed alone, as in an inline table
     """
     ending = "\r\n" if "\r\n" in text else "\n"
     lines = text.replace("\r\n", "\n").split("\n")
@@ -70,7 +69,7 @@ def _replace(lines: list[str], at: int, new: NewValue, mark: str) -> None:
     """Put the new value into the statement that begins in a line."""
     match = _ASSIGNMENT.fullmatch(lines[at])
     if match is None:
-        return  # `_check` tells
+        return  # `_check` reports it
     indent = lines[at][: len(lines[at]) - len(lines[at].lstrip())]
     last = _last_line(lines, at)
     old = match["rest"] if last == at else lines[last]
@@ -87,9 +86,7 @@ def _replace(lines: list[str], at: int, new: NewValue, mark: str) -> None:
 
 
 def _in_its_column(comment: str, longer: int) -> str:
-    """Return a comment behind a value that is so many characters longer: where it was, if two
-    blanks are left.
-    """
+    """Return a comment after a value that grew by so many characters: in its column if two blanks remain."""
     text = comment.lstrip()
     blanks = len(comment) - len(text)
     return " " * max(blanks - longer, min(blanks, 2)) + text
@@ -101,9 +98,7 @@ def _comment(text: str) -> str:
 
 
 def _last_line(lines: list[str], at: int) -> int:
-    """Return the last line of the statement that begins in a line: the first with which it
-    reads.
-    """
+    """Return the last line of the statement that begins in a line: the first at which it parses."""
     for last in range(at, min(at + LONGEST, len(lines))):
         document = read_toml("\n".join(lines[at : last + 1]))
         if not document.problems:
@@ -112,8 +107,8 @@ def _last_line(lines: list[str], at: int) -> int:
 
 
 def _insert(lines: list[str], document: Document, key: Key, new: NewValue, mark: str) -> None:
-    """Put a key below the header of its section; before the first header where the section is
-    dotted keys only; and below a header of its own at the file's end where there is no section.
+    """Insert a key: below the header of its section, before the first header if the section has dotted keys only, or
+    below a new header at the file's end if there is no section.
     """
     headers = {n for n, line in enumerate(lines, 1) if line.lstrip().startswith("[")}
     own = [f"# {mark} {new.comment}", f"{key[-1]} = {toml_value(new.value)}"]
@@ -131,7 +126,7 @@ def _insert(lines: list[str], document: Document, key: Key, new: NewValue, mark:
 
 
 def _has(document: Document, key: Key) -> bool:
-    """Tell whether the file has something of this name."""
+    """Return whether the file has something of this name."""
     here: Any = document.values
     for part in key:
         if not isinstance(here, Mapping) or part not in here:
@@ -141,7 +136,7 @@ def _has(document: Document, key: Key) -> bool:
 
 
 def _check(text: str, key: Key, value: Any, path: str) -> None:
-    """Refuse a text in which the key is not what it is to be."""
+    """Refuse a text in which the key does not have the new value."""
     document = read_toml(text)
     here: Any = document.values
     for part in key:
@@ -153,22 +148,21 @@ def _check(text: str, key: Key, value: Any, path: str) -> None:
 
 
 def replace_file(path: Path, before: str, after: str, copy: Path | None = None) -> Path:
-    """Replace a rig file as a whole, and return the copy of the old one that is kept.
+    """Replace a rig file as a whole, and return the backup of the old one.
 
     Parameters
     ----------
-    before : what was read from it; when somebody has changed it meanwhile, it stays
-    copy : name of the copy, with a number behind it when there is one already; by default the
-        file's own with ``.bak``
+    before : its text as read; if it has changed since, it is kept
+    copy : name of the backup, numbered if it exists; by default the file's own with ``.bak``
 
     Raises
     ------
     RigError
-        the file is another one meanwhile, or there are too many copies
+        the file has changed, or there are too many backups
     OSError
-        as on a full disk; the file is as it was
+        as on a full disk; the file is unchanged
     """
-    path = path.resolve()  # what a link stands for
+    path = path.resolve()  # follow a symbolic link
     raw = read_regular(path, MOST_CHARACTERS)
     bom = b"\xef\xbb\xbf" if raw.startswith(b"\xef\xbb\xbf") else b""
     if raw[len(bom) :] != before.encode():
@@ -179,7 +173,7 @@ def replace_file(path: Path, before: str, after: str, copy: Path | None = None) 
 
 
 def _keep(path: Path, content: bytes) -> Path:
-    """Write a copy under a name that is free."""
+    """Write a backup under a free name."""
     for number in range(1, MOST_COPIES + 1):
         copy = path.with_name(f"{path.name}{number if number > 1 else ''}")
         with suppress(FileExistsError):
@@ -192,14 +186,14 @@ _BESIDE = re.compile(r"\..+-\d+-[0-9a-f]{8}(\.\w+)?")
 
 
 def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = False) -> None:
-    """Write a file as a whole or not at all: it is on the disk before it has its name.
+    """Write a file atomically: it is synced to disk before it is renamed.
 
     Raises
     ------
     FileExistsError
-        the file is to be `new` and is there
+        the file must be `new` but exists
     OSError
-        it cannot be written; an old one is as it was
+        it cannot be written; an old one is unchanged
     """
     remove_unfinished(path.absolute().parent)
     beside = unfinished(path)
@@ -218,7 +212,7 @@ def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = Fa
 
 
 def forget_torn(folder: Path) -> None:
-    """Remove what `write_whole` has left in a folder when it was killed; nobody writes there now."""
+    """Remove temporary files that a killed `write_whole` left in a folder; no writer may be active there."""
     for path in folder.glob(".*"):
         if _BESIDE.fullmatch(path.name):
             with suppress(OSError):

@@ -1,10 +1,9 @@
-"""The rig file: one TOML file says what hangs on the bus, what the controller believes, and what
-the simulation knows.
+"""The rig file: one TOML file for the devices on the bus, the controller's model, and the simulated rig.
 
 ``load_rig("bench")`` finds a rig of the package, ``load_rig("lab/handle.toml")`` a file. The result
 is frozen and complete; `docs/rig-file.md` explains every key. A rig has buses, a host, and one or
-more axes (`rigs.axis`): a motor and a brake each. Every mistake of a file is reported at once, each
-with ``file:line``, the key, what stands there, what is expected and the nearest known key.
+more axes (`rigs.axis`): a motor and a brake each. All errors of a file are reported together, each with ``file:line``,
+the key, its value, the expected value and the nearest known key.
 """
 
 from __future__ import annotations
@@ -38,13 +37,13 @@ __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_tex
 
 
 UNCOUPLED = "run, sim and simulate drive each joint by its own law, and simulate it alone (docs/plane.md)"
-"""What is not done yet with the joints of a mechanism."""
+"""Limitation of mechanisms: the joints are not coupled yet."""
 
 
 @dataclass(frozen=True)
 class RigNode:
-    """One device of a rig: "motor", "brake" or a sensor's name, with its axis before it ("x.motor")
-    where there are several.
+    """One device of a rig: "motor", "brake" or a sensor's name, with its axis as prefix ("x.motor") if there are
+    several.
     """
 
     name: str
@@ -65,12 +64,11 @@ class RigNode:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rig:
-    """A rig: what belongs to all its axes, and the axes.
+    """A rig: the parts shared by all axes, and the axes.
 
     Frozen, with the EDS files that the rig file names.
 
-    What an axis has - devices, mechanics, law, modes, limits, schedule - is asked of one of `axes`,
-    or of `one_axis()`.
+    Devices, mechanics, law, modes, limits and schedule belong to one of `axes`, or to `one_axis()`.
 
     Attributes
     ----------
@@ -78,11 +76,11 @@ class Rig:
         At least one. Their host is the same, and so is their cycle: period, actuation, window, law,
         names of the modes (`rigs.axes.SHARED`).
     origin : Origin
-        Where the values come from.
+        Origin of the values.
     warnings : tuple of str
-        What is allowed, and yet may not be meant, with ``file:line``.
+        Legal but unlikely values, with ``file:line``.
     in_plane : PlaneSections or None
-        How the axes, as joints, move one tip in a plane; None where they are independent.
+        Kinematics and plant of the axes as joints of one tip in a plane; None if they are independent.
     """
 
     axes: tuple[Axis, ...]
@@ -90,14 +88,14 @@ class Rig:
     warnings: tuple[str, ...] = ()
     in_plane: PlaneSections | None = None
     _spelled: str = ""
-    """The values of a rig whose axes have names, as TOML: what is shared stands there once."""
+    """The values of a rig with named axes, as TOML; shared values occur once."""
 
     def __repr__(self) -> str:
         return f"<rig {self.name} of {self.path}>"
 
     @property
     def about(self) -> About:
-        """What the rig is called."""
+        """The rig's name and title."""
         return self.axes[0].rig
 
     @property
@@ -122,18 +120,17 @@ class Rig:
 
     @property
     def buses(self) -> tuple[Bus, ...]:
-        """The buses on which the axes hang, in the file's order."""
+        """The buses of the axes, in the file's order."""
         return tuple({axis.bus.channel: axis.bus for axis in reversed(self.axes)}[name] for name in self.channels)
 
     @property
     def bus(self) -> Bus:
-        """The bus of a rig that hangs on one.
+        """The bus of a rig with a single bus.
 
         Raises
         ------
         TypeError
-            the rig has several buses: ask one of `buses`, or take the rig as it is on one of them
-            (`on`)
+            the rig has several buses: use one of `buses`, or the rig's part on one of them (`on`)
         """
         if len(self.channels) > 1:
             raise TypeError(f"the rig {self.name} has the buses {', '.join(self.channels)}; take it on one with Rig.on")
@@ -141,26 +138,24 @@ class Rig:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The names of the buses on which the axes hang, in the file's order; ("",) for one bus
-        without a name.
-        """
+        """The names of the axes' buses, in the file's order; ("",) for one unnamed bus."""
         return tuple(dict.fromkeys(axis.bus.channel for axis in self.axes))
 
     @property
     def schedule_s(self) -> float:
         """The length of the operator's schedule; of several axes', the longest [s].
 
-        0.0 where there is none.
+        0.0 if there is none.
         """
         return max(axis.phase_starts_s[-1] for axis in self.axes)
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """The axes' names; none where the rig file names no axis."""
+        """The axes' names; empty if the rig file names no axis."""
         return tuple(axis.name for axis in self.axes if axis.name)
 
     def one_axis(self, name: str | None = None) -> Axis:
-        """Return the axis `name`; without a name the only one of a rig whose file names no axis.
+        """Return the axis `name`; without a name, the only axis of a rig whose file names none.
 
         Raises
         ------
@@ -180,8 +175,7 @@ class Rig:
         return self.axes[names.index(name)]
 
     def alone(self, name: str | None = None) -> Rig:
-        """Return the axis `name` as a rig of its own, whose nodes and signals have no axis in their
-        names.
+        """Return the axis `name` as a separate rig, without the axis in node and signal names.
 
         Raises
         ------
@@ -195,11 +189,11 @@ class Rig:
         return self._as_said(load_rig_text(_emitted(axis), self.path, texts, attached=self.origin.attached))
 
     def _as_said(self, rig: Rig) -> Rig:
-        """Return `rig`, whose law was named by whom this one's was."""
+        """Copy the provenance of the law (`law_named`) onto `rig`."""
         return _from(rig, replace(rig.origin, law_named=self.origin.law_named or rig.origin.law_named))
 
     def on(self, channel: str) -> Rig:
-        """Return the rig as it is on the bus `channel`: the axes that hang there and no other."""
+        """Return the rig's part on the bus `channel`: only its axes."""
         if self.channels == (channel,):
             return self
         there = tuple(axis for axis in self.axes if axis.bus.channel == channel)
@@ -212,12 +206,12 @@ class Rig:
 
     @property
     def kinematics(self) -> Kinematics | None:
-        """How the axes move one tip in a plane; None where they are independent."""
+        """Kinematics of the axes in a plane; None if they are independent."""
         return None if self.in_plane is None else self.in_plane.kinematics
 
     @property
     def path(self) -> str:
-        """The file that the rig was read from."""
+        """The rig's file."""
         return self.origin.path
 
     @property
@@ -232,23 +226,17 @@ class Rig:
 
     @property
     def law_of_recording(self) -> bool:
-        """Whether nobody but a recording names the law: then it is run only if it is one of the
-        project's own.
-        """
+        """Whether only a recording names the law: it is run then only if it is built in."""
         return self.axes[0].law_of_recording
 
     @property
     def law_directory(self) -> Path:
-        """Where the file of a law is looked for before the current folder: beside the rig file,
-        never beside a recording.
-        """
+        """Folder searched for a law's file before the current one: the rig file's, never a recording's."""
         return self.axes[0].law_directory
 
     @property
     def eds_texts(self) -> Mapping[str, str]:
-        """The EDS files' texts by the names that the rig file has for them; a recording attaches
-        them.
-        """
+        """The EDS files' texts by their names in the rig file; a recording attaches them."""
         return {node.part.eds: node.description.text for node in self.nodes}
 
     @property
@@ -261,7 +249,7 @@ class Rig:
         )
 
     def pdos(self) -> tuple[RigPdo, ...]:
-        """Return the PDOs that the host uses of all axes, with their signals."""
+        """Return the PDOs of all axes that the host uses, with their signals."""
         return tuple(pdo for axis in self.axes for pdo in axis.pdos())
 
     def effective(self) -> str:
@@ -281,7 +269,7 @@ class Rig:
             return self
         attached = self.origin.attached
         changed = _load(self.effective(), self.path, self.eds_texts, overrides, [], attached, self.axes)
-        both = (*self.overrides, *overrides)  # of the text as it is: `Axis.mistake` says where a value came from
+        both = (*self.overrides, *overrides)  # on the original text: `Axis.mistake` needs each value's origin
         return self._as_said(_from(changed, replace(changed.origin, text=self.text, overrides=both)))
 
     def with_law(self, name: str) -> Rig:
@@ -364,12 +352,11 @@ def load_rig_text(
     *,
     attached: bool = False,
 ) -> Rig:
-    """Load a rig from its text; `name` stands in for the file in errors, and gives the folder for
-    relative paths.
+    """Load a rig from its text; `name` is the file's name in errors, and gives the folder for relative paths.
 
-    With `eds_texts` (by the names that the rig file has for them) no EDS file is read. With
-    `attached` the text is of a recording, perhaps a stranger's: no file is read at all, and its law
-    is run only if it is one of the project's own, or named by an override.
+    With `eds_texts` (by their names in the rig file) no EDS file is read. With `attached` the text comes from a
+    recording, which may be untrusted: no file is read at all, and its law is run only if it is built in or named by an
+    override.
 
     Raises
     ------
@@ -388,7 +375,7 @@ def _load(
     attached: bool = False,
     earlier: Sequence[Axis] = (),
 ) -> Rig:
-    """Load a rig: `load_rig_text`. The `earlier` axes lend those that have the same devices what was found of these."""
+    """Load a rig (see `load_rig_text`), reusing results of `earlier` axes that have the same devices."""
     document = read_toml(text)
     source = Source(path, document, found=list(broken))
     source.found += [(line, f"{path}:{line}: {problem}") for line, problem in document.problems]

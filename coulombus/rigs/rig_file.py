@@ -1,4 +1,4 @@
-"""Where a rig file is, by a name of the package or a path, and its text."""
+"""Find a rig file by packaged name or path, and read its text."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def named_rig(name: str) -> Path:
     Raises
     ------
     RigError
-        There is none of this name.
+        There is no such rig.
     """
     known = known_rigs()
     if name not in known:
@@ -43,7 +43,7 @@ def named_rig(name: str) -> Path:
 
 
 def _meant(path: Path, known: Sequence[str]) -> str:
-    """Return what to do where `path` names no rig file, but something else that there is."""
+    """Return the remedy if `path` exists but is not a rig file."""
     if path.suffix.lower() in (".eds", ".dcf", ".xdd", ".xdc"):
         return f"; an EDS file becomes a rig file by coulombus init --drive {shell(str(path))} --brake bench -o my-rig.toml"
     if path.suffix == ".pcapng":
@@ -52,7 +52,7 @@ def _meant(path: Path, known: Sequence[str]) -> str:
 
 
 def read_rig_file(path: Path) -> tuple[str, list[tuple[float, str]]]:
-    """Return a rig file's text, and what is wrong with its bytes: lines and texts.
+    """Return a rig file's text, and its encoding errors: lines and texts.
 
     Raises
     ------

@@ -1,8 +1,6 @@
-"""The roles of an axis: what the host's cycle needs, and the object of a device that each of them
-is.
+"""The roles of an axis: quantities that the host's cycle needs, and the device objects that supply them.
 
-A role is bound by the rig file's ``[role.NAME]``; what stands not there follows from the CANopen
-profile of the device (1000h):
+A role is bound by the rig file's ``[role.NAME]``; otherwise it follows from the CANopen profile of the device (1000h):
 
 ====================  =====================  ==========================  ==================
 role                  CiA 402 (motor)        CiA 404 (brake, sensors)    CiA 401, 402 (brake)
@@ -18,11 +16,10 @@ coil temperature                             7130h:3
 ====================  =====================  ==========================  ==================
 
 Of a drive of several axes these are the objects of the axis that `drive_axis` names. A drive's
-torque counts in per mille of its rated torque and its position in encoder counts (CiA 402); ratio
-and polarity, which turn them to the handle, are the rig file's. A CiA 404 block carries its unit
-(6131, 6301) and its decimal digits (6132, 6302): the EDS gives the scale, and a unit that is not
-what the role wants is refused, unless the rig file gives the scale. A role that no device has is
-absent, and what the host loses by that is told.
+torque counts in per mille of its rated torque and its position in encoder counts (CiA 402); the rig file's ratio and
+polarity refer them to the handle. A CiA 404 block carries its unit (6131, 6301) and its decimal digits (6132, 6302):
+the EDS gives the scale, and a wrong unit is refused unless the rig file gives the scale. A role that no device has is
+absent, and the host's loss is reported.
 """
 
 from __future__ import annotations
@@ -61,15 +58,13 @@ UNITS = {name: index for index, name in NOTATION.items() if name in ("Nm", "A", 
 PER_MILLE = (0x6071, 0x6074, 0x6077, 0x6078)
 """Objects in per mille of a rated value."""
 DEVICE = "DEVICE"
-"""Stands for the device in a remedy."""
+"""Placeholder for the device in a remedy."""
 WIDEST = 32
-"""Bits that the host reckons with."""
+"""Widest integer of the host [bits]."""
 
 
 class Kind(NamedTuple):
-    """A role: the signal that it is, its direction and unit, whether the host can do without it,
-    and what it loses then.
-    """
+    """A role: its signal, direction and unit, whether it is optional, and the host's loss without it."""
 
     name: str
     signal: str
@@ -80,7 +75,7 @@ class Kind(NamedTuple):
 
     @property
     def home(self) -> Node:
-        """The device that has it where the rig file says nothing: that of its signal's name."""
+        """The default device: that of its signal's name."""
         return self.signal.partition(".")[0]
 
 
@@ -111,7 +106,7 @@ ROLES = (
         "the coil's temperature is not measured, and not recorded",
     ),
 )
-"""Every role, in the order in which the PDOs take them up."""
+"""Every role, in the order of PDO allocation."""
 
 Objects = tuple[tuple[int, int], ...]
 MOTOR_OBJECTS: Mapping[str, Objects] = {
@@ -139,11 +134,9 @@ BRAKE_OBJECTS: Mapping[int, Mapping[str, Objects]] = {
 
 @dataclass(frozen=True)
 class Binding:
-    """A role and the object that it is: SI value = raw x `scale` + `offset`; `decided` says what
-    gave the scale.
+    """A role and its object: SI value = raw x `scale` + `offset`; `decided` names the scale's source.
 
-    `table` is the brake's, raw counts and torque at the handle; then `scale` is that of its last
-    step.
+    `table` is the brake's, raw counts and torque at the handle; `scale` is then that of its last step.
     """
 
     kind: Kind
@@ -162,16 +155,14 @@ class Binding:
 
 @dataclass(frozen=True)
 class Bound:
-    """The roles that were bound, what is lost with those that are absent, and why the rig is
-    refused.
-    """
+    """The bound roles, the losses by absent roles, and the reasons for a refusal."""
 
     bindings: tuple[Binding, ...]
     losses: tuple[str, ...]
     problems: tuple[Problem, ...]
 
     def get(self, role: str) -> Binding | None:
-        """Return the binding of a role; None where it is absent."""
+        """Return the binding of a role, or None."""
         return next((binding for binding in self.bindings if binding.kind.name == role), None)
 
     def __getitem__(self, role: str) -> Binding:
@@ -187,8 +178,8 @@ class _Refused(Exception):
 
 
 def profile_of(description: Description, node: Node) -> int:
-    """Return the CANopen profile of a device: that of 1000h, else the one whose objects it has; a
-    motor's is CiA 402's always.
+    """Return the CANopen profile of a device: that of 1000h, else the one whose objects it has; a motor's is always CiA
+    402.
     """
     if node == "motor":
         return CIA402
@@ -201,7 +192,7 @@ def profile_of(description: Description, node: Node) -> int:
 
 
 def bind(parts: Parts) -> Bound:
-    """Bind every role of an axis, by its rig file and by the profiles of its devices."""
+    """Bind every role of an axis by its rig file and its devices' profiles."""
     bindings: list[Binding] = []
     losses: list[str] = []
     problems: list[Problem] = []
@@ -233,7 +224,7 @@ def _twice(bindings: list[Binding]) -> Iterator[Problem]:
 
 
 def _bind(parts: Parts, kind: Kind, bindings: list[Binding]) -> Binding | None:
-    """Return what a role is bound to, None where no device has it."""
+    """Return the binding of a role; None if no device has it."""
     said: Role = getattr(parts.role, kind.name) or Role(node="", object="")
     node = said.node or kind.home
     if node not in parts.devices:
@@ -280,7 +271,7 @@ def _named(text: str) -> Objects:
 
 
 def _by_profile(kind: Kind, description: Description, node: Node, drive_axis: int) -> Objects:
-    """Return the objects that a profile has for a role; of a drive those of its axis."""
+    """Return a profile's objects for a role; for a drive, those of its axis."""
     profile = profile_of(description, node)
     if node in ("motor", "brake"):
         objects = MOTOR_OBJECTS if node == "motor" else BRAKE_OBJECTS[profile]
@@ -290,7 +281,7 @@ def _by_profile(kind: Kind, description: Description, node: Node, drive_axis: in
 
 
 class Lack(NamedTuple):
-    """Why an object cannot be mapped; falsy where it can."""
+    """The reason why an object cannot be mapped; falsy if it can."""
 
     text: str = ""
     remedy: str = ""
@@ -320,7 +311,7 @@ def _lacks(description: Description, index: int, subindex: int, direction: Direc
 
 
 def checked_entry(description: Description, index: int, subindex: int, direction: Direction) -> Entry:
-    """Return the entry that maps an object; ValueError says what the EDS file lacks."""
+    """Return the entry that maps an object; raise ValueError with the lack in the EDS file."""
     lack = _lacks(description, index, subindex, direction)
     if lack:
         raise ValueError(f"{lack.text}; {lack.remedy}")
@@ -331,7 +322,7 @@ def checked_entry(description: Description, index: int, subindex: int, direction
 
 
 def _scaled(parts: Parts, binding: Binding, said: Role, bindings: list[Binding]) -> Binding:
-    """Return the binding with its scale at the handle, and what decided it."""
+    """Return the binding with its scale at the handle, and the scale's source."""
     m, name = parts.mechanics, binding.kind.name
     turned = {
         "position": m.encoder_polarity,
@@ -383,12 +374,12 @@ def _with(
 
 
 def _per_mille(binding: Binding) -> bool:
-    """Tell whether an object counts in per mille of a rated value by the profile."""
+    """Return whether the profile has an object in per mille of a rated value."""
     return first_axis_object(binding.entry.index) in PER_MILLE
 
 
 def _velocity_unit(description: Description, drive_axis: int) -> tuple[float, str]:
-    """Return rad/s for one count of 606Ch as 60A9h tells, and where it does."""
+    """Return rad/s per count of 606Ch by 60A9h, and the place of that value."""
     try:
         return velocity_unit(defaults(description, drive_axis))
     except ValueError as error:
@@ -398,8 +389,8 @@ def _velocity_unit(description: Description, drive_axis: int) -> tuple[float, st
 
 
 def _block_scale(description: Description, index: int, subindex: int, unit: str) -> tuple[float, str]:
-    """Return SI units per raw count of a CiA 404 block, 10^-decimals, with the prefix of its unit
-    object; and where that stands.
+    """Return SI units per raw count of a CiA 404 block, 10^-decimals, with the prefix of its unit object; and its
+    place.
 
     The unit's four bytes are, from the highest: prefix (power of ten, INTEGER8), numerator,
     denominator, reserved.

@@ -1,4 +1,4 @@
-"""What several keys of a rig file must be together, and what is allowed but may not be meant."""
+"""Rules across keys of a rig file: errors, and warnings for legal but unlikely values."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ __all__ = ["check", "check_roles", "remarks"]
 
 INT16_MAX = 32767
 WITNESS_SHARE = 0.05
-"""By so much the scale of the position may differ from what was measured between marks."""
+"""Allowed relative difference between the position's scale and that measured between marks."""
 NODES = ("host", "motor", "brake")
 SIMULATION = ("plant", "operator")
-"""Sections of a rig that is simulated; the host needs none of them."""
+"""Sections for the simulation; the host needs none of them."""
 
 
 @dataclass(frozen=True)
 class Rule:
     """`holds` over the values of `keys`.
 
-    When it does not, the first key is named and `expected` is formatted.
+    Otherwise the error names the first key, with `expected` formatted.
     """
 
     keys: tuple[Key, ...]
@@ -120,9 +120,9 @@ PER_MILLE_RULES = tuple(
     )
     for mode in MODES
 )
-"""They hold of 6071h.
+"""Rules for 6071h.
 
-Another object's type and limits are looked at when the limit is made of it.
+Type and limits of another object are checked when its limit is computed.
 """
 
 REMARKS = (
@@ -148,7 +148,7 @@ REMARKS = (
 
 
 def _check_witness(values: Table, source: Source) -> None:
-    """Hold the scale of the position against the counts that were measured between marks."""
+    """Check the scale of the position against the counts measured between marks."""
     keys = [_key(path) for path in ("mechanics.counts_turn", "motor.encoder_counts_rev", "mechanics.ratio")]
     scale = ("role", "position", "scale_rad")
     if any(source.is_wrong(key) for key in (*keys, scale)):
@@ -165,9 +165,7 @@ def _check_witness(values: Table, source: Source) -> None:
 
 
 def _rules_of_sensors(values: Table) -> Iterator[Rule]:
-    """Yield for each sensor what holds for motor and brake: an id of its own, heartbeats faster
-    than their time-outs.
-    """
+    """Yield for each sensor the rules of motor and brake: a unique node id, heartbeats faster than their time-outs."""
     others: list[Key] = [("host",), ("motor",), ("brake",)]
     for key in device_keys(values)[2:]:
         for other in others:
@@ -189,7 +187,7 @@ def _broken_rules(rules: Iterable[Rule], values: Table, source: Source) -> Itera
 
 
 def _value(values: Table, key: Key) -> Any:
-    """Return the value of a key; None where there is none."""
+    """Return the value of a key, or None."""
     value: Any = values
     for part in key:
         value = value.get(part) if isinstance(value, Mapping) else None
@@ -197,7 +195,7 @@ def _value(values: Table, key: Key) -> Any:
 
 
 def check(values: Table, source: Source) -> None:
-    """Note what is wrong between keys that are right by themselves."""
+    """Note conflicts between keys that are valid by themselves."""
     roles = values.get("role")
     per_mille = not (isinstance(roles, Mapping) and "torque_setpoint" in roles)
     rules = (*RULES, *(PER_MILLE_RULES if per_mille else ()), *_rules_of_sensors(values))
@@ -231,9 +229,7 @@ def check(values: Table, source: Source) -> None:
 
 
 def check_roles(problems: Iterable[Problem], parts: Parts, values: Table, source: Source) -> None:
-    """Note which roles of an axis no object has, and which finds no place in a PDO: the problems of
-    its `rigs.pdo_maps.allocate`.
-    """
+    """Note roles of an axis without an object or a place in a PDO: the problems of its `rigs.pdo_maps.allocate`."""
     for problem in problems:
         said = values.get("role", {}).get(problem.role)
         if problem.role == "deadman":
@@ -265,7 +261,7 @@ def _check_columns(phase: Table, key: Key, column: str, source: Source) -> None:
 
 
 def remarks(values: Table, source: Source) -> tuple[str, ...]:
-    """Return what is allowed and yet may not be meant, with file:line."""
+    """Return warnings for legal but unlikely values, with file:line."""
     texts = [
         f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.said(expected)}"
         for key, value, expected in _broken_rules(REMARKS, values, source)

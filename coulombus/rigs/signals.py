@@ -1,15 +1,14 @@
-"""The PDOs that the host uses, and what their raw numbers mean in SI units.
+"""The PDOs that the host uses, and the SI values of their raw numbers.
 
-Of our own devices::
+For the project's own devices::
 
     motor  RPDO1  6040 controlword   6071 target torque                       from the host
            TPDO1  6041 statusword    6064 position       6077 torque          to the host
     brake  RPDO1  7300:1 set-point
            TPDO1  7130:1 handle torque   7130:2 coil current   7130:3 coil temperature
 
-Which object has which role is `rigs.roles`', which PDO carries it `rigs.pdo_maps`'. A signal is
-named by its role, wherever its object is: "brake.handle_torque_Nm" is the handle torque of a
-transducer's own node, too.
+`rigs.roles` assigns objects to roles, `rigs.pdo_maps` assigns them to PDOs. A signal is named by its role, on whichever
+device: "brake.handle_torque_Nm" is also the handle torque of a transducer's own node.
 """
 
 from __future__ import annotations
@@ -59,9 +58,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Constant:
-    """An entry that a device has in an RPDO beside what the host commands: it is always sent with
-    the same value.
-    """
+    """An entry of an RPDO that the host does not command: it is always sent with the same value."""
 
     index: int
     subindex: int
@@ -74,8 +71,8 @@ class RigPdo:
 
     Attributes
     ----------
-    node : the device, with its axis before it ("x.motor") where the rig has several
-    fixed : bring-up cannot change what it carries
+    node : the device, with its axis as prefix ("x.motor") if the rig has several
+    fixed : bring-up cannot change its map
     constants : of an RPDO, the entries that the host does not command
     """
 
@@ -88,29 +85,29 @@ class RigPdo:
 
     @property
     def device(self) -> str:
-        """Which device of its axis it is: "motor", "brake" or a sensor's name."""
+        """Its device within the axis: "motor", "brake" or a sensor's name."""
         return self.node.rpartition(".")[2]
 
     @property
     def name(self) -> str:
-        """Which PDO of the node it is, as "TPDO1"."""
+        """Its name within the node, as "TPDO1"."""
         return f"{self.layout.direction.upper()}{self.layout.number}"
 
     @property
     def every_cycle(self) -> bool:
         """Whether the device sends it after each SYNC.
 
-        Else it is sent by the device's own timer, or when something changes.
+        Otherwise the device's timer or a change triggers it.
         """
         return self.layout.transmission == 1
 
 
 class Parts(Protocol):
-    """What roles and PDOs of an axis follow from (`rigs.axis.Axis`)."""
+    """The parts of an axis that determine its roles and PDOs (`rigs.axis.Axis`)."""
 
     @property
     def bus(self) -> Bus:
-        """The bus that the axis hangs on."""
+        """The axis' bus."""
 
     @property
     def host(self) -> Host:
@@ -130,7 +127,7 @@ class Parts(Protocol):
 
     @property
     def role(self) -> Roles:
-        """What the rig file says of the roles."""
+        """The rig file's [role]."""
 
     @property
     def mechanics(self) -> Mechanics:
@@ -138,7 +135,7 @@ class Parts(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """What trips."""
+        """Trip limits."""
 
     @property
     def devices(self) -> tuple[Node, ...]:

@@ -1,6 +1,4 @@
-"""The rig file's text side: overrides as ``--set`` takes them, and the effective configuration as
-TOML.
-"""
+"""Overrides as ``--set`` takes them, and the effective configuration as TOML."""
 
 from __future__ import annotations
 
@@ -17,10 +15,9 @@ __all__ = ["apply_override", "emit"]
 
 
 def apply_override(values: dict[str, Any], override: str, source: Source) -> None:
-    """Set one key of `values` by "SECTION.KEY=VALUE"; a mistake is noted in `source`.
+    """Set one key of `values` by "SECTION.KEY=VALUE"; an error is noted in `source`.
 
-    The value is TOML; what TOML cannot read is taken as a text, so that
-    ``bus.actuation=on_reception`` needs no quotes.
+    The value is TOML; anything else is taken as a string, so that ``bus.actuation=on_reception`` needs no quotes.
     """
     name, equals, value = override.partition("=")
     parts = split_key(name)
@@ -67,9 +64,7 @@ def _read(value: str) -> Any:
 
 
 def emit(values: Table, comment: str) -> str:
-    """Return nested sections as TOML text; None is left out, arrays of tables are those that hold
-    mappings.
-    """
+    """Return nested sections as TOML text; None is omitted, lists of mappings become arrays of tables."""
     lines = [f"# {line}" for line in comment.splitlines()]
     for name, section in values.items():
         if section is not None:

@@ -1,4 +1,4 @@
-"""Which kind of file a TOML document is: a rig, faults, a script, a sweep or a study."""
+"""Detect the kind of a TOML document: a rig, faults, a script, a sweep or a study."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["of_another_kind"]
 
 
 class FileKind(NamedTuple):
-    """What a kind of file is called, how it is given, and keys of which it has one at least."""
+    """Name of a kind of file, how it is passed, and keys of which it has at least one."""
 
     name: str
     given_by: str
@@ -29,9 +29,7 @@ KINDS: Mapping[str, FileKind] = MappingProxyType(
 
 
 def of_another_kind(values: Mapping[str, Any], kind: str) -> str | None:
-    """Return what a document is that is not of `kind`, with the way to give it; None where nothing
-    speaks against `kind`.
-    """
+    """Return the kind of a document that is not of `kind`, and how to pass it; None if it may be of `kind`."""
     if KINDS[kind].keys & values.keys():
         return None
     other = next((known for known in KINDS.values() if known.keys & values.keys()), None)

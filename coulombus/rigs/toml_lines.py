@@ -1,8 +1,7 @@
-"""Read TOML with the line of every key, and go on behind a line that cannot be read.
+"""Read TOML with the line of every key, and continue after a line that cannot be read.
 
-`tomllib` gives the values; it stops at the first error and forgets lines. Here a light scan finds
-where each key stands, and a statement that `tomllib` refuses is blanked out, so that one reading
-reports every error of the file.
+`tomllib` gives the values, but it stops at the first error and has no line numbers. A light scan finds the line of each
+key, and a statement that `tomllib` refuses is blanked, so that one pass reports every error.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ Key: TypeAlias = tuple[str | int, ...]
 """Path of a value: ("mode", "active", "F_s_Nm"), or ("phase", 1, "kind") in an array of tables."""
 
 Table: TypeAlias = Mapping[str, Any]
-"""A table of a TOML file: keys, and what TOML holds."""
+"""A table of a TOML file."""
 
 MOST_ERRORS = 50
 MOST_CHARACTERS, MOST_LINES = 1 << 24, 10_000
@@ -55,10 +54,10 @@ _HINTS = (
 
 @dataclass
 class Document:
-    """A TOML file's values, where its keys stand, and what could not be read.
+    """A TOML file's values, the lines of its keys, and the errors.
 
-    `lines` holds the keys and the sections' headers; `broken` the keys and sections whose statement
-    could not be read (they are not missing); `problems` are (line, text) in the file's order.
+    `lines` holds the keys and the sections' headers; `broken` the keys and sections with an unreadable statement (they
+    are not missing); `problems` are (line, text) in the file's order.
     """
 
     values: dict[str, Any] = field(default_factory=dict)
@@ -67,9 +66,7 @@ class Document:
     problems: list[tuple[int, str]] = field(default_factory=list)
 
     def line(self, key: Key) -> int:
-        """Return the line of the key, or of the first key in it, or of the nearest section or value
-        that holds it; 1 where there is none.
-        """
+        """Return the line of the key, else of the first key in it, else of its nearest parent, else 1."""
         for length in range(len(key), 0, -1):
             part = key[:length]
             inside = [line for place, line in self.lines.items() if place[:length] == part]
@@ -78,9 +75,7 @@ class Document:
         return 1
 
     def is_broken(self, key: Key) -> bool:
-        """Tell whether the key, or a section that holds it, stands in a statement that could not be
-        read.
-        """
+        """Return whether the key, or a parent section, is in an unreadable statement."""
         return any(key[:length] in self.broken for length in range(len(key) + 1))
 
 
@@ -95,16 +90,14 @@ class _Statement:
 
 
 def split_key(dotted: str) -> list[str] | None:
-    """Split "a.b.'c d'" into its parts; None where it is no TOML key."""
+    """Split "a.b.'c d'" into its parts; None if it is not a TOML key."""
     if not re.fullmatch(rf"\s*{_DOTTED}\s*", dotted):
         return None
     return [part[1:-1] if part[0] in "\"'" else part for part in re.findall(_PART, dotted)]
 
 
 def _excess(text: str) -> tuple[int, str] | None:
-    """Return line and text of the first thing that no file of ours has, and that would keep a
-    reader busy for minutes.
-    """
+    """Return line and text of the first construct that no valid file has and that would take minutes to parse."""
     if len(text) > MOST_CHARACTERS:
         return 1, f"{len(text)} characters; expected at most {MOST_CHARACTERS}"
     if text.count("\n") > MOST_LINES:
@@ -112,7 +105,7 @@ def _excess(text: str) -> tuple[int, str] | None:
     depth = 0
     for token in _TOKENS.finditer(text):
         what = token.lastgroup
-        if what is None:  # a text or a comment
+        if what is None:  # a string or a comment
             continue
         depth += (what == "opening") - (what == "closing" and depth > 0)
         if what in ("word", "dotted") or depth > MOST_NESTED:
@@ -129,15 +122,14 @@ def _excess(text: str) -> tuple[int, str] | None:
 def read_toml(text: str) -> Document:
     """Read `text`; nothing is raised, see `Document.problems`.
 
-    A rig's text is asked for where its values come from several times in each run; it is parsed
-    once. The document is the caller's own.
+    Parsing is cached, because each run needs a rig's text several times. The caller gets its own copy of the document.
     """
     parsed = _parsed(text)
     return Document(_copied(parsed.values), {**parsed.lines}, {*parsed.broken}, [*parsed.problems])
 
 
 def _copied(value: Any) -> Any:
-    """Return TOML's values in tables and lists of their own; their leaves are immutable."""
+    """Return a copy of TOML's tables and lists; the leaves are immutable."""
     if isinstance(value, dict):
         return {key: _copied(entry) for key, entry in value.items()}
     return [_copied(entry) for entry in value] if isinstance(value, list) else value
@@ -169,7 +161,7 @@ def _parsed(text: str) -> Document:
 
 
 def _blame(document: Document, lines: list[str], message: str) -> None:
-    """Report the statement that `message` of tomllib is about, and blank it out."""
+    """Report the statement of tomllib's `message`, and blank it."""
     place = _AT_LINE.search(message)
     number = int(place[1]) - 1 if place and place[1] else len(lines) - 1
     reason = _AT_LINE.sub("", message).lower()
@@ -179,7 +171,7 @@ def _blame(document: Document, lines: list[str], message: str) -> None:
     if guilty is None or guilty.header:
         _blame_line(document, lines, number, reason, guilty, statements)
         return
-    last = guilty.first  # an unclosed list reaches over innocent keys
+    last = guilty.first  # an unclosed list spans valid keys
     while last < number and not (_KEY.match(lines[last + 1]) or _HEADER.match(lines[last + 1])):
         last += 1
     name = ".".join(map(str, guilty.key))
@@ -197,8 +189,8 @@ def _blame(document: Document, lines: list[str], message: str) -> None:
 def _blame_line(
     document: Document, lines: list[str], number: int, reason: str, header: _Statement | None, known: list[_Statement]
 ) -> None:
-    """Report a header, which takes its section with it, or a line that is no statement at all."""
-    if not lines[number].strip():  # tomllib names the file's end for a quote that is never closed
+    """Report a header, with its section, or a line that is not a statement."""
+    if not lines[number].strip():  # tomllib reports an unclosed quote at the file's end
         covered = {n for s in known for n in range(s.first, s.last + 1)}
         junk = (n for n, line in enumerate(lines) if n not in covered and line.strip() and line.lstrip()[0] != "#")
         number = next(junk, number)
@@ -248,9 +240,7 @@ def _short(text: str) -> str:
 
 
 def _statements(lines: list[str]) -> list[_Statement]:
-    """Find keys and headers; a value reaches to the line where its brackets and quotes are
-    closed.
-    """
+    """Find keys and headers; a value ends on the line that closes its brackets and quotes."""
     statements: list[_Statement] = []
     section: Key = ()
     tables: dict[Key, int] = {}  # arrays of tables and the index of their last one
@@ -285,7 +275,7 @@ def _statements(lines: list[str]) -> list[_Statement]:
 
 
 def _scan(text: str, depth: int, quote: str) -> tuple[int, str]:
-    """Follow brackets and quotes through one line.
+    """Track brackets and quotes through one line.
 
     Return the depth and the open multi-line quote.
     """

@@ -1,1 +1,1 @@
-"""A rig file for devices that nobody has described yet: what `coulombus init` writes."""
+"""Draft a rig file from EDS files and answering devices, for `coulombus init`."""

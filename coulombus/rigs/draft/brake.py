@@ -1,6 +1,4 @@
-"""What a brake's driver and further sensors can be in a rig: CiA 404, 401, or a drive in a torque
-or current mode.
-"""
+"""Draft [brake] and the sensors: CiA 404, 401, or a drive in a torque or current mode."""
 
 from __future__ import annotations
 
@@ -21,12 +19,12 @@ VOLT = 0x26
 FULL_SCALE_V = 10.0
 OUTPUTS: dict[int, tuple[Place, ...]] = {CIA404: ((0x7300, 1), (0x9300, 1)), CIA401: ((0x6411, 1),)}
 INPUTS: tuple[Place, ...] = ((0x7130, 1), (0x9130, 1), (0x6401, 1))
-"""Where a torque transducer's amplifier may tell its value: CiA 404 in 16 and in 32 bits, CiA 401.
+"""Objects in which a torque transducer's amplifier may have its value: CiA 404 in 16 and in 32 bits, CiA 401.
 """
 
 
 def describe_brake(text: RigText, device: DraftDevice) -> None:
-    """Set [brake], and the roles of a driver that is not ours."""
+    """Set [brake], and the roles of a third-party driver."""
     text.note(
         "brake.coil_A_Nm", "of your brake's data sheet; so are its continuous current and its time constant", "CHECK"
     )
@@ -69,7 +67,7 @@ def _no_output(device: DraftDevice, places: Sequence[Place]) -> RigError:
 
 
 def _drive(text: RigText, device: DraftDevice) -> None:
-    """A brake whose coil a CiA 402 drive feeds."""
+    """Describe a brake whose coil is fed by a CiA 402 drive."""
     command = command_of(device)
     describe_mode(text, device, command)
     coil_A_Nm, rated_Nm = text.get("brake.coil_A_Nm"), text.get("brake.rated_torque_Nm")
@@ -91,7 +89,7 @@ def _drive(text: RigText, device: DraftDevice) -> None:
 def describe_sensors(text: RigText, devices: Sequence[DraftDevice]) -> None:
     """Bind the handle torque to the first sensor that has an analogue input.
 
-    The others are watched only.
+    The others are only monitored.
     """
     for device in devices:
         place = next((at for at in INPUTS if device.entry(at, "tpdo")), None)
@@ -117,9 +115,7 @@ def describe_sensors(text: RigText, devices: Sequence[DraftDevice]) -> None:
 
 
 def _unit(device: DraftDevice, place: Place) -> tuple[int, float]:
-    """Return the notation index of an object's unit, and what a count of it is; (0, 1) where
-    nothing tells.
-    """
+    """Return the notation index of an object's unit, and the value of one count; (0, 1) if unknown."""
     index, subindex = place
     if index not in BLOCK_UNITS:
         return 0, 1.0
@@ -131,5 +127,5 @@ def _unit(device: DraftDevice, place: Place) -> tuple[int, float]:
 
 
 def _most(device: DraftDevice, place: Place) -> float:
-    """Return the largest number that an object takes, as far as the host reckons with it."""
+    """Return the largest value of an object, within the host's number range."""
     return min(device.description.variable(*place).largest, 2.0**31 - 1)

@@ -1,6 +1,4 @@
-"""One device of a rig that is to be: what its EDS file says, and what the device itself has
-answered.
-"""
+"""One device of a draft: its EDS file, and the live device's answers."""
 
 from __future__ import annotations
 
@@ -21,21 +19,21 @@ Place = tuple[int, int]
 
 
 def label(place: Place) -> str:
-    """Return an object as people write it: ``6071h``, ``7300h:1``."""
+    """Return an object in the usual notation: ``6071h``, ``7300h:1``."""
     index, subindex = place
     return f"{index:04X}h:{subindex:X}" if subindex else f"{index:04X}h"
 
 
 @dataclass(frozen=True)
 class DraftDevice:
-    """A device, as far as it is known.
+    """A device of a draft.
 
     Attributes
     ----------
     node : "motor", "brake", or a sensor's name
-    eds : the EDS file, as the rig file is to name it
-    answers : what the live device has for an object; none where none was asked
-    axis : which axis of a drive it is; objects are asked for by the indices that the first one has
+    eds : the EDS file's name for the rig file
+    answers : the live device's values by object; empty if none was read
+    axis : number of the drive's axis; methods take the indices of the first axis
     """
 
     node: Node
@@ -47,29 +45,27 @@ class DraftDevice:
 
     @property
     def own(self) -> bool:
-        """Whether it is this project's own device."""
+        """Whether it is the project's own device."""
         return is_own(self.node, told_identity(self.description))
 
     def at(self, index: int) -> int:
-        """Return the object of this axis that the first one has at `index`."""
+        """Return this axis' object for `index` of the first axis."""
         return of_axis(index, self.axis)
 
     def has(self, index: int, subindex: int | None = None) -> bool:
-        """Tell whether the EDS file describes an object of this axis."""
+        """Return whether the EDS file describes an object of this axis."""
         return self.description.has(self.at(index), subindex)
 
     def variable(self, index: int, subindex: int = 0) -> Variable:
-        """Return what the EDS file says of an object of this axis."""
+        """Return the EDS entry of an object of this axis."""
         return self.description.variable(self.at(index), subindex)
 
     def label(self, place: Place) -> str:
-        """Return an object of this axis as people write it."""
+        """Return an object of this axis in the usual notation."""
         return label((self.at(place[0]), place[1]))
 
     def value(self, index: int, subindex: int = 0) -> int | None:
-        """Return what an object holds: the device's answer, else the EDS file's default; None where
-        neither tells.
-        """
+        """Return an object's value: the device's answer, else the EDS file's default, else None."""
         index = self.at(index)
         answer = self.answers.get((index, subindex))
         if answer is not None or not self.description.has(index, subindex):
@@ -78,22 +74,18 @@ class DraftDevice:
         return default if isinstance(default, int) else None
 
     def source(self, index: int, subindex: int = 0) -> str:
-        """Return who says what `value` returns."""
+        """Return the source of `value`'s result."""
         return "the device" if (self.at(index), subindex) in self.answers else "the EDS file"
 
     def entry(self, place: Place, direction: Direction) -> Entry | None:
-        """Return the entry that maps an object; None where no PDO of this direction can
-        carry it.
-        """
+        """Return the entry that maps an object; None if no PDO of this direction can carry it."""
         try:
             return checked_entry(self.description, self.at(place[0]), place[1], direction)
         except ValueError:
             return None
 
     def identity(self, subindex: int) -> tuple[int | None, str]:
-        """Return 1018h:1 (vendor) or :2 (product), and whence it is a guess, "" where it is none;
-        None: the file has no such object.
-        """
+        """Return 1018h:1 (vendor) or :2 (product) and why it is a guess, "" if it is not; None without the object."""
         if not self.description.has(0x1018, subindex):
             return None, ""
         identity_number = self.value(0x1018, subindex)

@@ -1,6 +1,4 @@
-"""Which devices a rig is to have: those that the user names, and those that answered on a bus, with
-their EDS files.
-"""
+"""Choose the devices of a draft: those that the user names, and those that answered on a bus, with their EDS files."""
 
 from __future__ import annotations
 
@@ -21,18 +19,18 @@ from coulombus.rigs.signals import Node
 __all__ = ["DeviceChoice", "gather"]
 
 OWN = "bench"
-"""The word for our own device, and its file in the package."""
+"""The word for the project's own device, and its file in the package."""
 OWN_FILES = {"motor": "motor.eds", "brake": "mr_brake.eds"}
 OUTPUTS, INPUTS = (0x7300, 0x9300, 0x6411), (0x7130, 0x9130, 0x6401)
 LAST = 127
 Answered = Mapping[int, Mapping[Place, int]]
-"""What the objects of live nodes hold, by node id."""
+"""Object values of live nodes, by node id."""
 
 
 @dataclass(frozen=True)
 class DeviceChoice:
-    """What the user says of a device: its EDS file ("bench": our own; "": whoever answers on the
-    bus), its node id, and which axis of a drive it is.
+    """The user's choice of a device: its EDS file ("bench": the project's own; "": a node that answers on the bus), its
+    node id, and its axis of a drive.
     """
 
     node: Node
@@ -43,13 +41,13 @@ class DeviceChoice:
 
 @dataclass
 class _Gathering:
-    """Devices while they are found.
+    """Collects the devices of a draft.
 
     Attributes
     ----------
     folder : of the rig file, None where it is not known
-    left : live nodes that are no device yet
-    files : EDS files that live nodes are looked for in, by identity
+    left : live nodes that are not assigned to a device
+    files : EDS files for live nodes, by identity
     """
 
     folder: Path | None
@@ -76,9 +74,7 @@ class _Gathering:
         return self._name(Path(choice.eds)), read_eds(choice.eds)
 
     def _name(self, path: Path) -> str:
-        """Return how the rig file names a file: from its own folder on, unless nothing but the root
-        is common to both.
-        """
+        """Return a file's name for the rig file: relative to its folder, unless they share only the root."""
         whole = path.resolve()
         if self.folder is None or os.path.commonpath((whole, self.folder)) == os.sep:
             return str(whole)
@@ -106,15 +102,13 @@ class _Gathering:
         return DraftDevice(node, description, self._name_of(description), node_id, answers)
 
     def _name_of(self, description: Description) -> str:
-        """Return how the rig file names a description; those of the package have short names."""
+        """Return an EDS file's name for the rig file; files of the package have short names."""
         path = Path(description.path)
         beside = self.folder is not None and (self.folder / path.name).exists()  # it would be read instead
         return path.name if description in packaged() and not beside else self._name(path)
 
     def file_of(self, answers: Mapping[Place, int]) -> Description | None:
-        """Return the EDS file of a live node, of the folder or of the package; None where neither
-        has one.
-        """
+        """Return the EDS file of a live node from the folder or the package, else None."""
         identity, revision = _identity(answers), answers.get((0x1018, 3), 0)
         return fitting(self.files, identity, revision) or fitting(packaged(), identity, revision)
 
@@ -130,13 +124,11 @@ class _Gathering:
         ]
 
     def motor(self) -> int:
-        """Return the live node that is to be the motor's drive."""
+        """Return the live node to use as the motor's drive."""
         return self._of_profile("a drive (CiA 402)", CIA402)
 
     def brake(self) -> int:
-        """Return the live node that is to be the brake's driver: one with an analogue output, else
-        a second drive.
-        """
+        """Return the live node to use as the brake's driver: a node with an analogue output, else a second drive."""
         drivers = self.with_objects(OUTPUTS)
         if drivers:
             return drivers[0]
@@ -159,11 +151,10 @@ def gather(
 
     Parameters
     ----------
-    choices : motor, brake, sensors; a motor or brake without a file is looked for among the live
-        nodes
-    folder : where the rig file is to stand, None where that is not known
-    answered : what live nodes said
-    eds_folder : where the EDS files of live nodes are
+    choices : motor, brake, sensors; a motor or brake without a file is chosen from the live nodes
+    folder : of the new rig file, None if unknown
+    answered : object values of live nodes
+    eds_folder : with the EDS files of live nodes
 
     Raises
     ------

@@ -1,13 +1,9 @@
-"""The draft of a rig file: devices put in the places of those of a rig that is known, every guess
-marked.
+"""Draft of a rig file: the devices of a known rig are replaced, and every guess is marked.
 
-1. What belongs to the handle, the hand and the law is taken over from the rig that it is to be
-   like.
-2. What belongs to the devices is taken from their EDS files, and from the devices themselves where
-   they were asked.
-3. The file is loaded. An optional role that finds no object or no place is taken out, and the file
-   says why; a cycle that is too short for the bus is made longer. What cannot be mended by either
-   is refused.
+1. Handle, hand and law are copied from the known rig.
+2. Values of the devices come from their EDS files, and from the devices' answers if they were read.
+3. The file is loaded. An optional role without an object or a place in a PDO is removed, with the
+   reason in the file; a cycle that is too short for the bus is lengthened. Any other error is refused.
 """
 
 from __future__ import annotations
@@ -35,13 +31,13 @@ __all__ = ["Draft"]
 SIMULATED = ("plant", "operator", "phase")
 OPTIONAL = {kind.name for kind in ROLES if not kind.needed and kind.unit}
 RESPONSE_US = 150.0
-"""What a device that nobody has measured may take between SYNC and its TPDOs."""
+"""Assumed time between SYNC and the TPDOs of an unmeasured device."""
 PERIODS_S = (1e-3, 2e-3, 4e-3, 5e-3)
-"""Cycles that are tried."""
+"""Cycles to try, shortest first."""
 WINDOW = 0.74
 """Share of the cycle in which the host waits for the TPDOs."""
 MISSED, MOST_MISSED = "limits.missed_tpdo_cycles", 10
-"""How long the host may wait for a TPDO that the device sends by its own clock."""
+"""Limit on the wait for a TPDO that the device sends by its own timer."""
 SAME_IN_PLANT = {
     "ratio": "mechanics.ratio",
     "encoder_counts_rev": "motor.encoder_counts_rev",
@@ -51,26 +47,26 @@ SAME_IN_PLANT = {
     "transducer_polarity": "mechanics.transducer_polarity",
     "brake_max_Nm": "brake.rated_torque_Nm",
 }
-"""The truth of a rehearsal: the belief."""
+"""Keys of the simulated rig that equal the host's model in a rehearsal."""
 OWN_RIG = "bench"
-"""The rig of the package whose devices are our own."""
+"""The packaged rig with the project's own devices."""
 
 
 class Draft:
-    """A rig file that is being made; ``str()`` is its text.
+    """A rig file under construction; ``str()`` is its text.
 
     Parameters
     ----------
     devices : motor, brake, and any sensors
-    like : the rig from which all is taken over that is not the devices'
-    path : where the file is to stand, by which its EDS files are found
-    rehearse : with the simulated truth, and what only simulated devices need
-    accept : what the user acknowledges of the devices (``host.accept``)
+    like : the rig from which everything but the devices is copied
+    path : of the new file; its EDS files are found relative to it
+    rehearse : with the simulated rig, and the keys that only simulated devices need
+    accept : the user's acknowledgements (``host.accept``)
 
     Raises
     ------
     RigError
-        a device cannot have a role that the host needs; `problems` are by role
+        a device cannot have a role that the host needs; `problems` has them by role
     """
 
     def __init__(
@@ -120,7 +116,7 @@ class Draft:
         return str(self.text)
 
     def acknowledge(self, sentences: Iterable[str]) -> None:
-        """Write acknowledgements of a rehearsal in (``host.accept``)."""
+        """Add acknowledgements for a rehearsal (``host.accept``)."""
         accepted = list(dict.fromkeys((*(self.text.get("host.accept") or ()), *sentences)))
         if not accepted:
             return
@@ -147,7 +143,7 @@ class Draft:
             )
 
     def _device(self, device: DraftDevice) -> None:
-        """Set what every device has; of our own all, as the package's rig has it."""
+        """Set the keys of every device; the project's own devices are copied from the packaged rig."""
         own = load_rig(OWN_RIG).one_axis()
         if device.own:
             part = own.part(device.node).model_dump(by_alias=True, exclude_defaults=True)
@@ -179,7 +175,7 @@ class Draft:
             self.text.values.setdefault("sensor", {})[device.node] = part
 
     def _cycle(self, period_s: float) -> None:
-        """Set the cycle, and what counts the encoder's counts in one."""
+        """Set the cycle, and the limits in encoder counts per cycle."""
         text, like = self.text, self.like
         longer = period_s / like.bus.period_s
         if longer != 1:
@@ -191,7 +187,7 @@ class Draft:
         if finer * longer == 1:
             return
         position = self.devices[0].entry((0x6064, 0), "tpdo")
-        half = (1 << (position.bits if position else 32) - 1) - 1  # a longer way in a few cycles would be ambiguous
+        half = (1 << (position.bits if position else 32) - 1) - 1  # a longer travel in a few cycles would be ambiguous
         for path, value, least in (
             ("law.velocity_band_counts", like.law.velocity_band_counts, 1),
             ("limits.encoder_jump_counts", like.limits.encoder_jump_counts, 4),
@@ -204,7 +200,7 @@ class Draft:
             text.note(path, whence)
 
     def _truth(self) -> None:
-        """Set the simulated rig: as the file believes it to be."""
+        """Set the simulated rig to the host's model."""
         text, simulated = self.text, load_rig(OWN_RIG).one_axis().model_dump(by_alias=True, exclude_defaults=True)
         for name in SIMULATED:
             if not text.get(name):
@@ -214,7 +210,7 @@ class Draft:
         text.note("plant", "the simulated rig is as this file believes the real one to be", REHEARSAL)
 
     def _settled(self) -> Rig:
-        """Return the rig, after what can be mended was."""
+        """Return the rig, after fixing what can be fixed."""
         for _ in OPTIONAL:
             try:
                 rig = self._loaded()
@@ -235,9 +231,7 @@ class Draft:
         return load_rig_text(str(self.text), self.path)
 
     def _without(self, error: RigError) -> None:
-        """Take out the optional roles that are refused, and wait longer for a TPDO that comes
-        seldom; raise what is refused otherwise.
-        """
+        """Remove refused optional roles and allow longer for rare TPDOs; raise any other refusal."""
         seldom = [problem.text for problem in error.problems if MISSED in problem.remedy]
         if seldom and self.text.get(MISSED) < MOST_MISSED:
             self.text.put(MISSED, MOST_MISSED, "; ".join(seldom))
@@ -255,7 +249,7 @@ class Draft:
 
 
 def _check_axis(device: DraftDevice) -> None:
-    """Refuse an axis of which a drive has no object."""
+    """Refuse an axis of which the drive has no object."""
     first = device.at(PROFILE_OBJECTS)
     if device.axis == 1 or any(axis_of(index) == device.axis for index in device.description.objects):
         return
@@ -266,7 +260,7 @@ def _check_axis(device: DraftDevice) -> None:
 
 
 def _law_from_anywhere(like: Axis) -> str:
-    """Return the law of the rig that is like it; a file beside that rig's with its whole path."""
+    """Return the known rig's law; a file in that rig's folder gets its whole path."""
     file, colon, name = like.law.function.strip().rpartition(":")
     beside = like.law_directory / file
     return f"{beside.resolve()}:{name}" if colon and file.endswith(".py") and beside.exists() else like.law.function

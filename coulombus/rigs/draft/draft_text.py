@@ -1,6 +1,4 @@
-"""The text of a rig file: sections, keys, and over each key that is a guess a comment that says
-why.
-"""
+"""The text of a rig file: sections, keys, and above each guess a comment with its reason."""
 
 from __future__ import annotations
 
@@ -22,16 +20,16 @@ from coulombus.system.quoting import comment
 __all__ = ["CHECK", "REHEARSAL", "RigText", "rehearsal_marks"]
 
 CHECK, REHEARSAL = "CHECK", "REHEARSAL"
-"""Marks of a comment: a guess; what only holds for simulated devices."""
+"""Marks in comments: a guess; a value for simulated devices only."""
 MARK = re.compile(rf"#.*\b{REHEARSAL}\b")
 COLUMNS, WIDTH = 110, 32
-"""Of a comment, and of the keys and values that have one behind them."""
+"""Width of a comment, and of the keys and values with a trailing comment."""
 NUMBERS = ("vendor_id", "product_code", "index")
-"""Keys whose values people write in hexadecimal."""
+"""Keys whose values are written in hexadecimal."""
 
 
 class RigText:
-    """The values of a rig file while it is made, by section, and what is to be said of them.
+    """The values of a new rig file by section, and their comments.
 
     Attributes
     ----------
@@ -46,7 +44,7 @@ class RigText:
         self.notes: dict[Key, list[str]] = {}
 
     def get(self, path: str) -> Any:
-        """Return the value of a key; None where it has none."""
+        """Return the value of a key, or None."""
         here: Any = self.values
         for part in path.split("."):
             here = here.get(part) if isinstance(here, Mapping) else None
@@ -71,7 +69,7 @@ class RigText:
         self.note(path, note, CHECK)
 
     def drop(self, path: str) -> None:
-        """Take a key or a section out, with all that is said of it."""
+        """Remove a key or a section, with its comments."""
         *parents, name = path.split(".")
         here = self.get(".".join(parents)) if parents else self.values
         if isinstance(here, dict):
@@ -80,7 +78,7 @@ class RigText:
         self.notes = {at: texts for at, texts in self.notes.items() if at[: len(key)] != key}
 
     def note(self, path: str, text: str, mark: str = "") -> None:
-        """Say something over a key or a section."""
+        """Add a comment above a key or a section."""
         self.notes.setdefault(tuple(path.split(".")), []).append(f"{mark}: {text}" if mark else text)
 
     def __str__(self) -> str:
@@ -90,7 +88,7 @@ class RigText:
         return "\n".join(lines) + "\n"
 
     def _section(self, key: Key, value: Any, info: FieldInfo | None) -> Iterator[str]:
-        """Yield a section, and those within it."""
+        """Yield a section and its subsections."""
         name, named, models = ".".join(map(str, key)), named_in(info), kinds_of(info)
         notes = [line for text in self.notes.get(key, ()) for line in _comment(text)]
         if isinstance(value, list | tuple):
@@ -140,5 +138,5 @@ def _comment(text: str) -> list[str]:
 
 
 def rehearsal_marks(text: str) -> tuple[int, ...]:
-    """Return the lines of a rig file that still have the mark of a rehearsal in a comment."""
+    """Return the lines of a rig file with the mark REHEARSAL in a comment."""
     return tuple(number for number, line in enumerate(text.splitlines(), 1) if MARK.search(line))

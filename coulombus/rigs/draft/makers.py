@@ -1,7 +1,6 @@
-"""Torque and current modes of makers' own: which object is the set-point, where a drive has neither
-CST nor profile torque.
+"""Manufacturer-specific torque and current modes, and their set-points, for drives without CST and profile torque.
 
-What is not in the table is looked for by the objects' names.
+Modes that are not in the table are searched by the objects' names.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ MANUFACTURER = range(0x2000, 0x6000)
 
 @dataclass(frozen=True)
 class MakerMode:
-    """A mode of operation (6060h) of a maker's own, in which a PDO can carry torque or current.
+    """A manufacturer-specific mode (6060h) in which a PDO can carry torque or current.
 
     Attributes
     ----------
-    unit : of the set-point's and the actual value's raw counts; "unit" is the maker's own
-    actual : where the torque or current that flows is told; None: by the profile, in per mille
-    continuous_mA : where the current that the motor bears stands [mA]
+    unit : of the set-point's and the actual value's raw counts; "unit": manufacturer-specific
+    actual : object of the actual torque or current; None: the profile's, in per mille
+    continuous_mA : object of the motor's continuous current [mA]
     sdo : objects that the mode needs: (object, CiA 301's type, value)
-    sure : by the table of makers; else by the names of the objects alone
+    sure : from the table of makers; else only from the objects' names
     """
 
     vendor_id: int
@@ -61,9 +60,7 @@ SOMETHING_ELSE = re.compile(
 
 
 def maker_mode(device: DraftDevice) -> MakerMode | None:
-    """Return a maker's own mode by which a drive can be commanded, None where nothing looks like
-    one.
-    """
+    """Return a manufacturer-specific mode that can command a drive, or None."""
     vendor, _ = device.identity(1)
     for row in MAKERS:
         if row.vendor_id == vendor and device.entry(row.setpoint, "rpdo"):
@@ -77,7 +74,7 @@ def maker_mode(device: DraftDevice) -> MakerMode | None:
 
 
 def _named(device: DraftDevice) -> Iterator[Place]:
-    """Yield the objects of the maker's own that are called a commanded torque or current."""
+    """Yield the manufacturer-specific objects whose names say commanded torque or current."""
     for index, entry in device.description.objects.items():
         for subindex, variable in entry.variables.items() if index in MANUFACTURER else ():
             name = f"{entry.name} {variable.name}"

@@ -1,4 +1,4 @@
-"""The marks that a rig file still has: guesses that nobody has proved (``# CHECK:``)."""
+"""Marks in a rig file: unverified guesses (``# CHECK:``)."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ MOVES = re.compile(
     r"|mechanics\.(?:ratio|motor_polarity|encoder_polarity)"
     r"|role\.(?:torque_setpoint|position)(?:\.\w+)?)$"
 )
-"""Keys that decide how strongly, which way and how far the motor moves the hand."""
+"""Keys that decide how strongly, in which direction and how far the motor moves the hand."""
 
 
 class Guess(NamedTuple):
-    """A mark: the line of the key that it is about, the key, and the reason.
+    """A mark: the line of its key, the key, and the reason.
 
     Attributes
     ----------
     line : of the key or section below the mark
-    key : "" where nothing stands below it
+    key : "" if nothing stands below it
     """
 
     line: int
@@ -36,7 +36,7 @@ class Guess(NamedTuple):
 
     @property
     def moves_hand(self) -> bool:
-        """Whether a wrong guess moves the hand otherwise than the host believes."""
+        """Whether a wrong guess makes the hand move differently from the host's model."""
         return MOVES.search(self.key) is not None
 
     def __str__(self) -> str:
@@ -44,7 +44,7 @@ class Guess(NamedTuple):
 
 
 def guesses(text: str) -> tuple[Guess, ...]:
-    """Return the guesses that a rig file still marks, in its order."""
+    """Return the marked guesses of a rig file, in its order."""
     return tuple(_guesses(text))
 
 

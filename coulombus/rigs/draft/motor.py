@@ -1,6 +1,4 @@
-"""What a drive can be in a rig: its mode, its set-point and its scales, each guess with its
-reason.
-"""
+"""Draft [motor]: mode, set-point and scales of a drive, each guess with its reason."""
 
 from __future__ import annotations
 
@@ -33,17 +31,17 @@ RATED_TORQUE: Place = (0x6076, 0)
 SLOPE, TORQUE_OFFSET, INTERPOLATION = 0x6087, 0x60B2, 0x60C2
 WITNESS = "bring-up holds it against the drive; commissioning and the travel of the sign check prove it"
 LEAST_TORQUE_Nm, MOST_TORQUE_Nm = 1e-3, 1000.0
-"""Rated torque that a motor may have: what says something else counts in another unit."""
+"""Plausible rated torque of a motor; other values are in another unit."""
 MILLI = "taken for mNm, as CiA 402 has it; if it is another unit, the host pushes less than it believes"
 MICRO = "taken for uNm, as it is too large for mNm"
 READINGS = "drives count the set-point in per mille of 6076h in mNm, of 6076h in uNm, or of the rated current"
 GUESSED_mA = 1000
-"""Rated current of a drive that does not tell it: few, so that the torque of a mA is large."""
+"""Assumed rated current if the drive does not state it: small, so that the torque per mA is large."""
 
 
 class TorqueCommand(NamedTuple):
-    """How a drive is commanded a torque: the mode of operation, the maker's own mode if it is one,
-    and why it is a guess.
+    """Torque command of a drive: mode of operation, the manufacturer-specific mode if it is such, and why it is a
+    guess.
     """
 
     mode: int
@@ -52,7 +50,7 @@ class TorqueCommand(NamedTuple):
 
 
 def command_of(device: DraftDevice) -> TorqueCommand:
-    """Return how a drive is commanded.
+    """Return the torque command of a drive.
 
     Raises
     ------
@@ -89,13 +87,13 @@ def command_of(device: DraftDevice) -> TorqueCommand:
 
 
 def _where(device: DraftDevice) -> str:
-    """Return the file, and the line of 6071h where the file has it."""
+    """Return the file, with the line of 6071h if the file has it."""
     line = f":{device.variable(*TARGET_TORQUE).line}" if device.has(*TARGET_TORQUE) else ""
     return f"{device.description.path}{line}"
 
 
 def _way(device: DraftDevice) -> str:
-    """Return what can be done with a drive in whose file nothing carries a torque."""
+    """Return the remedy for a drive whose file has no torque set-point."""
     ways = []
     if device.has(*TARGET_TORQUE) and not device.variable(*TARGET_TORQUE).pdo_mappable:
         sentence = mapping_sentence(device.node, device.at(TARGET_TORQUE[0]), TARGET_TORQUE[1])
@@ -111,7 +109,7 @@ def _way(device: DraftDevice) -> str:
 
 
 def describe_mode(text: RigText, device: DraftDevice, command: TorqueCommand) -> None:
-    """Set the mode of operation of a drive, and the objects that a maker's mode needs."""
+    """Set the mode of operation of a drive, and the objects that a manufacturer-specific mode needs."""
     text.put(f"{device.node}.mode", command.mode, command.why)
     if command.maker is not None and command.maker.sdo:
         rows = [
@@ -122,7 +120,7 @@ def describe_mode(text: RigText, device: DraftDevice, command: TorqueCommand) ->
 
 
 def describe_motor(text: RigText, device: DraftDevice) -> None:
-    """Set [motor], and the roles of a drive that is not ours."""
+    """Set [motor], and the roles of a third-party drive."""
     command = command_of(device)
     if device.axis > 1:
         text.put(f"{device.node}.drive_axis", device.axis)
@@ -137,8 +135,8 @@ def describe_motor(text: RigText, device: DraftDevice) -> None:
 
 
 def _limits(text: RigText, device: DraftDevice, command: TorqueCommand, rated_Nm: float) -> None:
-    """Lower the limits of the modes to what the drive can give, and the friction of mode active
-    with them. Nothing is raised, and no ratio is chosen, to make a guess of the rated torque fit.
+    """Lower the limits of the modes to the drive's capability, and the friction of mode active with them. Nothing is
+    raised, and no ratio is chosen, to make a guess of the rated torque fit.
     """
     text.note("mechanics.ratio", "the rig is your own: measure it, or calculate; the polarities as well", CHECK)
     ratio = text.get("mechanics.ratio")
@@ -188,10 +186,10 @@ def _down(value: float) -> float:
 
 
 def _rated_torque(text: RigText, device: DraftDevice) -> float:
-    """Set what 1000 per mille are; return it [Nm].
+    """Set the torque of 1000 per mille; return it [Nm].
 
-    CiA 402 has 6076h in mNm. Another unit counts where the object's name or the maker's manual
-    tells it; else the larger torque is the safe one, as the host then pushes less.
+    CiA 402 has 6076h in mNm. Another unit counts if the object's name or the maker's manual states it; otherwise the
+    larger torque is safe, because the host then pushes less.
     """
     rated, like_Nm = device.value(0x6076), float(text.get("motor.rated_torque_Nm"))
     unit, whence = rated_unit(device)
@@ -236,9 +234,7 @@ def _position(text: RigText, device: DraftDevice) -> None:
 
 
 def _sense(text: RigText, device: DraftDevice) -> None:
-    """Let bring-up write the drive's polarity, so that the signs of [mechanics] stay what they were
-    measured with.
-    """
+    """Make bring-up write the drive's polarity, so that the measured signs of [mechanics] stay valid."""
     code = device.value(*POLARITY)
     if code is None or not 0 <= code <= 0xFF or not device.has(*POLARITY):
         return
@@ -263,9 +259,7 @@ def _sense(text: RigText, device: DraftDevice) -> None:
 
 
 def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: float) -> None:
-    """Set the scale of a set-point that is not in per mille of the rated torque, and of the torque
-    that flows.
-    """
+    """Set the scales of a set-point and an actual torque that are not in per mille of the rated torque."""
     text.put("role.torque_setpoint.object", _spelled(device, maker.setpoint))
     unit = unit_of(device, maker.setpoint)
     if unit in NEWTON_METRES:
@@ -295,7 +289,7 @@ def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: f
 
 
 def _named_unit(text: RigText, device: DraftDevice) -> None:
-    """Set the scale of 6071h and 6077h where their names tell a unit that is no per mille."""
+    """Set the scale of 6071h and 6077h if their names state a unit other than per mille."""
     for role, index in (("torque_setpoint", 0x6071), ("torque", 0x6077)):
         unit = unit_of(device, (index, 0))
         if unit in NEWTON_METRES:
@@ -306,6 +300,6 @@ def _named_unit(text: RigText, device: DraftDevice) -> None:
 
 
 def _spelled(device: DraftDevice, place: Place) -> str:
-    """Return an object as the rig file has it."""
+    """Return an object in the rig file's notation."""
     index, subindex = device.at(place[0]), place[1]
     return f"{index:04X}:{subindex:X}" if subindex else f"{index:04X}"

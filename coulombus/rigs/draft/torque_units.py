@@ -1,4 +1,4 @@
-"""Units of torque and current that the names of a drive's objects tell, and makers' known ones."""
+"""Units of torque and current from object names, and known units of makers."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from coulombus.rigs.draft.device import DraftDevice, Place
 __all__ = ["AMPERES", "NEWTON_METRES", "rated_unit", "unit_of"]
 
 NEWTON_METRES: Mapping[str, float] = {"Nm": 1.0, "cNm": 1e-2, "mNm": 1e-3, "uNm": 1e-6}
-"""Nm in one of a unit."""
+"""Nm per unit."""
 AMPERES: Mapping[str, float] = {"A": 1000.0, "mA": 1.0}
-"""mA in one of a unit."""
+"""mA per unit."""
 UNIT = re.compile(r"(?<!\w)([cmu\u00b5\u03bc]?N ?m|mA|(?<=[\[(])A(?=[\])]))(?!\w)")
 """A unit that stands alone in a name, "A" in brackets only: "Target torque [mNm]"."""
 MICRO_MAKERS: Mapping[int, str] = {0xFB: "maxon"}
@@ -20,9 +20,7 @@ MICRO_MAKERS: Mapping[int, str] = {0xFB: "maxon"}
 
 
 def unit_of(device: DraftDevice, place: Place) -> str:
-    """Return the unit of torque or current in an object's name, as `NEWTON_METRES` and `AMPERES`
-    spell it; "" where it tells none.
-    """
+    """Return the unit of torque or current in an object's name, as `NEWTON_METRES` and `AMPERES` spell it; "" if none."""
     index, subindex = place
     if not device.has(index, subindex):
         return ""
@@ -32,7 +30,7 @@ def unit_of(device: DraftDevice, place: Place) -> str:
 
 
 def rated_unit(device: DraftDevice) -> tuple[float, str]:
-    """Return the Nm of one count of 6076h, and why; CiA 402's mNm and "" where nobody tells it."""
+    """Return the Nm of one count of 6076h, and the reason; CiA 402's mNm and "" if nothing states it."""
     unit = unit_of(device, (0x6076, 0))
     if unit in NEWTON_METRES:
         return NEWTON_METRES[unit], f"in {unit} by its name"

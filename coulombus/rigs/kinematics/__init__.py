@@ -1,1 +1,1 @@
-"""How the joints of a rig move its tip in a plane: [kinematics], compiled mechanisms, their checks; no forces."""
+"""Planar kinematics of a rig's joints: [kinematics], compiled mechanisms, their checks; no forces."""

@@ -1,4 +1,4 @@
-"""What [kinematics] must be beside the ranges of its keys: the joints, the lengths, the start."""
+"""Rules of [kinematics] beyond the ranges of its keys: joints, lengths, start."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from coulombus.rigs.toml_lines import Table
 __all__ = ["PLANE_SECTIONS", "PlaneSections", "check_kinematics", "read_plane"]
 
 PLANE_SECTIONS = frozenset(("kinematics", "plane"))
-"""The sections that belong to all axes together, as the joints of one mechanism."""
+"""The sections that describe all axes as the joints of one mechanism."""
 SINGULAR = 0.005
-"""A start with less of the Jacobian's condition is singular, an elbow of 1.4 degrees where both links are equal. Whether a pose is far enough
-from that for a display is kinematics.least_condition's.
+"""A start whose Jacobian's condition is below this is singular: with equal links, an elbow of 1.4 degrees.
+kinematics.least_condition decides whether a pose is far enough from singular for a display.
 """
 
 
@@ -34,15 +34,15 @@ class PlaneSections(Section):
 
 
 def read_plane(values: Table, axes: tuple[str, ...], source: Source, *, attached: bool) -> PlaneSections | None:
-    """Return [kinematics] and [plane] of a rig file's values; None of a rig that has neither.
+    """Return [kinematics] and [plane] of a rig file's values; None if it has neither.
 
-    Mistakes are noted in `source`.
+    Errors are noted in `source`.
 
     Parameters
     ----------
     values : the rig file's
     axes : the names of the rig's axes, the joints
-    attached : the text is of a recording: a mechanism of the user's own is not run
+    attached : the text comes from a recording: a user-defined mechanism is not run
     """
     file: Table = {name: values[name] for name in sorted(PLANE_SECTIONS & set(values))}
     if not file:
@@ -63,7 +63,7 @@ def read_plane(values: Table, axes: tuple[str, ...], source: Source, *, attached
 
 
 def _check_lengths(values: Table, source: Source) -> None:
-    """Note which measures the kind needs and has not, and which it does not know."""
+    """Note dimensions that the kind lacks, and those that it does not use."""
     kind = values.get("kind")
     if not isinstance(kind, str) or kind.strip() not in (*LENGTHS, kind.strip() if ":" in kind else ""):
         return
@@ -78,8 +78,8 @@ def _check_lengths(values: Table, source: Source) -> None:
 
 
 def check_kinematics(kinematics: Kinematics, source: Source, *, attached: bool = False) -> None:
-    """Note what the values are not together: limits that do not grow, signs, a start that is singular or
-    outside, a Jacobian that is not that of its kinematics.
+    """Note conflicts between values: limits that do not increase, signs, a start that is singular or outside, a
+    Jacobian that does not match its kinematics.
     """
     for name in ("x_m", "y_m"):
         limits = getattr(kinematics, name)
@@ -109,7 +109,7 @@ def check_kinematics(kinematics: Kinematics, source: Source, *, attached: bool =
 
 
 def _check_start(kinematics: Kinematics, pose: PoseRecord, source: Source) -> None:
-    """Note a start that the mechanism cannot take, that is singular, or outside the workspace."""
+    """Note a start that is unreachable, singular, or outside the workspace."""
     key, start = ("kinematics", "start_rad"), kinematics.start_rad
     x_m, y_m = (float(value) for value in pose["x_m"])
     found = condition(pose)

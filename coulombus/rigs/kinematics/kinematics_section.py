@@ -1,4 +1,4 @@
-"""[kinematics] and [plane] of the rig file: how two axes move a tip in the plane, and what moves with it."""
+"""[kinematics] and [plane] of the rig file: two axes move a tip in the plane; its links and hand."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def _pair(default: tuple[float, float] | None, description: str, unit: str, word
 
 
 class Kinematics(Section):
-    """[kinematics]: how the joints move the tip in the plane; the joints are the rig's two axes, in
-    the file's order.
+    """[kinematics]: map from the joints to the tip in the plane; the joints are the rig's two axes, in the file's
+    order.
     """
 
     kind: str = Field(
@@ -80,12 +80,12 @@ class Kinematics(Section):
 
     @property
     def function(self) -> tuple[str, str] | None:
-        """The file and the function's name of a mechanism of the user's own; None of the project's."""
+        """File and function name of a user-defined mechanism; None for a built-in one."""
         place, _, name = self.kind.strip().rpartition(":")
         return (place, name) if place else None
 
     def record(self) -> RecordArray[MechanismRecord]:
-        """Return the measures as kernels take them, as an array of one record."""
+        """Return the dimensions for the kernels, as an array of one record."""
         record = new_records(MechanismRecord)
         m = record[0]
         if self.radii_m_rad is not None:
@@ -98,14 +98,14 @@ class Kinematics(Section):
         return record
 
     def contains(self, x_m: float, y_m: float) -> bool:
-        """Tell whether a place is in the workspace that the rig file allows."""
+        """Return whether a point is in the rig file's workspace."""
         return all(
             limits is None or limits[0] <= value <= limits[1] for value, limits in ((x_m, self.x_m), (y_m, self.y_m))
         )
 
 
 class PlanePlant(Section):
-    """[plane]: links and hand in the plane as they truly are, for the simulation only."""
+    """[plane]: true links and hand in the plane, for the simulation only."""
 
     link_mass_kg: tuple[float, float] = _pair((0.0, 0.0), "mass of each link", "kg")
     link_centre_m: tuple[float, float] = _pair((0.0, 0.0), "from a link's joint to its centre of mass", "m")

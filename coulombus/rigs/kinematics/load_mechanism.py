@@ -1,6 +1,6 @@
-"""A rig's mechanism, ready to be asked: compiled, one of the project's or one of the user's own.
+"""Load and compile a rig's mechanism, built-in or user-defined.
 
-A mechanism of the user's own is a function of a Python file, ``kind = "arm.py:arm"``::
+A user-defined mechanism is a function of a Python file, ``kind = "arm.py:arm"``::
 
     def arm(m, pose):
         pose.x_m[0] = m.user[0] * pose.angle_rad[0]
@@ -8,7 +8,7 @@ A mechanism of the user's own is a function of a Python file, ``kind = "arm.py:a
         pose.jacobian[0, 0], pose.jacobian[0, 1] = m.user[0], 0.0
         pose.jacobian[1, 0], pose.jacobian[1, 1] = 0.0, m.user[1]
 
-It must be what Numba compiles. The names of its fields are those of `MechanismRecord` and
+Numba must be able to compile it. The names of its fields are those of `MechanismRecord` and
 `PoseRecord`.
 """
 
@@ -40,33 +40,33 @@ import numba.experimental.function_type  # isort: skip  (what the type of a comp
 __all__ = ["Mechanism", "MechanismMistake", "compile_mechanism", "load_mechanism"]
 
 STEP_RAD = 1e-5
-"""Half the step of the central differences against which a Jacobian is held."""
+"""Half the step of the central differences that check a Jacobian."""
 TOLERANCE = 1e-5
-"""What a Jacobian may be off from its differences, as a share of its largest entry."""
+"""Allowed deviation of a Jacobian from its differences, relative to its largest entry."""
 TRIES = 40
 COLOURS = re.compile(r"\x1b\[[\d;]*m")
-"""What numba puts into its messages where colorama is installed."""
+"""ANSI colours in numba's messages when colorama is installed."""
 
 
 class MechanismMistake(Exception):
-    """A mechanism of the user's own cannot be used; the text says where in its file, and why."""
+    """A user-defined mechanism cannot be used; the text has the line and the reason."""
 
 
 @dataclass(frozen=True)
 class Mechanism:
-    """A mechanism with its measures.
+    """A compiled mechanism with its dimensions.
 
     Attributes
     ----------
     function : the compiled function, as kernels take it
-    record : its measures, an array of one record
+    record : its dimensions, an array of one record
     """
 
     function: MechanismFunction
     record: RecordArray[MechanismRecord]
 
     def pose(self, q1_rad: float, q2_rad: float) -> PoseRecord:
-        """Return the pose of two joints' angles [rad]: NaN where the mechanism cannot take it."""
+        """Return the pose at two joint angles [rad]; NaN if unreachable."""
         pose = new_records(PoseRecord)[0]
         pose["q_rad"] = q1_rad, q2_rad
         locate(self.function, self.record[0], pose)
@@ -87,9 +87,9 @@ def _signature() -> Any:
 
 
 def compile_mechanism(function: Callable[..., Any], *, guarded: bool) -> MechanismFunction:
-    """Compile a mechanism's function; it is passed to kernels as a function pointer.
+    """Compile a mechanism's function, to be passed to kernels as a function pointer.
 
-    With `guarded` indices are checked, and a function that raises gives NaN.
+    With `guarded`, indices are checked, and a function that raises gives NaN.
     """
 
     def careful(m: MechanismRecord, pose: PoseRecord) -> None:
@@ -118,14 +118,12 @@ def _built_in(kind: str) -> MechanismFunction:
 
 
 def load_mechanism(kinematics: Kinematics, directory: Path) -> Mechanism:
-    """Return the compiled mechanism of a rig; a file is looked for in `directory`, then in the
-    current folder.
+    """Return the compiled mechanism of a rig; its file is searched in `directory`, then in the current folder.
 
     Raises
     ------
     MechanismMistake
-        a function of the user's own that is not there, does not compile, or whose Jacobian is not
-        that of its kinematics
+        a user-defined function is missing, does not compile, or has a Jacobian that does not match its kinematics
     """
     if kinematics.function is None:
         return Mechanism(_built_in(kinematics.kind.strip()), kinematics.record())
@@ -172,7 +170,7 @@ def _function_of_file(file: str, name: str, directory: Path) -> Any:
 
 
 def _wrong_entry(mechanism: Mechanism, start_rad: tuple[float, float]) -> str:
-    """Return which entry of the Jacobian is not that of the kinematics; "" where none is."""
+    """Return the entry of the Jacobian that does not match the kinematics, or ""."""
     random, names = np.random.default_rng(1), "xy"
     angles = [np.array(start_rad), *(np.array(start_rad) + random.uniform(-1.0, 1.0, (TRIES, 2)))]
     for k, q in enumerate(angles):

@@ -1,4 +1,4 @@
-"""The records of a mechanism with two joints: its measures, and one pose of it."""
+"""Records of a mechanism with two joints: its dimensions, and one pose."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ JOINTS = 2
 
 
 class PoseRecord(Record):
-    """One pose: the joints' angles, and what follows from them."""
+    """One pose: joint angles, tip and Jacobian."""
 
     q_rad: Annotated[FloatField, JOINTS]  # the joints' angles, as the axes count them
     angle_rad: Annotated[FloatField, JOINTS]  # the mechanism's own angles: offset + sign q
@@ -23,13 +23,13 @@ class PoseRecord(Record):
 
 
 class MechanismRecord(Record):
-    """What a mechanism measures."""
+    """Dimensions of a mechanism."""
 
-    link_m: Annotated[FloatField, 4]  # lengths of the links; of cartesian way per angle [m/rad] in the first two
+    link_m: Annotated[FloatField, 4]  # lengths of the links; of cartesian travel per angle [m/rad] in the first two
     base_m: float  # distance of the two fixed joints of a five-bar
     offset_rad: Annotated[FloatField, JOINTS]  # the mechanism's angle where the joint's is 0
     sign: Annotated[FloatField, JOINTS]  # +1 or -1: sense of the joint in the mechanism
-    user: Annotated[FloatField, 16]  # numbers of a mechanism of the user's own
+    user: Annotated[FloatField, 16]  # numbers of a user-defined mechanism
 
 
 MechanismFunction: TypeAlias = Callable[[MechanismRecord, PoseRecord], None]

@@ -2,12 +2,12 @@ r"""Mechanisms with two joints in a plane: the tip and the Jacobian of a pose.
 
 Plain functions; `rigs.kinematics.pose_kernels` and `rigs.kinematics.load_mechanism` compile them.
 
-A mechanism's function takes its measures and a pose, reads ``pose.angle_rad`` and writes ``pose.x_m`` and
+A mechanism's function takes its dimensions and a pose, reads ``pose.angle_rad`` and writes ``pose.x_m`` and
 ``pose.jacobian``. `locate` calls it with a joint's offset and sign:
 
 .. math:: \alpha_i = o_i + s_i q_i, \qquad J_{ki} = s_i\,\frac{\partial x_k}{\partial\alpha_i}
 
-A pose that the mechanism cannot take has NaN in both.
+An unreachable pose has NaN in both.
 
     m : a `MechanismRecord`        pose : a `PoseRecord`
 """
@@ -43,7 +43,7 @@ def five_bar(m: MechanismRecord, pose: PoseRecord) -> None:
 
     The elbows are :math:`A = l_1(\cos\alpha_1, \sin\alpha_1)` and :math:`B = (b, 0) +
     l_3(\cos\alpha_2, \sin\alpha_2)`. The tip P has the distance :math:`l_2` from A and :math:`l_4`
-    from B, and lies to the left of the way from A to B. Its velocity follows from
+    from B, and lies to the left of the line from A to B. Its velocity follows from
 
     .. math:: (P-A)\cdot\dot P = (P-A)\cdot\dot A, \qquad (P-B)\cdot\dot P = (P-B)\cdot\dot B
 
@@ -77,7 +77,7 @@ def cartesian(m: MechanismRecord, pose: PoseRecord) -> None:
 
 
 MECHANISMS: dict[str, MechanismFunction] = {"serial_2r": serial_2r, "five_bar": five_bar, "cartesian": cartesian}
-"""The project's mechanisms by their kinds in the rig file."""
+"""Built-in mechanisms by their kinds in the rig file."""
 
 
 def locate(mechanism: MechanismFunction, m: MechanismRecord, pose: PoseRecord) -> None:
@@ -102,8 +102,8 @@ def condition(pose: PoseRecord) -> float:
 
 
 def columns_angle(pose: PoseRecord) -> float:
-    """Return the angle between the Jacobian's columns, 0 to pi [rad]: between the ways that the tip takes when
-    one joint moves alone.
+    """Return the angle between the Jacobian's columns, 0 to pi [rad]: between the tip's directions for each joint
+    alone.
     """
     a, b, c, d = pose.jacobian[0, 0], pose.jacobian[0, 1], pose.jacobian[1, 0], pose.jacobian[1, 1]
     return math.atan2(abs(a * d - b * c), a * b + c * d)

@@ -1,1 +1,1 @@
-"""Whether a rig's frames fit into its cycle: response times, the worst cycle, its picture."""
+"""Bus schedulability of a rig: response times, the worst cycle, its plot."""

@@ -1,6 +1,4 @@
-"""The picture of a plan: the worst cycle frame by frame, and what each kind of traffic adds to the
-latest RPDO.
-"""
+"""Plot of a plan: the worst cycle frame by frame, and the delay of the last RPDO by kind of traffic."""
 
 from __future__ import annotations
 
@@ -48,9 +46,9 @@ SETTINGS: Any = {
     "savefig.dpi": 140,
 }
 LABELS_INSIDE_SHARE = 0.045
-"""A bar is wide enough for its duration when it takes this share of the axis."""
+"""Least share of the axis at which a bar has room for its duration."""
 LINES = 3
-"""Rows below the bars for the names of the lines."""
+"""Rows below the bars for the line labels."""
 
 
 def _end_us(plan: Plan) -> float:
@@ -58,14 +56,12 @@ def _end_us(plan: Plan) -> float:
 
 
 def _on_white(pad: float = 0.12) -> dict[str, Any]:
-    """Return the patch that keeps a text readable where it crosses a line."""
+    """Return a background that keeps a text readable across a line."""
     return {"boxstyle": f"round,pad={pad}", "facecolor": "white", "edgecolor": "none"}
 
 
 def draw_cycle(axes: Axes, plan: Plan) -> None:
-    """Draw the worst cycle of ordinary operation: one row for each frame, from the top in the order
-    in which they go.
-    """
+    """Draw the worst cycle of ordinary operation: one row per frame, in sending order from the top."""
     from matplotlib.patches import Patch
 
     bars = plan.cycle.bars
@@ -134,7 +130,7 @@ def draw_cycle(axes: Axes, plan: Plan) -> None:
 
 
 def draw_interference(axes: Axes, plan: Plan) -> None:
-    """Draw by when the last RPDO is through with more and more of the bus's traffic."""
+    """Draw the completion of the last RPDO under increasing shares of the bus traffic."""
     waits_ns = plan.interference_ns
     period, end = plan.timing.period_ns / 1e3, _end_us(plan)
     for row, (key, (_, colour)) in enumerate(INTERFERENCE.items()):
@@ -152,7 +148,7 @@ def draw_interference(axes: Axes, plan: Plan) -> None:
 
 
 def write_gantt(path: Path, plan: Plan) -> None:
-    """Write the picture to `path` (.png, .svg, .pdf)."""
+    """Write the plot to `path` (.png, .svg, .pdf)."""
     import matplotlib
     from matplotlib.figure import Figure
 

@@ -1,23 +1,20 @@
 """Worst-case response time of every message on a CAN bus: Davis, Burns, Bril and Lukkien 2007,
 doi:10.1007/s11241-007-9012-7.
 
-A message m of period (or least interval) T, release jitter J and longest frame C waits for one
-frame of lower priority that has just begun, B, and for every frame of higher priority (hp) that is
-released before its own start::
+A message m of period (or least interval) T, release jitter J and longest frame C waits for one frame of lower priority
+already on the wire, B, and for every frame of higher priority (hp) that is released before its own start::
 
     t    = E(t) + B + sum over hp and m of ceil((t + J_k) / T_k) C_k             busy period; Q = ceil((t + J) / T) instances
     w(q) = E(w + C) + B + q C + sum over hp of ceil((w + J_k + tau) / T_k) C_k     q = 0 .. Q - 1, least solution
     R(q) = J + w(q) - q T + C,       R = max over q                              (their equations 10 to 13, 16 to 18)
 
-tau is one bit. All Q instances count: a frame that is on the wire is not interrupted, so the first
-instance can push interference on to the second, and the first need not be the worst. E is the
-errors' share::
+tau is one bit. All Q instances count: transmission is non-preemptive, so the first instance can push interference on to
+the second and need not be the worst. E is the share of errors::
 
     E(t) = n ceil(t / T_E) (31 tau + max C over hp and m)
 
 for at most n errors in any T_E: each costs an error frame of 31 bits at most, and the frame again.
-C has the three bits of inter-frame space in it; R therefore ends three bits after the frame's end
-of frame.
+C includes the three bits of inter-frame space; R therefore ends three bits after the frame's end of frame.
 
 All times are integer nanoseconds; durations are rounded up.
 """
@@ -41,17 +38,17 @@ __all__ = ["NO_ERRORS", "Errors", "Message", "Response", "Stage", "bit_ns", "res
 
 ERROR_FRAME_BITS = 31  # flags 6 + 6, delimiter 8, inter-frame space 3, suspended transmission 8
 MAX_INSTANCES = 1000
-"""A busy period of more instances counts as endless."""
+"""A busy period of more instances counts as infinite."""
 MAX_ROUNDS = 100
 MAX_JITTER_PERIODS = 10
-"""A jitter of more periods, and beyond the deadline, counts as one that grows for ever."""
+"""A jitter of more periods, and beyond the deadline, counts as divergent."""
 
 Stage = Literal["", "sync", "tpdo", "rpdo"]
 
 
 @dataclass(frozen=True)
 class Message:
-    """A frame that is sent again and again.
+    """A frame that is sent repeatedly.
 
     Attributes
     ----------
@@ -60,19 +57,17 @@ class Message:
     length : int
         Data bytes.
     period_ns : int
-        Period, or the least interval between two.
+        Period, or the least interval between two frames.
     deadline_ns : int
-        By when it is through, from its release.
+        Deadline of its end, from its release.
     jitter_ns : int
-        By how much it may be released late.
+        Release jitter.
     follows : str
-        Name of the message whose end releases it: it inherits that one's response time as jitter,
-        beside `jitter_ns`.
+        Name of the message whose end releases it: its response time is added to `jitter_ns`.
     stage : str
         Its part in the cycle ("" for none).
     axis : int
-        Number of the axis whose PDO it is: the host sends an axis' RPDOs when that axis' TPDOs have
-        come.
+        Number of the PDO's axis: the host sends an axis' RPDOs after that axis' TPDOs arrive.
     emergency : bool
         Not sent in ordinary operation: EMCY, NMT.
     """
@@ -90,7 +85,7 @@ class Message:
 
     @cached_property
     def key(self) -> int:
-        """Its priority: the lower one wins the bus."""
+        """Its priority: the lower key wins arbitration."""
         return arbitration_key(self.can_id)
 
     @cached_property
@@ -113,7 +108,7 @@ class Errors:
         Raises
         ------
         ValueError
-            With what is expected.
+            With the expected form.
         """
         if text.strip() == "0":
             return cls()
@@ -124,7 +119,7 @@ class Errors:
         return cls(int(match[1]), interval)
 
     def cost_ns(self, window_ns: int, each_ns: int) -> int:
-        """Return E: what the errors in `window_ns` cost when one costs `each_ns`."""
+        """Return E: the time lost to errors in `window_ns` if each costs `each_ns`."""
         return self.count * -(-window_ns // self.interval_ns) * each_ns
 
 
@@ -133,7 +128,7 @@ NO_ERRORS = Errors()
 
 @dataclass(frozen=True)
 class Response:
-    """The result for one message; `response_ns` is beyond the deadline where there is no bound."""
+    """The result for one message; `response_ns` exceeds the deadline if there is no bound."""
 
     message: Message
     frame_ns: int
@@ -154,22 +149,20 @@ def bit_ns(bits: int, bitrate_bit_s: int) -> int:
 
 
 def utilisation(messages: Sequence[Message], bitrate_bit_s: int) -> float:
-    """Return the share of the bus that the messages take with their longest frames, errors aside:
-    the sum of C / T.
-    """
+    """Return the bus load with the longest frames, without errors: the sum of C / T."""
     return sum(message.bits * 1e9 / (bitrate_bit_s * message.period_ns) for message in messages)
 
 
 def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Errors = NO_ERRORS) -> tuple[Response, ...]:
     """Return every message's response time, the highest priority first.
 
-    A message that `follows` another takes that one's response time as its jitter; since this may go
-    in circles it is repeated until nothing changes (jitters only grow).
+    A message that `follows` another takes its response time as jitter; because this may be circular, it is iterated to
+    a fixed point (jitters only grow).
 
     Raises
     ------
     ValueError
-        Two messages of one identifier, or `follows` names none of them.
+        Two messages have one identifier, or `follows` names no message.
     """
     order = sorted(messages, key=lambda message: message.key)
     for first, second in pairwise(order):
@@ -182,11 +175,11 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
         if message.follows and message.follows not in names:
             raise ValueError(f"{message.name} follows {message.follows!r}, which is not among the messages")
     frames = [bit_ns(message.bits, bitrate_bit_s) for message in order]
-    late = list(order)  # with the jitter that they inherit
+    late = list(order)  # with inherited jitter
     responses: list[Response] = []
     for _ in range(MAX_ROUNDS):
         by_name = {response.message.name: response for response in responses}
-        grown = len(order)  # the first rank whose response is to be computed anew
+        grown = len(order)  # the first rank to recompute
         for rank, message in enumerate(order):
             if message.follows in by_name:
                 jitter = message.jitter_ns + by_name[message.follows].response_ns
@@ -208,16 +201,14 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
 def _response(
     rank: int, order: Sequence[Message], frames: Sequence[int], bitrate_bit_s: int, errors: Errors
 ) -> Response:
-    """Return the response of `order[rank]`, whose messages have all their jitter; `frames` are
-    their durations.
-    """
+    """Return the response of `order[rank]`; all jitters are set; `frames` are the durations."""
     tau = bit_ns(1, bitrate_bit_s)
     m, own = order[rank], frames[rank]
     higher = [(k.period_ns, k.jitter_ns, c) for k, c in zip(order[:rank], frames, strict=False)]
     periods, jitters, durations = np.array(higher, np.int64).reshape(-1, 3).T
 
     def interference(window_ns: int) -> int:
-        """Return what is sent of higher priority that is released within a window."""
+        """Return the time of higher-priority frames released within a window."""
         return int(-(-(window_ns + jitters) // periods) @ durations)
 
     blocking = max(frames[rank + 1 :], default=0)
@@ -228,7 +219,7 @@ def _response(
     if bounded:
         everyone = [*higher, (m.period_ns, m.jitter_ns, own)]
         free = 1.0 - load - own / m.period_ns
-        below = (blocking + sum(c * j / period for period, j, c in everyone)) / free  # no solution is smaller
+        below = (blocking + sum(c * j / period for period, j, c in everyone)) / free  # lower bound of the solution
         t = max(own, int(below * (1 - 1e-9)))
         while t <= MAX_INSTANCES * m.period_ns:
             after = errors.cost_ns(t, each) + blocking

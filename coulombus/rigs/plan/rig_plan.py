@@ -1,4 +1,4 @@
-"""The plan of a rig: which messages its bus carries, whether they fit, and what would.
+"""Bus plan of a rig: its messages, whether they fit, and changes with which they would.
 
 `messages_of` composes the messages of any number of devices and one host, so that a bus with
 several axes is the same call with more devices.
@@ -36,27 +36,25 @@ __all__ = [
 ]
 
 MOST_NAMED = 40
-"""Of the late frames in one sentence; `plan` has a row for each."""
+"""Maximum number of late frames named in one sentence; `plan` has a row for each."""
 SPORADIC_PERIODS = 10
 LAST_NODE_ID = 127
 MAX_AXES = 16
-"""Of a rig file."""
+"""Maximum number of axes of a rig file."""
 SHORTEST_NS, LONGEST_NS, STEP_NS = 100_000, 1_000_000_000, 1_000
 """The rig file's range of bus.period_s, and the grid of object 1006h."""
 
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What is assumed beside the rig file.
+    """Assumptions beyond the rig file.
 
     Attributes
     ----------
     node_ns : int or None
-        Longest time that a device computes between SYNC and its TPDOs; None: what the rig file says
-        of each (`response_us`).
+        Longest computing time of a device between SYNC and its TPDOs; None: the rig file's `response_us` of each.
     host_ns : int or None
-        Longest time that the host computes between the last TPDO and its RPDOs; None: the rig
-        file's `host.compute_s`.
+        Longest computing time of the host between the last TPDO and its RPDOs; None: the rig file's `host.compute_s`.
     sporadic_ns : int or None
         Least interval between two EMCYs of a node, two SDO transfers with a node, two NMT commands;
         None: ten periods.
@@ -70,7 +68,7 @@ class Assumptions:
 
 @dataclass(frozen=True)
 class Pdo:
-    """A PDO as the device sees it: "tpdo" or "rpdo", its number, identifier and bytes."""
+    """A PDO from the device's side: "tpdo" or "rpdo", its number, identifier and bytes."""
 
     direction: str
     number: int
@@ -80,9 +78,7 @@ class Pdo:
 
 @dataclass(frozen=True)
 class DeviceTraffic:
-    """What a device puts on the bus and is sent, and the watches that trip when it comes
-    too late.
-    """
+    """Frames sent by and to a device, and the time-outs that trip when they are late."""
 
     name: str
     axis: int
@@ -95,26 +91,26 @@ class DeviceTraffic:
     sync_timeout_ns: int
     response_ns: int = 0
     guard_ns: int = 0
-    """How often the host guards it by a remote frame, to which it answers; 0: it has a heartbeat.
+    """Period of node guarding by the host; 0: it has a heartbeat.
     """
 
     def moved(self, axis: int, node_id: int, name: str) -> DeviceTraffic:
-        """Return the same device as part of another axis, under another node id."""
+        """Return a copy for another axis, with another node id."""
         step = node_id - self.node_id
         pdos = tuple(replace(pdo, cob_id=pdo.cob_id + step) for pdo in self.pdos)
         return replace(self, name=name, axis=axis, node_id=node_id, pdos=pdos)
 
 
 def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[DeviceTraffic, ...]:
-    """Return the devices of the rig's axes on one bus: of the first `axes`, and copies beyond them
-    under the next free node ids.
+    """Return the devices of the first `axes` axes on one bus; axes beyond the rig's are copies with the next free node
+    ids.
 
-    With another period than the rig's the watches of PDOs and SYNC keep their share of it.
+    With another period, the time-outs of PDOs and SYNC scale with it.
 
     Raises
     ------
     ValueError
-        There are not so many node ids.
+        There are not enough node ids.
     """
     scale = period_ns / rig.bus.period_ns
     pdos: dict[str, list[Pdo]] = {}
@@ -168,9 +164,9 @@ def messages_of(
 ) -> tuple[Message, ...]:
     """Return every message of a bus with one host and these devices.
 
-    SYNC and PDOs once a period; a heartbeat of everyone; of each device an SDO request and its
-    response, and an EMCY; NMT commands. EMCY and NMT are no part of ordinary operation. Deadlines
-    are those of the watches: what comes later trips somebody.
+    SYNC and PDOs once a period; a heartbeat of every node; of each device an SDO request and its response, and an EMCY;
+    NMT commands. EMCY and NMT are not part of ordinary operation. Deadlines are the time-outs: a later frame causes a
+    trip.
     """
     period = timing.period_ns
     after_sync = max(min(device.sync_timeout_ns for device in devices) - period, timing.window_ns)
@@ -221,10 +217,9 @@ class Plan:
 
     @cached_property
     def responses(self) -> tuple[Response, ...]:
-        """Worst-case response times, everything at once; the highest priority first.
+        """Worst-case response times under all traffic; the highest priority first.
 
-        The deadline of a frame that may be late in its cycle is the cycle's, that of any other its
-        watch's.
+        The deadline of a frame of the cycle is the cycle's, that of any other its time-out.
         """
         late = {frame.message.name: frame.deadline_ns for frame in self.cycle.frames if not frame.fits}
         messages = [replace(m, deadline_ns=min(m.deadline_ns, late.get(m.name, m.deadline_ns))) for m in self.messages]
@@ -259,14 +254,12 @@ class Plan:
 
     @property
     def latest_rpdo_ns(self) -> int:
-        """By when the last RPDO is through in ordinary operation, from SYNC's release."""
+        """Latest end of the last RPDO in ordinary operation, from SYNC's release."""
         return self.cycle.latest_ns("rpdo")
 
     @property
     def interference_ns(self) -> dict[str, int]:
-        """The latest RPDO with more and more of the bus: the cyclic frames alone, heartbeats, SDO,
-        EMCY and NMT.
-        """
+        """Latest end of the last RPDO as traffic is added: the cyclic frames alone, heartbeats, SDO, EMCY and NMT."""
         return {
             "cycle": self.cycle_under(lambda m: False).latest_ns("rpdo"),
             "heartbeats": self.cycle_under(lambda m: "heartbeat" in m.name).latest_ns("rpdo"),
@@ -276,12 +269,12 @@ class Plan:
 
     @property
     def fits(self) -> bool:
-        """Whether every message is in time, in its cycle and before its watch."""
+        """Whether every message meets its cycle and its time-out."""
         return self.utilisation < 1.0 and all(response.fits for response in self.responses)
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why it does not fit: each frame by name, those of the cycle first."""
+        """Reasons why it does not fit: each frame by name, those of the cycle first."""
         slow = {response.message.name: response for response in self.responses if not response.fits}
         ends = [frame for frame in self.cycle.frames if not frame.fits and frame.message.name in slow]
         for frame in ends:
@@ -301,7 +294,7 @@ class Plan:
         return tuple(texts)
 
     def verdict(self) -> str:
-        """Say in one text whether it fits, and what to do if not."""
+        """Return whether it fits, and the remedy if not, as a text."""
         if self.fits:
             return "the plan fits"
         head = (
@@ -312,7 +305,7 @@ class Plan:
 
 
 def _some(texts: Sequence[str], comma: str) -> str:
-    """Return the first of many, and how many more there are."""
+    """Return the first names of a list and the number of the others."""
     more = len(texts) - MOST_NAMED
     return comma.join(texts[:MOST_NAMED]) + (f"{comma}and {more} more" if more > 0 else "")
 
@@ -329,9 +322,9 @@ def plan(
     axes: int | None = None,
     assumptions: Assumptions | None = None,
 ) -> Plan:
-    """Plan the bus on which all axes of `rig` hang (`Rig.on` takes those of one bus).
+    """Plan the bus of all axes of `rig` (`Rig.on` selects those of one bus).
 
-    With another period the TPDO window, and the watches of PDOs and SYNC, keep their share of it.
+    With another period, the TPDO window and the time-outs of PDOs and SYNC scale with it.
 
     Raises
     ------
@@ -361,14 +354,12 @@ def plan(
 
 
 def plans(rig: Rig, **options: Any) -> dict[str, Plan]:
-    """Return `plan` for each bus of the rig, by the bus' name ("" where there is one without a
-    name).
-    """
+    """Return `plan` for each bus of the rig, by the bus' name ("" for a single unnamed bus)."""
     return {channel: plan(rig.on(channel), **options) for channel in rig.channels}
 
 
 def plan_again(rig: Rig, plan_before: Plan, **changed: Any) -> Plan:
-    """Return the plan of `rig` with all that `plan_before` was made with, but for what is `changed`."""
+    """Return the plan of `rig` with the arguments of `plan_before`, except those `changed`."""
     same: dict[str, Any] = {
         "bitrate_bit_s": plan_before.timing.bitrate_bit_s,
         "period_ns": plan_before.timing.period_ns,
@@ -384,14 +375,12 @@ def bitrates_that_fit(rig: Rig, plan_before: Plan) -> tuple[int, ...]:
 
 
 def shortest_period_ns(rig: Rig, plan_before: Plan) -> int | None:
-    """Return the shortest period, in whole microseconds, at which the plan would fit; None when
-    none up to 1 s does.
-    """
+    """Return the shortest period, in whole microseconds, at which the plan would fit; None if none up to 1 s does."""
     steps = range(SHORTEST_NS // STEP_NS, LONGEST_NS // STEP_NS + 1)
     at = bisect_left(steps, True, key=lambda step: plan_again(rig, plan_before, period_ns=step * STEP_NS).fits)
     return steps[at] * STEP_NS if at < len(steps) else None
 
 
 def largest_axes(rig: Rig, plan_before: Plan) -> int:
-    """Return how many axes like this rig's the bus carries, 16 at most."""
+    """Return the number of such axes that the bus can carry, at most 16."""
     return bisect_left(range(1, MAX_AXES + 1), True, key=lambda axes: not plan_again(rig, plan_before, axes=axes).fits)

@@ -1,8 +1,8 @@
-"""What each role of a rig costs on the wire, and what to change where the plan does not fit.
+"""Bus time of each role of a rig, and remedies if the plan does not fit.
 
-A PDO's longest frame is divided among what it carries in proportion to the bits, so that the roles'
-times add up to the frames of the cycle. What is saved without a role is another question: the other
-roles are placed anew then, and the saving is the difference of the cycles' frames.
+A PDO's longest frame is divided among its entries in proportion to their bits, so that the roles' times add up to the
+frames of the cycle. The saving without a role differs: the other roles are allocated anew, and the saving is the
+difference of the cycles' frames.
 """
 
 from __future__ import annotations
@@ -24,30 +24,27 @@ from coulombus.wire.bits import worst_case_bits
 __all__ = ["Remedy", "RoleCost", "longer_period", "role_costs", "without_roles"]
 
 SPARED = ("velocity", "coil_temperature", "torque", "coil_current", "handle_torque")
-"""Roles that the host can do without, the first to be given up first: what is only recorded, then
-what a watch looks at.
-"""
+"""Optional roles in the order of removal: those only recorded, then those that a watch needs."""
 RASTER_NS = 50_000
 """Periods are proposed in whole multiples of this and of plant.step_s."""
 MOST_PERIODS = 20
-"""So many periods of the raster are tried, from the shortest that would fit on."""
+"""Number of raster periods to try, upwards from the shortest that would fit."""
 KINDS = {kind.name: kind for kind in ROLES}
 
 
 @dataclass(frozen=True)
 class RoleCost:
-    """What a role costs in each cycle.
+    """Bus time of a role in each cycle.
 
     Attributes
     ----------
-    role : its name; "deadman"; "" for an entry that a fixed map carries beside the roles
-    node : the device that has it, with its axis before it where the rig has several
+    role : its name; "deadman"; "" for another entry of a fixed map
+    node : its device, with the axis as prefix if the rig has several
     place : the object, as "6064h:00"
     pdo : the PDO that carries it, as "TPDO1"
     bits : width of the entry
     wire_ns : its share of the PDO's longest frame
-    saved_ns : by how much the frames of a cycle are shorter without it; None: the host cannot do
-        without it
+    saved_ns : saving per cycle without it; None: the host needs it
     """
 
     role: str
@@ -61,14 +58,14 @@ class RoleCost:
 
 @dataclass(frozen=True)
 class Remedy:
-    """A change of the rig file with which the plan fits.
+    """A change of the rig file that makes the plan fit.
 
     Attributes
     ----------
-    overrides : what is to be changed, as ``--set`` takes it
-    period_ns : the period that it has then
-    roles : what is left out, with the axis before it where the rig has several
-    lost : what the host loses by that
+    overrides : the changes, as ``--set`` takes them
+    period_ns : the resulting period
+    roles : roles removed, with the axis as prefix if the rig has several
+    lost : resulting loss for the host
     """
 
     overrides: tuple[str, ...]
@@ -78,9 +75,7 @@ class Remedy:
 
 
 def role_costs(rig: Rig, bitrate_bit_s: int) -> tuple[RoleCost, ...]:
-    """Return what each role of the rig costs at a bit rate, in the order of the PDOs; only PDOs of
-    the rig's own axes.
-    """
+    """Return the cost of each role of the rig at a bit rate, in the order of the PDOs; only PDOs of the rig's own axes."""
     return tuple(cost for axis in rig.axes for cost in _of_axis(axis, bitrate_bit_s))
 
 
@@ -114,10 +109,10 @@ def _saved_ns(axis: Axis, role: str, whole_ns: int, rate: int) -> int | None:
 
 
 def longer_period(rig: Rig, plan: Plan, shortest: int | None) -> Remedy | None:
-    """Return the shortest period of the raster at which the plan would fit, the TPDO window's share
-    of it kept and nothing else changed; None where there is none.
+    """Return the shortest period of the raster at which the plan would fit with a scaled TPDO window and nothing else
+    changed, or None.
 
-    `shortest` is what `shortest_period_ns` gives.
+    `shortest` is the result of `shortest_period_ns`.
     """
     if shortest is None:
         return None
@@ -133,9 +128,7 @@ def longer_period(rig: Rig, plan: Plan, shortest: int | None) -> Remedy | None:
 
 
 def without_roles(rig: Rig, plan: Plan) -> Remedy | None:
-    """Return which optional roles to leave out so that the plan fits as it is, those first that the
-    host needs least; None where that is not enough.
-    """
+    """Return the optional roles to remove so that the plan fits, the least needed first; None if that is not enough."""
     left: list[tuple[Axis, Kind]] = []
     for name in SPARED:
         left += [(axis, KINDS[name]) for axis in rig.axes if axis.allocation.bound.get(name) is not None]
@@ -143,7 +136,7 @@ def without_roles(rig: Rig, plan: Plan) -> Remedy | None:
             break
     else:
         return None
-    for role in reversed(tuple(left)):  # not all of them may be needed for it: what is worth most stays first
+    for role in reversed(tuple(left)):  # perhaps fewer suffice: try to keep the most valuable first
         fewer = [other for other in left if other is not role]
         if fewer and plan_again(_lean(rig, fewer), plan).fits:
             left = fewer
@@ -157,13 +150,13 @@ def without_roles(rig: Rig, plan: Plan) -> Remedy | None:
 
 
 def _lean(rig: Rig, left: Sequence[tuple[Axis, Kind]]) -> Rig:
-    """Return the rig whose axes have not these roles, for its plan alone."""
+    """Return the rig without these roles, for its plan only."""
     gone = [axis.without(*(kind.name for other, kind in left if other is axis)) for axis in rig.axes]
     return replace(rig, axes=tuple(gone))
 
 
 def _fits(rig: Rig, plan: Plan, overrides: tuple[str, ...], period_ns: int) -> bool:
-    """Tell whether the rig file, so changed, is accepted, and fits."""
+    """Return whether the changed rig file is accepted and fits."""
     try:
         changed = rig.variant(*overrides)
     except RigError:

@@ -1,23 +1,20 @@
-"""The cycle in its worst case: by when SYNC, the TPDOs and the RPDOs are through, counted from the
-instant at which SYNC is queued.
+"""Worst case of the cycle: latest ends of SYNC, TPDOs and RPDOs, counted from the instant at which SYNC is queued.
 
-`rigs.plan.response_times` takes every frame for independent of the others, so that it counts SYNC
-and the TPDOs against an RPDO although they are through when the host sends it. Here their order is
-used: a TPDO is released by SYNC's end, an axis' RPDOs by the last of its TPDOs. From SYNC on one of
-them is pending all the time, so the bus does not rest and no lower frame comes between, but where a
-device's or the host's computing outlasts the inter-frame space::
+`rigs.plan.response_times` treats every frame as independent, so it counts SYNC and the TPDOs against an RPDO although
+they end before the host sends it. This module uses their order: a TPDO is released by SYNC's end, an axis' RPDOs by the
+last of its TPDOs. From SYNC on one of them is pending all the time, so the bus is never idle and no lower frame comes
+between, unless a device's or the host's computing outlasts the inter-frame space::
 
     F(m) = B + C + sum of C over what goes before m in the cycle + gaps + E(F)
              + sum over hp of ceil((F - C + J_k + tau) / T_k) C_k
 
-B is the longest frame from outside the cycle that may have begun just before; the cycle before is
-through by then, or the plan does not fit. hp are the messages outside the cycle that have a higher
-priority than m, or than any TPDO of m's axis if m is an RPDO. A gap of length d > 3 tau (`node_ns`
-before the TPDOs, `host_ns` before the RPDOs) costs d - 3 tau and one more frame that may begin in
-it; then every frame of the cycle that has such a priority is taken to go before m. The host waits
-for the TPDOs no longer than `window_ns`.
+B is the longest frame from outside the cycle that may have begun just before; the previous cycle has ended by then, or
+the plan does not fit. hp are the messages outside the cycle that have a higher priority than m, or than any TPDO of m's
+axis if m is an RPDO. A gap of length d > 3 tau (`node_ns` before the TPDOs, `host_ns` before the RPDOs) costs d - 3 tau
+and one more frame that may begin in it; then every frame of the cycle with such a priority is assumed to go before m.
+The host waits for the TPDOs no longer than `window_ns`.
 
-The same instants, one after the other, are the picture (`rigs.plan.gantt`).
+`rigs.plan.gantt` plots the same instants.
 """
 
 from __future__ import annotations
@@ -31,20 +28,19 @@ __all__ = ["Bar", "Cycle", "CycleFrame", "Timing", "worst_cycle"]
 
 INTER_FRAME_BITS = 3
 HORIZON_PERIODS = 50
-"""A frame that is not through after so many periods has no bound."""
+"""A frame that has not ended after so many periods has no bound."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """What the cycle is held against.
+    """Time limits of the cycle.
 
     Attributes
     ----------
     window_ns : int
-        How long after SYNC the host waits for the TPDOs.
+        The host's wait for the TPDOs after SYNC.
     node_ns, host_ns : int
-        Longest time that a device computes between SYNC and its TPDOs, the host between the last
-        TPDO and its RPDOs.
+        Longest computing time of a device between SYNC and its TPDOs, of the host between the last TPDO and its RPDOs.
     """
 
     bitrate_bit_s: int
@@ -56,9 +52,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class CycleFrame:
-    """One frame of the cycle: the latest instant at which it is through, and by when it has
-    to be.
-    """
+    """One frame of the cycle: its latest end, and its deadline."""
 
     message: Message
     end_ns: int
@@ -66,15 +60,13 @@ class CycleFrame:
 
     @property
     def fits(self) -> bool:
-        """Whether it is through in time."""
+        """Whether it meets its deadline."""
         return self.end_ns <= self.deadline_ns
 
 
 @dataclass(frozen=True)
 class Bar:
-    """Something in the picture of the worst cycle; `kind` is a message's stage, "other", "gap" or
-    "error".
-    """
+    """A bar in the plot of the worst cycle; `kind` is a message's stage, "other", "gap" or "error"."""
 
     name: str
     kind: str
@@ -84,20 +76,18 @@ class Bar:
 
 @dataclass(frozen=True)
 class Cycle:
-    """The cycle's frames in the order in which they go, and the bars of the worst case of the last
-    one.
-    """
+    """The cycle's frames in sending order, and the bars of the last frame's worst case."""
 
     frames: tuple[CycleFrame, ...]
     bars: tuple[Bar, ...]
 
     def latest_ns(self, stage: str) -> int:
-        """Return by when all frames of a stage are through."""
+        """Return the latest end of all frames of a stage."""
         return max((frame.end_ns for frame in self.frames if frame.message.stage == stage), default=0)
 
     @property
     def fits(self) -> bool:
-        """Whether all are through in time."""
+        """Whether all meet their deadlines."""
         return all(frame.fits for frame in self.frames)
 
 
@@ -105,10 +95,9 @@ def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO
     """Return the worst cycle of `messages`, those with a `stage`, under the interference of the
     others.
 
-    SYNC and the TPDOs are due within the window. An RPDO is due to be on the wire when the next
-    SYNC is released: SYNC goes behind it then, and the device acts on it. SYNC waits for a frame
-    from outside just as long, so that the next cycle's bounds stay as they are; an RPDO that is
-    longer than any such frame is due before.
+    SYNC and the TPDOs are due within the window. An RPDO must be on the wire when the next SYNC is released: SYNC then
+    follows it, and the device acts on it. SYNC would wait as long for a frame from outside, so the next cycle's bounds
+    stay valid; an RPDO that is longer than any such frame is due earlier.
     """
     order = sorted(messages, key=lambda message: message.key)
     chain = _in_order([m for m in order if m.stage])
@@ -120,7 +109,7 @@ def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO
 
 
 def _due_ns(case: _Case, sync: _Case) -> int:
-    """Return by when a frame has to be through, counted from SYNC's release."""
+    """Return a frame's deadline, counted from SYNC's release."""
     if case.m.stage != "rpdo":
         return case.timing.window_ns
     begun = case.frame_ns - case.tau if case.frame_ns <= sync.blocking_ns else 0
@@ -128,9 +117,7 @@ def _due_ns(case: _Case, sync: _Case) -> int:
 
 
 def _in_order(cyclic: Sequence[Message]) -> list[Message]:
-    """Return the cycle's frames, given by priority, in the order in which they go when nobody needs
-    time to compute.
-    """
+    """Return the cycle's frames in sending order, without computing times; the input is ordered by priority."""
     gone = [m for m in cyclic if m.stage == "sync"]
     waiting = [m for m in cyclic if m.stage == "tpdo"]
     held = [m for m in cyclic if m.stage == "rpdo"]
@@ -168,7 +155,7 @@ class _Case:
             self.before += [k for k in rest if k.key < lowest]
             rest = [k for k in rest if k.key >= lowest]
         behind = self._longest(k for k in [*others, *rest] if k.key >= lowest)
-        self.gaps = {stage: (length, behind) for stage, length in gaps.items()}  # and the frame that may begin in it
+        self.gaps = {stage: (length, behind) for stage, length in gaps.items()}  # and a frame that may start in the gap
         self.frame_ns = self._duration(m)
         each = bit_ns(ERROR_FRAME_BITS, rate) + max(self._duration(k) for k in [*self.before, *self.higher, m])
         self.blocking_ns = self._duration(self.blocking)
@@ -191,7 +178,7 @@ class _Case:
         return max(messages, key=lambda k: k.bits, default=None)
 
     def bars(self) -> Iterable[Bar]:
-        """Yield the worst case as it goes over the wire.
+        """Yield the bars of the worst case in sending order.
 
         The independent frames of higher priority come first.
         """
