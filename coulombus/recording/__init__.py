@@ -1,4 +1,4 @@
-"""Recordings: pcapng and other tools' logs, signals by name in SI units, measures of a display.
+"""Recordings: pcapng and other tools' logs, signals by name in SI units, figures of a display.
 
 Its public names are imported when they are first used; docs/api.md lists them.
 """

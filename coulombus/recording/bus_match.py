@@ -1,9 +1,9 @@
-"""Which of a recording's buses is which of the rig's: an identifier means something on its bus only.
+"""Match a recording's buses with the rig's: an identifier is only meaningful on its bus.
 
-A bus of the file has the name of its interface or channel. It is the rig's bus of that name; a
-recording of ours says in its attached rig which bus it is of. Of one bus in both there is no choice.
-Foreign names in as many buses as the rig has are matched in the order of the names, with a remark.
-Else a person must say it: ``can0``, or ``a=can0`` for a rig that has several buses.
+A bus of the file has the name of its interface or channel, and matches the rig's bus of that name.
+A recording made by coulombus names its bus in its attached rig. A single bus in both needs no name.
+As many foreign names as the rig has buses are matched in the order of the names, with a remark.
+Otherwise the user must name the bus: ``can0``, or ``a=can0`` for a rig with several buses.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ Channel: TypeAlias = str | Sequence[str] | None
 
 
 class ChannelError(CoulombusError):
-    """It is not known which of the buses in a file is meant; the text has their names."""
+    """The bus is ambiguous; the text names the buses of the file."""
 
     exit_status = 2
 
 
 def channel_texts(channel: Channel) -> tuple[str, ...]:
-    """Return what a script or an option gives, each bus a text.
+    """Return the buses from a script or an option as strings.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def bus_names(capture: Capture) -> tuple[str, ...]:
 
 
 def recorded_channel(attachments: Mapping[str, bytes]) -> str:
-    """Return the rig's bus of which a recording of ours is; "" where it does not say it."""
+    """Return the rig's bus of a coulombus recording; "" if it does not name it."""
     try:
         rig: dict[str, Any] = tomllib.loads(attachments.get("rig.toml", b"").decode())
         shared = rig.get("bus", {}).get("channel", "")
@@ -67,14 +67,14 @@ def recorded_channel(attachments: Mapping[str, bytes]) -> str:
 
 @dataclass
 class BusMatch:
-    """The match of one way through a recording.
+    """The match for one pass through a recording.
 
     Parameters
     ----------
     path : the recording
     channels : the rig's buses
-    given : what a person says, see `Channel`
-    recorded : the rig's bus of a recording of ours
+    given : the user's choice, see `Channel`
+    recorded : the rig's bus of a coulombus recording
     """
 
     path: str
@@ -87,12 +87,12 @@ class BusMatch:
     _in_order: bool = False
 
     def take(self, capture: Capture) -> Capture:
-        """Return a stretch with the frames of the rig's buses alone.
+        """Return a stretch with only the frames of the rig's buses.
 
         Raises
         ------
         ChannelError
-            It is not known which buses these are.
+            The buses are ambiguous.
         """
         names = bus_names(capture)
         if names != self._names:
@@ -105,7 +105,7 @@ class BusMatch:
         return replace(capture, channels=tuple(channel or "" for channel in channels))
 
     def remarks(self) -> tuple[str, ...]:
-        """Return what was left out so far, and how buses of other names were matched."""
+        """Return remarks on frames left out so far, and on buses matched by order."""
         texts = [
             f"{self.path}: {count} frames of the bus {name} were left out" for name, count in self.left_out.items()
         ]
@@ -167,23 +167,23 @@ class BusMatch:
         for source, count in Counter(frames["source"][~there].tolist()).items():
             self.left_out[capture.buses[source]] += count
         rows = np.concatenate(([0], np.cumsum(there)))
-        last = int(rows[-1]) - 1  # a comment goes to the next frame that is left
+        last = int(rows[-1]) - 1  # a comment moves to the next remaining frame
         comments = [(min(int(rows[row]), last), text) for row, text in capture.comments if last >= 0]
         return replace(capture, frames=frames[there], comments=comments)
 
 
 def _by_number(name: str) -> tuple[list[str], list[int]]:
-    """Return what sorts can2 before can10."""
+    """Return a sort key that puts can2 before can10."""
     return re.split(r"\d+", name), [int(digits) for digits in re.findall(r"\d+", name)]
 
 
 def one_bus(capture: Capture, given: tuple[str, ...]) -> tuple[Capture, tuple[str, ...]]:
-    """Return the frames of one bus of a recording, where no rig is asked; and remarks.
+    """Return the frames of one bus of a recording without a rig; and remarks.
 
     Raises
     ------
     ChannelError
-        It has several buses, and none is named, or one that it does not have.
+        It has several buses and none is named, or it lacks the named one.
     """
     names = bus_names(capture)
     if not given and len(names) > 1:

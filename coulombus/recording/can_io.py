@@ -1,8 +1,8 @@
 """pcapng files for python-can's programs: ``can_logger -f run.pcapng``, ``can_player run.pcapng``,
 ``can_logconvert``.
 
-Found by the entry points ``can.io.message_writer`` and ``can.io.message_reader``, whose keys carry
-the dot. python-can loads every plug-in for each file it opens, of whatever kind, so the compiled
+python-can finds it by the entry points ``can.io.message_writer`` and ``can.io.message_reader``,
+whose keys include the dot. It loads every plug-in for each file of any kind, so the compiled
 modules are imported only for a pcapng file.
 """
 
@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 class PcapngMessageReader(MessageReader):
     """The frames of a pcapng file (link type SocketCAN) as python-can's messages; `channel` is the
-    interface's name where all end in a number, as python-can's writers take them, else its number.
+    interface's name if all names end in a number, as python-can's writers need, else its number.
 
     Raises
     ------
@@ -52,21 +52,21 @@ class PcapngMessageReader(MessageReader):
             yield message_of(t_ns / 1e9, can_id, length, data, channel=buses[source] if numbered else source)
 
     def stop(self) -> None:
-        """Nothing to do: the file was read as a whole."""
+        """Do nothing: the file was read as a whole."""
 
 
 class PcapngMessageWriter(SizedMessageWriter):
     """Write python-can's messages to a pcapng file that Wireshark and ``coulombus decode --rig R``
     read.
 
-    A file that exists is replaced, as python-can's own writers do. Messages are handed over in
-    batches of 0.1 s, so of a killed program no more than that is missing. CAN FD frames are left
-    out, counted (`skipped`) and told at the end.
+    A file that exists is replaced, as python-can's own writers do. Messages are written in batches
+    of 0.1 s, so a killed program loses no more than that. CAN FD frames are left out, counted
+    (`skipped`) and reported at the end.
 
     Raises
     ------
     coulombus.recording.pcapng_blocks.RecordingError
-        The file cannot be written, from here and from each message.
+        The file cannot be written (also raised by each message).
     ValueError
         Appending, which would need the old file's interfaces.
     """
@@ -100,7 +100,7 @@ class PcapngMessageWriter(SizedMessageWriter):
         self._count += 1
 
     def _number(self, channel: Any) -> int:
-        """Return the number of a bus' interface, which is added for the first message of the bus."""
+        """Return the number of a bus' interface; the first message of a bus adds it."""
         name = self._default if channel is None else f"can{channel}" if str(channel).isdigit() else str(channel)
         if name not in self._numbers:
             self._numbers[name] = self._writer.add_interface(name)
@@ -115,7 +115,7 @@ class PcapngMessageWriter(SizedMessageWriter):
         return self._writer.bytes
 
     def stop(self) -> None:
-        """Write what waits and close the file; may be called again."""
+        """Write pending messages and close the file; idempotent."""
         if self._stopped:
             return
         self._stopped = True

@@ -1,10 +1,10 @@
-"""Two recordings side by side: two runs, or a simulated run and the rig's.
+"""Compare two recordings: two runs, or a simulated run and the rig's.
 
-They are aligned by their phases: time counts from each phase's begin, and both are compared as
-long as both last. A value of the other recording at a sample's time is interpolated linearly; a
-word of bits is held. Without a tolerance everything must be equal: phases, numbers of samples, what
-comes before the first phase and after the last. With tolerances the phases alone are compared, and
-those signals alone are judged that have one.
+They are aligned by phase: time counts from the beginning of each phase, and the comparison ends
+with the shorter one. A value of the other recording at a sample's time is interpolated linearly; a
+word of bits is held. Without a tolerance everything must be equal: phases, numbers of samples, and
+the parts before the first phase and after the last. With tolerances only the phases are compared,
+and only signals with a tolerance are judged.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ __all__ = ["compare", "only_in"]
 Floats: TypeAlias = npt.NDArray[np.float64]
 NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
 ALL = ""
-"""The tolerance of every signal that has a unit."""
+"""Key of the tolerance for every signal with a unit."""
 NAMED = 4
-"""Signals that a sentence names before it counts the others."""
+"""Signals that a sentence names; the others are counted."""
 
 
 @dataclass(frozen=True)
 class _Span:
-    """A stretch that both have: where it is 0 in each, and from when to when, counted from there."""
+    """A common stretch: its time 0 in each recording, and its begin and end from there."""
 
     name: str
     zero: tuple[float, float]
@@ -64,21 +64,21 @@ def compare(
     a, b
         Recordings, as `read` takes them.
     tolerances
-        Signal's name or unit -> the largest difference that counts as equal; "": of every signal
-        that has a unit. Empty: everything must be equal.
+        Signal's name or unit -> largest difference that counts as equal; "": for every signal with
+        a unit. Empty mapping: everything must be equal.
     rig
-        Decode with this rig and not with the attached ones.
+        Decode with this rig instead of the attached ones.
     channel
         Which of the files' buses, as `read` takes it.
 
     Raises
     ------
     coulombus.recording.signals.UnknownSignal
-        A tolerance is for no signal of the recordings, and for no unit of theirs.
+        A tolerance names neither a signal nor a unit of the recordings.
     coulombus.rigs.rig.RigError, coulombus.recording.pcapng_blocks.PcapngError
         See `read`.
     coulombus.rigs.arguments.WrongCall
-        An argument is of a type that is not taken.
+        An argument has the wrong type.
     """
     a, b = (path_text(path, name, 'compare("a.pcapng", "b.pcapng")') for name, path in (("a", a), ("b", b)))
     _check_types(tolerances)
@@ -98,7 +98,7 @@ def compare(
         pair, labels, whole = _pair(first.signals[name], second.signals[name], spans)
         tolerance = _tolerance(name, "" if name in inside else units[name], tolerances)
         pairs[name] = pair
-        if tolerances:  # runs that last differently long are compared as long as both do
+        if tolerances:  # runs of different length are compared over the shorter one
             whole = bool(len(pair.t_s)) or not len(first.signals[name]) + len(second.signals[name])
         differences.append(_difference(name, units[name], pair, labels, tolerance, whole))
     equal = same or (
@@ -112,7 +112,7 @@ def compare(
 
 
 def _check_types(tolerances: Mapping[str, float]) -> None:
-    """Refuse what is no mapping of names to numbers."""
+    """Raise unless it is a mapping of names to numbers."""
     if isinstance(tolerances, Mapping):
         wrong = next(((key, value) for key, value in tolerances.items() if not _is_number(value)), None)
         if wrong is None:
@@ -153,13 +153,13 @@ def _only_in(recording: Recording, other: Recording) -> list[str]:
 
 
 def only_in(path: str, names: Sequence[str]) -> str:
-    """Return in words which signals one of two recordings has alone: the first few, and how many."""
+    """Return a sentence on signals of only one recording: the first few, and their number."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return f"only in {path}: {', '.join(names[:NAMED])}{more}"
 
 
 def _different(first: Recording, second: Recording) -> list[str]:
-    """Say in what else the recordings differ: rig, mode."""
+    """Return sentences on other differences: rig, mode."""
     remarks = []
     if first.rig.name != second.rig.name:
         remarks.append(f"recordings of different rigs: {first.rig.name} and {second.rig.name}")
@@ -172,7 +172,7 @@ def _different(first: Recording, second: Recording) -> list[str]:
 
 
 def _phases(recording: Recording) -> list[tuple[float, str]]:
-    """Return when phases begin, of all axes."""
+    """Return the beginnings of the phases of all axes."""
     return [
         (t, text)
         for t, text in recording.markers
@@ -181,7 +181,7 @@ def _phases(recording: Recording) -> list[tuple[float, str]]:
 
 
 def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_Span], list[str], list[str]]:
-    """Return the common stretches, sentences on phases that differ, and on lengths that do."""
+    """Return the common stretches, and sentences on differing phases and lengths."""
     marks = _phases(first), _phases(second)
     ends = [float(r.t_s.max(initial=0.0)) + 1.5e-9 for r in (first, second)]
     starts = [float(r.t_s.min(initial=np.inf)) for r in (first, second)]
@@ -216,8 +216,8 @@ def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_S
 
 
 def _pair(a: Series, b: Series, spans: list[_Span]) -> tuple[Pair, list[tuple[int, str]], bool]:
-    """Return both signals at the first one's times, where each span begins in them, and whether
-    both have as many samples in each.
+    """Return both signals at the first one's times, the beginning of each span in them, and whether
+    both have the same number of samples in each span.
     """
     parts, labels, whole, at = [], [], True, 0
     for span in spans:

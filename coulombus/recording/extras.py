@@ -1,4 +1,4 @@
-"""Libraries that only some uses of a recording need: the extra ``export``."""
+"""Optional libraries of the extra ``export``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class MissingExtra(CoulombusError, ImportError):
 
 
 def library(name: str, what: str) -> Any:
-    """Return the module `name`, which `what` needs.
+    """Import and return the module `name` for `what`.
 
     Raises
     ------

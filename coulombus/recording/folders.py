@@ -1,4 +1,4 @@
-"""Where the segments of recordings are: ``DIR/000007-20261122T200412Z/000001.pcapng``."""
+"""Folders of recording segments: ``DIR/000007-20261122T200412Z/000001.pcapng``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 __all__ = ["RUN", "SEGMENT", "runs", "segments", "segments_of"]
 
 RUN = re.compile(r"\d{6}-\d{8}T\d{6}Z")
-"""The name of a run's folder: its number, and when it began."""
+"""The name of a run's folder: its number and start time."""
 SEGMENT = re.compile(r"\d{6}\.pcapng")
 
 
@@ -21,9 +21,7 @@ def runs(folder: Path) -> list[Path]:
 
 
 def segments(folder: Path) -> list[Path]:
-    """Return the segments of a run, or of the newest run in a folder that has any, in their order;
-    none where there are none.
-    """
+    """Return the segments of a run, or of the newest run with segments in a folder, in order; empty if there are none."""
     for run in (folder, *reversed(runs(folder))):
         paths = segments_of(run)
         if paths:
@@ -32,7 +30,7 @@ def segments(folder: Path) -> list[Path]:
 
 
 def segments_of(run: Path) -> list[Path]:
-    """Return the segments of a run in their order."""
+    """Return the segments of a run in order."""
     try:
         return sorted(path for path in run.iterdir() if SEGMENT.fullmatch(path.name))
     except OSError:

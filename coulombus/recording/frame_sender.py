@@ -1,6 +1,6 @@
-"""Who sent a recorded frame: a node, or the host.
+"""The sender of a recorded frame: a node, or the host.
 
-The frame does not tell; its identifier does, by the rig or by CiA 301's predefined set.
+It follows from the identifier, by the rig or by CiA 301's predefined connection set.
 """
 
 from __future__ import annotations
@@ -20,17 +20,16 @@ FROM_NODES = (
     *(CobId.EMCY, CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4),
     *(CobId.SDO_TX, CobId.HEARTBEAT),
 )
-"""Function codes of what a node sends: EMCY, TPDO1 to 4, SDO response, heartbeat (CiA 301, 7.3.3).
+"""Function codes of a node's frames: EMCY, TPDO1 to 4, SDO response, heartbeat (CiA 301, 7.3.3).
 """
 TO_NODES = (CobId.RPDO1, CobId.RPDO2, CobId.RPDO3, CobId.RPDO4, CobId.SDO_RX)
 """RPDO1 to 4, SDO request."""
 
 
 def senders(can_ids: npt.NDArray[np.int64], rig: Rig | None = None) -> npt.NDArray[np.int64]:
-    """Return the node id of each frame's sender, 0 for the host, -1 where the identifier (with
-    flags) tells nothing.
+    """Return the node id of each frame's sender from the identifiers (with flags): 0 for the host, -1 if unknown.
 
-    A remote frame is a request (node guarding, a PDO that is asked for): the host's.
+    A remote frame is a request of the host (node guarding, a requested PDO).
     """
     table = np.full(0x800, NOBODY, np.int64)
     nodes = np.arange(1, 128)
@@ -50,7 +49,7 @@ def senders(can_ids: npt.NDArray[np.int64], rig: Rig | None = None) -> npt.NDArr
 
 
 def rig_of(path: str, name: str | None) -> Rig | None:
-    """Return the rig of that name, or else the one attached to a recording; None without both."""
+    """Return the rig of that name, else the rig attached to a recording, else None."""
     if name is not None:
         return load_rig(name)
     if not path.endswith(".pcapng"):

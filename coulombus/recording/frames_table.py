@@ -1,4 +1,4 @@
-"""A recording as pandas' table or xarray's dataset (the extra ``export``)."""
+"""Convert a recording to a pandas DataFrame or an xarray Dataset (the extra ``export``)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["to_pandas", "to_xarray"]
 def _gathered(
     source: Readable, signals: Sequence[str] | None, grid_s: float | None
 ) -> list[tuple[Group, Array, Array, list[Array]]]:
-    """Return for each group its rows' places, times [s] and values."""
+    """Return the places, times [s] and values of each group's rows."""
     if grid_s is not None and (not isinstance(grid_s, Real) or isinstance(grid_s, bool)):
         raise WrongCall(f"grid_s is {grid_s!r}: expected a number of seconds, as in grid_s=0.001")
     grid_ns = None if grid_s is None else round(grid_s * 1e9)

@@ -1,8 +1,8 @@
-"""What the host keeps to itself, as frames of a second interface of the recording.
+"""Internal values of the host, as frames of a second interface of the recording.
 
-After each cycle the host tells of each axis what no PDO tells: what it does, which limits acted, and
-the law's output and state. The frames never were on the bus. In the file they stand on an interface
-of their own, `HOST_INTERFACE`, with extended identifiers that no bus of a rig has::
+After each cycle the host reports values of each axis that no PDO carries: its phase, the active
+limits, and the law's output and state. The frames were never on the bus. In the file they have a
+separate interface, `HOST_INTERFACE`, with extended identifiers that no bus of a rig uses::
 
     1FC00000h + 16 * axis     byte 0        1      2      3      4      5      6         7
                               phase  trip   limits        gain          stuck  position_age
@@ -11,8 +11,8 @@ of their own, `HOST_INTERFACE`, with extended identifiers that no bus of a rig h
                          + 3  and further: two numbers (real32) each of what the law keeps;
                               of an odd number the last frame has one, and 4 bytes
 
-The names of what the law keeps are attached (`NAME`): a JSON list of texts. So the recording tells
-all of it by itself, and `read` has it as signals: ``host.phase``, ``host.law_Nm``.
+The names of the law's state are attached (`NAME`): a JSON list of strings. The recording is thus
+self-contained, and `read` has the values as signals: ``host.phase``, ``host.law_Nm``.
 """
 
 from __future__ import annotations
@@ -46,31 +46,31 @@ __all__ = [
 ]
 
 NAME = "host.inside"
-"""The attachment with the names of what the law keeps."""
+"""The attachment with the names of the law's state."""
 NODE = "host"
-"""What the signals' names begin with, behind the axis."""
+"""Prefix of the signals' names, after the axis."""
 FIRST = CAN_EFF_FLAG | 0x1FC00000
 """Identifier of the first axis' first frame."""
 PER_AXIS = 16
 """Identifiers of each axis."""
 MOST_FRAMES = 3 + 8
-"""Frames of an axis in a cycle: a law keeps 16 numbers at most."""
+"""Maximum frames of an axis per cycle: a law has at most 16 state numbers."""
 GAIN = 1e-4
-"""What one count of the gain is."""
+"""Value of one count of the gain."""
 PHASE_RUN = 5
 """``host.phase`` while the law is displayed (`host.cycle.records.Phase.RUN`)."""
 
 
 class Limit(IntEnum):
-    """What acted in a cycle: bits of ``host.limits``."""
+    """Active limits of a cycle: bits of ``host.limits``."""
 
-    TORQUE_CLIPPED = 1  # the motor's torque was more than its limit
+    TORQUE_CLIPPED = 1  # the motor's torque exceeded its limit
     TORQUE_SLOWED = 2  # ... was held back by its rate, or near the speed limit
-    BY_DRIVE = 4  # the drive told of a limit of its own
-    SETPOINT_CLIPPED = 8  # the brake's set-point was more than its limit
+    BY_DRIVE = 4  # the drive reported an internal limit
+    SETPOINT_CLIPPED = 8  # the brake's set-point exceeded its limit
     SETPOINT_NEGATIVE = 16
     COMPENSATION_WITHHELD = 32  # the observer let the motor give less than its compensation
-    TPDO_MISSED = 64  # a TPDO that comes in every cycle did not come
+    TPDO_MISSED = 64  # a cyclic TPDO was missing
     DEADMAN_OPEN = 128
 
 
@@ -101,7 +101,7 @@ HEAD: tuple[tuple[_Field, ...], ...] = (
 
 
 def inside_attachment(law_state: Sequence[tuple[str, int]]) -> dict[str, bytes]:
-    """Return the attachment of a law that keeps so many numbers by these names."""
+    """Return the attachment for a law's state: number of values and their names."""
     names = [name if size == 1 else _numbered(name, k + 1) for name, size in law_state for k in range(size)]
     return {NAME: json.dumps(names).encode()}
 
@@ -113,7 +113,7 @@ def _numbered(name: str, k: int) -> str:
 
 
 def inside_pdos(rig: Rig, attached: bytes | None) -> tuple[RigPdo, ...]:
-    """Return what the host of `rig` tells in its frames, by the attachment; nothing without it."""
+    """Return the PDOs of the host's frames for `rig`, by the attachment; empty without it."""
     if attached is None:
         return ()
     try:
@@ -151,7 +151,7 @@ def _pdo(rig: Rig, prefix: str, first: int, number: int, fields: tuple[_Field, .
 
 
 def of_axis(pdos: Sequence[RigPdo], axis: str) -> tuple[RigPdo, ...]:
-    """Return those of an axis, by their plain names."""
+    """Return the PDOs of an axis, with plain names."""
     before = f"{axis}."
     return tuple(
         replace(

@@ -1,8 +1,8 @@
-"""Logs of other tools: which format a file has, and its frames.
+"""Logs of other tools: detect the format and read the frames.
 
-A format is known by its content, and else by the file's name. candump's, .asc, .trc, .csv and .blf
-are read here (`recording.logs`), .mf4 with asammdf, and what is left by python-can's registry, in
-which plug-ins have their place. Each may be compressed with gzip.
+The format follows from the content, else from the file's name. candump's, .asc, .trc, .csv and .blf
+are read here (`recording.logs`), .mf4 with asammdf, other formats by python-can's registry, which
+includes plug-ins. Each may be compressed with gzip.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from coulombus.wire.frame import Records
 __all__ = ["EXPECTED", "WALL_CLOCK_NS", "LogContent", "LogError", "is_log", "is_pcapng", "read_log"]
 
 TEXTS: dict[str, Callable[[], LineFormat]] = {".log": CandumpRows, ".asc": AscRows, ".trc": TrcRows, ".csv": CsvRows}
-"""Formats of lines, by the ending of their names."""
+"""Line-based formats by file suffix."""
 LOGS = (*TEXTS, ".blf", ".mf4", ".db")
 EXPECTED = "a pcapng file, or another tool's log: candump's .log, .asc, .blf, .trc, .csv, .mf4, .db"
 SNIFFED, SNIFFED_LINES = 1 << 13, 40
 ASC_HEADS = ("date ", "base hex", "base dec")
 WALL_CLOCK_NS = 10**17
-"""Stamps beyond this (1973) are a clock's; smaller ones count from the run's start."""
+"""Stamps beyond this (1973) are wall-clock times; smaller ones count from the run's start."""
 
 
 class LogError(CoulombusError):
-    """The file cannot be read; the text says where and why."""
+    """The file cannot be read; the text has the place and the reason."""
 
     exit_status = 2
 
 
 @dataclass(frozen=True)
 class LogContent:
-    """What a log holds: frames, whose `source` is a number in `buses`, the names of the buses in the
-    order of their first frames, and sentences on what was left out.
+    """Content of a log: frames, whose `source` is an index into `buses`; the names of the buses in
+    the order of their first frames; and sentences on omitted rows.
     """
 
     frames: Records
@@ -52,25 +52,21 @@ class LogContent:
 
 
 def is_pcapng(path: str | Path) -> bool:
-    """Tell whether a file begins as a pcapng file does; OSError where it is none, but a pipe or a
-    device.
-    """
+    """Return whether a file begins like pcapng; raise OSError for a pipe or a device."""
     require_regular(path)
     with Path(path).open("rb") as file, naming(path):
         return file.read(4) == b"\x0a\x0d\x0d\x0a"
 
 
 def is_log(path: str | Path) -> bool:
-    """Tell whether a file is one for `read_log`, by its content or else by its name, and no pcapng
-    file.
-    """
+    """Return whether a file is for `read_log`, by its content or else its name, and not pcapng."""
     return not Path(path).is_dir() and not is_pcapng(path) and bool(_kind(path))
 
 
 def read_log(path: str | Path) -> LogContent:
     """Return the frames of another tool's log.
 
-    Frames, and the rows (objects, bytes) that the remarks tell, are together what the file has.
+    Frames, and the rows (objects, bytes) counted in the remarks, add up to the whole file.
 
     Raises
     ------
@@ -122,7 +118,7 @@ def _packed(path: str | Path) -> bool:
 
 
 def _kind(path: str | Path) -> str:
-    """Return a format as the ending of its names; "" of a file that is none."""
+    """Return a format by its suffix; "" for an unknown file."""
     with Content(path) as content:
         start = content.read(SNIFFED)
     if start.startswith(blf.MAGIC):
@@ -152,4 +148,4 @@ MARKS: dict[str, Callable[[str], bool]] = {
     ".csv": lambda line: line == HEAD,
     ".log": _is_frame_of_candump,
 }
-"""Formats of lines -> whether a line among the first shows it."""
+"""Line-based formats -> whether one of the first lines has the format."""

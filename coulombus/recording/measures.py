@@ -1,14 +1,14 @@
-"""The figures that tell a chattering display from a still one, all computed from a recording alone.
+"""Figures that distinguish a chattering display from a steady one, computed from a recording alone.
 
-Velocity is the backward difference of the decoded 6064h at the handle, unfiltered. The windows are
-those of the markers that the recording carries: the hold from 0.8 s after it begins to 0.02 s
-before it ends, and of the stroke each dwell from 0.35 s to 0.95 s.
+Velocity is the backward difference of the decoded 6064h at the handle, unfiltered. The recording's
+markers give the windows: the hold from 0.8 s after its beginning to 0.02 s before its end, and each
+dwell of the stroke from 0.35 s to 0.95 s.
 
-A recording is gone through twice, for its phases and for its figures, block by block
-(`recording.reading.blocks`): the memory does not grow with it. Counts, flips and peaks are the same
-in any blocks, bit for bit. An RMS is the root of a sum of the blocks' sums, and the spectrum a mean
-of their means: against one sum over everything they are rounded differently, by less than 1e-12 of
-their value.
+A recording is read twice, for its phases and for its figures, block by block
+(`recording.reading.blocks`), so the memory is bounded. Counts, flips and peaks do not depend on the
+blocks, bit for bit. An RMS is the root of a sum of the blocks' sums, and the spectrum a mean of
+their means: compared with one sum over everything, rounding differs by less than 1e-12 of their
+value.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Window: TypeAlias = tuple[float, float]
 
 MEASURED = ("motor.position_rad", "motor.target_torque_Nm", "brake.handle_torque_Nm")
-"""The signals of an axis that figures are computed from."""
+"""The signals of an axis from which figures are computed."""
 
 HOLD_LEAD_S, HOLD_TAIL_S = 0.8, 0.02
 STICK_WINDOW_S = (0.35, 0.95)
@@ -47,9 +47,7 @@ SPECTRUM_SAMPLES = 512
 
 @dataclass(frozen=True)
 class PhaseSpan:
-    """One phase of the operator's schedule, as the recording's markers tell it; `index` is its
-    place in the rig file.
-    """
+    """One phase of the operator's schedule, from the recording's markers; `index` is its place in the rig file."""
 
     index: int
     kind: str
@@ -59,7 +57,7 @@ class PhaseSpan:
 
 @dataclass(frozen=True)
 class Measures:
-    """Figures of one recording; None where the recording has no marker (or no data) for it."""
+    """Figures of one recording; None without a marker or data for the figure."""
 
     hold_velocity_rms_rad_s: float | None = None
     hold_counts_p2p: int | None = None
@@ -70,9 +68,7 @@ class Measures:
     window.
     """
     hold_push_Nm: float | None = None
-    """Largest handle torque that the transducer shows in the hold window; None of a rig without
-    one.
-    """
+    """Largest handle torque of the transducer in the hold window; None without a transducer."""
 
 
 def phases(recording: Source) -> list[PhaseSpan]:
@@ -85,23 +81,19 @@ def phases(recording: Source) -> list[PhaseSpan]:
     for block in recording:
         begins += [(t, text.removeprefix("phase ")) for t, text in block.markers if text.startswith("phase ")]
         end = max([end, *block["motor.position_rad"].t_s[-1:].tolist()])
-    ends = ([t for t, _ in begins[1:]] + [end])[: len(begins)]  # none where nothing was displayed
+    ends = ([t for t, _ in begins[1:]] + [end])[: len(begins)]  # empty if nothing was displayed
     spans = zip(range(len(begins)), begins, ends, strict=True)
     return [PhaseSpan(i, kind, t, min(after, end)) for i, (t, kind), after in spans if kind != "end"]
 
 
 def velocity(t_s: Floats, angle_rad: Floats, period_s: float) -> tuple[Floats, Floats]:
-    """Return times [s] and backward difference [rad/s] of the angle; a gap of several periods is
-    divided by its whole periods.
-    """
+    """Return times [s] and backward difference [rad/s] of the angle; a gap is divided by its number of whole periods."""
     periods = np.maximum(np.rint(np.diff(t_s) / period_s), 1.0)
     return t_s[1:], np.diff(angle_rad) / (periods * period_s)
 
 
 def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], list[Window]]:
-    """Return the hold windows and the stick windows [s]; a stick window ends with its dwell at the
-    latest.
-    """
+    """Return the hold windows and the stick windows [s]; a stick window ends no later than its dwell."""
     holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind == "hold"]
     sticks = []
     for span in spans:
@@ -116,9 +108,9 @@ def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], l
 
 
 def _inside(t: Floats, windows: list[Window]) -> npt.NDArray[np.bool_]:
-    """Tell which times are in one of the windows, which follow each other.
+    """Return which times are in one of the successive windows.
 
-    One that ends before it begins holds nothing.
+    A window that ends before it begins is empty.
     """
     edges = [edge for begin, end in windows if begin < end for edge in (begin, end)]
     inside: npt.NDArray[np.bool_] = np.searchsorted(edges, t, "right") % 2 == 1
@@ -126,7 +118,7 @@ def _inside(t: Floats, windows: list[Window]) -> npt.NDArray[np.bool_]:
 
 
 def measure(recording: Source) -> Measures:
-    """Return the figures of `recording`: all holds and all dwells together, were there several."""
+    """Return the figures of `recording`, over all holds and all dwells."""
     holds, sticks = _windows(recording, phases(recording))
     period = recording.rig.bus.period_s
     hold, stick, spectrum, flips = _MeanSquare(), _MeanSquare(), _Spectrum(period), _Flips()
@@ -172,7 +164,7 @@ class _MeanSquare:
 
     @property
     def root(self) -> float | None:
-        """The root of the mean square; None of nothing."""
+        """The root of the mean square; None without samples."""
         return float(np.sqrt(self.total / self.count)) if self.count else None
 
 
@@ -191,15 +183,13 @@ class _Flips:
 
 @dataclass
 class _Spectrum:
-    """Welch's averaged spectrum of what is added, in segments of `SPECTRUM_SAMPLES` that overlap by
-    half.
-    """
+    """Welch's averaged spectrum of the added samples, in segments of `SPECTRUM_SAMPLES` that overlap by half."""
 
     period_s: float
     frequency: Floats = field(default_factory=lambda: np.zeros(0))
     power: Any = 0.0
     rest: Floats = field(default_factory=lambda: np.zeros(0))
-    """What no segment has begun with yet."""
+    """Samples not yet at the start of a segment."""
 
     def add(self, values: Floats) -> None:
         self.rest = np.append(self.rest, values)
@@ -214,7 +204,7 @@ class _Spectrum:
     def peak_Hz(self) -> float:
         """The frequency of the largest mean.
 
-        Of fewer samples than a segment's, that of their spectrum.
+        With fewer samples than a segment, their own spectrum is used.
         """
         if not len(self.frequency):
             self.frequency, self.power = _welch(self.rest, self.period_s, len(self.rest))
@@ -222,7 +212,7 @@ class _Spectrum:
 
 
 def _welch(values: Floats, period_s: float, samples: int) -> tuple[Floats, Floats]:
-    r"""Return frequencies [Hz] and Welch's one-sided power density in segments of so many samples.
+    r"""Return frequencies [Hz] and Welch's one-sided power density in segments of this many samples.
 
     .. math:: P_k = \frac{2T}{\sum_n w_n^2}
               \left\langle\left|\sum_n w_n (v_n - \bar v)\,e^{-2\pi i k n / N}\right|^2\right\rangle

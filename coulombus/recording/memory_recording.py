@@ -1,8 +1,8 @@
-"""What a run's figures are computed from, in memory: of a run that nobody wants to keep.
+"""In-memory recording: only what the figures need.
 
-Of the frames only stamps and data words are kept, and only of the PDOs that figures are computed from
-(`recording.measures.MEASURED`): 48 bytes for each cycle of an axis. The figures are those of the
-recording, but for the rounding of sums over other blocks (`recording.measures`).
+Only stamps and data words of the PDOs with figures (`recording.measures.MEASURED`) are kept: 48
+bytes per cycle of an axis. The figures equal those of a file, except for rounding of sums over
+other blocks (`recording.measures`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Integers: TypeAlias = npt.NDArray[np.int64]
 
 
 class MeasuredFrames:
-    """Takes the frames and markers of a run of `rig`, as a `Recorder` does."""
+    """Collects the frames and markers of a run of `rig`, like a `Recorder`."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -37,12 +37,12 @@ class MeasuredFrames:
             for pdo in rig.pdos()
             if any(signal.key in MEASURED for signal in pdo.signals)
         }
-        """By identifier: the PDO, and of each batch the stamps and the data words of its frames."""
+        """By identifier: the PDO, and the stamps and data words of its frames per batch."""
         self._waiting = Markers()
         self._markers: list[tuple[float, str]] = []
 
     def mark(self, t_ns: int, text: str) -> None:
-        """Let the first frame at or after `t_ns` carry the comment `text`."""
+        """Attach the comment `text` to the first frame at or after `t_ns`."""
         self._waiting.add(t_ns, text)
 
     def write(self, frames: Records) -> None:
@@ -58,9 +58,7 @@ class MeasuredFrames:
             words.append(frames["word"][rows])
 
     def recordings(self) -> tuple[Recording, ...]:
-        """Return what was taken as each axis sees it (`Recording.axes`): the measured signals and the
-        markers, and no frame.
-        """
+        """Return each axis' view (`Recording.axes`): the measured signals and the markers, without frames."""
         names = self._rig.axis_names
         rigs = [self._rig.alone(name) for name in names] or [self._rig]
         return tuple(self._seen(name, rig) for name, rig in zip(names or ("",), rigs, strict=True))

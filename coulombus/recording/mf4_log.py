@@ -1,7 +1,7 @@
-"""python-can's reader of .mf4 logs, with the library that it needs.
+"""Enable python-can's reader of .mf4 logs.
 
-The verbs leave `asammdf` out when python-can is imported, as it takes most of a second
-(`coulombus.cli`). Who reads such a log gets it here.
+The verbs suppress `asammdf` when they import python-can, because it takes most of a second
+(`coulombus.cli`). This module loads it for a log that needs it.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ __all__ = ["ready"]
 
 
 def ready() -> None:
-    """Give python-can's reader its library, where that is installed."""
+    """Load the library of python-can's reader, if installed."""
     import can.io.mf4 as reader
 
     if vars(reader)["asammdf"] is None:
-        importlib.reload(reader)  # in its own namespace, in which the classes that were made look
+        importlib.reload(reader)  # in its own namespace, which existing classes use

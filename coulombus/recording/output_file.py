@@ -1,9 +1,8 @@
-"""How a file is written that the user has named: nothing that stands there is replaced, unless that
-was asked for.
+"""Write user-named files without overwriting existing ones, unless forced.
 
-`check` tells before anything is run; `open_new` and `new_file` hold it at the instant of writing,
-whatever another process does meanwhile. Named pipes and character devices (/dev/null, /dev/stdout)
-are no files and take what they get.
+`check` fails early; `open_new` and `new_file` enforce it at the instant of writing, against races
+with other processes. Named pipes and character devices (/dev/null, /dev/stdout) are always
+writable.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ FORCE = "choose another name, or replace it with --overwrite (in Python: force=T
 
 
 def is_stream(path: Path) -> bool:
-    """Tell whether a named pipe or a character device stands there."""
+    """Return whether the path is a named pipe or a character device."""
     try:
         mode = path.stat().st_mode
     except OSError:
@@ -33,7 +32,7 @@ def is_stream(path: Path) -> bool:
 
 
 def reason_against(path: Path, *, force: bool, remedy: str = FORCE) -> str | None:
-    """Return why the file cannot be written, None where it can."""
+    """Return the reason why the file cannot be written, or None."""
     if is_stream(path):
         return None if os.access(path, os.W_OK) else f"{path} cannot be written"
     parent = path.absolute().parent
@@ -49,7 +48,7 @@ def reason_against(path: Path, *, force: bool, remedy: str = FORCE) -> str | Non
 
 
 def check(path: Path, *, force: bool) -> None:
-    """Raise FileExistsError where a file stands that is not to be replaced."""
+    """Raise FileExistsError for an existing file that must not be overwritten."""
     if os.path.lexists(path) and not force and not is_stream(path):
         raise FileExistsError(17, f"exists; {FORCE}", str(path))
 
@@ -75,15 +74,15 @@ def open_new(path: Path, *, force: bool) -> int:
 
 @contextmanager
 def new_file(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield the name under which the file is to be written.
+    """Yield a temporary name for writing the file.
 
-    At the end of the block it gets its own, as a whole or not at all. What killed processes have
-    left unfinished in its folder is removed.
+    At the end of the block the file is renamed atomically. Unfinished files of killed processes in
+    its folder are removed.
 
     Raises
     ------
     FileExistsError
-        It came to exist meanwhile, and `force` was not given.
+        It was created meanwhile, and `force` was not given.
     OSError
     """
     check(path, force=force)

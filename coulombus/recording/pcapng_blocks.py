@@ -1,5 +1,4 @@
-"""The pieces of a pcapng file (draft-ietf-opsawg-pcapng): blocks, options, our attachment block,
-and the errors.
+"""Parts of a pcapng file (draft-ietf-opsawg-pcapng): blocks, options, coulombus' attachment block, errors.
 
 Every block is ``type, total length, body, total length``, in multiples of four bytes, in its
 section's byte order::
@@ -67,9 +66,9 @@ IF_NAME = 2
 IF_TSRESOL = 9
 IF_TSOFFSET = 14
 OWN_APPLICATION = "coulombus"
-"""In the section header of our recordings."""
+"""Application in the section header of coulombus' recordings."""
 HOST_INTERFACE = "coulombus-host"
-"""Name of the interface whose frames were on no bus: what the host tells of itself (`recording.host_telemetry`)."""
+"""Name of the interface of the host's telemetry, whose frames were on no bus (`recording.host_telemetry`)."""
 SOURCE_INSIDE = -2
 """`source` of these frames in a log."""
 
@@ -81,7 +80,7 @@ OTHER_FORMATS = {
     "1f8b": "compressed with gzip: unpack it with 'gunzip'",
     "28b52ffd": "compressed with zstd: unpack it with 'unzstd'",
 }
-"""First bytes of a file that is no pcapng -> what it is."""
+"""First bytes of other file formats -> their names."""
 KINDS = (INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)
 KNOWN_BLOCK = {
     order: re.compile(b"|".join(re.escape(struct.pack(order + "I", kind)) for kind in KINDS)) for order in "<>"
@@ -93,16 +92,16 @@ ATTACHMENT_MAGIC = b"CoulAtt1"
 class PcapngError(CoulombusError):
     """The file is not a pcapng recording that can be read.
 
-    The text names file, offset, what is wrong, what to do.
+    The text has file, offset, problem and remedy.
     """
 
     exit_status = 2
 
 
 class RecordingError(CoulombusError, OSError):
-    """The recording cannot be written any further (disk full, limit reached).
+    """The recording cannot be continued (disk full, limit reached).
 
-    What was written stays readable.
+    The part already written stays readable.
     """
 
     exit_status = 2
@@ -116,14 +115,14 @@ def block(kind: int, body: bytes) -> bytes:
 
 
 def option(code: int, value: bytes) -> bytes:
-    """Return one little-endian option, padded; `value` ends at 65,535 bytes."""
+    """Return one little-endian option, padded; `value` is truncated to 65,535 bytes."""
     if len(value) > MAX_OPTION:
         raise ValueError(f"{len(value)} bytes of text: a pcapng option ends at {MAX_OPTION}; attach it instead")
     return struct.pack("<HH", code, len(value)) + value + bytes(-len(value) % 4)
 
 
 def iter_options(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Yield (code, value) of the options in `data`; a torn last one ends the walk.
+    """Yield (code, value) of the options in `data`; an incomplete last option ends the iteration.
 
     `order` is "<" or ">".
     """
@@ -154,14 +153,13 @@ def attachment_block(name: str, content: bytes) -> bytes:
 
 
 class TooLarge:
-    """What stands for an attachment that has more bytes than were allowed."""
+    """Placeholder for an attachment that is too large."""
 
 
 def read_attachment(body: bytes, most: int = 4 * MAX_BLOCK) -> tuple[str, bytes] | str | TooLarge | None:
-    """Return name and content of an attachment; a sentence where it is damaged; None where it is
-    not one of ours.
+    """Return name and content of an attachment; a sentence if it is damaged; None if it is not coulombus'.
 
-    One that has more than `most` bytes, uncompressed, is `TooLarge`, and is not unpacked.
+    An attachment of more than `most` bytes, uncompressed, is `TooLarge` and stays packed.
     """
     if len(body) < ATTACHMENT_HEAD.size or not body.startswith(ATTACHMENT_MAGIC):
         return None
@@ -180,7 +178,7 @@ def read_attachment(body: bytes, most: int = 4 * MAX_BLOCK) -> tuple[str, bytes]
 
 
 def next_block(data: bytes, begin: int, order: str, longest: int) -> int | None:
-    """Return where the first whole block of a known type begins in `data`, from byte `begin` on; it
+    """Return the offset of the first complete block of a known type in `data` from byte `begin`; it
     has at most `longest` bytes.
     """
     for match in KNOWN_BLOCK[order].finditer(data, begin):

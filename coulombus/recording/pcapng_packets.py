@@ -25,7 +25,7 @@ NS = 1_000_000_000
 
 
 class BadPacketError(Exception):
-    """A packet before any interface: its `offset` in the file, and `what` is wrong."""
+    """A packet before any interface: its `offset` in the file, and the problem (`what`)."""
 
     def __init__(self, offset: int, what: str) -> None:
         super().__init__(what)
@@ -42,14 +42,15 @@ class Interface:
     resolution: int = 6
     offset_s: int = 0
     inside: bool = False
-    """Its frames were on no bus."""
+    """Whether its frames were on no bus."""
     name: str = ""
 
 
 @dataclass(frozen=True)
 class Packets:
-    """The classical CAN frames among some packets; `options` are (row of `frames`, first byte, end)
-    in the file, `damaged` (offset, what is wrong) of the packets that cannot be.
+    """The classical CAN frames of packets.
+
+    `options`: (row of `frames`, first byte, end) in the file. `damaged`: (offset, problem) of undecodable packets.
     """
 
     frames: Records
@@ -66,8 +67,8 @@ def column(words: Words, at: Integers, order: str) -> Integers:
 def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[Interface], earlier: int) -> Packets:
     """Decode the enhanced packet blocks that begin at the words `at`.
 
-    What is no classical CAN frame is left out. So are damaged packets: lengths that do not agree,
-    an interface that is not described, a stamp beyond 64 bits of nanoseconds.
+    Packets other than classical CAN frames are omitted, and so are damaged ones: inconsistent
+    lengths, an undescribed interface, a stamp beyond 64 bits of nanoseconds.
 
     `earlier` is added to the interface's number for the frames' `source`.
 
@@ -119,7 +120,7 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
 
 
 def _stamps_ns(words: Words, at: Integers, order: str, description: Interface) -> tuple[Integers, dict[int, str]]:
-    """Return the stamps, and of those that cannot be: row and what is wrong."""
+    """Return the stamps, and row and problem of the invalid ones."""
     high, low = column(words, at + 3, order), column(words, at + 4, order)
     base_ns = description.offset_s * NS
     scale = {9: 1, 6: 1000, 3: 1_000_000}.get(description.resolution)

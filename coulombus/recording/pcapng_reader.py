@@ -1,10 +1,9 @@
-"""Read pcapng files of link type 227: our recordings, and what dumpcap, tcpdump -w, editcap and the
-like leave.
+"""Read pcapng files of link type 227: coulombus' recordings, and those of dumpcap, tcpdump -w, editcap.
 
-A file is read `CHUNK` bytes at a time, so that its length costs no memory (`iter_pcapng`). A kernel
-walks from block to block, and packets are decoded as whole columns. Sections may have either byte
-order and any time resolution; captured packets may be 16 bytes (as the kernel gives them) or 8 +
-length.
+A file is read `CHUNK` bytes at a time, so that memory does not depend on its length
+(`iter_pcapng`). A kernel walks from block to block, and packets are decoded as whole columns.
+Sections may have either byte order and any time resolution; captured packets may be 16 bytes (as
+the kernel gives them) or 8 + length.
 """
 
 from __future__ import annotations
@@ -54,18 +53,16 @@ __all__ = ["Capture", "iter_pcapng", "read_pcapng"]
 CHUNK = 1 << 20
 """Bytes read at a time: 22,000 frames, 3.6 s of a rig with one axis at 1 kHz."""
 MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
-"""All attachments together have so many bytes at most, and 4 more for each byte of the file before
-them: a trace is shorter than its frames.
-"""
+"""Maximum bytes of all attachments, plus 4 per byte of the file before them: a trace is shorter than its frames."""
 BLOCKS = 1 << 15  # walked at a time
 RESUMED = 1 << 16
-"""Behind damage, the next block has so many bytes at most."""
+"""Maximum bytes of the next block after damage."""
 END, FULL, SECTION, BAD = range(4)
 
 
 @dataclass(frozen=True)
 class Capture:
-    """What a file holds, or a stretch of it.
+    """Content of a file or of a stretch of it.
 
     `frames` are records of `FRAME`: `t_ns` since 1970 (or since the run's start, in virtual time),
     `source` the number of the interface, in the file's order. `comments` are (row of `frames`,
@@ -81,20 +78,20 @@ class Capture:
     hardware: str = ""
     operating_system: str = ""
     torn: int = 0
-    """Bytes of an unfinished last block, which are left out; 0: the file ends with a whole block."""
+    """Bytes of an incomplete last block, which are omitted; 0: the file ends with a complete block."""
     skipped: int = 0
-    """Packets that are no classical CAN frames (other link types, CAN FD, cut ones)."""
+    """Packets other than classical CAN frames (other link types, CAN FD, truncated)."""
     warnings: tuple[str, ...] = ()
-    """Damaged blocks, packets and attachments, which are left out."""
+    """Damaged blocks, packets and attachments, which are omitted."""
     inside: Records = field(default_factory=lambda: np.zeros(0, FRAME))
-    """Frames that were on no bus: what the host tells of itself (`recording.host_telemetry`)."""
+    """Frames that were on no bus: the host's telemetry (`recording.host_telemetry`)."""
     buses: tuple[str, ...] = ("",)
-    """Name of the bus of each `source`, as the file has it; "" where an interface is none."""
+    """Name of the bus of each `source`, as in the file; "" for an interface without a bus."""
     channels: tuple[str, ...] | None = None
-    """The rig's bus of each `source` (`recording.bus_match`); None: the rig's only one."""
+    """The rig's bus of each `source` (`recording.bus_match`); None: the rig's only bus."""
 
     def frames_on(self, channel: str) -> npt.NDArray[np.bool_]:
-        """Tell of each frame whether it was on a bus of the rig."""
+        """Return whether each frame was on a bus of the rig."""
         if self.channels is None:
             return np.ones(len(self.frames), bool)
         numbers = [number for number, name in enumerate(self.channels) if name == channel]
@@ -108,14 +105,14 @@ class _Reader:
     data: bytes = b""
     words: Words = field(default_factory=lambda: np.zeros(0, np.uint32))
     base: int = 0
-    """Where `data` begins in the file."""
+    """Offset of `data` in the file."""
     order: str = "<"
     own: bool = False
-    """Whether the section is a recording of ours, whose times count from its own time 0."""
+    """Whether the section is a coulombus recording, whose times count from its own time 0."""
     interfaces: list[Interface] = field(default_factory=list)
     earlier: int = 0
     buses: list[str] = field(default_factory=list)
-    """Name of the bus of each interface, of all sections so far; "" where it is none."""
+    """Name of the bus of each interface, of all sections so far; "" without a bus."""
     linktypes: set[int] = field(default_factory=set)
     texts: dict[int, str] = field(default_factory=dict)
     # of this stretch
@@ -131,7 +128,7 @@ class _Reader:
     excessive: bool = False
 
     def more(self, at: int) -> bool:
-        """Leave the words before `at` behind and read on; return whether there was more."""
+        """Drop the words before `at` and read more; return whether there was more."""
         with naming(self.path):
             chunk = self.file.read(CHUNK)
         self.base += 4 * at
@@ -140,15 +137,13 @@ class _Reader:
         return bool(chunk)
 
     def leave(self, size: int) -> None:
-        """Leave the first bytes of `data` behind; the next block need not stand at a multiple of
-        four bytes.
-        """
+        """Drop the first bytes of `data`; the next block need not be aligned to four bytes."""
         self.base += size
         self.data = self.data[size:]
         self.words = np.frombuffer(self.data, "<u4", len(self.data) // 4)
 
     def take(self, torn: int = 0) -> Capture:
-        """Return the stretch that was read, and begin the next one."""
+        """Return the stretch just read, and begin the next."""
         capture = Capture(
             path=self.path,
             frames=np.concatenate(self.parts) if self.parts else np.zeros(0, FRAME),
@@ -170,19 +165,19 @@ class _Reader:
 
 
 def iter_pcapng(path: str | Path) -> Iterator[Capture]:
-    """Read a pcapng file of SocketCAN frames stretch by stretch: the memory does not grow with the
-    file. Of a folder (`recording.segments`) the segments of its newest run are read as one.
+    """Read a pcapng file of SocketCAN frames stretch by stretch, in bounded memory. For a folder
+    (`recording.segments`) the segments of its newest run are read as one file.
 
-    Each stretch has what stands in it; the section's texts are those read so far. Where a block is
-    damaged, reading goes on at the next whole one, and `Capture.warnings` has the bytes between
-    them. The last stretch, perhaps without a frame, tells of an unfinished last block, which is
-    left out (`Capture.torn`). A file that is still being written is read to its present end.
+    Each stretch has its own content; the section's texts are those read so far. After a damaged
+    block, reading continues at the next complete one, and `Capture.warnings` has the bytes between
+    them. The last stretch, perhaps without a frame, reports an incomplete last block, which is
+    omitted (`Capture.torn`). A file that is still being written is read to its present end.
 
     Raises
     ------
     PcapngError
-        The file is empty, of another format, has a damaged section header or interface, or holds
-        no CAN interface: at the stretch where that shows.
+        The file is empty, of another format, has a damaged section header or interface, or holds no
+        CAN interface; raised at the stretch concerned.
     OSError
         It cannot be opened or read.
     """
@@ -258,7 +253,7 @@ def _swapped(word: int) -> int:
 def _walk(words: Words, at: int, swap: int, offsets: Integers) -> tuple[int, int, int]:
     """Note where blocks begin (in words), from `at` on.
 
-    Return their number, where the walk stopped, and why.
+    Return their number, the stop position, and its reason.
     """
     size = words.shape[0]
     count = 0
@@ -300,7 +295,7 @@ def _check_start(reader: _Reader) -> None:
 
 
 def _damaged(reader: _Reader, start: int, what: str) -> PcapngError:
-    """Return the error of what stands at byte `start` of the reader's data."""
+    """Return the error for byte `start` of the reader's data."""
     offset = reader.base + start
     return PcapngError(
         f"{reader.path}: offset {offset}: {what}; the file is damaged there: "
@@ -319,7 +314,7 @@ def _what_is_bad(reader: _Reader, at: int) -> str:
 def _section(reader: _Reader, at: int) -> tuple[int, int]:
     """Take the section header at word `at`.
 
-    Return where the next block begins and FULL, `at` and END where more must be read first.
+    Return the next block's position and FULL, or `at` and END if more must be read first.
     """
     start = 4 * at
     if len(reader.data) < start + 12:
@@ -352,8 +347,8 @@ def _section(reader: _Reader, at: int) -> tuple[int, int]:
 
 
 def _resume(reader: _Reader, at: int, what: str) -> bool:
-    """Leave the damaged block at word `at` behind, up to the next whole block; return whether there
-    is one. If there is none, all bytes to the file's end are an unfinished block.
+    """Skip the damaged block at word `at` to the next complete block; return whether there is one.
+    Otherwise all bytes to the file's end are an incomplete block.
     """
     reader.leave(4 * at)
     offset, begin = reader.base, min(4, len(reader.data))
@@ -372,7 +367,7 @@ def _resume(reader: _Reader, at: int, what: str) -> bool:
 
 
 def _take(reader: _Reader, offsets: Integers) -> None:
-    """Decode the blocks at `offsets` (words): the few others one by one, the packets as columns."""
+    """Decode the blocks at `offsets` (words): packets as columns, other blocks singly."""
     kinds = column(reader.words, offsets, reader.order)
     for at, kind in zip(offsets[kinds != ENHANCED_PACKET].tolist(), kinds[kinds != ENHANCED_PACKET], strict=True):
         length = struct.unpack_from(reader.order + "I", reader.data, 4 * at + 4)[0]
@@ -417,7 +412,7 @@ def _take(reader: _Reader, offsets: Integers) -> None:
     reader.parts.append(frames)
     reader.skipped += len(packets) - len(decoded.frames) - len(decoded.damaged)
     for number, begin, end in decoded.options:
-        row = min(int(rows[number]), len(frames) - 1)  # a comment on what was on no bus goes to the frame behind it
+        row = min(int(rows[number]), len(frames) - 1)  # a comment on telemetry moves to the next frame
         if row < 0:
             continue
         for code, value in iter_options(reader.data[begin:end], reader.order):

@@ -1,8 +1,8 @@
 """Recordings: pcapng files of link type 227 (SocketCAN) with nanosecond stamps, as Wireshark reads
 them.
 
-Every `PcapngWriter.write` hands over whole blocks with one system call, so a killed process leaves
-a readable file. The file holds no clock reading and no machine's name: same input, same bytes.
+Every `PcapngWriter.write` writes complete blocks with one system call, so a killed process leaves a
+readable file. The file holds no clock reading and no host name: same input, same bytes.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ PACKET_BLOCK = np.dtype(
 
 @dataclass(frozen=True)
 class SectionTexts:
-    """Texts of a file's section (options of the Section Header Block); empty ones are left out."""
+    """Texts of a file's section (options of the Section Header Block); empty ones are omitted."""
 
     comment: str = ""
-    """Of the whole recording."""
+    """Comment on the whole recording."""
     application: str = OWN_APPLICATION
     hardware: str = ""
     operating_system: str = "Linux"
@@ -87,26 +87,26 @@ class PcapngWriter:
     path
         The file; a named pipe works too (``wireshark -k -i PIPE``).
     attachments
-        Name -> content, stored in front of the frames with its SHA-256.
+        Name -> content, stored before the frames with its SHA-256.
     epoch_ns
         Added to each frame's `t_ns`: nanoseconds from 1970 to the frames' time 0.
     started_ns
-        CLOCK_REALTIME at the frames' time 0, where that is known. The stamps stay what they are;
-        its whole seconds stand beside them (if_tsoffset), so that Wireshark shows the date. Of a
-        file of ours our reader leaves it out.
+        CLOCK_REALTIME at the frames' time 0, if known. The stamps are unchanged; its whole seconds
+        are stored as if_tsoffset, so that Wireshark shows the date. The reader ignores it in
+        coulombus' files.
     force
-        Replace a file that exists.
+        Overwrite an existing file.
     texts
-        What the section says of the recording and of who made it.
+        Texts on the recording and its application.
     interface
-        Name of the interface; an empty one is left out. None: all are added later (`add_interface`).
+        Name of the interface; an empty name is omitted. None: all are added later (`add_interface`).
     second
         Name of a second interface, for frames whose `source` is `SOURCE_INSIDE`.
 
     Raises
     ------
     RecordingError
-        The file cannot be opened or written, from here and from every later call but `close`.
+        The file cannot be opened or written; also raised by every later call but `close`.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class PcapngWriter:
             ) from error
         try:
             self._write(head)
-        except BaseException:  # without its head it is no recording, and would only be in the way of the next one
+        except BaseException:  # without its header it is no recording, and would block the next one
             os.close(self._fd)
             if not force and not is_stream(Path(self.path)):
                 with suppress(OSError):
@@ -160,10 +160,9 @@ class PcapngWriter:
         Raises
         ------
         RecordingError
-            Nothing of the batch, or its first whole blocks, stand in the file; nothing more is
-            written after that.
+            The file has none or only the first complete blocks of the batch; nothing more is written.
         ValueError
-            A row that does not exist, a stamp before 1970, a length beyond 8.
+            A row does not exist, a stamp is before 1970, or a length exceeds 8.
         """
         count = len(frames)
         if count > len(self._buffer):
@@ -189,7 +188,7 @@ class PcapngWriter:
         self.frames += count
 
     def add_interface(self, name: str) -> int:
-        """Add an interface; return its number, which frames of it have as their `source`.
+        """Add an interface; return its number, the `source` of its frames.
 
         Raises
         ------
@@ -205,15 +204,11 @@ class PcapngWriter:
         return self._interfaces - 1
 
     def attach(self, name: str, content: bytes) -> None:
-        """Add an attachment between the frames: what is known only now; RecordingError as from
-        `write`.
-        """
+        """Add an attachment between the frames, for data known only now; RecordingError as from `write`."""
         self._write(attachment_block(name, content))
 
     def flush(self) -> None:
-        """Ask the kernel to bring the file to the disk (a power cut; a killed process needs no
-        flush).
-        """
+        """Sync the file to disk (against a power cut; a killed process needs no flush)."""
         try:
             os.fsync(self._fd)
         except OSError as error:
@@ -225,7 +220,7 @@ class PcapngWriter:
         return self._fd
 
     def close(self) -> None:
-        """Close the file; may be called again."""
+        """Close the file; idempotent."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             try:
@@ -249,10 +244,10 @@ class PcapngWriter:
             raise ValueError(f"{self.path}: the recording is closed")
         rest = memoryview(data)
         try:
-            while rest:  # one call, but for a disk that is filling up, or a pipe
+            while rest:  # one call, unless the disk fills up or it is a pipe
                 rest = rest[os.write(self._fd, rest) :]
         except OSError as error:
-            if len(rest) < len(data):  # a torn block: cut it off, where the file system lets us
+            if len(rest) < len(data):  # a torn block: truncate it if possible
                 with suppress(OSError):
                     os.ftruncate(self._fd, self.bytes)
             raise self._fail(error) from error
@@ -296,7 +291,7 @@ def _interface(name: str, offset_s: int) -> bytes:
 
 
 def _commented(blocks: Records, comments: Mapping[int, str]) -> bytes:
-    """Return the blocks' bytes, those of the rows in `comments` with an option behind them."""
+    """Return the blocks' bytes; rows in `comments` have a comment option."""
     if min(comments) < 0 or max(comments) >= len(blocks):
         raise ValueError(f"comments on rows {sorted(comments)}: this batch has {len(blocks)} frames, counted from 0")
     pieces, at = [], 0

@@ -1,6 +1,4 @@
-"""One PDO's signals out of recorded frames: a row for each frame, a column for each signal in SI
-units.
-"""
+"""Signals of a PDO from recorded frames: a row per frame, a column per signal in SI units."""
 
 from __future__ import annotations
 
@@ -27,8 +25,8 @@ Integers: TypeAlias = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class PdoTable:
     """The frames of one PDO: their rows in `Recording.frames`, their stamps, their places in the
-    file's order, and one column of SI values for each signal. What the host tells of itself
-    (`inside`) has its rows in `Capture.inside`.
+    file's order, and one column of SI values per signal. Rows of the host's telemetry (`inside`)
+    are rows in `Capture.inside`.
     """
 
     pdo: RigPdo
@@ -43,7 +41,7 @@ class PdoTable:
 
 
 def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig | None, before: Mapping[str, Turns]) -> PdoTable:
-    """Return the signals of a PDO in the frames, each position from where it was `before` on."""
+    """Return the signals of a PDO in the frames; positions continue from `before`."""
     layout = pdo.layout
     came = np.flatnonzero(can_ids == layout.cob_id)
     rows = came[frames["length"][came] == layout.length]
@@ -66,7 +64,7 @@ def rig_tables(capture: Capture, can_ids: Integers, rig: Rig, before: Mapping[st
 def bare_tables(
     frames: Records, can_ids: Integers, pdos: tuple[RigPdo, ...], begins: Mapping[int, int]
 ) -> Iterator[PdoTable]:
-    """Yield the signals of PDOs without a rig, each from the row on at which its map begins."""
+    """Yield the signals of PDOs without a rig, each from the first row of its map."""
     for pdo in pdos:
         ids = can_ids.copy()
         ids[: max(begins.get(pdo.layout.cob_id, 0), 0)] = -1
@@ -81,8 +79,8 @@ def signals_of(
     before: Mapping[str, Turns],
     keys: Collection[str] | None = None,
 ) -> tuple[list[tuple[Signal, Array]], dict[str, Turns]]:
-    """Return a PDO's signals, of these `keys` alone where they are given, with their values in the data
-    words that came at `t_ns`, and where its position was last.
+    """Return a PDO's signals with the values of the data words received at `t_ns`, and its last
+    position; `keys`: only these signals.
     """
     columns, turns = [], {}
     for entry, start, signal in zip(pdo.layout.entries, pdo.layout.starts, pdo.signals, strict=True):
@@ -98,7 +96,7 @@ def signals_of(
 
 
 def behind(table: PdoTable, bus_ns: Integers) -> PdoTable:
-    """Return a table of what the host tells: each row stands behind the bus' last frame before it."""
+    """Return a table of the host's telemetry: each row follows the last bus frame before it."""
     places: Integers = 2 * np.searchsorted(bus_ns, table.t_ns, "right") - 1
     return replace(table, order=places, inside=True)
 
@@ -110,9 +108,7 @@ def _si(raw: Array, signal: Signal) -> Array:
 
 
 def decode_field(words: Integers, start: int, entry: Entry) -> Array:
-    """Return the field that begins at bit `start` of each data word: integers, or numbers of an
-    IEEE 754 pattern.
-    """
+    """Return the field at bit `start` of each data word: integers, or IEEE 754 numbers."""
     left, right = 64 - start - entry.bits, 64 - entry.bits
     if entry.kind == "real":
         pattern = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)

@@ -1,4 +1,4 @@
-"""What tables and pictures ask of a recording, so that a recording may make both of itself."""
+"""Protocols that tables and plots need of a recording (breaks an import circle)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Block(Protocol):
 
     @property
     def capture(self) -> Capture:
-        """The file's content as it stands."""
+        """The file's raw content."""
 
     @property
     def frames(self) -> Records:
@@ -83,14 +83,14 @@ class Readable(Protocol):
 
     @property
     def known_rig(self) -> Rig | None:
-        """The rig whose PDOs these are; None: there is none."""
+        """The rig of these PDOs, or None."""
 
     @property
     def pdos(self) -> tuple[RigPdo, ...]:
-        """All that has signals: the rig's PDOs, and what the host tells of itself."""
+        """All PDOs with signals: the rig's, and the host's telemetry."""
 
     def __iter__(self) -> Iterator[Block]:
         """Yield the blocks."""
 
     def signal(self, name: str) -> Signal:
-        """Return what the rig says of a signal."""
+        """Return the rig's definition of a signal."""

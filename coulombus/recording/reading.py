@@ -1,12 +1,11 @@
-"""A recording read from its file: whole (`read`), or some seconds at a time (`blocks`).
+"""Read a recording from its file: whole (`read`), or some seconds at a time (`blocks`).
 
-What the bits mean comes from the rig file and the EDS files attached to the recording; of a file
-without them (candump's, Wireshark's, or one that editcap has rewritten) from the rig that is given,
-else from what the log tells of its PDOs (`recording.maps`).
+The meaning of the bits comes from the rig file and the EDS files attached to the recording. For a
+file without them (candump's, Wireshark's, or one rewritten by editcap) it comes from the given rig,
+else from the log itself (`recording.maps`).
 
-`read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes
-through the file without keeping it, a `Recording` of some seconds at a time; figures and rows come
-of that, in a memory that does not grow with the run.
+`read` keeps everything: 40 bytes per frame and about 8 for each of its signals. `blocks` streams
+the file, a `Recording` of some seconds at a time, so figures and rows need only bounded memory.
 """
 
 from __future__ import annotations
@@ -35,33 +34,31 @@ from coulombus.rigs.signals import RigPdo
 __all__ = ["Blocks", "blocks", "captures", "has_rig", "read"]
 
 RIG = "rig.toml"
-HOST = "host."  # begins the names of what only the host's replay reads: many, and no text
+HOST = "host."  # prefix of attachments that only the host's replay reads: many, and binary
 
 
 @dataclass
 class Blocks(Source):
-    """A recording that is not kept: each iteration goes through the file, a `Recording` of some
-    seconds at a time (see `blocks`).
-    """
+    """A streamed recording: each iteration reads the file, a `Recording` of some seconds at a time (see `blocks`)."""
 
     path: str
     known_rig: Rig | None
     remarks: tuple[str, ...] = field(default=(), init=False)
-    """As `Recording.remarks`, of the last iteration that came to its end."""
+    """As `Recording.remarks`, of the last completed iteration."""
 
     axis: str = ""
-    """The axis of `rig` whose view this is, with the signals' plain names; "": of all that it has.
+    """The axis of this view, with the signals' plain names; "": all axes.
     """
 
     inside: tuple[RigPdo, ...] = ()
     channel: tuple[str, ...] = ()
-    """Which of the file's buses, as `read` takes it."""
+    """Bus of the file, as `read` takes it."""
 
     recorded: str = ""
-    """The rig's bus of which the recording says that it is."""
+    """The rig's bus that the recording names."""
 
     maps: LogMaps | None = None
-    """Without a rig: what the log tells of its PDOs."""
+    """Without a rig: PDO maps learned from the log."""
 
     def __post_init__(self) -> None:
         self._whole = self.known_rig
@@ -89,7 +86,7 @@ class Blocks(Source):
         self.remarks = remarks_on(self.path, told, left_out)
 
     def seen_by(self, axis: str) -> Blocks:
-        """Return the recording as the axis of this name sees it, with the signals' plain names.
+        """Return the view of the axis of this name, with the signals' plain names.
 
         Markers of other axes are left out.
         """
@@ -107,9 +104,9 @@ def read(
 ) -> Recording:
     """Read a recording whole.
 
-    Without a rig, attached or given, nodes are numbers, and a signal is called by its PDO and
-    object, as ``"5.TPDO1.6064h:00"``, with raw values: as far as the log's SDO configuration, an
-    EDS file or a profile's defaults tell the maps.
+    Without an attached or given rig, nodes are numbers, and a signal is named by its PDO and
+    object, as ``"5.TPDO1.6064h:00"``, with raw values, if the map is known from SDO configuration
+    in the log, an EDS file or a profile's defaults.
 
     Parameters
     ----------
@@ -117,14 +114,12 @@ def read(
         A pcapng file of SocketCAN frames, a folder of segments (the newest run in it), or another
         tool's log (`recording.log_files`), which has no rig.
     rig
-        Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the
-        attached one.
+        Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) instead of the attached one.
     channel
-        Which bus of a file that has more of them than the rig: its name in the file, as ``"can0"``.
-        Of a rig with several buses ``"a=can0"``, or several of these (`recording.bus_match`).
+        Bus of a file with more buses than the rig: its name in the file, as ``"can0"``; for a rig
+        with several buses ``"a=can0"``, or several of these (`recording.bus_match`).
     eds
-        EDS files for a log without a rig: ``"5=drive.eds"``, or a folder of which each node takes
-        the file that fits its identity.
+        EDS files for a log without a rig: ``"5=drive.eds"``, or a folder whose files are matched by identity.
 
     Raises
     ------
@@ -133,11 +128,11 @@ def read(
     coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
         The file is damaged, or is of another kind.
     coulombus.recording.bus_match.ChannelError
-        The file has other buses than the rig, and `channel` does not say which are meant.
+        The file has other buses than the rig, and `channel` does not select them.
     coulombus.rigs.arguments.WrongCall
-        `path` is no file's name, or `rig` is neither a rig nor its name.
+        `path` is not a file's name, or `rig` is neither a rig nor its name.
     coulombus.eds.description.EdsError
-        A text of `eds` is neither, or its file cannot be read.
+        An entry of `eds` has neither form, or its file cannot be read.
     """
     path = path_text(path, "path", 'read("run.pcapng")')
     capture = next(captures(path)) if is_log(path) else read_pcapng(path)
@@ -160,19 +155,18 @@ def blocks(
     *,
     eds: Iterable[str] = (),
 ) -> Blocks:
-    """Return a recording to go through, as often as needed, in a memory that does not grow with it.
+    """Return a recording to iterate over, repeatedly, in bounded memory.
 
     Parameters and errors as `read`.
 
-    The file is read anew each time: it must stay as it is meanwhile, and a pipe is refused
-    (LogError).
+    The file is read anew each time: it must not change, and a pipe is refused (LogError).
     """
     path = path_text(path, "path", 'blocks("run.pcapng")')
     if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
     texts = channel_texts(channel)
     stretches = captures(path)
-    first = next(stretches)  # what the host tells of is attached in front
+    first = next(stretches)  # the description of the telemetry is attached first
     known = _attached_rig(chain([first], stretches)) if rig is None else _rig(rig)
     recorded = recorded_channel(first.attachments)
     if known is None:
@@ -183,7 +177,7 @@ def blocks(
 
 
 def has_rig(path: str | Path) -> bool:
-    """Tell whether a rig is attached to a recording, in front of its frames."""
+    """Return whether a rig is attached to a recording, before its frames."""
     for capture in () if is_log(path) else iter_pcapng(path):
         if RIG in capture.attachments or len(capture.frames):
             return RIG in capture.attachments
@@ -191,7 +185,7 @@ def has_rig(path: str | Path) -> bool:
 
 
 def captures(path: str | Path) -> Iterator[Capture]:
-    """Yield a pcapng file's stretches; a log of another tool is one."""
+    """Yield a pcapng file's stretches; another tool's log is a single stretch."""
     if is_log(path):
         log = read_log(path)
         return iter(
@@ -205,7 +199,7 @@ def captures(path: str | Path) -> Iterator[Capture]:
 
 
 def _inside(rig: Rig, recorded: str, attached: bytes | None) -> tuple[RigPdo, ...]:
-    """Return what the host of the recorded bus tells: it counts the axes on this bus."""
+    """Return the telemetry PDOs of the recorded bus' host: it numbers the axes of this bus."""
     return inside_pdos(rig.on(recorded) if recorded in rig.channels else rig, attached)
 
 
@@ -214,7 +208,7 @@ def _rig(rig: Rig | str | os.PathLike[str]) -> Rig:
 
 
 class _OneBus:
-    """Takes the one bus of a log without a rig, as `BusMatch` takes those of a rig."""
+    """Selects the bus of a log without a rig, like `BusMatch` with a rig."""
 
     def __init__(self, channel: tuple[str, ...]) -> None:
         self._channel = channel
@@ -224,7 +218,7 @@ class _OneBus:
         return one_bus(capture, self._channel)[0]
 
     def remarks(self) -> tuple[str, ...]:
-        """Return none: a bus that is left out was named."""
+        """Return no remarks: the user chose the bus."""
         return ()
 
 
@@ -233,7 +227,7 @@ def _match(path: str, rig: Rig | None, channel: tuple[str, ...], recorded: str) 
 
 
 def _learned(captures: Iterable[Capture], eds: Iterable[str]) -> LogMaps:
-    """Return the PDO maps that a log tells, learned some frames at a time: a map may change."""
+    """Return the PDO maps of a log, learned stepwise because a map may change."""
     maps = LogMaps(eds_files(eds))
     for capture in captures:
         for start in range(0, len(capture.frames), LEARNED):
@@ -242,12 +236,12 @@ def _learned(captures: Iterable[Capture], eds: Iterable[str]) -> LogMaps:
 
 
 def _begins(maps: LogMaps | None, pdos: Iterable[RigPdo], row: int) -> dict[int, int]:
-    """Return from which row of a stretch on each PDO has its map; the stretch begins at `row`."""
+    """Return the first row of each PDO's map in a stretch that begins at `row`."""
     return {} if maps is None else {pdo.layout.cob_id: maps.begin(pdo.layout.cob_id) - row for pdo in pdos}
 
 
 def _remaps(path: str, maps: LogMaps | None, pdos: Iterable[RigPdo]) -> Iterator[str]:
-    """Say which PDOs had another map before, whose frames are in no signal."""
+    """Return sentences on PDOs with an earlier map, whose frames are in no signal."""
     begins = _begins(maps, pdos, 0)
     for pdo in pdos:
         begin = begins.get(pdo.layout.cob_id, 0)
@@ -256,9 +250,7 @@ def _remaps(path: str, maps: LogMaps | None, pdos: Iterable[RigPdo]) -> Iterator
 
 
 def _attached_rig(captures: Iterable[Capture]) -> Rig | None:
-    """Return the rig attached to a recording, of which no more is read than its beginning; None where
-    none is.
-    """
+    """Return the rig attached to a recording, or None; only the beginning of the file is read."""
     texts: dict[str, str] = {}
     damage: list[str] = []
     frames = 0

@@ -1,7 +1,6 @@
-"""A run's recording: frames as they come, the rig, EDS files and the law attached, markers as
-comments of the frames that follow them.
+"""Record a run: frames as received; rig, EDS files and law attached; markers as comments of the next frames.
 
-What the host tells of itself (`recording.host_telemetry`) goes to a second interface of the file.
+The host's telemetry (`recording.host_telemetry`) goes to a second interface of the file.
 """
 
 from __future__ import annotations
@@ -25,15 +24,13 @@ from coulombus.wire.frame import Records
 __all__ = ["PACED", "About", "Markers", "Recorder", "project_version"]
 
 NO_LAW: Mapping[str, bytes] = MappingProxyType({})
-"""What a bus attaches of the law: nobody asked it for one."""
+"""Attachments of a bus, which has no law."""
 
 PACED = "paced"
-"""Attachment ``bus`` of a recording that the bus itself made in real time: no host was in its
-process.
-"""
+"""Attachment ``bus`` of a real-time recording made by the bus itself, without a host in its process."""
 
 TRACE_BATCH = 2000
-"""Rows, and frames, that an attachment of the trace tells of: some tenths of a second at 1 kHz."""
+"""Rows, and frames, per attachment of the trace: some tenths of a second at 1 kHz."""
 
 
 def project_version() -> str:
@@ -45,16 +42,14 @@ def project_version() -> str:
 
 
 class Markers:
-    """Markers that wait for their frames: each becomes the comment of the first one at or after its
-    time.
-    """
+    """Pending markers: each becomes the comment of the first frame at or after its time."""
 
     def __init__(self) -> None:
         self._waiting: list[tuple[int, int, str]] = []
         self._added = 0
 
     def add(self, t_ns: int, text: str) -> None:
-        """Take a marker."""
+        """Add a marker."""
         heapq.heappush(self._waiting, (t_ns, self._added, text))
         self._added += 1
 
@@ -74,18 +69,18 @@ class Markers:
 
 @dataclass(frozen=True)
 class About:
-    """What a recording says of its run, beside the rig and its EDS files."""
+    """Description of a run in its recording, besides the rig and its EDS files."""
 
     law: Mapping[str, bytes] = field(default_factory=lambda: NO_LAW)
     law_state: Sequence[tuple[str, int]] | None = None
-    """What the law keeps, by name and number; with it frames of `SOURCE_INSIDE` are taken, too."""
+    """Names and number of the law's state values; if given, frames of `SOURCE_INSIDE` are recorded, too."""
     bus: str = ""
     more: Mapping[str, bytes] = field(default_factory=lambda: NO_LAW)
     """Further attachments."""
     comment: str = ""
-    """Of the file."""
+    """Comment of the file."""
     started_ns: int = 0
-    """CLOCK_REALTIME at time 0; 0: there is none, as in virtual time."""
+    """CLOCK_REALTIME at time 0; 0: none, as in virtual time."""
 
 
 NOTHING_MORE = About()
@@ -98,8 +93,7 @@ class Recorder:
     Raises
     ------
     coulombus.recording.pcapng_blocks.RecordingError
-        the file cannot be written (from the constructor, `write` and `close`); what was written
-        before stays readable
+        the file cannot be written (from the constructor, `write` and `close`); the part already written stays readable
     """
 
     def __init__(
@@ -137,7 +131,7 @@ class Recorder:
         self._sent: list[Records] = []
 
     def _open(self, path: Path, *, force: bool = False) -> None:
-        """Begin a file: with everything attached, so that it can be read alone."""
+        """Begin a file with all attachments, so that it is self-contained."""
         self._writer = PcapngWriter(
             path,
             attachments=self._attachments,
@@ -153,7 +147,7 @@ class Recorder:
         self._writer.attach(name, content)
 
     def mark(self, t_ns: int, text: str) -> None:
-        """Let the first frame at or after `t_ns` carry the comment `text`."""
+        """Attach the comment `text` to the first frame at or after `t_ns`."""
         self._markers.add(t_ns, text)
 
     def write(self, frames: Records) -> None:
@@ -169,8 +163,8 @@ class Recorder:
         self._writer.write(frames, dict(zip(places, comments.values(), strict=True)))
 
     def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:
-        """Keep what `recording.trace` keeps: whether each frame of the batch just written was none
-        that the host received; rows; what it sent.
+        """Keep the data of `recording.trace`: for each frame of the batch just written, whether the
+        host did not receive it; rows; requested frames.
         """
         self._own.append(own)
         self._rows.append(rows)
@@ -189,12 +183,12 @@ class Recorder:
             self._sents += 1
 
     def _flush_trace(self) -> None:
-        """Write what is left of the trace."""
+        """Write the rest of the trace."""
         if self._rows:
             self._write_trace()
 
     def close(self) -> None:
-        """Write what is left and close the file."""
+        """Write the rest and close the file."""
         try:
             self._flush_trace()
         finally:

@@ -1,4 +1,4 @@
-"""What a reader of a recording is told in sentences: the file's warnings, and what was left out."""
+"""Remarks on a recording: the file's warnings, and omitted data."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterable
 __all__ = ["UNSURE", "remarks_on"]
 
 UNSURE = "unsure "
-"""Begins the names of positions with gaps in which they may have wrapped unseen."""
+"""Prefix of the names of positions that may have wrapped unseen in a gap."""
 
 
 def remarks_on(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
-    """Return what a reader is told: the file's warnings, and what was left out of it."""
+    """Return the remarks: the file's warnings, and omitted data."""
     texts = {
         "torn": "the last block is unfinished: {} bytes were left out",
         "skipped": "{} packets are no classical CAN frames and were left out",

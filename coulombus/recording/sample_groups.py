@@ -1,8 +1,8 @@
-"""A recording's signals, stretch by stretch, as the writers of tables take them.
+"""Signals of a recording, stretch by stretch, for the table writers.
 
 Signals of one PDO share their times: they are one `Group`. Without a grid each frame of a PDO is
-one row, which has this PDO's signals and nothing else. On a grid there is one group, a row for each
-instant, in which every signal has the last value that had come by then.
+one row with this PDO's signals. On a grid there is one group with a row per instant, in which every
+signal has the last value received by then.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
 
 GRID = "signals"
-"""The name of the one group that a grid has."""
+"""The name of a grid's only group."""
 EXAMPLE = "motor.position_rad"
-"""A signal, as the messages name one."""
+"""Example of a signal for messages."""
 MOST_ROWS = 1 << 16
-"""Of a grid at a time, however fine it is."""
+"""Maximum rows of a grid at a time."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A signal: its name as `read` has it, its unit, and whether it is a word of bits."""
+    """A signal: its name as in `read`, its unit, and whether it is a bit field."""
 
     name: str
     unit: str
@@ -78,14 +78,14 @@ class Stretch:
 
 def groups_of(source: Readable, names: Sequence[str] | None, grid_ns: int | None) -> tuple[Group, ...]:
     """Return the groups of the signals `names` (None: all), in the order of the rig's PDOs; on a
-    grid one, in the order of `names`.
+    grid a single group, in the order of `names`.
 
     Raises
     ------
     coulombus.recording.signals.UnknownSignal
         The recording's rig has no such signal.
     coulombus.rigs.arguments.WrongCall
-        `names` is no list of texts.
+        `names` is not a list of strings.
     """
     names = None if names is None else texts(names, "signals", EXAMPLE)
     for name in names or ():
@@ -105,7 +105,7 @@ def _column(signal: Signal) -> Column:
 
 
 def stretches(source: Readable, groups: tuple[Group, ...], grid_ns: int | None) -> Iterator[Stretch]:
-    """Go through the recording once."""
+    """Yield the stretches in one pass through the recording."""
     if grid_ns is None:
         for block in source:
             yield _as_it_came(block, groups)
@@ -131,21 +131,19 @@ def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
 
 
 class _Held:
-    """A signal's samples from the one that holds at the last instant on."""
+    """Samples of a signal, from the value valid at the last instant."""
 
     def __init__(self) -> None:
         self.t_ns = np.zeros(0, np.int64)
         self.values: Array = np.zeros(0)
 
     def add(self, t_ns: Integers, values: Array) -> None:
-        """Take the samples of a block."""
+        """Add the samples of a block."""
         self.t_ns = np.maximum.accumulate(np.append(self.t_ns, t_ns))
         self.values = np.append(self.values, values.astype(np.float64))
 
     def at(self, instants: Integers) -> Floats:
-        """Return the last value at each instant, NaN where there was none, and forget what no
-        later instant needs.
-        """
+        """Return the last value at each instant (NaN if none), and drop samples that no later instant needs."""
         last = np.searchsorted(self.t_ns, instants, "right") - 1
         values = np.append(self.values, np.nan)[last]
         if len(last) and last[-1] > 0:
@@ -158,7 +156,7 @@ def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:
     following, seen, until = None, 0, 0
 
     def rows(end_ns: int, markers: list[tuple[float, str]]) -> Iterator[Stretch]:
-        """Yield the instants before `end_ns` that are still to come, not too many at a time."""
+        """Yield the remaining instants before `end_ns`, in bounded batches."""
         nonlocal following, seen
         while True:
             first = following or 0

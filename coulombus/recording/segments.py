@@ -1,18 +1,17 @@
-"""A recording that goes on for months: a folder for each run, segments that each open alone, an
-index, and an end to what is kept.
+"""Long recordings: a folder per run, self-contained segments, an index, and a limit on kept data.
 
 ::
 
-    DIR/000007-20261122T200412Z/          the seventh run here; began then, as the clock said
+    DIR/000007-20261122T200412Z/          the seventh run here, with its start time
         000001.pcapng                     a whole recording: Wireshark and `read` open it alone
         000002.pcapng
         index.jsonl                       a line for each segment that begins, ends, or is removed
 
-The order is that of the numbers, whatever a clock that is set back says. A process that is killed
-leaves what it has written: each write hands over whole blocks. Room is reserved ahead, without a
-change of the file's length, so that a disk that is filling up is seen early; what was reserved is
-given back at the segment's end. A thread brings what is written to the disk every few seconds, as
-that may take longer than the host can wait.
+The numbers define the order, even if the clock is set back. A killed process leaves a readable
+file, because each write consists of complete blocks. Space is pre-allocated without a change of the
+file's length, so that a full disk is noticed early; the rest is freed at the segment's end. A
+thread syncs the files to disk every few seconds, because a sync may take longer than the host can
+wait.
 """
 
 from __future__ import annotations
@@ -57,12 +56,12 @@ _library = c_library()
 
 @dataclass(frozen=True)
 class Rotation:
-    """When a segment ends, and how much is kept.
+    """Limits of a segment, and of the kept data.
 
     Attributes
     ----------
-    most_bytes, most_s : a segment has so many bytes, or is so long, and then ends; None: no matter
-    keep_bytes : of all segments in the folder, the oldest are removed; None: all are kept
+    most_bytes, most_s : size and duration at which a segment ends; None: unlimited
+    keep_bytes : limit of all segments in the folder, beyond which the oldest are removed; None: unlimited
     """
 
     most_bytes: int | None = 100 * 10**6
@@ -91,12 +90,12 @@ def parse_rotation(text: str) -> Rotation:
 
 
 def reserve(fd: int, offset: int, length: int) -> None:
-    """Let the file system keep so much room for a file, whose length stays as it is.
+    """Pre-allocate space for a file without changing its length.
 
     Raises
     ------
     OSError
-        there is no room; a file system that reserves nothing is no error
+        there is no space; a file system without pre-allocation is no error
     """
     call = _library.fallocate64 if hasattr(_library, "fallocate64") else _library.fallocate
     if call(fd, FALLOC_FL_KEEP_SIZE, ctypes.c_int64(offset), ctypes.c_int64(length)) != 0:
@@ -106,7 +105,7 @@ def reserve(fd: int, offset: int, length: int) -> None:
 
 
 class _Flusher:
-    """Brings files to the disk in a thread of its own."""
+    """Syncs files to disk in a separate thread."""
 
     def __init__(self) -> None:
         self._orders: queue.Queue[int | None] = queue.Queue(2)
@@ -114,7 +113,7 @@ class _Flusher:
         self._thread.start()
 
     def flush(self, fd: int) -> None:
-        """Bring a file to the disk soon; where the last ones are not there yet, not at all."""
+        """Request a sync of a file; skipped if earlier ones are still pending."""
         own = -1
         try:
             own = os.dup(fd)
@@ -124,7 +123,7 @@ class _Flusher:
                 os.close(own)
 
     def close(self) -> None:
-        """Wait for what was ordered, a while."""
+        """Wait for pending requests, with a time limit."""
         with suppress(queue.Full):
             self._orders.put(None, timeout=END_S)
             self._thread.join(END_S)
@@ -137,12 +136,12 @@ class _Flusher:
 
 
 class SegmentedRecorder(Recorder):
-    """A `Recorder` that begins a new file when the present one is large or long enough.
+    """A `Recorder` that starts a new file when the present one reaches a limit.
 
     Parameters
     ----------
-    folder : where the run's own folder is made
-    about : with the time `started_ns`, of which the run's folder has its name
+    folder : parent of the run's folder
+    about : with the time `started_ns`, from which the run's folder is named
 
     Raises
     ------
@@ -166,7 +165,7 @@ class SegmentedRecorder(Recorder):
         self._index = -1
         try:
             self._index = os.open(self.run / INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
-            with suppress(OSError):  # a file system without locks: then nobody can tell that this run lives
+            with suppress(OSError):  # a file system without locks: the run cannot be detected as active
                 lock_file(self._index)
             room = os.statvfs(self.run)
             if room.f_bavail * room.f_frsize < 2 * self._step:
@@ -182,7 +181,7 @@ class SegmentedRecorder(Recorder):
         self._make_room()
 
     def _undo(self) -> None:
-        """Remove the folder of a run that could not begin."""
+        """Remove the folder of a run that failed to start."""
         if self._index >= 0:
             os.close(self._index)
         for path in (self.run / INDEX, *segments_of(self.run)):
@@ -196,9 +195,7 @@ class SegmentedRecorder(Recorder):
         return Path(self._writer.path)
 
     def write(self, frames: Records) -> None:
-        """Append a batch of frames with rising stamps, in a new segment where it is time
-        for one.
-        """
+        """Append a batch of frames with rising stamps, in a new segment if due."""
         if len(frames):
             if self._begun_ns >= 0 and self._over(int(frames["t_ns"][0])):
                 self._rotate()
@@ -226,7 +223,7 @@ class SegmentedRecorder(Recorder):
         self._note("begun", segment=self._segment.name)
 
     def _end_segment(self) -> None:
-        """Give back what was reserved, and tell the index."""
+        """Free the pre-allocated space, and add the segment to the index."""
         writer, size = self._writer, self._writer.bytes
         with suppress(OSError):
             os.ftruncate(writer.fileno(), size)
@@ -237,27 +234,25 @@ class SegmentedRecorder(Recorder):
         self._note("ended", segment=name, frames=frames, bytes=size, **times)
 
     def _note(self, event: str, **values: Any) -> None:
-        """Append a line to the index; a disk that takes none loses nothing of the recording."""
+        """Append a line to the index; a failure does not affect the recording."""
         begun = {"utc": utc(self._started_ns + max(0, self._last_ns))}
         line = json.dumps({"event": event, **values, **begun}) + "\n"
         with suppress(OSError):
             os.write(self._index, line.encode())
 
     def _make_room(self) -> None:
-        """Reserve the next room where the present one is nearly used; without any, remove old
-        segments first.
-        """
+        """Pre-allocate more space when the present one is nearly used; if the disk is full, remove old segments first."""
         while self._writer.bytes + self._step // 2 > self._reserved:
             try:
                 reserve(self._writer.fileno(), self._reserved, self._step)
                 self._reserved += self._step
             except OSError:
                 if not self._prune(self._step):
-                    return  # what is left is still written; then the run ends as on any full disk
+                    return  # the remaining space is used up; then the run ends as on any full disk
 
     def _prune(self, more: int) -> bool:
-        """Remove the oldest segments until what is kept is small enough, at least `more` bytes of
-        them; return whether one was removed.
+        """Remove the oldest segments until the limit is met, at least `more` bytes of them; return
+        whether any was removed.
         """
         keep = self.rotation.keep_bytes
         if keep is None:
@@ -279,13 +274,13 @@ class SegmentedRecorder(Recorder):
         return freed > 0
 
     def _present(self, run: Path) -> list[Path]:
-        """Return the segment of a run that is written to now, by this host or by another one."""
+        """Return the segment of a run that this or another host is writing now."""
         if run == self.run:
             return [self._segment] if self._writer.fileno() >= 0 else []
         return segments_of(run)[-1:] if _lives(run) else []
 
     def close(self) -> None:
-        """Write what is left, end the segment, bring it to the disk; may be called again."""
+        """Write the rest, end the segment and sync it; idempotent."""
         if self._index < 0:
             return
         try:
@@ -298,7 +293,7 @@ class SegmentedRecorder(Recorder):
 
 
 def _lives(run: Path) -> bool:
-    """Tell whether a process still records a run: it holds the lock of its index."""
+    """Return whether a process still records a run: it holds the lock of its index."""
     try:
         with (run / INDEX).open("rb") as index:
             lock_file(index, shared=True)
@@ -317,7 +312,7 @@ def _size(path: Path) -> int:
 
 
 def _new_run(folder: Path, started_ns: int) -> Path:
-    """Make the folder of a new run, numbered behind those that are there."""
+    """Make the folder of a new run, numbered after the existing ones."""
     stamp = utc(started_ns)[:19].replace("-", "").replace(":", "") + "Z"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""A signal by its name: the one that the PDOs have, or an error that names the nearest ones."""
+"""Find a signal by name; the error names the nearest ones."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from coulombus.system.errors import CoulombusError
 __all__ = ["UnknownSignal", "are_texts", "one_signal", "signal_of"]
 
 MOST_NAMED = 6
-"""Signals that an error names where none is like the one that was asked for."""
+"""Number of signals in an error if none is similar to the requested name."""
 
 
 class UnknownSignal(CoulombusError, KeyError):
@@ -25,8 +25,8 @@ class UnknownSignal(CoulombusError, KeyError):
 
 
 def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
-    """Return what the PDOs of a rig say of a signal; `UnknownSignal` says that there is none `where`, and
-    names the nearest ones.
+    """Return the definition of a signal in a rig's PDOs; `UnknownSignal` says that there is none
+    `where`, and names the nearest ones.
     """
     signals = {signal.name: signal for pdo in pdos for signal in pdo.signals}
     if name not in signals:
@@ -39,11 +39,11 @@ def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
 
 
 def one_signal(name: Any) -> str:
-    """Say how a recording is asked for a signal, where `name` is no name."""
+    """Return the correct indexing of a recording, for an invalid `name`."""
     several = f"; of several: series(recording, {', '.join(map(repr, name))})" if are_texts(name) else ""
     return f"recording[{name!r}]: expected a signal's name, as in recording['motor.position_rad']{several}"
 
 
 def are_texts(names: Any) -> bool:
-    """Tell whether `names` is a list of texts, with one at least."""
+    """Return whether `names` is a non-empty list of strings."""
     return isinstance(names, (list, tuple)) and bool(names) and all(isinstance(name, str) for name in names)

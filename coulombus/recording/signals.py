@@ -7,9 +7,9 @@
     angle.t_s, angle.values, angle.unit          # two arrays and "rad"
     recording.markers                            # [(1.004, "phase hold"), ...]
 
-`recording.reading` reads it from a file. A position is followed across the wraps of its counter
-(`recording.unwrap`), so that its angle goes on where a device's 16 bits begin anew; `frames` has
-what was on the wire. `series` gathers single signals of a recording that is not kept.
+`recording.reading` reads it from a file. A position is unwrapped (`recording.unwrap`), so that its
+angle continues where a device's 16-bit counter wraps; `frames` has the raw frames. `series`
+extracts single signals of a streamed recording.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ Integers: TypeAlias = npt.NDArray[np.int64]
 class Series:
     """One signal: times [s], values in `unit`.
 
-    Words of bits (unit "") are integers, the rest is float64.
+    Bit fields (unit "") are integers, the rest is float64.
     """
 
     t_s: Floats
@@ -77,34 +77,30 @@ class Series:
         return len(self.t_s)
 
     def held(self, t_s: Floats, before: float) -> Floats:
-        """Return the last value at or before each of the times `t_s` [s], `before` where there was
-        none.
-        """
+        """Return the last value at or before each of the times `t_s` [s]; `before` if there is none."""
         last = np.searchsorted(self.t_s, t_s, "right") - 1
-        return np.append(self.values.astype(np.float64), before)[last]  # -1: what was appended
+        return np.append(self.values.astype(np.float64), before)[last]  # -1: the appended value
 
 
 class Source:
-    """What figures are computed from: the recording's blocks, one after another, each a `Recording`
-    with the times of the whole.
-    """
+    """A source of figures: the recording's blocks in sequence, each a `Recording` with absolute times."""
 
     path: str
     known_rig: Rig | None
-    """The rig; None: none is attached, and none was given."""
+    """The rig; None: neither attached nor given."""
     inside: tuple[RigPdo, ...] = ()
-    """What the host tells of itself (`recording.host_telemetry`), as PDOs of a node "host"."""
+    """The host's telemetry (`recording.host_telemetry`), as PDOs of a node "host"."""
     bare: tuple[RigPdo, ...] = ()
-    """Without a rig: the PDOs whose maps the log or an EDS file tells (`recording.maps`)."""
+    """Without a rig: the PDOs with maps from the log or an EDS file (`recording.maps`)."""
 
     @property
     def rig(self) -> Rig:
-        """The rig whose PDOs these are: the attached one, or the one given.
+        """The rig of these PDOs: attached or given.
 
         Raises
         ------
         coulombus.rigs.rig.RigError
-            There is none; the error says what to do.
+            There is none; the error has the remedy.
         """
         if self.known_rig is None:
             raise RigError([f"{self.path}: no rig.toml is attached, and this needs one; {GIVE_RIG}"])
@@ -112,7 +108,7 @@ class Source:
 
     @property
     def pdos(self) -> tuple[RigPdo, ...]:
-        """All that has signals: the rig's PDOs, and what the host tells of itself."""
+        """All PDOs with signals: the rig's, and the host's telemetry."""
         return (*(self.bare if self.known_rig is None else self.known_rig.pdos()), *self.inside)
 
     def __iter__(self) -> Iterator[Recording]:
@@ -120,16 +116,16 @@ class Source:
         raise NotImplementedError
 
     def seen_by(self, axis: str) -> Self:
-        """Return the recording as the axis of this name sees it, with the signals' plain names.
+        """Return the view of the axis of this name, with the signals' plain names.
 
         Markers of other axes are left out.
         """
         raise NotImplementedError
 
     def one_axis(self, name: str | None) -> Self:
-        """Return the recording as the axis `name` sees it.
+        """Return the view of the axis `name`.
 
-        Without a name the rig must have one axis only.
+        Without a name the rig must have a single axis.
 
         Raises
         ------
@@ -141,19 +137,17 @@ class Source:
 
     @property
     def axes(self) -> tuple[Self, ...]:
-        """The recording as each axis of the rig sees it, with the signals' plain names."""
+        """The view of each axis of the rig, with the signals' plain names."""
         if self.known_rig is None or not self.known_rig.axis_names:
             return (self,)
         return tuple(self.seen_by(name) for name in self.rig.axis_names)
 
     def has(self, name: str) -> bool:
-        """Tell whether there is such a signal: one whose role is absent is in no PDO."""
+        """Return whether the signal exists: the signal of an absent role is in no PDO."""
         return any(signal.name == name for pdo in self.pdos for signal in pdo.signals)
 
     def signal(self, name: str) -> Signal:
-        """Return what rig or map says of a signal: object, scale, offset, unit; `UnknownSignal` names
-        the nearest ones.
-        """
+        """Return the definition of a signal: object, scale, offset, unit; `UnknownSignal` names the nearest ones."""
         return signal_of(self.pdos, name, self.path)
 
     def scale(self, name: str) -> float:
@@ -170,21 +164,19 @@ class Recording(Source):
     path
         The file.
     known_rig
-        The rig whose PDOs these are: the attached one, or the one given; None: there is none, and
-        `rig` raises.
+        The rig of these PDOs, attached or given; None: there is none, and `rig` raises.
     capture
-        The file's content as it stands: frames, comments, attachments, torn bytes.
+        The file's raw content: frames, comments, attachments, torn bytes.
     epoch_ns
-        Time 0 of all `t_s`: 0 in virtual time; the first frame's stamp where stamps come from a
-        clock.
+        Time 0 of all `t_s`: 0 in virtual time, else the first frame's stamp.
     signals
-        Name -> `Series`, in the order of the rig's PDOs. A PDO that never came gives empty ones.
+        Name -> `Series`, in the order of the rig's PDOs; empty for a PDO that was never received.
     markers
-        (time [s], text) of the comments, one for each line of them, in the file's order.
+        (time [s], text) of each line of the comments, in the file's order.
     malformed
-        "motor.TPDO1" -> frames of a wrong length, which are left out of the signals.
+        "motor.TPDO1" -> frames of a wrong length, which are omitted from the signals.
     before
-        Where each position was before the first frame, of a block that is not the first.
+        Position before the first frame of each block after the first.
     """
 
     path: str
@@ -200,11 +192,11 @@ class Recording(Source):
     bare: tuple[RigPdo, ...] = ()
 
     def __iter__(self) -> Iterator[Recording]:
-        """Yield the recording itself: it is one block."""
+        """Yield the recording itself as a single block."""
         yield self
 
     def seen_by(self, axis: str) -> Recording:
-        """Return the recording as the axis of this name sees it, with the signals' plain names.
+        """Return the view of the axis of this name, with the signals' plain names.
 
         Markers of other axes are left out.
         """
@@ -221,14 +213,14 @@ class Recording(Source):
 
     @property
     def clock(self) -> Mapping[str, Any]:
-        """When time 0 was by the clock of the wall, and whether that was kept right
+        """Wall-clock time of time 0, and the synchronisation of that clock
         (`recording.wall_clock`); empty in virtual time.
         """
         return attached_object(self.capture.attachments.get(CLOCK))
 
     @property
     def meta(self) -> Mapping[str, Any]:
-        """What a person has said of the recording (``run --meta``)."""
+        """The user's notes on the recording (``run --meta``)."""
         return attached_object(self.capture.attachments.get(META))
 
     @property
@@ -238,12 +230,12 @@ class Recording(Source):
 
     @property
     def turns(self) -> Mapping[str, Turns]:
-        """Where each position was last."""
+        """The last value of each position."""
         return {name: turns for table in self.tables for name, turns in table.turns.items()}
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed
+        """Sentences on omitted data: a torn end, damaged attachments, other packets, malformed
         PDOs; and on gaps in which a position may have wrapped unseen.
         """
         return remarks_on(self.path, self.capture.warnings, left_out_of(self))
@@ -276,7 +268,7 @@ class Recording(Source):
         return "without a rig" if self.known_rig is None else f"of rig {self.known_rig.name}"
 
     def _summary(self) -> str:
-        """Say how long it is, and what is in it."""
+        """Return its length and content as a text."""
         seconds = float(np.ptp(self.t_s)) if len(self.frames) else 0.0
         return f"{seconds:.3f} s, {len(self.frames)} frames, {len(self.signals)} signals, {len(self.markers)} markers"
 
@@ -286,7 +278,7 @@ class Recording(Source):
         Without a grid each frame of a PDO is a row, with NaN in the columns of the other PDOs:
         ``table["motor.position_rad"].dropna()`` is that signal's `Series`, and ``table.ffill()``
         holds the values. With `grid_s` there is a row for each of its multiples, with the last
-        values that had come by then. ``table.attrs["units"]`` has the units.
+        values received by then. ``table.attrs["units"]`` has the units.
 
         Raises
         ------
@@ -314,8 +306,8 @@ class Recording(Source):
     def plot(
         self, signals: Sequence[str] | None = None, *, span: tuple[float | None, float | None] = (None, None)
     ) -> Figure:
-        """Return a figure of the signals (None: all but words of bits) from `span`'s begin to its
-        end [s]; where samples are many, as the least and largest value.
+        """Return a figure of the signals (None: all but bit fields) over `span` [s]; dense samples
+        are drawn as an envelope of least and largest values.
 
         Raises
         ------
@@ -332,14 +324,12 @@ class Recording(Source):
 
 
 def _range(values: Array) -> tuple[float, float]:
-    """Return the least and the largest value, NaN where there is none."""
+    """Return the least and the largest value; NaN without values."""
     return (float(values.min()), float(values.max())) if len(values) else (float("nan"), float("nan"))
 
 
 def markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return the markers as an axis of `rig` sees them: its own phases by their plain names, those
-    of the others not at all.
-    """
+    """Return the markers of an axis of `rig`: its own phases by plain names, without those of other axes."""
     own = f"{axis}.phase "
     others = tuple(f"{other}.phase " for other in rig.axis_names if other != axis)
     return [
@@ -350,15 +340,14 @@ def markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tu
 
 
 def series(source: Source, *names: str) -> tuple[Series, ...]:
-    """Gather signals on one way through the recording: 16 bytes for each sample, at 1 kHz 16 kB for
-    each second of each signal.
+    """Extract signals in one pass through the recording: 16 bytes per sample, at 1 kHz 16 kB per second and signal.
 
     Raises
     ------
     UnknownSignal
         A signal that the recording does not have.
     coulombus.rigs.arguments.WrongCall
-        `source` is no recording, or a name is no text.
+        `source` is not a recording, or a name is not a string.
     """
     if not isinstance(source, Source):
         raise WrongCall(f"source is {source!r}: expected a recording, as in series(read('run.pcapng'), {names[:1]!r})")
@@ -376,7 +365,7 @@ def series(source: Source, *names: str) -> tuple[Series, ...]:
 
 
 def epoch_of(frames: Records) -> int:
-    """Return time 0 of frames the first of which begin a recording."""
+    """Return time 0 of a recording from its first frames."""
     return int(frames["t_ns"][0]) if len(frames) and frames["t_ns"][0] >= WALL_CLOCK_NS else 0
 
 
@@ -389,9 +378,10 @@ def decode(
     bare: tuple[RigPdo, ...] = (),
     begins: Mapping[int, int] = MappingProxyType({}),
 ) -> Recording:
-    """Return the capture with the signals of the rig's PDOs, and of what the host tells of itself
-    (`inside`); `epoch_ns` and where the positions were `before`, where it is a stretch of a longer
-    one. Without a rig, with those of `bare`, each from the row on at which its map `begins`.
+    """Return the capture with the signals of the rig's PDOs and of the host's telemetry (`inside`).
+
+    For a stretch of a longer recording, `epoch_ns` and the positions `before` are given. Without a
+    rig the PDOs are those of `bare`, each from the first row of its map (`begins`).
     """
     frames = capture.frames
     epoch_ns = epoch_of(frames) if epoch_ns is None else epoch_ns
@@ -428,7 +418,7 @@ def decode(
 
 
 def left_out_of(block: Recording) -> Counter[str]:
-    """Return how much was left out, by why."""
+    """Return the amount of omitted data by reason."""
     doubts = {
         f"{UNSURE}{name}": turns.doubts - (block.before[name].doubts if name in block.before else 0)
         for name, turns in block.turns.items()

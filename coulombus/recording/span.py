@@ -1,4 +1,4 @@
-"""A part of a recording, as a person says it: ``3:5``, ``2.5:``, ``:10``."""
+"""Time spans of a recording: ``3:5``, ``2.5:``, ``:10``."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ __all__ = ["SpanError", "checked_span", "parse_span"]
 
 
 class SpanError(CoulombusError):
-    """There is nothing to show of a recording; the text says why, and what to do."""
+    """There is nothing to show; the text has the reason and the remedy."""
 
     exit_status = 2
 
 
 def parse_span(text: str) -> tuple[float | None, float | None]:
-    """Return begin and end [s] of ``A:B``, None where one is left out.
+    """Return begin and end [s] of ``A:B``; None for an omitted one.
 
     Raises
     ------
     ValueError
-        It is none, or ends before it begins.
+        It is not a span, or ends before it begins.
     """
     begin, colon, end = text.partition(":")
     try:
@@ -38,8 +38,7 @@ def parse_span(text: str) -> tuple[float | None, float | None]:
 
 
 def checked_span(span: Any) -> tuple[float | None, float | None]:
-    """Return a part of a recording as a script gives it: two times [s], None for an end that is
-    left open.
+    """Return a checked span from a script: two times [s], None for an open end.
 
     Raises
     ------

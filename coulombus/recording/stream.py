@@ -1,8 +1,8 @@
 """``coulombus watch --pcapng F``: a bus as a pcapng stream while it runs, for ``wireshark -k -i -``
 or a named pipe.
 
-Every batch of frames is written with one system call as soon as it has come. Nothing is ever sent.
-A reader that is slow holds up only this client: the bus counts what it loses.
+Every batch of frames is written with one system call on arrival. Nothing is ever sent. A slow
+reader delays only this client; the bus counts its lost frames.
 """
 
 from __future__ import annotations
@@ -37,19 +37,18 @@ def stream(
     say: Callable[[str], None] = lambda text: None,
     force: bool = False,
 ) -> int:
-    """Write what the bus carries until a signal, for `seconds`, or until the reader of a pipe goes
-    away; return the number of frames.
+    """Write the bus traffic until a signal, for `seconds`, or until the reader of a pipe closes it;
+    return the number of frames.
 
     Parameters
     ----------
-    path : a file, a named pipe, or ``-`` for the standard output; rig and EDS files are attached in
-        front
-    force : replace a file that exists
+    path : a file, a named pipe, or ``-`` for the standard output; rig and EDS files are attached first
+    force : overwrite an existing file
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        There is no bus, or it went away meanwhile.
+        There is no bus, or it closed meanwhile.
     coulombus.recording.pcapng_blocks.RecordingError
         The file cannot be written.
     """
@@ -67,7 +66,7 @@ def stream(
         except RecordingError as error:
             if not isinstance(error.__cause__, BrokenPipeError):
                 raise
-            if path == "-":  # the interpreter would complain at its end
+            if path == "-":  # avoids an error of the interpreter at exit
                 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             return 0
     if client.lost:
@@ -94,7 +93,7 @@ def _copy(client: Client, writer: PcapngWriter, stop: StopSignals, end: float | 
                 client.ask()
         except (BusDown, BusFull):
             pass
-        finally:  # also when the bus is gone behind the last frames
+        finally:  # also if the bus closed after the last frames
             if frames:
                 writer.write(_records(frames))
 

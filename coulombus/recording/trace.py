@@ -1,19 +1,18 @@
-"""What the loop in real time did when: the part of a run that its frames do not tell, and that a
-replay needs.
+"""Trace of the real-time loop: the data that a replay needs beyond the frames.
 
 The step is a function of frames and times. In virtual time both are in the recording, since all
-happens at the stamps' own times. In real time a frame that came while the loop was computing is
-older than the RPDO that the loop sent then, and yet the step saw it only in the next cycle; a
-window that ended by time leaves no trace on the bus, nor does a wish to stop, nor the cycle from
-which on a parameter is another one (which, the markers tell: `host.cycle.parameter_changes`). So the loop keeps a
-row for each `Moment`, and the recording carries them as attachments (``host.trace.0``,
+happens at the stamps' own times. In real time a frame that arrived while the loop was computing is
+older than the RPDO that the loop then sent, but the step used it only in the next cycle. A window
+that timed out leaves no trace on the bus; neither does a stop request, nor the cycle in which a
+parameter changed (the markers name the parameter: `host.cycle.parameter_changes`). So the loop
+keeps a row for each `Moment`, and the recording stores them as attachments (``host.trace.0``,
 ``host.trace.1`` ...; `pack`, `unpack`).
 
-In virtual time frames and stamps tell when the host did what. They do not tell which frames it had:
-it may be in bus-off or behind a cut cable, and a fault may have kept a frame from it alone. Nor do
-they tell how its clock ran, or that it was asked to stop. That is in the same attachments, with
-rows of EVENT. With a fault file they do not even tell what the host has sent: a frame may never
-come to the bus, or twice. Then what it asked for is kept, too (``host.sent.0`` ...; `pack_sent`).
+In virtual time frames and stamps give the times of the host's actions. They do not give its
+received frames: it may be in bus-off or behind a cut cable, or a fault may have dropped a frame for
+it alone. Nor do they give its clock drift or a stop request. The same attachments store these, with
+rows of EVENT. With a fault file even the sent frames are unknown: a frame may be lost or doubled.
+Then the send requests are stored, too (``host.sent.0`` ...; `pack_sent`).
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ from coulombus.wire.frame import FRAME, Records
 __all__ = ["EVENT", "NAME", "SENT", "TRACE", "Event", "Moment", "pack", "pack_sent", "unpack", "unpack_sent"]
 
 NAME = "host.trace."
-"""What the attachments' names begin with; a number follows."""
+"""Prefix of the attachments' names; a number follows."""
 
 SENT = "host.sent."
-"""The same of what the host asked the bus to send."""
+"""Prefix of the attachments with the host's send requests."""
 
 _HEAD = struct.Struct("<II")
 
@@ -43,42 +42,42 @@ _HEAD = struct.Struct("<II")
 class Moment(IntEnum):
     """What a row tells."""
 
-    START = 0  # the cycle begins with the first period at `t_ns`; what was received before it counts for nothing
-    BEGIN = 1  # a cycle that was due at `t_ns`; `value`: whether the dead man's switch is held
-    ARRIVED = 2  # an axis' TPDOs had all come: `host.cycle.axes.finish` at `t_ns`; `value`: why all were asked to stop
-    WINDOW = 3  # the window was over, or nothing was left to wait for: `finish`, of all that wait; `value` as before
+    START = 0  # the cycle begins with the first period at `t_ns`; earlier frames are ignored
+    BEGIN = 1  # a cycle due at `t_ns`; `value`: whether the dead man's switch is held
+    ARRIVED = 2  # all TPDOs of an axis received: `host.cycle.axes.finish` at `t_ns`; `value`: reason of a stop request
+    WINDOW = 3  # window over or nothing pending: `finish` for all waiting axes; `value` as before
     END = 4  # the cycle is over, the safe set-points follow
-    SET = 5  # the parameters of order `value` are wanted from the cycle on that begins next (marker "set")
+    SET = 5  # the parameters of order `value` apply from the next cycle (marker "set")
 
 
 class TraceRow(Record):
     """A row of the trace. All counts begin with the loop's process."""
 
     t_ns: int  # CLOCK_MONOTONIC
-    received: int  # frames that the loop had received until then
+    received: int  # frames received by the loop so far
     kind: Annotated[int, np.int32]  # `Moment`
     value: Annotated[int, np.int32]  # by `kind`
-    refused: int  # frames that the bus had not taken until then
-    dropped: int  # frames that found no place in the log until then
+    refused: int  # frames refused by the bus so far
+    dropped: int  # frames dropped from the log so far
 
 
 TRACE = dtype_of(TraceRow)
 
 
 class Event(IntEnum):
-    """What a row tells that was kept in virtual time."""
+    """Kind of a row kept in virtual time."""
 
     START = 0  # the cycle begins with the first period at `t_ns` of the host's clock
-    CLOCK = 1  # the host's clock runs fast by `value` 1e-9 from `t_ns` of the bus on
-    STOP = 2  # the host is asked to stop; `value`: why (`host.cycle.records.Trip`)
-    SET = 3  # the parameters of order `value` are wanted from the next cycle on (marker "set")
+    CLOCK = 1  # from `t_ns` of the bus the host's clock runs fast by `value` 1e-9
+    STOP = 2  # stop request; `value`: reason (`host.cycle.records.Trip`)
+    SET = 3  # the parameters of order `value` apply from the next cycle (marker "set")
 
 
 EVENT = np.dtype(
     [
         ("t_ns", "<i8"),
-        ("received", "<i8"),  # when: it has received so many frames
-        ("next_ns", "<i8"),  # and done all that was due on its clock before this
+        ("received", "<i8"),  # number of frames received by then
+        ("next_ns", "<i8"),  # everything due before this on its clock is done
         ("kind", "<i4"),  # `Event`
         ("value", "<i4"),
     ],
@@ -91,8 +90,8 @@ Table = npt.NDArray[Any]
 
 
 def pack(own: npt.NDArray[np.bool_], trace: Table) -> bytes:
-    """Return the content of an attachment: whether each of the frames written since the last one
-    was none that the host received; and rows.
+    """Return the content of an attachment: a flag for each frame since the last attachment that the
+    host did not receive; and rows.
 
     ::
 
@@ -102,8 +101,8 @@ def pack(own: npt.NDArray[np.bool_], trace: Table) -> bytes:
 
 
 def pack_sent(frames: Table) -> bytes:
-    """Return the content of an attachment: what the host asked for since the last one (FRAME
-    records, stamped with when it was ready).
+    """Return the content of an attachment: the host's send requests since the last one (FRAME
+    records, stamped with their ready times).
     """
     rows = np.zeros(len(frames), _SENT)
     for name in _SENT.names or ():
@@ -112,7 +111,7 @@ def pack_sent(frames: Table) -> bytes:
 
 
 def unpack_sent(attachments: Mapping[str, bytes]) -> Records | None:
-    """Return what the host asked for, as FRAME records; None where a recording does not tell."""
+    """Return the host's send requests as FRAME records; None if not recorded."""
     parts: list[Table] = []
     while (content := attachments.get(f"{SENT}{len(parts)}")) is not None and len(content) % _SENT.itemsize == 0:
         parts.append(np.frombuffer(content, _SENT))
@@ -128,10 +127,10 @@ def unpack_sent(attachments: Mapping[str, bytes]) -> Records | None:
 def unpack(
     attachments: Mapping[str, bytes], dtype: np.dtype[Any] = TRACE
 ) -> tuple[npt.NDArray[np.bool_], Table] | None:
-    """Return all that a recording's attachments tell: which frames the host did not receive, rows
-    of `dtype`; None when there are none.
+    """Return the trace in a recording's attachments: frames that the host did not receive, and rows
+    of `dtype`; None without attachments.
 
-    What stands behind a missing or damaged attachment is left out.
+    Data after a missing or damaged attachment are omitted.
     """
     own: list[Table] = []
     rows: list[Table] = []

@@ -1,14 +1,13 @@
-"""A position followed across the wraps of its counter.
+"""Unwrap a position across overflows of its counter.
 
-A device tells its position modulo 2^bits. Between two samples the handle has gone the shorter way::
+A device reports its position modulo 2^bits. Between two samples the handle is assumed to take the shorter way::
 
     step = (raw - raw before + half) mod 2 half - half,     half = 2^(bits - 1)
 
-That is sure while a step is less than `half` counts. The host trips above
-`limits.encoder_jump_counts` a cycle, so a gap of half / encoder_jump_counts cycles is the longest
-over which the position can be followed; longer ones are counted. A step of more than half of
-`half` even the shorter way, and faster than the host lets pass, is a jump and no wrap: it
-stays as it was told.
+This is certain while a step is less than `half` counts. The host trips above
+`limits.encoder_jump_counts` a cycle, so the longest gap that can be bridged is half /
+encoder_jump_counts cycles; longer gaps are counted. A step that is both larger than half / 2 and
+faster than the host's limit is a jump, not a wrap: it is kept.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ from coulombus.rigs.rig import Rig
 __all__ = ["POSITION", "Turns", "Unwrapped", "fastest", "follow"]
 
 POSITION = "motor.position_rad"
-"""The signal that is followed (of each axis, with its name before it)."""
+"""The signal to unwrap (of each axis, with its name as prefix)."""
 
 Integers: TypeAlias = npt.NDArray[np.int64]
 
 
 class Turns(NamedTuple):
-    """A position's last sample: raw count, time, the counts that its wraps came to, and in how many
-    gaps before it more wraps may have been.
+    """A position's last sample: raw count, time, sum of its wraps in counts, and number of earlier
+    gaps with possible further wraps.
     """
 
     raw: int
@@ -48,20 +47,20 @@ class Unwrapped(NamedTuple):
 
 
 def fastest(rig: Rig, name: str) -> float:
-    """Return the counts a ns that the host lets pass of a position; `name`: the signal's."""
+    """Return the host's speed limit for a position [counts/ns]; `name`: the signal's."""
     axis = next(candidate for candidate in rig.axes if candidate.prefix + POSITION == name)
     return axis.limits.encoder_jump_counts / axis.bus.period_ns
 
 
 def follow(raw: npt.NDArray[Any], t_ns: Integers, entry: Entry, before: Turns | None, counts_ns: float) -> Unwrapped:
-    """Return raw counts of a position without its wraps.
+    """Return the unwrapped counts of a position.
 
     Parameters
     ----------
     raw, t_ns : the samples, in their order
-    entry : the object as it is mapped; one that is no integer, or of 64 bits, does not wrap
-    before : the sample before them; None at the beginning
-    counts_ns : the fastest that it may go [counts/ns]
+    entry : the mapped object; non-integers and 64-bit integers do not wrap
+    before : the previous sample; None at the beginning
+    counts_ns : the speed limit [counts/ns]
     """
     if not len(raw) or entry.kind != "int" or entry.bits >= 64:
         return Unwrapped(raw, before)

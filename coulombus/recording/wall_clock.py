@@ -1,4 +1,4 @@
-"""When a recording began, as the clock of the wall has it, and whether that clock is kept right."""
+"""Wall-clock start of a recording, and the synchronisation of that clock."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def utc(t_ns: int) -> str:
 
 
 def clock_state() -> dict[str, Any]:
-    """Return whether NTP (or what steers the clock as it does: phc2sys) keeps the clock right, its
-    errors [us], and the PTP clocks of this machine; None where that is not told.
+    """Return whether NTP (or phc2sys) synchronises the clock, its errors [us], and the PTP clocks
+    of this machine; None if unknown.
     """
     state_of_clock: dict[str, Any] = {"synchronised": None, "max_error_us": None, "estimated_error_us": None}
     try:
@@ -62,7 +62,7 @@ def clock_state() -> dict[str, Any]:
 
 
 def wall_clock(zero_ns: int) -> tuple[int, dict[str, bytes], str]:
-    """Return when a recording began, the attachment that says so, and a comment for people.
+    """Return the start time of a recording, its attachment, and a readable comment.
 
     Parameters
     ----------
@@ -85,12 +85,12 @@ def wall_clock(zero_ns: int) -> tuple[int, dict[str, bytes], str]:
 
 
 def meta_attachment(meta: Mapping[str, str]) -> dict[str, bytes]:
-    """Return the attachment with what a person says of a recording; none where it is nothing."""
+    """Return the attachment with the user's notes; empty if there are none."""
     return {META: json.dumps(dict(meta), ensure_ascii=False).encode()} if meta else {}
 
 
 def attached_object(content: bytes | None) -> dict[str, Any]:
-    """Return the object of an attachment; empty where there is none that can be read."""
+    """Return the JSON object of an attachment; empty if absent or unreadable."""
     try:
         values = json.loads(content or b"{}")
     except (ValueError, RecursionError):

@@ -1,1 +1,1 @@
-"""What other programs read, made of a recording: tables of its signals, logs of its frames."""
+"""Export recordings for other programs: tables of signals, logs of frames."""

@@ -1,7 +1,6 @@
 """Parquet: a table as `text_table` has it, with empty cells as nulls.
 
-Units are metadata of the columns (``unit``), the markers and what the recording is are metadata of
-the file.
+Units are metadata of the columns (``unit``); markers and the recording's description are metadata of the file.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class ParquetWriter:
         self._waiting: list[Any] = []
 
     def add(self, stretch: Stretch) -> None:
-        """Take a stretch, and write a row group where there are enough rows."""
+        """Add a stretch, and write a row group when there are enough rows."""
         pa = self._pa
         self._markers += [(t_s, text) for _, t_s, text in stretch.markers]
         places = np.concatenate([rows.order for rows in stretch.rows])
@@ -76,7 +75,7 @@ class ParquetWriter:
         self._file.close()
 
     def abandon(self) -> None:
-        """Let go of a file that will not be whole."""
+        """Abandon an incomplete file."""
         for thing in (self._writer, self._file):
             with suppress(OSError, self._pa.ArrowException):
                 thing.close()

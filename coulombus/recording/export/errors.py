@@ -8,6 +8,6 @@ __all__ = ["ExportError"]
 
 
 class ExportError(CoulombusError):
-    """Nothing can be made of the recording; the text says why, and what to do."""
+    """The recording cannot be exported; the text has the reason and the remedy."""
 
     exit_status = 2

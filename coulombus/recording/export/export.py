@@ -1,6 +1,6 @@
-"""``coulombus export``: a recording as other programs read it.
+"""``coulombus export``: write a recording for other programs.
 
-A recording is gone through once, some seconds at a time, so the memory does not grow with it.
+A recording is read once, some seconds at a time, so the memory is bounded.
 """
 
 from __future__ import annotations
@@ -55,17 +55,17 @@ KINDS: Mapping[str, str] = MappingProxyType({kind: suffix for kind, (suffix, _) 
 
 @dataclass(frozen=True)
 class Exported:
-    """What came of an export."""
+    """The result of an export."""
 
     path: Path
     kind: str
     until_s: float
     """Time of the last frame [s]."""
     rows: int
-    """Of all groups; frames, where whole frames were written."""
+    """Rows of all groups; frames for kinds of whole frames."""
     signals: tuple[str, ...]
     remarks: tuple[str, ...]
-    """Sentences on what was left out."""
+    """Sentences on omitted data."""
 
 
 def export(
@@ -91,30 +91,29 @@ def export(
     kind
         One of `KINDS`.
     signals
-        Only these; None: all.
+        Only these signals; None: all.
     grid_ns
-        A row at each multiple of so many ns, with the last value that had come by then. None: a row
-        for each frame of a PDO, as it came.
+        A row at each multiple of this time, with the last value received by then. None: a row for each frame of a PDO.
     rig
-        Decode with this rig and not with the attached one.
+        Decode with this rig instead of the attached one.
     channel
         Which of the file's buses, as `read` takes it; None: of whole frames those of all buses.
     force
         Replace `out` if it exists.
     progress
-        Called with the time that is reached [s].
+        Called with the time reached [s].
 
     Raises
     ------
     ExportError
-        There is no frame, a library is not installed, `kind` holds whole frames and `signals` or a
-        grid is given, or `out` is the recording itself or has the ending of another kind.
+        There is no frame, a library is not installed, `kind` holds whole frames but `signals` or a
+        grid is given, or `out` is the recording itself or has another kind's suffix.
     coulombus.recording.signals.UnknownSignal
         A signal that the recording does not have.
     OSError
         The file cannot be written.
     coulombus.rigs.arguments.WrongCall
-        An argument is of a type that is not taken.
+        An argument has the wrong type.
     """
     call = 'export("run.pcapng", "run.csv", "csv")'
     path, out = path_text(path, "path", call), path_text(out, "out", call)
@@ -142,7 +141,7 @@ def export(
 
 
 def _check_place(path: Path, out: Path, kind: str) -> None:
-    """Refuse to write over the recording itself, and a name that is another kind's."""
+    """Refuse to overwrite the recording itself, and a suffix of another kind."""
     whole = out.exists() and path.exists()
     if whole and (out.samefile(path) or (path.is_dir() and path.resolve() in out.resolve().parents)):
         raise ExportError(f"{out}: that is the recording itself; nothing is written over it; choose another name")
@@ -157,7 +156,7 @@ def _check_place(path: Path, out: Path, kind: str) -> None:
 
 @contextmanager
 def _whole(writer: Any) -> Iterator[Any]:
-    """Close a writer at the end; abandon it on the way."""
+    """Close a writer at the end, or abandon it on an exception."""
     try:
         yield writer
         writer.close()
@@ -167,7 +166,7 @@ def _whole(writer: Any) -> Iterator[Any]:
 
 
 def _about(path: str | Path) -> dict[str, str]:
-    """Return what is said of the recording; `ExportError` where there is no frame in it."""
+    """Return the recording's description; raise `ExportError` if it has no frame."""
     attachments: dict[str, bytes] = {}
     for capture in captures(path):
         attachments |= capture.attachments
@@ -187,7 +186,7 @@ def _about(path: str | Path) -> dict[str, str]:
 def _frames(
     path: Path, out: Path, kind: str, given: tuple[str, ...], *, force: bool, progress: Callable[[float], None]
 ) -> Exported:
-    """Write whole frames, each with the name of its bus; stamps are the clock's, where the recording knows it."""
+    """Write whole frames, each with the name of its bus; stamps are wall-clock times if the recording has them."""
     about = _about(path)
     start_ns, count, until, first = int(about.get("start_ns", 0)), 0, 0.0, 0
     torn = skipped = 0

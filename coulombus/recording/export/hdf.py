@@ -22,11 +22,11 @@ CHUNK = 1 << 14
 
 
 class _Place(io.RawIOBase):
-    """A file that remembers why it could not be written, and tells HDF5 nothing of it.
+    """A file that stores its write error and hides it from HDF5.
 
-    HDF5 reads back what it wrote and believes every byte: on what a full disk has not taken it ends
-    the process. So that is kept in memory from then on; it is little, for `check` ends the export
-    soon.
+    HDF5 reads back its own data without checks, and missing bytes of a full disk crash the process.
+    After an error the data are therefore kept in memory; they are few, because `check` ends the
+    export soon.
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,12 +37,12 @@ class _Place(io.RawIOBase):
         self.failure: OSError | None = None
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place, and return it."""
+        """Set the file position and return it."""
         self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._end}[whence]
         return self._at
 
     def readinto(self, buffer: Any) -> int:
-        """Read what was written, whether the disk took it or not."""
+        """Read back written data, from disk or memory."""
         view = memoryview(buffer).cast("B")
         view = view[: max(self._end - self._at, 0)]
         content = os.pread(self._fd, len(view), self._at)
@@ -86,7 +86,7 @@ class _Place(io.RawIOBase):
         super().close()
 
     def check(self) -> None:
-        """Raise what went wrong."""
+        """Raise the stored error."""
         if self.failure is not None:
             raise self.failure
 
@@ -142,7 +142,7 @@ class Hdf5Writer:
         self._place.check()
 
     def abandon(self) -> None:
-        """Let go of a file that will not be whole."""
+        """Abandon an incomplete file."""
         with suppress(OSError, RuntimeError, ValueError):
             self._file.close()
         self._place.close()

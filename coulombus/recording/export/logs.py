@@ -1,6 +1,6 @@
-"""Logs of frames as other programs read them: candump's, Vector's .asc and .blf.
+"""Write logs of frames for other programs: candump's, Vector's .asc and .blf.
 
-Lines are made as columns of characters, of some thousand frames at a time.
+Lines are built as columns of characters, some thousand frames at a time.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CONTAINER = 128 << 10
 
 
 class _Lines:
-    """Characters of many lines, column by column; those that a line does not have are left out."""
+    """Characters of many lines, column by column; absent characters are dropped."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -41,13 +41,13 @@ class _Lines:
             self._append(np.full(self._count, character, np.uint8), kept)
 
     def decimal(self, values: Integers, digits: int, least: int = 1) -> None:
-        """Add numbers, of `least` digits or more."""
+        """Add decimal numbers with at least `least` digits."""
         for place in range(digits - 1, -1, -1):
             rest = values // 10**place
             self._append((rest % 10 + ord("0")).astype(np.uint8), (rest > 0) | (place < least))
 
     def hexadecimal(self, values: Integers, digits: int, kept: Any = True) -> None:
-        """Add numbers of so many digits."""
+        """Add hexadecimal numbers with a fixed number of digits."""
         for place in range(digits - 1, -1, -1):
             self._append(HEX[values >> 4 * place & 15], kept)
 
@@ -72,17 +72,15 @@ def _byte(frames: Records, k: int) -> Integers:
 
 
 def _interfaces(buses: Sequence[str]) -> list[str]:
-    """Return the name of each bus as candump's log can hold it: ``can0`` of the address
-    ``socketcan:can0`` and of a bus without a name, ``can1`` of a channel that is a number.
+    """Return the name of each bus for candump's log: ``can0`` for the address ``socketcan:can0``
+    and for an unnamed bus, ``can1`` for a numeric channel.
     """
     plain = [re.sub(r"\s", "_", name.rpartition(":")[2]) or "can0" for name in buses]
     return [f"can{name}" if name.isdigit() else name for name in plain]
 
 
 def _channels(buses: Sequence[str]) -> Integers:
-    """Return the number of each bus, from 1 on: that of its name (``1`` is 1, ``can0`` is 1), as far
-    as these differ.
-    """
+    """Return the number of each bus, from 1: that of its name (``1`` is 1, ``can0`` is 1) if these differ."""
     names = list(dict.fromkeys(buses))
     ends = [re.search(r"\d{1,4}$", name) for name in names]
     numbers = [int(end[0]) + (end[0] != name) if end else 1 for name, end in zip(names, ends, strict=True)]
@@ -94,8 +92,8 @@ def _channels(buses: Sequence[str]) -> Integers:
 class CandumpWriter:
     """``candump -L``: ``(1436509052.249713) can0 123#DEADBEEF``.
 
-    Nothing stands behind the data, where some programs write a letter for the direction: tshark
-    would take it for data. Stamps are cut to microseconds.
+    No direction letter follows the data, as some programs write it: tshark would read it as data.
+    Stamps are truncated to microseconds.
     """
 
     def __init__(self, path: Path, start_ns: int) -> None:
@@ -206,7 +204,7 @@ class BlfWriter:
 
     def add(self, frames: Records, buses: Sequence[str] = ("can0",)) -> None:
         """Write frames; `buses` are the names of their `source`."""
-        if self._first_ns is None:  # the header tells a clock's in whole milliseconds
+        if self._first_ns is None:  # the header has wall-clock time in whole milliseconds
             first_ns = int(frames["t_ns"][0] + self._start_ns) // 10**6 * 10**6
             self._first_ns = first_ns if first_ns >= WALL_CLOCK_NS else 0
         self._last_ns = int(frames["t_ns"][-1] + self._start_ns)
@@ -240,7 +238,7 @@ class BlfWriter:
         self._bytes += 32 + len(content)
 
     def close(self) -> None:
-        """Write the header, which tells the file's length."""
+        """Write the header, which contains the file's length."""
         size = self._file.tell()
         self._file.seek(0)
         times = (*_system_time(self._first_ns or 0), *_system_time(self._last_ns))
@@ -250,9 +248,7 @@ class BlfWriter:
 
 
 def _system_time(t_ns: int) -> Sequence[int]:
-    """Return Windows' SYSTEMTIME of a clock's stamp; zeros of one that counts from the run's
-    start.
-    """
+    """Return Windows' SYSTEMTIME of a wall-clock stamp; zeros for a stamp relative to the run's start."""
     if t_ns < WALL_CLOCK_NS:
         return (0,) * 8
     t = datetime.fromtimestamp(t_ns // 10**9, UTC)

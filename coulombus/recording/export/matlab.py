@@ -1,8 +1,7 @@
 """MATLAB's files (version 5): a struct for each signal, with ``t_s``, ``values`` and ``unit``.
 
-A dot cannot be in MATLAB's names: ``motor.position_rad`` is ``motor_position_rad``. A struct stands
-in the file as a whole, so the samples wait on the disk, beside the file, until all of them are
-there.
+MATLAB's names cannot contain a dot: ``motor.position_rad`` becomes ``motor_position_rad``. A struct
+is contiguous in the file, so the samples are spooled to disk until all are there.
 """
 
 from __future__ import annotations

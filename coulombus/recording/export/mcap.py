@@ -1,11 +1,11 @@
 """MCAP, as Foxglove and PlotJuggler read it: a channel for each PDO, with JSON messages.
 
 A message nests by the dots of the signals' names, so a path such as
-``/motor/TPDO1.motor.position_rad`` has the name as `read` has it. Units stand in the channel's
-JSON schema and its metadata. Markers have a channel of their own, ``/markers``.
+``/motor/TPDO1.motor.position_rad`` has the name as `read` has it. Units are in the channel's JSON
+schema and metadata. Markers have a channel of their own, ``/markers``.
 
-The container is written here, in whole chunks: the library ``mcap`` writes a message at a time,
-which takes longer than the recording's export may. Specification: https://mcap.dev/spec.
+This module writes the container in whole chunks, because the library ``mcap`` writes single
+messages and is too slow. Specification: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class McapWriter:
         return head
 
     def _chunk(self, heads: Any, texts: list[bytes], places: Any) -> None:
-        """Write messages in their order, and behind them where those of each channel are."""
+        """Write messages in order, then the message index of each channel."""
         sizes = np.fromiter(map(len, texts), np.int64, len(texts))
         heads["length"] = sizes + MESSAGE_HEAD.itemsize - 9
         order = np.argsort(places, kind="stable")
@@ -187,7 +187,7 @@ class McapWriter:
         self._file.close()
 
     def abandon(self) -> None:
-        """Let go of a file that will not be whole."""
+        """Abandon an incomplete file."""
         with suppress(OSError):
             self._file.close()
 

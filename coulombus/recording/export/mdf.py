@@ -32,7 +32,7 @@ class Mf4Writer:
         self._markers: list[tuple[float, str]] = []
 
     def add(self, stretch: Stretch) -> None:
-        """Take a stretch, which goes to a temporary file."""
+        """Add a stretch to a temporary file."""
         self._markers += [(t_s, text) for _, t_s, text in stretch.markers]
         for number, (group, rows) in enumerate(zip(self._groups, stretch.rows, strict=True)):
             # of a file's groups, a signal's type is the same from its first sample on
@@ -65,6 +65,6 @@ class Mf4Writer:
         self._mdf.close()
 
     def abandon(self) -> None:
-        """Let go of the temporary file."""
+        """Remove the temporary file."""
         with suppress(Exception):
             self._mdf.close()

@@ -1,7 +1,7 @@
 """Comma-separated values: a row for each frame of a PDO, or for each instant of a grid.
 
-Comment lines begin with ``#``: what the recording is, the signals' units, and the markers, each
-before the row that it marks. Numbers have as many digits as tell them exactly.
+Comment lines begin with ``#``: the recording's description, the signals' units, and the markers,
+each before the row that it marks. Numbers have enough digits to round-trip.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ __all__ = ["CsvWriter", "texts_of"]
 
 
 def texts_of(values: Array, word: bool, absent: str = "") -> list[str]:
-    """Return numbers as texts; NaN is `absent`.
+    """Return numbers as strings; NaN becomes `absent`.
 
-    A signal takes few values, so each is written once.
+    A signal has few distinct values, so each is formatted once.
     """
     distinct, inverse = np.unique(values, return_inverse=True)
     texts = [absent if v != v else str(int(v)) if word else repr(v) for v in distinct.tolist()]
@@ -29,7 +29,7 @@ def texts_of(values: Array, word: bool, absent: str = "") -> list[str]:
 
 
 class CsvWriter:
-    """Writes the rows of `groups`; `about` is told in the comments."""
+    """Writes the rows of `groups`; `about` goes into the comments."""
 
     def __init__(self, path: Path, groups: tuple[Group, ...], about: Mapping[str, str]) -> None:
         self._file = path.open("w", encoding="utf-8", newline="\n")
@@ -56,16 +56,16 @@ class CsvWriter:
             self._file.write("".join([lines[k] for k in order.tolist()]))
 
     def close(self) -> None:
-        """Close the file, whole."""
+        """Close the complete file."""
         self._file.close()
 
     def abandon(self) -> None:
-        """Let go of a file that will not be whole."""
+        """Abandon an incomplete file."""
         _close_anyhow(self._file)
 
 
 def _close_anyhow(file: Any) -> None:
-    """Close a file whose last bytes may find no room."""
+    """Close a file even if the disk is full."""
     with suppress(OSError):
         file.close()
 

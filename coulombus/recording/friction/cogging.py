@@ -1,18 +1,18 @@
-r"""Cogging of the motor from slides: the torque that depends on the angle and not on the direction.
+r"""Cogging of the motor from slides: torque that depends on the angle but not on the direction.
 
-While the handle slides, motor and hand bear the device's friction and the motor's cogging:
+While the handle slides, motor and hand balance the device's friction and the motor's cogging:
 
 .. math:: \tau_m + f = J\,\dot v + (c + b\,|v|)\,\mathrm{sgn}(v) + f_0 + A\,\sin(\kappa x + \varphi)
 
-with :math:`\kappa = k i`, i motor revolutions for one of the handle and k periods in one revolution
-of the motor, a whole number. For each k all coefficients are fitted together, sine and cosine
-behind the same filter as the torques (`recording.friction.sliding.Equations.smooth`), so a fast
-slide that averages over a period does not make the amplitude smaller. The k that leaves least is
-taken, and told only where it stands out (`STANDS_OUT` standard deviations). :math:`\kappa` is then
-refined by itself, because the ratio i is only known to its interval.
+with :math:`\kappa = k i`, i motor revolutions per handle revolution and an integer k of periods per
+motor revolution. For each k all coefficients are fitted together. Sine and cosine pass the same
+filter as the torques (`recording.friction.sliding.Equations.smooth`), so averaging over a period in
+a fast slide does not reduce the amplitude. The k with the smallest residual is taken, and reported
+only if significant (`STANDS_OUT` standard deviations). :math:`\kappa` is then refined by itself,
+because the ratio i is only known to its interval.
 
-A motor that cogs accelerates the handle by it. So a fit of friction or inertia without these two
-columns is biased: `Cogging.columns` goes into each of them.
+Cogging accelerates the handle, so a fit of friction or inertia without these two columns is biased:
+`Cogging.columns` goes into each fit.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ WINDOW_S = 0.021
 MOST_PERIODS = 120
 LEAST_ROWS = 60
 MOST_ROWS = 20_000
-"""A longer recording is searched in its first so many equations."""
+"""Maximum number of equations for the search: the first ones of a longer recording."""
 STANDS_OUT = 6.0
-"""Standard deviations that the amplitude is above 0: one of 120 candidates is above 4 by chance."""
+"""Least amplitude in standard deviations: one of 120 candidates exceeds 4 by chance."""
 SHARED = 4
-"""Neighbouring equations share samples: so many count as one."""
+"""Neighbouring equations share samples: this many count as one."""
 RATIO_SHARE = 0.004
-"""By so much the ratio may be wrong."""
+"""Relative uncertainty of the ratio."""
 
 
 @dataclass(frozen=True)
 class Cogging:
-    """The wave that depends on the angle alone.
+    """The torque wave over the angle.
 
     Attributes
     ----------
     periods : in one revolution of the motor
-    wave_rad : of the sine for each rad of the handle
+    wave_rad : phase of the sine per rad of the handle
     """
 
     periods: int
     wave_rad: float
 
     def columns(self, rows: Equations, slides: tuple[Slide, ...]) -> dict[str, Column]:
-        """Return its sine and cosine as columns of a regression of `rows`, which are of `slides`."""
+        """Return its sine and cosine as regression columns for the `rows` of `slides`."""
         used = [slide for slide in slides if len(slide.t_s) >= len(rows.weight)]
         return {
             name: (rows.smooth([function(self.wave_rad * slide.x_rad) for slide in used]), 0.0)
@@ -66,7 +66,7 @@ class Cogging:
         }
 
     def stands_out(self, coefficients: Mapping[str, Estimate]) -> bool:
-        """Tell whether its coefficients in a fit with the intervals of clusters are far from 0."""
+        """Return whether its coefficients are significant in a fit with cluster intervals."""
         sine, cosine = coefficients["cogging sine"], coefficients["cogging cosine"]
         return math.hypot(sine.value, cosine.value) > STANDS_OUT / 1.96 * max(sine.reach, cosine.reach)
 
@@ -76,12 +76,12 @@ class Cogging:
 
 
 def find_cogging(slides: Sliding, ratio: float, gain: float | None = 1.0) -> Cogging | None:
-    """Return the cogging that the slides show; None where none stands out, or one direction lacks.
+    """Return the cogging of the slides; None if none is significant or one direction is missing.
 
     Parameters
     ----------
-    ratio : motor revolutions for one of the handle
-    gain : of the motor's torque; None: it is fitted, too (the hand must resist the motor)
+    ratio : motor revolutions per handle revolution
+    gain : of the motor's torque; None: also fitted (the hand must resist the motor)
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
     if len(rows.v) < LEAST_ROWS or rows.v.min() >= 0 or rows.v.max() <= 0:
@@ -105,7 +105,7 @@ def find_cogging(slides: Sliding, ratio: float, gain: float | None = 1.0) -> Cog
         return float(np.sum((left - matrix @ solution) ** 2))
 
     periods = min(range(1, MOST_PERIODS + 1), key=lambda k: remaining(k * ratio))
-    from scipy.optimize import minimize_scalar  # takes a while to load: an import for the few who fit
+    from scipy.optimize import minimize_scalar  # slow to load: imported only for a fit
 
     middle = periods * ratio
     bounds = ((1 - RATIO_SHARE) * middle, (1 + RATIO_SHARE) * middle)

@@ -1,9 +1,8 @@
-"""Angle and torque of anybody: a table in a CSV, Parquet or MAT file.
+"""Tables of angle and torque from any source: CSV, Parquet or MAT files.
 
-A column's name has its unit, in any of these ways: ``angle_deg``, ``angle [deg]``, ``angle (deg)``;
-without one it is SI. Which column is which is known by its name (`NAMES`), or said by
-``--column angle=PHI``. The torque is the one that moves the angle: positive torque in the positive
-sense.
+A column's name has its unit in any of these forms: ``angle_deg``, ``angle [deg]``, ``angle (deg)``;
+without a unit it is SI. Columns are recognised by name (`NAMES`), or given by ``--column
+angle=PHI``. The torque drives the angle: positive torque in the positive sense.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "torque": ("torque", "tau", "moment", "friction"),
     "brake": ("brake", "current", "setpoint"),
 }
-"""What a column may be called, by what it is; `brake` may lack."""
+"""Accepted column names by quantity; `brake` is optional."""
 UNITS: Mapping[str, Mapping[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi, "turn": 2 * math.pi},
@@ -46,7 +45,7 @@ LEAST_ROWS = 100
 
 
 class TableError(CoulombusError, ValueError):
-    """The file is no table of angle and torque; the text says what is missing."""
+    """The file is not a table of angle and torque; the text names the lack."""
 
     exit_status = 3
 
@@ -58,7 +57,7 @@ class TorqueTable:
     Attributes
     ----------
     t_s, angle_rad, torque_Nm : of each row
-    brake : what drives the brake, in any unit; None where there is none
+    brake : the brake's command, in any unit, or None
     """
 
     path: str
@@ -69,7 +68,7 @@ class TorqueTable:
 
 
 def is_table(path: Path) -> bool:
-    """Tell whether a file is a table, by its name; a CSV file of frames has an ``arbitration_id``."""
+    """Return whether a file is a table, by its name; a CSV file of frames has an ``arbitration_id``."""
     if path.suffix.lower() not in SUFFIXES:
         return False
     if path.suffix.lower() != ".csv":
@@ -83,13 +82,13 @@ def read_table(path: str | os.PathLike[str], columns: Sequence[str] = (), units:
 
     Parameters
     ----------
-    columns : ``angle=NAME``: which column is the angle (`NAMES`)
+    columns : ``angle=NAME``: column of the angle (`NAMES`)
     units : ``angle=deg``: its unit, whatever its name says
 
     Raises
     ------
     TableError
-        a column lacks, is no series of numbers, or has another length; the times do not grow
+        a column is missing, not numeric, or of another length; the times do not increase
     """
     path = Path(path)
     chosen, given = _pairs(path, "--column", columns), _pairs(path, "--unit", units)
@@ -139,7 +138,7 @@ def _pairs(path: Path, option: str, texts: Sequence[str]) -> dict[str, str]:
 
 
 def _split(name: str) -> tuple[str, str | None]:
-    """Return a column's name without its unit, and the unit; None where it has none."""
+    """Return a column's name without its unit, and the unit or None."""
     match = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(.*?)\s*[\])]\s*", name)
     if match:
         return match[1].rstrip("_ "), match[2]
@@ -149,7 +148,7 @@ def _split(name: str) -> tuple[str, str | None]:
 
 
 def _factor(path: Path, what: str, unit: str | None) -> float:
-    """Return what makes SI of the unit."""
+    """Return the factor from the unit to SI."""
     if unit is None:
         return 1.0
     if unit not in UNITS[what]:

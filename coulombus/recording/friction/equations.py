@@ -1,13 +1,13 @@
-r"""The equations that slides give to a regression: speed, acceleration and torques behind one filter.
+r"""Regression equations from slides: speed, acceleration and torques after one filter.
 
-Encoder and transducer go through *one* weight :math:`F`, a window of `WINDOW_S`:
+Encoder and transducer pass *one* weight :math:`F`, a window of `WINDOW_S`:
 
 .. math:: \textstyle\sum F f = J \sum F'' x\,T + b \sum F' x\,T + c\,\mathrm{sgn}(v) + f_0
 
-:math:`F''` is Savitzky and Golay's second derivative of a quadratic, and :math:`F` is what it is
-the second difference of, so speed, acceleration and torque are filtered alike at every frequency
-(but for :math:`(\omega T)^4/240`). The encoder's quantisation makes :math:`v` and :math:`a` wrong
-by a known variance, :math:`\Delta^2/12` times the weight's squared norm.
+:math:`F''` is Savitzky and Golay's second derivative of a quadratic, and it is the second
+difference of :math:`F`, so speed, acceleration and torque are filtered alike at every frequency
+(but for :math:`(\omega T)^4/240`). The encoder's quantisation gives :math:`v` and :math:`a` errors
+of known variance, :math:`\Delta^2/12` times the weight's squared norm.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ __all__ = ["Equations", "equations", "weights"]
 
 @dataclass(frozen=True)
 class Equations:
-    """Filtered samples: one row of each array is one equation."""
+    """Filtered samples: each row of the arrays is an equation."""
 
     v: Floats
     a: Floats
     hand_Nm: Floats
     motor_Nm: Floats
     slide: npt.NDArray[np.int64]
-    """Which slide an equation is of."""
+    """Number of each equation's slide."""
     v_variance: float
     a_variance: float
-    """Of the errors that the encoder's quantisation makes in v and a."""
+    """Variances of the errors in v and a by the encoder's quantisation."""
     speeds: tuple[Floats, ...]
     """Each slide's speed, sample by sample."""
     weight: Floats
     hop: int
 
     first: Floats
-    """Weights of a derivative behind the same filter."""
+    """Weights of a derivative after the same filter."""
 
     def smooth(self, samples: list[Floats]) -> Floats:
-        """Return what each slide's samples are behind the equations' filter."""
+        """Return each slide's samples after the equations' filter."""
         return _filtered(samples, self.weight, self.hop)
 
     def rate(self, samples: list[Floats]) -> Floats:
-        """Return their time derivative behind the filter [1/s]."""
+        """Return their time derivative after the filter [1/s]."""
         return _filtered(samples, self.first, self.hop)
 
 
@@ -58,7 +58,7 @@ def _filtered(samples: list[Floats], weight: Floats, hop: int) -> Floats:
 
 def weights(size: int, period_s: float) -> tuple[Floats, Floats, Floats]:
     """Return the weights F (of torques), F' and F'' (of positions), `size` samples each."""
-    from scipy.signal import savgol_coeffs  # takes a second to load: an import for the few who fit
+    from scipy.signal import savgol_coeffs  # slow to load: imported only for a fit
 
     second = np.asarray(savgol_coeffs(size, 2, deriv=2, delta=period_s, use="dot"), np.float64)
     window = np.cumsum(np.cumsum(second))[:-2] * period_s**2  # its second difference is `second`
@@ -69,7 +69,7 @@ def weights(size: int, period_s: float) -> tuple[Floats, Floats, Floats]:
 
 
 def equations(slides: tuple[Slide, ...], period_s: float, count_rad: float, window_s: float = WINDOW_S) -> Equations:
-    """Return the equations of slides, each a quarter of a window after the one before."""
+    """Return the equations of slides, at steps of a quarter of a window."""
     from scipy.signal import savgol_filter
 
     size = 2 * max(round(0.5 * (window_s / period_s - 1)), 2) + 1

@@ -1,12 +1,11 @@
-r"""The regression of `recording.friction.identify`: coefficients, honest intervals, and whether the
-data bear Stribeck's term.
+r"""The regression of `recording.friction.identify`: coefficients, intervals, and the test of Stribeck's term.
 
-The encoder's quantisation makes v and a wrong by a known variance; `recording.friction.regression`
-takes it off, and has intervals for correlated residuals. A motor that cogs adds a sine and a cosine
-of its angle to the columns (`recording.friction.cogging`).
+The encoder's quantisation gives v and a errors of known variance; `recording.friction.regression`
+corrects for them, and has intervals for correlated residuals. Cogging adds a sine and a cosine of
+the motor's angle to the columns (`recording.friction.cogging`).
 
-Stribeck's term is the one of a grid of speeds v_S that fits best. The best of many is never 0 by
-chance alone, so it stays only if it lowers Schwarz's criterion clearly *and* its interval at
+Stribeck's term is the best fit over a grid of speeds v_S. The best of many is never exactly 0 by
+chance, so it stays only if it clearly lowers Schwarz's criterion *and* its interval at
 `STRIBECK_LEVEL` excludes 0 *and* friction falls with speed (F_s > c).
 """
 
@@ -41,34 +40,34 @@ __all__ = ["Fit", "fit_friction"]
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 STRIBECK_LEVEL = 0.999
-"""The best of 24 speeds passes this by chance in about 1 % of recordings."""
+"""Confidence level for Stribeck's term: the best of 24 speeds passes it by chance in about 1 % of recordings."""
 STRIBECK_GAIN = 10.0
 """Schwarz's criterion must fall by this ("very strong" evidence) for Stribeck's term to stay."""
 STRIBECK_SPEEDS = 24
 STRIBECK_SLIDES = 4
 LEAST_SPREAD = 0.1
-"""Standard deviation of the speed over its mean from which on viscous friction can be told."""
+"""Least ratio of the speed's standard deviation to its mean for viscous friction."""
 SIGNAL_TO_ERROR = 10.0
-"""An acceleration is told from the encoder's quantisation from this ratio of variances on."""
+"""Least ratio of variances between acceleration and the encoder's quantisation."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Friction fitted to samples; None where the data do not carry it."""
+    """Friction fitted to samples; values are None if the data do not support them."""
 
     coulomb_Nm: Estimate
     viscous_Nms_rad: Estimate | None
     inertia_kg_m2: Estimate | None
     offset_Nm: Estimate | None
     stribeck_Nm: Estimate | None
-    """F_s - c: what static friction has above Coulomb's."""
+    """F_s - c: static friction above Coulomb friction."""
     stribeck_rad_s: float | None
     residual_rms_Nm: float
     others: Mapping[str, Estimate] = field(default_factory=dict)
     """The coefficients of further columns."""
 
     def friction_Nm(self, v: Floats) -> Floats:
-        """Return the fitted friction [Nm] at the speeds `v`, inertia and offset left out."""
+        """Return the fitted friction [Nm] at the speeds `v`, without inertia and offset."""
         level = np.full_like(v, self.coulomb_Nm.value)
         if self.viscous_Nms_rad is not None:
             level += self.viscous_Nms_rad.value * np.abs(v)
@@ -94,14 +93,12 @@ class _Stribeck:
 
 
 def _shape(equations: Equations, v_s: float) -> Floats:
-    """Return exp(-(v/v_S)^2) sgn(v) behind the equations' filter."""
+    """Return exp(-(v/v_S)^2) sgn(v) after the equations' filter."""
     return np.sign(equations.v) * equations.smooth([np.exp(-((v / v_s) ** 2)) for v in equations.speeds])
 
 
 def _stribeck(equations: Equations, X: Floats, y: Floats, variances: Floats) -> _Stribeck | None:
-    """Return the Stribeck term that fits best; None where no speed has enough slow samples, or
-    Schwarz's criterion does not want it.
-    """
+    """Return the best Stribeck term; None if no speed has enough slow samples, or Schwarz's criterion rejects it."""
     speed = np.abs(equations.v)
     wide = np.append(variances, 0.0)
 
@@ -138,15 +135,15 @@ def fit_friction(
     others: Mapping[str, Column] | None = None,
     levels: Levels | None = None,
 ) -> Fit:
-    """Fit friction to the equations of what slides.
+    """Fit friction to the equations of slides.
 
     Parameters
     ----------
     equations : of the slides
     torque : each equation's torque [Nm]: the transducer's, or with the motor's added
-    remarks : sentences on what the data do not carry are appended
-    others : more columns, such as those of cogging
-    levels : rows that share the error of a count of the torque
+    remarks : list to which sentences on unsupported parameters are appended
+    others : further columns, such as those of cogging
+    levels : rows that share a quantisation error of the torque
 
     Raises
     ------
@@ -184,13 +181,12 @@ def fit_friction(
     if stribeck is not None:
         wide, known = np.column_stack([X, stribeck.shape]), np.append(variances, 0.0)
         chosen = solve(wide, torque, known)
-        # v_S is fitted as well: its tangent belongs to what the covariance knows
+        # v_S is fitted as well: the covariance includes its tangent
         step = 1e-4 * stribeck.speed
         tangent = (_shape(equations, stribeck.speed + step) - _shape(equations, stribeck.speed - step)) / (2 * step)
         height = chosen.beta[-1] / chosen.scale[-1]
         full = solve(np.column_stack([wide, height * tangent]), torque, np.append(known, 0.0))
-        # at the optimum the tangent's own coefficient is 0: residuals and the others are those of
-        # `chosen`
+        # at the optimum the tangent's own coefficient is 0, so residuals and coefficients are those of `chosen`
         wide_error, wide_freedom = standard_errors(full, clusters)
         low = height - stdtrit(wide_freedom[-2], 0.5 + STRIBECK_LEVEL / 2) * wide_error[-2]
         if low > 0.0:

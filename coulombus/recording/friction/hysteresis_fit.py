@@ -1,18 +1,17 @@
-r"""The magnetic hysteresis of the brake's iron from a recording: play operators, their weights, the
-fluid's lag.
+r"""Magnetic hysteresis of the brake's iron from a recording: play operators, their weights, the fluid's lag.
 
-While the handle slides, what the hand and the motor give is
+While the handle slides, the torque of hand and motor is
 
 .. math:: f + \tau_m = \Bigl[g\,\Lambda_\tau\bigl(w_0 c + \sum_j w_j P_j(c)\bigr) + F_c\Bigr]
           \mathrm{sgn}(v) + b v + J \dot v + f_0
 
-with the coil's torque :math:`c` (the set-points, behind the coil's believed lag), the play operators
+with the coil's torque :math:`c` (the set-points after the modelled lag of the coil), the play operators
 :math:`P_j` of half plays :math:`r_j`, and the fluid's lag :math:`\Lambda_\tau`. For given :math:`r_j`
-and :math:`\tau` all else is linear, with weights that are not negative (variable projection). A grid of
-plays finds how many there are; what is left of it is then moved to where the residual is least.
+and :math:`\tau` the problem is linear, with non-negative weights (variable projection). A grid of
+plays finds their number; the remaining plays are then moved to the least residual.
 
-The brake's set-point must change while the handle slides, up and down. Encoder and torques go through
-one filter (`recording.friction.sliding`). The iron begins demagnetised.
+The brake's set-point must rise and fall while the handle slides. Encoder and torques pass one
+filter (`recording.friction.sliding`). The iron starts demagnetised.
 
 Sources: K. Kuhnen, European Journal of Control 9(4), 2003, doi:10.3166/ejc.9.407-418; G. Golub,
 V. Pereyra, Inverse Problems 19(2), 2003, doi:10.1088/0266-5611/19/2/201.
@@ -36,25 +35,25 @@ __all__ = ["IronFit", "identify_iron", "iron_lines", "play"]
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 GRID = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
-"""Half plays that are tried, as shares of the largest set-point."""
+"""Half plays to try, relative to the largest set-point."""
 LEAST_WEIGHT = 0.01
-"""An operator of less weight is left out."""
+"""Least weight of an operator."""
 LAGS_S = (1e-4, 0.1)
 START_LAG_S = 0.015
 LEAST_SAMPLES = 500
 LEAST_SWING_NM = 0.1
 NOTHING = 0.005
-"""A hysteresis of less than this share of the torque is none."""
+"""Least hysteresis relative to the torque."""
 
 
 @dataclass(frozen=True)
 class IronFit:
-    """The brake's iron and fluid, as a recording has them."""
+    """The brake's iron and fluid, fitted to a recording."""
 
     play_Nm: tuple[float, ...]
     weights: tuple[float, ...]
     gain: float
-    """Torque at the handle for each Nm of the set-point, up and down once the iron has followed."""
+    """Torque at the handle per Nm of the set-point, once the iron has followed."""
     fluid_lag_s: float
     coulomb_Nm: float
     viscous_Nms_rad: float
@@ -78,7 +77,7 @@ class IronFit:
 
 
 def play(coil_Nm: Floats, r_Nm: float) -> Floats:
-    """Return what a play operator of half play `r_Nm` makes of the coil's torque, from 0 on."""
+    """Return the output of a play operator of half play `r_Nm` for the coil's torque, starting at 0."""
     out, y = np.empty(len(coil_Nm)), 0.0
     for k, c in enumerate(coil_Nm.tolist()):
         y = max(c - r_Nm, min(c + r_Nm, y))
@@ -88,7 +87,7 @@ def play(coil_Nm: Floats, r_Nm: float) -> Floats:
 
 def _lagged(values: Floats, lag_s: float, period_s: float) -> Floats:
     share = 1.0 - np.exp(-period_s / lag_s) if lag_s > 0 else 1.0
-    from scipy.signal import lfilter  # takes a second to load
+    from scipy.signal import lfilter  # slow to load
 
     lagged: Floats = np.asarray(lfilter([share], [1.0, share - 1.0], values), np.float64)
     return lagged
@@ -96,7 +95,7 @@ def _lagged(values: Floats, lag_s: float, period_s: float) -> Floats:
 
 @dataclass(frozen=True)
 class _Data:
-    """The equations and the coil's course behind them."""
+    """The equations and the coil's torque for them."""
 
     rows: Equations
     spans: tuple[tuple[int, int], ...]
@@ -106,11 +105,11 @@ class _Data:
     y: Floats
 
     def column(self, course: Floats) -> Floats:
-        """Return a course over all cycles as a column of the equations."""
+        """Return a signal over all cycles as a column of the equations."""
         return self.rows.smooth([s * course[a:b] for (a, b), s in zip(self.spans, self.senses, strict=True)])
 
     def solve(self, plays: Floats, lag_s: float) -> tuple[Floats, Floats]:
-        """Return the linear unknowns (direct, one for each play, F_c, b, J, f_0) and the residual."""
+        """Return the linear unknowns (direct term, plays, F_c, b, J, f_0) and the residual."""
         courses = [self.coil_Nm, *(play(self.coil_Nm, float(r)) for r in plays)]
         columns = [self.column(_lagged(course, lag_s, self.period_s)) for course in courses]
         columns += [self.column(np.ones(len(self.coil_Nm))), self.rows.v, self.rows.a, np.ones(len(self.y))]
@@ -153,7 +152,7 @@ def identify_iron(recording: Source) -> IronFit:
     Raises
     ------
     coulombus.recording.friction.sliding.IdentifyError
-        there is no transducer, the handle hardly slides, or the set-point hardly changes meanwhile
+        there is no transducer, the handle hardly slides, or the set-point hardly changes
     """
     data = _data(recording)
     lag = recording.rig.one_axis().brake.fluid_lag_s or START_LAG_S
@@ -201,7 +200,7 @@ def identify_iron(recording: Source) -> IronFit:
 
 
 def iron_lines(fit: IronFit) -> list[str]:
-    """Return a fit as text, with the section as a rig file has it."""
+    """Return a fit as text, with the rig file's section."""
     text = [f"{fit.samples} samples slide; residual, RMS: {fit.residual_rms_Nm:.3g} Nm with hysteresis, "
             f"{fit.residual_without_Nm:.3g} Nm without"]  # fmt: skip
     text.append(f"torque for each Nm of the set-point {fit.gain:.4g}, fluid's lag {fit.fluid_lag_s * 1e3:.3g} ms")

@@ -1,21 +1,20 @@
-r"""Friction from a recording, by least squares: Coulomb, viscous, Stribeck where the data bear it,
-with confidence intervals.
+r"""Friction from a recording by least squares: Coulomb, viscous and, if supported, Stribeck, with confidence intervals.
 
 While the handle slides, the hand's torque on it (the transducer's) is
 
 .. math:: f = J\,\dot v + \bigl[c + b\,|v| + (F_s - c)\,e^{-(v/v_S)^2}\bigr]\,\mathrm{sgn}(v) + f_0
 
-which is what the hand *feels*: the device's own friction, less what the motor compensates of it,
-plus whatever is displayed. With the motor's torque (6077h) added to the left it is the *device's*
-friction, compensated or not. Both are fitted.
+This is the friction that the hand *feels*: the device's own, minus the motor's compensation, plus
+the display. With the motor's torque (6077h) added on the left it is the *device's* friction,
+compensated or not. Both are fitted.
 
-A motor that cogs adds :math:`A\,\sin(\kappa x + \varphi)`, where it stands out
-(`recording.friction.cogging`). The drive's measured torque may be late by :math:`\delta`: the
-device's fit has :math:`\delta\,\dot\tau_m`, too, so that it is not taken for inertia.
+Significant cogging adds :math:`A\,\sin(\kappa x + \varphi)` (`recording.friction.cogging`). The
+drive's measured torque may be late by :math:`\delta`: the device's fit includes
+:math:`\delta\,\dot\tau_m`, so that the delay is not mistaken for inertia.
 
-`recording.friction.sliding` takes the samples for which that is true and makes equations of them,
-`recording.friction.friction_fit` solves these. :math:`f_0` (the transducer's bias) is fitted when
-both directions are there. The intervals are 95 %; docs/theory.md has how often they hold the truth.
+`recording.friction.sliding` selects the samples for which the equation holds and builds equations,
+`recording.friction.friction_fit` solves them. :math:`f_0` (the transducer's bias) is fitted if both
+directions occur. The intervals are 95 %; docs/theory.md has their coverage.
 
 Source: the paper, section 5 and Fig. 13.
 """
@@ -42,32 +41,32 @@ __all__ = ["Identification", "IdentifyError", "identified", "identify", "lines",
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 LEAST_RATE_NM_S = 1e-3
-"""A torque that changes by less, in the mean, tells no delay."""
+"""Least mean rate of torque from which a delay can be fitted."""
 
 
 @dataclass(frozen=True)
 class Identification:
-    """What a recording says of friction."""
+    """Friction identified from a recording."""
 
     path: str
     felt: Fit
-    """What the hand feels at the handle."""
+    """Friction felt at the handle."""
     device: Fit
-    """The device's own: the motor's torque added."""
+    """The device's own friction: with the motor's torque."""
     samples: int
     coil_off: bool
-    """True: only samples without brake were taken."""
+    """Whether only samples without brake were taken."""
     left_out: dict[str, int]
-    """Samples that were left out, by why."""
+    """Number of omitted samples by reason."""
     remarks: tuple[str, ...]
     cogging: Cogging | None
-    """The motor's, where it stands out; its coefficients are those of `device`."""
+    """The motor's cogging, if significant; its coefficients are in `device`."""
     v_rad_s: Floats
     felt_Nm: Floats
-    """The samples, inertia and offset taken off; for the plot."""
+    """The samples without inertia and offset; for the plot."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values: what is felt at the top, the device's under "device"."""
+        """Return plain values: felt friction at the top, the device's under "device"."""
         return self.felt.as_dict() | {
             "device": self.device.as_dict(),
             "samples": self.samples,
@@ -82,12 +81,12 @@ def identify(
 ) -> Identification:
     """Identify friction from a recording (or its path): any run in which the handle slides.
 
-    `reversal_s`: a slide counts from so long after its beginning (`recording.friction.sliding`).
+    `reversal_s`: time ignored at the beginning of a slide (`recording.friction.sliding`).
 
     Raises
     ------
     IdentifyError
-        the handle hardly slides while friction is displayed, or there is no transducer's signal
+        the handle hardly slides while friction is displayed, or the transducer's signal is missing
     """
     if isinstance(recording, str | Path):
         recording = blocks(recording)
@@ -105,14 +104,13 @@ def identified(
 
     Parameters
     ----------
-    ratio : of the motor, None: no cogging is looked for
-    count_Nm : of the motor's measured torque, where a controller holds the speeds; 0: its error
-        averages out
+    ratio : of the motor; None: cogging is not fitted
+    count_Nm : resolution of the motor's measured torque if a controller holds the speeds; 0: its error averages out
 
     Raises
     ------
     IdentifyError
-        they do not carry it
+        the slides do not support a fit
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad, window_s)
     notes = list(slides.remarks)
@@ -145,7 +143,7 @@ def identified(
 
 
 def torque_delay(rows: Equations, slides: Sliding) -> dict[str, Column]:
-    """Return the column of a delay of the motor's measured torque; nothing where it never changes."""
+    """Return the column for a delay of the motor's measured torque; empty if the torque never changes."""
     rate = rows.rate([slide.motor_Nm for slide in slides.slides if len(slide.t_s) >= len(rows.weight)])
     changes = float(np.sqrt(np.mean(rate**2))) > LEAST_RATE_NM_S
     return {"torque's delay": (rate, 0.0)} if changes else {}

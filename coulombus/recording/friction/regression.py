@@ -1,15 +1,15 @@
-r"""Least squares whose regressors have errors of known variance, and whose residuals are correlated.
+r"""Least squares with regressor errors of known variance and correlated residuals.
 
-An error of known variance in a regressor shrinks its coefficient: it is taken off the normal
-equations (W. A. Fuller, Measurement Error Models, 1987, section 2.2),
+An error of known variance in a regressor shrinks its coefficient; the normal equations are
+corrected for it (W. A. Fuller, Measurement Error Models, 1987, section 2.2),
 
 .. math:: \hat\beta = (X^T X - n \Sigma)^{-1} X^T y.
 
-Neighbouring rows share samples, the sensors' quantisation and whatever the model leaves out. So the
-covariance is that of clusters: a slide, or each `CLUSTER_EQUATIONS` of a long one. Each cluster's
+Neighbouring rows share samples, the sensors' quantisation and model errors. The covariance is
+therefore that of clusters: a slide, or each `CLUSTER_EQUATIONS` of a long one. Each cluster's
 residuals are corrected for its own leverage (CR2), and the intervals are 95 % of Student's t with
-the degrees of freedom that the coefficient's clusters have (Satterthwaite): R. M. Bell, D. F.
-McCaffrey, Survey Methodology 28(2):169-181, 2002.
+the degrees of freedom of the coefficient's clusters (Satterthwaite): R. M. Bell, D. F. McCaffrey,
+Survey Methodology 28(2):169-181, 2002.
 """
 
 from __future__ import annotations
@@ -43,18 +43,20 @@ __all__ = [
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
 Column: TypeAlias = tuple[Floats, float]
-"""A regressor, and the variance of the errors in it."""
+"""A regressor and its error variance."""
 
 CONFIDENCE = 0.95
 CLUSTER_EQUATIONS = 15
-"""About 0.2 s of a slide: an equation comes each quarter of a window."""
+"""Equations per cluster, about 0.2 s of a slide: equations are a quarter of a window apart."""
 LEAST_EQUATIONS = 4
-"""Of a cluster: a window's length."""
+"""Least equations of a cluster: a window's length."""
 LEAST_CLUSTERS = 6
 LEVEL_WIDTH = 0.25
-"""Of the logarithm of the speed: speeds so near to each other are of one level."""
+"""Width of a level in the logarithm of the speed."""
 LEVEL_SHARE = 0.3
-"""Measured on simulated rigs: the rest averages over cogging, noise and changes of speed."""
+"""Common share of the quantisation error, measured on simulated rigs; the rest averages over
+cogging, noise and changes of speed.
+"""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Estimate:
 
     @property
     def reach(self) -> float:
-        """Half of the interval."""
+        """Half the width of the interval."""
         return 0.5 * (self.high - self.low)
 
     def __str__(self) -> str:
@@ -76,7 +78,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Solution:
-    """Least squares with errors of known variance in the regressors.
+    """Solution of least squares with regressor errors of known variance.
 
     Columns of Z have unit mean square.
     """
@@ -96,7 +98,7 @@ class Solution:
 
 
 def solve(X: Floats, y: Floats, variances: Floats) -> Solution:
-    """Solve least squares; `variances`: of the errors in the columns of `X`.
+    """Solve least squares; `variances`: error variances of the columns of `X`.
 
     Raises
     ------
@@ -117,8 +119,8 @@ def solve(X: Floats, y: Floats, variances: Floats) -> Solution:
 
 
 def clusters_of(slide: Integers) -> list[Integers]:
-    """Return the rows of each cluster: a slide, cut in equal parts where it is long."""
-    long = min(max(len(slide) // (2 * LEAST_CLUSTERS), LEAST_EQUATIONS), CLUSTER_EQUATIONS)  # of few data, shorter ones
+    """Return the rows of each cluster: a slide, or equal parts of a long one."""
+    long = min(max(len(slide) // (2 * LEAST_CLUSTERS), LEAST_EQUATIONS), CLUSTER_EQUATIONS)  # shorter ones for few data
     clusters: list[Integers] = []
     for rows in np.split(np.arange(len(slide)), np.flatnonzero(np.diff(slide)) + 1):
         clusters += np.array_split(rows, max(round(len(rows) / long), 1))
@@ -143,16 +145,16 @@ def standard_errors(s: Solution, clusters: list[Integers]) -> tuple[Floats, Floa
 
 @dataclass(frozen=True)
 class Levels:
-    r"""Rows that share the error of a count: those at one speed, with the sign of their sense.
+    r"""Rows that share a quantisation error: those at one speed, with the sign of their direction.
 
-    A controller that holds a speed repeats the same swing of a few counts :math:`\Delta`, or none. So
-    the error of its torque's count does not average over the samples of a level: of a uniform error,
-    :math:`\Delta/\sqrt{12}`, the share `LEVEL_SHARE` is counted as common to them.
+    A controller that holds a speed repeats the same swing of a few counts :math:`\Delta`, or none.
+    Its torque's quantisation error therefore does not average over the samples of a level: the
+    share `LEVEL_SHARE` of a uniform error, :math:`\Delta/\sqrt{12}`, is treated as common to them.
 
     Attributes
     ----------
-    of_row : which level each row is of
-    sense : sign of each row's speed: rounding is symmetrical
+    of_row : level of each row
+    sense : sign of each row's speed, because rounding is symmetrical
     error : its standard deviation [Nm]
     """
 
@@ -162,12 +164,12 @@ class Levels:
 
     @classmethod
     def of(cls, v: Floats, count: float) -> Levels:
-        """Return the levels of rows at the speeds `v`, of a torque that comes in `count` [Nm]."""
+        """Return the levels of rows at the speeds `v`, for a torque of resolution `count` [Nm]."""
         speed_class = np.floor(np.log(np.maximum(np.abs(v), 1e-9)) / LEVEL_WIDTH).astype(np.int64)
         return cls(speed_class - speed_class.min(), np.sign(v), LEVEL_SHARE * count / math.sqrt(12))
 
     def variance(self, s: Solution) -> Floats:
-        """Return what they add to the variance of each coefficient of X."""
+        """Return their contribution to the variance of each coefficient of X."""
         weights = s.Z @ s.inverse.T
         sums = np.stack([np.bincount(self.of_row, weights=column * self.sense) for column in weights.T])
         variances: Floats = np.sum(sums**2, axis=1) * self.error**2 / s.scale**2
@@ -175,10 +177,9 @@ class Levels:
 
 
 def correction_reach(s: Solution, X: Floats, y: Floats) -> Floats:
-    """Return by how much taking the errors of the regressors off has moved each coefficient of X.
+    """Return the shift of each coefficient of X by the correction for regressor errors.
 
-    How white the error of a count is depends on the speed, so the correction is known to its own
-    size only.
+    The spectrum of quantisation errors depends on the speed, so the correction is as uncertain as its own size.
     """
     plain = solve(X, y, np.zeros(X.shape[1]))
     moved: Floats = np.abs(s.beta - plain.beta) / s.scale
@@ -194,7 +195,7 @@ def _sandwich(s: Solution, clusters: list[Integers]) -> tuple[Floats, list[Float
     """Return the covariance of the coefficients of Z, and the weights of each cluster's residuals."""
     Z, inverse = s.Z, s.inverse
     meat = np.zeros_like(inverse)
-    spread = []  # of each cluster: what its corrected residuals are weighted with
+    spread = []  # weights of each cluster's corrected residuals
     for rows in clusters:
         part = Z[rows]
         values, vectors = np.linalg.eigh(np.eye(len(rows)) - part @ inverse @ part.T)
@@ -208,7 +209,7 @@ def _sandwich(s: Solution, clusters: list[Integers]) -> tuple[Floats, list[Float
 def regress(columns: Mapping[str, Column], y: Floats, slide: Integers) -> dict[str, Estimate]:
     """Return each column's coefficient with its 95 % interval.
 
-    `slide`: which slide each row is of.
+    `slide`: slide number of each row.
 
     Raises
     ------
@@ -232,7 +233,7 @@ def regress(columns: Mapping[str, Column], y: Floats, slide: Integers) -> dict[s
 
 
 def widened(estimate: Estimate, *shares: float) -> Estimate:
-    r"""Return an estimate with what was measured before it, and has a share in it as a factor.
+    r"""Return an estimate widened by the uncertainty of earlier measured factors.
 
     .. math:: r^2 = r_0^2 + x^2 \sum_i s_i^2
 

@@ -1,17 +1,17 @@
-r"""Which samples of a recording obey the regression of `recording.friction.identify`.
+r"""Select the samples of a recording that obey the regression of `recording.friction.identify`.
 
-The equation :math:`f = J\,\dot v + [c + b\,|v|]\,\mathrm{sgn}(v) + f_0` holds for what the hand
-feels only while the host displays one thing. So a sample is taken only
+The equation :math:`f = J\,\dot v + [c + b\,|v|]\,\mathrm{sgn}(v) + f_0` holds for the felt torque
+only while the display is steady. So a sample is taken only
 
 - in the host's phase RUN with its gain at 1: not before the display, not in the sign check, not
-  after the end or a trip. A recording has no phases, but what the wire shows bounds them: Operation
-  Enabled, then the sign check's torque, then a handle that is still without torque for `SETTLE_S`;
+  after the end or a trip. A recording has no phases, but the frames bound them: Operation Enabled,
+  then the sign check's torque, then a handle at rest without torque for `SETTLE_S`;
 - while the handle slides in one direction, faster than the law's band, and from `REVERSAL_S` after
-  it began to: by then the motor's lag and the PDOs' delay are over. Near the speed limit the host
-  takes the motor's torque away, so not there either;
-- while the brake's set-point has been the same for `COIL_S`, by which its fluid has followed.
+  it began: by then the motor's lag and the PDOs' delay are over. Near the speed limit the host
+  removes the motor's torque, so samples there are excluded, too;
+- while the brake's set-point has been constant for `COIL_S`, so that its fluid has followed.
 
-What was left out is counted by its first reason.
+Omitted samples are counted by their first reason.
 """
 
 from __future__ import annotations
@@ -46,69 +46,66 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
 WINDOW_S = 0.061
-"""Length of the window behind each equation."""
+"""Length of each equation's window."""
 SPEED_SAMPLES = 15
-"""Length of the shorter window behind a sample's own speed, for Stribeck's term."""
+"""Length of the shorter window for a sample's own speed, for Stribeck's term."""
 REVERSAL_S = 0.02
-"""A slide counts from so long after its beginning."""
+"""Time ignored at the beginning of a slide."""
 COIL_S = 0.25
-"""The brake's set-point stays the same for so long: the fluid has followed to 1e-6."""
+"""Time of constant brake set-point, after which the fluid has followed to 1e-6."""
 SETTLE_S = 0.05
-"""So long the handle is still after the sign check (`host.cycle.controller.SETTLE_S`)."""
+"""Time of rest after the sign check (`host.cycle.controller.SETTLE_S`)."""
 SETTLE_COUNTS = 1
 STILL_MARGIN_S = 0.05
 SPEED_SHARE = 0.8
-"""Of the speed limit.
-
-Above it the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`).
-"""
+"""Share of the speed limit above which the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`)."""
 LEAST_SAMPLES = 100
 EXERCISES = "coulombus.host.laws.exercises:"
-"""The laws that display nothing: with them the handle slides at any speed."""
+"""Laws that display nothing: the handle then slides at any speed."""
 TRAVEL_RAD_S, TRAVEL_COUNTS = 0.25, 6
-"""At this speed an exercise's slide gives so many counts, none of them back, around each sample."""
+"""At this speed an exercise's slide gives this many counts around each sample, none backwards."""
 
 
 class IdentifyError(CoulombusError, ValueError):
-    """The recording does not show friction: the text says what is missing."""
+    """The recording does not show friction; the text names the lack."""
 
     exit_status = 1
 
 
 @dataclass(frozen=True)
 class Slide:
-    """Samples in a row, one cycle apart, in which the handle slides in one direction."""
+    """Consecutive samples, one cycle apart, of a slide in one direction."""
 
     t_s: Floats
     x_rad: Floats
     hand_Nm: Floats
-    """The transducer's."""
+    """Torque of the transducer."""
     motor_Nm: Floats
-    """The motor's, as the drive tells it (6077h), or as it was told where the drive does not."""
+    """Torque of the motor: the drive's 6077h, else the set-point."""
 
 
 @dataclass(frozen=True)
 class Sliding:
-    """What of a recording obeys the regression."""
+    """The part of a recording that obeys the regression."""
 
     slides: tuple[Slide, ...]
     period_s: float
     count_rad: float
     """The encoder's resolution at the handle."""
     coil_off: bool
-    """True: only samples without brake were taken."""
+    """Whether only samples without brake were taken."""
     left_out: dict[str, int]
-    """Samples that were left out, by why; 0 where that never was."""
+    """Number of omitted samples by reason; may be 0."""
     remarks: tuple[str, ...]
 
     @property
     def samples(self) -> int:
-        """How many samples were taken."""
+        """Number of selected samples."""
         return sum(len(slide.t_s) for slide in self.slides)
 
 
 def _nearest(series: Series, t: Floats, within_s: float) -> Floats:
-    """Return the series' values nearest to `t`, NaN where none is `within_s`."""
+    """Return the series' values nearest to `t`; NaN if none is `within_s`."""
     if not len(series):
         return np.full(len(t), np.nan)
     after = np.clip(np.searchsorted(series.t_s, t), 1, max(len(series) - 1, 1))
@@ -120,22 +117,22 @@ def _nearest(series: Series, t: Floats, within_s: float) -> Floats:
 
 
 def since(flags: Flags) -> npt.NDArray[np.int64]:
-    """Return for how many samples `flags` has been true, the present one included."""
+    """Return the number of samples for which `flags` has been true, including the present one."""
     index = np.arange(len(flags))
     return index - np.maximum.accumulate(np.where(flags, -1, index))
 
 
 def runs(flags: Flags) -> list[tuple[int, int]]:
-    """Return first and end of each run of true values."""
+    """Return start and end of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _armed(counts: Floats, target: Floats, settle: int) -> int | None:
-    """Return the sample of an enabled stretch at which the law begins; None: it is not seen to.
+    """Return the sample of an enabled stretch at which the law begins, or None.
 
-    Without any motor torque there was no sign check. Else the law begins when the handle has been
-    still, without torque, for `settle` samples after the check.
+    Without any motor torque there was no sign check. Otherwise the law begins when the handle has
+    been at rest, without torque, for `settle` samples after the check.
     """
     driven = np.flatnonzero(target != 0.0)
     if not len(driven):
@@ -152,14 +149,14 @@ def _armed(counts: Floats, target: Floats, settle: int) -> int | None:
 
 
 def _at_full_gain(recording: Source, t: Floats) -> Flags:
-    """Tell in which samples the host says that it displays the law at full gain."""
+    """Return the samples in which the host reports the law at full gain."""
     phase, gain = series(recording, "host.phase", "host.gain")
     return np.asarray((phase.held(t, 0.0) == PHASE_RUN) & (gain.held(t, 0.0) >= 1.0 - 1e-9))
 
 
 def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tuple[str, ...]]:
-    """Tell which samples are in the host's phase RUN at full gain, and what had to be assumed."""
-    if recording.has("host.phase"):  # a law that moves the handle by itself leaves no rest behind the sign check
+    """Return the samples in the host's phase RUN at full gain, and the assumptions made."""
+    if recording.has("host.phase"):  # a law that moves the handle leaves no rest after the sign check
         return _at_full_gain(recording, t), ()
     axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     statusword, target = series(recording, "motor.statusword", "motor.target_torque_Nm")
@@ -196,42 +193,42 @@ def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tup
 
 
 class _Samples:
-    """Samples, and why the others were left out: each counts for the first reason only."""
+    """Selected samples, and the reasons for the others: each counts for its first reason only."""
 
     def __init__(self, n: int) -> None:
         self.good = np.ones(n, bool)
         self.left_out: dict[str, int] = {}
 
     def keep(self, reason: str, flags: Flags) -> None:
-        """Leave out what is not in `flags`, for `reason`."""
+        """Omit samples outside `flags`, for `reason`."""
         self.left_out[reason] = int(np.sum(self.good & ~flags))
         self.good &= flags
 
 
 class Signals(NamedTuple):
-    """What a recording has of the handle, cycle by cycle."""
+    """Signals of the handle, cycle by cycle."""
 
     t: Floats
     x: Floats
     moved: Floats
-    """Counts since the cycle before."""
+    """Counts since the previous cycle."""
     hand: Floats
     motor: Floats
     brake: Floats
     shown: Flags
-    """In the display at full gain."""
+    """Whether the display is at full gain."""
     notes: tuple[str, ...]
     count_rad: float
     """An encoder count at the handle [rad]."""
 
 
 def signals(recording: Source) -> Signals:
-    """Return what a recording has of the handle, cycle by cycle.
+    """Return the signals of the handle, cycle by cycle.
 
     Raises
     ------
     IdentifyError
-        the rig has no transducer, there is no sample, or the recording's stamps go back
+        the rig has no transducer, there is no sample, or the recording's stamps decrease
     """
     period = recording.rig.bus.period_s
     names = ("motor.position_rad", "brake.handle_torque_Nm")
@@ -268,12 +265,12 @@ def signals(recording: Source) -> Signals:
 
 
 def stretches(recording: Source) -> tuple[Slide, ...]:
-    """Return the samples in a row of the display at full gain, those at rest, too.
+    """Return runs of consecutive samples of the display at full gain, including rest.
 
     Raises
     ------
     IdentifyError
-        the rig has no transducer, there is hardly a sample, or the recording's stamps go back
+        the rig has no transducer, there is hardly a sample, or the recording's stamps decrease
     """
     period, seen = recording.rig.bus.period_s, signals(recording)
     good = seen.shown & np.isfinite(seen.x) & np.isfinite(seen.hand) & np.isfinite(seen.motor)
@@ -291,7 +288,7 @@ def stretches(recording: Source) -> tuple[Slide, ...]:
 
 
 def _apart(first: int, end: int, gaps: Flags) -> list[tuple[int, int]]:
-    """Split a run of samples where a cycle is missing."""
+    """Split a run of samples at missing cycles."""
     cuts = first + 1 + np.flatnonzero(gaps[first + 1 : end])
     return list(pairwise([first, *cuts.tolist(), end]))
 
@@ -299,30 +296,30 @@ def _apart(first: int, end: int, gaps: Flags) -> list[tuple[int, int]]:
 def one_sense(
     moved: Floats, period_s: float, count_rad: float, slow_rad_s: float = TRAVEL_RAD_S
 ) -> tuple[Flags, Floats]:
-    """Tell which samples are in the midst of a motion in one sense, and in which.
+    """Return the samples within a motion in one direction, and the direction.
 
-    `moved`: counts since the sample before; `slow_rad_s`: the slowest motion that is seen.
+    `moved`: counts since the previous sample; `slow_rad_s`: the slowest motion to detect.
     """
     n, half = len(moved), max(math.ceil(0.5 * TRAVEL_COUNTS / (slow_rad_s * period_s / count_rad)), 1)
     window = np.ones(2 * half + 1)
     span = np.convolve(moved, window, "same")
     ways = [np.convolve(moved * sign > 0.0, window, "same") > 0.5 for sign in (1, -1)]
     flags = (np.abs(span) >= TRAVEL_COUNTS) & ~(ways[0] & ways[1])
-    whole = np.convolve(flags, window, "same") > 2 * half + 0.5  # the samples around it slide, too
+    whole = np.convolve(flags, window, "same") > 2 * half + 0.5  # the neighbouring samples slide, too
     return whole & (np.arange(n) >= half), np.sign(span)
 
 
 def sliding(recording: Source, window_s: float = WINDOW_S, reversal_s: float = REVERSAL_S) -> Sliding:
     """Return the samples of a recording that obey the regression.
 
-    `reversal_s`: a slide counts from so long after its beginning. What is felt at the handle needs
-    `REVERSAL_S`. With the motor's torque as the drive measures it, a few milliseconds will do.
+    `reversal_s`: time ignored at the beginning of a slide. Felt friction needs `REVERSAL_S`. With
+    the motor's torque measured by the drive, a few milliseconds are enough.
 
     Raises
     ------
     IdentifyError
-        the rig has no transducer; hardly a sample does, the text counts why; or the recording's
-        stamps go back
+        the rig has no transducer; hardly a sample qualifies (the text counts the reasons); or the
+        recording's stamps decrease
     """
     axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     size = 2 * max(round(0.5 * (window_s / period - 1)), 2) + 1
@@ -373,7 +370,7 @@ def sliding(recording: Source, window_s: float = WINDOW_S, reversal_s: float = R
 
 
 def _one_way(first: int, end: int, sense: Floats) -> list[tuple[int, int]]:
-    """Split a run of samples where the direction changes (it cannot, but by a jump)."""
+    """Split a run of samples at changes of direction (only a jump can cause them)."""
     turns = first + 1 + np.flatnonzero(np.sign(sense[first + 1 : end]) != np.sign(sense[first : end - 1]))
     edges = [first, *turns.tolist(), end]
     return list(pairwise(edges))

@@ -1,12 +1,10 @@
-r"""Friction from anybody's angle and torque: slow ramps, strokes, chirps.
+r"""Friction from a table of angle and torque: slow ramps, strokes, chirps.
 
-The rows become slides as those of a recording do (`recording.friction.sliding`), with what a rig
-file would say taken from the table itself: the period is the median of the times' differences, the
-encoder's count is the smallest step of the angle, where all steps are whole multiples of it. Rows
-that come unevenly are interpolated.
+Rows become slides as in a recording (`recording.friction.sliding`). The table supplies the rig
+file's values: the period is the median difference of the times; the encoder's count is the smallest
+step of the angle if all steps are whole multiples of it. Unevenly spaced rows are interpolated.
 
-The torque at which the handle lets go is the largest before each slide that begins from rest; its
-interval is Student's over the slides.
+The breakaway torque is the largest before each slide from rest; its interval is Student's over the slides.
 """
 
 from __future__ import annotations
@@ -38,11 +36,11 @@ from coulombus.recording.friction.sliding import (
 __all__ = ["TableIdentification", "identify_table", "table_lines"]
 
 SLOW_SHARE = 0.05
-"""Of the fast strokes' speed: slower does not count as sliding."""
+"""Least speed of sliding, relative to the fast strokes."""
 EVEN = 0.01
 REST_S, BEFORE_S = 0.1, 0.02
 STILL_SHARE = 1e-4
-"""Of the whole travel: less is rest, where the angle has no counts."""
+"""Largest motion at rest, relative to the whole travel, for an angle without counts."""
 LEAST_LETS = 3
 LEAST_SIZE = 5
 """Samples of the shortest window."""
@@ -50,11 +48,11 @@ LEAST_SIZE = 5
 
 @dataclass(frozen=True)
 class TableIdentification:
-    """What a table says of friction; the torque's side alone, no motor beside it."""
+    """Friction from a table: the measured torque only, without a motor's."""
 
     identification: Identification
     breakaway_Nm: Estimate | None
-    """None: fewer than three slides begin from rest."""
+    """None if fewer than three slides begin from rest."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values."""
@@ -68,12 +66,12 @@ class TableIdentification:
 def identify_table(table: TorqueTable, ratio: float | None = None) -> TableIdentification:
     """Identify friction from a table.
 
-    `ratio`: motor revolutions for one of the angle, None: no cogging is looked for.
+    `ratio`: motor revolutions per revolution of the angle; None: cogging is not fitted.
 
     Raises
     ------
     IdentifyError
-        the angle hardly moves, or too little for the fit
+        the angle moves too little for the fit
     """
     slides, window_s, lets = _slides(table)
     try:
@@ -92,7 +90,7 @@ def _mean(values: list[float]) -> Estimate | None:
 
 
 def _even(table: TorqueTable) -> tuple[float, TorqueTable, tuple[str, ...]]:
-    """Return the period, and the table with rows that come with it."""
+    """Return the period, and the table resampled to it."""
     steps = np.diff(table.t_s)
     period = float(np.median(steps))
     t = table.t_s[0] + period * np.arange(int((table.t_s[-1] - table.t_s[0]) / period) + 1)
@@ -107,7 +105,7 @@ def _even(table: TorqueTable) -> tuple[float, TorqueTable, tuple[str, ...]]:
 
 
 def _count(angle: Floats) -> float:
-    """Return the encoder's count [rad], 0 where the angle is continuous."""
+    """Return the encoder's count [rad]; 0 if the angle is continuous."""
     steps = np.abs(np.diff(angle))
     steps = steps[steps > 1e-12]
     if not len(steps):
@@ -118,7 +116,7 @@ def _count(angle: Floats) -> float:
 
 
 def _slides(table: TorqueTable) -> tuple[Sliding, float, list[float]]:
-    """Return the slides, the window for them, and the torque before each that begins from rest."""
+    """Return the slides, their window, and the torque before each slide from rest."""
     period, table, notes = _even(table)
     x, count = table.angle_rad, _count(table.angle_rad)
     unit = count or 1e-9 * max(float(np.ptp(x)), 1e-9)

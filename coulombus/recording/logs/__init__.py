@@ -1,1 +1,1 @@
-"""Readers of other tools' logs, a module for each format; each tells every row that it leaves out."""
+"""Readers of other tools' logs, a module per format; each reports every row that it omits."""

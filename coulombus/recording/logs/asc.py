@@ -19,7 +19,7 @@ __all__ = ["AscRows"]
 STAMPED = re.compile(r"\s*(\d+[.,]\d+)(?:\s+(.*?))?\s*", re.ASCII)
 START = "start of measurement"
 BEGIN = re.compile(r"0?[.,]?0*\s*(.*)", re.ASCII)
-"""How the line of `START` begins."""
+"""Beginning of the line of `START`."""
 NO_ROWS = (
     *("date ", "base ", "internal events logged", "no internal events logged", "//"),
     *("begin triggerblock", "end triggerblock", "previous log file", "measurement uuid"),
@@ -37,7 +37,7 @@ class AscRows:
         self._relative = False
         self._last_ns = 0
         self._begins = False
-        """The line before began a measurement: `START` follows."""
+        """Whether the previous line began a measurement: `START` follows."""
 
     def row(self, text: str, ended: bool) -> Row | str | None:
         """See `log.LineFormat`."""
@@ -61,7 +61,7 @@ class AscRows:
         return self._row(t_ns, tokens, ended)
 
     def _head(self, text: str, ended: bool) -> str | None:
-        """Take a line without a stamp: of the head, a comment, or an event."""
+        """Process a line without a stamp: header, comment, or event."""
         if text.startswith("base "):
             self._base = 10 if " dec" in text else 16
             self._relative = "relative" in text
@@ -88,14 +88,12 @@ class AscRows:
             return SHORT
         length = min(int(tokens[4], 16), DATA_LENGTH)
         if not ended and self._base == 10 and length and len(tokens) <= HEAD + length:
-            return SHORT  # its last byte may be cut
+            return SHORT  # its last byte may be truncated
         data = data_of(tokens[HEAD:], length, self._base)
         return SHORT if data is None else (t_ns, can_id, length, data, bus)
 
     def _fd_row(self, t_ns: int, tokens: list[str], ended: bool) -> Row | str:
-        """Read a line that CAN FD controllers write of every frame: the flags tell which are CAN FD
-        frames.
-        """
+        """Read a CANFD line: CAN FD controllers write it for every frame; the flags distinguish CAN FD frames."""
         if len(tokens) > 2 and tokens[2].lower() == "errorframe":
             return t_ns, BUS_ERROR, 0, b"", tokens[0]
         bus, can_id, rest = tokens[0], self._can_id(tokens[2]), tokens[3:]

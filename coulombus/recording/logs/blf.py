@@ -25,7 +25,7 @@ MAGIC = b"LOGG"
 FILE_HEADER = struct.Struct("<4sL8xQ8xL4x8H16x")
 """Signature, size, size of the file, number of objects, Windows' SYSTEMTIME of the start."""
 BASE = struct.Struct("<4sHHLL")
-"""Of each object: signature, size of its header, version of it, size of the object, kind."""
+"""Header of each object: signature, size and version of the header, size of the object, kind."""
 STAMP = struct.Struct("<L4xQ")
 CONTAINER = struct.Struct("<H6xL4x")
 MESSAGE = struct.Struct("<HBBL8s")
@@ -36,9 +36,9 @@ LOG_CONTAINER, DEFLATE = 10, 2
 MESSAGES, ERROR, ERROR_EXTENDED, MESSAGE_FD, MESSAGE_FD_64 = (1, 86), 2, 73, 100, 101
 HEADERS = {1: 32, 2: 40}  # sizes by the header's version
 LEAST = 32
-"""Bytes of an object: the two headers that each has."""
+"""Least bytes of an object: its two headers."""
 MOST = 1 << 26
-"""Bytes of a container's content; writers begin a new one after 128 kB."""
+"""Maximum bytes of a container's content; writers begin a new one after 128 kB."""
 PADDING = 8
 TEN_US, REMOTE, EXTENDED, ID_BITS, CLASSICAL = 1, 0x80, 1 << 31, 0x1FFF_FFFF, 8
 FDF, FDF_64, REMOTE_64 = 0x1, 0x1000, 0x10
@@ -53,7 +53,7 @@ def read(content: Content) -> Log:
     Raises
     ------
     ValueError
-        It is none, or a container is too large.
+        It is not a .blf file, or a container is too large.
     """
     log = Log(unit="object")
     head = content.read(FILE_HEADER.size)
@@ -78,7 +78,7 @@ def _start_ns(fields: list[int]) -> int:
     year, month, _, day, hour, minute, second, millisecond = fields
     try:
         start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-    except ValueError:  # zeros, of times that no clock tells
+    except ValueError:  # zeros: no wall-clock time
         return 0
     return int(start.timestamp()) * 10**9 + millisecond * 10**6
 
@@ -92,7 +92,7 @@ class _Objects:
         self.count = 0
 
     def read(self, content: Content) -> int:
-        """Read all objects; return the bytes that are none, or not whole."""
+        """Read all objects; return the number of bytes outside complete objects."""
         torn = 0
         while head := content.read(BASE.size):
             at = content.given - len(head)
@@ -109,8 +109,8 @@ class _Objects:
         return torn + len(self._tail.strip(b"\0"))
 
     def _take(self, data: bytes) -> int:
-        """Take the objects of a container, and keep its end, which goes on in the next one; return
-        the bytes that are no object.
+        """Read the objects of a container and keep its tail, which continues in the next one;
+        return the number of bytes outside objects.
         """
         place = lost = 0
         damaged = False
@@ -120,7 +120,7 @@ class _Objects:
                 break
             lost += 0 if damaged else max(begin - place - PADDING, 0)
             size = BASE.unpack_from(data, begin)[3]
-            if size < LEAST:  # it says nothing of where the next one begins
+            if size < LEAST:  # it does not locate the next object
                 self.count += 1
                 self._log.lose(DAMAGED)
                 place, damaged = begin + len(MAGIC), True
@@ -168,7 +168,7 @@ class _Objects:
             self._log.lose(OTHER)
 
     def _fd(self, t_ns: int, channel: int, can_id: int, fd: int, remote: int, content: tuple[int, bytes]) -> None:
-        """Take what a CAN FD controller has received: a CAN FD frame or a classical one."""
+        """Read a frame received by a CAN FD controller: CAN FD or classical."""
         length, data = content
         if fd:
             self._log.lose(FD)
@@ -183,7 +183,7 @@ class _Objects:
 
 
 def _next_begin(data: bytes, begin: int, end: int) -> int:
-    """Return where another object begins before the end of one; 0: nowhere, it is whole."""
+    """Return the offset of another object within this one; 0: none, it is complete."""
     at = data.find(b"LOBJ", begin, end + len(MAGIC) - 1)
     if at < 0 or at + BASE.size > len(data):
         return 0
@@ -191,7 +191,7 @@ def _next_begin(data: bytes, begin: int, end: int) -> int:
 
 
 def _unpacked(content: bytes, at: int) -> bytes:
-    """Return what a container holds; of one that is cut or damaged, what can be unpacked."""
+    """Return the content of a container; of a truncated or damaged one, the readable part."""
     if len(content) < CONTAINER.size:
         return b""
     method, _ = CONTAINER.unpack_from(content)

@@ -1,4 +1,4 @@
-"""candump's two formats: the log (``candump -L``, ``-l``) and what it prints on a console.
+"""candump's two formats: the log (``candump -L``, ``-l``) and its console output.
 
 ::
 
@@ -28,7 +28,7 @@ SHORT_DIGITS = 3  # of an 11-bit identifier
 
 
 class CandumpRows:
-    """Lines of candump, each read as what it is."""
+    """Lines of candump, each in either format."""
 
     def __init__(self) -> None:
         self.without_time = 0
@@ -38,7 +38,7 @@ class CandumpRows:
         """See `log.LineFormat`."""
         if match := LOG.fullmatch(text):
             if not ended and not match[5]:
-                return MALFORMED  # its data may be cut at any byte
+                return MALFORMED  # its data may be truncated at any byte
             return _log_row(match)
         if match := CONSOLE.fullmatch(text):
             row = _console_row(match)
@@ -79,7 +79,7 @@ def _can_id(digits: str) -> int:
 
 
 def _time_ns(text: str) -> int:
-    """Return the stamp of a console: seconds, or with ``-t A`` date and time, here as UTC."""
+    """Return the stamp of a console line: seconds, or with ``-t A`` date and time, read as UTC."""
     if "-" not in text.strip("-"):
         return stamp_ns(text)
     moment = datetime.fromisoformat(text).replace(tzinfo=UTC)

@@ -1,4 +1,4 @@
-"""The bytes of a log, which may be compressed with gzip, to its end or to where it breaks off."""
+"""The bytes of a log, possibly compressed with gzip, to its end or its truncation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["LONGEST_LINE", "Content"]
 
 CHUNK = 1 << 16
 LONGEST_LINE = 1 << 16
-"""Bytes of a line; a longer one is read as several, none of which is a frame."""
+"""Maximum bytes of a line; a longer one is split, and no part is a frame."""
 GZIP = b"\x1f\x8b"
 GZIP_FORMAT = 31  # of zlib's `wbits`: a gzip header, and the largest window
 
@@ -25,9 +25,9 @@ class Content:
     Attributes
     ----------
     broken : bool
-        The compressed data end too early, or are damaged; what stands before is read.
+        The compressed data are truncated or damaged; the data before are read.
     given : int
-        Bytes of the content so far.
+        Bytes of the content read so far.
 
     Raises
     ------
@@ -59,7 +59,7 @@ class Content:
         self._file.close()
 
     def read(self, count: int) -> bytes:
-        """Return so many bytes; fewer where the content ends."""
+        """Return this many bytes; fewer at the end of the content."""
         parts, size = [self._waiting], len(self._waiting)
         while size < count and (chunk := next(self._chunks, b"")):
             parts.append(chunk)
@@ -70,14 +70,14 @@ class Content:
         return whole[:count]
 
     def rest(self) -> int:
-        """Go to the end; return how many bytes stood there."""
+        """Skip to the end; return the number of bytes skipped."""
         count = 0
         while chunk := self.read(CHUNK):
             count += len(chunk)
         return count
 
     def lines(self) -> Iterator[tuple[str, bool]]:
-        """Yield each line without its end, and whether it has one."""
+        """Yield each line without its line end, and whether it has one."""
         text = b""
         while chunk := self.read(CHUNK):
             *whole, text = (text + chunk).split(b"\n")
@@ -98,7 +98,7 @@ class Content:
         unpacker = zlib.decompressobj(GZIP_FORMAT)
         for packed in self._plain():
             while packed:
-                if unpacker.eof:  # files of gzip may stand one behind the other
+                if unpacker.eof:  # gzip members may be concatenated
                     unpacker = zlib.decompressobj(GZIP_FORMAT)
                 try:
                     chunk = unpacker.decompress(packed, CHUNK)

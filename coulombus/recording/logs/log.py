@@ -1,6 +1,6 @@
-"""What a reader gathers of a log: its frames, its buses, and how many rows it left out, by why.
+"""Content of a log: its frames, its buses, and the number of omitted rows by reason.
 
-Frames and rows that are told as left out are together all rows of the file.
+Frames and omitted rows add up to all rows of the file.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ EVENT = "no frame, but an event of the tool or the adapter (status, statistics)"
 FD = "a CAN FD frame"
 
 BUS_ERROR = CAN_ERR_FLAG | 0x080
-"""The identifier of an error frame of which a format tells nothing but that there was one."""
+"""Identifier of an error frame without details."""
 LONGEST_DATA, STANDARD, EXTENDED = 8, 0x7FF, 0x1FFF_FFFF
 LATEST_NS = 2**63 - 1
 CLOCK_NS = 10**17  # as `log_files.WALL_CLOCK_NS`
@@ -49,25 +49,25 @@ CLOCK_NS = 10**17  # as `log_files.WALL_CLOCK_NS`
 
 @dataclass
 class Log:
-    """Frames of a log in the file's order, and what was left out."""
+    """Frames of a log in the file's order, and the omitted rows."""
 
     unit: str = "row"
-    """What the format calls a frame's place: a row, an object."""
+    """The format's name for a record: row, object."""
     rows: list[tuple[int, int, int, int, int]] = field(default_factory=list)
     buses: dict[str, int] = field(default_factory=dict)
     """Name of a bus -> its number, the `source` of its frames."""
     losses: dict[str, list[int]] = field(default_factory=dict)
-    """Why -> how many rows were left out, and the line of the first."""
+    """Reason -> number of omitted rows, and the line of the first."""
     remarks: list[str] = field(default_factory=list)
     """Further sentences on the file."""
 
     def add(self, row: Row) -> None:
-        """Take a frame.
+        """Add a frame.
 
         Raises
         ------
         ValueError
-            A value that no classical CAN frame has.
+            A value is impossible in a classical CAN frame.
         """
         t_ns, can_id, length, data, bus = row
         if not 0 <= length <= LONGEST_DATA or len(data) > LONGEST_DATA:
@@ -77,7 +77,7 @@ class Log:
         self.rows.append((t_ns, can_id, length, data_word(data), self.buses.setdefault(bus, len(self.buses))))
 
     def lose(self, why: str, line: int = 0, count: int = 1) -> None:
-        """Count rows that are left out; `line` is the number of the first."""
+        """Count omitted rows; `line` is the number of the first."""
         self.losses.setdefault(why, [0, line])[0] += count
 
     def frames(self) -> Records:
@@ -87,7 +87,7 @@ class Log:
         return frames
 
     def all_remarks(self, path: str) -> list[str]:
-        """Return in sentences what was left out."""
+        """Return sentences on omitted rows."""
         texts = []
         for why, (count, line) in self.losses.items():
             rows = f"1 {self.unit} was" if count == 1 else f"{count} {self.unit}s were"
@@ -100,9 +100,9 @@ class LineFormat(Protocol):
     """A format's lines."""
 
     def row(self, text: str, ended: bool) -> Row | str | None:
-        """Return the frame of a line, or why it is left out, or None of a line that is no row.
+        """Return the frame of a line, the reason for its omission, or None if the line is not a row.
 
-        `ended` tells whether the line has its end; a frame of one that has not must be whole.
+        `ended`: whether the line has its line end; without it the frame must still be complete.
 
         Raises
         ------
@@ -135,11 +135,11 @@ def stamp_ns(text: str, scale: int = 10**9) -> int:
     Raises
     ------
     ValueError
-        It is no number, or one beyond an INTEGER64 of nanoseconds (the year 2262).
+        It is not a number, or exceeds an INTEGER64 of nanoseconds (the year 2262).
     """
     try:
         t_ns = Decimal(text.replace(",", ".")) * scale
-        if abs(t_ns) < LATEST_NS:  # what is no number compares as none
+        if abs(t_ns) < LATEST_NS:  # false for NaN
             return round(t_ns)
     except ArithmeticError:
         pass
@@ -147,8 +147,8 @@ def stamp_ns(text: str, scale: int = 10**9) -> int:
 
 
 def clock_us(t_ns: int) -> int:
-    """Return a stamp that a tool has held as a float of seconds: a clock's in whole microseconds,
-    which is as much as such a float tells.
+    """Return a stamp that a tool stored as a float of seconds: wall-clock times in whole
+    microseconds, the precision of such a float.
     """
     return (t_ns + 500) // 1000 * 1000 if t_ns >= CLOCK_NS else t_ns
 
@@ -167,13 +167,12 @@ def identifier(value: int, extended: bool) -> int:
 
 
 def data_of(tokens: list[str], length: int, base: int = 16) -> bytes | None:
-    """Return the data bytes that the tokens begin with; None where there are fewer, or the last is
-    cut.
+    """Return the data bytes at the beginning of the tokens; None if there are too few or the last is truncated.
 
     Raises
     ------
     ValueError
-        A token is no byte.
+        A token is not a byte.
     """
     digits = tokens[:length]
     if len(digits) < length or (base == 16 and any(len(digit) != 2 for digit in digits)):

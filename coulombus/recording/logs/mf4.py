@@ -1,6 +1,4 @@
-"""ASAM's .mf4, as python-can reads it with asammdf; its rows are held against the frames that come
-of them.
-"""
+"""ASAM's .mf4, read by python-can with asammdf; its rows are checked against the resulting frames."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ def read(path: str | Path) -> Log:
     Raises
     ------
     ValueError
-        It is none.
+        It is not an .mf4 file.
     ImportError
         asammdf is not installed.
     """
@@ -55,23 +53,21 @@ def read(path: str | Path) -> Log:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Let asammdf not write to stderr: what it logs, and that it cannot close what it could not open."""
+    """Silence asammdf on stderr: its log, and errors from closing a file that it could not open."""
     logger = logging.getLogger("asammdf")
     level, hook = logger.level, sys.unraisablehook
     logger.setLevel(logging.CRITICAL)
     sys.unraisablehook = lambda _: None
     try:
         yield
-        gc.collect()  # what it could not open ends here
+        gc.collect()  # destroys the object of a file that it could not open
     finally:
         sys.unraisablehook = hook
         logger.setLevel(level)
 
 
 def _rows(path: str | Path) -> int | str | None:
-    """Return how many events of buses a file has, the error of one that is cut, or None of one that
-    has signals only.
-    """
+    """Return the number of bus events of a file, the error of a truncated file, or None if it has only signals."""
     mf4_log.ready()
     import asammdf
 
@@ -80,5 +76,5 @@ def _rows(path: str | Path) -> int | str | None:
             groups: list[Any] = [group.channel_group for group in mdf.groups]
             events = [int(group.cycles_nr) for group in groups if group.flags & BUS_EVENT]
             return sum(events) if events or not groups else None
-    except Exception as error:  # asammdf raises what its parsing happens to raise
+    except Exception as error:  # asammdf raises any exception of its parsing
         return f"{type(error).__name__}: {error}"

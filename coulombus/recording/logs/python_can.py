@@ -1,4 +1,4 @@
-"""Formats that python-can reads, those of its plug-ins among them."""
+"""Formats that python-can reads, including those of its plug-ins."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ __all__ = ["take"]
 
 
 def take(path: str | Path, log: Log) -> str:
-    """Read a file by python-can's reader for its name into `log`; return the error that ended it, or
-    "".
-    """
+    """Read a file into `log` with python-can's reader for its name; return the final error, or ""."""
     import can
 
     from coulombus.wire.python_can_messages import can_id_of, data_of, is_classical
@@ -26,6 +24,6 @@ def take(path: str | Path, log: Log) -> str:
                 bus = "" if message.channel is None else str(message.channel)
                 t_ns = clock_us(stamp_ns(repr(message.timestamp)))
                 log.add((t_ns, can_id_of(message), message.dlc, data_of(message), bus))
-    except Exception as error:  # each of python-can's readers raises what its parsing happens to raise
+    except Exception as error:  # python-can's readers raise any exception of their parsing
         return f"{type(error).__name__}: {error}"
     return ""

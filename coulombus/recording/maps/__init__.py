@@ -1,1 +1,1 @@
-"""PDO maps of a bus or log of which no rig is known."""
+"""PDO maps of a bus or log without a rig."""

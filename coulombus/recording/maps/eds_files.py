@@ -1,4 +1,4 @@
-"""EDS files for a log, as a user names them: ``5=drive.eds``, or a folder."""
+"""EDS files for a log, given as ``5=drive.eds`` or as a folder."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ __all__ = ["EdsFiles", "eds_files"]
 
 @dataclass
 class EdsFiles:
-    """EDS files by node id, and those of which each node takes the one that fits its identity."""
+    """EDS files by node id, and files that are matched with nodes by identity."""
 
     of_nodes: dict[int, Description] = field(default_factory=dict)
     candidates: tuple[Description, ...] = ()
     refused: list[str] = field(default_factory=list)
-    """Why files of a folder cannot be read."""
+    """Reasons why files of a folder cannot be read."""
 
 
 def eds_files(texts: Iterable[str]) -> EdsFiles:
-    """Return the files that ``NODE=FILE`` or ``FOLDER`` name.
+    """Return the files named by ``NODE=FILE`` or ``FOLDER``.
 
     Raises
     ------
     EdsError
-        A text is neither, or its file cannot be read.
+        An argument has neither form, or its file cannot be read.
     """
     files = EdsFiles()
     for text in texts:

@@ -1,4 +1,4 @@
-"""The PDO maps of a log without a rig, as far as it has been gone through."""
+"""The PDO maps of a log without a rig, learned while it is read."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from coulombus.wire.frame import Records
 __all__ = ["LEARNED", "LogMaps", "pdo_without_map"]
 
 LEARNED = 4096
-"""Frames of which PDO maps are learned at a time."""
+"""Frames per step of learning PDO maps."""
 
 Integers = npt.NDArray[np.int64]
 SDO_TX, SDO_RX, HEARTBEAT = int(CobId.SDO_TX), int(CobId.SDO_RX), int(CobId.HEARTBEAT)
@@ -46,7 +46,7 @@ class LogMaps:
     Parameters
     ----------
     eds
-        EDS files of nodes, or of which each node takes the one that fits.
+        EDS files of nodes, or files to be matched by identity.
     """
 
     def __init__(self, eds: EdsFiles | None = None) -> None:
@@ -55,17 +55,17 @@ class LogMaps:
         self._nodes: dict[int, MappedNode] = {}
         self._channels: dict[int, SdoChannel] = defaultdict(lambda: SdoChannel(None))
         self._asked: dict[int, tuple[tuple[int, int], int]] = {}
-        """By node, what an expedited download that is not confirmed yet would set."""
+        """Unconfirmed expedited download by node."""
         self._maps: dict[int, Map] = {}
         self._stale = bool(files.of_nodes)
         self._frames = self._row = self._set_at = 0
         self._begins: dict[int, int] = {}
-        """By identifier, from which frame on its PDO has the map that it has."""
+        """First frame with the present map, by identifier."""
         self._misfit: set[int] = set()
         self._came: set[int] = set()
 
     def take(self, frames: Records) -> bool:
-        """Learn from frames; tell whether a map is new or another one."""
+        """Learn from frames; return whether a map is new or changed."""
         can_id, length = np.ascontiguousarray(frames["can_id"]), np.ascontiguousarray(frames["length"])
         function = can_id & (0x780 | CAN_RTR_FLAG | CAN_EFF_FLAG | CAN_ERR_FLAG)
         boots = (function == HEARTBEAT) & (length == 1) & (frames["word"] == 0)
@@ -136,11 +136,11 @@ class LogMaps:
                 changed = True
                 if old is not None and old.fields:
                     self._begins[can_id] = self._set_at
-        self._maps |= maps  # one that is not known any more, after a boot-up, was so until then
+        self._maps |= maps  # a map that is unknown after a boot-up was valid until then
         return changed
 
     def _misfits(self, can_id: Integers, length: Integers) -> bool:
-        """Take the assumed maps away that frames do not fit; tell whether there was one."""
+        """Remove assumed maps that frames contradict; return whether any was removed."""
         misfits = [
             known.can_id
             for known in self._maps.values()
@@ -152,27 +152,27 @@ class LogMaps:
         return bool(misfits)
 
     def pdo(self, can_id: int) -> Map | None:
-        """Return the PDO of an identifier, None where nothing is known of it."""
+        """Return the PDO of an identifier, None if unknown."""
         return self._maps.get(can_id)
 
     def identity(self, node: int) -> tuple[int, int]:
-        """Return vendor id and product code of a node (1018h:01, :02), 0 where they are not known."""
+        """Return vendor id and product code of a node (1018h:01, :02); 0 if unknown."""
         return self._nodes[node].identity if node in self._nodes else (0, 0)
 
     def begin(self, can_id: int) -> int:
-        """Return from which frame on a PDO has the map that `pdo` returns; 0 where it had no other."""
+        """Return the first frame of the map that `pdo` returns; 0 if the PDO had no other map."""
         return self._begins.get(can_id, 0)
 
     def pdos(self) -> tuple[RigPdo, ...]:
-        """Return every PDO with a known map, in the order of the identifiers (see `rig_pdo`); of the
-        assumed maps those of PDOs that came and fit.
+        """Return every PDO with a known map, in the order of the identifiers (see `rig_pdo`);
+        assumed maps only if PDOs were received and fit.
         """
         maps = [known for _, known in sorted(self._maps.items()) if known.fields]
         fits = (known for known in maps if known.source != "assumed" or known.can_id in self._came - self._misfit)
         return tuple(self.rig_pdo(known) for known in fits)
 
     def rig_pdo(self, known: Map) -> RigPdo:
-        """Return a PDO as a rig has it: the node is a number, a signal is called by its PDO and object,
+        """Return a PDO as in a rig: the node is a number, a signal is named by its PDO and object,
         ``"5.TPDO1.6064h:00"``, and its values are raw.
         """
         description = self._descriptions.get(known.node)
@@ -204,9 +204,7 @@ def _pdo(node: int, direction: str, number: int, can_id: int, entries: tuple[Ent
 
 
 def _entry(field: Field, description: Description | None, profile: int) -> Entry:
-    """Return a field as a layout's entry: as its EDS file has it, else signed where CiA 402 or 404 says
-    so.
-    """
+    """Return a field as a layout's entry: by its EDS file, else signed according to CiA 402 or 404."""
     index, subindex, bits = field.index, field.subindex, field.bits
     if description is not None and description.has(index, subindex) and index not in DUMMY_TYPES:
         entry = replace(entry_of(description.variable(index, subindex)), bits=bits)
@@ -218,9 +216,7 @@ def _entry(field: Field, description: Description | None, profile: int) -> Entry
 
 
 def pdo_without_map(can_id: int) -> RigPdo | None:
-    """Return the PDO that an identifier is in the predefined connection set, with no signal; None
-    where it is none.
-    """
+    """Return the PDO of an identifier in the predefined connection set, without signals, or None."""
     name, node = UNMAPPED.get(can_id & ~0x7F, ""), can_id & 0x7F
     if not name or not node:
         return None

@@ -1,6 +1,4 @@
-"""What the bytes of a PDO mean: by SDO configuration seen, an EDS file, a rig, or the default maps of
-CiA 402 and 404.
-"""
+"""Meaning of a PDO's bytes: by observed SDO configuration, an EDS file, a rig, or the default maps of CiA 402 and 404."""
 
 from __future__ import annotations
 
@@ -22,37 +20,37 @@ DEFAULTS_402: Maps = {
     "rpdo": {1: (0x60400010,), 2: (0x60400010, 0x60600008), 3: (0x60400010, 0x607A0020), 4: (0x60400010, 0x60FF0020)},
     "tpdo": {1: (0x60410010,), 2: (0x60410010, 0x60610008), 3: (0x60410010, 0x60640020), 4: (0x60410010, 0x606C0020)},
 }
-"""CiA 402-3's generic maps of the first PDOs, for a drive of whose maps nothing is seen."""
+"""CiA 402-3's generic maps of the first PDOs, for a drive with unknown maps."""
 DEFAULTS_404: Maps = {
     "rpdo": {},
     "tpdo": {1: (0x91300120, 0x61500108)} | {number: (0x91300020 | number << 8,) for number in (2, 3, 4)},
 }
-"""... of a measuring device (CiA 404): the process values of its channels, the first with its status."""
+"""Generic maps of a measuring device (CiA 404): the process values of its channels, the first with its status."""
 DEFAULTS: Mapping[int, Maps] = {402: DEFAULTS_402, 404: DEFAULTS_404}
-"""By the profile, the low half of the device type (1000h)."""
+"""Default maps by the profile, the low half of the device type (1000h)."""
 
 
 Objects: TypeAlias = dict[tuple[int, int], int]
-"""Values of a node's objects by (index, sub-index), as SDO transfers showed them."""
+"""Values of a node's objects by (index, sub-index), from SDO transfers."""
 
 
 @dataclass
 class MappedNode:
-    """What a node's PDO maps follow from."""
+    """The data that determine a node's PDO maps."""
 
     number: int
     objects: Objects = field(default_factory=dict, kw_only=True)
     device_type: int = field(default=0, kw_only=True)
-    """1000h; 0: not known."""
+    """Object 1000h; 0: unknown."""
 
     @property
     def identity(self) -> tuple[int, int]:
-        """Vendor id and product code (1018h:01, :02), 0 where they are not known."""
+        """Vendor id and product code (1018h:01, :02); 0 if unknown."""
         return self.objects.get((0x1018, 1), 0), self.objects.get((0x1018, 2), 0)
 
     @property
     def revision(self) -> int:
-        """Revision number (1018h:03), 0 where it is not known."""
+        """Revision number (1018h:03); 0 if unknown."""
         return self.objects.get((0x1018, 3), 0)
 
 
@@ -68,11 +66,11 @@ class Field:
 
 @dataclass(frozen=True)
 class Map:
-    """A PDO: whose, which, and what is in it.
+    """A PDO: its node, number and fields.
 
-    `source` is "SDO seen in the log", "EDS", "rig" or "assumed"; `synchronous` is None where the
-    transmission type is not known; `event_ns` and `inhibit_ns` are 0 where no event timer and no
-    inhibit time is known.
+    `source` is "SDO seen in the log", "EDS", "rig" or "assumed"; `synchronous` is None if the
+    transmission type is unknown; `event_ns` and `inhibit_ns` are 0 if event timer or inhibit time
+    is unknown.
     """
 
     can_id: int
@@ -92,7 +90,7 @@ class Map:
 
     @property
     def length(self) -> int:
-        """Data bytes; 0 where nothing is known of its fields."""
+        """Data bytes; 0 if its fields are unknown."""
         return (sum(mapped.bits for mapped in self.fields) + 7) // 8
 
     def find(self, low: int) -> Iterator[tuple[int, Field]]:
@@ -103,7 +101,7 @@ class Map:
 
 
 def maps_of_rig(rig: Rig) -> dict[int, Map]:
-    """Return the maps that a rig gives, by identifier."""
+    """Return the maps of a rig by identifier."""
     maps = {}
     numbers = {node.name: node.node_id for node in rig.nodes}
     for pdo in rig.pdos():
@@ -126,9 +124,7 @@ def maps_of_rig(rig: Rig) -> dict[int, Map]:
 def maps_of(
     nodes: Mapping[int, MappedNode], descriptions: Mapping[int, Description], fixed: Mapping[int, Map]
 ) -> dict[int, Map]:
-    """Return the maps of a bus by identifier: SDO configuration before EDS, before the rig, before
-    defaults.
-    """
+    """Return the maps of a bus by identifier; SDO configuration takes precedence over EDS, rig and defaults."""
     maps: dict[int, Map] = dict(fixed)
     for node in nodes.values():
         for direction in ("rpdo", "tpdo"):

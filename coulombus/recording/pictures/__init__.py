@@ -1,1 +1,1 @@
-"""Pictures of recordings, and the one style of all figures."""
+"""Plots of recordings, and the common style of all figures."""

@@ -1,4 +1,4 @@
-"""``coulombus diff -o``: for each signal both recordings over each other, and their difference."""
+"""``coulombus diff -o``: plot each signal of both recordings, and their difference."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ MOST_ROWS = 8
 
 
 def draw_differences(comparison: Comparison) -> Figure:
-    """Return a figure with a row for each signal: those with a unit first, at most `MOST_ROWS`; what
-    the host told of itself only where it differs.
+    """Return a figure with a row per signal: those with a unit first, at most `MOST_ROWS`; the
+    host's telemetry only if it differs.
     """
     there = [signal for signal in comparison.signals if signal.samples and not (_inside(signal.name) and signal.equal)]
     shown = sorted(there, key=lambda signal: (not signal.unit, _inside(signal.name)))[:MOST_ROWS]

@@ -1,6 +1,4 @@
-"""One style for all figures: Okabe-Ito colours, line styles that tell curves apart in grey,
-deterministic PNG and SVG.
-"""
+"""Common style of all figures: Okabe-Ito colours, dashes for greyscale, deterministic PNG and SVG."""
 
 from __future__ import annotations
 
@@ -46,7 +44,7 @@ BLUE, VERMILION, GREEN, ORANGE, SKY, PINK, BLACK = (
 GREY = "#808080"
 COLOURS = (BLUE, VERMILION, GREEN, ORANGE, SKY, PINK)
 DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))
-"""Beside the colour, each curve has a dash of its own."""
+"""Dashes: each curve has its own, in addition to its colour."""
 
 QUANTITIES = MappingProxyType(
     {
@@ -60,12 +58,12 @@ QUANTITIES = MappingProxyType(
         "coil_temperature_degC": GREY,
     }
 )
-"""Each quantity has one colour in every figure: the ends of signals' names."""
+"""Colour of each quantity in every figure, by the end of the signal's name."""
 
 WORDS = MappingProxyType(
     {"Nm": "torque", "rad": "angle", "rad/s": "velocity", "A": "current", "degC": "temperature", "V": "voltage"}
 )
-"""What is measured in a unit."""
+"""Quantity of each unit."""
 
 SETTINGS: Any = {
     "font.size": 9,
