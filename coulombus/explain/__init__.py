@@ -1,1 +1,1 @@
-"""What went wrong on a CANopen bus: a log or a live bus in, incidents with cause and remedy out."""
+"""Diagnose a CANopen bus: from a log or a live bus to incidents with cause and remedy."""

@@ -1,4 +1,4 @@
-"""What is known of a bus while its frames are gone through: nodes, orders, objects, PDO maps."""
+"""Knowledge of a bus while its frames are read: nodes, NMT commands, objects, PDO maps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coulombus.recording.maps.seen_maps import Map, maps_of
 __all__ = ["Bus", "Order", "product"]
 
 ENDING_NS = 1_000_000_000
-"""Within this time behind its last cycle a host that ends orders its nodes out of OPERATIONAL."""
+"""Time after its last cycle within which a host that ends commands its nodes out of OPERATIONAL."""
 TARGET = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
@@ -32,7 +32,7 @@ TPDOS = tuple(map(int, (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)))
 
 @dataclass
 class Order:
-    """An NMT command, as it was seen."""
+    """An observed NMT command."""
 
     t_ns: int
     command: int
@@ -40,25 +40,25 @@ class Order:
     row: int
 
     def concerns(self, node: int) -> bool:
-        """Tell whether it is to this node."""
+        """Return whether it addresses this node."""
         return self.node in (0, node)
 
 
 class Bus:
-    """What all observers share.
+    """State shared by all observers.
 
     Parameters
     ----------
     descriptions
         EDS files by node id.
     fixed
-        PDO maps that a rig gives, by identifier.
+        PDO maps of a rig, by identifier.
     names
-        Of nodes, where a rig or an EDS file names them.
+        Names of nodes from a rig or EDS files.
     candidates
-        EDS files of which a node takes the one that fits its identity (1018h).
+        EDS files to be matched with nodes by identity (1018h).
     of_rig
-        EDS files of the rig's nodes, which give names and no maps: `fixed` has these.
+        EDS files of the rig's nodes, used for names only: `fixed` has the maps.
     """
 
     def __init__(
@@ -80,21 +80,21 @@ class Bus:
         self.first_ns = self.last_ns = -1
         self.frames = 0
         self.counts: dict[int, int] = {}
-        self.safe_ns = -1  # when the host ordered the end, or tripped; -1: not
+        self.safe_ns = -1  # time of the host's ordered end or trip; -1: none
         self.tripped = False
-        self.canopen = 0  # frames that only CANopen has
+        self.canopen = 0  # frames that occur only in CANopen
         self.stale = True
         self.bitrate = 0
-        """Bit rate [bit/s] that a rig gives; 0: not known."""
+        """Bit rate [bit/s] of the rig; 0: unknown."""
         self.host = -1
-        """The host's node id, where its heartbeat is known; -1: not known."""
+        """The host's node id, if its heartbeat is known, else -1."""
         self.powered: list[tuple[int, int]] = []
-        """Drives in Operation Enabled, from each time [ns] at which their number changed."""
+        """Number of drives in Operation Enabled, from each time [ns] of a change."""
         self.words: list[tuple[int, int, int, int, int]] = []
-        """Drives' objects that SDO transfers showed: row, time, node, index, value."""
+        """Drives' objects seen in SDO transfers: row, time, node, index, value."""
 
     def take(self, block: Block) -> None:
-        """Count the frames, and see who is there."""
+        """Count the frames, and detect nodes."""
         if len(block.t_ns) == 0:
             return
         if self.first_ns < 0:
@@ -105,7 +105,7 @@ class Bus:
             self.counts[key] = self.counts.get(key, 0) + len(group)
 
     def node(self, number: int, t_ns: int) -> SeenNode:
-        """Return a node of which a frame was seen."""
+        """Return the record of a node that sent a frame."""
         node = self.nodes.get(number)
         if node is None:
             node = self.nodes[number] = SeenNode(number, t_ns, t_ns)
@@ -114,7 +114,7 @@ class Bus:
         return node
 
     def name(self, number: int | None) -> str:
-        """Return how a node is called: by rig or EDS file, else by its number."""
+        """Return a node's name: by rig or EDS file, else its number."""
         if number is None:
             return "bus"
         if number == self.host:
@@ -123,7 +123,7 @@ class Bus:
         return f"{name} (node {number})" if name else f"node {number}"
 
     def sender(self, key: int) -> int | None:
-        """Return the node that sends a group's frames; None: the host, or not known."""
+        """Return the node that sends a group's frames; None: the host, or unknown."""
         if key & ~0x7FF or key < 0x81:
             return None
         known = self.maps.get(key)
@@ -135,7 +135,7 @@ class Bus:
         return None
 
     def last_heard(self, block: Block, number: int, before_ns: int) -> int:
-        """Return when the node's last frame before this time came, -1 where none is known."""
+        """Return the time of the node's last frame before this time; -1 if none is known."""
         node = self.nodes.get(number)
         last = node.last_ns if node is not None and node.last_ns < before_ns else -1
         for key, group in block.groups.items():
@@ -146,7 +146,7 @@ class Bus:
         return last
 
     def ordered(self, number: int, after_ns: int, before_ns: int, *targets: int) -> Order | None:
-        """Return the last order to a node between these times, one that leads to a target if given."""
+        """Return the last NMT command to a node between these times, with the given target if any."""
         for order in reversed(self.orders):
             if order.t_ns > before_ns:
                 continue
@@ -157,20 +157,21 @@ class Bus:
         return None
 
     def left_on_order(self, number: int, before_ns: int) -> bool:
-        """Tell whether the last order to a node before this time was not to start."""
+        """Return whether the last NMT command to a node before this time was not a start."""
         order = self.ordered(number, -1, before_ns)
         return order is not None and order.command != NmtCommand.START
 
     def order_due_ns(self, stop_ns: int, at_once_ns: int) -> int:
-        """Return until when [ns] an order excuses that cyclic frames stop: `at_once_ns` behind the
-        stop; while no drive is in Operation Enabled, a host that ends takes its time.
+        """Return the time [ns] until which an NMT command explains that cyclic frames stop:
+        `at_once_ns` after the stop, or later while no drive is in Operation Enabled and the host is
+        ending.
         """
         place = bisect.bisect_left(self.powered, (stop_ns + 1,)) - 1
         disarmed = place >= 0 and self.powered[place][1] == 0
         return stop_ns + max(at_once_ns, ENDING_NS if disarmed else 0)
 
     def renew(self) -> None:
-        """Make the PDO maps anew, of all that is known by now."""
+        """Rebuild the PDO maps from present knowledge."""
         if self.stale:
             self.stale = False
             for node in self.nodes.values():
@@ -185,11 +186,11 @@ class Bus:
             self.maps = maps_of(self.nodes, self.descriptions, self.fixed)
 
     def describe(self, number: int) -> Description | None:
-        """Return the EDS file of a node, None where there is none."""
+        """Return the EDS file of a node, or None."""
         return self.descriptions.get(number) or self.of_rig.get(number)
 
     def _compare(self, number: int, identity: tuple[int, int]) -> None:
-        """Take the rig's words from a node that is another device than the rig's."""
+        """Remove the rig's names from a node that is not the rig's device."""
         ours = told_identity(self.of_rig[number])
         if all(seen in (0, told) for seen, told in zip(identity, ours, strict=True)):
             return
@@ -200,5 +201,5 @@ class Bus:
 
 
 def product(description: Description) -> str:
-    """Return what an EDS file calls its device."""
+    """Return the product name in an EDS file."""
     return description.info.get("ProductName", "") or Path(description.path).stem

@@ -1,4 +1,4 @@
-"""The load of the bus, and who does not get through."""
+"""The bus load, and the identifiers that lose arbitration."""
 
 from __future__ import annotations
 
@@ -13,44 +13,43 @@ from coulombus.wire.can_flags import CAN_ERR_FLAG
 __all__ = ["BusLoad"]
 
 RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 1_000_000)
-"""Bit rates of CiA 301 [bit/s]; 800 kbit/s is too near to 1 Mbit/s to be told from it, and rare."""
+"""Bit rates of CiA 301 [bit/s]; 800 kbit/s is too close to 1 Mbit/s to distinguish, and rare."""
 WINDOW_NS = 20_000_000
 FULL, FILLED = 0.9, 5
-"""Load of windows in a row that is a full bus."""
+"""Load, and number of successive windows, of a full bus."""
 LEARN = 2000
-"""Frames that show the bit rate."""
+"""Frames from which the bit rate is learned."""
 FASTER, CLOSE = 0.01, 0.05
-"""Share of frames that may follow sooner than the bit rate allows; share that must follow directly."""
+"""Allowed share of frames sooner than the bit rate permits; least share of back-to-back frames."""
 REGULAR = 5
-"""Frames of an identifier that usually come in so many windows, at least, for their absence to be noted."""
+"""Least number of windows in which an identifier is usual, for its absence to be noted."""
 
 
 @kernel
 def _bits_of(can_id: Integers, length: Integers, word: Integers, bits: Integers) -> None:
-    """Fill in how many bits each frame had on the wire; an error frame 0."""
+    """Fill in the bits of each frame on the wire; 0 for an error frame."""
     for i in range(len(can_id)):
         if can_id[i] & CAN_ERR_FLAG == 0:
             bits[i] = data_frame_bits(can_id[i], length[i], word[i])
 
 
 class BusLoad:
-    """Adds up the bits of windows of 20 ms.
+    """Adds up the bits in windows of 20 ms.
 
-    Without a rig the bit rate is taken from frames that follow each other directly; where there are
-    none, the bus is not full.
+    Without a rig the bit rate is learned from back-to-back frames; without any, the bus is not full.
     """
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self.bitrate = bus.bitrate
         self._learned = 0
-        self._bits: dict[int, float] = {}  # by window: those that the last block began
+        self._bits: dict[int, float] = {}  # by window: windows begun by the last block
         self._full = 0
         self._usual: dict[int, float] = {}  # frames of an identifier in a window that is not full
         self._windows = 0
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         if len(block.t_ns) < 2:
             return
         can_id, length, word = (
@@ -65,7 +64,7 @@ class BusLoad:
         self._fill(block, bits)
 
     def _learn(self, t_ns: Integers, bits: Integers) -> None:
-        """Find the lowest bit rate at which these frames can have followed each other."""
+        """Find the lowest bit rate at which these frames are possible."""
         gaps = np.diff(t_ns)
         self._learned += len(gaps)
         for rate in RATES:
@@ -79,7 +78,7 @@ class BusLoad:
         window = np.maximum.accumulate(block.t_ns // WINDOW_NS)  # stamps may step back
         first, last = int(window[0]), int(window[-1])
         if last - first > 100_000:
-            return  # a log with a hole
+            return  # a log with a gap
         sums = np.bincount(window - first, weights=bits)
         sums[0] += self._bits.pop(first, 0.0)
         self._bits = {last: float(sums[-1])}
@@ -100,7 +99,7 @@ class BusLoad:
                 self._note(block, window, (first + i - FILLED + 1) * WINDOW_NS, first + i)
 
     def _count(self, block: Block, windows: int, behind_row: int) -> None:
-        """Learn how often each identifier comes in windows that are not full."""
+        """Learn the usual number of frames of each identifier in windows that are not full."""
         if windows < 1:
             return
         for key, group in block.groups.items():
@@ -110,7 +109,7 @@ class BusLoad:
         self._windows += windows
 
     def _note(self, block: Block, window: Integers, begin_ns: int, last: int) -> None:
-        """Note a full bus, which identifier takes most of it, and which ones do not come."""
+        """Note a full bus, its most frequent identifier, and the missing ones."""
         first, behind = np.searchsorted(window, (last - FILLED + 1, last + 1))
         rows = block.first_row + first, block.first_row + behind
         counts = {

@@ -1,4 +1,4 @@
-"""Clues: what an observer saw, when, of which node, and until when it stood."""
+"""Clues: observations with kind, node, begin and end."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 __all__ = ["Clue", "Clues"]
 
 MERGED_NS = 1_000_000_000
-"""Notes of one kind, node and subject that follow each other within this time are one clue."""
+"""Notes of one kind, node and subject within this time of each other form one clue."""
 MOST = 40
-"""Clues of one kind and node, at most; later ones are counted in the last of them."""
+"""Maximum clues of one kind and node; the last of them counts later ones."""
 
 
 @dataclass
 class Clue:
-    """Something that does not belong to a healthy bus.
+    """An observation that is abnormal for a healthy bus.
 
-    `end_ns` is None while it stands; `rows` are the numbers of frames that show it, a few.
+    `end_ns` is None while it persists; `rows` has the numbers of a few frames that show it.
     """
 
     kind: str
@@ -29,12 +29,12 @@ class Clue:
     axis: int = 0
     end_text: str = ""
     check: str = ""
-    """What to check first, where it is known better than for all of this kind."""
+    """First check, if it is more specific than that of its kind."""
     rows: list[int] = field(default_factory=list)
 
 
 class Clues:
-    """The clues so far; a kind, a node and a subject have one that stands at most."""
+    """The clues so far; at most one clue is open per kind, node and subject."""
 
     def __init__(self) -> None:
         self.all: list[Clue] = []
@@ -44,7 +44,7 @@ class Clues:
     def begin(
         self, kind: str, node: int | None, t_ns: int, text: str, *, row: int = -1, subject: object = None
     ) -> Clue:
-        """Note that something began; where it stands already it is counted."""
+        """Open a clue, or count it if it is already open."""
         key = (kind, node, subject)
         clue = self._last.get(key)
         if clue is None or (clue.end_ns is not None and t_ns - clue.last_ns > MERGED_NS and self._room(kind, node)):
@@ -69,14 +69,14 @@ class Clues:
         subject: object = None,
         count: int = 1,
     ) -> Clue:
-        """Note something that is over as soon as it is seen."""
+        """Note a momentary clue."""
         clue = self.begin(kind, node, t_ns, text, row=row, subject=subject)
         clue.count += count - 1
         clue.end_ns = clue.last_ns
         return clue
 
     def end(self, kind: str, node: int | None, t_ns: int, text: str = "", *, subject: object = None) -> bool:
-        """Note that it is over; tell whether it stood."""
+        """Close a clue; return whether it was open."""
         clue = self._last.get((kind, node, subject))
         if clue is None or clue.end_ns is not None:
             return False
@@ -85,13 +85,13 @@ class Clues:
         return True
 
     def end_all(self, kind: str, node: int | None, t_ns: int, text: str = "") -> None:
-        """Note that all of this kind and node are over, whatever their subjects."""
+        """Close all clues of this kind and node, for any subject."""
         for which, whose, subject in list(self._last):
             if (which, whose) == (kind, node):
                 self.end(kind, node, t_ns, text, subject=subject)
 
     def stands(self, kind: str, node: int | None, subject: object = None) -> bool:
-        """Tell whether such a clue stands."""
+        """Return whether such a clue is open."""
         clue = self._last.get((kind, node, subject))
         return clue is not None and clue.end_ns is None
 

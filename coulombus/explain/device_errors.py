@@ -1,4 +1,4 @@
-"""Error codes of drives (CiA 402-2, EMCY and 603Fh) and what an SDO abort code asks for, in words."""
+"""Texts for error codes of drives (CiA 402-2, EMCY and 603Fh), and remedies for SDO abort codes."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ ABORT_CHECKS: Mapping[int, str] = MappingProxyType(
         Abort.PDO_LENGTH: "Map fewer objects: a PDO has eight bytes.",
     }
 )
-"""The cheapest step by the code that a node gave."""
+"""First check by a node's error code."""
 
 
 def error_text(code: int) -> str:
-    """Return ``0x7121: motor blocked`` for an EMCY or 603Fh code of a drive; CiA 301's words, else."""
+    """Return ``0x7121: motor blocked`` for an EMCY or 603Fh code of a drive; else CiA 301's text."""
     text = DRIVE_TEXT.get(code)
     return emcy_text(code) if text is None else f"0x{code:04X}: {text}"

@@ -1,6 +1,4 @@
-"""Error frames: how many, of what kind, whose frames they destroyed, and the controllers' states
-(``linux/can/error.h``).
-"""
+"""Error frames: number, kind, destroyed frames, and the controllers' states (``linux/can/error.h``)."""
 
 from __future__ import annotations
 
@@ -34,16 +32,16 @@ __all__ = ["Disturbances"]
 OVERFLOW, WARNING, PASSIVE = RX_OVERFLOW | TX_OVERFLOW, RX_WARNING | TX_WARNING, RX_PASSIVE | TX_PASSIVE
 STATE_NS = 1_000_000_000
 DENSE = 8
-"""Error frames within a second that are more than a disturbed bit now and then."""
+"""Error frames within a second that are more than an occasional bit error."""
 SHARE = 0.8
-"""Of the destroyed frames: so many of one identifier are no accident."""
+"""Share of destroyed frames with one identifier that is not coincidence."""
 
 
 KIND_BITS = 0x3F
 
 
 class _Destroyed(NamedTuple):
-    """An error frame: `can_id` is that of the frame behind it, usually the destroyed one again."""
+    """An error frame: `can_id` is that of the next frame, usually the repeated destroyed one."""
 
     t_ns: int
     row: int
@@ -53,7 +51,7 @@ class _Destroyed(NamedTuple):
 
 
 class Disturbances:
-    """Counts error frames, and follows what controllers say of themselves."""
+    """Counts error frames, and tracks the states of controllers."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
@@ -63,7 +61,7 @@ class Disturbances:
         self._told: dict[int, tuple[Counter[str], Counter[int]]] = {}  # kinds and identifiers of a clue
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         group = block.groups.get(ERROR)
         if group is None:
             return
@@ -84,7 +82,7 @@ class Disturbances:
             self._state(int(group.t_ns[i]), int(group.rows[i]), int(classes[i]), group.data(i))
 
     def _dense(self, frame: _Destroyed) -> None:
-        """Note an error frame where many come within a second."""
+        """Note an error frame if there are many within a second."""
         recent = self._recent
         recent.append(frame)
         if len(recent) > DENSE:
@@ -131,7 +129,7 @@ class Disturbances:
 
 
 def _following(can_id: Integers, local: Integers) -> Integers:
-    """Return the identifier of the first frame after each error frame, -1 where none follows."""
+    """Return the identifier of the first frame after each error frame; -1 without a next frame."""
     good = np.flatnonzero(can_id & CAN_ERR_FLAG == 0)
     place = np.searchsorted(good, local)
     inside = place < len(good)

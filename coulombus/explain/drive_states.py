@@ -1,4 +1,4 @@
-"""Drives (CiA 402): faults, resets, enabling that stops half way, stops that nobody commanded."""
+"""Drives (CiA 402): faults, resets, incomplete enabling, uncommanded stops."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from coulombus.explain.frames import Block
 __all__ = ["Drives"]
 
 STUCK_NS = 1_000_000_000
-"""A drive that a command does not move on within this time does not follow it."""
+"""Time within which a drive must follow a command."""
 STATUS, CONTROL, ERROR_CODE = 0x41, 0x40, 0x3F
 STATE_BITS, COMMAND_BITS, RESET = 0x6F, 0x8F, 0x80
 STEPS = {
@@ -23,7 +23,7 @@ STEPS = {
     PowerState.READY_TO_SWITCH_ON: "transition 3 to Switched On",
     PowerState.SWITCHED_ON: "transition 4 to Operation Enabled",
 }
-"""The next step of enabling."""
+"""Next command of enabling, by state."""
 FAULTS = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
 WORD = 0xFFFF
 AXES = 8
@@ -33,7 +33,7 @@ AXES = 8
 class _Axis:
     state: int = -1
     control: int = -1
-    since_ns: int = -1  # since when the command should have moved it on; -1: it need not
+    since_ns: int = -1  # time since which a transition is due; -1: none
     row: int = -1
     resets: int = 0
     reset_ns: int = -1
@@ -44,12 +44,12 @@ class _Axis:
 
     @property
     def enabling(self) -> bool:
-        """The controlword leads, or should lead, towards Operation Enabled, and the drive is not there."""
+        """Whether the controlword leads, or should lead, to Operation Enabled, but the drive is not there."""
         return self.state in STEPS and self.command in (Command.SWITCH_ON, Command.ENABLE_OPERATION)
 
 
 class Drives:
-    """Follows the state machine of every axis."""
+    """Tracks the state machine of every axis."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
@@ -57,7 +57,7 @@ class Drives:
         self._last: dict[tuple[int, int, int], int] = {}
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         events = list(self._changes(block))
         for row, t_ns, node, index, value in self.bus.words:
             low, axis = (index - 0x6000) % 0x800, (index - 0x6000) // 0x800
@@ -70,7 +70,7 @@ class Drives:
             self.look(int(block.t_ns[-1]))
 
     def look(self, t_ns: int) -> None:
-        """Note drives that do not follow their command for too long."""
+        """Note drives that have not followed their command for too long."""
         for (node, axis), drive in self._axes.items():
             if drive.since_ns < 0 or t_ns - drive.since_ns < STUCK_NS or drive.state < 0:
                 continue
@@ -88,7 +88,7 @@ class Drives:
         return node is None or node.state in (4, 127, 0) or self.bus.left_on_order(number, t_ns)
 
     def _changes(self, block: Block) -> Iterator[tuple[int, int, int, int, int, int]]:
-        """Yield (row, time, node, axis, which object, value) where a word changes."""
+        """Yield (row, time, node, axis, object, value) for each change of a word."""
         for key, group in block.groups.items():
             known = self.bus.maps.get(key)
             if known is None or not known.fields:
@@ -154,7 +154,7 @@ class Drives:
             self.clues.end("left_enabled", node, t_ns, "it is in Operation Enabled again", subject=axis)
 
     def _expect(self, row: int, t_ns: int, node: int, axis: int, drive: _Axis) -> None:
-        """Note since when the command should move the drive on."""
+        """Store the time since which a transition of the drive is due."""
         moves = False
         if drive.control >= 0 and drive.state >= 0 and drive.state not in FAULTS:
             moves = int(NEXT_STATE[drive.state, drive.command]) != drive.state

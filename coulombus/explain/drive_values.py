@@ -1,4 +1,4 @@
-"""What drives show beside their state: following error, internal limit, mode, torque (CiA 402-2)."""
+"""Values of drives besides their state: following error, internal limit, mode, torque (CiA 402-2)."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ __all__ = ["DriveValues"]
 
 STATUS, MODE, MODE_SHOWN, TORQUE = 0x41, 0x60, 0x61, 0x77
 DEVIATION = 0x2000
-"""Statusword bit 13: what it says depends on the mode."""
+"""Statusword bit 13: its meaning depends on the mode."""
 DEVIATIONS = {1: "following error", 3: "slip too large", 6: "homing error", 7: "following error", 8: "following error"}
 HELD_NS, MODE_NS = 200_000_000, 1_000_000_000
-"""A bit or a value counts after this time; a mode after this."""
+"""Time after which a bit or value counts; the same for a mode."""
 OFF_TORQUE = 100
-"""Torque [per mille of the rated one] that a drive without power stage does not have."""
+"""Least torque [per mille of the rated torque] that a drive with a disabled power stage cannot have."""
 OFF = [PowerState.SWITCH_ON_DISABLED, PowerState.READY_TO_SWITCH_ON, PowerState.SWITCHED_ON, PowerState.FAULT]
 Holds = npt.NDArray[np.bool_]
 
 
 class DriveValues:
-    """Watches the statuswords' other bits, and the values that are mapped beside them."""
+    """Monitors the statuswords' other bits, and other mapped values."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
-        self._since: dict[tuple[str, int, int], tuple[int, int]] = {}  # time and row since when it holds
+        self._since: dict[tuple[str, int, int], tuple[int, int]] = {}  # time and row of its beginning
         self._noted: dict[tuple[str, int, int], int] = {}  # the last of these times that was noted
-        self._modes: dict[tuple[int, int], int] = {}  # shown last
-        self._wishes: dict[tuple[int, int], tuple[int, int]] = {}  # mode of the RPDO, and since when
+        self._modes: dict[tuple[int, int], int] = {}  # last displayed
+        self._wishes: dict[tuple[int, int], tuple[int, int]] = {}  # mode of the RPDO, and its time
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         for group, known in self._pdos(block, "rpdo"):
             for axis, field in known.find(MODE):
                 self._wish(known.node, axis, group.t_ns, _column(group, field))
@@ -100,7 +100,7 @@ class DriveValues:
         return known.objects.get((0x6061 + 0x800 * axis, 0), -1) if known is not None else -1
 
     def _held(self, kind: str, node: int, axis: int, group: Frames, holds: Holds, least_ns: int, text: str) -> None:
-        """Note the times in which something holds for long enough."""
+        """Note periods in which a condition holds for long enough."""
         key = (kind, node, axis)
         if key not in self._since and not holds.any():
             return
@@ -123,7 +123,7 @@ class DriveValues:
         if self._noted.get(key) == t_ns:
             return
         self._noted[key] = t_ns
-        note = self.clues.note if kind == "limit_active" else self.clues.begin  # a limit is no fault
+        note = self.clues.note if kind == "limit_active" else self.clues.begin  # a limit is not a fault
         note(kind, node, t_ns, text, row=row, subject=(axis, "PDO")).axis = axis
 
 

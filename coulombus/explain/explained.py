@@ -1,4 +1,4 @@
-"""A log explained: frames in, verdict, nodes and incidents out."""
+"""Explain a log: from frames to verdict, nodes and incidents."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ VERDICTS = ("unresolved", "recovered", "warning")
 
 @dataclass(frozen=True)
 class NodeSummary:
-    """A node in a line."""
+    """Summary of a node in a line."""
 
     number: int
     name: str
     state: str
     frames: int
     maps: str
-    """Where its PDO maps come from: "rig", "SDO seen in the log", "EDS", "assumed", or ""."""
+    """Source of its PDO maps: "rig", "SDO seen in the log", "EDS", "assumed", or ""."""
     well: bool
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """What came of a log; times are ns as the frames' stamps, `epoch_ns` is time 0."""
+    """The explanation of a log; times are ns like the frames' stamps, `epoch_ns` is time 0."""
 
     verdict: str
     nodes: tuple[NodeSummary, ...]
@@ -64,7 +64,7 @@ class Explanation:
     """Time [ns], identifier and data of the frames that incidents name, by number."""
     bus: Bus
     identifiers: tuple[IdentifierRow, ...] = ()
-    """Those of a log that is no CANopen, the most frequent first."""
+    """Identifiers of a log that is not CANopen, the most frequent first."""
 
     def at_s(self, t_ns: int | None) -> float | None:
         """Return a time [s] since the log's beginning; None for None."""
@@ -72,16 +72,16 @@ class Explanation:
 
 
 class Explainer:
-    """Goes through frames once; memory is that of nodes and incidents.
+    """Explains frames in one pass; memory depends on nodes and incidents only.
 
     Parameters
     ----------
     rig
-        Gives names and PDO maps; None: what the log shows.
+        Rig with names and PDO maps; None: as learned from the log.
     eds
-        EDS files of nodes, or of which each node takes the one that fits.
+        EDS files of nodes, or files to be matched by identity.
     span
-        Begin and end [s] of what is looked at, None: open.
+        Begin and end [s] of the examined part; None: open.
     """
 
     def __init__(
@@ -120,9 +120,7 @@ class Explainer:
         self._rows: set[int] = set()
 
     def take(self, frames: Records, comments: Iterable[tuple[int, str]] = (), inside: Records | None = None) -> None:
-        """Go through frames; `comments` are (row of `frames`, text), `inside` what the host told of its
-        cycles meanwhile.
-        """
+        """Process frames; `comments`: (row of `frames`, text), `inside`: the host's telemetry of the same time."""
         if inside is not None:
             self._host.take_inside(inside)
         remarks = list(comments)
@@ -130,23 +128,21 @@ class Explainer:
             self._block(block)
 
     def look(self, now_ns: int = -1) -> None:
-        """Look at what is overdue at the last frame, or at a later time [ns] until which all frames
-        were taken.
-        """
-        if 0 <= self._pieces.first_ns < now_ns:  # SYNC has stopped: what waits for it would look overdue
+        """Note overdue events at the last frame, or at a later time [ns] up to which all frames were taken."""
+        if 0 <= self._pieces.first_ns < now_ns:  # SYNC has stopped: frames that wait for it would look overdue
             self._block(self._pieces.end(last=False))
         t_ns = max(self.bus.last_ns, now_ns)
         for observer in (self._rare, self._timing, self._drives):
             observer.look(t_ns)
 
     def end(self) -> None:
-        """Go through what is left, and look once more at what is overdue."""
+        """Process the remaining frames, and note overdue events once more."""
         self._block(self._pieces.end())
         self.look()
         self._rare.end(self.bus.last_ns)
 
     def explanation(self, remarks: Iterable[str] = ()) -> Explanation:
-        """Return what is known by now."""
+        """Return the explanation so far."""
         incidents = tuple(join(self.bus.clues.all))
         states = {incident.status for incident in incidents}
         verdict = next((word for word in VERDICTS if word in states), "ok")
@@ -165,11 +161,11 @@ class Explainer:
 
     @property
     def _is_canopen(self) -> bool:
-        """Whether there is a frame that only CANopen has, or SYNC."""
+        """Whether a frame exists that occurs only in CANopen, or SYNC."""
         return bool(self.bus.canopen or 0x080 in self.bus.counts)
 
     def _inside(self, frames: Records, comments: list[tuple[int, str]]) -> tuple[Records, list[tuple[int, str]]]:
-        """Return what is within the span; time 0 is that of the log."""
+        """Return the frames within the span; time 0 is that of the log."""
         if self._epoch_ns is None and len(frames):
             first = int(frames["t_ns"][0])
             self._epoch_ns = first if first >= 10**17 else 0
@@ -191,7 +187,7 @@ class Explainer:
         self._keep(block)
 
     def _keep(self, block: Block) -> None:
-        """Keep the frames that clues name."""
+        """Keep the frames referenced by clues."""
         first, behind = block.first_row, block.first_row + len(block.t_ns)
         for clue in self.bus.clues.all[-200:]:
             for row in clue.rows:
@@ -255,15 +251,15 @@ def explain(
     Parameters
     ----------
     path
-        What `coulombus.recording.reading.captures` reads.
+        A file that `coulombus.recording.reading.captures` reads.
     rig
-        Gives names and PDO maps; None: what the log and EDS files show.
+        Rig with names and PDO maps; None: from the log and EDS files.
     eds
-        EDS files of nodes, or of which each node takes the one that fits.
+        EDS files of nodes, or files to be matched by identity.
     span
         Begin and end [s], None: open.
     channel
-        Which bus of a file that has several, as ``"can0"``.
+        Bus of a file with several, as ``"can0"``.
 
     Raises
     ------
@@ -287,9 +283,7 @@ def explain(
 
 
 def attached_rig(capture: Capture, remarks: list[str]) -> Rig | None:
-    """Return the rig that a recording of this project has with it, None where there is none that can
-    be read.
-    """
+    """Return the rig attached to a coulombus recording; None if absent or unreadable."""
     texts = {
         name: raw.decode(errors="replace") for name, raw in capture.attachments.items() if not name.startswith(HOST)
     }

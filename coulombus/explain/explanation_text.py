@@ -1,4 +1,4 @@
-"""An explanation as a person reads it: a screen, an incident in detail, JSON, Markdown, HTML."""
+"""Render an explanation: overview, incident in detail, JSON, Markdown, HTML."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHOWN_IDENTIFIERS = 24
 
 
 def title(explanation: Explanation, incident: Incident) -> str:
-    """Return an incident in a line: whose, what."""
+    """Return an incident in a line: node and title."""
     whose = explanation.bus.name(incident.node)
     axes = incident.axes if max(incident.axes, default=1) > 1 else ()
     axis = f", axis {' and '.join(map(str, axes))}" if axes else ""
@@ -34,16 +34,16 @@ def title(explanation: Explanation, incident: Incident) -> str:
 
 
 def cause(incident: Incident) -> str:
-    """Return what an incident comes from: what was said or seen, and what that usually means."""
+    """Return an incident's cause: the observation, and its usual meaning."""
     diagnosis = incident.diagnosis
     return f"{_capital(diagnosis.text)}. {KINDS[diagnosis.kind].cause}"
 
 
 def checks(incident: Incident) -> tuple[str, ...]:
-    """Return what to check first, the cheapest first."""
+    """Return the checks, the cheapest first."""
     usual, diagnosis = KINDS[incident.root.kind].checks, incident.diagnosis
     first = incident.root.check
-    if not first and diagnosis is not incident.root:  # the code is known: it need not be read
+    if not first and diagnosis is not incident.root:  # the code is known already
         first = KINDS[diagnosis.kind].checks[0]
     return (first, *usual[1:]) if first else usual
 
@@ -109,7 +109,7 @@ def _frames(explanation: Explanation, incident: Incident) -> list[tuple[int, tup
 
 
 def screen(explanation: Explanation, source: str) -> Iterator[str]:
-    """Yield the lines of the overview; `source` is the file or bus as the next command names it."""
+    """Yield the lines of the overview; `source` is the file or bus for the suggested command."""
     yield VERDICT_TEXT[explanation.verdict]
     length = explanation.at_s(explanation.end_ns) or 0.0
     yield f"{explanation.frames} frames until {length:.3f} s"
@@ -140,7 +140,7 @@ def screen(explanation: Explanation, source: str) -> Iterator[str]:
 
 
 def _identifier_table(explanation: Explanation) -> Iterator[str]:
-    """Yield the identifiers of a log that is no CANopen."""
+    """Yield the identifiers of a log that is not CANopen."""
     rows = explanation.identifiers
     if rows:
         yield ""
@@ -179,14 +179,12 @@ def detail_lines(explanation: Explanation, incident: Incident, source: str) -> I
 
 
 def news(explanation: Explanation, incident: Incident) -> str:
-    """Return the line that tells of an incident when it is one, or when its state changes."""
+    """Return the line for a new incident or a change of its state."""
     return f"{_when(explanation, incident)}  {incident.status.upper()}  {title(explanation, incident)}: {incident.diagnosis.text}"
 
 
 def course(explanation: Explanation, incident: Incident) -> list[tuple[int, str, str]]:
-    """Return what happened in an incident in time order: time [ns], role ("cause", "consequence",
-    "end" ...), words.
-    """
+    """Return the events of an incident in time order: time [ns], role ("cause", "consequence", "end" ...), text."""
     events = [(clue.begin_ns, _role(incident, clue), _clue(explanation, clue)) for clue in incident.clues]
     events += [
         (clue.end_ns, "end", f"{explanation.bus.name(clue.node)}: {clue.end_text}")
@@ -257,7 +255,7 @@ def markdown(explanation: Explanation, source: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return a text whose characters Markdown leaves alone."""
+    """Return a text escaped for Markdown."""
     return "".join(f"\\{c}" if c in "\\`*_<>[]|#" else c for c in text if c.isprintable())
 
 
@@ -268,7 +266,7 @@ pre{overflow-x:auto;background:#f4f4f4;padding:.7em;font-size:13px}"""
 
 
 def html_page(explanation: Explanation, source: str) -> str:
-    """Return a report as one HTML file, which loads nothing."""
+    """Return a report as a single self-contained HTML file."""
 
     def safe(text: str) -> str:
         return html.escape("".join(c for c in text if c.isprintable()))

@@ -1,4 +1,4 @@
-"""Frames as the observers take them: some thousands at a time, grouped by identifier."""
+"""Frames for the observers: some thousands at a time, grouped by identifier."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["BLOCK", "SYNC", "Block", "Frames", "Integers", "Pieces"]
 Integers = npt.NDArray[np.int64]
 
 BLOCK = 1 << 16
-"""Frames of a block, at most: 2.6 MB."""
+"""Maximum frames of a block: 2.6 MB."""
 FAR, FAR_NS = 8192, 1_000_000_000
-"""The last SYNC is not waited for if so many frames, or ns, came after it."""
+"""Frames, or ns, after the last SYNC beyond which a block no longer ends before it."""
 SYNC = int(CobId.SYNC)
 REMOTE, EXTENDED, ERROR = 0x2000, 0x4000, 0x8000
-"""Bits of a group's key beside the 11 bits of a base identifier."""
+"""Bits of a group's key above the 11 bits of a base identifier."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Frames:
 
 @dataclass(frozen=True)
 class Block:
-    """Some frames of a log, with the comments that stand at them.
+    """Some frames of a log, with their comments.
 
-    A block begins with a SYNC wherever that is possible, so that what follows a SYNC is in one block.
-    `comments` are (row within the block, text); `last` tells that nothing follows.
+    A block begins with a SYNC if possible, so that the frames after a SYNC are in one block.
+    `comments` are (row within the block, text); `last`: no block follows.
     """
 
     frames: Records
@@ -101,7 +101,7 @@ class Block:
 
 
 class Pieces:
-    """Cuts what comes into blocks that begin with a SYNC."""
+    """Cuts frames into blocks that begin with a SYNC."""
 
     def __init__(self) -> None:
         self._rest = np.zeros(0, FRAME)
@@ -122,17 +122,17 @@ class Pieces:
         self._rest = whole[cut:]
 
     def all_of(self, frames: Records) -> Iterator[Block]:
-        """Yield frames in blocks; none waits for the next SYNC."""
+        """Yield frames in blocks, without waiting for the next SYNC."""
         for start in range(0, len(frames), BLOCK):
             yield self._cut(frames[start : start + BLOCK])
 
     @property
     def first_ns(self) -> int:
-        """The stamp of the first frame that waits, -1 where none does."""
+        """The stamp of the first pending frame, -1 if none."""
         return int(self._rest["t_ns"][0]) if len(self._rest) else -1
 
     def end(self, *, last: bool = True) -> Block:
-        """Return what is left; `last`: nothing follows."""
+        """Return the pending frames; `last`: no block follows."""
         rest, self._rest = self._rest, self._rest[:0]
         return self._cut(rest, last=last)
 
@@ -145,7 +145,7 @@ class Pieces:
 
 
 def _before_sync(frames: Records) -> int:
-    """Return how many frames stand before the last SYNC, all where it is far back."""
+    """Return the number of frames before the last SYNC; all frames if it is far back."""
     places = np.flatnonzero(frames["can_id"][-FAR:] == SYNC)
     cut = max(len(frames) - FAR, 0) + int(places[-1]) if len(places) else len(frames)
     far = cut == len(frames) or int(frames["t_ns"][-1]) - int(frames["t_ns"][cut]) > FAR_NS

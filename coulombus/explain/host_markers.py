@@ -1,4 +1,4 @@
-"""The host's own words in a recording of this project: its markers, and what it tells of each cycle."""
+"""The host's reports in a coulombus recording: its markers, and its telemetry of each cycle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["HostMarkers"]
 
 TRIP, SAFE, PHASE = "trip ", "safe", "phase "
 BEFORE_NS, KEPT_NS = 1_000_000_000, 5_000_000_000
-"""What the host told within this time before a trip may have led to it; so much is kept."""
+"""Time before a trip within which the host's telemetry may explain it; length of the kept telemetry."""
 WORDS = {
     Limit.TORQUE_CLIPPED: "torque clipped",
     Limit.TORQUE_SLOWED: "torque held back by rate or speed limit",
@@ -26,14 +26,13 @@ WORDS = {
     Limit.TPDO_MISSED: "TPDO missed",
     Limit.DEADMAN_OPEN: "dead-man open",
 }
-"""What acted in a cycle."""
+"""Active limits of a cycle, as texts."""
 
 
 class HostMarkers:
-    """Reads trips and ordered ends from the comments; what was injected there is not read.
+    """Reads trips and ordered ends from the comments; markers of injected faults are ignored.
 
-    `take_inside` gets what the host told of its cycles (`recording.host_telemetry`), before the
-    frames of the same time.
+    `take_inside` gets the host's telemetry (`recording.host_telemetry`) before the frames of the same time.
     """
 
     def __init__(self, bus: Bus) -> None:
@@ -41,14 +40,14 @@ class HostMarkers:
         self._inside: Records = np.zeros(0, FRAME)
 
     def take_inside(self, inside: Records) -> None:
-        """Keep what the host told of its latest cycles: phase, trip and limits of each axis."""
+        """Keep the host's latest telemetry: phase, trip and limits of each axis."""
         heads = inside[(inside["can_id"] - FIRST) % PER_AXIS == 0]
         if len(heads):
             kept = np.concatenate((self._inside, heads))
             self._inside = kept[kept["t_ns"] > kept["t_ns"][-1] - KEPT_NS]
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         for row, text in block.comments:
             at = min(row, len(block.t_ns) - 1)
             t_ns = int(block.t_ns[at]) if at >= 0 else self.bus.last_ns
@@ -67,7 +66,7 @@ class HostMarkers:
         near = inside[(inside["t_ns"] >= t_ns - BEFORE_NS) & (inside["t_ns"] <= t_ns + BEFORE_NS)]
         word = np.ascontiguousarray(near["word"]).astype(np.int64)
         tripped = np.flatnonzero(word >> 8 & 0xFF)
-        if len(tripped):  # the marker stands at the end of the cycle: the axis' own word is the first doubt
+        if len(tripped):  # the marker comes at the end of the cycle: the axis' telemetry has the first trip
             first = int(tripped[0])
             axis = (int(near["can_id"][first]) - FIRST) // PER_AXIS + 1
             earlier = word[:first][near["can_id"][:first] == near["can_id"][first]]

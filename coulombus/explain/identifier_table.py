@@ -1,4 +1,4 @@
-"""The identifiers of a log that is no CANopen: how often each comes, and what J1939 calls it."""
+"""The identifiers of a log that is not CANopen: their frequency and J1939 names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from coulombus.explain.frames import EXTENDED, REMOTE, Block
 __all__ = ["IdentifierRow", "Identifiers"]
 
 MOST = 4096
-"""Identifiers that are counted, at most."""
+"""Maximum number of identifiers to count."""
 EXTENDED_BIT = 1 << 31
 GROUPS: Mapping[int, str] = MappingProxyType(
     {
@@ -42,8 +42,8 @@ class IdentifierRow:
 
     @property
     def group(self) -> int:
-        """Parameter group number of J1939: of 29 bits without priority, source and, where the format
-        is below F0h, destination.
+        """Parameter group number of J1939: the 29 bits without priority, source and, for formats
+        below F0h, destination.
         """
         number = self.can_id >> 8 & 0x3FFFF
         return number if number >> 8 & 0xFF >= 0xF0 else number & 0x3FF00
@@ -55,7 +55,7 @@ class IdentifierRow:
 
     @property
     def text(self) -> str:
-        """What J1939 calls it; "" of an 11-bit identifier."""
+        """The J1939 name; "" for an 11-bit identifier."""
         if not self.extended:
             return ""
         name = GROUPS.get(self.group, "proprietary B" if self.group >> 8 & 0xFF == 0xFF else "")
@@ -69,7 +69,7 @@ class Identifiers:
         self._seen: dict[int, list[int]] = {}  # frames, first and last time
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         for key, group in block.groups.items():
             if key < REMOTE:
                 self._count(key, group.t_ns)

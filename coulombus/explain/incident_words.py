@@ -1,6 +1,6 @@
-"""The kinds of clues in words: title, cause, what to check first, why it matters, where it is written.
+"""Texts for the kinds of clues: title, cause, checks, significance, reference.
 
-One table. `rank` says which clue of an incident names it: the most telling one.
+`rank` decides which clue names an incident: the most specific one.
 """
 
 from __future__ import annotations

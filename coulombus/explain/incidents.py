@@ -1,4 +1,4 @@
-"""Clues joined into incidents: what follows from an event is inside it."""
+"""Join clues into incidents: an incident contains its consequences."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ __all__ = ["Incident", "join"]
 
 S = 1_000_000_000
 AFTER_NS = S
-"""What begins within this time after an incident ended may still follow from it."""
+"""Time after the end of an incident within which a clue may still be its consequence."""
 TRIP_NS = 3 * S
-"""... and after a trip, while the machine comes to rest."""
+"""The same after a trip, while the machine comes to rest."""
 ROOT_NS = S // 2
-"""The clue that names an incident begins within this time of its first one."""
+"""Time from the first clue within which the clue that names an incident begins."""
 PROMPT_NS = 5_000_000
 PROMPT = frozenset({"rpdo_missing", "pdo_length"})
-"""Kinds that are a consequence unless they come first."""
+"""Kinds that are consequences unless they come first."""
 AT_ONCE_NS = 2_000_000
-"""Two nodes that lack the same within this time lack it for one reason."""
+"""Time within which equal losses of two nodes have one cause."""
 FEW = 3
 OFTEN = frozenset({"repeated", "event_timer", "inhibit_time"})
-"""Kinds that are told of from so many times on."""
+"""Kinds that are reported from a minimum count."""
 TOLERANCE_NS = 60_000_000
-"""A cause may be seen so much later than its first consequence."""
+"""Maximum delay of an observed cause after its first consequence."""
 
 BUS_WIDE = frozenset(kind for kind, words in KINDS.items() if words.group == "bus")
 SDO = frozenset(kind for kind, words in KINDS.items() if words.group == "sdo")
 AT_NODE = frozenset(kind for kind, words in KINDS.items() if words.group == "node")
 FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost", "two_sync", "bus_load"})
-"""Kinds from which something follows at every node."""
+"""Kinds with consequences at every node."""
 SILENCE = frozenset({"node_lost", "heartbeat_lost", "host_lost"})
 SILENCE_NS = 300_000_000
-"""A silence begins with the last frame that was heard: so much sooner than its cause, at most."""
+"""Maximum lead of a silence, which begins at the last received frame, before its cause."""
 MINOR = frozenset(
     {
         *("repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late"),
         *("error_history", "guard_toggle", "limit_active", "event_timer", "inhibit_time", "starved"),
     }
 )
-"""Kinds that stop no machine, by themselves."""
+"""Kinds that do not stop a machine by themselves."""
 REMARKS = frozenset({"limit_active", "error_history"})
-"""Kinds that name an incident only where it has no other clue."""
+"""Kinds that name an incident only if it has no other clue."""
 GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational"})
-"""After these a node does not answer as before."""
+"""Kinds after which a node does not answer as before."""
 OF_AXES = frozenset(
     {
         *("drive_fault", "quick_stop", "left_enabled", "not_following", "error_code"),
@@ -54,18 +54,18 @@ OF_AXES = frozenset(
     }
 )
 TOLD_BY_NODE = OF_AXES | {"emcy", "left_operational"}
-"""Kinds whose cause a node may tell by EMCY or 603Fh."""
+"""Kinds whose cause a node may report by EMCY or 603Fh."""
 REPORTED = frozenset(
     {"emcy", "error_code", "host_trip", "sdo_abort", "error_history", "following_error", "limit_active"}
 )
-"""Kinds in which a node, or the host, says so itself."""
+"""Kinds reported by a node or the host itself."""
 
 
 @dataclass
 class Incident:
-    """One event: its clues in time order, the one that names it first in rank.
+    """One event: its clues in time order; the highest rank names it.
 
-    `status` is "unresolved", "recovered" or "warning"; `sure` says how sure the cause is.
+    `status` is "unresolved", "recovered" or "warning"; `sure` is the certainty of the cause.
     """
 
     clues: list[Clue] = field(default_factory=list)
@@ -81,18 +81,18 @@ class Incident:
 
     @property
     def begin_ns(self) -> int:
-        """When it began."""
+        """Time of its beginning."""
         return min(clue.begin_ns for clue in self.clues)
 
     @property
     def end_ns(self) -> int | None:
-        """When it was over; None while it is not."""
+        """Time of its end; None while it is open."""
         ends = [clue.end_ns for clue in self.clues]
         return None if None in ends else max(end for end in ends if end is not None)
 
     @property
     def node(self) -> int | None:
-        """The node that it is about; None: the bus, or the host."""
+        """The node concerned; None: the bus, or the host."""
         root = self.root
         alike = {
             clue.node
@@ -103,7 +103,7 @@ class Incident:
 
     @property
     def status(self) -> str:
-        """Whether it is over, and whether it was more than a remark."""
+        """Its status: open or over, or only a warning."""
         if any(clue.end_ns is None for clue in self.clues):
             return "unresolved"
         lasted = any(clue.end_text or clue.kind not in MOMENTARY for clue in self.clues)
@@ -111,20 +111,20 @@ class Incident:
 
     @property
     def diagnosis(self) -> Clue:
-        """The clue in which a node says what ails it, else the root."""
+        """The clue with the node's own diagnosis, else the root."""
         if self.root.kind not in TOLD_BY_NODE:
             return self.root
         return next((c for c in self.clues if c.kind in ("emcy", "error_code") and c.node == self.node), self.root)
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """The axes of the drive that it is about, from 1; none where it is about all of a node."""
+        """The drive's axes concerned, from 1; empty for a whole node."""
         kinds = {clue.axis + 1 for clue in self.clues if clue.kind in OF_AXES and clue.node == self.node}
         return tuple(sorted(kinds)) if self.root.kind in TOLD_BY_NODE else ()
 
     @property
     def sure(self) -> str:
-        """How sure the cause is."""
+        """Certainty of the cause."""
         if self.diagnosis.kind in REPORTED:
             return "reported"
         return "at the same moment" if len(self.clues) > 1 else "likely"
@@ -137,7 +137,7 @@ MOMENTARY = frozenset(
         *("limit_active", "event_timer", "inhibit_time", "starved"),
     }
 )
-"""Kinds that are over as soon as they are seen."""
+"""Momentary kinds."""
 
 
 def join(clues: Iterable[Clue]) -> list[Incident]:
@@ -159,7 +159,7 @@ def join(clues: Iterable[Clue]) -> list[Incident]:
 
 
 def _order(clue: Clue) -> tuple[bool, int, int]:
-    """What concerns all comes first, then by time: a cause may be seen later than its consequence."""
+    """Sort key: clues about all nodes first, then by time, because a cause may be seen after its consequence."""
     lead = TOLERANCE_NS if clue.kind in BUS_WIDE or clue.kind in GONE else 0
     lead = PROMPT_NS if clue.kind == "host_trip" else lead
     return (clue.kind not in FOR_ALL, clue.begin_ns - lead, -KINDS[clue.kind].rank)
@@ -174,7 +174,7 @@ def _nearness(incident: Incident, clue: Clue) -> tuple[bool, int, int]:
 
 
 def _explains(incident: Incident, clue: Clue) -> bool:
-    """Tell whether a clue follows from an incident."""
+    """Return whether a clue is a consequence of an incident."""
     end = incident.end_ns
     trip = next((c for c in incident.clues if c.kind == "host_trip"), None)
     at = clue.begin_ns
@@ -206,7 +206,7 @@ def _explains(incident: Incident, clue: Clue) -> bool:
         )
     if root.node == clue.node:
         return True
-    if clue.kind == "rpdo_late":  # the host waits for what is missing
+    if clue.kind == "rpdo_late":  # the host waits for the missing TPDO
         return any(known.kind in ("tpdo_missing", "tpdo_late") for known in incident.clues)
     return clue.kind == "emcy" and root.kind in GONE and "0x81" in clue.text
 

@@ -1,4 +1,4 @@
-"""PDOs whose length does not fit their map (CiA 301, 7.2.2.5)."""
+"""PDOs whose length does not match their map (CiA 301, 7.2.2.5)."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ __all__ = ["Lengths"]
 
 
 class Lengths:
-    """Holds the length of every PDO against its map, and against itself."""
+    """Compares the length of every PDO with its map, and with its earlier length."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._last: dict[int, int] = {}
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         for key, group in block.groups.items():
             known = self.bus.maps.get(key)
             if known is None or known.source == "assumed":

@@ -1,4 +1,4 @@
-"""A live bus explained: each incident when it is one, its state followed."""
+"""Explain a live bus: report each incident and the changes of its state."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ __all__ = ["LATE_NS", "Followed", "explain_bus", "records_of", "same_incident"]
 WAIT_S = 0.1
 LOOK_S = 0.5
 LATE_NS = 1_000_000_000
-"""A frame may come so much later than its stamp: before that nothing is called missing."""
+"""Maximum delay of a frame after its stamp: earlier, nothing counts as missing."""
 
 
 def same_incident(incident: Incident) -> tuple[str, int | None, int]:
-    """Return what stays of an incident while its number, state and words change."""
+    """Return the identity of an incident, independent of its number, state and text."""
     first = incident.clues[0]
     return first.kind, first.node, first.begin_ns
 
 
 class Followed:
-    """Tells incidents that are new, or whose state changed."""
+    """Detects new incidents and changes of state."""
 
     def __init__(self, tell: Callable[[Explanation, Incident], None]) -> None:
         self._tell = tell
         self._known: dict[tuple[str, int | None, int], str] = {}
 
     def look(self, explanation: Explanation) -> None:
-        """Tell what changed."""
+        """Report the changes."""
         for incident in explanation.incidents:
             key = same_incident(incident)
             if self._known.get(key) != incident.status:
@@ -47,7 +47,7 @@ class Followed:
 
 
 def records_of(received: Sequence[Received]) -> Records:
-    """Return frames that a client received as `Explainer` takes them."""
+    """Return a client's received frames as records for `Explainer`."""
     frames = new_records(Frame, len(received))
     frames[:] = [(t_ns, can_id, length, data_word(data), 0) for t_ns, can_id, length, data in received]
     return frames
@@ -61,23 +61,23 @@ def explain_bus(
     eds: EdsFiles | None = None,
     seconds: float | None = None,
 ) -> Explanation:
-    """Listen to a bus, and tell each incident; nothing is sent.
+    """Listen to a bus, and report each incident; nothing is sent.
 
     Parameters
     ----------
     address
         The bus.
     tell
-        Called with an incident when it is one, and when its state changes.
+        Called with each new incident, and when its state changes.
     rig, eds
         As in `Explainer`.
     seconds
-        How long [s]; None: until a signal.
+        Duration [s]; None: until a signal.
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        There is no bus, or it went away meanwhile.
+        There is no bus, or it closed meanwhile.
     """
     explainer, followed = Explainer(rig, eds), Followed(tell)
     end = None if seconds is None else time.monotonic() + seconds

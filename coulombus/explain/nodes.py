@@ -14,15 +14,15 @@ __all__ = ["Nodes"]
 S = 1_000_000_000
 LOST_KINDS = ("node_lost", "host_lost", "heartbeat_lost")
 UNANSWERED = 3
-"""Node guarding requests without an answer, after which a node is lost: the usual life time factor."""
+"""Unanswered node guarding requests after which a node is lost: the usual life time factor."""
 SAME_NS = 300_000
-"""Two frames within this time are one that came twice."""
+"""Time within which two frames are one duplicated frame."""
 LOST = 2.5
-"""A heartbeat is lost after so many of its periods."""
+"""Periods after which a heartbeat is lost."""
 USUAL = 8
-"""Intervals of heartbeats that show how far they spread; before them none is called late."""
+"""Heartbeat intervals needed to learn their spread; before, none counts as late."""
 ANSWERED_NS = 10 * S
-"""A boot-up answers a reset that was ordered within this time."""
+"""Time after a reset command within which a boot-up is its response."""
 STATES = {
     NmtState.STOPPED: "STOPPED",
     NmtState.OPERATIONAL: "OPERATIONAL",
@@ -31,16 +31,16 @@ STATES = {
 
 
 class Nodes:
-    """Watches who is there, and in which NMT state."""
+    """Monitors the presence and NMT state of nodes."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
-        self._asked: dict[int, list[int]] = {}  # guarding requests without an answer
-        self._toggles: dict[int, tuple[int, int]] = {}  # of the last answer to guarding, and when; -1: none
-        self._short: dict[int, list[bool]] = {}  # whether the last heartbeats came far too soon
+        self._asked: dict[int, list[int]] = {}  # unanswered guarding requests
+        self._toggles: dict[int, tuple[int, int]] = {}  # toggle bit and time of the last guarding response; -1: none
+        self._short: dict[int, list[bool]] = {}  # whether the last heartbeats were far too early
 
     def frame(self, block: Block, row: int, t_ns: int, key: int, word: int, length: int) -> None:
-        """Go through a frame of NMT, heartbeat, guarding or EMCY."""
+        """Process a frame of NMT, heartbeat, guarding or EMCY."""
         if key == NMT:
             self._order(row, t_ns, word, length)
         elif key & REMOTE:
@@ -53,7 +53,7 @@ class Nodes:
             self._emcy(row, t_ns, key - EMCY, data_bytes(word, length))
 
     def seen(self, block: Block) -> None:
-        """Note when each node was last heard, and what is overdue."""
+        """Store each node's last frame, and note overdue events."""
         for key, group in block.groups.items():
             number = self.bus.sender(key)
             if number is not None:
@@ -63,7 +63,7 @@ class Nodes:
             self.look(int(block.t_ns[-1]))
 
     def look(self, t_ns: int) -> None:
-        """Note heartbeats that are overdue at a time."""
+        """Note heartbeats overdue at a time."""
         for node in list(self.bus.nodes.values()):
             due = node.heartbeat_ns + node.period_ns
             if (
@@ -92,7 +92,7 @@ class Nodes:
             self.clues.begin(kind, node.number, begin, text, row=node.heartbeat_row)
 
     def _said_goodbye(self, node: SeenNode) -> bool:
-        """Tell whether it is a host whose last order before its silence was no start: an orderly end."""
+        """Return whether it is a host whose last NMT command before its silence was not a start: an orderly end."""
         until_ns = node.heartbeat_ns + LOST * node.period_ns
         last = next((order for order in reversed(self.bus.orders) if order.t_ns <= until_ns), None)
         return node.number == self.bus.host and last is not None and last.command != NmtCommand.START
@@ -131,7 +131,7 @@ class Nodes:
         reset = self.bus.ordered(node.number, max(node.booted_ns, t_ns - ANSWERED_NS), t_ns, NmtState.INITIALISING)
         lost = [kind for kind in LOST_KINDS if self.clues.stands(kind, node.number)]
         if node.booted_ns >= 0 and t_ns - node.booted_ns < SAME_NS:
-            return  # the frame came twice
+            return  # a duplicated frame
         if reset is None and not new:
             text = "it sends boot-up, and nobody had ordered a reset"
             if node.boots and self.clues.stands("restarted", node.number):
@@ -149,18 +149,18 @@ class Nodes:
         self.bus.stale = True
 
     def _interval(self, block: Block, row: int, t_ns: int, node: SeenNode) -> None:
-        """Learn the period of the heartbeats, and note those that come too late or too soon."""
+        """Learn the period of the heartbeats, and note late and early ones."""
         number = node.number
         for kind in LOST_KINDS:
             self.clues.end(kind, number, t_ns, "its heartbeats come again")
         if node.heartbeat_ns < 0 or number in self._toggles:
-            return  # who is guarded answers when asked
+            return  # a guarded node only responds to requests
         gap = t_ns - node.heartbeat_ns
         configured = node.objects.get((0x1017, 0), 0) * 1_000_000
         if configured and configured != node.period_ns:
             node.period_ns = configured
             node.gaps.clear()
-            return  # the first one by a new period
+            return  # the first interval of a new period
         if not node.period_ns:
             node.gaps.append(gap)
             recent = sorted(node.gaps[-5:])
@@ -194,10 +194,10 @@ class Nodes:
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="heartbeat")
 
     def _late_after(self, node: SeenNode) -> int:
-        """Return after what time [ns] a heartbeat is late: half a period behind the longest of the
-        usual intervals, and never before half the time of every consumer that the log shows (1016h);
-        0 where the usual ones are not known yet. A producer may send in its own cycle only: then
-        intervals of one and two cycles are usual.
+        """Return the time [ns] after which a heartbeat is late: half a period after the longest
+        usual interval, and never before half the time of every consumer in the log (1016h); 0 if
+        the usual intervals are unknown. A producer may send only in its own cycle: then intervals
+        of one and two cycles are usual.
         """
         if len(node.gaps) < USUAL:
             return 0
@@ -239,7 +239,7 @@ class Nodes:
                 self.clues.begin("not_started", number, last.t_ns, text, row=row)
 
     def _guard(self, block: Block, row: int, t_ns: int, number: int) -> None:
-        """Take a request of node guarding (CiA 301, 7.2.8.3.2.1)."""
+        """Process a request of node guarding (CiA 301, 7.2.8.3.2.1)."""
         self._toggles.setdefault(number, (-1, -1))
         waiting = self._asked.setdefault(number, [])
         waiting.append(t_ns)
@@ -252,7 +252,7 @@ class Nodes:
             self.clues.begin(kind, number, waiting[0], text, row=row)
 
     def _toggle(self, row: int, t_ns: int, number: int, word: int) -> None:
-        """Hold the toggle bit of an answer to node guarding against that of the one before."""
+        """Compare the toggle bit of a node guarding response with the previous one."""
         if number not in self._toggles:
             return
         if word & 0x7F == NmtState.INITIALISING:

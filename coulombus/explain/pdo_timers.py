@@ -1,4 +1,4 @@
-"""Event timers and inhibit times that are not kept (CiA 301, 7.5.2.37: 1800h:03 and :05)."""
+"""Violated event timers and inhibit times (CiA 301, 7.5.2.37: 1800h:03 and :05)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ __all__ = ["PdoTimers"]
 
 MS = 1_000_000
 LATE, SOON = 1.5, 0.75
-"""Of the event timer and of the inhibit time: what waits for the bus does not count."""
+"""Factors of the event timer and of the inhibit time, with a margin for waiting for the bus."""
 STOPPED = 5
-"""Event timers without the PDO: it has stopped, and is not late."""
+"""Event timer periods without the PDO after which it has stopped and is not late."""
 
 
 class PdoTimers:
-    """Holds the intervals of event-driven TPDOs against their event timer and inhibit time."""
+    """Compares the intervals of event-driven TPDOs with their event timer and inhibit time."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._last_ns: dict[int, int] = {}
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         for key, group in block.groups.items():
             known = self.bus.maps.get(key)
             if known is None or known.synchronous is not False or not (known.event_ns or known.inhibit_ns):

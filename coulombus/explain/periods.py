@@ -1,4 +1,4 @@
-"""When frames come: SYNC, PDOs after SYNC, PDOs by their own period, frames in excess."""
+"""Timing of frames: SYNC, PDOs after SYNC, PDOs by their own period, excess frames."""
 
 from __future__ import annotations
 
@@ -19,60 +19,60 @@ LEARN = 20
 """Intervals of which a period is learned; of a PDO after SYNC, and of SYNC, so many suffice:"""
 ENOUGH = 8
 ACTIVE = 3
-"""SYNC intervals in a row with a PDO, after which its absence is noted."""
+"""Successive SYNC intervals with a PDO after which its absence is noted."""
 BABBLE_NS, BABBLE = 300_000, 200
-"""So many frames of an identifier, each within this time of the one before, are babble."""
+"""Interval and number of successive frames of an identifier that are babble."""
 SILENT = 10
-"""Periods of SYNC without any frame that are a silent bus; at least 20 ms."""
+"""SYNC periods without any frame that make a silent bus; at least 20 ms."""
 MORE = 6
-"""SYNC intervals with two of a PDO within a block, from which on there is a second sender."""
+"""SYNC intervals per block with two frames of a PDO that show a second sender."""
 PDO_KEYS = range(CobId.TPDO1, CobId.SDO_TX)
 
 
 @dataclass
 class _Pdo:
-    """A PDO: whose it is, by the map known now, and what is carried over from block to block."""
+    """A PDO: its node by the present map, and its state between blocks."""
 
-    key: int  # its identifier: the name changes with what is known
+    key: int  # its identifier: the name may change
     node: int | None = None
     name: str = ""
     sends: bool = False  # the node sends it: a TPDO
-    streak: int = 0  # SYNC intervals in a row with a frame
+    streak: int = 0  # successive SYNC intervals with a frame
     regular: bool = False
-    missing_ns: int = -1  # since when it is missing
+    missing_ns: int = -1  # time since which it is missing
     missing: int = 0
-    held: tuple[int, int] | None = None  # time and row of a stop that an order may yet excuse
+    held: tuple[int, int] | None = None  # time and row of a stop that an NMT command may still explain
     last_ns: int = -1
     last_word: int = 0
     last_row: int = -1
     latency_ns: float = -1.0
     period_ns: int = 0
     gaps: list[int] = field(default_factory=list)
-    doubled: int = 0  # intervals with two that differ, lately
+    doubled: int = 0  # recent intervals with two different frames
     doubled_at: tuple[int, int] = (-1, -1)  # time and row of the first of them
 
 
 class Timing:
-    """Watches periods; PDOs count within the intervals that SYNC makes."""
+    """Monitors periods; PDOs are counted per SYNC interval."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self.period_ns = 0
-        self._sync = np.zeros(0, np.int64)  # the last one of the block before
+        self._sync = np.zeros(0, np.int64)  # the last SYNC of the previous block
         self._gaps: list[int] = []
         self._pdos: dict[int, _Pdo] = {}
-        self._doubled_sync = False  # in this block: the intervals behind that say nothing of PDOs
-        self._doubled_ns = -1  # since when, if it began in this block
+        self._doubled_sync = False  # in this block: later intervals say nothing about PDOs
+        self._doubled_ns = -1  # time of its beginning, if in this block
         self._last_ns = self._end_ns = -1
-        self._quiet: list[tuple[int, int, int]] = []  # silences that no SYNC has ended yet: begin, end, row
-        self._rapid: dict[int, tuple[int, int, int]] = {}  # frames in rapid succession, since when, first row
+        self._quiet: list[tuple[int, int, int]] = []  # silences not yet ended by SYNC: begin, end, row
+        self._rapid: dict[int, tuple[int, int, int]] = {}  # frames in rapid succession, begin, first row
         self._last_of: dict[int, int] = {}
         self.jitter_ns = 0.0
         self.sync_row = -1
         self.host_ns = -1
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         if len(block.t_ns) == 0:
             return
         self._end_ns = int(block.t_ns[-1])
@@ -120,7 +120,7 @@ class Timing:
         self._last_ns = int(block.t_ns[-1])
 
     def look(self, t_ns: int) -> None:
-        """Note what is overdue at a time."""
+        """Note overdue events at a time."""
         self._settle(t_ns)
         if self.period_ns and len(self._sync) and not self.clues.stands("sync_lost", None):
             last = int(self._sync[-1])
@@ -185,7 +185,7 @@ class Timing:
             self.clues.note("repeated", None, at, "a SYNC came twice", row=row, count=len(close), subject="sync")
 
     def _stopped(self, begin: int) -> bool:
-        """Tell whether orders explain that cyclic frames stop after `begin`."""
+        """Return whether NMT commands explain that cyclic frames stop after `begin`."""
         soon = self.bus.order_due_ns(begin, max(5 * self.period_ns, 20 * MS))
         nodes = [node.number for node in self.bus.nodes.values() if node.number != self.bus.host]
         running = [number for number in nodes if not self.bus.left_on_order(number, soon)]
@@ -194,9 +194,7 @@ class Timing:
         return bool(nodes) and not at_work
 
     def _silences(self, block: Block) -> list[tuple[int, int]]:
-        """Note when nothing at all came though SYNC and heartbeats should have, and SYNC comes again;
-        return these times.
-        """
+        """Note silences in which SYNC and heartbeats were due, ended by SYNC; return their times."""
         if not self.period_ns:
             return []
         sync = block.groups.get(SYNC)
@@ -227,7 +225,7 @@ class Timing:
     # PDOs
 
     def _identify(self, key: int, pdo: _Pdo, known: Map | None) -> None:
-        """Take node, name and direction of the map that is known now, else of the identifier."""
+        """Set node, name and direction by the present map, else by the identifier."""
         if known is not None:
             pdo.node, pdo.name, pdo.sends = known.node, known.name, known.direction == "tpdo"
         else:
@@ -251,7 +249,7 @@ class Timing:
         self._latency(group, pdo, sync, place, counts)
 
     def _walk(self, counts: Integers, sync: Integers, pdo: _Pdo, group: Frames) -> None:
-        """Go through runs of intervals with and without the PDO."""
+        """Process runs of intervals with and without the PDO."""
         for empty, start, end in _runs(counts):
             if not empty:
                 if pdo.missing_ns >= 0:
@@ -264,7 +262,7 @@ class Timing:
             late = end - start == 1 and end < len(counts) and counts[end] > 1
             excused = self._excused(pdo.node, int(sync[start]))
             if pdo.regular and excused:
-                pdo.regular = False  # what is missing stands until it is started again, and comes
+                pdo.regular = False  # a missing PDO stays noted until it is restarted and received
             elif pdo.regular and not late and pdo.missing_ns < 0:
                 self._missing(pdo, int(sync[start]), end - start, group)
             elif pdo.missing_ns >= 0:
@@ -274,7 +272,7 @@ class Timing:
             self._doubled(counts, sync, pdo, group)
 
     def _excused(self, node: int | None, begin: int) -> bool:
-        """Tell whether an order explains that a PDO stops at this time."""
+        """Return whether an NMT command explains that a PDO stops at this time."""
         due_ns = self.bus.order_due_ns(begin, max(3 * self.period_ns, 20 * MS))
         return node is None or self.bus.left_on_order(node, due_ns)
 
@@ -286,7 +284,7 @@ class Timing:
         self._settle(self._end_ns, pdo)
 
     def _settle(self, t_ns: int, *pdos: _Pdo) -> None:
-        """Note the stops, of `pdos` or of all, that no order has excused in time."""
+        """Note the stops of `pdos`, or of all, that no NMT command explained in time."""
         for pdo in pdos or self._pdos.values():
             if pdo.held is None:
                 continue
@@ -313,20 +311,20 @@ class Timing:
         pdo.missing_ns, pdo.missing = -1, 0
 
     def _doubled(self, counts: Integers, sync: Integers, pdo: _Pdo, group: Frames) -> None:
-        """Note intervals in which a PDO came more than once, with contents that differ."""
+        """Note intervals with several frames of a PDO with different contents."""
         differing = 0
         if any(count >= BABBLE for count, _, _ in self._rapid.values()):
-            return  # on a flooded bus frames of two cycles come within one
+            return  # on a flooded bus frames of two cycles fall into one interval
         for i in np.flatnonzero(counts > 1)[:200].tolist():
             start, end = group.t_ns.searchsorted((sync[i], sync[i + 1]))
             around = counts[max(i - 2, 0) : i + 3]
-            long = sync[i + 1] - sync[i] > 1.3 * self.period_ns  # SYNC itself came late
+            long = sync[i + 1] - sync[i] > 1.3 * self.period_ns  # SYNC itself was late
             if len(set(group.word[start:end].tolist())) > 1 and around.all() and not long:
                 differing += 1
                 if not pdo.doubled and differing == 1:
                     pdo.doubled_at = int(group.t_ns[end - 1]), int(group.rows[end - 1])
         if differing <= 2 * int((counts == 0).sum()):
-            differing = 0  # they are late ones
+            differing = 0  # they are late frames
         pdo.doubled = pdo.doubled + differing if differing else max(pdo.doubled - len(counts), 0)
         if pdo.doubled >= MORE and differing:
             kind = "duplicate_node" if pdo.sends else "second_master"
@@ -336,7 +334,7 @@ class Timing:
             self.clues.begin(kind, pdo.node, at, text, row=row, subject=pdo.key)
 
     def _latency(self, group: Frames, pdo: _Pdo, sync: Integers, place: Integers, counts: Integers) -> None:
-        """Note PDOs that come much later after SYNC than usually."""
+        """Note PDOs that come much later after SYNC than usual."""
         complete = (place >= 0) & (place < len(counts))
         if not pdo.regular or not complete.any():
             return
@@ -412,7 +410,7 @@ class Timing:
             clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(rapid)[-1] + 1])
 
     def _repeated(self, key: int, group: Frames, pdo: _Pdo) -> None:
-        """Note frames that came twice at once, as CAN may deliver them."""
+        """Note immediately duplicated frames, which CAN may deliver."""
         if len(group) < 2 or self._rapid.get(key):
             return
         gap = np.diff(group.t_ns)
@@ -434,7 +432,7 @@ class Timing:
 
 
 def _runs(counts: Integers) -> Iterator[tuple[bool, int, int]]:
-    """Yield (whether there is no frame, first interval, interval behind) of each run."""
+    """Yield (without frames, first interval, end interval) of each run."""
     empty = counts == 0
     bounds = np.r_[0, np.flatnonzero(np.diff(empty.astype(np.int8))) + 1, len(counts)]
     for start, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):

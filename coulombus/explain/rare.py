@@ -1,4 +1,4 @@
-"""Frames that go through Python one by one: NMT, EMCY, heartbeats, guarding and SDO."""
+"""Frames processed one by one in Python: NMT, EMCY, heartbeats, guarding and SDO."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["RareFrames"]
 
 
 class RareFrames:
-    """Gives these frames to `Nodes` and `SdoTransfers` in their order on the bus."""
+    """Passes these frames to `Nodes` and `SdoTransfers` in bus order."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
         self.nodes, self.sdo = Nodes(bus), SdoTransfers(bus)
 
     def take(self, block: Block) -> None:
-        """Go through a block."""
+        """Process a block."""
         for row, t_ns, key, word, length in block.of(*self._keys(block)):
             if SDO_TX < key <= SDO_RX + 0x7F:
                 self.sdo.frame(row, t_ns, key, word, length)
@@ -31,12 +31,12 @@ class RareFrames:
             self.sdo.look(int(block.t_ns[-1]))
 
     def look(self, t_ns: int) -> None:
-        """Note what is overdue at a time."""
+        """Note overdue events at a time."""
         self.nodes.look(t_ns)
         self.sdo.look(t_ns)
 
     def end(self, t_ns: int) -> None:
-        """Note what the whole log shows."""
+        """Note clues of the whole log."""
         self.sdo.end(t_ns)
 
     def _keys(self, block: Block) -> Iterator[int]:

@@ -1,4 +1,4 @@
-"""SDO: who was asked what, what was refused, left unanswered or not applied (CiA 301, 7.2.4)."""
+"""SDO transfers: requests, aborts, missing responses, values not applied (CiA 301, 7.2.4)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from coulombus.wire.data_word import data_bytes
 __all__ = ["SdoTransfers"]
 
 ANSWER_NS = 1_000_000_000
-"""An answer that has not come within this time is missing."""
+"""Time after which a response is missing."""
 REPEATED_NS = 2_000_000
 IDLE_NS = 2_000_000_000
 SCAN = 8
-"""So many node ids without an answer are a scan."""
+"""Number of unanswered node ids that make a scan."""
 SETTINGS = (range(0x1005, 0x1008), range(0x1012, 0x1018), range(0x1400, 0x1C00))
 OPTIONAL = (Abort.NO_OBJECT, Abort.NO_SUBINDEX, Abort.WRITE_ONLY)
 READS = (forms.UPLOAD_INITIATE.phase, forms.BLOCK_UPLOAD_INITIATE.phase)
@@ -40,12 +40,12 @@ class _Request:
     writes: bool
     index: int
     subindex: int
-    value: int | None  # of an expedited write
+    value: int | None  # of an expedited download
 
 
 @dataclass
 class _Server:
-    """One node's SDO server: its channel, and what it still owes."""
+    """One node's SDO server: its channel, and its pending responses."""
 
     channel: SdoChannel = field(default_factory=lambda: SdoChannel(None))
     request: _Request | None = None
@@ -59,14 +59,14 @@ class _Server:
 
 
 class SdoTransfers:
-    """Watches the default SDO channel of every node."""
+    """Monitors the default SDO channel of every node."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._servers: dict[int, _Server] = {}
 
     def frame(self, row: int, t_ns: int, key: int, word: int, length: int) -> None:
-        """Go through a request or an answer."""
+        """Process a request or a response."""
         if length != 8:
             return
         number, from_server = key & 0x7F, key < SDO_RX
@@ -89,7 +89,7 @@ class SdoTransfers:
         server.last_ns = t_ns
 
     def look(self, t_ns: int) -> None:
-        """Note answers that are overdue at a time."""
+        """Note responses overdue at a time."""
         for number, server in self._servers.items():
             request = server.request
             if request is not None and t_ns - request.t_ns > ANSWER_NS:
@@ -99,7 +99,7 @@ class SdoTransfers:
                 self._unfinished(number, server, server.last_ns)
 
     def end(self, t_ns: int) -> None:
-        """Say which nodes never were there."""
+        """Note nodes that never existed."""
         absent = [number for number, server in self._servers.items() if number not in self.bus.nodes]
         for number in absent if len(absent) < SCAN else ():
             requests = self._servers[number].unanswered or [r for r in [self._servers[number].request] if r]
@@ -172,7 +172,7 @@ class SdoTransfers:
     def _mode(
         self, row: int, t_ns: int, number: int, server: _Server, at: tuple[int, int], value: int, writes: bool
     ) -> None:
-        """Hold the mode that a drive shows (6061h) against the one that was written (6060h)."""
+        """Compare a drive's displayed mode (6061h) with the written one (6060h)."""
         if (at[0] - 0x6000) % 0x800 != 0x61 or writes:
             return
         wish = server.written.get((at[0] - 1, 0))
@@ -260,7 +260,7 @@ NAMES = {
 
 
 def _expedited(says: dict[str, Any]) -> int | None:
-    """Return the value of an expedited write, None of any other request."""
+    """Return the value of an expedited download, None for any other request."""
     value = says.get("value")
     return value if isinstance(value, int) else None
 
