@@ -1,1 +1,1 @@
-"""A bus live: frames decoded, watched, described."""
+"""Live view of a bus: decode, monitor and describe frames."""

@@ -1,4 +1,4 @@
-"""A signal's envelope in a terminal: two columns and four rows of dots in each character.
+"""Draw a signal's envelope in a terminal: two columns and four rows of dots per character.
 
 Unicode's braille patterns: U+2800 and a bit for each of the eight dots.
 """
@@ -22,8 +22,7 @@ Floats = npt.NDArray[np.float64]
 def drawn(low: Floats, high: Floats, width: int, height: int) -> tuple[list[str], float, float]:
     """Draw minima and maxima over time; return lines, and the values at the lower and upper edge.
 
-    Each column of dots is filled from the least to the greatest of what falls into it. The newest
-    is at the right. What is NaN was not seen, and is blank.
+    Each column of dots is filled from its least to its greatest value, the newest at the right. NaN is blank.
 
     Parameters
     ----------

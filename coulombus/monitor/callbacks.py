@@ -1,4 +1,4 @@
-"""Call-backs for the signals of a bus, by their names: `live`."""
+"""Callbacks for the signals of a bus by name: `live`."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ logger = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class Callback:
-    """One function that is called; `calls` and `errors` count how often, and how often it raised.
+    """A registered function; `calls` and `errors` count its calls and exceptions.
 
-    `error` is the first thing that it raised. `end` ends it; a call that runs is not cut off.
+    `error` is its first exception. `end` unregisters it; a running call is not interrupted.
     """
 
     names: tuple[str, ...]
@@ -43,7 +43,7 @@ class Callback:
     _ended: bool = field(default=False, repr=False)
 
     def end(self) -> None:
-        """Call the function no more."""
+        """Stop calling the function."""
         self._ended = True
 
     def _take(self, t_s: float, values: dict[str, float]) -> None:
@@ -62,10 +62,10 @@ class Callback:
 
 
 class LiveBus:
-    """A bus that is listened to in a thread of its own, until `close` or the end of ``with``.
+    """Listens to a bus in a separate thread until `close` or the end of ``with``.
 
-    `malformed` counts by "motor.TPDO1" the frames of a PDO whose length is not the rig's: they call
-    nothing. The first of each PDO, and the first frames that are lost, are logged as a warning.
+    `malformed` counts, by "motor.TPDO1", frames of a PDO with a length other than the rig's; they
+    call nothing. The first of each PDO, and the first lost frames, are logged as a warning.
     """
 
     def __init__(self, client: Client, rig: Rig) -> None:
@@ -92,15 +92,15 @@ class LiveBus:
         """Call ``function(t_s, value, ...)`` with each frame that carries one of the signals.
 
         `t_s` is the frame's stamp [s since 1970]; the values are in SI, in the order of the names,
-        the newest of each. With several signals, the first call comes when each has come once.
+        the newest of each. With several signals, the first call comes after each was received once.
         All functions are called in one thread, one after another, in the order of the frames and
-        of `on`: a slow one delays the others. What one raises is logged once and counted in the
-        `Callback`; it is called again, and so are the others.
+        of `on`: a slow function delays the others. An exception is logged once and counted in the
+        `Callback`; all functions continue to be called.
 
         Raises
         ------
         coulombus.recording.signals.UnknownSignal
-            The rig has no such signal; the nearest names are told.
+            The rig has no such signal; the text has the nearest names.
         ValueError
             No signal is named.
         """
@@ -116,18 +116,18 @@ class LiveBus:
 
     @property
     def lost(self) -> int:
-        """Frames that found no place in this listener's queue: the call-backs are slower than the
-        bus. The virtual bus is asked once a second.
+        """Frames lost in this listener's queue because the callbacks are slower than the bus. The
+        virtual bus is queried once a second.
         """
         return self._client.lost
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until the bus is closed, at most so long [s]; tell whether it is.
+        """Wait until the bus is closed, with a time limit [s]; return whether it is.
 
         Raises
         ------
         coulombus.wire.address.BusUnavailable
-            The bus went away.
+            The bus closed.
         """
         self._thread.join(seconds)
         if self._failure is not None:
@@ -135,7 +135,7 @@ class LiveBus:
         return not self._thread.is_alive()
 
     def close(self) -> None:
-        """Call nothing more, and leave the bus; a call-back may call this, too."""
+        """Stop calling functions, and leave the bus; a callback may call this, too."""
         self._stop.set()
         if threading.current_thread() is not self._thread:
             self._thread.join()
@@ -197,17 +197,17 @@ def live(bus: str = "bench", rig: str | os.PathLike[str] = "bench", channel: str
             bus.on("brake.handle_torque_Nm", lambda t_s, torque_Nm: print(t_s, torque_Nm))
             bus.wait(10)
 
-    It sends nothing. `bus` is an address, as ``socketcan:can0``; a name alone is that of a virtual
-    bus. `rig` is a rig or a path of a rig file, `channel` the bus of one that has several.
+    It sends nothing. `bus` is an address, as ``socketcan:can0``; a plain name is a virtual bus.
+    `rig` is a rig or a path of a rig file, `channel` the bus of a rig with several.
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
         There is no such bus.
     coulombus.wire.address.AddressError
-        `bus` is no address, or the rig has several buses and `channel` is none of them.
+        `bus` is not an address, or the rig has several buses and `channel` is none of them.
     coulombus.rigs.arguments.WrongCall
-        `bus` is no text, or `rig` is neither a rig's name nor a path.
+        `bus` is not a string, or `rig` is neither a rig's name nor a path.
     """
     if not isinstance(bus, str):
         raise WrongCall(f'bus is {bus!r}: expected a bus\' name or address, as in live("socketcan:can0")')

@@ -1,5 +1,4 @@
-"""The rig's messages as a DBC file, for the tools that read one: cantools, SavvyCAN, PlotJuggler,
-CANdevStudio.
+"""Export the rig's messages as a DBC file for cantools, SavvyCAN, PlotJuggler, CANdevStudio.
 
 ::
 
@@ -7,8 +6,8 @@ CANdevStudio.
     cantools monitor -i coulombus -c bench bench.dbc
 
 The five PDOs are messages ``motor_TPDO1``, ..., with the signals' names, scales and units of the
-rig. SYNC, NMT, heartbeats and emergencies are in it too, so that nothing cyclic on the bus is left
-undecoded. SDO is no message of fixed layout, and is not.
+rig. SYNC, NMT, heartbeats and emergencies are included, so that all cyclic frames are decoded. SDO
+has no fixed layout and is not included.
 
 A status- or controlword is one signal, as `coulombus.read` has it, or, with `bits`, a signal for
 its state and one for each bit: signals of a DBC may not overlap.
@@ -49,7 +48,7 @@ def database(rig: Rig, *, bits: bool = False) -> Database:
 
     Parameters
     ----------
-    bits : a status- or controlword is its state and its bits, and no signal of its own
+    bits : split a status- or controlword into its state and its bits
     """
     ids = {HOST: rig.host.node_id} | {_word(node.name): node.node_id for node in rig.nodes}
     period_ms = round(rig.bus.period_s * 1e3)
@@ -60,7 +59,7 @@ def database(rig: Rig, *, bits: bool = False) -> Database:
 
 
 def _word(name: str) -> str:
-    """Return a node's name as DBC wants it: a word."""
+    """Return a node's name as a DBC identifier."""
     return name.replace(".", "_")
 
 
@@ -110,7 +109,7 @@ def _signals(
 
 
 def _range(entry: Entry, scale: float, offset: float) -> tuple[float | None, float | None]:
-    """Return what the entry can carry in SI units; None of a REAL, which has no bounds."""
+    """Return the range of the entry in SI units; None for a REAL, which has no bounds."""
     if entry.kind == "real":
         return None, None
     lowest = -(1 << entry.bits - 1) if entry.signed else 0
@@ -119,7 +118,7 @@ def _range(entry: Entry, scale: float, offset: float) -> tuple[float | None, flo
 
 
 def _whole(number: float) -> float:
-    """Return `number`, as an integer where it is one: so cantools keeps words of bits integers."""
+    """Return `number`, as an integer if whole: cantools then keeps bit fields as integers."""
     return int(number) if float(number).is_integer() else float(number)
 
 

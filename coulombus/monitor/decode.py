@@ -1,10 +1,9 @@
-"""A recording row by row: each frame as a dict for ``coulombus decode --json``, or as a line for
-the eye.
+"""Decode a recording row by row: each frame as a dict for ``coulombus decode --json``, or as a text line.
 
 Every row has `t_s`, `can_id`, `node` (a name of the rig, a node id's number as text, or None) and
 `pdo` ("TPDO1" or None). A PDO of the rig adds its signals by name in SI units; any other frame adds
-`service`, `data` (hexadecimal) and what the service says; a comment adds `marker`, a rig with
-several buses `bus`.
+`service`, `data` (hexadecimal) and the decoded service; a comment adds `marker`, a rig with several
+buses `bus`.
 """
 
 from __future__ import annotations
@@ -49,9 +48,9 @@ HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X", "60
 WIDTH = 11
 SDO_COLUMN = 57
 TEXT_SHOWN = 64
-"""Characters of an object's text; JSON has all of it."""
+"""Shown characters of an object's text; JSON has all of it."""
 INDENT = 26
-"""Where the content that has no room in its line goes on: under the node's name."""
+"""Column of continuation lines: under the node's name."""
 BETWEEN_ITEMS = re.compile(r"(?<=\S)  (?=\w+=)")
 
 
@@ -139,7 +138,7 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles) -> Iterator[Row]:
 
 
 def _objects(pdo: RigPdo, word: int, length: int) -> Row:
-    """Return the raw values of the mapped objects that a frame has."""
+    """Return the raw values of a frame's mapped objects."""
     data, values = (word & (1 << 64) - 1).to_bytes(8, "little"), {}
     for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True):
         if start + entry.bits > 8 * length or entry.dummy:
@@ -153,7 +152,7 @@ def _objects(pdo: RigPdo, word: int, length: int) -> Row:
 
 
 class _Services:
-    """Decodes what is no PDO of the rig; without a rig, every frame."""
+    """Decodes frames other than the rig's PDOs; without a rig, every frame."""
 
     def __init__(self, rig: Rig | None) -> None:
         nodes = () if rig is None else rig.nodes
@@ -181,7 +180,7 @@ class _Services:
         return self._names.get(node_id, str(node_id))
 
     def _base(self, can_id: int, data: bytes, remote: bool) -> Row:
-        """Name the service of an 11-bit identifier; a remote frame has nothing to decode."""
+        """Return the service of an 11-bit identifier; a remote frame has no content."""
         function, node_id = can_id & FUNCTION, can_id & NODE_ID
         row: Row = {"service": "unknown", "data": data.hex()}
         if can_id in self._pdos:
@@ -222,9 +221,7 @@ class _Services:
 
 
 def as_json(row: Row) -> str:
-    """Return a row as one line of JSON; a number that is none (of a REAL object) as text, for JSON
-    has no word for it.
-    """
+    """Return a row as one line of JSON; NaN and infinity of a REAL object as text, because JSON lacks them."""
     try:
         return json.dumps(row, allow_nan=False)
     except ValueError:
@@ -260,9 +257,7 @@ def as_text(row: Row) -> str:
 
 
 def fitted(line: str, width: int) -> str:
-    """Return a line of `as_text` broken between its items, so that none is beyond `width` as long as
-    it has room in a line.
-    """
+    """Return a line of `as_text` wrapped between its items at `width`; a longer item is not broken."""
     first, *items = BETWEEN_ITEMS.split(line)
     lines = [first]
     for item in items:

@@ -1,7 +1,7 @@
-"""A bus, live, in other people's tools: each PDO as it comes, its signals by name and in SI.
+"""Forward a live bus to third-party tools: each PDO on arrival, its signals by name in SI.
 
-`Foxglove` serves Foxglove's WebSocket protocol by their SDK; `PlotJuggler` sends JSON by UDP, as
-PlotJuggler's "UDP Server" takes it. Both stay on the loopback, and nothing is sent to the bus.
+`Foxglove` serves Foxglove's WebSocket protocol with its SDK; `PlotJuggler` sends JSON by UDP for
+PlotJuggler's "UDP Server". Both use the loopback only, and nothing is sent to the bus.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["Foxglove", "PlotJuggler", "PortError", "Sink", "forward"]
 
 LOOPBACK = "127.0.0.1"
 BACKLOG = 1 << 14
-"""Messages that Foxglove's server keeps for a browser that sleeps; then it drops the oldest."""
+"""Messages that Foxglove's server queues for a sleeping browser; then it drops the oldest."""
 LOOK_S = 0.1
 
 Values = Mapping[str, int | float | None]
@@ -39,21 +39,21 @@ class PortError(CoulombusError):
 
 
 class Sink(Protocol):
-    """A tool that is fed; `url` says where it listens, or is listened to."""
+    """A receiving tool; `url` is its address or that of its server."""
 
     url: str
 
     def send(self, pdo: RigPdo, t_ns: int, values: Values) -> None:
-        """Hand a PDO's values on, with the frame's stamp [ns since 1970]."""
+        """Send a PDO's values, with the frame's stamp [ns since 1970]."""
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
 
 
 class PlotJuggler:
     """Sends a datagram for each PDO: ``{"timestamp": 1.7e9, "motor.position_rad": 0.1}``.
 
-    `unheard` counts those for which nobody listened.
+    `unheard` counts datagrams without a listener.
     """
 
     def __init__(self, port: int) -> None:
@@ -68,14 +68,14 @@ class PlotJuggler:
             raise PortError(f"port {port} of {LOOPBACK}: {error.strerror}; choose another one") from None
 
     def send(self, pdo: RigPdo, t_ns: int, values: Values) -> None:
-        """Send the values; where nobody listens they are gone."""
+        """Send the values; without a listener they are lost."""
         try:
             self._socket.send(json.dumps({"timestamp": t_ns / 1e9, **values}, allow_nan=False).encode())
-        except OSError:  # nobody listens, or its buffer is full
+        except OSError:  # no listener, or its buffer is full
             self.unheard += 1
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         self._socket.close()
 
 
@@ -108,27 +108,27 @@ class Foxglove:
         self.url = f"ws://{LOOPBACK}:{self._server.port}"
 
     def send(self, pdo: RigPdo, t_ns: int, values: Values) -> None:
-        """Give the values to those who subscribed."""
+        """Send the values to subscribers."""
         self._channels[pdo.layout.cob_id].log(_nested(values), log_time=t_ns)
 
     def close(self) -> None:
-        """End the server."""
+        """Stop the server."""
         self._server.stop()
 
 
 def forward(
     rig: Rig, address: BusAddress, sink: Sink, *, seconds: float | None, ready: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Feed a tool with a bus until a signal, or for `seconds`; return what was done.
+    """Forward a bus to a tool until a signal, or for `seconds`; return a summary.
 
     Parameters
     ----------
-    ready : called with the sink's address, once the bus is listened to
+    ready : called with the sink's address, once listening to the bus
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        There is no bus, or it went away meanwhile.
+        There is no bus, or it closed meanwhile.
     """
     sent = 0
 
@@ -161,7 +161,7 @@ def forward(
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values by the parts of their names, as Foxglove's message paths have them."""
+    """Return values nested by the parts of their names, as in Foxglove's message paths."""
     tree: dict[str, Any] = {}
     for name, value in values.items():
         *path, last = name.split(".")

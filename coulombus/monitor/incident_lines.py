@@ -1,4 +1,4 @@
-"""The incidents of a live bus as ``coulombus watch`` shows them: lines of a terminal, news, values."""
+"""Incidents of a live bus for ``coulombus watch``: terminal lines, news, plain values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["OpenedIncident", "incident_dict", "incident_lines", "news"]
 
 STYLES = {"unresolved": "bold red", "recovered": "yellow", "warning": "dim"}
 SHOWN = 9
-"""As many as the keys 1 to 9 open."""
+"""Maximum shown incidents: those that the keys 1 to 9 open."""
 INDENT = 4
 COURSE = 6
 
@@ -35,9 +35,9 @@ def incident_lines(
 
     Parameters
     ----------
-    opened : key of the incident that is opened; empty: none
+    opened : key of the opened incident; empty: none
     begin_ns : the time from which seconds count
-    size : of the panel in characters, at most: width, height
+    size : maximum of the panel in characters: width, height
     """
     width, height = size
     if not rows or height < 2:
@@ -72,7 +72,7 @@ def incident_lines(
 
 
 class OpenedIncident:
-    """Which incident is opened: the one that had the number when its key was struck."""
+    """The opened incident: the one that had the number when its key was struck."""
 
     def __init__(self) -> None:
         self.key = ""
@@ -88,7 +88,7 @@ class OpenedIncident:
 
 
 def news(rows: Sequence[IncidentRow], known: dict[str, str], begin_ns: int) -> Iterator[str]:
-    """Yield a line for each incident that is new or whose state changed; `known` keeps the states."""
+    """Yield a line for each new incident and each change of state; `known` keeps the states."""
     for row in rows:
         if known.get(row.key) != row.status:
             known[row.key] = row.status

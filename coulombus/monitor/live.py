@@ -1,9 +1,8 @@
-"""What is on a bus right now: the last value of every PDO, rates, ages, the nodes' states, and what
-happened.
+"""Present state of a bus: last value of every PDO, rates, ages, the nodes' states, and events.
 
-Frames are only kept when they are taken, so a reader keeps up with a full bus; counting and
-decoding are done by NumPy, when somebody looks (`Live.snapshot`). Time is an argument: nanoseconds since 1970,
-as the frames' stamps.
+`Live.take` only stores frames, so a reader keeps up with a full bus; NumPy counts and decodes them
+when a snapshot is requested (`Live.snapshot`). Time is an argument: nanoseconds since 1970, as the
+frames' stamps.
 """
 
 from __future__ import annotations
@@ -40,16 +39,14 @@ SYNC_SILENT_NS = 100_000_000
 NEVER_NS = 1 << 62
 STATUSWORD = 0x6041
 CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
-"""What makes a node known that the rig does not have."""
+"""Services that reveal a node outside the rig."""
 TPDOS = (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
 SENT_BY_NODES = (*CALLS, *TPDOS)
-"""With the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
+"""Services sent by nodes, including the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
 BITS = np.array([34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9)])
-"""Bits of a frame of so many bytes with the worst stuffing, as `wire.bits.worst_case_bits`, which
-needs numba's start.
-"""
+"""Bits of a frame by its bytes with the worst stuffing, like `wire.bits.worst_case_bits`, which would load numba."""
 TOGETHER = 20_000
-"""Frames that wait to be looked at, at most."""
+"""Maximum number of pending frames."""
 
 
 @dataclass
@@ -63,7 +60,7 @@ class _Line:
     t_ns: int = 0
     data: bytes = b""
     looked_at: bytes = b""
-    """The data at the last snapshot."""
+    """Data at the last snapshot."""
     least_ns: int = NEVER_NS
     most_ns: int = -1
 
@@ -79,7 +76,7 @@ class _Node:
     emergency: str | None = None
     known: bool = True
     services: int = 0
-    """Frames that it sent besides those that have a line."""
+    """Number of its frames other than those with a line."""
     heartbeat: _Line = field(default_factory=_Line)
     sdo: SdoChannel = field(default_factory=lambda: SdoChannel(None))
 
@@ -90,11 +87,9 @@ class Live:
     Parameters
     ----------
     rig
-        Gives names, PDOs and what is expected. None: nodes are numbers, PDOs are learned from the
-        frames.
+        Rig with names, PDOs and expected values. None: nodes are numbers, PDOs are learned from the frames.
     learned
-        With a rig that is only assumed: what is learned meanwhile, for the rig is left when the bus
-        turns out to be another one's.
+        With an assumed rig: the learned PDOs, used when the bus turns out to be another rig's.
     """
 
     def __init__(self, rig: Rig | None, learned: LearnedPdos | None = None) -> None:
@@ -114,8 +109,8 @@ class Live:
         self._arrange()
         self._waiting: list[Block] = []
         self._waiting_frames = 0
-        self._row = 0  # of the frame that is looked at
-        self._events: list[tuple[int, Event]] = []  # with the row of the frame that tells it
+        self._row = 0  # of the present frame
+        self._events: list[tuple[int, Event]] = []  # with the row of their frames
         self._history: deque[tuple[int, dict[int, int], dict[int, int], int, int]] = deque()
         self._sync_silent = False
         self._error_class = 0
@@ -123,7 +118,7 @@ class Live:
         self._foreign: set[int] = set()
 
     def _arrange(self) -> None:
-        """Give each PDO its line, its sender and its statusword."""
+        """Set the line, the sender and the statusword of each PDO."""
         for pdo in self._pdos:
             line = self._lines.setdefault(pdo.layout.cob_id, _Line())
             line.length = pdo.layout.length if pdo.layout.entries else -1
@@ -140,7 +135,7 @@ class Live:
         }
 
     def _learn(self, block: Block) -> None:
-        """Learn PDOs; without a rig they are those that are shown."""
+        """Learn PDOs; without a rig these are shown."""
         if self._learned is not None and self._learned.take(block) and self.rig is None:
             self._pdos = self._learned.pdos()
             for pdo in self._pdos:
@@ -149,7 +144,7 @@ class Live:
             self._arrange()
 
     def _is_another(self) -> bool:
-        """Tell whether the bus is not that of the rig that was assumed."""
+        """Return whether the bus is not the assumed rig's."""
         if self._learned is None or self.rig is None:
             return False
         heard = {n.node_id for n in self._nodes if n.known and n.state >= 0} - {self.rig.host.node_id}
@@ -160,7 +155,7 @@ class Live:
         return unfit or foreign or (strangers and not heard) or self._learned.other_devices(self.rig)
 
     def _leave_rig(self, t_ns: int) -> None:
-        """Go on without the rig: nodes are numbers."""
+        """Continue without the rig: nodes are numbers."""
         if self.rig is None or self._learned is None:
             return
         self._note(t_ns, f"this is not rig {self.rig.name}: nodes are numbers here; --rig says which rig it is")
@@ -174,9 +169,9 @@ class Live:
         self._arrange()
 
     def take(self, received: Block | Sequence[Received]) -> None:
-        """Take frames; nothing in them raises.
+        """Add frames; no content raises.
 
-        They are looked at together, when somebody looks or when they are `TOGETHER`.
+        They are processed together, on a snapshot or when there are `TOGETHER`.
         """
         block = received if isinstance(received, Block) else Block.of(received)
         self._waiting.append(block)
@@ -185,9 +180,7 @@ class Live:
             self._catch_up()
 
     def _catch_up(self) -> None:
-        """Look at the frames that were taken, identifier by identifier; the events of them stand in
-        the order in which the frames came.
-        """
+        """Process the pending frames by identifier; their events are in the order of the frames."""
         block, self._waiting, self._waiting_frames = Block.joined(self._waiting), [], 0
         if not len(block):
             return
@@ -209,7 +202,7 @@ class Live:
         self._events[before:] = sorted(self._events[before:], key=itemgetter(0))
 
     def _take_line(self, line: _Line, can_id: int, block: Block, rows: npt.NDArray[np.int64]) -> None:
-        """Take the rows of a block that are of one line."""
+        """Process the rows of a block that belong to one line."""
         if line.length != -1:
             right = block.lengths[rows] == line.length
             if not right.all():
@@ -241,9 +234,7 @@ class Live:
         line.data, line.last_length = block.data(rows[-1]), int(block.lengths[rows[-1]])
 
     def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
-        """Note an event that is seen elsewhere, as the bus going away; it stands behind those of the
-        frames so far.
-        """
+        """Add an event detected elsewhere, such as a closed bus, after those of the frames so far."""
         self._catch_up()
         self._note(t_ns, text, grave)
 
@@ -303,7 +294,7 @@ class Live:
 
     def _emergency(self, t_ns: int, node: _Node, data: bytes) -> None:
         row = emcy(data)
-        grave = bool(row.get("code", True))  # one without a code is a doubt, too
+        grave = bool(row.get("code", True))  # no code: also grave
         node.emergency = row.get("text", "without a code") if grave else None
         register = f" (register {row['register']:02X}h)" if "register" in row else ""
         length = f", {row['malformed']}" if "malformed" in row else ""
@@ -312,9 +303,9 @@ class Live:
         )
 
     def _stranger(self, node_id: int) -> _Node:
-        """Take up a node that the rig does not have.
+        """Add a node that the rig does not have.
 
-        How often its heartbeat comes is not known, so it is not watched.
+        Its heartbeat period is unknown, so it is not monitored.
         """
         node = self._by_id[node_id] = _Node(str(node_id), node_id, timeout_ns=NEVER_NS, known=self.rig is None)
         self._sends[node_id] = []
@@ -337,12 +328,12 @@ class Live:
     def _error(self, t_ns: int, can_id: int, data: bytes) -> None:
         self.error_frames += 1
         kind = can_id & 0x1FF
-        if kind != self._error_class:  # a bad cable sends thousands of them each second
+        if kind != self._error_class:  # a bad cable causes thousands of them per second
             self._note(t_ns, f"error frame: {error_frame(can_id, data)['text']}", grave=bool(kind & BUS_OFF))
         self._error_class = kind
 
     def snapshot(self, t_ns: int) -> Snapshot:
-        """Return what is known at `t_ns`, with the events since the last call."""
+        """Return the state at `t_ns`, with the events since the last call."""
         self._catch_up()
         if self._is_another():
             self._leave_rig(t_ns)
@@ -379,7 +370,7 @@ class Live:
         )
 
     def _watch(self, t_ns: int) -> None:
-        """Note what did not come."""
+        """Note missing frames."""
         for node in self._nodes:
             age_ns = t_ns - node.heartbeat.t_ns
             if node.state >= 0 and node.known and not node.silent and age_ns > node.timeout_ns:
@@ -414,9 +405,7 @@ class Live:
 
 
 def values_of(pdo: RigPdo, data: bytes) -> dict[str, int | float | None]:
-    """Return what a frame's 8 bytes say: signal -> value in SI, a word's as it is, None where it is
-    no finite number.
-    """
+    """Return the signals of a frame's 8 bytes: name -> value in SI, bit fields raw, None if not finite."""
     layout, word = pdo.layout, np.frombuffer(data, "<i8").astype(np.int64)
     value_of: dict[str, int | float | None] = {}
     for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):

@@ -1,8 +1,7 @@
-"""The incidents of a live bus, as ``coulombus explain`` tells them: each when it is one, its state
-followed.
+"""Incidents of a live bus, as in ``coulombus explain``: each when detected, with its state.
 
-Frames are only kept when they are taken. A thread goes through them twice a second, so that neither
-reader nor picture waits for it. Nothing that it does ends the view.
+Taking frames only stores them. A thread processes them twice a second, so that neither reader nor
+display waits for it. Its errors never end the view.
 """
 
 from __future__ import annotations
@@ -30,16 +29,16 @@ LOOK_S = 0.5
 COURSE = 12
 """Lines of an incident's course."""
 WAITING = 1 << 20
-"""Frames that wait at most: some minutes of a full bus, while the machine does other work."""
+"""Maximum pending frames: some minutes of a full bus while the machine is busy."""
 
 
 @dataclass(frozen=True)
 class IncidentRow:
-    """An incident as a view shows it; times are ns since 1970."""
+    """An incident for a view; times are ns since 1970."""
 
     number: int
     key: str
-    """Stays while number and state change."""
+    """Constant while number and state change."""
     status: str
     """"unresolved", "recovered" or "warning"."""
     title: str
@@ -49,7 +48,7 @@ class IncidentRow:
     sure: str
     checks: tuple[str, ...]
     course: tuple[tuple[int, str, str], ...]
-    """Time, role and words of what happened."""
+    """Time, role and text of its events."""
 
 
 def records_of(block: Block) -> Records:
@@ -62,21 +61,21 @@ def records_of(block: Block) -> Records:
 
 
 class LiveIncidents:
-    """Goes through frames once; `look` at the incidents.
+    """Processes frames once; `look` returns the incidents.
 
     Parameters
     ----------
     rig
-        Gives names and PDO maps of the nodes that are its own.
+        Rig with names and PDO maps of its own nodes.
     eds
-        EDS files of nodes that are no rig's.
+        EDS files of nodes outside the rig.
     """
 
     def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
         self._explainer = Explainer(rig, eds)
 
     def take(self, block: Block) -> None:
-        """Go through frames."""
+        """Process frames."""
         if len(block):
             self._explainer.take(records_of(block))
 
@@ -108,7 +107,7 @@ def _row(explanation: Explanation, incident: Incident) -> IncidentRow:
 
 
 class IncidentReader:
-    """Looks for incidents in a thread of its own, within a ``with`` block.
+    """Detects incidents in a separate thread, within a ``with`` block.
 
     Attributes
     ----------
@@ -118,7 +117,7 @@ class IncidentReader:
     def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
         self.rows: tuple[IncidentRow, ...] = ()
         self.failure = ""
-        """Why it looks no more; empty while it does."""
+        """Reason why it stopped; empty while it runs."""
         self._incidents = LiveIncidents(rig, eds)
         self._lock = threading.Lock()
         self._waiting: list[Block] = []
@@ -135,7 +134,7 @@ class IncidentReader:
         self._thread.join(timeout=5)
 
     def take(self, received: Block | Sequence[Received]) -> None:
-        """Keep frames for the next look."""
+        """Store frames for the next look."""
         block = received if isinstance(received, Block) else Block.of(received)
         with self._lock:
             if self._frames < WAITING and not self.failure:
@@ -143,7 +142,7 @@ class IncidentReader:
                 self._frames += len(block)
 
     def look(self, now_ns: int) -> None:
-        """Go through what waits, and look."""
+        """Process pending frames, and update the incidents."""
         with self._lock:
             blocks, self._waiting, self._frames = self._waiting, [], 0
         self._incidents.take(Block.joined(blocks))
@@ -153,6 +152,6 @@ class IncidentReader:
         while not self._stop.wait(LOOK_S):
             try:
                 self.look(time.time_ns())
-            except Exception as error:  # a bus of strangers may show what nobody thought of: the view goes on
+            except Exception as error:  # an unknown bus may have unforeseen content: the view goes on
                 self.failure = f"incidents are no longer looked for: {type(error).__name__}: {error}"
                 return

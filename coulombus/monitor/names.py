@@ -1,4 +1,4 @@
-"""How other tools name a rig's signals."""
+"""Names of a rig's signals in other tools."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["fields", "identifier", "plain", "signals"]
 
 
 def fields(pdo: RigPdo) -> Iterator[tuple[Signal, Entry, int]]:
-    """Yield signal, entry and first bit of all that a PDO carries but gaps."""
+    """Yield signal, entry and first bit of a PDO's content, without gaps."""
     layout = pdo.layout
     for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):
         if not entry.dummy:
@@ -28,8 +28,8 @@ def signals(rig: Rig) -> Iterator[tuple[RigPdo, Signal]]:
 
 
 def identifier(signal: Signal) -> str:
-    """Return the last part of a signal's name as a word that any tool takes; an object without a
-    role, "6060h:0", is "object_6060h_0".
+    """Return the last part of a signal's name as an identifier for any tool; an object without a
+    role, "6060h:0", becomes "object_6060h_0".
     """
     word = re.sub(r"\W", "_", signal.name.rpartition(".")[2])
     return f"object_{word}" if word[:1].isdigit() else word

@@ -1,5 +1,6 @@
-"""A PDO of a rig for the eye: its bits as a diagram, its objects and signals as a table, the bits
-of status- and controlwords by name. At most 80 columns.
+"""Describe a PDO of a rig as text, at most 80 columns wide.
+
+It has the bits as a diagram, objects and signals as a table, and the bits of status- and controlwords by name.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ COLUMNS = 80
 def as_lines(pdo: RigPdo, now: PdoRow | None = None) -> Iterator[str]:
     """Yield head, diagram, table, and an empty line.
 
-    With what a bus carries `now` also the last bytes, and values instead of the value of one bit.
+    With the bus' present state (`now`) also the last bytes, and values instead of the value of one bit.
     """
     layout = pdo.layout
     yield f"{pdo.node} {pdo.name}  {layout.cob_id:03X}h  {layout.length} bytes  {_when(pdo)}"
@@ -59,7 +60,7 @@ def _when(pdo: RigPdo) -> str:
 
 
 def as_dict(pdo: RigPdo, now: PdoRow | None = None) -> dict[str, Any]:
-    """Return a PDO for ``--json``, with what a bus carries `now` under the key ``now``."""
+    """Return a PDO for ``--json``, with the bus' present state under the key ``now``."""
     layout = pdo.layout
     document: dict[str, Any] = {
         "node": pdo.node,

@@ -1,4 +1,4 @@
-"""What ``coulombus watch`` shows of a bus: a table for a terminal, lines, or plain values."""
+"""Render a snapshot for ``coulombus watch``: a terminal table, lines, or plain values."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ __all__ = ["Screen", "as_dict", "as_lines"]
 LEAST_EVENTS = 3
 GAPS = 3
 KEYS_HEIGHT = 20
-"""Lines from which the last one names the keys."""
+"""Least height at which the last line lists the keys."""
 SCOPE_LINES = 5
-"""Of a signal's picture, where the window is high enough."""
+"""Lines of a signal's plot, if the window is high enough."""
 STALE_S = 0.1
 CHANGED = "bold reverse"
 HOST_STYLES = {"runs": "", "tripped": "red", "ended": "dim"}
@@ -108,12 +108,13 @@ def _head(snapshot: Snapshot, facts: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Screen:
-    """What the terminal shows, made to fit: columns go by their importance, no number is cut, and
-    the newest events are always there.
+    """The terminal view, fitted to the window.
+
+    Columns are dropped by importance, no number is truncated, and the newest events are always shown.
 
     Attributes
     ----------
-    all_nodes : also those of the rig that were never heard
+    all_nodes : include nodes of the rig that were never heard
     """
 
     snapshot: Snapshot
@@ -122,10 +123,10 @@ class Screen:
     begin_ns: int
     all_nodes: bool = True
     traces: Sequence[Trace] = ()
-    """Signals that are drawn over time, below the head."""
+    """Signals plotted over time, below the head."""
     incidents: Sequence[IncidentRow] = ()
     opened: str = ""
-    """The key of the incident whose cause and checks are shown."""
+    """Key of the opened incident, whose cause and checks are shown."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width, height = options.max_width, options.size.height - 1  # a line is left for the shell
@@ -177,7 +178,7 @@ class Screen:
 
 
 def _words(snapshot: Snapshot) -> Iterator[str]:
-    """Yield status- and controlwords in words, a line for each that came: no column is wide enough."""
+    """Yield received status- and controlwords as text, a line each: no column is wide enough."""
     for value in (value for row in snapshot.pdos for value in row.values):
         if value.value is not None and _short(value) in WORDS:
             set_bits = bits_set(value)
@@ -185,7 +186,7 @@ def _words(snapshot: Snapshot) -> Iterator[str]:
 
 
 def _scope(trace: Trace, width: int, height: int) -> list[Text]:
-    """Return a signal's picture: a line with its range, and `height` lines of dots."""
+    """Return a signal's plot: a line with its range, and `height` lines of dots."""
     lines, least, most = drawn(trace.low, trace.high, width, height)
     seen = next((k for k in range(len(trace.low) - 1, -1, -1) if trace.low[k] == trace.low[k]), None)
     unit = f" {trace.unit}" if trace.unit else ""
@@ -201,7 +202,7 @@ def _heard(nodes: Sequence[NodeRow], all_nodes: bool) -> list[NodeRow]:
 
 
 def _pdos(snapshot: Snapshot, all_nodes: bool) -> list[PdoRow]:
-    """Return the PDOs that came, or belong to a node that was heard."""
+    """Return the PDOs that were received or belong to a heard node."""
     heard = {node.name for node in _heard(snapshot.nodes, all_nodes)}
     return [row for row in snapshot.pdos if row.count or row.malformed or row.name.rpartition(".")[0] in heard]
 
@@ -212,12 +213,10 @@ class _Column:
     key: int
     """Place in the row's cells."""
     least: int = 0
-    """Width that is kept also while the cells are narrower, so that columns do not come and go with
-    a value.
-    """
+    """Least width, so that columns do not change with the values."""
     right: bool = False
     order: int = 0
-    """0: always there; the others in this order, as long as they fit."""
+    """0: always shown; the others in this order, as long as they fit."""
 
 
 PDO_COLUMNS = (
@@ -234,9 +233,9 @@ SPACE = 2
 
 
 def _table(columns: Sequence[_Column], rows: list[tuple[tuple[str | Text, ...], str]], width: int) -> list[Text]:
-    """Return the rows (cells, style) under their titles, with the columns for which there is room.
+    """Return the rows (cells, style) under their titles, with the columns that fit.
 
-    Nothing for no row.
+    Empty without rows.
     """
     wide = {c: max(len(c.title), c.least, *(len(cells[c.key]) for cells, _ in rows)) for c in columns} if rows else {}
     kept: set[_Column] = set()

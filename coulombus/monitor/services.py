@@ -1,7 +1,7 @@
-"""What a frame says that is no PDO and no SDO: NMT, SYNC, EMCY, heartbeat, LSS (CiA 301, CiA 305).
+"""Decode services other than PDO and SDO: NMT, SYNC, EMCY, heartbeat, LSS (CiA 301, CiA 305).
 
-Each decoder turns eight bytes into the keys of a row; a frame too short for its service says so
-under "malformed". SDO has a state: `eds.sdo_channel`.
+Each decoder turns eight bytes into the keys of a row; a frame too short for its service has the key
+"malformed". SDO is stateful: see `eds.sdo_channel`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ STATES = {state.value: state.name.lower().replace("_", "-") for state in NmtStat
 
 
 def nmt(data: bytes, node_name: Callable[[int], str]) -> Row:
-    """NMT command: what, to whom (node id 0: to all)."""
+    """NMT command and its node (node id 0: all)."""
     if len(data) != 2:
         return {"malformed": f"{len(data)} bytes, expected 2"}
     command = COMMANDS.get(data[0], f"unknown command {data[0]}")
@@ -31,7 +31,7 @@ def nmt(data: bytes, node_name: Callable[[int], str]) -> Row:
 
 
 def sync(data: bytes) -> Row:
-    """SYNC, with its counter where there is one."""
+    """SYNC, with its counter if any."""
     if len(data) > 1:
         return {"malformed": f"{len(data)} bytes, expected 0 or 1"}
     return {"counter": data[0]} if data else {}
@@ -74,7 +74,7 @@ LSS_ANSWERED_WORDS = (
 
 
 def lss(data: bytes, from_device: bool) -> Row:
-    """LSS (CiA 305): the service and what it carries; of an answer, how it ended in words."""
+    """LSS (CiA 305): the service and its content; for a response, its result as text."""
     if len(data) != 8:
         return {"malformed": f"{len(data)} bytes, expected 8"}
     try:

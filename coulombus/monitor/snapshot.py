@@ -1,4 +1,4 @@
-"""What is on a bus at one time, as `monitor.live` tells it: PDOs, nodes, events."""
+"""State of a bus at one time, from `monitor.live`: PDOs, nodes, events."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["Event", "HostLine", "NodeRow", "PdoRow", "Snapshot", "Value"]
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened: when [ns since 1970], and what; `grave` where a run cannot go on."""
+    """An event: its time [ns since 1970] and text; `grave` if a run cannot continue."""
 
     t_ns: int
     text: str
@@ -18,7 +18,7 @@ class Event:
 
 @dataclass(frozen=True)
 class HostLine:
-    """What the bus' host does, or how the last one ended, in a line.
+    """State of the bus' host, or end of the last one, in a line.
 
     `state` is "runs", "tripped" or "ended" (by order, or as its time was over).
     """
@@ -29,7 +29,7 @@ class HostLine:
 
 @dataclass(frozen=True)
 class Value:
-    """A signal's last value in `unit`; None: it never came."""
+    """A signal's last value in `unit`; None: never received."""
 
     name: str
     value: int | float | None
@@ -38,7 +38,7 @@ class Value:
 
 @dataclass(frozen=True)
 class PdoRow:
-    """One PDO: frames so far and each second, age of the last one [s] (None: none came), values."""
+    """One PDO: number and rate of frames, age of the last [s] (None: never received), values."""
 
     name: str
     can_id: int
@@ -49,11 +49,11 @@ class PdoRow:
     values: tuple[Value, ...]
     least_s: float | None = None
     most_s: float | None = None
-    """Shortest and longest time between two of them since the last snapshot [s]; None of fewer."""
+    """Shortest and longest interval since the last snapshot [s]; None with fewer than two frames."""
     data: bytes = b""
-    """Its last bytes; none as long as none came."""
+    """Its last bytes; empty before the first frame."""
     changed: frozenset[int] = frozenset()
-    """Places of the bytes that are others than at the last snapshot."""
+    """Positions of bytes changed since the last snapshot."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class NodeRow:
     """One node: NMT state (None: never heard), age of its heartbeat [s], power state and last
     emergency, if any.
 
-    `frames` are those that it sent: PDOs, SDO responses, emergencies, heartbeats, the host's SYNC.
-    A node that the rig does not have (not `known`) is called by its number.
+    `frames` counts its sent frames: PDOs, SDO responses, emergencies, heartbeats, the host's SYNC.
+    A node outside the rig (not `known`) is named by its number.
     """
 
     name: str
@@ -79,7 +79,7 @@ class NodeRow:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All of it at one time."""
+    """State of the bus at one time."""
 
     t_ns: int
     frames: int
@@ -88,8 +88,8 @@ class Snapshot:
     error_frames: int
     unknown: int
     bits_per_s: float
-    """Bits on the wire [1/s], at most: with the worst stuffing, error frames not counted."""
+    """Upper bound of bits on the wire [1/s]: with the worst stuffing, without error frames."""
     pdos: tuple[PdoRow, ...]
     nodes: tuple[NodeRow, ...]
     events: tuple[Event, ...]
-    """Those since the last snapshot."""
+    """Events since the last snapshot."""

@@ -1,7 +1,7 @@
-"""When frames come: rate and jitter of each identifier, and the delay of each PDO behind SYNC.
+"""Timing of frames: rate and jitter of each identifier, and the delay of each PDO after SYNC.
 
-The period of an identifier is the median of the times between its frames. The jitter of one frame
-is how far the time since the one before is from that. All times come from the frames' own stamps.
+The period of an identifier is the median of the times between its frames. The jitter of a frame is
+the deviation of its interval from that. All times are the frames' own stamps.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ NODE_SERVICES = {
 
 @dataclass(frozen=True)
 class Spread:
-    """Median, 99 % and largest of some times [us]."""
+    """Median, 99th percentile and maximum of times [us]."""
 
     p50_us: float
     p99_us: float
@@ -52,7 +52,7 @@ class Spread:
 
     @classmethod
     def of(cls, times_ns: Integers) -> Spread | None:
-        """Return those of the times; None of no time."""
+        """Return the spread of the times; None without times."""
         if not len(times_ns):
             return None
         p50, p99, most = np.percentile(times_ns, (50, 99, 100)) / 1e3
@@ -61,8 +61,9 @@ class Spread:
 
 @dataclass(frozen=True)
 class Timing:
-    """One identifier: frames, mean rate, median period [ms], jitter, and delay behind the last
-    SYNC. What takes two frames is None of one; the delay is that of the rig's PDOs.
+    """One identifier: frames, mean rate, median period [ms], jitter, and delay after the last SYNC.
+
+    Rate, period and jitter are None for a single frame; only the rig's PDOs have a delay.
     """
 
     can_id: int
@@ -75,19 +76,19 @@ class Timing:
 
 
 class Stamps:
-    """The stamps [ns] of each identifier, in the order in which they came."""
+    """The stamps [ns] of each identifier, in order of arrival."""
 
     def __init__(self) -> None:
         self.of: dict[int, array[int]] = {}
 
     def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
-        """Take frames of a live bus, as `wire.client.Client.receive` returns them."""
+        """Add frames of a live bus, as `wire.client.Client.receive` returns them."""
         for t_ns, can_id, _, _ in received:
             if not can_id & FLAGS:
                 self._line(can_id).append(t_ns)
 
     def take_all(self, t_ns: Integers, can_ids: Integers) -> None:
-        """Take frames of a recording."""
+        """Add frames of a recording."""
         for can_id in np.unique(can_ids).tolist():
             if not can_id & FLAGS:
                 self._line(can_id).frombytes(t_ns[can_ids == can_id].astype(np.int64).tobytes())
@@ -100,13 +101,13 @@ class Stamps:
 
 
 def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
-    """Listen to a bus for so long, or until a signal; return the stamps, and how many frames found
-    no place in our receive queue.
+    """Listen to a bus for some time, or until a signal; return the stamps, and the number of frames
+    lost in the receive queue.
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        There is no bus, or it went away meanwhile.
+        There is no bus, or it closed meanwhile.
     """
     stamps = Stamps()
     with Client(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
@@ -187,7 +188,7 @@ def _name(can_id: int, nodes: dict[int, str]) -> str:
 
 
 def _delays(t_ns: Integers, syncs: Integers) -> Integers:
-    """Return the times since the last SYNC of those that came behind one."""
+    """Return the delays of frames after the last SYNC."""
     last = np.searchsorted(syncs, t_ns, side="right") - 1
     return t_ns[last >= 0] - syncs[last[last >= 0]]
 
@@ -214,7 +215,7 @@ def as_dict(row: Timing) -> dict[str, object]:
 
 
 def as_lines(rows: Iterable[Timing]) -> Iterator[str]:
-    """Yield the table, at most 80 columns wide where names have at most 22 characters."""
+    """Yield the table, at most 80 columns wide if names have at most 22 characters."""
     rows = list(rows)
     wide = max((len(row.name) for row in rows), default=4)
     yield f"{'':>3} {'':<{wide}} {'':>7} {'':>7} {'period':>7} {'jitter [us]':>17} {'from SYNC':>11}"

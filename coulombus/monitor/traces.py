@@ -1,4 +1,4 @@
-"""The last ten seconds of chosen signals, for a picture of them."""
+"""Envelopes of the last ten seconds of chosen signals, for plots."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trace:
-    """Minima and maxima of a signal in `unit`, bin by bin, the newest last; NaN: none came."""
+    """Minima and maxima of a signal in `unit` by bin, the newest last; NaN: no sample."""
 
     name: str
     unit: str
@@ -30,12 +30,12 @@ class Trace:
 
 
 class Traces:
-    """Keeps what `take` is given of the signals `names`.
+    """Keeps envelopes of the signals `names`.
 
     Raises
     ------
     coulombus.recording.signals.UnknownSignal
-        The rig has no such signal; the nearest names are told.
+        The rig has no such signal; the text has the nearest names.
     """
 
     def __init__(self, rig: Rig, names: Sequence[str]) -> None:
@@ -50,7 +50,7 @@ class Traces:
         self._waiting: dict[int, list[tuple[int, bytes]]] = {can_id: [] for can_id in self._pdos}
 
     def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
-        """Take frames: (stamp, identifier, length, eight data bytes) each."""
+        """Add frames: (stamp, identifier, length, eight data bytes) each."""
         waiting = self._waiting
         for t_ns, can_id, length, data in received:
             if can_id in waiting and length == self._pdos[can_id].layout.length:

@@ -1,6 +1,6 @@
-"""What of a signal is kept for drawing: its last samples, and the envelope of ten seconds.
+"""Signal data kept for drawing: the last samples, and the envelope of ten seconds.
 
-Both are bounded: a ring that is full forgets its oldest. Times are integer nanoseconds and rise.
+Both are ring buffers. Times are integer nanoseconds and rise.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ Integers: TypeAlias = npt.NDArray[np.int64]
 BIN_NS = 20_000_000
 """Width of a bin of an envelope."""
 ENVELOPE_BINS = 500
-"""Ten seconds of them."""
+"""Bins of an envelope: ten seconds."""
 
 
 class Envelope:
-    """Minimum and maximum of signals in each bin of `BIN_NS`; the last `ENVELOPE_BINS` of them.
+    """Minimum and maximum of signals in the last `ENVELOPE_BINS` bins of `BIN_NS`.
 
     Bin k holds the samples of k BIN_NS <= t < (k + 1) BIN_NS. A bin without a sample is NaN.
 
     Parameters
     ----------
-    signals : how many there are; they have the same times
+    signals : their number; they share their times
     """
 
     def __init__(self, signals: int = 1) -> None:
         self._bounds = np.full((2, signals, ENVELOPE_BINS), np.nan)  # minima, maxima
         self.newest = -1
-        """The bin of the newest sample; -1: none came."""
+        """The bin of the newest sample; -1: no sample."""
 
     def add(self, t_ns: Integers, values: Floats) -> None:
         """Add samples of one signal, shape (n,), or of all, (signals, n).
 
-        Those of before the newest bin are left out, and what is not finite counts as no sample.
+        Samples before the newest bin and non-finite values are ignored.
         """
         bins, values = t_ns // BIN_NS, np.atleast_2d(values)
         if not len(bins):
@@ -67,10 +67,9 @@ class Envelope:
             high[:, places] = np.fmax(high[:, places], np.fmax.reduceat(values, starts, axis=1))
 
     def since(self, bin_: int, signal: int = 0) -> tuple[int, Floats, Floats]:
-        """Return the bins of a signal from `bin_` on, the newest included: the first one's number,
-        minima, maxima.
+        """Return the bins of a signal from `bin_` to the newest: number of the first, minima, maxima.
 
-        Earlier ones than are kept are left out.
+        Bins that are no longer kept are omitted.
         """
         first = max(bin_, self.newest - ENVELOPE_BINS + 1, 0)
         low, high = self._bounds[:, signal, np.arange(first, self.newest + 1) % ENVELOPE_BINS]
@@ -78,10 +77,9 @@ class Envelope:
 
 
 class Samples:
-    """The last samples of signals that have the same times, `capacity` of them.
+    """The last `capacity` samples of signals that share their times.
 
-    Each is kept twice, `capacity` apart: so the last ones are one piece, and nothing is copied to
-    look at them.
+    Each sample is stored twice, `capacity` apart, so that the last ones are contiguous and are returned without a copy.
     """
 
     def __init__(self, capacity: int, signals: int = 1) -> None:
@@ -94,7 +92,7 @@ class Samples:
 
     @property
     def count(self) -> int:
-        """How many have been added so far."""
+        """Number of samples added so far."""
         return self._count
 
     def add(self, t_ns: Integers, values: Floats) -> None:
@@ -120,16 +118,14 @@ class Samples:
         return self._t_ns[piece].copy(), self._values[signal, piece].copy()
 
     def since(self, t_ns: int, signal: int = 0) -> tuple[Integers, Floats]:
-        """Return the samples of `t_ns` and later, as far as times rise: times [ns], values;
-        as `all_since`, no copies.
-        """
+        """Return the samples from `t_ns` while times rise: times [ns], values; views, as in `all_since`."""
         times, values = self.all_since(t_ns)
         return times, values[signal]
 
     def all_since(self, t_ns: int) -> tuple[Integers, Floats]:
-        """Return the same of all signals: times [ns], values of shape (signals, n).
+        """Return the samples of all signals from `t_ns`: times [ns], values of shape (signals, n).
 
-        They are no copies: what is added later may change them.
+        They are views: later samples may change them.
         """
         piece = self._piece(len(self))
         first = piece.start + int(self._t_ns[piece].searchsorted(t_ns))
@@ -138,7 +134,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Track:
-    """One signal of those of some samples and an envelope."""
+    """One signal of a `Samples` and an `Envelope`."""
 
     samples: Samples
     bins: Envelope
@@ -153,7 +149,7 @@ class Track:
         return self.samples.since(t_ns, self.signal)
 
     def bins_since(self, bin_: int) -> tuple[int, Floats, Floats]:
-        """Return the bins from `bin_` on: the first one's number, minima, maxima."""
+        """Return the bins from `bin_`: number of the first, minima, maxima."""
         return self.bins.since(bin_, self.signal)
 
 
@@ -161,8 +157,9 @@ def velocity(t_ns: Integers, angle: Floats, period_ns: int, cycles: int) -> tupl
     """Return times and velocity [angle's unit/s] over `cycles` samples: (x[k] - x[k - n]) / (t[k] -
     t[k - n]).
 
-    One count a cycle is much for a display, so that the difference is over several. The time
-    between is taken in whole periods: the jitter of the stamps is none of the handle's.
+    One count per cycle is coarse for a display, so the difference spans several cycles. The time
+    between is rounded to whole periods, because the jitter of the stamps is not motion of the
+    handle.
     """
     if len(t_ns) <= cycles:
         return t_ns[:0], angle[:0]

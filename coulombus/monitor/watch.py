@@ -1,10 +1,10 @@
-"""``coulombus watch``: a bus in one live table, or line by line where no terminal is.
+"""``coulombus watch``: a bus in a live table, or line by line without a terminal.
 
-The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread
-draws and takes the signals. Nothing is ever sent. Chosen signals are drawn over time. Incidents are
-looked for in a third thread. In a terminal p or the space bar holds the picture while the counting
-goes on, b shows the raw bytes before other columns, w takes status- and controlwords apart in lines
-of their own, 1 to 9 open and close an incident, q ends it.
+A separate thread reads the bus, so that frames do not wait for drawing; the main thread draws and
+handles signals. Nothing is ever sent. Chosen signals are plotted over time. A third thread detects
+incidents. Keys in a terminal: p or space freezes the display while counting goes on, b shows raw
+bytes before other columns, w decodes status- and controlwords in separate lines, 1 to 9 open and
+close an incident, q quits.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ DRAW_S = 0.1
 LINE_S = 1.0
 WAIT_S = 0.1
 ASK_NS = 1_000_000_000
-COLLECT_S = 0.002  # frames of this time are taken together: it saves most of the wake-ups
+COLLECT_S = 0.002  # frames of this time are processed together: it saves most of the wake-ups
 EVENTS = 200
 HOST_S = 0.5
 PAUSE_KEYS, RAW_KEYS, WORD_KEYS, END_KEYS, INCIDENT_KEYS = b"p ", b"b", b"w", b"q", b"123456789"
@@ -54,20 +54,20 @@ KEYS_TEXT = "p pause   b bytes   w words   1-9 incident   q end"
 
 @dataclass(frozen=True)
 class LiveView:
-    """What of a bus is shown, and how."""
+    """Options of the view of a bus."""
 
     as_json: bool = False
-    """Lines of JSON, in a terminal, too."""
+    """Lines of JSON, also in a terminal."""
     interval_s: float | None = None
-    """Between two pictures or sets of lines; None: `DRAW_S` in a terminal, else `LINE_S`."""
+    """Interval between updates; None: `DRAW_S` in a terminal, else `LINE_S`."""
     all_nodes: bool = True
-    """Show also the nodes of the rig that were never heard."""
+    """Also show nodes of the rig that were never heard."""
     scope: Sequence[str] = ()
-    """Signals that a terminal draws over the last ten seconds."""
+    """Signals that a terminal plots over the last ten seconds."""
     assumed: bool = False
-    """Nobody named the rig: it is left when the bus turns out to be another one's."""
+    """Whether the rig is a guess: it is dropped if the bus turns out to be another rig's."""
     eds: EdsFiles | None = None
-    """EDS files of nodes that are no rig's."""
+    """EDS files of nodes outside the rig."""
 
 
 EVERYTHING = LiveView()
@@ -87,13 +87,13 @@ def watch(
     Parameters
     ----------
     rig : None: nodes are numbers, PDOs are learned from the frames and from ``view.eds``
-    host : tells what the bus' host does, or how the last one ended, None where there was none; it is
-        asked twice a second in a thread of its own
+    host : returns the state of the bus' host, or the end of the last one, or None; called twice a
+        second in a separate thread
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        There is no bus, or it went away meanwhile.
+        There is no bus, or it closed meanwhile.
     coulombus.recording.signals.UnknownSignal
         the rig has no signal of ``view.scope``
     """
@@ -148,12 +148,12 @@ def watch(
 
 
 def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
-    """Listen to a bus for so long; return what it carries then. Nothing is sent.
+    """Listen to a bus for some time; return a snapshot. Nothing is sent.
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        There is no bus, or it went away meanwhile.
+        There is no bus, or it closed meanwhile.
     """
     live = Live(rig)
     live.snapshot(time.time_ns())
@@ -167,15 +167,15 @@ def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
 
 
 class ViewKeys:
-    """What the keys of the terminal ask for; `struck` is called in the keys' thread."""
+    """State set by the terminal's keys; `struck` is called in the keys' thread."""
 
     def __init__(self) -> None:
         self.paused = self.raw = self.words = self.ended = False
         self.number = self.strokes = 0
-        """The incident that a key named last, and how often one did."""
+        """Number of the last incident key, and count of such strokes."""
 
     def struck(self, strokes: bytes) -> None:
-        """Take strokes as the terminal gives them; keys that mean nothing are passed over."""
+        """Process key strokes; unknown keys are ignored."""
         for key in strokes:
             self.paused ^= key in PAUSE_KEYS
             self.raw ^= key in RAW_KEYS
@@ -186,7 +186,7 @@ class ViewKeys:
 
 
 class _Asker:
-    """Asks again and again in a thread of its own; `answer` is the last answer."""
+    """Calls a function repeatedly in a separate thread; `answer` is the last result."""
 
     def __init__(self, ask: Callable[[], HostLine | None] | None) -> None:
         self.answer: HostLine | None = None
@@ -214,7 +214,7 @@ class _Asker:
 
 
 class _Reader:
-    """Takes frames off the bus in a thread of its own; `failure` is why it ended by itself."""
+    """Reads frames from the bus in a separate thread; `failure` is the reason of its own end."""
 
     def __init__(
         self, client: Client, live: Live, traces: Traces | None = None, incidents: IncidentReader | None = None
@@ -252,7 +252,7 @@ class _Reader:
                 with self.lock:
                     self._live.tell(time.time_ns(), str(error), grave=True)
             except BusFull:
-                pass  # it does not read: its own affair, and told by the silence of all nodes
+                pass  # a failure to read shows as silence of all nodes
             except BusGone as error:
                 self.failure = error
                 return

@@ -1,4 +1,4 @@
-"""Status- and controlword in words: the state or command, and the bits beside it."""
+"""Texts for status- and controlwords: the state or command, and the other bits."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ WORDS = {"statusword": STATUSWORD_FIELDS, "controlword": CONTROLWORD_FIELDS}
 
 
 def meaning(value: Value) -> str:
-    """Return the power state that a status word tells, or the command of a control word; "" of
-    anything else.
-    """
+    """Return the power state of a statusword, or the command of a controlword; "" for other values."""
     if value.value is None:
         return ""
     name, word = value.name.rpartition(".")[2], int(value.value)
@@ -34,7 +32,7 @@ def meaning(value: Value) -> str:
 
 
 def bits_set(value: Value) -> str:
-    """Return the names of the bits that are set beside the state or command."""
+    """Return the names of set bits other than the state or command."""
     fields = WORDS.get(value.name.rpartition(".")[2], ())
     word = 0 if value.value is None else int(value.value)
     return ", ".join(field.name.replace("_", " ") for field in fields[1:] if word & field.mask)

@@ -1,1 +1,1 @@
-"""What other people's tools need to know of a rig: files for Wireshark, PlotJuggler, Foxglove."""
+"""Files of a rig for third-party tools: Wireshark, PlotJuggler, Foxglove."""

@@ -1,7 +1,7 @@
 """Layouts of PlotJuggler and Foxglove: a plot for each unit, with the rig's signals by name.
 
-PlotJuggler takes the names as `coulombus.read` has them, which are the columns of a CSV or Parquet
-export. Foxglove takes an MCAP export: a topic for each PDO, whose messages nest by the names' dots.
+PlotJuggler uses the names of `coulombus.read`, which are the columns of a CSV or Parquet export.
+Foxglove uses an MCAP export: a topic per PDO, with messages nested by the names' dots.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf")
 
 
 def _by_unit(rig: Rig) -> dict[str, list[tuple[RigPdo, Signal]]]:
-    """Return the signals that are drawn, by unit; words of bits stand behind the quantities."""
+    """Return the plotted signals by unit; bit fields follow the quantities."""
     groups: dict[str, list[tuple[RigPdo, Signal]]] = {}
     for pdo, signal in sorted(signals(rig), key=lambda pair: bool(word_fields(pair[1].index))):
         groups.setdefault(signal.unit, []).append((pdo, signal))

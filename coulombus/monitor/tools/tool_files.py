@@ -67,7 +67,7 @@ def tool_files(rig: Rig) -> dict[str, str]:
     """Return the text of each file by its path within the folder."""
     split = database(rig, bits=True)
     example = next((f"coulombus.{a.prefix}motor.position" for a in rig.axes), "coulombus.motor.position")
-    name = default_address(rig.name).name  # a file's name on any system, and a word in the commands of README.md
+    name = default_address(rig.name).name  # valid as a file's name on any system and in the commands of README.md
     files = {
         f"{name}.dbc": database(rig).as_dbc_string(),
         f"{name}-bits.dbc": split.as_dbc_string(),

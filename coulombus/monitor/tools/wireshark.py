@@ -1,8 +1,8 @@
 """A dissector in Lua and a profile for Wireshark and tshark.
 
-The dissector is `dissector.lua` with the rig's tables in front of it. Fields are named as
-``coulombus.motor.position`` [rad]: SI units, and a value is bit for bit what `coulombus.read` has,
-but for the turns of a position that wraps around its counter.
+The dissector is `dissector.lua` with the rig's tables prepended. Fields are named as
+``coulombus.motor.position`` [rad], in SI units. Values equal those of `coulombus.read` bit for bit,
+except that positions are not unwrapped.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ COLOURS = (
     ("Coulombus: from the host", 'coulombus.pdo contains "RPDO"', "0,0,0", "57000,61000,65535"),
     ("Coulombus: to the host", 'coulombus.pdo contains "TPDO"', "0,0,0", "58000,65535,58000"),
 )
-"""Name, filter, text and background; the first that fits counts."""
+"""Colour rules: name, filter, text and background; the first match counts."""
 LINES = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 TOLD = "told"
-"""What the frames are called that were on no bus (`recording.host_telemetry`)."""
+"""Name of telemetry frames, which were on no bus (`recording.host_telemetry`)."""
 NO_STATE = b"[]"
-"""What a law keeps has names that the recording tells, not the rig."""
+"""Empty names of a law's state: the recording has them, not the rig."""
 CAN_EFF_MASK = 0x1FFFFFFF
 BUTTONS = (
     ("The bus alone", 'frame.interface_name != "coulombus-host"'),

@@ -1,4 +1,4 @@
-"""The page: a bus live in a browser (``coulombus watch --web``)."""
+"""Web page: live view of a bus in a browser (``coulombus watch --web``)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ __all__ = ["WebError"]
 
 
 class WebError(CoulombusError):
-    """The page cannot be served; the text says why, and what to do."""
+    """The page cannot be served; the text has the reason and the remedy."""
 
     exit_status = 2

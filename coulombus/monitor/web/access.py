@@ -1,4 +1,4 @@
-"""Who may do what at the page: the token, the address, the origin, and the one who controls."""
+"""Access control of the page: token, address, origin, and the control lock."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from pathlib import Path
 __all__ = ["ControlLock", "kept_token", "new_token", "right_token", "same_origin", "served_as"]
 
 HTTP_PORT = 80
-"""Which a browser leaves out."""
+"""Default port of HTTP, which a browser omits."""
 TOKEN = re.compile(r"[A-Za-z0-9_-]{32,64}")
 
 
 def new_token() -> str:
-    """Return a token that nobody guesses: 192 bits."""
+    """Return an unguessable token: 192 bits."""
     return secrets.token_urlsafe(24)
 
 
 def kept_token(path: Path) -> str:
-    """Return the token that stands in a file of this user's alone, or write a new one there.
+    """Return the token in a file readable only by this user, or write a new one there.
 
-    So a page that is open finds the server again after that has been started anew.
+    An open page thus reconnects after a restart of the server.
 
     Raises
     ------
@@ -48,27 +48,27 @@ def kept_token(path: Path) -> str:
 
 
 def right_token(given: str, token: str) -> bool:
-    """Tell whether a token is the right one, in the same time for each wrong one."""
+    """Return whether a token is correct, in constant time."""
     return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), token.encode())
 
 
 def same_origin(origin: str | None, host: str | None) -> bool:
-    """Tell whether a request comes from the page itself: its header Origin names the host that is
-    asked. None of either is no.
+    """Return whether a request comes from the page itself: its header Origin names the requested
+    host. False if either is missing.
     """
     return bool(host) and origin in (f"http://{host}", f"https://{host}")
 
 
 def served_as(host: str | None, address: str, port: int, name: str = "") -> bool:
-    """Tell whether a request's header Host names the address that is served.
+    """Return whether a request's header Host names the served address.
 
-    A stranger's page may let its own name point to this machine, so that the browser takes the two
-    for one (DNS rebinding); the header has that name then.
+    A foreign page may make its own name resolve to this machine, so that the browser treats both as
+    one origin (DNS rebinding); the header then has that name.
 
     Parameters
     ----------
     address, port : of this end of the connection
-    name : by which the server was told to listen, or this machine's own
+    name : the configured listening name, or this machine's own
     """
     here = ipaddress.ip_address(address.partition("%")[0])
     if isinstance(here, ipaddress.IPv6Address):
@@ -81,18 +81,18 @@ def served_as(host: str | None, address: str, port: int, name: str = "") -> bool
 
 
 class ControlLock:
-    """Which page controls; all others look on. STOP needs none."""
+    """The session that controls; all others view. STOP needs no control."""
 
     def __init__(self) -> None:
         self.holder: int | None = None
 
     def acquire(self, session: int) -> bool:
-        """Take the control where nobody has it; tell whether `session` has it now."""
+        """Acquire control for `session` if free; return whether it has it."""
         if self.holder is None:
             self.holder = session
         return self.holder == session
 
     def release(self, session: int) -> None:
-        """Give it back; nothing where another session has it."""
+        """Release control; do nothing if another session has it."""
         if self.holder == session:
             self.holder = None

@@ -1,15 +1,14 @@
-"""What goes to a browser: a batch each 33 ms, of which a page says that it has taken it before it
-gets another.
+"""Batches for a browser: one every 33 ms, each acknowledged by the page.
 
-A batch is a length (four bytes, little-endian), so many bytes of JSON, and numbers as little-endian
-float32 behind it. The JSON's ``parts`` tell in order what the numbers are::
+A batch is a length (four bytes, little-endian), JSON of that length, and numbers as little-endian
+float32. The JSON's ``parts`` describe the numbers in order::
 
     {"k": "envelope", "s": NAME, "first": BIN, "n": N}    N minima, N maxima
     {"k": "raw", "s": NAME, "n": N}                       N times before `now` [s], N values
     {"k": "friction", "n": N}                             N velocities, N torques, oldest first
 
-A page that takes nothing, as a tab that sleeps, is sent nothing: so nothing piles up for it. When
-it wakes it gets the bins since its last batch, ten seconds at most.
+A page that does not acknowledge, such as a sleeping tab, is sent nothing, so nothing accumulates.
+When it wakes it gets the bins since its last batch, at most ten seconds.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ from coulombus.rigs.axis import Axis
 __all__ = ["IN_FLIGHT", "Flow", "batch", "layout", "unpacked"]
 
 IN_FLIGHT = 2
-"""Batches that a page may have before it has said that it took them."""
+"""Maximum unacknowledged batches of a page."""
 LENGTH = struct.Struct("<I")
 
 
 @dataclass
 class Flow:
-    """What a page has: batches sent and taken, and from which bin of each signal it needs more."""
+    """State of a page: batches sent and acknowledged, and the next bin of each signal."""
 
     sent: int = 0
     taken: int = 0
@@ -42,11 +41,11 @@ class Flow:
 
     @property
     def free(self) -> bool:
-        """Whether it takes another batch."""
+        """Whether it may be sent another batch."""
         return self.sent - self.taken < IN_FLIGHT
 
     def take(self, number: int) -> bool:
-        """Note that the page took the batch `number`; False: it was never sent."""
+        """Note the acknowledgement of batch `number`; False: it was never sent."""
         if not self.taken < number <= self.sent:
             return False
         self.taken = number
@@ -54,7 +53,7 @@ class Flow:
 
 
 def batch(capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any]) -> bytes:
-    """Return the next batch of a page, and note in `flow` what it holds.
+    """Return the next batch of a page, and note its content in `flow`.
 
     Parameters
     ----------
@@ -70,7 +69,7 @@ def batch(capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any]) ->
             parts.append({"k": "envelope", "s": name, "first": first, "n": len(low)})
             numbers += [low, high]
             flow.bins[name] = first + len(low) - 1  # the newest bin may still grow
-    pieces: dict[Samples, tuple[np.ndarray, np.ndarray]] = {}  # signals of one PDO have the same times
+    pieces: dict[Samples, tuple[np.ndarray, np.ndarray]] = {}  # signals of one PDO share their times
     for name in names:
         track = capture.track(name)
         if track.samples not in pieces:
@@ -91,7 +90,7 @@ def batch(capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any]) ->
 
 
 def unpacked(message: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """Return a batch's JSON and, for each of its parts, two rows of numbers: what the page does."""
+    """Return a batch's JSON and two rows of numbers for each of its parts, as the page does."""
     (length,) = LENGTH.unpack_from(message)
     head: dict[str, Any] = json.loads(message[LENGTH.size : LENGTH.size + length])
     numbers = np.frombuffer(message, "<f4", offset=LENGTH.size + length)

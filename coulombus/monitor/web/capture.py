@@ -1,8 +1,7 @@
-"""The bus as the page shows it: batches of frames become samples, envelopes and figures of each
-PDO.
+"""Data of the page: batches of frames become samples, envelopes and figures of each PDO.
 
 A batch is decoded by NumPy, PDO by PDO. Time is an argument: nanoseconds since 1970, as the frames'
-stamps. Nothing that the bus carries raises.
+stamps. No bus content raises.
 """
 
 from __future__ import annotations
@@ -29,29 +28,29 @@ __all__ = ["ROWS", "VELOCITY", "Curve", "LiveCapture", "Period"]
 
 WINDOW_NS = 1_000_000_000
 RAW_NS = 200_000_000
-"""How much of the raw samples is drawn."""
+"""Drawn time of the raw samples."""
 FADE_NS = 2_000_000_000
-"""How much of the phase plot."""
+"""Drawn time of the phase plot."""
 VELOCITY_CYCLES = 5
 POSITION, HANDLE = "motor.position_rad", "brake.handle_torque_Nm"
 VELOCITY = "handle.velocity_rad_s"
-"""Of the page itself, where no PDO carries one: the difference of the position."""
+"""Velocity computed from the position if no PDO carries one."""
 ROWS = (
     ("torque", "Nm", (HANDLE, "brake.setpoint_Nm", "motor.torque_Nm", "motor.target_torque_Nm")),
     ("position", "rad", (POSITION,)),
     ("velocity", "rad/s", ("motor.velocity_rad_s", VELOCITY)),
 )
-"""The plots: title, unit, which signals they may show (`Signal.key`)."""
+"""The plots: title, unit, and possible signals (`Signal.key`)."""
 SHOWN = frozenset(key for _, _, keys in ROWS for key in keys)
 EVENTS = 200
 BITS_NS, BITS_IDS = 100_000_000, 256
-"""How often the bits on the wire are counted: after so long, or so many identifiers."""
+"""Interval, and number of identifiers, after which the bits on the wire are counted."""
 
 
 @dataclass(frozen=True)
 class Period:
-    """The time between two frames of a PDO in the last second [ms]; its `jitter_ms` is the larger
-    deviation of the two from the mean.
+    """The interval between frames of a PDO in the last second [ms]; `jitter_ms` is the larger
+    deviation of its extremes from the mean.
     """
 
     least_ms: float
@@ -60,20 +59,20 @@ class Period:
 
     @property
     def jitter_ms(self) -> float:
-        """The larger deviation from the mean."""
+        """The larger deviation of the extremes from the mean."""
         return max(self.most_ms - self.mean_ms, self.mean_ms - self.least_ms)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The friction that a law displays, as a line over the velocity."""
+    """The displayed friction of a law over the velocity."""
 
     velocity_rad_s: tuple[float, ...]
     friction_Nm: tuple[float, ...]
 
 
 class _Pdo:
-    """What is kept of a PDO."""
+    """Kept data of a PDO."""
 
     def __init__(self, pdo: RigPdo, capacity: int) -> None:
         self.pdo = pdo
@@ -88,7 +87,7 @@ class _Pdo:
         self.tracks = {field[0].name: track for field, track in zip(self.drawn, tracks, strict=True)}
 
     def take(self, t_ns: Integers, words: Integers) -> None:
-        """Take the frames of a batch that have this PDO's length."""
+        """Process the frames of a batch that have this PDO's length."""
         values = np.empty((len(self.drawn), len(t_ns)))
         for row, (signal, entry, start) in zip(values, self.drawn, strict=True):
             row[:] = decode_field(words, start, entry) * signal.scale + signal.offset
@@ -97,7 +96,7 @@ class _Pdo:
             self.envelope.add(t_ns, values)
 
     def period(self, now_ns: int) -> Period | None:
-        """Return the figures of the last second; None of less than two frames."""
+        """Return the figures of the last second; None with fewer than two frames."""
         t_ns, _ = self.samples.all_since(now_ns - WINDOW_NS)
         if len(t_ns) < 2:
             return None
@@ -106,8 +105,7 @@ class _Pdo:
 
 
 class LiveCapture:
-    """Takes batches of frames of one bus (`take`); what is known is asked by `snapshot`, `period`
-    and `track`.
+    """Processes batches of frames of one bus (`take`); `snapshot`, `period` and `track` return the results.
 
     Attributes
     ----------
@@ -138,20 +136,20 @@ class LiveCapture:
         self._bits_sum = self._bits_ns = 0
         self._counts: dict[int, int] = {}
         self._last: dict[int, tuple[int, bytes]] = {}
-        frame_bits(0)  # compiled now, or loaded, and not with the first frames
+        frame_bits(0)  # compile or load now, not with the first frames
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self.newest_ns = 0
 
     def names(self, axis: Axis) -> dict[str, list[str]]:
-        """Return which signals each plot of an axis shows, by the plot's title."""
+        """Return the signals of each plot of an axis, by the plot's title."""
         return self._names[axis.name]
 
     def take(self, frames: Sequence[Received]) -> None:
-        """Take the frames of some milliseconds."""
+        """Process the frames of some milliseconds."""
         self.take_block(Block.of(frames))
 
     def take_block(self, block: Block) -> None:
-        """Take the frames of some milliseconds."""
+        """Process the frames of some milliseconds."""
         if not len(block):
             return
         self.live.take(block)
@@ -172,7 +170,7 @@ class LiveCapture:
             self._count_bits()
 
     def _difference(self, k: int) -> None:
-        """Add the velocity of the positions that are new."""
+        """Add the velocity of new positions."""
         made, position = self._differences[k]
         t_ns, angle = position.last(position.samples.count - self._counted[k] + VELOCITY_CYCLES)
         self._counted[k] = position.samples.count
@@ -181,7 +179,7 @@ class LiveCapture:
         made.bins.add(times, speeds)
 
     def _count_bits(self) -> None:
-        """Count the bits that the frames took on the wire: of each identifier as its last frame."""
+        """Count the bits of the frames on the wire: each identifier by its last frame."""
         for can_id, count in self._counts.items():
             if can_id & CAN_ERR_FLAG:
                 continue
@@ -199,9 +197,9 @@ class LiveCapture:
             self._bits.popleft()
 
     def load(self, now_ns: int, bitrate_bit_s: int) -> float:
-        """Return the share of the last second in which the bus was busy, 0 to 1.
+        """Return the busy share of the last second, 0 to 1.
 
-        A batch that is late counts over the time that it is of.
+        A late batch counts over its own time span.
         """
         if len(self._bits) < 2 or now_ns - self._bits[-1][0] > WINDOW_NS:
             return 0.0
@@ -209,21 +207,21 @@ class LiveCapture:
         return (after - before) / (bitrate_bit_s * max(last_ns - first_ns, 1) * 1e-9)
 
     def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
-        """Note an event that is seen elsewhere."""
+        """Add an event detected elsewhere."""
         self.live.tell(t_ns, text, grave)
 
     def snapshot(self, now_ns: int) -> Snapshot:
-        """Return what is known now, and keep the new events."""
+        """Return the present snapshot, and keep the new events."""
         snapshot = self.live.snapshot(now_ns)
         self.events.extend(snapshot.events)
         return snapshot
 
     def last_data(self, can_id: int) -> bytes | None:
-        """Return the data of the last right frame of a PDO."""
+        """Return the data of the last valid frame of a PDO."""
         return self._pdos[can_id].data
 
     def places(self, can_id: int) -> tuple[str, ...]:
-        """Return which bits of a PDO each signal is: "0-15"."""
+        """Return the bits of each signal in a PDO: "0-15"."""
         return self._pdos[can_id].places
 
     def period(self, can_id: int, now_ns: int) -> Period | None:
@@ -231,13 +229,13 @@ class LiveCapture:
         return self._pdos[can_id].period(now_ns)
 
     def track(self, name: str) -> Track:
-        """Return what is kept of a signal."""
+        """Return the kept data of a signal."""
         return self._tracks[name]
 
     def friction(self, axis: Axis, points: int = 200) -> tuple[np.ndarray, np.ndarray] | None:
         """Return velocity [rad/s] and handle torque [Nm] of the last two seconds, oldest first.
 
-        None where the axis has no transducer or no position.
+        None if the axis has no transducer or no position.
         """
         speed = next((n for n in (axis.prefix + k for k in ROWS[2][2]) if n in self._tracks), None)
         torque = axis.prefix + HANDLE

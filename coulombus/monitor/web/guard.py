@@ -1,4 +1,4 @@
-"""Who is answered: a request with the token, for the address that is served, and from the page itself."""
+"""Request checks: correct token, served address, and same origin."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POLICY = "; ".join(
         *("img-src 'self' data:", "form-action 'self'", "frame-ancestors 'none'", "base-uri 'none'"),
     )
 )
-"""Nothing is loaded from anywhere else."""
+"""Headers that forbid loading from other origins."""
 FORBIDDEN, MISDIRECTED = 403, 421
 REFUSALS = {
     FORBIDDEN: "the address needs the page's token: open the URL that the command printed",
@@ -29,28 +29,28 @@ REFUSALS = {
 
 
 class GuardedPage(Protocol):
-    """What is served: behind which token, and by which name beside its address."""
+    """A served page: its token, and its name besides its address."""
 
     token: str
     name: str
 
 
 class Guarded(tornado.web.RequestHandler):
-    """A request of who has the token, for the address that is served."""
+    """Mixin of a request with the token, for the served address."""
 
     page: GuardedPage
 
     def initialize(self, page: GuardedPage) -> None:
-        """Keep what is served."""
+        """Store the page."""
         self.page = page
 
     def admit(self) -> IOStream:
-        """Return the connection of a request that may be answered.
+        """Return the connection of an admitted request.
 
         Raises
         ------
         tornado.web.HTTPError
-            its header Host names another server, or its address has not the token
+            its header Host names another server, or its URL lacks the token
         """
         stream: IOStream = self.request.connection.stream  # type: ignore[union-attr]  # it has one
         address, port = stream.socket.getsockname()[:2]
@@ -61,20 +61,20 @@ class Guarded(tornado.web.RequestHandler):
         return stream
 
     def from_the_page(self) -> bool:
-        """Tell whether the page itself asks, and no other one."""
+        """Return whether the request comes from the page itself."""
         return same_origin(self.request.headers.get("Origin"), self.request.headers.get("Host"))
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Say why, as plain text."""
+        """Write the reason as plain text."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(REFUSALS.get(status_code, self._reason) + "\n")
 
 
 class Handler(Guarded):
-    """An HTTP request that is answered with the headers of a page which loads nothing from elsewhere."""
+    """An HTTP request, answered with headers that forbid other origins."""
 
     def set_default_headers(self) -> None:
-        """Allow nothing that comes from elsewhere."""
+        """Forbid content from other origins."""
         for name, value in (
             ("Content-Security-Policy", POLICY),
             ("Referrer-Policy", "same-origin"),
@@ -93,7 +93,7 @@ class Handler(Guarded):
 
 
 class Nothing(Handler):
-    """What is nowhere: 403, also with the right token."""
+    """Unknown paths: 403, even with the correct token."""
 
     def prepare(self) -> None:
         """Refuse it."""

@@ -1,14 +1,13 @@
-"""The page: what all who look at it share, and what it answers over HTTP and WebSocket.
+"""The live page: state shared by all viewers, and its HTTP and WebSocket handlers.
 
-All addresses begin with the token; all others are 403. A request for another host than the one that
-is served is 421::
+All URLs begin with the token; others get 403. A request for another host gets 421::
 
-    GET  /TOKEN/            the page (?axis=NAME of a rig that has several)
+    GET  /TOKEN/            the page (?axis=NAME for a rig with several)
     GET  /TOKEN/static/F    its style and its scripts
-    GET  /TOKEN/layout      which plot shows which signals
+    GET  /TOKEN/layout      plots and their signals
     GET  /TOKEN/data        WebSocket: batches there (`monitor.web.batch`), "took N", "control", "set {...}" and
                             "mark N" here
-    POST /TOKEN/stop        a safe stop: what ``coulombus stop`` asks for
+    POST /TOKEN/stop        a safe stop, as by ``coulombus stop``
 
 Nothing that a browser sends reaches the bus. The stop needs neither plots nor WebSocket.
 """
@@ -46,23 +45,23 @@ __all__ = ["Page", "application", "order_of"]
 
 STATE_S = 0.2
 GOODBYE_S = 1.0
-"""How long a page may take to take the last state."""
+"""Time limit for a page to receive the last state."""
 SESSIONS = 16
 STOPS = 8
-"""Requests to stop that may be under way."""
+"""Maximum concurrent stop requests."""
 MESSAGE_BYTES = 512
 QUESTIONS = 4
-"""Changes and markers that may be under way."""
+"""Maximum concurrent changes and markers."""
 ANSWERS = 8
-"""That wait for a page: each state takes one along."""
+"""Maximum answers pending for a page; each state carries one."""
 RUBBISH = 100
-"""Messages that mean nothing, after which a page is let go."""
+"""Invalid messages after which a page is disconnected."""
 TOOK = re.compile(r"took ([0-9]{1,15})")
 MARK = re.compile(r"mark ([1-9])")
 
 
 class Page:
-    """What all who look at the page share: the capture, the host's view, the seat, the sessions."""
+    """State shared by all viewers: capture, host view, control lock, sessions."""
 
     def __init__(
         self,
@@ -74,12 +73,12 @@ class Page:
     ) -> None:
         self.capture, self.door, self.token, self.facts, self.lock = capture, door, token, facts, lock
         self.name = ""
-        """By which a browser asks for it, beside the address itself."""
+        """Its host name in requests, besides the address itself."""
         self.host = HostView(door.advice, door.entry)
         self.incidents: Callable[[], Sequence[IncidentRow]] = tuple
         """The incidents of the bus so far."""
         self.curves: Mapping[str, Curve | None] = {}
-        """Of each axis' law, by the axis' name."""
+        """Curve of each axis' law, by the axis' name."""
         self.control = ControlLock()
         self.sessions: set[Data] = set()
         self.sockets: WeakSet[IOStream] = WeakSet()
@@ -87,7 +86,7 @@ class Page:
         self.numbers = itertools.count(1)
         self.stops = ThreadPoolExecutor(STOPS, "stop")
         self.stopping = 0
-        self.questions = ThreadPoolExecutor(1, "question")  # a stop does not wait behind them
+        self.questions = ThreadPoolExecutor(1, "question")  # separate: a stop does not wait for them
         self.asking = 0
         self._told_s = -1.0
         self._state: dict[str, Any] | None = None
@@ -99,9 +98,9 @@ class Page:
         return next((axis for axis in axes if axis.name == name), axes[0])
 
     def tick(self, now_ns: int) -> None:
-        """Send each page that takes it what is new."""
+        """Send new data to each page that is ready."""
         with self.lock:
-            pause_s = 0.0 if self.stopping else STATE_S  # a stop is seen at once
+            pause_s = 0.0 if self.stopping else STATE_S  # show a stop at once
             if now_ns * 1e-9 - self._told_s >= pause_s or now_ns * 1e-9 < self._told_s:
                 self._tell(now_ns)
             for session in self.sessions:
@@ -116,10 +115,10 @@ class Page:
         self._version += 1
 
     async def say_goodbye(self, now_ns: int) -> None:
-        """Send every page the last state, with the host's last word, and close it: the server ends."""
+        """Send every page the final state, with the host's end, and close it."""
         loop = asyncio.get_running_loop()
         end = loop.time() + GOODBYE_S
-        while self.stopping and loop.time() < end:  # who asked for a stop hears what came of it
+        while self.stopping and loop.time() < end:  # deliver the result to the page that requested the stop
             await asyncio.sleep(GOODBYE_S / 100)
         with self.lock:
             with suppress(Exception):
@@ -135,7 +134,7 @@ class Page:
             session.close(1001, "the run is over")
 
     async def stop(self) -> dict[str, Any]:
-        """Ask the host for a safe stop, wait for its end, and return what came of it as words."""
+        """Request a safe stop from the host, wait for its end, and return the result as text."""
         if self.stopping >= STOPS:
             return {"ok": False, "text": "a stop is under way already"}
         self.stopping += 1
@@ -153,9 +152,7 @@ class Page:
         return {"ok": True, "text": "the host stopped safely"}
 
     async def ask(self, session: Data, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
-        """Ask the host for a change or a marker, as the page that controls; the answer goes to that
-        page as words.
-        """
+        """Send the controlling page's change or marker to the host; the answer goes to that page as text."""
         if self.control.holder != session.number:
             session.answers.append(f"{what}: this page is viewing; take control first")
             return
@@ -203,12 +200,12 @@ class _Stop(Handler):
 
 
 class Data(Guarded, tornado.websocket.WebSocketHandler):
-    """One page: what is sent to it, and the little that it says."""
+    """WebSocket session of one page."""
 
     page: Page
 
     def initialize(self, page: Page) -> None:  # type: ignore[override]  # it is served nothing else
-        """Keep what all pages share."""
+        """Store the shared state."""
         super().initialize(page)
         self.flow = Flow()
         self.number, self.rubbish, self.version, self.refused = next(page.numbers), 0, 0, False
@@ -216,7 +213,7 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
         self._tasks: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
-        """Refuse who has not the token, comes from another page, or is one too many."""
+        """Refuse a request without the token, from another page, or beyond the limit."""
         self._stream = self.admit()
         if not self.from_the_page():
             raise tornado.web.HTTPError(FORBIDDEN)
@@ -224,11 +221,11 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
             raise tornado.web.HTTPError(503)
 
     def check_origin(self, origin: str) -> bool:
-        """`prepare` has looked at it."""
+        """Return True: `prepare` has checked it."""
         return same_origin(origin, self.request.headers.get("Host"))
 
     def open(self, *_: str, **__: str) -> None:
-        """Begin; the first page controls."""
+        """Open the session; the first page controls."""
         self.set_nodelay(True)
         self.axis = self.page.axis(self.get_query_argument("axis", ""))
         self.page.control.acquire(self.number)
@@ -236,12 +233,12 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
         self.page.sockets.add(self._stream)
 
     def on_close(self) -> None:
-        """Forget it; its seat is free."""
+        """Remove the session and release its control."""
         self.page.sessions.discard(self)
         self.page.control.release(self.number)
 
     def on_message(self, message: str | bytes) -> None:
-        """Take what a page says; all else is counted, and too much of it ends the session."""
+        """Process a message; invalid ones are counted, and too many end the session."""
         text = message if isinstance(message, str) else ""
         took = TOOK.fullmatch(text)
         if took is not None and self.flow.take(int(took[1])):
@@ -267,9 +264,7 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
         task.add_done_callback(self._tasks.discard)
 
     def send(self, state: dict[str, Any] | None, version: int) -> asyncio.Future[None] | None:
-        """Send the next batch, with the state where the page does not have it yet; return when it is
-        sent, None where the page has gone.
-        """
+        """Send the next batch, with the state if it is new to the page; return after sending, None if the page closed."""
         more: dict[str, Any] = {}
         if version != self.version:
             self.version = version
@@ -282,7 +277,7 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
             }
         try:
             sent = self.write_message(batch(self.page.capture, self.axis, self.flow, more), binary=True)
-            sent.add_done_callback(lambda done: done.exception())  # a page that has gone: on_close comes
+            sent.add_done_callback(lambda done: done.exception())  # a closed page: on_close follows
         except tornado.websocket.WebSocketClosedError:
             return None
         return sent
@@ -293,9 +288,7 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
 
 
 def order_of(message: str, axis: str) -> dict[str, Any] | None:
-    """Return the order for the host that a page's message ``set {...}`` asks for; None where it is
-    none. A page changes the parameters of the axis that it shows.
-    """
+    """Return the host order of a page's message ``set {...}``, or None. A page changes the parameters of its own axis."""
     verb, _, content = message.partition(" ")
     try:
         order = json.loads(content) if verb == "set" else None
@@ -307,7 +300,7 @@ def order_of(message: str, axis: str) -> dict[str, Any] | None:
 
 
 def application(page: Page) -> tornado.web.Application:
-    """Return the application of a page."""
+    """Return the web application of a page."""
     shared = {"page": page}
     return tornado.web.Application(
         [

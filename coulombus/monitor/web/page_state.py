@@ -1,6 +1,4 @@
-"""What the page says in words and figures, five times a second: one plain document, made of the bus
-and of what the host tells.
-"""
+"""State document of the page, five times a second, from the bus and the host's status."""
 
 from __future__ import annotations
 
@@ -32,22 +30,23 @@ PHASES = {
     "disable": "disabling the drive",
     "done": "done",
 }
-"""The phases of the host's cycle in words; another one is shown by its name."""
+"""Texts for the phases of the host's cycle; other phases are shown by name."""
 
 
 @dataclass(frozen=True)
 class HostDoor:
-    """How the page reaches the host: `status` asks for its state, `stop` asks for a safe stop and
-    waits for its end, `change` asks for other parameters, `mark` for a marker; all raise OSError or
-    an error with a text.
+    """Connection of the page to the host.
+
+    `status` reads its state, `stop` requests a safe stop and waits for its end, `change` requests
+    other parameters, `mark` a marker; all raise OSError or an error with a text.
 
     Attributes
     ----------
-    advice : the runbook's place for a trip's words
-    curve : what the law of an axis displays in a mode with the live parameters of now, as
-        velocities and friction; asked in a thread of its own
-    last : the last word of the host that ended; None where there is none
-    entry : the runbook's paragraph for a trip's words; None where there is none
+    advice : the runbook's place for a trip's text
+    curve : friction of an axis' law over velocities, in a mode with the present live parameters;
+        called in a separate thread
+    last : the final report of the ended host, or None
+    entry : the runbook's paragraph for a trip's text, or None
     start : the command that starts a host on this bus
     """
 
@@ -66,7 +65,7 @@ KILLED = "it left no word: its process was killed, or its machine stopped"
 
 
 class HostView:
-    """The last state that the host told, and how it ended, which stay when it has gone.
+    """The host's last status and its end, kept after it has ended.
 
     Parameters
     ----------
@@ -84,9 +83,9 @@ class HostView:
         self.mode = ""
 
     def tell(self, status: Mapping[str, Any] | None, word: Mapping[str, Any] | None = None) -> None:
-        """Take what the host told; None: no host runs, `word` is what the last one left.
+        """Process the host's status; None: no host runs, `word` is the final report of the last one.
 
-        What is of a wrong type in it counts as not told.
+        Values of a wrong type are ignored.
         """
         if status is not None:
             fresh = not self._runs
@@ -94,19 +93,19 @@ class HostView:
             self.mode = text(status.get("mode"))
             if trip := text(status.get("trip")):
                 self._trip = trip
-            elif fresh:  # another run: the last one's trip is over
+            elif fresh:  # a new run: the last trip is over
                 self._trip = None
         elif word is not None:
             self.ended(word)
         self._runs = status is not None
 
     def ended(self, word: Mapping[str, Any]) -> None:
-        """Take what the host told of its end."""
+        """Process the host's report of its end."""
         self._word = word
         self._trip = text(word.get("trip")) or self._trip
 
     def _end(self) -> dict[str, Any] | None:
-        """Return how the host ended, None while it runs and where there was none."""
+        """Return the host's end; None while it runs, or without a host."""
         if self._runs or (self._status is None and self._word is None):
             return None
         word = self._word or {}
@@ -126,15 +125,15 @@ class HostView:
         return [row for entry in self._axes() for row in map(_parameter, _list(entry.get("parameters"))) if row]
 
     def _parameters_now(self) -> list[dict[str, Any]]:
-        """Return the parameters that a host which runs lets change."""
+        """Return the changeable parameters of a running host."""
         return self._parameters() if self._runs else []
 
     def live(self, axis: str) -> dict[str, float]:
-        """Return the live parameters of an axis as they are now, by their names."""
+        """Return the present live parameters of an axis, by name."""
         return {row["name"]: row["now"] for row in self._parameters() if row["axis"] == axis}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what the page shows of the host."""
+        """Return the host's part of the document."""
         status, axes = self._status or {}, self._axes()
         said, counted = _map(status.get("meta")), _map(status.get("histograms_us"))
         words = [(text(entry.get("axis")), text(entry.get("phase"))) for entry in axes]
@@ -200,10 +199,10 @@ def document(
 
 
 def arm_state(snapshot: Snapshot) -> str:
-    """Return "armed" where a drive on the bus is enabled, "disarmed" where all drives say that they
-    are not, "unknown" where one has never been heard, or not of late.
+    """Return "armed" if a drive on the bus is enabled, "disarmed" if all drives report that they
+    are not, "unknown" if a drive was never or not recently heard.
 
-    The bus itself tells it: the host may be another machine's.
+    It follows from the bus, because the host may run on another machine.
     """
     drives = [node for node in snapshot.nodes if node.power_state is not None]
     if any(node.power_state == ENABLED and not node.silent for node in drives):
@@ -212,7 +211,7 @@ def arm_state(snapshot: Snapshot) -> str:
 
 
 def drive_words(snapshot: Snapshot) -> str:
-    """Return what the drives are in, and their last EMCY: why they are armed, or not."""
+    """Return the drives' states and their last EMCY as text: the reason for being armed or not."""
     drives = [node for node in snapshot.nodes if node.power_state is not None]
     several = len(drives) > 1
     words = []
@@ -223,7 +222,7 @@ def drive_words(snapshot: Snapshot) -> str:
 
 
 def incident_dict(row: IncidentRow, epoch_ns: int = 0) -> dict[str, Any]:
-    """Return an incident as the page takes it; its times are s since `epoch_ns`."""
+    """Return an incident for the page; its times are s since `epoch_ns`."""
     return {
         "number": row.number,
         "key": row.key,
@@ -243,7 +242,7 @@ def _first(*values: float | None) -> float | None:
 
 
 def text(value: object) -> str:
-    """Return a text of what may be anything; nothing for what is none."""
+    """Return a value of any type if it is a string, else ""."""
     return value if isinstance(value, str) else ""
 
 
@@ -261,7 +260,7 @@ def _number(value: object) -> float | None:
 
 
 def _parameter(row: object) -> dict[str, Any] | None:
-    """Return a live parameter as the page takes it; None for what is none."""
+    """Return a live parameter for the page; None if invalid."""
     if not isinstance(row, Mapping):
         return None
     names = {name: text(row.get(name)) for name in ("axis", "name", "unit")}
@@ -271,7 +270,7 @@ def _parameter(row: object) -> dict[str, Any] | None:
 
 
 def _histogram(histogram: object) -> dict[str, list[float]] | None:
-    """Return edges [us] and counts of a histogram; None where they are not told, or are no such."""
+    """Return edges [us] and counts of a histogram; None if absent or invalid."""
     table = _map(histogram)
     edges, counts = _list(table.get("edges"))[: BINS_SHOWN + 1], _list(table.get("counts"))[:BINS_SHOWN]
     right = len(edges) == len(counts) + 1 and None not in map(_number, [*edges, *counts])
@@ -279,7 +278,7 @@ def _histogram(histogram: object) -> dict[str, list[float]] | None:
 
 
 def _spread(spread: object) -> list[float] | None:
-    """Return median, 99th percentile and maximum of a time [us]; None where they are not told."""
+    """Return median, 99th percentile and maximum of a time [us]; None if absent."""
     quantiles = [_number(spread.get(name)) for name in ("p50", "p99", "max")] if isinstance(spread, Mapping) else [None]
     return None if None in quantiles else quantiles  # type: ignore[return-value]  # mypy does not see that none is None
 

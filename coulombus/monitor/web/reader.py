@@ -1,5 +1,4 @@
-"""The threads beside the page's server: one reads the bus in batches, one asks the host, one has the
-law's curve made.
+"""Threads of the page's server: one reads the bus in batches, one queries the host, one computes the law's curve.
 
 Nothing is ever sent to the bus.
 """
@@ -23,7 +22,7 @@ __all__ = ["BATCH_S", "BusReader", "CurveReader", "HostReader"]
 
 BATCH_S = 0.033
 COLLECT_S = 0.01
-"""How often a SocketCAN socket is emptied: it keeps some 270 frames of a reader that sleeps."""
+"""Interval of reading a SocketCAN socket, whose buffer holds some 270 frames."""
 ASK_S = 1.0
 HOST_S = 0.2
 
@@ -48,12 +47,12 @@ class _Worker:
 
 
 class BusReader(_Worker):
-    """Takes frames off the bus into `capture`; `failure` is why it ended by itself.
+    """Reads frames from the bus into `capture`; `failure` is the reason of its own end.
 
     Parameters
     ----------
     lock : held while `capture` changes
-    incidents : takes the frames, too
+    incidents : gets the frames, too
     """
 
     def __init__(
@@ -63,12 +62,12 @@ class BusReader(_Worker):
         self._incidents = incidents
         self.failure: OSError | None = None
         self.until_ns = time.time_ns()
-        """All frames until then are in `capture`: what did not come until then did not come."""
+        """All frames up to this time are in `capture`."""
         self._client, self._capture, self._lock = client, capture, lock
         self._reader = BlockReader(client)
 
     def facts(self) -> dict[str, Any]:
-        """Return what is known of the bus besides its frames."""
+        """Return facts on the bus besides its frames."""
         c = self._client
         return {"bus": c.address, "bitrate_bit_s": c.bitrate_bit_s, "lost": c.lost, "malformed": c.malformed}
 
@@ -89,7 +88,7 @@ class BusReader(_Worker):
                     self._capture.tell(time.time_ns(), str(error), grave=True)
                 self.stop.wait(ASK_S)
             except BusFull:
-                pass  # it does not read: told by the silence of all nodes
+                pass  # a failure to read shows as silence of all nodes
             except OSError as error:
                 self.failure = error
             if now - last_batch_s >= BATCH_S or self.failure is not None:
@@ -106,7 +105,7 @@ class BusReader(_Worker):
 
 
 class HostReader(_Worker):
-    """Asks the host for its state, five times a second, and tells it to `view`."""
+    """Queries the host's status five times a second, and passes it to `view`."""
 
     def __init__(self, door: HostDoor, view: HostView, lock: threading.Lock) -> None:
         super().__init__("host reader")
@@ -116,7 +115,7 @@ class HostReader(_Worker):
         while not self.stop.wait(HOST_S):
             try:
                 status, word = self._door.status(), None
-            except Exception:  # no host, or one that does not answer: nothing that ends the page
+            except Exception:  # no host, or no answer: must not end the page
                 status, word = None, self._word()
             with self._lock:
                 self._view.tell(status, word)
@@ -124,14 +123,14 @@ class HostReader(_Worker):
     def _word(self) -> Mapping[str, Any] | None:
         try:
             return self._door.last()
-        except Exception:  # nothing that ends the page
+        except Exception:  # must not end the page
             return None
 
 
 class CurveReader(_Worker):
-    """Has the curve of each axis' law made anew when the mode or a parameter is another one.
+    """Recomputes the curve of each axis' law when the mode or a parameter changes.
 
-    The curves stand in `curves`, by the axis' name; None of a law that has none, or that fails.
+    The curves are in `curves`, by the axis' name; None for a law without a curve or a failing law.
     """
 
     def __init__(self, door: HostDoor, view: HostView, rig: Rig, lock: threading.Lock) -> None:
@@ -148,13 +147,13 @@ class CurveReader(_Worker):
                 self.make(axis, mode, live)
 
     def make(self, axis: Axis, mode: str, live: dict[str, float]) -> None:
-        """Make a curve where it is not that of the last time."""
+        """Recompute a curve if its inputs changed."""
         key = (mode, tuple(live.items()))
         if self._made.get(axis.name) == key or mode not in axis.mode:
             return
         self._made[axis.name] = key
         try:
             curve = self._door.curve(axis, mode, live)
-        except Exception:  # a law of somebody's own: the host says what is wrong with it
+        except Exception:  # a user-defined law: the host reports its errors
             curve = None
         self.curves[axis.name] = None if curve is None else Curve(*curve)

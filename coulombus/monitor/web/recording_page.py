@@ -1,6 +1,6 @@
-"""A recording in the page: the same plots as live, over all of its time; other signals by choice.
+"""Page of a recording: the plots of the live page over its whole time; other signals on request.
 
-All addresses begin with the token, as those of the live page::
+All URLs begin with the token, as on the live page::
 
     GET  /TOKEN/                        the page
     GET  /TOKEN/static/F                its style and its scripts
@@ -35,12 +35,12 @@ from coulombus.recording.signals import Recording, Series
 __all__ = ["PIECES", "RecordingPage", "recording_application", "serve_recording"]
 
 PIECES = 1500
-"""Of a plot: where there are more than twice as many samples, the least and the most of each."""
+"""Pieces of a plot: with more than twice as many samples, each piece is its minimum and maximum."""
 
 
 @dataclass
 class RecordingPage:
-    """What is served: a recording, what went wrong in it, and the token of who may look."""
+    """The served data: a recording, its incidents, and the access token."""
 
     recording: Recording
     explanation: Explanation
@@ -48,7 +48,7 @@ class RecordingPage:
     name: str = ""
 
     def document(self) -> dict[str, Any]:
-        """Return what the page begins with."""
+        """Return the initial document of the page."""
         recording = self.recording
         times = [series.t_s for series in recording.signals.values() if len(series)]
         begin, end = (min(t[0] for t in times), max(t[-1] for t in times)) if times else (0.0, 1.0)
@@ -67,7 +67,7 @@ class RecordingPage:
         }
 
     def _plots(self) -> list[dict[str, Any]]:
-        """Return the plots that the live page has, of all axes, as far as the signals came."""
+        """Return the live page's plots of all axes, for the signals that were received."""
         prefixes = [axis.prefix for axis in self.recording.rig.axes]
         plots = []
         for title, unit, keys in ROWS:
@@ -77,8 +77,8 @@ class RecordingPage:
         return [plot for plot in plots if plot["signals"]]
 
     def samples(self, name: str, begin_s: float, end_s: float) -> dict[str, list[float | None]] | None:
-        """Return a signal's times [s] and values from `begin_s` to `end_s`, a sample before and one
-        after included; None for no such signal.
+        """Return a signal's times [s] and values from `begin_s` to `end_s`, including a sample
+        before and after; None if there is no such signal.
         """
         series = self.recording.signals.get(name)
         if series is None:
@@ -89,7 +89,7 @@ class RecordingPage:
         return {"t": t_s.tolist(), "y": [value if math.isfinite(value) else None for value in values.tolist()]}
 
     def at(self, t_s: float) -> dict[str, float | None]:
-        """Return the last value of each signal at a time [s]; None where there was none."""
+        """Return the last value of each signal at a time [s], or None."""
         return {name: _held(series, t_s) for name, series in self.recording.signals.items()}
 
 
@@ -100,7 +100,7 @@ def _held(series: Series, t_s: float) -> float | None:
 
 
 def _pieces(t_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples as they are, or of many the least and the most of each piece, in their order."""
+    """Return the samples, or with many samples the minimum and maximum of each piece, in order."""
     if len(t_s) <= 2 * PIECES:
         return t_s, values
     starts = np.linspace(0, len(t_s), PIECES, endpoint=False).astype(np.int64)
@@ -147,7 +147,7 @@ class _At(Handler):
 
 
 def _second(handler: Handler, name: str) -> float:
-    """Return a time of a request [s]; 400 for what is none."""
+    """Return a time from a request [s]; invalid values give status 400."""
     try:
         value = float(handler.get_query_argument(name))
     except ValueError:
@@ -158,7 +158,7 @@ def _second(handler: Handler, name: str) -> float:
 
 
 def recording_application(page: RecordingPage) -> tornado.web.Application:
-    """Return the application of a recording's page."""
+    """Return the web application of a recording's page."""
     shared = {"page": page}
     return tornado.web.Application(
         [
@@ -188,12 +188,12 @@ def serve_recording(
 
     Parameters
     ----------
-    ready : called with the page's URL when it is there
+    ready : called with the page's URL when it is served
 
     Raises
     ------
     coulombus.monitor.web.WebError
-        the port or address cannot be taken
+        the port or address is not available
     """
     sockets = listening(host, port)
     page = RecordingPage(recording, explanation, token, named(host))

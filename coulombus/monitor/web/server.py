@@ -1,4 +1,4 @@
-"""The page's server: HTTP and WebSocket by Tornado, on the loopback interface unless said otherwise."""
+"""The page's server: HTTP and WebSocket by Tornado, on the loopback interface by default."""
 
 from __future__ import annotations
 
@@ -33,20 +33,18 @@ from coulombus.wire.handshake import Flags, Hello
 __all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve"]
 
 CONNECTIONS = 128
-"""That may be open besides the pages' sockets: one more takes the place of the oldest."""
+"""Maximum open connections besides the pages' sockets: another one replaces the oldest."""
 IDLE_S = 10.0
-"""How long a connection may say nothing."""
+"""Idle time-out of a connection."""
 RETRY_S = 0.5
 WORD_S = 5.0
-"""How long a host may need to end and to leave its last word after the bus is gone."""
+"""Time limit for a host to end and report after the bus has closed."""
 
 
 class Server(tornado.httpserver.HTTPServer):
-    """The HTTP server of a page, which bounds what strangers take of it: how many connections, for
-    how long, and how much is read of each.
-    """
+    """The HTTP server of a page, with limits for clients: number and duration of connections, and size of requests."""
 
-    def initialize(self, page: Page) -> None:  # type: ignore[override]  # tornado's way to construct
+    def initialize(self, page: Page) -> None:  # type: ignore[override]  # tornado's constructor
         """Keep the page; see `tornado.util.Configurable`."""
         super().initialize(
             application(page),
@@ -58,7 +56,7 @@ class Server(tornado.httpserver.HTTPServer):
         self._page, self._streams = page, deque[IOStream]()
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
-        """Serve a connection; where there are too many, the oldest that is no page's ends."""
+        """Serve a connection; if there are too many, close the oldest that is not a page's."""
         kept = self._page.sockets
         self._streams = deque(stream for stream in self._streams if not stream.closed() and stream not in kept)
         while len(self._streams) >= CONNECTIONS:
@@ -68,12 +66,12 @@ class Server(tornado.httpserver.HTTPServer):
 
 
 def listening(host: str, port: int) -> list[socket.socket]:
-    """Return the sockets that listen there; port 0: a free one.
+    """Return the listening sockets; port 0: a free port.
 
     Raises
     ------
     WebError
-        the port is in use, may not be taken, or there is no such address
+        the port is in use or not permitted, or there is no such address
     """
     try:
         return [_bound(host, port)]
@@ -105,7 +103,7 @@ def _bound(host: str, port: int) -> socket.socket:
 
 @dataclass(frozen=True)
 class Shown:
-    """What a page shows: a rig, its bus, the door of its host; and the token of who may look."""
+    """Content of a page: a rig, its bus, the connection to its host; and the access token."""
 
     rig: Rig
     address: BusAddress
@@ -126,18 +124,18 @@ def serve(
 
     Parameters
     ----------
-    ready : called with the page's URL when it is there
-    parent : a pipe of the process that began this one: its end ends the page, the bus is waited
-        for, and its going away is no failure
+    ready : called with the page's URL when it is served
+    parent : a pipe of the parent process: its end ends the page; the server then waits for the bus,
+        and its closing is no failure
 
     Raises
     ------
     WebError
-        the port or address cannot be taken
+        the port or address is not available
     coulombus.wire.address.BusUnavailable
-        there is no bus, or it went away meanwhile
+        there is no bus, or it closed meanwhile
     """
-    tornado_log = logging.getLogger("tornado")  # strangers would fill a terminal with it, and it tells the token
+    tornado_log = logging.getLogger("tornado")  # clients could flood the terminal, and it prints the token
     tornado_log.addHandler(logging.NullHandler())
     tornado_log.propagate = False
     sockets = listening(host, port)
@@ -190,7 +188,7 @@ async def _serve(
             due_s = loop.time()
             while not over.is_set() and reader.failure is None:
                 page.tick(reader.until_ns)
-                due_s = max(due_s + BATCH_S, loop.time())  # what came too late is not made up for
+                due_s = max(due_s + BATCH_S, loop.time())  # late updates are not caught up
                 await asyncio.sleep(due_s - loop.time())  # `_pause` makes a task and cancels it
             if reader.failure is not None:
                 await _last_word(shown.door, over)
@@ -204,7 +202,7 @@ async def _serve(
 
 
 async def _last_word(door: HostDoor, over: asyncio.Event) -> None:
-    """Wait until the host has left its word, or it is all over: a bus that is gone ends the host, a
+    """Wait until the host has reported its end, or a time limit: a closed bus ends the host a
     little later than this server's reader.
     """
     end = asyncio.get_running_loop().time() + WORD_S
@@ -214,9 +212,7 @@ async def _last_word(door: HostDoor, over: asyncio.Event) -> None:
 
 
 async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) -> Client | None:
-    """Return a client of the bus; where it is not there yet, who is patient waits until it is all
-    `over` (None).
-    """
+    """Return a client of the bus; if it does not exist yet and the caller is patient, wait until `over` (None)."""
     while not over.is_set():
         try:
             return Client(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS))
@@ -242,13 +238,13 @@ async def end_on_signal(seconds: float | None) -> AsyncIterator[asyncio.Event]:
 
 
 async def _pause(over: asyncio.Event, seconds: float) -> None:
-    """Wait so long, or until it is all over."""
+    """Wait for a time, or until the end."""
     with suppress(TimeoutError):
         await asyncio.wait_for(over.wait(), seconds)
 
 
 def named(host: str) -> str:
-    """Return what a browser calls the address: a name of this machine for all its addresses."""
+    """Return the address for a browser: a name of this machine if it listens on all addresses."""
     if host in ("0.0.0.0", "::", ""):
         return socket.gethostname()
     return f"[{host}]" if ":" in host else host
