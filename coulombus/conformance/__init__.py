@@ -1,3 +1,1 @@
-"""A conformance run of CANopen devices: cases of CiA 301, 305 and 402 that drive one live node over
-its bus.
-"""
+"""Conformance test of CANopen devices: cases of CiA 301, 305 and 402 on one live node over its bus."""

@@ -1,4 +1,4 @@
-"""The list of cases: ``catalogue.csv``, in the order in which they run."""
+"""The list of cases: ``catalogue.csv``, in execution order."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ __all__ = ["Case", "catalogue"]
 
 @dataclass(frozen=True)
 class Case:
-    """One case: its number as text ("2.10" is not "2.1"), what it is about, the abort codes that
-    it accepts, and the clause of the standard that demands it.
+    """One case: its number as text ("2.10" is not "2.1"), its title, the accepted abort codes, and
+    the clause of the standard that demands it.
 
-    Numbers that begin with a letter are this project's own. Without `codes` any abort code is
-    accepted where one is due.
+    Numbers that begin with a letter are this project's own. Without `codes` any abort code is accepted.
     """
 
     id: str
@@ -27,7 +26,7 @@ class Case:
 
     @property
     def own(self) -> bool:
-        """Tell whether the case is none of the 127 of the conformance test plan."""
+        """Return whether the case is not among the 127 of the conformance test plan."""
         return self.id[0].isalpha()
 
 

@@ -1,4 +1,4 @@
-"""The causes of a run's failures: a fault that many cases meet is told once."""
+"""The causes of a run's failures: a fault shared by several cases is reported once."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ __all__ = ["FailureCause", "causes", "reasons"]
 
 @dataclass(frozen=True)
 class FailureCause:
-    """A fault of the device: in words, where the standard forbids it, the cases that it fails, and
-    the frames of the first of them.
-    """
+    """A fault of the device: its text, the clause that forbids it, the failed cases, and the frames of the first."""
 
     text: str
     clause: str
@@ -22,7 +20,7 @@ class FailureCause:
 
 
 def causes(report: Report) -> list[FailureCause]:
-    """Return the causes of the failures, those that fail the most cases first."""
+    """Return the causes of the failures, in decreasing number of failed cases."""
     outcomes: dict[str, list[int]] = {}
     for number, outcome in enumerate(report.outcomes):
         if outcome.result == "fail":
@@ -36,10 +34,9 @@ def causes(report: Report) -> list[FailureCause]:
 
 
 def reasons(report: Report) -> list[str]:
-    """Return what the list of cases says of each: the reason, or the number of the cause that other
-    cases meet, too.
+    """Return the text for each case in the list: its reason, or the number of its shared cause.
 
-    A reason that the cause's first case has said is not said again.
+    A reason already given by the cause's first case is not repeated.
     """
     numbers = {case: number for number, cause in enumerate(causes(report), 1) for case in cause.cases}
     shared = {case for cause in causes(report) if len(cause.cases) > 1 for case in cause.cases}

@@ -1,4 +1,4 @@
-"""The run: is the device there, may it be touched, then one case after the other."""
+"""The run: check that the device is present and idle, then execute the cases."""
 
 from __future__ import annotations
 
@@ -62,19 +62,19 @@ SILENT = "not run: the device does not answer any more"
 
 
 class DeviceSilent(CoulombusError):
-    """No node answers."""
+    """No node responds."""
 
     exit_status = 5
 
 
 class ConformanceRefused(CoulombusError):
-    """The device is at work: the run would interfere."""
+    """The device is in operation: the run would interfere."""
 
     exit_status = 7
 
 
 class WrongDevice(CoulombusError):
-    """The device is not the one that the EDS describes."""
+    """The device does not match the EDS."""
 
     exit_status = 3
 
@@ -87,8 +87,7 @@ class UnknownCase(CoulombusError, ValueError):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case: result, the reason or a remark, and the last frames of a failure or an
-    error.
+    """Outcome of a case: result, the reason or a remark, and the last frames of a failure or an error.
 
     An `error` is the tester's own: it says nothing about the device.
     """
@@ -99,31 +98,31 @@ class Outcome:
     frames: tuple[str, ...] = ()
     seconds: float = 0.0
     cause: str = ""
-    """The fault behind a failure, alike in every case that meets it."""
+    """The fault behind a failure, identical in all affected cases."""
     clause: str = ""
-    """Where the standard demands what has failed."""
+    """Clause of the standard for the failed requirement."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What became of all cases."""
+    """Outcomes of all cases."""
 
     eds: str
     node_id: int
     device: str
     outcomes: tuple[Outcome, ...]
     ended_by: BaseException | None = None
-    """What ended the run before its last case: an interrupt, or a bus that went away."""
+    """Reason for an early end of the run: an interrupt, or a closed bus."""
     remarks: tuple[str, ...] = ()
-    """With which parameters the run began, and with which the device ends."""
+    """Remarks on the parameters at the beginning of the run, and of the device at its end."""
 
     def count(self, result: Result) -> int:
-        """Return how many cases have this result."""
+        """Return the number of cases with this result."""
         return sum(outcome.result == result for outcome in self.outcomes)
 
 
 def select(numbers: Sequence[str]) -> list[Case]:
-    """Return the cases with these numbers, in the catalogue's order; all of them without numbers.
+    """Return the cases with these numbers, in the catalogue's order; without numbers, all cases.
 
     Raises
     ------
@@ -139,16 +138,16 @@ def select(numbers: Sequence[str]) -> list[Case]:
 
 
 def check_before(unit: Unit, *, force: bool = False) -> None:
-    """Make sure that the device answers and is not at work.
+    """Check that the device responds and is not in operation.
 
     Raises
     ------
     DeviceSilent
-        Nothing answers an upload of 1000h, twice.
+        Two uploads of 1000h get no response.
     ConformanceRefused
         It is in NMT OPERATIONAL, or a drive in Operation Enabled; not with `force`.
     WrongDevice
-        Its profile, vendor or product is another than the EDS says; not with `force`.
+        Its profile, vendor or product differs from the EDS; not with `force`.
     """
     for attempt in range(2):
         try:
@@ -178,7 +177,7 @@ def check_before(unit: Unit, *, force: bool = False) -> None:
 
 
 def _check_identity(unit: Unit) -> None:
-    """Refuse a device of which the EDS is not: what it calls harmless may move something there."""
+    """Refuse a device that does not match the EDS: objects that the EDS marks harmless may move something."""
     for index, subindex, mask, name in (
         (0x1000, 0, 0xFFFF, "profile"),
         (0x1018, 1, 0xFFFFFFFF, "vendor"),
@@ -199,15 +198,13 @@ def _check_identity(unit: Unit) -> None:
 
 
 def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None] = lambda n, case: None) -> Report:
-    """Run the cases, and leave the device reset, with its defaults where something was stored.
+    """Run the cases, and leave the device reset, with its defaults if something was stored.
 
-    Cases that compare with defaults begin from them, where the device has 1011h; else the remarks
-    say that they do not.
+    Cases that compare with defaults start from them if the device has 1011h; otherwise the remarks say so.
 
-    A case that raises what it should not is an error of the tester in that case, never the end of
-    the run; when the device does not answer any more, the cases that follow fail at once. An
-    interrupt and a bus that goes away end the run; what came of the cases before is returned, with
-    what ended it.
+    An unexpected exception is an error of the tester in that case, and never ends the run. If the
+    device stops responding, the remaining cases fail at once. An interrupt or a closed bus ends the
+    run; the outcomes so far are returned, with the reason.
     """
     device = str(unit.description.info.get("ProductName", "")) or unit.description.path
     outcomes: list[Outcome] = []
@@ -229,7 +226,7 @@ def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None]
             silent = silent + 1 if outcomes[-1].result == "fail" and not _alive(unit) else 0
     except (KeyboardInterrupt, SystemExit, BusUnavailable) as why:
         ended_by = why
-    try:  # also when it is interrupted: a drive must not stay enabled
+    try:  # also on an interrupt: a drive must not stay enabled
         _leave(unit)
         remarks.append(storage.end(unit, held))
     except (KeyboardInterrupt, SystemExit, BusUnavailable) as why:
@@ -251,7 +248,7 @@ def _outcome(unit: Unit, case: Case) -> Outcome:
         result, reason, cause, clause = "fail", str(why), why.cause, why.clause
     except BusUnavailable:
         raise
-    except Exception as why:  # whatever a device sends, a case has to judge it by itself
+    except Exception as why:  # a case must handle anything that a device sends
         result, reason = "error", _own_error(why)
     seconds = (unit.link.now_ns() - start_ns) / 1e9
     shown = result in ("fail", "error")
@@ -273,8 +270,8 @@ def _outcome(unit: Unit, case: Case) -> Outcome:
 def _lines(frames: Sequence[BusFrame], start_ns: int) -> Iterator[str]:
     """Yield a line for each frame, in the order of the trace.
 
-    What came is stamped by the bus and what was sent by the tester, and their clocks differ a
-    little: no frame is shown before the one that it follows.
+    Received frames are stamped by the bus and sent ones by the tester, and their clocks differ
+    slightly: no frame is shown before its predecessor.
     """
     t_ns = min((frame.t_ns for frame in frames), default=0)
     for frame in frames:

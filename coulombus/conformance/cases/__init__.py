@@ -1,1 +1,1 @@
-"""The cases, by subject: a module for each service or kind of PDO; its docstring names its cases."""
+"""Test cases by subject: a module per service or kind of PDO; its docstring names its cases."""

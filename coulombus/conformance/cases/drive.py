@@ -2,9 +2,9 @@
 
 Target torque is 0 in all of them.
 
-The power stage is switched on in P.4, P.5, P.7 and P.9, in a torque mode and with target torque 0
-and the least limit that the device takes. Who has no supply gets no further than Ready To Switch
-On, and those cases do not apply.
+The power stage is switched on in P.4, P.5, P.7 and P.9, in a torque mode with target torque 0 and
+the least limit that the device accepts. A device without supply stops at Ready To Switch On, and
+those cases do not apply.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ ROADS = {
 
 
 def need_drive(unit: Unit) -> None:
-    """Only drives."""
+    """Skip devices other than drives."""
     if not unit.is_drive:
         raise NotApplicable("1000h is not of CiA 402, or 6040h and 6041h are not in the EDS")
 
 
 def no_fault(unit: Unit) -> None:
-    """A drive whose fault stays, as without mains or encoder, has no other state to show."""
+    """Skip a drive with a permanent fault, as without mains or encoder: it has no other state."""
     if power_state(unit) != P.FAULT:
         return
     for word in (b"\0\0", b"\x80\0", b"\0\0"):
@@ -58,18 +58,18 @@ def no_fault(unit: Unit) -> None:
 
 
 def power_state(unit: Unit) -> PowerState | None:
-    """Return the state that the statusword tells; None when it tells none."""
+    """Return the state in the statusword, or None."""
     number = int(STATE_OF_STATUSWORD[unit.number(0x6041) & 0x7F])
     return None if number < 0 else PowerState(number)
 
 
 def give(unit: Unit, command: Command) -> None:
-    """Give a command by the controlword."""
+    """Send a command by the controlword."""
     unit.put(0x6040, 0, CONTROLWORD[command].to_bytes(2, "little"))
 
 
 def expect_state(unit: Unit, expected: PowerState, what: str) -> None:
-    """Fail unless the drive gets there within the answer's time-out."""
+    """Fail unless the drive reaches the state within the response time-out."""
     if not unit.until(lambda: power_state(unit) == expected):
         state = power_state(unit)
         text = f"{state.name if state is not None else 'no state'} after {what}, expected {expected.name}"
@@ -77,7 +77,7 @@ def expect_state(unit: Unit, expected: PowerState, what: str) -> None:
 
 
 def no_torque(unit: Unit) -> None:
-    """Target torque 0, a torque mode, and the least limit."""
+    """Set target torque 0, a torque mode, and the least limit."""
     need_drive(unit)
     no_fault(unit)
     unit.need_writable(0x6071)
@@ -107,7 +107,7 @@ def lead(unit: Unit, target: PowerState) -> None:
 
 
 def transitions(unit: Unit, start: PowerState) -> str:
-    """Take every transition that a controlword commands from a state."""
+    """Execute every transition that a controlword commands from a state."""
     done = []
     for number, state, command, following in TRANSITIONS:
         if state != start:
@@ -124,7 +124,7 @@ def transitions(unit: Unit, start: PowerState) -> str:
 
 @case("P.1")
 def after_reset(unit: Unit) -> None:
-    """Reset: Switch On Disabled, and 6077h is 0 where there is one."""
+    """Reset: Switch On Disabled, and 6077h, if present, is 0."""
     need_drive(unit)
     unit.reset()
     no_fault(unit)
@@ -149,7 +149,7 @@ def without_power(unit: Unit) -> str:
 
 
 def transitions_down(unit: Unit) -> str:
-    """Take transition 7 by both of its commands."""
+    """Execute transition 7 by both of its commands."""
     for command in (C.QUICK_STOP, C.DISABLE_VOLTAGE):
         lead(unit, P.READY_TO_SWITCH_ON)
         give(unit, command)
@@ -192,8 +192,8 @@ def enabled(unit: Unit) -> str:
 
 @case("P.5")
 def quick_stop(unit: Unit) -> str:
-    """Quick stop out of Operation Enabled: Switch On Disabled, or Quick Stop Active where 605Ah
-    says so; then disable voltage.
+    """Quick stop from Operation Enabled: Switch On Disabled, or Quick Stop Active if 605Ah demands
+    it; then disable voltage.
     """
     no_torque(unit)
     unit.start()
@@ -203,7 +203,7 @@ def quick_stop(unit: Unit) -> str:
     option = unit.number(0x605A) if unit.has(0x605A) else 2
     if option >= 5:
         expect_state(unit, P.QUICK_STOP_ACTIVE, f"quick stop with option {option}")
-    elif option >= 0:  # transition 12, behind a ramp that has nothing to slow down
+    elif option >= 0:  # transition 12, after a ramp with nothing to slow down
         expect_state(unit, P.SWITCH_ON_DISABLED, f"quick stop with option {option}")
     give(unit, C.DISABLE_VOLTAGE)
     expect_state(unit, P.SWITCH_ON_DISABLED, "disable voltage after a quick stop")
@@ -230,9 +230,9 @@ def out_of_turn(unit: Unit) -> None:
 
 @case("P.7")
 def fault(unit: Unit) -> str:
-    """Lose a watched heartbeat with the drive enabled: fault.
+    """Stop a consumed heartbeat with the drive enabled: fault.
 
-    Bit 7 held resets nothing; its rising edge does.
+    A constant bit 7 does not reset; its rising edge does.
     """
     no_torque(unit)
     heartbeat = HeartbeatOfTester(unit, 300)
@@ -240,7 +240,7 @@ def fault(unit: Unit) -> str:
     lead(unit, P.OPERATION_ENABLED)
     unit.put(0x6040, 0, b"\x8f\0")
     unit.flush()
-    heartbeat.lose()  # the watch begins here, however long it took to get there
+    heartbeat.lose()  # monitoring begins here, independent of the time until now
     try:
         expect_state(unit, P.FAULT, "a lost heartbeat")
     except CaseFailed:
@@ -256,7 +256,7 @@ def fault(unit: Unit) -> str:
     held = power_state(unit)
     unit.put(0x6040, 0, b"\0\0")
     heartbeat.beat()
-    unit.pause(unit.timing.quiet_ns)  # a drive that takes the controlword in its main loop sees the edge
+    unit.pause(unit.timing.quiet_ns)  # a drive that reads the controlword in its main loop sees the edge
     unit.put(0x6040, 0, b"\x80\0")
     expect_state(unit, P.SWITCH_ON_DISABLED, "the rising edge of bit 7")
     if held != P.FAULT:
@@ -265,7 +265,7 @@ def fault(unit: Unit) -> str:
 
 
 def _error_code(unit: Unit) -> None:
-    """Fail when 603Fh is not what the EMCY said."""
+    """Fail if 603Fh differs from the EMCY's code."""
     frames = unit.take(unit.number(0x1014) & 0x7FF) if unit.has(0x1014) else []
     said = [int.from_bytes(frame.data[:2], "little") for frame in frames]
     if unit.has(0x603F) and said and unit.number(0x603F) not in said:
@@ -274,9 +274,7 @@ def _error_code(unit: Unit) -> None:
 
 @case("P.8")
 def modes(unit: Unit) -> str:
-    """Write every mode from -1 to 11 to 6060h: the ones of 6502h are taken and shown by 6061h, the
-    others refused.
-    """
+    """Write every mode from -1 to 11 to 6060h: those of 6502h are accepted and shown by 6061h, the others are refused."""
     need_drive(unit)
     unit.need_writable(0x6060)
     for index in (0x6061, 0x6502):
@@ -302,7 +300,7 @@ def modes(unit: Unit) -> str:
 
 
 def _shows_mode(unit: Unit, mode: int) -> bool:
-    """Tell whether 6061h shows a mode in time."""
+    """Return whether 6061h shows a mode in time."""
     return unit.until(lambda: unit.number(0x6061) == mode)
 
 
@@ -324,7 +322,7 @@ def connection_lost(unit: Unit) -> str:
 
 @case("P.10")
 def option_codes(unit: Unit) -> str:
-    """Write the reserved value 99 to the option codes 605Ah to 605Eh: refused, and they stay."""
+    """Write the reserved value 99 to the option codes 605Ah to 605Eh: refused and unchanged."""
     need_drive(unit)
     done = []
     for index in range(0x605A, 0x605F):

@@ -21,7 +21,7 @@ COMMUNICATION = 0x10
 
 @case("5.1", defaults=True)
 def identifier(unit: Unit) -> None:
-    """Read 1014h and compare it with the EDS, or with 80h + node-id where that gives no default."""
+    """Read 1014h and compare it with the EDS, or with 80h + node-id without a default."""
     said = unit.default(unit.need(0x1014))
     value, expected = unit.number(0x1014), said if isinstance(said, int) else CobId.EMCY + unit.node_id
     if value != expected:
@@ -32,7 +32,7 @@ def identifier(unit: Unit) -> None:
 def register(unit: Unit) -> str:
     """Reset, and read 1001h: one byte.
 
-    An error that is present is no fault of the device; its bit 0 tells of any.
+    A present error is not a fault of the device; bit 0 indicates any error.
     """
     unit.reset()
     data = unit.read(0x1001)
@@ -45,9 +45,7 @@ def register(unit: Unit) -> str:
 
 @case("5.3")
 def history(unit: Unit) -> str | None:
-    """Reset, clear 1003h where it has entries and that is allowed, and read :01: what :00 says, an
-    entry or none.
-    """
+    """Reset, clear 1003h if it has entries and allows it, and read :01: an entry or none, consistent with :00."""
     unit.need(0x1003, 1)
     unit.reset()
     count = unit.number(0x1003, 0)
@@ -71,14 +69,14 @@ def history(unit: Unit) -> str | None:
 
 @case("5.4")
 def emergency(unit: Unit) -> str:
-    """FailureCause an error, and look at the EMCY's identifier, length, code and register."""
+    """Cause an error, and check the EMCY's identifier, length, code and register."""
     how, frame = cause_error(unit)
     return f"{int.from_bytes(frame.data[:2], 'little'):04X}h after {how}"
 
 
 @case("5.5")
 def register_with_error(unit: Unit) -> str:
-    """FailureCause an error, and compare 1001h with the EMCY."""
+    """Cause an error, and compare 1001h with the EMCY."""
     _, frame = cause_error(unit)
     value = unit.number(0x1001)
     if value != frame.data[2] or not value & 0x01:
@@ -88,7 +86,7 @@ def register_with_error(unit: Unit) -> str:
 
 @case("5.6")
 def history_with_error(unit: Unit) -> str:
-    """FailureCause an error, and compare the newest entry of 1003h with the EMCY."""
+    """Cause an error, and compare the newest entry of 1003h with the EMCY."""
     unit.need(0x1003, 1)
     _, frame = cause_error(unit)
     count, entry = unit.number(0x1003, 0), unit.number(0x1003, 1)
@@ -100,7 +98,7 @@ def history_with_error(unit: Unit) -> str:
 
 @case("E.1")
 def error_reset(unit: Unit) -> str:
-    """Lose a heartbeat, give it again, and in a drive reset the fault: EMCY 0000h."""
+    """Stop a heartbeat, resume it, and in a drive reset the fault: EMCY 0000h."""
     can_id = emcy_id(unit)
     heartbeat = HeartbeatOfTester(unit)
     unit.flush()
@@ -112,14 +110,14 @@ def error_reset(unit: Unit) -> str:
     if unit.is_drive:
         heartbeat.beat()
         unit.put(0x6040, 0, b"\0\0")
-        for _ in range(2):  # a drive that takes the controlword in its main loop sees the edge
+        for _ in range(2):  # a drive that reads the controlword in its main loop sees the edge
             heartbeat.beat()
             unit.pause(heartbeat.consumer_ms * MS // 3)
         heartbeat.beat()
         unit.put(0x6040, 0, b"\x80\0")
     until_ns, frame = unit.link.now_ns() + unit.timing.answer_ns, None
     while frame is None and unit.link.now_ns() < until_ns:
-        heartbeat.beat()  # it is not to be lost again meanwhile
+        heartbeat.beat()  # keep the heartbeat alive meanwhile
         frame = unit.wait(can_id, heartbeat.consumer_ms * MS // 3)
     unit.write(0x1016, heartbeat.subindex, 0)
     if frame is None:
@@ -141,7 +139,7 @@ def error_reset(unit: Unit) -> str:
 
 @case("E.2")
 def history_cleared(unit: Unit) -> None:
-    """FailureCause an error; 1003h:00 refuses 1 and takes 0, which clears the list."""
+    """Cause an error; 1003h:00 refuses 1 and accepts 0, which clears the list."""
     unit.need_writable(0x1003, 0)
     cause_error(unit)
     unit.refused(0x1003, 0, b"\1", REFUSED)
@@ -152,7 +150,7 @@ def history_cleared(unit: Unit) -> None:
 
 @case("E.3")
 def inhibit_time(unit: Unit) -> str:
-    """With 1015h at 300 ms, two errors in a row: their EMCYs are that far apart."""
+    """With 1015h at 300 ms, two successive errors: their EMCYs are that far apart."""
     unit.need_writable(0x1015)
     can_id = emcy_id(unit)
     heartbeat = HeartbeatOfTester(unit)
@@ -194,7 +192,7 @@ def disabled(unit: Unit) -> None:
 
 @case("E.5")
 def moved(unit: Unit) -> str:
-    """Give the EMCY another identifier, made invalid first, and cause an error: it comes there."""
+    """Set another identifier of the EMCY, made invalid first, and cause an error: the EMCY uses it."""
     can_id = movable(unit)
     heartbeat = HeartbeatOfTester(unit)
     unit.write(0x1014, 0, can_id | INVALID)
@@ -218,7 +216,7 @@ def moved(unit: Unit) -> str:
 
 @case("E.6")
 def in_stopped(unit: Unit) -> None:
-    """Lose a heartbeat in STOPPED: no EMCY; in PRE-OPERATIONAL 1001h shows the error."""
+    """Stop a heartbeat in STOPPED: no EMCY; in PRE-OPERATIONAL 1001h shows the error."""
     can_id = emcy_id(unit)
     heartbeat = HeartbeatOfTester(unit)
     heartbeat.beat()
@@ -235,7 +233,7 @@ def in_stopped(unit: Unit) -> None:
 
 @case("E.7")
 def newest_first(unit: Unit) -> str:
-    """Lose a heartbeat, then send a short RPDO: 1003h has both, the newest in :01."""
+    """Stop a heartbeat, then send a short RPDO: 1003h has both, the newest in :01."""
     unit.need(0x1003, 2)
     can_id = emcy_id(unit)
     heartbeat = HeartbeatOfTester(unit)
@@ -260,11 +258,9 @@ def newest_first(unit: Unit) -> str:
 
 @case("E.8")
 def after_reset(unit: Unit) -> None:
-    """FailureCause an error, and reset the node: nothing is watched any more, and 1001h is at most what it
-    was before.
+    """Cause an error, and reset the node: nothing is monitored any more, and 1001h has no new bits.
 
-    An error of the device may be present all the time; an error of communication is not, behind a
-    reset.
+    An error of the device may persist; a communication error does not persist after a reset.
     """
     before = unit.number(0x1001)
     cause_error(unit)
@@ -276,8 +272,8 @@ def after_reset(unit: Unit) -> None:
 
 @case("E.9")
 def inhibit_after_reset(unit: Unit) -> None:
-    """With 1015h at 5 s, cause an error, reset the node, and cause it again: 1015h is what it was,
-    and the EMCY comes at once.
+    """With 1015h at 5 s, cause an error, reset the node, and cause it again: 1015h has its earlier
+    value, and the EMCY comes at once.
     """
     unit.need_writable(0x1015)
     can_id = emcy_id(unit)

@@ -1,4 +1,4 @@
-"""Cases 7.101 to 7.207 and H.1 to H.5: heartbeat, alone and beside node guarding (CiA 301, sections
+"""Cases 7.101 to 7.207 and H.1 to H.5: heartbeat, alone and together with node guarding (CiA 301, sections
 7.2.8.2.2 and 7.2.8.3.2).
 """
 
@@ -31,10 +31,10 @@ WATCH_MS = 100
 def check_heartbeats(unit: Unit, period_ms: int, *, ask: bool = False) -> int:
     """Fail unless heartbeats come with their period, toggle bit 0, and nothing between them.
 
-    With `ask`, remote frames go out.
+    With `ask`, remote frames are sent.
     """
     text = cause = ""
-    for _ in range(3):  # the tester may be late itself
+    for _ in range(3):  # the tester itself may be late
         unit.flush()
         for _ in range(12):
             if ask:
@@ -66,7 +66,7 @@ def heartbeat_time(unit: Unit) -> None:
 
 @case("7.102")
 def heartbeat_period(unit: Unit) -> str:
-    """Measure the period twice, with 50 and 100 ms, and the state that is told."""
+    """Measure the period with 50 and 100 ms, and check the reported state."""
     unit.need_writable(0x1017)
     counts = []
     for period_ms in (HEARTBEAT_MS, 2 * HEARTBEAT_MS):
@@ -77,7 +77,7 @@ def heartbeat_period(unit: Unit) -> str:
 
 @case("7.103")
 def heartbeat_off(unit: Unit) -> None:
-    """Switch the heartbeat on and off again: none comes."""
+    """Switch the heartbeat on and off again: none is sent."""
     unit.need_writable(0x1017)
     unit.write(0x1017, 0, HEARTBEAT_MS)
     unit.take(error_id(unit))
@@ -87,7 +87,7 @@ def heartbeat_off(unit: Unit) -> None:
 
 
 def no_more_heartbeats(unit: Unit) -> None:
-    """Fail unless the heartbeat that was just switched off stops in time."""
+    """Fail unless the heartbeat stops in time after being switched off."""
     unit.pause(unit.timing.quiet_ns)
     if not unit.until(lambda: not unit.collect(error_id(unit), 6 * HEARTBEAT_MS * MS)):
         raise CaseFailed("heartbeats come although 1017h is 0", clause="CiA 301, 7.5.2.20")
@@ -121,9 +121,7 @@ def same_node_twice(unit: Unit) -> str:
 @case("7.105", producer_ms=40, consumer_ms=200, lost=False)
 @case("7.106", producer_ms=300, consumer_ms=100, lost=True)
 def heartbeat_consumer(unit: Unit, producer_ms: int, consumer_ms: int, lost: bool) -> str | None:
-    """Send heartbeats faster or more slowly than 1016h allows: an EMCY comes in the second case
-    only.
-    """
+    """Send heartbeats faster and more slowly than 1016h allows: an EMCY comes in the second case only."""
     consumer_subs(unit)
     can_id = emcy_id(unit)
     heartbeat = HeartbeatOfTester(unit, consumer_ms)
@@ -148,8 +146,8 @@ def heartbeat_consumer(unit: Unit, producer_ms: int, consumer_ms: int, lost: boo
 
 @case("7.107")
 def consumer_after_reset(unit: Unit) -> None:
-    """Let it watch a heartbeat, reset the communication, and stop the heartbeat: no EMCY but for
-    the reset itself.
+    """Make the device monitor a heartbeat, reset the communication, and stop the heartbeat: no EMCY
+    except for the reset itself.
     """
     consumer_subs(unit)
     can_id = emcy_id(unit)
@@ -165,7 +163,7 @@ def consumer_after_reset(unit: Unit) -> None:
 
 
 def need_both(unit: Unit) -> None:
-    """Both error controls."""
+    """Skip devices without both error control services."""
     unit.need_writable(0x1017)
     for index in (0x100C, 0x100D):
         unit.need_writable(index)
@@ -181,7 +179,7 @@ def both_objects(unit: Unit) -> None:
 
 @case("7.202")
 def both_heartbeat_off(unit: Unit) -> None:
-    """Set 1017h to 0 with the guarding's parameters set: no heartbeat."""
+    """Set 1017h to 0 with guarding parameters set: no heartbeat."""
     need_both(unit)
     unit.write(0x1017, 0, HEARTBEAT_MS)
     unit.expect(error_id(unit), "heartbeat")
@@ -210,8 +208,8 @@ def both_guarding(unit: Unit) -> None:
 @case("7.206", guarding=True, ask=False)
 @case("7.207", guarding=True, ask=True)
 def heartbeat_first(unit: Unit, guarding: bool, ask: bool) -> str:
-    """Heartbeat on, guarding's parameters 0 or set, remote frames or none: heartbeats in their
-    period, nothing else.
+    """Heartbeat on, guarding parameters 0 or set, with and without remote frames: heartbeats at
+    their period, nothing else.
     """
     need_both(unit)
     if guarding:
@@ -229,7 +227,7 @@ def _beat(unit: Unit, producer: int) -> None:
 
 @case("H.1")
 def second_entry(unit: Unit) -> str:
-    """Watch two nodes, and lose the one of the second entry alone: EMCY."""
+    """Monitor two nodes, and stop only the second entry's heartbeat: EMCY."""
     subs = consumer_subs(unit)
     if len(subs) < 2:
         raise NotApplicable("1016h has one entry")
@@ -247,16 +245,14 @@ def second_entry(unit: Unit) -> str:
         first.beat()
         frame = unit.wait(can_id, WATCH_MS * MS)
     if frame is None:
-        after_lost_heartbeat(unit, can_id)  # of the first entry, whose heartbeat has ended, too
+        after_lost_heartbeat(unit, can_id)  # of the first entry, whose heartbeat has also ended
         raise CaseFailed(f"no EMCY although node {other} of {where(0x1016, subs[1])} is lost")
     return f"{int.from_bytes(frame.data[:2], 'little'):04X}h"
 
 
 @case("H.2")
 def begins_with_the_first(unit: Unit) -> str:
-    """Set 1016h, 100Ch and 100Dh, and send nothing: no EMCY, as nothing is watched before the first
-    frame.
-    """
+    """Set 1016h, 100Ch and 100Dh, and send nothing: no EMCY, because monitoring begins with the first frame."""
     can_id = emcy_id(unit)
     done = []
     if unit.has(0x1016, 1):
@@ -286,7 +282,7 @@ def _guarding(unit: Unit) -> None:
 
 @case("H.3")
 def unused_entries(unit: Unit) -> str:
-    """An entry of 1016h with time 0 is unused: the same node may stand in another one."""
+    """An entry of 1016h with time 0 is unused: another entry may have the same node."""
     subs = consumer_subs(unit)
     if len(subs) < 2:
         raise NotApplicable("1016h has one entry")
@@ -297,10 +293,10 @@ def unused_entries(unit: Unit) -> str:
 
 @case("H.4")
 def in_time(unit: Unit) -> str:
-    """Lose a heartbeat watched for 100 ms, then for 300 ms, and a guarding of 2 x 100 ms: the EMCY
-    comes after that time.
+    """Stop a heartbeat with a time of 100 ms, then of 300 ms, and a guarding of 2 x 100 ms: the
+    EMCY comes after that time.
 
-    How long after, CiA 301 does not say; but it comes 200 ms later the second time, within 90 ms.
+    CiA 301 does not specify the delay; but the second EMCY comes 200 ms later than the first, within 90 ms.
     """
     can_id = emcy_id(unit)
     done = []
@@ -331,7 +327,7 @@ def in_time(unit: Unit) -> str:
 
 
 def _heartbeat_ms(unit: Unit, can_id: int, watch_ms: int) -> float:
-    """Return after how many ms the EMCY for a lost heartbeat comes."""
+    """Return the delay [ms] of the EMCY for a lost heartbeat."""
     heartbeat = HeartbeatOfTester(unit, watch_ms)
     unit.flush()
     start_ns = unit.link.now_ns()
@@ -344,9 +340,7 @@ def _heartbeat_ms(unit: Unit, can_id: int, watch_ms: int) -> float:
 
 
 def _not_early(what: str, frame: BusFrame, start_ns: int, limit_ms: int) -> float:
-    """Return after how many ms an EMCY came; fail where that is before its time, or its code is
-    another.
-    """
+    """Return the delay [ms] of an EMCY; fail if it is early or has another code."""
     if frame.data[:2] != b"\x30\x81":
         raise CaseFailed(f"EMCY {frame.data[:8].hex(' ')} after the lost {what}, expected 8130h")
     after_ms = (frame.t_ns - start_ns) / 1e6
@@ -356,14 +350,14 @@ def _not_early(what: str, frame: BusFrame, start_ns: int, limit_ms: int) -> floa
 
 
 def _reached(unit: Unit, expected: NmtState) -> int | None:
-    """Return the NMT state as soon as it is the expected one, else the one after the time-out."""
+    """Return the NMT state once it is as expected, else the state at the time-out."""
     unit.until(lambda: nmt_state(unit) == expected)
     return nmt_state(unit)
 
 
 @case("H.5")
 def error_behaviour(unit: Unit) -> str:
-    """Lose a heartbeat in OPERATIONAL with 1029h:01 at 0, 1 and 2: PRE-OPERATIONAL, OPERATIONAL,
+    """Stop a heartbeat in OPERATIONAL with 1029h:01 at 0, 1 and 2: PRE-OPERATIONAL, OPERATIONAL,
     STOPPED.
     """
     unit.need_writable(0x1029, 1)

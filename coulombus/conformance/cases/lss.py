@@ -1,6 +1,6 @@
 """Own cases L.1 to L.9: the LSS slave (CiA 305).
 
-Only services for one slave are used: others on the bus stay as they are.
+Only services for one slave are used: others on the bus are not affected.
 """
 
 from __future__ import annotations
@@ -29,13 +29,11 @@ IDENTIFY = (
 PARTS = ("vendor", "product", "revision", "serial number")
 WAITING = 0
 REFUSALS = (1, 0xFF)
-"""Error codes: out of range or not supported, and one of the manufacturer's, which the next byte
-names.
-"""
+"""Error codes: out of range or not supported; manufacturer-specific, with the code in the next byte."""
 
 
 def address(unit: Unit) -> list[int]:
-    """Return the LSS address, 1018h:01 to :04, of a device whose EDS says that it has LSS."""
+    """Return the LSS address, 1018h:01 to :04, of a device with LSS in its EDS."""
     said = {key.lower(): value for key, value in unit.description.info.items()}.get("lss_supported", "0").strip()
     try:
         supported = int(said, 0)
@@ -55,13 +53,13 @@ def send(unit: Unit, service: int, data: bytes = b"") -> None:
 
 
 def words(unit: Unit, services: tuple[int, ...], values: list[int]) -> None:
-    """Send one message for each part of an address."""
+    """Send a message for each part of an address."""
     for service, value in zip(services, values, strict=True):
         send(unit, service, (value & 0xFFFFFFFF).to_bytes(4, "little"))
 
 
 def answer(unit: Unit, service: int, what: str) -> bytes:
-    """Return the slave's answer, of this service."""
+    """Return the slave's response to this service."""
     frame = unit.expect(CobId.LSS_TX, f"LSS answer to {what}", cause="no LSS slave answers")
     if frame.length != 8 or frame.data[0] != service:
         raise CaseFailed(f"the LSS answer to {what} is {frame.data.hex(' ')}, expected service {service:02X}h")
@@ -69,12 +67,12 @@ def answer(unit: Unit, service: int, what: str) -> bytes:
 
 
 def optional(unit: Unit, service: int, what: str) -> bytes:
-    """Return the slave's answer to a service that CiA 305 leaves to the device.
+    """Return the slave's response to an optional service of CiA 305.
 
     Raises
     ------
     NotApplicable
-        It is silent: it does not have the service.
+        There is no response: the service is not supported.
     """
     try:
         return answer(unit, service, what)
@@ -83,7 +81,7 @@ def optional(unit: Unit, service: int, what: str) -> bytes:
 
 
 def silence(unit: Unit, what: str) -> None:
-    """Fail when the slave answers."""
+    """Fail if the slave responds."""
     unit.pause(unit.timing.quiet_ns)
     frames = unit.take(CobId.LSS_TX)
     if frames:
@@ -95,7 +93,7 @@ def _one_of(codes: tuple[int, ...]) -> str:
 
 
 def wait_state(unit: Unit) -> None:
-    """Send every slave to LSS waiting, where it is in normal use."""
+    """Switch every slave to LSS waiting, the state of normal use."""
     send(unit, S.SWITCH_STATE_GLOBAL, bytes((WAITING,)))
 
 
@@ -110,7 +108,7 @@ def configure(unit: Unit) -> list[int]:
 
 
 def give_back(unit: Unit, own_address: list[int]) -> None:
-    """Give the slave of this address the node-id that it had, whatever state it is in."""
+    """Restore the node-id of the slave with this address, from any state."""
     wait_state(unit)
     words(unit, SELECTIVE, own_address)
     unit.pause(unit.timing.quiet_ns)
@@ -121,7 +119,7 @@ def give_back(unit: Unit, own_address: list[int]) -> None:
 
 @case("L.1")
 def inquiry(unit: Unit) -> str:
-    """Switch the slave by its address, and inquire each part of it and the node-id."""
+    """Switch the slave selectively by its address, and inquire each part of it and the node-id."""
     own_address = configure(unit)
     try:
         for service, value in zip(INQUIRE, own_address, strict=True):
@@ -160,9 +158,7 @@ def another_address(unit: Unit) -> None:
 
 @case("L.3")
 def identify(unit: Unit) -> None:
-    """Identify with a range of revisions and serial numbers that holds the device's, and with one
-    that does not.
-    """
+    """Identify with ranges of revisions and serial numbers that include the device's, and with ranges that do not."""
     vendor, product, revision, serial = address(unit)
     wait_state(unit)
     unit.flush()
@@ -171,7 +167,7 @@ def identify(unit: Unit) -> None:
         words(unit, IDENTIFY, [vendor, product, revision, revision, low, high])
         ask = optional if low == 0 else answer
         ask(unit, S.IDENTIFY_ANSWER, "identify remote slave")
-    for part, value in ((4, serial), (2, revision)):  # beside the device's own, on either side
+    for part, value in ((4, serial), (2, revision)):  # next to the device's own, on either side
         for wrong in {min(value + 1, 0xFFFFFFFF), max(value - 1, 0)} - {value}:
             limits = [vendor, product, revision, revision, serial, serial]
             limits[part : part + 2] = wrong, wrong
@@ -194,7 +190,7 @@ def identify(unit: Unit) -> None:
 def node_id(unit: Unit) -> None:
     """Configure node-id 0 and 128: error 1, or the maker's own.
 
-    The present one: no error, and it is inquired.
+    The present node-id: no error, and the inquiry returns it.
     """
     configure(unit)
     try:
@@ -228,9 +224,7 @@ def bit_timing(unit: Unit) -> None:
 
 @case("L.6")
 def fastscan(unit: Unit) -> str:
-    """Go through a fastscan with the device's own address: a device that has a node-id is silent,
-    though others may answer.
-    """
+    """Perform a fastscan with the device's own address: a device with a node-id is silent, though others may respond."""
     own_address = address(unit)
     wait_state(unit)
     unit.flush()
@@ -249,9 +243,7 @@ def fastscan(unit: Unit) -> str:
 
 @case("L.7")
 def waiting(unit: Unit) -> None:
-    """Leave LSS configuration, by its service and by a reset: inquiries and configuration are not
-    answered.
-    """
+    """Leave LSS configuration, by its service and by a reset: inquiries and configuration get no response."""
     ways: tuple[Callable[[Unit], object], ...] = (wait_state, Unit.reset)
     for leave in ways:
         configure(unit)
@@ -277,7 +269,7 @@ def pending(unit: Unit) -> str:
             raise CaseFailed(f"configure node-id {other}: error code {error}, expected 0")
         wait_state(unit)
         unit.read(0x1000, 0)
-    finally:  # also when it is interrupted: the next reset would let it take effect
+    finally:  # also on an interrupt: the next reset would activate it
         give_back(unit, own_address)
     unit.reset(NmtCommand.RESET_COMMUNICATION, must=True)
     unit.read(0x1000, 0)

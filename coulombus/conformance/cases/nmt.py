@@ -19,26 +19,26 @@ HEARTBEAT_MS = 20
 
 
 def boot_up(unit: Unit, command: int = NmtCommand.RESET_NODE) -> None:
-    """Reset, and look at the boot-up message."""
+    """Reset, and check the boot-up message."""
     frame = unit.reset(command, must=True)
     if frame is None or frame.length != 1 or frame.data != b"\0":
         raise CaseFailed(f"the boot-up message is {frame.data.hex(' ') if frame else 'missing'}, expected one byte 00h")
 
 
 def produce_heartbeats(unit: Unit) -> None:
-    """Let the device tell its state by heartbeats, where it has them.
+    """Switch on heartbeats, if available, to learn the device's state.
 
-    To be called in PRE-OPERATIONAL.
+    Call it in PRE-OPERATIONAL.
     """
     if unit.has(0x1017) and unit.variable(0x1017).access == "rw":
         unit.write(0x1017, 0, HEARTBEAT_MS)
 
 
 def nmt_state(unit: Unit) -> int | None:
-    """Return the state as heartbeat or guarding tell it, None without either."""
+    """Return the state by heartbeat or guarding; None without either."""
     identifier = CobId.HEARTBEAT + unit.node_id
     if unit.has(0x1017) and unit.variable(0x1017).access == "rw":
-        unit.pause(HEARTBEAT_MS * 1_000_000)  # one that was under way
+        unit.pause(HEARTBEAT_MS * 1_000_000)  # one already under way
         unit.flush()
         frame = unit.expect(identifier, "heartbeat")
         return frame.data[0] & 0x7F if frame.data else None
@@ -46,7 +46,7 @@ def nmt_state(unit: Unit) -> int | None:
 
 
 def serves_sdo(unit: Unit) -> bool:
-    """Tell whether an upload of 1000h is answered."""
+    """Return whether an upload of 1000h gets a response."""
     unit.flush()
     unit.send(unit.sdo_rx, b"\x40\x00\x10\x00\0\0\0\0")
     answered = unit.wait(unit.sdo_tx, unit.timing.quiet_ns) is not None
@@ -56,7 +56,7 @@ def serves_sdo(unit: Unit) -> bool:
 
 
 def synchronous_tpdo(unit: Unit) -> int | None:
-    """Set a TPDO up for every SYNC and return its identifier; None where there is none."""
+    """Set a TPDO up for every SYNC and return its identifier, or None."""
     try:
         numbers = candidates(unit)
     except NotApplicable:
@@ -70,19 +70,19 @@ def synchronous_tpdo(unit: Unit) -> int | None:
 
 
 def sends_pdo(unit: Unit, can_id: int, *, patient: bool) -> bool:
-    """Tell whether a SYNC makes the TPDO go."""
+    """Return whether a SYNC triggers the TPDO."""
     unit.flush()
     sync(unit)
     if not patient:
         return unit.wait(can_id, unit.timing.quiet_ns) is not None
     if unit.wait(can_id, unit.timing.quiet_ns) is not None:
         return True
-    sync(unit)  # the first one may have come before the device was there
+    sync(unit)  # the device may have missed the first one
     return unit.wait(can_id) is not None
 
 
 def check_state(unit: Unit, state: NmtState, can_id: int | None = None) -> None:
-    """Fail unless the device behaves as in `state`: what it tells, SDO, and a TPDO."""
+    """Fail unless the device behaves as in `state`: reported state, SDO, and a TPDO."""
     if not unit.until(lambda: nmt_state(unit) in (None, state)):
         raise CaseFailed(f"the device tells NMT state {nmt_state(unit)}, expected {int(state)} ({state.name})")
     if state == STOPPED:
@@ -118,7 +118,7 @@ def initialisation(unit: Unit) -> str | None:
 
 @case("9.2")
 def pre_operational(unit: Unit) -> None:
-    """Reset: the boot-up comes before anything else; then SDO is served, and no PDO is."""
+    """Reset: the boot-up comes before anything else; then SDO works, PDOs do not."""
     boot_up(unit)
     if unit.has(0x1F80) and not unit.number(0x1F80) & 0x4:
         unit.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
@@ -130,18 +130,18 @@ def pre_operational(unit: Unit) -> None:
 @case("9.3", state=OPERATIONAL)
 @case("9.4", state=STOPPED)
 def state_after_command(unit: Unit, state: NmtState) -> None:
-    """Enter the state by its command, and look at what the device tells and serves."""
+    """Enter the state by its command, and check the reported state and the services."""
     can_id = synchronous_tpdo(unit)
     produce_heartbeats(unit)
     enter(unit, state)
     check_state(unit, state, can_id)
-    enter(unit, PRE_OPERATIONAL)  # NMT acts in every state
+    enter(unit, PRE_OPERATIONAL)  # NMT works in every state
     check_state(unit, PRE_OPERATIONAL, can_id)
 
 
 @case("10.1")
 def resets(unit: Unit) -> str:
-    """Both resets out of each state: a boot-up message each time, then PRE-OPERATIONAL."""
+    """Both resets from each state: a boot-up message each time, then PRE-OPERATIONAL."""
     for command in RESETS:
         for state in ALL_STATES:
             enter(unit, state)
@@ -157,7 +157,7 @@ def resets(unit: Unit) -> str:
 @case("10.3", target=OPERATIONAL)
 @case("10.4", target=STOPPED)
 def transition(unit: Unit, target: NmtState) -> str:
-    """Give the command in each state: the state follows, also out of itself."""
+    """Send the command in each state: the state follows, even from itself."""
     can_id = synchronous_tpdo(unit)
     produce_heartbeats(unit)
     for state in (*ALL_STATES, target):
@@ -170,7 +170,7 @@ def transition(unit: Unit, target: NmtState) -> str:
 
 @case("N.1")
 def for_another(unit: Unit) -> str:
-    """Start a node-id that nobody has: the device stays in PRE-OPERATIONAL."""
+    """Start an unused node-id: the device stays in PRE-OPERATIONAL."""
     produce_heartbeats(unit)
     other = next(n for n in range(127, 0, -1) if n != unit.node_id)
     unit.flush()
@@ -194,7 +194,7 @@ def short_command(unit: Unit) -> None:
 
 @case("N.3")
 def reserved_commands(unit: Unit) -> None:
-    """Send NMT commands that are none: the device stays in PRE-OPERATIONAL, and does not boot."""
+    """Send undefined NMT commands: the device stays in PRE-OPERATIONAL, and does not boot."""
     produce_heartbeats(unit)
     for command in (0, 3, 5, 127, 131, 255):
         unit.flush()

@@ -14,16 +14,14 @@ __all__ = ["alternating", "error_id", "guard", "need_guarding"]
 
 
 def need_guarding(unit: Unit) -> None:
-    """Guarding takes both objects; a heartbeat that runs by default has precedence, and is switched
-    off.
-    """
+    """Require both guarding objects; a default heartbeat has precedence, so it is switched off."""
     unit.need(0x100C)
     unit.need(0x100D)
     no_heartbeat(unit)
 
 
 def no_heartbeat(unit: Unit) -> None:
-    """Switch a heartbeat off that runs by default."""
+    """Switch off a default heartbeat."""
     if unit.has(0x1017) and unit.number(0x1017):
         unit.write(0x1017, 0, 0)
 
@@ -34,7 +32,7 @@ def error_id(unit: Unit) -> int:
 
 
 def guard(unit: Unit) -> BusFrame:
-    """Ask with a remote frame, and return the answer."""
+    """Send a remote frame, and return the response."""
     unit.pause(2 * MS)
     unit.take(error_id(unit))
     unit.send(error_id(unit) | RTR, length=1)
@@ -45,7 +43,7 @@ def guard(unit: Unit) -> BusFrame:
 
 
 def alternating(unit: Unit, state: NmtState, count: int = 6, toggle: int = 0) -> None:
-    """Guard so many times: the state is told, and the toggle bit alternates from `toggle` on."""
+    """Guard this many times: the state is reported, and the toggle bit alternates from `toggle`."""
     for k in range(count):
         expected = state | 0x80 * (toggle ^ (k & 1))
         value = guard(unit).data[0]
@@ -91,7 +89,7 @@ def guarding_toggle(unit: Unit) -> None:
 
 @case("7.4")
 def guarding_identifiers(unit: Unit) -> None:
-    """Send remote frames with all 127 identifiers: the device answers to its own only."""
+    """Send remote frames with all 127 identifiers: the device responds only to its own."""
     need_guarding(unit)
     unit.flush()
     for node_id in range(1, 128):
@@ -123,7 +121,7 @@ def _lose(unit: Unit) -> None:
 
 @case("7.6")
 def life_guarding(unit: Unit) -> str:
-    """Guard in time: no EMCY. Then no more: EMCY after the life time, not before half of it."""
+    """Guard in time: no EMCY. Then stop: EMCY after the life time, not before half of it."""
     need_guarding(unit)
     can_id = emcy_id(unit)
     for index, value in ((0x100C, GUARD_MS), (0x100D, 4)):

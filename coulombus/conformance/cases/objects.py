@@ -27,7 +27,7 @@ NO_WRITE, NO_SCAN = 0x1, 0x2
 
 @case("1.0")
 def file(unit: Unit) -> str:
-    """Look at the diagnoses of the description: errors, and the mandatory objects."""
+    """Check the diagnoses of the description: errors, and the mandatory objects."""
     problems = [str(diagnosis) for diagnosis in unit.description.diagnoses if diagnosis.severity == "error"]
     problems += [
         f"{where(index, subindex)} is missing, which is mandatory"
@@ -42,7 +42,7 @@ def file(unit: Unit) -> str:
 @case("4.1", operational=False)
 @case("4.7", operational=True)
 def readable(unit: Unit, operational: bool) -> str:
-    """Read every object that may be read, and compare its length with its type."""
+    """Read every readable object, and compare its length with its type."""
     if operational:
         unit.start()
     count = 0
@@ -124,7 +124,7 @@ def read_write_only(unit: Unit) -> str:
 def structure(unit: Unit) -> str:
     """Read sub-index 255 of every object.
 
-    Where it answers, compare the object code and the data type with the EDS.
+    If it responds, compare the object code and the data type with the EDS.
     """
     count = 0
     for index, entry in sorted(unit.description.objects.items()):

@@ -43,7 +43,7 @@ def first(unit: Unit, direction: int) -> int:
 
 
 def either(unit: Unit) -> tuple[int, int]:
-    """Return direction and number of a PDO whose map can be written, a TPDO where there is one."""
+    """Return direction and number of a PDO whose map can be written, preferably a TPDO."""
     for direction in (TPDO, RPDO):
         if remappable(unit, direction) and mappable(unit, direction):
             return direction, remappable(unit, direction)[0]
@@ -52,8 +52,8 @@ def either(unit: Unit) -> tuple[int, int]:
 
 @case("3.21")
 def default_maps(unit: Unit) -> str:
-    """Read every map and find each entry in the EDS: there, mappable in this direction, of this
-    width, 64 bits in all.
+    """Read every map and check each entry with the EDS: it exists, is mappable in this direction
+    and has this width; at most 64 bits in all.
     """
     entries = 0
     for direction, access in ((RPDO, WRITABLE), (TPDO, READABLE)):
@@ -92,7 +92,7 @@ def _check_entry(unit: Unit, pdo: str, word: int, access: tuple[str, ...], *, du
 
 
 def other_map(unit: Unit, direction: int, k: int) -> list[int]:
-    """Return a map that fits and is not the present one."""
+    """Return a valid map other than the present one."""
     present = words_of(unit, direction, k)
     chosen: list[int] = []
     for variable in sorted(mappable(unit, direction), key=lambda v: v.bits, reverse=True):
@@ -108,7 +108,7 @@ def other_map(unit: Unit, direction: int, k: int) -> list[int]:
 
 @case("3.22")
 def procedure(unit: Unit) -> str:
-    """Give the first PDOs another map in the prescribed order, read it back, and count the TPDO's
+    """Remap the first PDOs in the prescribed order, read it back, and count the TPDO's
     bytes on the bus.
     """
     done = []
@@ -150,7 +150,7 @@ def _send_once(unit: Unit, k: int) -> None:
 
 @case("3.23")
 def without_clearing(unit: Unit) -> str:
-    """Write an entry of an invalid PDO's map whose count is not 0: it is refused."""
+    """Write an entry of an invalid PDO's map while its count is not 0: it is refused."""
     direction, k = either(unit)
     disable(unit, direction, k)
     index = direction + 0x200 + k
@@ -170,9 +170,7 @@ def without_clearing(unit: Unit) -> str:
 
 @case("3.24")
 def while_valid(unit: Unit) -> str:
-    """Give a valid PDO another map, without making it invalid: some step is refused, and the map
-    stays.
-    """
+    """Remap a valid PDO without making it invalid: a step is refused, and the map stays."""
     direction, k = either(unit)
     index = direction + 0x200 + k
     try:
@@ -217,8 +215,8 @@ def too_many(unit: Unit) -> str:
 
 
 def _judge_count(unit: Unit, abort: TransferAborted, index: int, count: int) -> str:
-    """Return the code of a count that was refused, with a remark where it says "not this value": the
-    EDS's limit of the count is exceeded, too, and CiA 301 does not say which code goes first.
+    """Return the code of a refused count, with a remark if it says "not this value": the EDS's
+    limit of the count is exceeded, too, and CiA 301 does not define which code takes precedence.
     """
     limits = unit.range_codes(index, 0, bytes((count,)))
     code = f"{unit.judge(abort, (*unit.codes, *limits)):08X}h"
@@ -228,7 +226,7 @@ def _judge_count(unit: Unit, abort: TransferAborted, index: int, count: int) -> 
 
 
 def clear(unit: Unit, index: int) -> None:
-    """Set a map's count to 0, as long as the case lasts."""
+    """Set a map's count to 0 for the duration of the case."""
     before = unit.read(index, 0)
     unit.put(index, 0, b"\0")
     unit.undo_later(index, 0, before)
@@ -237,9 +235,7 @@ def clear(unit: Unit, index: int) -> None:
 
 @case("3.26")
 def too_long(unit: Unit) -> str:
-    """Map the widest object so often that 64 bits are exceeded: an entry or the count is
-    refused.
-    """
+    """Map the widest object until 64 bits are exceeded: an entry or the count is refused."""
     for direction in (TPDO, RPDO):
         if not remappable(unit, direction) or not mappable(unit, direction):
             continue
@@ -266,7 +262,7 @@ def too_long(unit: Unit) -> str:
 @case("3.30", direction=TPDO, access=_INPUT, accepted=True)
 @case("3.31", direction=TPDO, access=_OUTPUT, accepted=False)
 def map_one(unit: Unit, direction: int, access: tuple[str, ...], accepted: bool) -> str:
-    """Map an object of this access type, alone: taken, or refused at the entry or at the count."""
+    """Map a single object of this access type: accepted, or refused at the entry or at the count."""
     variables = [v for v in unit.variables() if v.pdo_mappable and v.access in access and fits(unit, v.bits)]
     if not variables:
         raise NotApplicable(f"the EDS has no mappable object of access {' or '.join(access)}")
@@ -276,7 +272,7 @@ def map_one(unit: Unit, direction: int, access: tuple[str, ...], accepted: bool)
 @case("3.29", direction=RPDO)
 @case("3.32", direction=TPDO)
 def map_unmappable(unit: Unit, direction: int) -> str:
-    """Map an object without PDOMapping, whose access type would fit: it is refused."""
+    """Map an object without PDOMapping but with a suitable access type: it is refused."""
     access = WRITABLE if direction == RPDO else READABLE
     variables = [v for v in unit.variables() if not v.pdo_mappable and v.access in access and 0 < v.bits <= 64]
     if not variables:
@@ -340,7 +336,7 @@ def _widths(unit: Unit, direction: int) -> Variable:
 
 @case("M.1")
 def wrong_entries(unit: Unit) -> str:
-    """Map what is not there, and what is there in another width: refused with the code for it."""
+    """Map an absent object, and an object with another width: refused with the specified code."""
     direction = TPDO if remappable(unit, TPDO) and mappable(unit, TPDO) else RPDO
     k = first(unit, direction)
     index = direction + 0x200 + k

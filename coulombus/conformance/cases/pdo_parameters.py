@@ -1,4 +1,4 @@
-"""Cases 3.1 to 3.20: PDO parameters, and what makes a TPDO go in each NMT state (CiA 301, sections
+"""Cases 3.1 to 3.20: PDO parameters, and the triggers of TPDOs in each NMT state (CiA 301, sections
 7.2.2, 7.5.2.35, 7.5.2.37).
 """
 
@@ -20,9 +20,7 @@ _EXTENDED, _INVALID = 1 << 29, 1 << 31
 @case("3.1", direction=RPDO)
 @case("3.2", direction=TPDO)
 def scan(unit: Unit, direction: int) -> str:
-    """Read all 512 communication parameters: those of the EDS are there and make sense, the others
-    are refused.
-    """
+    """Read all 512 communication parameters: those of the EDS exist and are valid, the others are refused."""
     present = 0
     for index in range(direction, direction + 0x200):
         if not unit.has(index):
@@ -56,9 +54,9 @@ def scan(unit: Unit, direction: int) -> str:
 
 
 def each_occasion(unit: Unit, stimulus: int, check: Callable[[Stimulus], str]) -> str:
-    """Set up each TPDO that can be, start the node and `check` what makes the TPDO go.
+    """Set up each possible TPDO, start the node and `check` its trigger.
 
-    Return what the checks say.
+    Return the remarks of the checks.
     """
     reasons, done = [], []
     for k in candidates(unit):
@@ -83,9 +81,7 @@ def each_occasion(unit: Unit, stimulus: int, check: Callable[[Stimulus], str]) -
 @case("3.7", stimulus=4)
 @case("3.8", stimulus=5)
 def operational(unit: Unit, stimulus: int) -> str:
-    """Set up each TPDO that can be, start the node, and check that it comes when and only when it
-    is due.
-    """
+    """Set up each possible TPDO, start the node, and check that it is sent when, and only when, it is due."""
 
     def check(occasion: Stimulus) -> str:
         remark = occasion.check()
@@ -107,10 +103,7 @@ def operational(unit: Unit, stimulus: int) -> str:
 @case("3.19", stimulus=4, state=PRE_OPERATIONAL)
 @case("3.20", stimulus=5, state=PRE_OPERATIONAL)
 def silent(unit: Unit, stimulus: int, state: NmtState) -> str:
-    """Show in OPERATIONAL that the occasion makes the TPDO go.
-
-    Then that it does not in another state.
-    """
+    """Show that the trigger works in OPERATIONAL, and does not work in another state."""
 
     def check(occasion: Stimulus) -> str:
         if not occasion.control():

@@ -31,7 +31,7 @@ from coulombus.wire.bus_link import BusFrame
 __all__: list[str] = []
 
 HARMLESS = (0x6087, 0x60E0, 0x60E1, 0x6072)
-"""Objects of a drive that a PDO may carry and that move nothing while its power stage is off."""
+"""Mappable objects of a drive that move nothing while its power stage is off."""
 
 CALM_NS = 10 * MS
 NO_EFFECT = "an RPDO does not act on its object"
@@ -40,7 +40,7 @@ WINDOW_MS = 20
 
 
 def harmless(unit: Unit, transmission: int) -> tuple[int, int, int, bytes]:
-    """Map one harmless object alone into an RPDO.
+    """Map a single harmless object into an RPDO.
 
     Return identifier, object, another value, and its bytes.
     """
@@ -63,7 +63,7 @@ def harmless(unit: Unit, transmission: int) -> tuple[int, int, int, bytes]:
 
 @case("R.1")
 def rpdo_data(unit: Unit) -> str:
-    """Send an RPDO of type 255: its object has the value.
+    """Send an RPDO of type 255: its object takes the value.
 
     Of type 1: after the next SYNC, not before.
     """
@@ -123,9 +123,7 @@ def rpdo_too_short(unit: Unit) -> str:
 
 
 class Harmless:
-    """An RPDO that carries one object which moves nothing: `send` a value, `value` reads
-    what acts.
-    """
+    """An RPDO with one object that moves nothing: `send` sends a value, `value` reads the active value."""
 
     def __init__(
         self, unit: Unit, transmission: int, *, deadline_ms: int = 0, gap: Sequence[int] = (), k: int = -1
@@ -167,7 +165,7 @@ class Harmless:
 
 @case("R.4")
 def too_long(unit: Unit) -> str:
-    """Send an RPDO of one byte more than is mapped: its first bytes are used.
+    """Send an RPDO with one byte more than mapped: its first bytes are used.
 
     An EMCY, if one comes, is 8220h.
     """
@@ -186,7 +184,7 @@ def too_long(unit: Unit) -> str:
 
 @case("R.5")
 def too_short(unit: Unit) -> None:
-    """Send an RPDO of one byte less than is mapped: its object keeps its value."""
+    """Send an RPDO with one byte less than mapped: its object keeps its value."""
     rpdo = Harmless(unit, 255)
     unit.start()
     rpdo.send(rpdo.data(rpdo.before ^ 1)[:-1])
@@ -196,10 +194,9 @@ def too_short(unit: Unit) -> None:
 
 @case("R.6")
 def synchronous_types(unit: Unit) -> str:
-    """Type 0 of the first RPDO and 240 of the last: two RPDOs before a SYNC act with it, the last
-    one.
+    """Type 0 of the first RPDO and 240 of the last: of two RPDOs before a SYNC, the last one acts with it.
 
-    Whether one that waits outlives STOPPED is told, not judged: CiA 301 does not say it.
+    Whether a pending RPDO survives STOPPED is reported, not judged: CiA 301 does not define it.
     """
     outlives = False
     for transmission, k in ((0, 0), (240, -1)):
@@ -226,7 +223,7 @@ def synchronous_types(unit: Unit) -> str:
 
 @case("R.7")
 def behind_a_dummy(unit: Unit) -> str:
-    """Map one byte of a dummy before the object: the value is taken from behind it."""
+    """Map one byte of a dummy before the object: the value is read after it."""
     if DUMMY not in unit.description.dummies or not fits(unit, DATA_TYPES[DUMMY].bits):
         raise NotApplicable("[DummyUsage] of the EDS has no UNSIGNED8, or its Granularity allows none in a map")
     rpdo = Harmless(unit, 255, gap=[DUMMY << 16 | DATA_TYPES[DUMMY].bits])
@@ -238,7 +235,7 @@ def behind_a_dummy(unit: Unit) -> str:
 
 @case("R.8")
 def deadline(unit: Unit) -> str:
-    """Give an RPDO a deadline by its event timer, send it in time, then no more: EMCY 8250h, and
+    """Set the deadline of an RPDO by its event timer, send it in time, then stop: EMCY 8250h, and
     not before the first RPDO.
     """
     can_id = emcy_id(unit)
@@ -264,7 +261,7 @@ def deadline(unit: Unit) -> str:
 def window(unit: Unit) -> str:
     """With 1007h at 20 ms, a synchronous RPDO 60 ms after the SYNC acts on no SYNC.
 
-    One within the window does.
+    An RPDO within the window does.
     """
     unit.need_writable(0x1007)
     rpdo = Harmless(unit, 1)

@@ -1,5 +1,5 @@
-"""Own cases T.1 to T.9: TPDOs, when they come, what is refused while they are valid, and an empty
-map (CiA 301, 7.2.2, 7.5.2.37 and 38).
+"""Own cases T.1 to T.9: timing of TPDOs, refused writes while they are valid, and an empty map (CiA
+301, 7.2.2, 7.5.2.37 and 38).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def reserved_types(unit: Unit) -> str:
 
 
 def armed(unit: Unit, transmission: int, *, rtr: bool = False) -> tuple[int, int, Event]:
-    """Set the first TPDO that can be up, with what an event changes.
+    """Set up the first possible TPDO with an object that the event changes.
 
     Return its number, identifier and the event.
     """
@@ -91,7 +91,7 @@ def armed(unit: Unit, transmission: int, *, rtr: bool = False) -> tuple[int, int
 
 
 def ask(unit: Unit, can_id: int, timeout_ns: int | None = None) -> bytes | None:
-    """Ask for a TPDO by a remote frame; return what comes."""
+    """Request a TPDO by a remote frame; return the response."""
     unit.flush()
     unit.send(can_id | RTR, length=8)
     frame = unit.wait(can_id, timeout_ns)
@@ -100,7 +100,7 @@ def ask(unit: Unit, can_id: int, timeout_ns: int | None = None) -> bytes | None:
 
 @case("T.3")
 def no_remote_frames(unit: Unit) -> str:
-    """With bit 30 of its COB-ID a TPDO answers no remote frame; without it, it did."""
+    """With bit 30 of its COB-ID a TPDO does not respond to remote frames; without it, it does."""
     k, can_id, _ = armed(unit, 253, rtr=True)
     unit.start()
     if ask(unit, can_id) is None:
@@ -119,7 +119,7 @@ def no_remote_frames(unit: Unit) -> str:
 def only_on_request(unit: Unit, transmission: int) -> str:
     """Types 252 and 253: no TPDO with a SYNC or an event.
 
-    Asked for, 252 has the sample of the SYNC, 253 the present value.
+    On request, 252 has the sample of the SYNC, 253 the present value.
     """
     k, can_id, event = armed(unit, transmission, rtr=True)
     unit.start()
@@ -149,7 +149,7 @@ def only_on_request(unit: Unit, transmission: int) -> str:
 
 @case("T.6")
 def both_event_types(unit: Unit) -> str:
-    """Types 254 and 255: an event makes the TPDO go."""
+    """Types 254 and 255: an event triggers the TPDO."""
     done = []
     for transmission in (254, 255):
         try:
@@ -171,7 +171,7 @@ def both_event_types(unit: Unit) -> str:
 
 @case("T.7")
 def while_valid(unit: Unit) -> str:
-    """As long as a TPDO is valid, its identifier, inhibit time and SYNC start value are refused."""
+    """While a TPDO is valid, writes to its identifier, inhibit time and SYNC start value are refused."""
     reason = "no TPDO's COB-ID can be written"
     for k in candidates(unit):
         index = TPDO + k
@@ -194,7 +194,7 @@ def while_valid(unit: Unit) -> str:
 
 @case("T.8")
 def wide_identifier(unit: Unit) -> str:
-    """Bits 11 to 28 without bit 29 are no identifier, and are refused."""
+    """Bits 11 to 28 without bit 29 are not a valid identifier, and are refused."""
     for k in candidates(unit):
         index = TPDO + k
         if unit.variable(index, 1).access in READ_ONLY:
@@ -206,7 +206,7 @@ def wide_identifier(unit: Unit) -> str:
 
 @case("T.9")
 def empty_map(unit: Unit) -> str:
-    """A TPDO whose count is 0 sends nothing, not a frame without data either."""
+    """A TPDO with count 0 sends nothing, not even a frame without data."""
     k = first(unit, TPDO)
     try:
         can_id = arm(unit, k, 1)

@@ -1,4 +1,4 @@
-"""Cases 2.1 to 2.12, 2.28 to 2.30, S.4, S.5 and S.12: expedited transfers, requests that are none,
+"""Cases 2.1 to 2.12, 2.28 to 2.30, S.4, S.5 and S.12: expedited transfers, invalid requests,
 further channels (CiA 301, section 7.2.4).
 """
 
@@ -21,13 +21,11 @@ RW = ("rw", "rwr", "rww")
 RESTRICTED_ID = 0x6E1
 
 IDENTIFIERS = (0x6D8, 0x6D9)
-"""Of no service in the pre-defined connection set, and not restricted."""
+"""Identifiers outside the pre-defined connection set, and not restricted."""
 
 
 def short(unit: Unit, sizes: tuple[int, ...]) -> Variable:
-    """Return a harmless writable object of so many bytes, of the communication profile where there
-    is one.
-    """
+    """Return a harmless writable object of this size, preferably of the communication profile."""
     variables = [
         v
         for v in unit.variables()
@@ -40,9 +38,7 @@ def short(unit: Unit, sizes: tuple[int, ...]) -> Variable:
 
 @case("2.1")
 def device_type(unit: Unit) -> None:
-    """Read 1000h:00: four bytes, expedited (with their number or without) or by segments, as the
-    server likes; and the value.
-    """
+    """Read 1000h:00: four bytes, expedited (with or without size) or segmented, as the server chooses; and the value."""
     data = unit.read(0x1000, 0)
     if len(data) != 4:
         raise CaseFailed(f"1000h:00 has {len(data)} bytes, expected 4")
@@ -93,7 +89,7 @@ def read_write_only(unit: Unit) -> str:
 @case("2.5", index=0x1000, subindex=1)
 @case("2.6", index=0x1004, subindex=0)
 def read_absent(unit: Unit, index: int, subindex: int) -> str:
-    """Read an object or sub-index that is not there."""
+    """Read an absent object or sub-index."""
     if unit.has(index, subindex):
         raise NotApplicable(f"the EDS has {where(index, subindex)}")
     return _unreadable(unit, index, subindex)
@@ -109,7 +105,7 @@ def _unreadable(unit: Unit, index: int, subindex: int) -> str:
 
 @case("2.7")
 def unknown_command(unit: Unit) -> str:
-    """Send a request with command specifier 7; then the server still serves."""
+    """Send a request with command specifier 7; the server still works afterwards."""
     try:
         answer = unit.sdo.request(head(0xE0, 0x1000, 0), 0x1000, 0, "unknown command")
     except TransferAborted as abort:
@@ -180,9 +176,7 @@ def server_identifiers(unit: Unit) -> None:
 
 
 def written_and_read(unit: Unit, index: int, value: int, write: Callable[[bytes], object]) -> None:
-    """Write an object of the communication profile with `write`, read it, and let it be
-    restored.
-    """
+    """Write an object of the communication profile with `write`, read it, and register it for `restore`."""
     variable = unit.need_writable(index)
     before = unit.read(index, 0)
     unit.undo_later(index, 0, before)
@@ -195,7 +189,7 @@ def written_and_read(unit: Unit, index: int, value: int, write: Callable[[bytes]
 def channels(unit: Unit, first: int, last: int) -> list[tuple[int, dict[int, bytes]]]:
     """Read a range of SDO parameters.
 
-    What is not in the EDS must be refused with an accepted code.
+    Objects outside the EDS must be refused with an accepted code.
     """
     described = []
     for index in range(first, last + 1):
@@ -214,7 +208,7 @@ def channels(unit: Unit, first: int, last: int) -> list[tuple[int, dict[int, byt
 
 @case("2.28")
 def further_servers(unit: Unit) -> str:
-    """Read 1201h to 127Fh: there with sensible identifiers, or refused."""
+    """Read 1201h to 127Fh: present with valid identifiers, or refused."""
     servers = channels(unit, 0x1201, 0x127F)
     for index, values in servers:
         for subindex in {1, 2} & values.keys():
@@ -226,9 +220,7 @@ def further_servers(unit: Unit) -> str:
 
 @case("2.29")
 def further_servers_after_reset(unit: Unit) -> str:
-    """Change what can be changed in 1201h to 127Fh, reset the communication, and find it as
-    it was.
-    """
+    """Change all writable entries of 1201h to 127Fh and reset the communication: they have their earlier values."""
     before = channels(unit, 0x1201, 0x127F)
     for index, _ in before:
         if unit.has(index, 1) and unit.variable(index, 1).access == "rw":
@@ -245,9 +237,9 @@ def further_servers_after_reset(unit: Unit) -> str:
 
 @case("2.30", defaults=True)
 def clients_after_storing(unit: Unit) -> str:
-    """Store all parameters, reset the communication, and find 1280h to 12FFh as they were.
+    """Store all parameters and reset the communication: 1280h to 12FFh are unchanged.
 
-    The rest is refused.
+    Absent objects are refused.
     """
     unit.need_ability(0x1010)
     before = channels(unit, 0x1280, 0x12FF)
@@ -266,7 +258,7 @@ def upload_segment(toggle: int) -> bytes:
 
 @case("S.4")
 def short_request(unit: Unit) -> None:
-    """Send requests of 0, 1 and 7 bytes; then the server still serves."""
+    """Send requests of 0, 1 and 7 bytes; the server still works afterwards."""
     for length in (0, 1, 7):
         unit.send(unit.sdo_rx, b"\x40\0\x10\0\0\0\0"[:length])
         unit.pause(unit.timing.quiet_ns // 3)
@@ -276,7 +268,7 @@ def short_request(unit: Unit) -> None:
 
 @case("S.5")
 def remote_request(unit: Unit) -> None:
-    """Send a remote frame with the request's identifier: no answer."""
+    """Send a remote frame with the request's identifier: no response."""
     unit.flush()
     unit.send(unit.sdo_rx | RTR, length=8)
     unit.pause(unit.timing.quiet_ns)
@@ -287,10 +279,10 @@ def remote_request(unit: Unit) -> None:
 
 @case("S.12")
 def two_servers(unit: Unit) -> str:
-    """Give the first free further server identifiers, and read by both servers at once: neither
-    disturbs the other.
+    """Configure the first unused additional server, and read by both servers at once: neither disturbs the other.
 
-    Before that a restricted identifier is refused, and then another one, as the server is valid.
+    Before that, a restricted identifier is refused; afterwards another identifier is refused,
+    because the server is valid.
     """
     indices = [index for index in range(0x1201, 0x1280) if unit.has(index, 1) and unit.has(index, 2)]
     indices = [i for i in indices if all(unit.variable(i, sub).access not in READ_ONLY for sub in (1, 2))]

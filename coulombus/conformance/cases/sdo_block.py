@@ -15,13 +15,11 @@ from coulombus.eds.sdo_frames import crc16, head
 __all__ = ["block_segments", "need_block"]
 
 STANDSTILL_MS = 2500
-"""Longer than a usual server waits before it aborts a transfer."""
+"""Longer than the usual time-out of a server's transfer."""
 
 
 def need_block(unit: Unit) -> None:
-    """Make sure that the server knows block transfers: one that aborts them has none, and that is
-    allowed, whatever its code.
-    """
+    """Require block transfers: a server that aborts them, with any code, does not support them, which is allowed."""
     try:
         unit.sdo.initiate_block_upload(0x1000, 0, crc=False)
     except TransferAborted as abort:
@@ -70,14 +68,14 @@ def long_upload(unit: Unit, crc: bool) -> str:
 
 @case("2.26")
 def wrong_block_size(unit: Unit) -> str:
-    """Ask for an upload in blocks of 128 segments."""
+    """Request an upload in blocks of 128 segments."""
     need_block(unit)
     variable, _ = long_object(unit)
     return refused_size(unit, variable.index, variable.subindex, 128)
 
 
 def refused_size(unit: Unit, index: int, subindex: int, size: int) -> str:
-    """Ask for an upload in blocks of an impossible size: abort."""
+    """Request an upload in blocks of an impossible size: abort."""
     try:
         unit.sdo.initiate_block_upload(index, subindex, crc=False, size=size)
     except TransferAborted as abort:
@@ -106,7 +104,7 @@ def wrong_sequence(unit: Unit) -> str:
 def begin(unit: Unit, at_least: int, size: int) -> tuple[int, int, bytes, int | None, bool]:
     """Begin a block upload with CRC of a long object.
 
-    Return index, sub-index, its bytes, the said length, the CRC.
+    Return index, sub-index, its bytes, the indicated length, the CRC.
     """
     need_block(unit)
     variable, content = long_object(unit, at_least)
@@ -117,16 +115,14 @@ def begin(unit: Unit, at_least: int, size: int) -> tuple[int, int, bytes, int | 
 
 
 def same(index: int, subindex: int, data: bytes, content: bytes) -> None:
-    """Fail unless an upload brought what a segmented one does."""
+    """Fail unless an upload equals the segmented one."""
     if data != content:
         raise CaseFailed(f"{where(index, subindex)} is {data!r} by block transfer, {content!r} by segments")
 
 
 @case("B.1")
 def repetition(unit: Unit) -> None:
-    """Acknowledge one segment less than came: the last one comes again, as segment 1 of the next
-    block.
-    """
+    """Acknowledge one segment less than received: the last one is repeated as segment 1 of the next block."""
     index, subindex, content, said, crc = begin(unit, 15, 2)
     block, _ = unit.sdo.read_block(index, subindex, 2)
     segments = block[:1]
@@ -141,7 +137,7 @@ def repetition(unit: Unit) -> None:
 
 @case("B.2")
 def changing_size(unit: Unit) -> None:
-    """Ask for blocks of 1 segment, then 2, then 127: each block has so many."""
+    """Request blocks of 1 segment, then 2, then 127: each block has this size."""
     index, subindex, content, said, crc = begin(unit, 15, 1)
     segments: list[bytes] = []
     last = False
@@ -165,7 +161,7 @@ def single_segments(unit: Unit) -> None:
 
 @case("B.4")
 def size_zero(unit: Unit) -> str:
-    """Ask for an upload in blocks of 0 segments."""
+    """Request an upload in blocks of 0 segments."""
     need_block(unit)
     variable, _ = long_object(unit)
     return refused_size(unit, variable.index, variable.subindex, 0)
@@ -215,9 +211,7 @@ def wrong_crc(unit: Unit) -> str:
 
 @case("B.8")
 def lost_segment(unit: Unit) -> None:
-    """Leave a segment of the first block out: the server acknowledges those before it, and takes
-    the others again.
-    """
+    """Omit a segment of the first block: the server acknowledges those before it, and accepts the others again."""
     need_block(unit)
     index, subindex, _, text = text_object(unit)
     crc, size = unit.sdo.initiate_block_download(index, subindex, len(text), crc=True)
@@ -248,7 +242,7 @@ def lost_segment(unit: Unit) -> None:
 
 @case("B.9")
 def another_length(unit: Unit) -> str:
-    """Say more bytes than follow: abort, and the old text stays."""
+    """Indicate more bytes than follow: abort, and the old text stays."""
     need_block(unit)
 
     def transfer(index: int, subindex: int, text: bytes) -> None:
@@ -275,9 +269,9 @@ def to_read_only(unit: Unit) -> str:
 
 @case("B.11")
 def threshold(unit: Unit) -> str:
-    """A threshold of one byte less than the object has: a block transfer.
+    """A threshold one byte below the object's size: a block transfer.
 
-    Of as many: block, segments or expedited.
+    A threshold of the object's size: block, segmented or expedited.
     """
     need_block(unit)
     variable, content = long_object(unit)
@@ -303,9 +297,7 @@ def threshold(unit: Unit) -> str:
 
 @case("B.12")
 def after_the_end(unit: Unit) -> str:
-    """End a block upload: no answer, nothing later either, and an acknowledge is an error, or
-    ignored.
-    """
+    """End a block upload: no response, nothing later, and an acknowledge is an error, or ignored."""
     need_block(unit)
     variable, _ = long_object(unit)
     unit.sdo.block_upload(variable.index, variable.subindex, crc=True)

@@ -30,7 +30,7 @@ __all__: list[str] = []
 def segments_of_a_short_object(unit: Unit) -> str:
     """Read 1000h:00 by segments if the server wants them.
 
-    After an expedited answer a segment request is an error, or ignored.
+    After an expedited response a segment request is an error, or ignored.
     """
     answer = unit.sdo.initiate_upload(0x1000, 0)
     if not answer[0] & 0x02:
@@ -51,7 +51,7 @@ def segments_of_a_short_object(unit: Unit) -> str:
 @case("2.14", index=0x100C)
 @case("2.15", index=0x1017)
 def segmented_download(unit: Unit, index: int) -> None:
-    """Write a short object by one segment and read it back."""
+    """Write a short object with one segment and read it back."""
     written_and_read(unit, index, 1234, lambda data: unit.sdo.download_segmented(index, 0, data))
 
 
@@ -92,9 +92,7 @@ def wrong_toggle(unit: Unit) -> str:
 
 @case("2.18")
 def all_long_objects(unit: Unit) -> str:
-    """Read every object of more than four bytes, twice, and compare it with itself and with a
-    default of the EDS.
-    """
+    """Read every object of more than four bytes twice; compare both readings, and a default of the EDS."""
     objects = long_objects(unit)
     for v, content in objects:
         if unit.read(v.index, v.subindex) != content and not running(unit, [v]):
@@ -130,7 +128,7 @@ def toggle_in_download(unit: Unit) -> str:
 
 @case("S.3")
 def client_abort(unit: Unit) -> str:
-    """Abort a segmented upload: no answer; the next segment request is an error, or ignored."""
+    """Abort a segmented upload: no response; the next segment request is an error, or ignored."""
     variable, _ = long_object(unit, 8)
     unit.sdo.initiate_upload(variable.index, variable.subindex)
     unit.sdo.abort(variable.index, variable.subindex)
@@ -149,7 +147,7 @@ def client_abort(unit: Unit) -> str:
 
 @case("S.6")
 def another_length(unit: Unit) -> str:
-    """Say 10 bytes and send 7, then 14: both are aborted."""
+    """Indicate 10 bytes and send 7, then 14: both are aborted."""
     index, subindex, before, text = text_object(unit)
     done = []
     for last in (b"\x01" + text[:7], b"\x11" + text[7:14]):
@@ -167,10 +165,10 @@ def another_length(unit: Unit) -> str:
 
 @case("S.7")
 def without_size(unit: Unit) -> str:
-    """Write 1017h expedited and a text by segments, without telling their lengths: both are taken.
+    """Write 1017h expedited and a text by segments, without their sizes: both are accepted.
 
-    Expedited, the bytes are of an unspecified number then. A server that takes all four refuses
-    them for 1017h, but not for an object of four bytes.
+    The number of expedited bytes is then unspecified. A server that uses all four refuses them for
+    1017h, but not for an object of four bytes.
     """
     done = []
     if unit.has(0x1017) and unit.variable(0x1017).access == "rw":
@@ -200,9 +198,9 @@ def without_size(unit: Unit) -> str:
 
 
 def _four_bytes(unit: Unit) -> str:
-    """Write an object of four bytes with its own value, without telling its length.
+    """Write an object of four bytes with its own value, without its size.
 
-    Return where it is.
+    Return its index and sub-index.
     """
     variable = short(unit, (4,))
     place = (variable.index, variable.subindex)
@@ -227,7 +225,7 @@ def segments(text: bytes) -> list[bytes]:
 
 @case("S.8")
 def after_the_last_segment(unit: Unit) -> str:
-    """Go through an upload and a download by segments: one segment more is an error, or ignored."""
+    """Complete an upload and a download by segments: a further segment is an error, or ignored."""
     variable, content = long_object(unit)
     unit.sdo.upload_as(variable.index, variable.subindex)
     toggle = -(-len(content) // 7) & 1
@@ -241,9 +239,7 @@ def after_the_last_segment(unit: Unit) -> str:
 
 @case("S.9")
 def new_initiation(unit: Unit) -> str:
-    """Begin another transfer in the middle of an upload: it is served, or aborted in the name of
-    either; the old one is over.
-    """
+    """Begin another transfer during an upload: it is executed, or aborted with either object; the old one is over."""
     index, subindex, value = volatile(unit)
     unit.undo_later(index, subindex, unit.read(index, subindex))
     data = encode(unit.variable(index, subindex), value)
@@ -289,7 +285,7 @@ def other_direction(unit: Unit) -> None:
 
 @case("S.11")
 def reserved_bytes(unit: Unit) -> str | None:
-    """Look at the bytes of the responses to downloads that are reserved: 0."""
+    """Check the reserved bytes of download responses: 0."""
     index, subindex, _, text = text_object(unit)
 
     def zero(request: bytes, first: int) -> bytes:

@@ -23,7 +23,7 @@ RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6
 def change(unit: Unit) -> tuple[int, int, bytes, bytes]:
     """Change a harmless communication parameter.
 
-    Return where it is, what it was, and what it is.
+    Return its place, its old value, and its new value.
     """
     index, subindex, value = volatile(unit)
     before = unit.read(index, subindex)
@@ -35,7 +35,7 @@ def change(unit: Unit) -> tuple[int, int, bytes, bytes]:
 
 
 def command(unit: Unit, index: int, subindex: int) -> None:
-    """Give the signature."""
+    """Write the signature."""
     if index == STORE:
         unit.save(subindex)
         return
@@ -53,7 +53,7 @@ def is_now(unit: Unit, index: int, subindex: int, expected: bytes, when: str) ->
 @case("8.1", defaults=True, index=STORE)
 @case("8.3", defaults=True, index=RESTORE)
 def signature(unit: Unit, index: int) -> None:
-    """Read the ability, and write the signature; the ability reads as before."""
+    """Read the capability, and write the signature; the capability is unchanged."""
     unit.need_ability(index)
     command(unit, index, 1)
     value = unit.number(index, 1)
@@ -68,7 +68,7 @@ def signature(unit: Unit, index: int) -> None:
 @case("8.2", defaults=True, index=STORE)
 @case("8.4", defaults=True, index=RESTORE)
 def wrong_signature(unit: Unit, index: int) -> str:
-    """Write signatures that are none: refused, and nothing is stored."""
+    """Write wrong signatures: refused, and nothing is stored."""
     unit.need_ability(index)
     place = change(unit) if index == STORE else None
     wrong = (b"SAVE", b"evas", b"load") if index == STORE else (b"LOAD", b"daol", b"save")
@@ -82,7 +82,7 @@ def wrong_signature(unit: Unit, index: int) -> str:
 
 @case("8.5", defaults=True)
 def store(unit: Unit) -> str:
-    """Change a parameter, store, change it again, reset: what was stored is there."""
+    """Change a parameter, store, change it again, reset: the stored value is back."""
     unit.need_ability(STORE)
     index, subindex, before, data = change(unit)
     command(unit, STORE, 1)
@@ -94,9 +94,9 @@ def store(unit: Unit) -> str:
 
 @case("8.6", defaults=True)
 def store_groups(unit: Unit) -> str:
-    """The communication group, 1010h:02, in the same way.
+    """The same for the communication group, 1010h:02.
 
-    Then a change that is not stored is lost with a reset.
+    An unstored change is lost with a reset.
     """
     unit.need_ability(STORE, 2)
     index, subindex, before, data = change(unit)
@@ -135,13 +135,13 @@ def restore(unit: Unit) -> str:
 
 @case("8.8", defaults=True)
 def restore_groups(unit: Unit) -> str:
-    """The communication group, 1011h:02, in the same way."""
+    """The same for the communication group, 1011h:02."""
     return _restore(unit, 2)
 
 
 @case("8.9", defaults=True)
 def verify_configuration(unit: Unit) -> None:
-    """Write date and time to 1020h, store, write others, reset: the stored ones are there."""
+    """Write date and time to 1020h, store, write others, reset: the stored ones are back."""
     unit.need_ability(STORE)
     unit.need_writable(0x1020, 1)
     expected = {1: (14_000).to_bytes(4, "little"), 2: (43_200_000).to_bytes(4, "little")}
@@ -174,7 +174,7 @@ def restricted(unit: Unit) -> str:
         try:
             unit.write(index, subindex, 0x6DF if index in (0x1005, 0x1012) else 0x80000000 | 0x6DF)
         except TransferAborted:
-            continue  # it cannot be configured after all
+            continue  # it is not configurable after all
         for can_id in RESTRICTED:
             unit.refused(index, subindex, can_id)
         done.append(where(index, subindex))
@@ -188,8 +188,7 @@ def verification_is_lost(unit: Unit) -> str:
     """Write date and time to 1020h, and change a parameter: both are 0, or stay, as the boot-up
     configuration has not changed yet.
 
-    Where they stay: store them, load the defaults and reset. That changes the boot-up
-    configuration, and both are 0.
+    If they stay: store them, load the defaults and reset. That changes the boot-up configuration, and both are 0.
     """
 
     def date_and_time() -> list[int]:
@@ -220,9 +219,7 @@ def verification_is_lost(unit: Unit) -> str:
 
 @case("K.2", defaults=True)
 def only_the_group(unit: Unit) -> str:
-    """Change a text of the manufacturer's, and store the communication group alone: the text is
-    lost with a reset.
-    """
+    """Change a manufacturer-specific text, and store only the communication group: the text is lost with a reset."""
     unit.need_ability(0x1010, 2)
     index, subindex, before, text = text_object(unit)
     unit.put(index, subindex, text)

@@ -25,13 +25,12 @@ NO_SYNC = "the device produces no SYNC"
 
 
 def produce(unit: Unit, overflow: int | None = None) -> None:
-    """Make the device send SYNC, with a counter that goes up to `overflow`, in the order that CiA
-    301 wants.
+    """Make the device send SYNC, with a counter up to `overflow`, in the order of CiA 301.
 
     Raises
     ------
     NotApplicable
-        It is no SYNC producer.
+        It is not a SYNC producer.
     """
     unit.need_writable(0x1005)
     cob_id = unit.number(0x1005)
@@ -46,9 +45,7 @@ def produce(unit: Unit, overflow: int | None = None) -> None:
 
 
 def syncs(unit: Unit, count: int) -> list[BusFrame]:
-    """Return so many SYNCs of the device, at their period (measured up to three times: the tester
-    may be late).
-    """
+    """Return this many SYNCs of the device, at their period (measured up to three times: the tester may be late)."""
     text = cause = ""
     for _ in range(3):
         frames = unit.collect(unit.sync_id, count * PERIOD_MS * MS + PERIOD_MS * MS // 2)
@@ -82,8 +79,8 @@ def producer(unit: Unit) -> str:
 
 @case("6.3")
 def tpdos(unit: Unit) -> str:
-    """Count TPDOs of type 1 against SYNCs: the device's own where it can produce them, and the
-    tester's.
+    """Compare the number of TPDOs of type 1 with that of SYNCs: the device's own if it can produce
+    them, and the tester's.
     """
     can_id = synchronous(unit)
     unit.start()
@@ -158,9 +155,7 @@ def no_counter(unit: Unit) -> str:
 
 @case("6.7")
 def counter(unit: Unit) -> str:
-    """Set 1019h, start the SYNC, and read the counter from its first value on, over two
-    overflows.
-    """
+    """Set 1019h, start the SYNC, and read the counter from its first value over two overflows."""
     unit.need_writable(0x1019)
     unit.flush()
     produce(unit, OVERFLOW)
@@ -170,7 +165,7 @@ def counter(unit: Unit) -> str:
 
 
 def check_counter(frames: list[BusFrame], overflow: int, first: int | None = None) -> None:
-    """Fail unless the SYNCs' counter goes up by one and begins with 1 again after `overflow`."""
+    """Fail unless the SYNC counter increments by one and restarts at 1 after `overflow`."""
     if len(frames) < overflow:
         text = f"{len(frames)} SYNCs, too few to see the counter's overflow at {overflow}"
         raise CaseFailed(text, cause="" if frames else NO_SYNC)
@@ -209,9 +204,7 @@ def counter_while_running(unit: Unit) -> str:
 
 @case("6.10", defaults=True)
 def sync_stored(unit: Unit) -> None:
-    """Set 1019h, 1006h and the producer's bit, store, reset: the values stand, and SYNC runs with
-    its counter.
-    """
+    """Set 1019h, 1006h and the producer's bit, store, reset: the values are kept, and SYNC runs with its counter."""
     unit.need_ability(0x1010)
     for index in (0x1005, 0x1006, 0x1019):
         unit.need_writable(index)
@@ -231,9 +224,9 @@ def sync_stored(unit: Unit) -> None:
 
 @case("Y.1")
 def wrong_length(unit: Unit) -> str:
-    """Send a SYNC of one byte where 1019h is 0: an EMCY, if one comes, is 8240h.
+    """Send a SYNC of one byte with 1019h = 0: an EMCY, if one comes, is 8240h.
 
-    The next SYNC of no byte acts.
+    The next SYNC without data acts.
     """
     can_id = synchronous(unit)
     emcy = emcy_id(unit)
@@ -252,7 +245,7 @@ def wrong_length(unit: Unit) -> str:
 
 @case("Y.2")
 def another_identifier(unit: Unit) -> str:
-    """Give 1005h another identifier: the device obeys SYNCs with it, and no others."""
+    """Set another identifier in 1005h: the device reacts to SYNCs with it, and to no others."""
     unit.need_writable(0x1005)
     can_id = synchronous(unit)
     try:
@@ -278,7 +271,7 @@ def producer_in_stopped(unit: Unit) -> None:
     produce(unit, OVERFLOW)
     unit.pause(2 * PERIOD_MS * MS + PERIOD_MS * MS // 2)
     unit.nmt(NmtCommand.STOP)
-    unit.pause(PERIOD_MS * MS // 4)  # one that was under way
+    unit.pause(PERIOD_MS * MS // 4)  # one already under way
     if not unit.until(lambda: not unit.collect(unit.sync_id, 5 * PERIOD_MS * MS)):
         raise CaseFailed("the device sends SYNC in STOPPED")
     unit.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)

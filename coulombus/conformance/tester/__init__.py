@@ -1,1 +1,1 @@
-"""What the cases are made with: the link, clients, probes, stimuli, verdicts."""
+"""Building blocks of the cases: link, clients, probes, stimuli, verdicts."""

@@ -1,4 +1,4 @@
-"""The device under test as its EDS describes it: objects, defaults, and what it is."""
+"""The device under test according to its EDS: objects, defaults, kind."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class DescribedDevice:
         self.description, self.node_id = description, node_id
 
     def has(self, index: int, subindex: int = 0) -> bool:
-        """Tell whether the EDS describes an object."""
+        """Return whether the EDS describes an object."""
         return self.description.has(index, subindex)
 
     def need(self, index: int, subindex: int = 0) -> Variable:
@@ -59,7 +59,7 @@ class DescribedDevice:
                         yield variable
 
     def default(self, variable: Variable) -> Value:
-        """Return a default of the EDS; None where it gives none."""
+        """Return a default of the EDS, or None."""
         return self.description.default(variable.index, variable.subindex, self.node_id)
 
     @cached_property
@@ -71,16 +71,15 @@ class DescribedDevice:
         for index, subindex, _, value in _OBJ_FLAGS.findall(eds_text(self.description)):
             try:
                 flags[int(index, 16), int(subindex or "0", 16)] = int(value, 0)
-            except ValueError:  # the reader has told it
+            except ValueError:  # already reported by the reader
                 continue
         return flags
 
     @cached_property
     def granularity(self) -> int:
-        """[DeviceInfo] Granularity: of how many bits the entries of a PDO's map are multiples; 0:
-        no map can be written.
+        """[DeviceInfo] Granularity: unit [bits] of the entries of a PDO's map; 0: no map can be written.
 
-        Bits where the file does not say it, or says what is none of 0 to 64.
+        One bit if the file has no value from 0 to 64.
         """
         said = {key.lower(): value for key, value in self.description.info.items()}.get("granularity", "").strip()
         try:
@@ -90,12 +89,12 @@ class DescribedDevice:
         return bits if 0 <= bits <= 64 else 1
 
     def width(self, index: int, subindex: int) -> int:
-        """Return how many bytes an object has, 0 where the EDS does not describe it."""
+        """Return the bytes of an object; 0 if the EDS does not describe it."""
         return (self.variable(index, subindex).bits + 7) // 8 if self.has(index, subindex) else 0
 
     @property
     def is_drive(self) -> bool:
-        """Tell whether it is a drive of CiA 402, with controlword and statusword."""
+        """Return whether it is a drive of CiA 402, with controlword and statusword."""
         kind = self.default(self.variable(0x1000)) if self.has(0x1000) else None
         profile = isinstance(kind, int) and kind & 0xFFFF == 402
         return profile and self.has(0x6040) and self.has(0x6041)
@@ -112,6 +111,6 @@ class DescribedDevice:
 
 
 def is_signed(variable: Variable) -> bool:
-    """Tell whether the variable is a signed integer."""
+    """Return whether the variable is a signed integer."""
     kind = DATA_TYPES.get(variable.data_type)
     return bool(kind and kind.signed and kind.kind == "int")

@@ -1,4 +1,4 @@
-"""Values that are not the EDS's defaults after a reset: which of them the standards forbid."""
+"""Judge values that differ from the EDS's defaults after a reset."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OF_THE_MAKER = 0x2000
 
 
 def deviation(unit: Unit, v: Variable) -> str | None:
-    """Return what an object is instead of its default, if it is something else."""
+    """Return the deviation of an object from its default, if any."""
     default = unit.default(v)
     if default is None or v.access == "wo" or v.unreadable:
         return None
@@ -48,19 +48,19 @@ def judge_deviations(unit: Unit, texts: Mapping[tuple[int, int], str]) -> str:
 
     Parameters
     ----------
-    texts : by index and sub-index, what each is and what it should be
+    texts : by index and sub-index, actual and expected value
 
     Returns
     -------
-    A remark on what the standard leaves open: an object that runs, and one from 2000h on that keeps
-    its value over a reset without being stored, as an operating time.
+    A remark on cases that the standard leaves open: an object that changes by itself, or an object
+    from 2000h up that keeps its value over a reset without being stored, such as an operating time.
 
     Raises
     ------
     CaseFailed
         Any other object.
     NotApplicable
-        Only objects that a user may have stored, in a device that cannot load its defaults.
+        Only user-storable objects deviate, in a device that cannot load its defaults.
     """
     left = {place: (unit.variable(*place), text) for place, text in texts.items()}
     remarks = []
@@ -88,8 +88,8 @@ def _may_be_stored(unit: Unit, v: Variable) -> bool:
 
 
 def _kept_without_a_store(unit: Unit, variables: Iterable[Variable]) -> list[Variable]:
-    """Return those of the maker's and the profile's parameters that have, after a reset, the default
-    that was written to them before it; the case's end writes their values back.
+    """Return the manufacturer's and profile's parameters that keep a default written before a
+    reset; the end of the case writes their values back.
     """
     written = []
     for v in variables:

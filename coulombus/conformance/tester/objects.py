@@ -1,6 +1,4 @@
-"""Objects of the EDS that the cases choose: what may be written without harm, what is long, what
-may differ from its default.
-"""
+"""Choose objects of the EDS for the cases: harmless to write, long, or free to differ from the default."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ __all__ = [
 LONGEST = 2000
 """Objects of more bytes (a whole EDS as 1021h) would take seconds by segments.
 
-They are only begun.
+Their transfers are only begun.
 """
 
 REFUSED = (
@@ -38,21 +36,19 @@ REFUSED = (
     *(Abort.PARAMETER_INCOMPATIBLE, Abort.INTERNAL_INCOMPATIBLE),
     *(Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE),
 )
-"""How a value is refused that does not fit, or not now: CiA 301 leaves the choice where it names no
-code.
-"""
+"""Abort codes for a value that is invalid, or invalid now: CiA 301 leaves the choice if it names no code."""
 
 NOT_NOW = (Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE, Abort.NO_DATA)
-"""An object may refuse an access for the state that the device is in."""
+"""Abort codes of an access that the present state does not allow."""
 
 ABSENT_NOW = (Abort.NO_DATA, Abort.NO_SUBINDEX)
-"""An entry of a list that has none now."""
+"""Abort codes for an entry of a list that is empty now."""
 
 OTHER_ID = 0x6DA
-"""Of no service in the pre-defined connection set, and not restricted."""
+"""Identifier outside the pre-defined connection set, and not restricted."""
 
 _COMMANDS = (0x1003, 0x1010, 0x1011, 0x1023, 0x1F50, 0x1F51, 0x1F80)
-"""A write of these does something; the cases that test them do it."""
+"""Objects whose write is a command; only the cases that test them write them."""
 
 _TEXTS = (0x0009, 0x000B)
 
@@ -60,21 +56,19 @@ _CHANGING = (0x1001, 0x1002, 0x1003, 0x1010, 0x1011, 0x1013, 0x1020, 0x1023, 0x1
 
 
 def is_command(variable: Variable) -> bool:
-    """Tell whether a write is a command rather than a parameter."""
+    """Return whether a write is a command rather than a parameter."""
     return variable.index in _COMMANDS or 0x1600 <= variable.index < 0x1800 or 0x1A00 <= variable.index < 0x1C00
 
 
 def is_parameter(variable: Variable) -> bool:
-    """Tell whether the object has to have its default after a reset: no process value, no counter,
-    no serial number.
-    """
+    """Return whether the object must have its default after a reset: not a process value, counter or serial number."""
     process = variable.index >= 0x2000 and variable.access == "ro"
     serial = variable.index == 0x1018 and variable.subindex == 4
     return variable.index >= 0x1000 and variable.index not in _CHANGING and not process and not serial
 
 
 def keeps(variable: Variable) -> bool:
-    """Tell whether the variable may be written with its own value at any time."""
+    """Return whether the variable may be written with its own value at any time."""
     fixed = 0x1800 <= variable.index < 0x1A00 and variable.subindex in (3, 6)  # while the PDO is valid
     fixed |= variable.index == 0x1019  # while 1006h runs
     return variable.access in ("rw", "rwr", "rww") and not is_command(variable) and not fixed
@@ -82,7 +76,7 @@ def keeps(variable: Variable) -> bool:
 
 def volatile(unit: Unit) -> tuple[int, int, int]:
     """Return (index, sub-index, value) of a communication parameter that can be changed without
-    effect, and another value.
+    side effects, and another value.
     """
     for index, subindex, value in ((0x1017, 0, 2500), (0x1015, 0, 250), (0x100C, 0, 250), (0x1029, 1, 1)):
         if unit.has(index, subindex) and unit.variable(index, subindex).access == "rw":
@@ -91,9 +85,7 @@ def volatile(unit: Unit) -> tuple[int, int, int]:
 
 
 def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
-    """Return the objects whose content has more than four bytes (and at most `LONGEST`),
-    with it.
-    """
+    """Return the objects with more than four bytes (and at most `LONGEST`), with their content."""
     objects, aborted = [], []
     for variable in unit.variables():
         if variable.access == "wo" or 0 < variable.bits <= 32:
@@ -113,8 +105,8 @@ def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
 
 
 def long_object(unit: Unit, at_least: int = 5) -> tuple[Variable, bytes]:
-    """Return the shortest object of at least so many bytes that holds still: a constant or a text,
-    where there is one; else one that reads alike twice.
+    """Return the shortest constant object of at least this size: a constant or a text, else an
+    object with two equal readings.
     """
     objects = [pair for pair in long_objects(unit) if len(pair[1]) >= at_least]
     still = [pair for pair in objects if pair[0].access == "const" or pair[0].data_type in _TEXTS]

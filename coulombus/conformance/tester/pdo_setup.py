@@ -1,4 +1,4 @@
-"""How the cases set up a PDO, and how they cause an event over the bus alone (CiA 301, sections
+"""Set up PDOs for the cases, and cause events over the bus alone (CiA 301, sections
 7.2.2 and 7.5.2.35 to 38).
 """
 
@@ -43,15 +43,15 @@ __all__ = [
 
 INVALID, NO_RTR, EXTENDED = 1 << 31, 1 << 30, 1 << 29
 RPDO, TPDO = 0x1400, 0x1800
-"""First communication parameter of each direction; its map stands 200h further."""
+"""First communication parameter of each direction; its map is at +200h."""
 TRANSMISSION, INHIBIT_TIME, EVENT_TIMER, SYNC_START = 2, 3, 5, 6
 """Sub-indices of a communication parameter: type, 100 us, ms, value of the SYNC counter."""
 NO_SYNC_TPDO = "no TPDO comes with a SYNC"
-"""The cause of many failures of a device that looks at no SYNC."""
+"""Common cause of failures of a device that ignores SYNC."""
 DEFAULTS: Mapping[int, int] = MappingProxyType({})
 
 MOST = 4
-"""So many PDOs of a direction are tested, the first of the EDS."""
+"""Maximum number of PDOs tested per direction, the first of the EDS."""
 
 CONSUMER_MS = 60
 READABLE, WRITABLE = ("ro", "rw", "rwr", "const"), ("rw", "rww", "wo")
@@ -62,7 +62,7 @@ _DEFAULT_ID = {
 
 
 class Unsupported(Exception):
-    """One PDO cannot be set up so; another one may."""
+    """This PDO cannot be set up so; another PDO may."""
 
 
 def numbers(unit: Unit, direction: int) -> list[int]:
@@ -94,12 +94,12 @@ def mappable(unit: Unit, direction: int) -> list[Variable]:
 
 
 def fits(unit: Unit, bits: int) -> bool:
-    """Tell whether an entry of a map may have so many bits, by [DeviceInfo] Granularity."""
+    """Return whether an entry of a map may have this many bits, by [DeviceInfo] Granularity."""
     return 0 < bits <= 64 and unit.granularity > 0 and bits % unit.granularity == 0
 
 
 def remappable(unit: Unit, direction: int) -> list[int]:
-    """Return the PDOs whose map may be written, by the EDS; none where its Granularity is 0."""
+    """Return the PDOs whose map may be written, by the EDS; empty if its Granularity is 0."""
     if not unit.granularity:
         return []
     return [
@@ -116,7 +116,7 @@ def remappable(unit: Unit, direction: int) -> list[int]:
 
 
 def disable(unit: Unit, direction: int, k: int) -> int:
-    """Make the PDO invalid and return its COB-ID as it was."""
+    """Make the PDO invalid and return its previous COB-ID."""
     cob_id = unit.number(direction + k, 1)
     if not cob_id & INVALID:
         unit.write(direction + k, 1, cob_id | INVALID)
@@ -124,7 +124,7 @@ def disable(unit: Unit, direction: int, k: int) -> int:
 
 
 def remap(unit: Unit, direction: int, k: int, words: Sequence[int]) -> None:
-    """Give an invalid PDO a map: count 0, entries, count."""
+    """Remap an invalid PDO: count 0, entries, count."""
     index = direction + 0x200 + k
     for sub in range(1, len(words) + 1):
         if not unit.has(index, sub):
@@ -139,7 +139,7 @@ def remap(unit: Unit, direction: int, k: int, words: Sequence[int]) -> None:
 
 
 def can_id_of(unit: Unit, direction: int, k: int, cob_id: int) -> int:
-    """Return the 11-bit identifier of a COB-ID, or the pre-defined one where it has none."""
+    """Return the 11-bit identifier of a COB-ID, else the pre-defined one."""
     if cob_id & EXTENDED:
         raise Unsupported(f"{where(direction + k, 1)} has a 29-bit identifier")
     if cob_id & 0x7FF:
@@ -150,13 +150,13 @@ def can_id_of(unit: Unit, direction: int, k: int, cob_id: int) -> int:
 
 
 def still(unit: Unit) -> None:
-    """Let the device produce no SYNC of its own: the tester's are counted."""
+    """Stop the device's own SYNC: only the tester's count."""
     if unit.has(0x1006) and unit.variable(0x1006).access not in READ_ONLY and unit.number(0x1006):
         unit.write(0x1006, 0, 0)
 
 
 def write_overflow(unit: Unit, value: int) -> None:
-    """Write 1019h; CiA 301 lets it change only while 1006h is 0."""
+    """Write 1019h; CiA 301 permits changes only while 1006h is 0."""
     still(unit)
     unit.write(0x1019, 0, value)
 
@@ -175,7 +175,7 @@ def arm(
 
     Parameters
     ----------
-    transmission : type (sub-index 2), None: what the device has
+    transmission : type (sub-index 2); None: the device's own
     entries : values of further sub-indices: `EVENT_TIMER`, `INHIBIT_TIME`, `SYNC_START`
 
     Raises
@@ -229,7 +229,7 @@ def event_type(unit: Unit, k: int) -> int:
 
 
 def sync(unit: Unit, counter: int | None = None) -> None:
-    """Send a SYNC, with a counter where one is given."""
+    """Send a SYNC, with a counter if given."""
     unit.dirty = True
     unit.send(unit.sync_id, b"" if counter is None else bytes((counter,)))
 
@@ -240,13 +240,12 @@ def enter(unit: Unit, state: NmtState) -> None:
 
 
 class HeartbeatOfTester:
-    """A heartbeat that the device watches: the only error that can be caused over any bus without
-    harm.
+    """A heartbeat that the device monitors: its loss is the only harmless error that can be caused over any bus.
 
     Raises
     ------
     NotApplicable
-        It watches no heartbeat.
+        It monitors no heartbeat.
     """
 
     def __init__(self, unit: Unit, consumer_ms: int = CONSUMER_MS) -> None:
@@ -266,23 +265,22 @@ class HeartbeatOfTester:
         self.unit.send(CobId.HEARTBEAT + self.producer, bytes((NmtState.OPERATIONAL,)))
 
     def lose(self) -> None:
-        """Send one heartbeat and wait until the next one is overdue."""
+        """Send one heartbeat and wait until the next is overdue."""
         self.beat()
         self.unit.pause(self.consumer_ms * MS + self.unit.timing.quiet_ns)
 
 
 class Event:
-    """A change of what TPDO `k` carries: of the statusword by the controlword in a drive, else of
-    the error register.
+    """A change of an object in TPDO `k`: the statusword by the controlword in a drive, else the error register.
 
-    The drive goes between Switch On Disabled and Ready To Switch On, so its power stage stays off.
+    The drive alternates between Switch On Disabled and Ready To Switch On, so its power stage stays off.
     """
 
     def __init__(self, unit: Unit, k: int) -> None:
         self.unit, self.k = unit, k
         self.word = mapped(unit.variable(0x6041) if unit.is_drive else unit.need(0x1001))
         self.possible, self.why = self._possible()
-        self.times = 2 if unit.is_drive else 1  # a heartbeat is lost for good
+        self.times = 2 if unit.is_drive else 1  # a heartbeat can be lost only once
         self._heartbeat: HeartbeatOfTester | None = None
         self._commands = 0
 
@@ -301,9 +299,9 @@ class Event:
         return not unit.has(0x1029, 1) or unit.variable(0x1029, 1).access != "rw"
 
     def prepare(self) -> tuple[int, ...]:
-        """Return the map that shows the event, empty to keep the present one.
+        """Return the map that shows the event; empty to keep the present map.
 
-        To be called in PRE-OPERATIONAL.
+        Call it in PRE-OPERATIONAL.
         """
         if not self.possible:
             return ()
@@ -319,12 +317,12 @@ class Event:
         return (self.word,) if self.k in remappable(self.unit, TPDO) and fits(self.unit, self.word & 0xFF) else ()
 
     def fire_and_see(self) -> None:
-        """FailureCause one change in OPERATIONAL.
+        """Cause one change in OPERATIONAL.
 
         Raises
         ------
         NotApplicable
-            The object that is mapped has not changed by it, so there was no event.
+            The mapped object has not changed, so there was no event.
         """
         index, subindex = self.word >> 16, self.word >> 8 & 0xFF
         before = self.unit.read(index, subindex)
@@ -333,11 +331,11 @@ class Event:
             raise NotApplicable(f"no event can be caused over the bus: {where(index, subindex)} does not change")
 
     def need_frame(self, came: bool, what: str) -> None:
-        """Fail when a change made no TPDO go, if it is an event of the device's profile.
+        """Fail if a change triggered no TPDO, provided it is an event of the device's profile.
 
-        What an event is, CiA 301 leaves to the profile and the manufacturer (section 7.5.2.37). A
-        drive's statusword in its TPDO is one of CiA 402; the error register of another device may
-        be none.
+        CiA 301 leaves the definition of events to the profile and the manufacturer (section
+        7.5.2.37). A change of a drive's statusword in its TPDO is an event of CiA 402; a change of
+        another device's error register may not be.
         """
         if came:
             return
@@ -347,7 +345,7 @@ class Event:
         raise NotApplicable(f"no {what}: a change of {place} is no event here, which is left to the device")
 
     def fire(self, state: NmtState = OPERATIONAL) -> None:
-        """FailureCause one change."""
+        """Cause one change."""
         if not self.possible:
             return
         if self.unit.is_drive and state != STOPPED:

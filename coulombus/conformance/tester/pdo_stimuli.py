@@ -1,8 +1,6 @@
-"""What makes a TPDO go: a remote frame, an event, a timer, the nth SYNC, a SYNC after an event, the
-SYNC with a start value.
+"""Triggers of a TPDO: a remote frame, an event, a timer, the nth SYNC, a SYNC after an event, a start value.
 
-Each `Stimulus` sets a TPDO up, and checks it in OPERATIONAL; `poke` gives it the same occasion in
-any state.
+Each `Stimulus` sets a TPDO up, and checks it in OPERATIONAL; `poke` applies the trigger in any state.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ _CALM_NS = 10 * MS
 
 
 class Stimulus(ABC):
-    """One way to make TPDO `k` of a unit go; made in PRE-OPERATIONAL."""
+    """A trigger of TPDO `k` of a unit; created in PRE-OPERATIONAL."""
 
     kind: int | None = None
 
@@ -53,27 +51,25 @@ class Stimulus(ABC):
 
     @abstractmethod
     def poke(self, state: NmtState) -> None:
-        """Give the occasion, in any state."""
+        """Apply the trigger, in any state."""
 
     @abstractmethod
     def check(self) -> str | None:
         """Fail unless the TPDO behaves in OPERATIONAL, which has just been entered."""
 
     def control(self) -> bool:
-        """Tell whether the occasion makes the TPDO go in OPERATIONAL, which has just been
-        entered.
-        """
+        """Return whether the trigger works in OPERATIONAL, which has just been entered."""
         self.poke(OPERATIONAL)
         return self.unit.wait(self.can_id) is not None
 
     def of_length(self, frames: list[BusFrame]) -> None:
-        """Fail when a frame has not the map's length."""
+        """Fail if a frame's length differs from the map's."""
         for frame in frames:
             if frame.length != self.length or frame.can_id & RTR:
                 raise CaseFailed(f"{self.name} has {frame.length} bytes; its map has {self.length}")
 
     def syncs(self, count: int, first: int | None = None, *, expected: int = 0) -> list[BusFrame]:
-        """Send SYNCs, and return the TPDOs that came with them; `expected` are waited for."""
+        """Send SYNCs, and return the TPDOs received; wait for `expected` ones."""
         for number in range(count):
             sync(self.unit, None if first is None else first + number)
             self.unit.pause(_CALM_NS)
@@ -83,7 +79,7 @@ class Stimulus(ABC):
 
 
 class ByRequest(Stimulus):
-    """A remote frame asks for the TPDO, of type 253 where the device takes that."""
+    """A remote frame requests the TPDO, of type 253 if the device accepts that."""
 
     def set_up(self) -> int:
         cob_id = self.unit.number(TPDO + self.k, 1)
@@ -112,7 +108,7 @@ class ByRequest(Stimulus):
 
 
 class ByEvent(Stimulus):
-    """A change of what the TPDO carries."""
+    """A change of an object in the TPDO."""
 
     def set_up(self) -> int:
         self.event = Event(self.unit, self.k)
@@ -142,7 +138,7 @@ class ByTimer(Stimulus):
     """The event timer, 1800h:05."""
 
     def set_up(self) -> int:
-        words = Event(self.unit, self.k).prepare()  # a map that changes by no noise
+        words = Event(self.unit, self.k).prepare()  # a map that noise does not change
         return arm(self.unit, self.k, event_type(self.unit, self.k), entries={EVENT_TIMER: TIMER_MS}, words=words)
 
     def poke(self, state: NmtState) -> None:
@@ -150,7 +146,7 @@ class ByTimer(Stimulus):
 
     def check(self) -> str | None:
         text = ""
-        for _ in range(3):  # a tester without real-time rights may be late itself
+        for _ in range(3):  # a tester without real-time rights may itself be late
             frames = self.unit.collect(self.can_id, 12 * TIMER_MS * MS)
             self.of_length(frames)
             if len(frames) < 2:
@@ -229,7 +225,7 @@ class BySyncAfterEvent(Stimulus):
 
 
 class ByStartValue(Stimulus):
-    """SYNCs with a counter; the one with the start value is the first that counts (1800h:06)."""
+    """SYNCs with a counter; the SYNC with the start value is the first that counts (1800h:06)."""
 
     def set_up(self) -> int:
         self.unit.need_writable(0x1019)

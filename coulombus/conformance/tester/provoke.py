@@ -1,6 +1,4 @@
-"""How an error is caused over the bus alone, and what the device tells of it: three ways, from the
-gentlest on.
-"""
+"""Cause an error over the bus alone, and get the device's EMCY: three methods, the mildest first."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ _SHORT_RPDO = "a short RPDO"
 def emcy_id(unit: Unit) -> int:
     """Return the identifier of the device's EMCY.
 
-    Where 1014h is not valid, or of 29 bits, the case does not apply.
+    If 1014h is invalid, or has 29 bits, the case does not apply.
     """
     unit.need(0x1014)
     cob_id = unit.number(0x1014)
@@ -72,9 +70,7 @@ def _by_life_guarding(unit: Unit) -> Callable[[], None]:
 
 
 def short_rpdo(unit: Unit) -> Callable[[], None]:
-    """Set an RPDO up, start the node, and return what sends it with one byte too few, all zeros:
-    set-points are 0.
-    """
+    """Set an RPDO up, start the node, and return a function that sends it one byte short, all zeros: set-points are 0."""
     for k in numbers(unit, RPDO):
         length = length_of(unit, RPDO, k)
         with suppress(Unsupported):
@@ -100,7 +96,7 @@ def _ways(unit: Unit) -> Iterator[tuple[str, Callable[[], None]]]:
 
 
 def after_lost_heartbeat(unit: Unit, can_id: int) -> BusFrame:
-    """Return the EMCY that comes after a lost heartbeat; where none does, the case is left open."""
+    """Return the EMCY after a lost heartbeat; without one, the case is left open."""
     frame = unit.wait(can_id)
     if frame is None:
         limit_ms = unit.timing.answer_ns / 1e6
@@ -111,14 +107,14 @@ def after_lost_heartbeat(unit: Unit, can_id: int) -> BusFrame:
 def must_be_noticed(unit: Unit, event: str, cause: Callable[[], None]) -> None:
     """Judge a device that sends no EMCY after a communication error.
 
-    1029h:01 = 0 has to lead it out of OPERATIONAL then.
+    1029h:01 = 0 must then make it leave OPERATIONAL.
 
     Raises
     ------
     LeftOpen
-        It does, or there is no 1029h to tell.
+        It does, or it has no 1029h.
     CaseFailed
-        It does not: the error is not noticed at all.
+        It does not: the error is not detected at all.
     """
     text = f"no EMCY after {event}"
     if unit.has(0x1029, 1) and unit.variable(0x1029, 1).access == "rw":
@@ -138,16 +134,16 @@ def must_be_noticed(unit: Unit, event: str, cause: Callable[[], None]) -> None:
 
 
 def cause_error(unit: Unit) -> tuple[str, BusFrame]:
-    """FailureCause an error; return how, and the EMCY that came.
+    """Cause an error; return the method, and the EMCY received.
 
     Raises
     ------
     NotApplicable
-        The EDS has nothing by which an error could be caused.
+        The EDS offers no way to cause an error.
     LeftOpen
         No EMCY came after a lost heartbeat or life guarding, and no RPDO can be sent too short.
     CaseFailed
-        No EMCY came, though an RPDO was too short.
+        No EMCY came after a short RPDO.
     """
     can_id = emcy_id(unit)
     tried = []
@@ -169,7 +165,7 @@ def cause_error(unit: Unit) -> tuple[str, BusFrame]:
 
 
 def check_emcy(unit: Unit, frame: BusFrame) -> None:
-    """Fail unless an EMCY that tells an error has its form."""
+    """Fail unless an EMCY of an error is well formed."""
     if frame.length != 8 or frame.can_id & RTR:
         raise CaseFailed(f"an EMCY has {frame.length} bytes, expected 8")
     code = int.from_bytes(frame.data[:2], "little")

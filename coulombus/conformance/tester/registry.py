@@ -1,6 +1,4 @@
-"""Which function tests which case: ``@case("2.5")`` above the function, with its parameters where
-several cases share it.
-"""
+"""Registry of test functions: ``@case("2.5")`` above the function, with parameters if several cases share it."""
 
 from __future__ import annotations
 
@@ -13,18 +11,18 @@ from coulombus.conformance.tester.unit import Unit
 __all__ = ["FROM_DEFAULTS", "FUNCTIONS", "Test", "case"]
 
 Test: TypeAlias = Callable[[Unit], str | None]
-"""A case: raises when the device fails or the case does not apply; returns a remark, or nothing."""
+"""A case: raises if the device fails or the case does not apply; returns a remark, or None."""
 
 FUNCTIONS: dict[str, Test] = {}
 
 FROM_DEFAULTS: set[str] = set()
-"""Cases that compare with defaults, or store: they begin from the device's defaults."""
+"""Cases that compare with defaults, or store: they start from the device's defaults."""
 
 
 def case(
     number: str, *, defaults: bool = False, **parameters: Any
 ) -> Callable[[Callable[..., str | None]], Callable[..., str | None]]:
-    """Register the function below as the case `number`; with `defaults` it begins from them."""
+    """Register the function below as the case `number`; with `defaults` it starts from them."""
 
     def register(function: Callable[..., str | None]) -> Callable[..., str | None]:
         if number in FUNCTIONS:

@@ -1,6 +1,4 @@
-"""Objects that change by themselves, as a clock or a counter: what is compared with an earlier value
-of theirs says nothing about a write.
-"""
+"""Objects that change by themselves, such as a clock or a counter: their changes say nothing about a write."""
 
 from __future__ import annotations
 
@@ -20,8 +18,7 @@ _TEXTS = (0x0009, 0x000B)
 def running(unit: Unit, variables: Collection[Variable]) -> list[Variable]:
     """Return those of the variables that change without a write.
 
-    All are read for twice the time-out of an answer, or until each has changed. A constant and a
-    text do not run.
+    All are read for twice the response time-out, or until each has changed. Constants and texts do not change.
     """
     places = {(v.index, v.subindex): v for v in variables if v.access != "const" and v.data_type not in _TEXTS}
     still = {place: v for place, v in places.items() if place not in unit.running}
@@ -46,19 +43,19 @@ def _value(unit: Unit, variable: Variable) -> bytes | None:
 
 
 def unchanged(unit: Unit, variable: Variable, before: bytes) -> None:
-    """Fail when a refused write has changed an object that does not run."""
+    """Fail if a refused write has changed an object that does not change by itself."""
     name = where(variable.index, variable.subindex)
     if unit.read(variable.index, variable.subindex) != before and not running(unit, [variable]):
         raise CaseFailed(f"{name} has changed although it was refused", cause="a value that is refused is taken")
 
 
 def keeps_own_value(unit: Unit, variable: Variable, value: bytes) -> str | None:
-    """Fail unless an object to which its own value was written has it still, or runs.
+    """Fail unless an object keeps its own written value, or changes by itself.
 
     Returns
     -------
-    The remark on an object that runs, None for one that keeps its value. A slow counter may step
-    just between write and read: it is written a second time.
+    The remark on an object that changes by itself, None if it keeps its value. A slow counter may
+    step between write and read: it is written a second time.
     """
     index, subindex = variable.index, variable.subindex
     again = unit.read(index, subindex)

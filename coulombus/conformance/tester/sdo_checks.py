@@ -1,4 +1,4 @@
-"""What the SDO cases judge by: a text that may be written, and how a wrong transfer may end."""
+"""Checks of the SDO cases: a writable text, and the permitted ends of a wrong transfer."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ __all__ = ["LENGTHS", "judge_out_of_turn", "must_abort", "reads_back", "refused"
 TEXT = b"Coulombus writes a text of more than one segment, and of a length that is not theirs."
 
 SHORTEST = 15
-"""Bytes of three segments: a text that is shorter tells nothing about segments."""
+"""Least bytes of a text, three segments: a shorter one does not test segments."""
 
 LENGTHS = (Abort.LENGTH, Abort.TOO_LONG, Abort.TOO_SHORT, Abort.MEMORY, Abort.GENERAL, *NOT_NOW)
-"""How a device refuses a text for its length."""
+"""Abort codes for a text of wrong length."""
 
 
 def text_object(unit: Unit) -> tuple[int, int, bytes, bytes]:
-    """Return a writable string: index, sub-index, its bytes, which are restored later, and a text
-    that it has room for.
+    """Return a writable string: index, sub-index, its bytes, which are restored later, and a text that fits.
 
-    An EDS does not tell how long a string may be. So it is tried, once in a run: `TEXT`, beginnings
-    of it, and as many bytes as the string has.
+    An EDS does not state the maximum length of a string. It is found by trial, once in a run:
+    `TEXT`, beginnings of it, and as many bytes as the string has.
     """
     reason = ""
     for variable in long_texts(unit):
@@ -43,9 +42,9 @@ def text_object(unit: Unit) -> tuple[int, int, bytes, bytes]:
 
 
 def _room(unit: Unit, variable: Variable, before: bytes) -> int:
-    """Return how many bytes of `TEXT` the string holds, 0 for fewer than `SHORTEST`.
+    """Return the number of bytes of `TEXT` that fit into the string, 0 for fewer than `SHORTEST`.
 
-    It has them no longer when this returns.
+    The string no longer has them on return.
     """
     index, subindex = variable.index, variable.subindex
     own: tuple[int, ...] = (len(before),) if SHORTEST <= len(before) < len(TEXT) else ()
@@ -64,18 +63,14 @@ def _room(unit: Unit, variable: Variable, before: bytes) -> int:
 
 
 def shown(text: bytes) -> bytes:
-    """Return a string without the zeros behind it, by which a string of fixed length may be filled
-    up.
-    """
+    """Return a string without trailing zeros, which may pad a string of fixed length."""
     return text.rstrip(b"\0")
 
 
 def untouched(unit: Unit, index: int, subindex: int, before: bytes) -> str:
-    """Return what an aborted download has left of the old text: nothing to be said, or that a part
-    was written.
+    """Return a remark on the old text after an aborted download: none, or that a part was written.
 
-    CiA 301 does not say that a download is written at once: a device of little memory writes a long
-    one part by part.
+    CiA 301 does not require atomic downloads: a device with little memory writes a long one in parts.
     """
     if shown(unit.read(index, subindex)) == shown(before):
         return ""
@@ -83,7 +78,7 @@ def untouched(unit: Unit, index: int, subindex: int, before: bytes) -> str:
 
 
 def refused(unit: Unit, transfer: Callable[[int, int, bytes], object], what: str, *, silence: bool = False) -> str:
-    """Let `transfer` write a text wrongly: it is aborted (or, with `silence`, ignored).
+    """Write a text wrongly by `transfer`: it is aborted (or, with `silence`, ignored).
 
     Return the code.
     """
@@ -113,10 +108,10 @@ OUT_OF_TURN = (Abort.TOGGLE, Abort.TIMEOUT, Abort.COMMAND, Abort.BLOCK_SIZE, Abo
 
 
 def judge_out_of_turn(unit: Unit, abort: TransferAborted) -> str:
-    """Return how a request out of turn is refused.
+    """Return a remark on the refusal of a request out of turn.
 
-    CiA 301 names no code for it, so any of the protocol's is right; a code that its table 22 defines
-    for something else is said.
+    CiA 301 names no code for it, so any of the protocol's is correct; a code that its table 22
+    defines for something else is reported.
     """
     named = not unit.codes or abort.code in unit.codes
     code = f"{unit.judge(abort, OUT_OF_TURN):08X}h"
@@ -124,10 +119,10 @@ def judge_out_of_turn(unit: Unit, abort: TransferAborted) -> str:
 
 
 def must_abort(unit: Unit, request: bytes, what: str, place: tuple[int, int] = (0x1000, 0)) -> str:
-    """Send a request that has no place here: it is aborted or ignored; return which.
+    """Send a request out of turn: it is aborted or ignored; return which.
 
-    CiA 301 names abort codes, but does not say that a server answers what is not for it; so it may
-    be silent, if it serves afterwards. `place` is the open transfer's object.
+    CiA 301 names abort codes, but does not require a response to an unexpected request; so a server
+    may be silent if it works afterwards. `place` is the open transfer's object.
     """
     try:
         answer = unit.sdo.request(request, 0, 0, "unknown command")

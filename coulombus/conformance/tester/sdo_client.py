@@ -1,4 +1,4 @@
-"""An SDO client on raw frames that can also do it wrong (CiA 301, section 7.2.4).
+"""An SDO client on raw frames that can also violate the protocol (CiA 301, section 7.2.4).
 
 Every response is checked to the bit.
 """
@@ -24,15 +24,13 @@ class SdoClient:
     Parameters
     ----------
     send
-        Sends eight bytes to the server, after all that waits from it has been thrown away.
+        Sends eight bytes to the server, after discarding its pending messages.
     wait
         Returns the server's next eight bytes, or None after the time-out.
     stream
-        Sends eight bytes, and keeps what waits: a server may acknowledge or abort in the middle of
-        a block.
+        Sends eight bytes, and keeps pending messages: a server may acknowledge or abort within a block.
     width
-        Returns the bytes of an object's type, 0 where it has any number: of an expedited upload
-        that does not tell its own.
+        Returns the bytes of an object's type, 0 for a variable size: for an expedited upload without a size.
     """
 
     def __init__(
@@ -54,7 +52,7 @@ class SdoClient:
         Raises
         ------
         NoAnswer
-            There is none in time.
+            There is no message in time.
         """
         data = self._wait()
         if data is None:
@@ -83,7 +81,7 @@ class SdoClient:
 
     @contextmanager
     def named(self, other: tuple[int, int]) -> Iterator[None]:
-        """Let an abort name `other` too: the object of a transfer that a new one finds open."""
+        """Accept `other` in an abort, too: the object of a transfer that was still open."""
         self._other = other
         try:
             yield
@@ -91,33 +89,31 @@ class SdoClient:
             self._other = None
 
     def abort(self, index: int, subindex: int, code: int = 0x08000000) -> None:
-        """Abort the open transfer; a server does not answer that."""
+        """Abort the open transfer; a server does not respond to that."""
         self.send(head(0x80, index, subindex, code.to_bytes(4, "little")))
 
     # whole transfers
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """Read an object, expedited or by segments as the server wants it."""
+        """Read an object, expedited or segmented as the server chooses."""
         return self.upload_as(index, subindex)[0]
 
     def upload_up_to(self, index: int, subindex: int, most: int) -> bytes | None:
-        """Read an object, or only learn that it has more than `most` bytes: None."""
+        """Read an object; return None if it has more than `most` bytes."""
         answer = self.initiate_upload(index, subindex)
         return self._go_on(answer, index, subindex, most)[0]
 
     def upload_as(self, index: int, subindex: int) -> tuple[bytes, bool]:
-        """Read an object; return its bytes and whether they came by segments."""
+        """Read an object; return its bytes and whether the transfer was segmented."""
         data, segmented = self._go_on(self.initiate_upload(index, subindex), index, subindex, _LONGEST)
         if data is None:
             raise CaseFailed(f"upload of {where(index, subindex)} has no end")
         return data, segmented
 
     def _go_on(self, answer: bytes, index: int, subindex: int, most: int) -> tuple[bytes | None, bool]:
-        """Go on with an upload that has begun, to its end; or abort it when it has more than `most`
-        bytes: None.
+        """Continue a begun upload to its end; or abort it if it has more than `most` bytes, and return None.
 
-        It is never begun a second time before its end: a server may abort the new one as well as
-        the old one.
+        It is never begun again before its end: a server may abort either of the two.
         """
         if answer[0] & 0x02:
             return self.expedited(answer, index, subindex), False
@@ -135,10 +131,9 @@ class SdoClient:
         return data, True
 
     def expedited(self, answer: bytes, index: int, subindex: int) -> bytes:
-        """Return the data of an expedited response: as many bytes as it tells, else as its type
-        has.
+        """Return the data of an expedited response: by its indicated size, else its type's.
 
-        CiA 301 does not say what the bytes without data are.
+        CiA 301 does not define the bytes without data.
         """
         length = 4 - (answer[0] >> 2 & 3) if answer[0] & 0x01 else 0
         return answer[4 : 4 + (length or min(self._width(index, subindex) or 4, 4))]
@@ -201,7 +196,7 @@ class SdoClient:
     def initiate_block_upload(
         self, index: int, subindex: int, *, crc: bool, size: int = BLOCK
     ) -> tuple[bool, int | None]:
-        """Initiate a block upload of blocks of `size` segments.
+        """Initiate a block upload with blocks of `size` segments.
 
         Return whether the server has a CRC, and the length.
         """
@@ -229,13 +224,13 @@ class SdoClient:
         return segments, False
 
     def acknowledge(self, sequence: int, size: int) -> None:
-        """Acknowledge the segments up to `sequence` and ask for a block of `size` segments."""
+        """Acknowledge the segments up to `sequence` and request a block of `size` segments."""
         self.send(bytes((0xA2, sequence, size)) + bytes(5))
 
     def end_block_upload(
         self, index: int, subindex: int, segments: list[bytes], *, crc: bool, said: int | None
     ) -> bytes:
-        """Take the end of a block upload, whose last block is acknowledged; check length and CRC.
+        """Receive the end of a block upload, whose last block is acknowledged; check length and CRC.
 
         Return the bytes.
         """
@@ -258,7 +253,7 @@ class SdoClient:
     def block_upload(self, index: int, subindex: int, *, crc: bool, size: int = BLOCK) -> tuple[bytes, bool]:
         """Read an object by block transfer.
 
-        Return its bytes and whether a CRC was agreed and right.
+        Return its bytes and whether a CRC was agreed and correct.
         """
         has_crc, said = self.initiate_block_upload(index, subindex, crc=crc, size=size)
         self.send(b"\xa3" + bytes(7))
@@ -355,7 +350,7 @@ class SdoClient:
 
 
 def _wrong(what: str, index: int, subindex: int, text: str) -> CaseFailed:
-    """Return the failure of a response, whose cause does not depend on the object."""
+    """Return the failure of a response, with a cause that does not depend on the object."""
     clause = _BLOCKS if what.startswith("block") else _SDO
     return CaseFailed(f"{what} {where(index, subindex)}: {text}", cause=f"{what} an object: {text}", clause=clause)
 

@@ -1,6 +1,4 @@
-"""With which parameters a run begins, what it stores, and with which parameters it ends: done, and
-said before and behind it.
-"""
+"""Parameters at the beginning and the end of a run, and what it stores: set, and reported before and after."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from coulombus.conformance.tester.verdict import CaseFailed, where
 __all__ = ["Parameters", "begin", "end", "intention"]
 
 Parameters = dict[tuple[int, int], bytes]
-"""Communication parameters that a run changes, as the device holds them."""
+"""Communication parameters that a run changes, with the device's values."""
 
 _CHANGED = ((0x1005, 0), (0x1006, 0), (0x100C, 0), (0x100D, 0), (0x1014, 0), (0x1015, 0), (0x1017, 0), (0x1019, 0))
 
@@ -23,7 +21,7 @@ def _from_defaults(unit: Unit, numbers: Collection[str]) -> bool:
 
 
 def intention(unit: Unit, numbers: Collection[str]) -> str:
-    """Return what the cases with these numbers will do to the device's parameters."""
+    """Return a sentence on the effect of these cases on the device's parameters."""
     if FROM_DEFAULTS.isdisjoint(numbers):
         return "it keeps the parameters that it has stored, and begins with them"
     if unit.able(0x1011):
@@ -33,9 +31,9 @@ def intention(unit: Unit, numbers: Collection[str]) -> str:
 
 
 def begin(unit: Unit, numbers: Collection[str]) -> tuple[str, Parameters]:
-    """Let the device begin from its defaults, where a case needs that and 1011h:01 can do it.
+    """Load the device's defaults if a case needs them and 1011h:01 can do it.
 
-    Return what was done, and the parameters with which it begins.
+    Return a sentence on it, and the initial parameters.
     """
     text = "the run began with the parameters that the device held"
     if _from_defaults(unit, numbers):
@@ -67,7 +65,7 @@ def _held(unit: Unit) -> Parameters:
 
 
 def end(unit: Unit, before: Parameters) -> str:
-    """Return with which parameters the device ends, by what it holds after its last reset."""
+    """Return a sentence on the device's final parameters, by their values after its last reset."""
     if unit.stays_stored:
         return f"what the run stored stays in the device: {unit.stays_stored}"
     after = _held(unit)

@@ -1,4 +1,4 @@
-"""The device under test as the cases see it: its services, and what is done to leave it as it was."""
+"""The device under test for the cases: its services, and the restoration of its state."""
 
 from __future__ import annotations
 
@@ -22,27 +22,23 @@ _INBOX = 20_000
 _TRACE = 400
 STORE_IS_LOST = "what was stored is not there after a reset"
 ON_COMMAND = 0x1
-"""Bit of 1010h and 1011h."""
+"""Bit 0 of 1010h and 1011h: works on command."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How long the tester waits: for an answer, for what must not come, for a boot-up, for one case
-    in all.
-    """
+    """Time limits of the tester: for a response, for the absence of a frame, for a boot-up, for a whole case."""
 
     answer_ns: int = 1000 * MS
     quiet_ns: int = 60 * MS
     settle_ns: int = 20 * MS
-    """After an NMT command: a device may take it in its main loop, and lose what comes before it
-    has.
-    """
+    """Pause after an NMT command: a device may process it in its main loop, and lose earlier frames."""
     boot_ns: int = 5000 * MS
     case_ns: int = 60_000 * MS
 
     @classmethod
     def of(cls, timeout_s: float) -> Timing:
-        """Return the waits that follow from the time-out of an answer."""
+        """Return the time limits derived from the response time-out."""
         answer_ns = int(timeout_s * 1e9)
         quiet_ns, settle_ns = min(60 * MS, answer_ns), min(20 * MS, answer_ns)
         return cls(answer_ns, quiet_ns, settle_ns, 5 * answer_ns, 60 * answer_ns)
@@ -51,7 +47,7 @@ class Timing:
 class Unit(DescribedDevice):
     """One device on a link.
 
-    Everything that is sent and received goes into the trace of the case that runs.
+    All sent and received frames go into the trace of the running case.
     """
 
     def __init__(self, link: FrameLink, description: Description, node_id: int, timing: Timing, seed: int = 0) -> None:
@@ -69,13 +65,13 @@ class Unit(DescribedDevice):
         self.stored = self._late = self._changed_state = self._patient = False
         self._again: bytes | None = None
         self.rooms: dict[tuple[int, int], int] = {}
-        """How many bytes a writable text was found to hold."""
+        """Measured capacity [bytes] of writable texts."""
         self.abilities: dict[tuple[int, int], int] = {}
         self.running: set[tuple[int, int]] = set()
-        """Objects that were seen to change by themselves."""
+        """Objects observed to change by themselves."""
         self.from_defaults = self.ever_stored = False
         self.stays_stored = ""
-        """Why the device keeps what the run stored in it."""
+        """Reason why the device keeps the stored parameters."""
         self.channel(self.default_sdo_id(1, CobId.SDO_RX), self.default_sdo_id(2, CobId.SDO_TX))
 
     def channel(self, request_id: int, response_id: int) -> None:
@@ -86,7 +82,7 @@ class Unit(DescribedDevice):
     # frames
 
     def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
-        """Send a frame, behind all that has come: the trace is in the order of time."""
+        """Send a frame, after adding all received frames to the trace, which is in time order."""
         while self._next(self.link.now_ns()) is not None:
             pass
         size = len(data) if length is None else length
@@ -104,41 +100,39 @@ class Unit(DescribedDevice):
         return frame
 
     def pause(self, duration_ns: int) -> None:
-        """Let time pass; what comes is kept for `take` and `wait`."""
+        """Let time pass; received frames are kept for `take` and `wait`."""
         until_ns = self.link.now_ns() + duration_ns
         while self._next(until_ns) is not None or self.link.now_ns() < until_ns:
             pass
 
     def take(self, can_id: int) -> list[BusFrame]:
-        """Take the frames with this identifier that have come."""
+        """Take the received frames with this identifier."""
         frames = [frame for frame in self._inbox if frame.can_id == can_id]
         self._inbox = [frame for frame in self._inbox if frame.can_id != can_id]
         return frames
 
     def flush(self) -> None:
-        """Forget all that has come."""
+        """Discard all received frames."""
         while self._next(self.link.now_ns()) is not None:
             pass
         self._inbox.clear()
 
     def collect(self, can_id: int, duration_ns: int) -> list[BusFrame]:
-        """Return the frames with this identifier that come within `duration_ns` from now."""
+        """Return the frames with this identifier received within `duration_ns` from now."""
         self.flush()
         self.pause(duration_ns)
         return self.take(can_id)
 
     def until(self, done: Callable[[], bool]) -> bool:
-        """Ask `done` again and again until it is true, at most for the time-out of an answer; return
-        what it said last.
-        """
+        """Call `done` repeatedly until it is true, at most for the response time-out; return its last result."""
         until_ns = self.link.now_ns() + self.timing.answer_ns
         while not (result := done()) and self.link.now_ns() < until_ns:
             self.pause(2 * MS)
         return result
 
     def gather(self, can_id: int, count: int) -> list[BusFrame]:
-        """Return the frames with this identifier: `count`, as soon as they come in time, and what
-        comes in the quiet time behind them.
+        """Return the frames with this identifier: `count` frames within the time limit, and those
+        in the quiet time after them.
         """
         until_ns = self.link.now_ns() + self.timing.answer_ns
         while sum(frame.can_id == can_id for frame in self._inbox) < count and self.link.now_ns() < until_ns:
@@ -147,7 +141,7 @@ class Unit(DescribedDevice):
         return self.take(can_id)
 
     def wait(self, can_id: int, timeout_ns: int | None = None) -> BusFrame | None:
-        """Return the first frame with this identifier that has come or comes in time."""
+        """Return the first frame with this identifier, already received or within the time limit."""
         until_ns = self.link.now_ns() + (self.timing.answer_ns if timeout_ns is None else timeout_ns)
         while True:
             for k, frame in enumerate(self._inbox):
@@ -157,7 +151,7 @@ class Unit(DescribedDevice):
                 return None
 
     def expect(self, can_id: int, what: str, timeout_ns: int | None = None, *, cause: str = "") -> BusFrame:
-        """Return the frame that has to come; `cause` names the fault where none does."""
+        """Return the expected frame; `cause` names the fault if there is none."""
         frame = self.wait(can_id, timeout_ns)
         if frame is None:
             limit_ns = self.timing.answer_ns if timeout_ns is None else timeout_ns
@@ -168,7 +162,7 @@ class Unit(DescribedDevice):
     # SDO
 
     def _send_sdo(self, data: bytes) -> None:
-        if self._late:  # an answer that comes after its time-out is not the next request's
+        if self._late:  # a late response does not belong to the next request
             self._late = False
             self.pause(self.timing.quiet_ns)
         while self._next(self.link.now_ns()) is not None:
@@ -180,7 +174,7 @@ class Unit(DescribedDevice):
     def _stream_sdo(self, data: bytes) -> None:
         """Send a segment of a block.
 
-        What the server says meanwhile is kept, and may be followed by more.
+        Messages of the server meanwhile are kept.
         """
         self.send(self.sdo_rx, data)
         self._late = True
@@ -199,12 +193,12 @@ class Unit(DescribedDevice):
         return self.sdo.upload(index, subindex)
 
     def number(self, index: int, subindex: int = 0) -> int:
-        """Read an integer object, signed where the EDS says so."""
+        """Read an integer object, signed according to the EDS."""
         signed = self.has(index, subindex) and is_signed(self.variable(index, subindex))
         return int.from_bytes(self.read(index, subindex), "little", signed=signed)
 
     def write(self, index: int, subindex: int, value: Value) -> None:
-        """Write an object, and keep what it was for `restore`."""
+        """Write an object, and keep its old value for `restore`."""
         variable = self.variable(index, subindex)
         if variable.access != "wo":
             self._undo.append((index, subindex, self.read(index, subindex)))
@@ -212,19 +206,18 @@ class Unit(DescribedDevice):
         self.sdo.download(index, subindex, encode(variable, value))
 
     def put(self, index: int, subindex: int, data: bytes) -> None:
-        """Write bytes to an object as they are; nothing is kept for `restore`."""
+        """Write raw bytes to an object; nothing is kept for `restore`."""
         self.dirty = True
         self.sdo.download(index, subindex, data)
 
     def undo_later(self, index: int, subindex: int, data: bytes) -> None:
-        """Let `restore` write `data`, before what is to be restored already."""
+        """Make `restore` write `data` before all values registered so far."""
         self._undo.append((index, subindex, data))
 
     def refused(self, index: int, subindex: int, value: Value | bytes, codes: Sequence[int] | None = None) -> int:
-        """Write what the device must refuse.
+        """Write a value that the device must refuse.
 
-        Return its abort code, which must be one of `codes` (none: any), or say that a limit of the
-        EDS is exceeded where one is.
+        Return its abort code, which must be one of `codes` (empty: any), or report an exceeded limit of the EDS.
         """
         data = value if isinstance(value, bytes) else encode(self.variable(index, subindex), value)
         try:
@@ -237,9 +230,7 @@ class Unit(DescribedDevice):
         raise CaseFailed(text, cause=cause)
 
     def range_codes(self, index: int, subindex: int, data: bytes) -> tuple[int, ...]:
-        """Return the abort codes that refuse bytes because they exceed a limit of the EDS; none
-        where they do not.
-        """
+        """Return the abort codes for bytes that exceed a limit of the EDS; empty if they do not."""
         if not self.has(index, subindex):
             return ()
         variable = self.variable(index, subindex)
@@ -251,7 +242,7 @@ class Unit(DescribedDevice):
         return ()
 
     def write_raw(self, index: int, subindex: int, data: bytes) -> None:
-        """Write bytes; when they are taken, what was there before is kept for `restore`."""
+        """Write bytes; if accepted, the old value is kept for `restore`."""
         before = None
         if self.has(index, subindex) and self.variable(index, subindex).access != "wo":
             try:
@@ -264,7 +255,7 @@ class Unit(DescribedDevice):
             self._undo.append((index, subindex, before))
 
     def judge(self, abort: TransferAborted, codes: Sequence[int] | None = None) -> int:
-        """Return an expected abort's code, or fail when it is another than accepted."""
+        """Return an expected abort's code, or fail if it is not accepted."""
         accepted = self.codes if codes is None else tuple(codes)
         if accepted and abort.code not in accepted:
             expected = ", ".join(f"{code:08X}h" for code in accepted)
@@ -275,9 +266,9 @@ class Unit(DescribedDevice):
     # NMT
 
     def nmt(self, command: int) -> None:
-        """Send an NMT command to the device alone, and give it the time to follow.
+        """Send an NMT command to the device alone, and wait until it can follow.
 
-        Its first SDO request may come twice.
+        The first SDO request afterwards may be sent twice.
         """
         self.dirty = True
         self.send(CobId.NMT, bytes((command, self.node_id)))
@@ -285,15 +276,15 @@ class Unit(DescribedDevice):
         self.pause(self.timing.settle_ns)
 
     def start(self) -> None:
-        """Make it OPERATIONAL, and give it the time to look at PDOs and SYNC."""
+        """Make it OPERATIONAL, and wait until it handles PDOs and SYNC."""
         self.nmt(NmtCommand.START)
         self.pause(self.timing.quiet_ns)
 
     def reset(self, command: int = NmtCommand.RESET_NODE, *, must: bool = False) -> BusFrame | None:
         """Reset the device and return its boot-up message; PRE-OPERATIONAL follows.
 
-        Where a device never sent one, only `must` waits for it and fails; else its SDO server is
-        asked.
+        For a device that never sent a boot-up message, only `must` waits for it and fails;
+        otherwise its SDO server is polled.
         """
         self.flush()
         self.nmt(command)
@@ -310,7 +301,7 @@ class Unit(DescribedDevice):
     def _boot_up(self, wait_ns: int) -> BusFrame | None:
         """Return the boot-up message, past a last heartbeat.
 
-        Without one, what else came on its identifier.
+        Without one, return another frame on its identifier.
         """
         until_ns, other = self.link.now_ns() + wait_ns, None
         while (frame := self.wait(CobId.HEARTBEAT + self.node_id, until_ns - self.link.now_ns())) is not None:
@@ -322,9 +313,7 @@ class Unit(DescribedDevice):
         return other
 
     def state(self) -> int | None:
-        """Return the NMT state as heartbeat or guarding tell it; None where the device has
-        neither.
-        """
+        """Return the NMT state by heartbeat or guarding; None if the device has neither."""
         identifier = CobId.HEARTBEAT + self.node_id
         if self.has(0x1017):
             try:
@@ -347,8 +336,8 @@ class Unit(DescribedDevice):
     # storing
 
     def learn_abilities(self) -> None:
-        """Read what 1010h and 1011h can do, before a signature is written: a simple device keeps
-        that as its value.
+        """Read the capabilities in 1010h and 1011h before a signature is written: a simple device
+        keeps the signature as the value.
         """
         for index in (0x1010, 0x1011):
             for subindex in self.description.objects[index].variables if index in self.description.objects else ():
@@ -361,16 +350,16 @@ class Unit(DescribedDevice):
                         continue
 
     def able(self, index: int, subindex: int = 1) -> bool:
-        """Tell whether 1010h or 1011h works on command (bit 0 of what it can do)."""
+        """Return whether 1010h or 1011h works on command (bit 0 of its capabilities)."""
         return bool(self.abilities.get((index, subindex), 0) & ON_COMMAND)
 
     def need_ability(self, index: int, subindex: int = 1) -> None:
-        """Make sure that 1010h or 1011h works on command, and that what is stored can be undone.
+        """Require that 1010h or 1011h works on command, and that storing can be undone.
 
         Raises
         ------
         NotApplicable
-            It does not, or is not in the EDS; or 1011h:01 does not: what is stored would stay.
+            It does not, or is not in the EDS; or 1011h:01 does not: stored values would stay.
         """
         self.need(index, subindex)
         if (index, subindex) not in self.abilities:
@@ -400,7 +389,7 @@ class Unit(DescribedDevice):
             self._patient = False
 
     def forget_stored(self) -> None:
-        """Let the device load its defaults (1011h) and reset."""
+        """Load the device's defaults (1011h) and reset it."""
         self.ever_stored, self.stays_stored = True, ""
         try:
             self.sign(0x1011, 1, b"load")
@@ -411,9 +400,7 @@ class Unit(DescribedDevice):
     # life of a case
 
     def begin(self, codes: tuple[int, ...]) -> None:
-        """Bring the device to a known state: reset and PRE-OPERATIONAL, where something was done to
-        it.
-        """
+        """Bring the device to a known state: reset and PRE-OPERATIONAL, if it was changed."""
         self.codes = codes
         self.trace.clear()
         self._undo.clear()
@@ -423,7 +410,7 @@ class Unit(DescribedDevice):
         self.flush()
 
     def restore(self) -> None:
-        """Write back what the case changed, the last first.
+        """Undo the changes of the case, the last first.
 
         Stored parameters get their defaults again.
         """

@@ -1,6 +1,4 @@
-"""How a case ends before its end: it failed, it cannot be applied to this device, or the standard
-leaves open what the device does.
-"""
+"""Exceptions that end a case: failed, not applicable, or left open by the standard."""
 
 from __future__ import annotations
 
@@ -11,31 +9,30 @@ __all__ = ["CaseFailed", "LeftOpen", "NoAnswer", "NotApplicable", "TransferAbort
 
 
 def left_open(what: str, clause: str) -> str:
-    """Return the remark on what a standard does not decide; `clause` says where it does not."""
+    """Return the remark on a behaviour that a standard leaves open, with its `clause`."""
     return f"the standard leaves it open: {what} ({clause})"
 
 
 class NotApplicable(Exception):
-    """The device does not have what the case is about; the text says what."""
+    """The device lacks the subject of the case; the text names it."""
 
 
 class LeftOpen(NotApplicable):
-    """The device does what the standard neither demands nor forbids: the case judges nothing."""
+    """The standard neither demands nor forbids the device's behaviour: no verdict."""
 
     def __init__(self, what: str, clause: str) -> None:
         super().__init__(left_open(what, clause))
 
 
 class CaseFailed(Exception):
-    """The device did not do what the case asks for; the text says what it did instead.
+    """The device violated the requirement of the case; the text describes its behaviour.
 
     Parameters
     ----------
     cause
-        The fault behind the failure, in words that every case which meets it has alike. Empty: the
-        text.
+        The fault behind the failure, with the same text in all affected cases. Empty: the text.
     clause
-        Where the standard demands what is missing. Empty: the clause of the case.
+        Clause of the violated requirement. Empty: the clause of the case.
     """
 
     def __init__(self, text: str, *, cause: str = "", clause: str = "") -> None:
@@ -44,7 +41,7 @@ class CaseFailed(Exception):
 
 
 class NoAnswer(CaseFailed):
-    """The device did not answer in time."""
+    """The device did not respond in time."""
 
 
 class TransferAborted(CaseFailed):
