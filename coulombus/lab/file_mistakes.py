@@ -1,4 +1,4 @@
-"""What is wrong with a file that plans many runs - a sweep, a study -, each mistake with its line."""
+"""Collect the errors of a sweep or study file, each with its line."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class FileMistakes:
-    """Collects the mistakes of a file.
+    """Collects the errors of a file.
 
     Parameters
     ----------
-    error : what `raise_all` raises
+    error : type of the exception that `raise_all` raises
     """
 
     def __init__(self, path: str, document: Document, error: type[Exception]) -> None:
@@ -33,13 +33,13 @@ class FileMistakes:
         self._entries: list[tuple[int, str]] = []
 
     def say(self, key: Key, text: str) -> None:
-        """Note that something is wrong with a key."""
+        """Note an error of a key."""
         line = self._document.line(key)
         name, text = (_one_line(string) for string in (".".join(map(str, key)), text))
         self._entries.append((line, f"{self._path}:{line}: {name}: {text}" if name else f"{self._path}:{line}: {text}"))
 
     def explain(self, error: ValidationError, above: Key, model: type[BaseModel]) -> None:
-        """Note what pydantic found in the table `above`."""
+        """Note pydantic's errors in the table `above`."""
         for finding in error.errors():
             place = tuple(part for part in finding["loc"] if not (isinstance(part, str) and "[" in part))
             given = "" if isinstance(finding["input"], dict) else f", not {shown(finding['input'])}"
@@ -60,19 +60,19 @@ class FileMistakes:
             self.say((*above, *place), text)
 
     def raise_all(self) -> None:
-        """Raise the error with every mistake, in the file's order, if there is one."""
+        """Raise the exception with all errors in the file's order, if any."""
         if self._entries:
             ordered = sorted(self._entries, key=lambda mistake: mistake[0])
             raise self._error("\n".join(dict.fromkeys(text for _, text in ordered)))
 
 
 def _one_line(text: str) -> str:
-    """Return a text whose line ends are written out: a mistake is one line."""
+    """Return a text with escaped line ends: an error is one line."""
     return text.replace("\r", "\\r").replace("\n", "\\n")
 
 
 def _text_of(path: Path, what: str, error: type[Exception]) -> str:
-    """Return the text of the file `path`; `error` says why it cannot be read."""
+    """Return the text of the file `path`; raise `error` with the reason if it cannot be read."""
     try:
         raw = read_regular(path, MOST_CHARACTERS)
     except OSError as reason:
@@ -85,8 +85,8 @@ def _text_of(path: Path, what: str, error: type[Exception]) -> str:
 
 
 def read_checked(path: Path, what: str, model: type[M], error: type[Exception]) -> tuple[str, M, FileMistakes]:
-    """Return the text of the file `path`, its values as `model` has them, and room for further
-    mistakes; `error` has a line for each that there is.
+    """Return the text of the file `path`, its values validated by `model`, and a collector for
+    further errors; raise `error` with a line for each error.
     """
     text = _text_of(path, what, error)
     document = read_toml(text)
@@ -104,7 +104,7 @@ def read_checked(path: Path, what: str, model: type[M], error: type[Exception]) 
 
 
 def rig_beside(path: Path, name: str, mistakes: FileMistakes) -> Rig:
-    """Return the rig that the file `path` names: a packaged one, or a path beside it."""
+    """Return the rig that the file `path` names: a packaged one, or a path relative to it."""
     is_path = "/" in name or name.endswith(".toml")
     place = path.parent / name
     if is_path and not place.exists():

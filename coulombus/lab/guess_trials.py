@@ -1,9 +1,8 @@
-"""Guesses about a drive tried with their other readings: the host believes its rig file, and the
-simulated drive is as each reading has it.
+"""Test the alternatives of guesses about a drive: the host uses its rig file, the simulated drive the alternative.
 
-A rehearsal alone cannot show a wrong guess, as its plant is a copy of the belief. Here the plant
-differs by one reading, and what the host notices of it, and how the handle moves until then, is
-the answer. What a reading would change on the rig only together with others is not tried.
+A rehearsal alone cannot reveal a wrong guess, because its plant is a copy of the host's model. Here
+the plant differs by one alternative; the result is the check that detects it, and the handle's
+motion until then. Combinations of alternatives are not tested.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ __all__ = ["NOBODY", "GuessTrial", "OtherReading", "readings", "tried"]
 
 SECONDS = 2.0
 NOBODY = "nothing"
-"""What notices a reading that ends the run as if it were right."""
+"""Value of `noticed_by` if an alternative passes undetected."""
 
 
 class OtherReading(NamedTuple):
-    """Another reading of a guess: its key, in words, and the plant's keys that it makes."""
+    """An alternative of a guess: its key, its text, and the resulting keys of the plant."""
 
     key: str
     meaning: str
@@ -37,11 +36,11 @@ class OtherReading(NamedTuple):
 
 
 class GuessTrial(NamedTuple):
-    """What came of a reading.
+    """The result for an alternative.
 
     Attributes
     ----------
-    noticed_by : the trip that ended the run, or why it was not armed; `NOBODY` where nothing did
+    noticed_by : the trip that ended the run, or the reason for not arming; `NOBODY` if undetected
     angle_rad, speed_rad_s, motor_Nm : the largest at the handle until then
     """
 
@@ -53,7 +52,7 @@ class GuessTrial(NamedTuple):
 
 
 def readings(axis: Axis, text: str) -> Iterator[OtherReading]:
-    """Yield the other readings of the guesses that a rig file marks.
+    """Yield the alternatives of a rig file's marked guesses.
 
     Parameters
     ----------
@@ -92,7 +91,7 @@ def readings(axis: Axis, text: str) -> Iterator[OtherReading]:
 
 
 def tried(rig: Rig, text: str) -> tuple[GuessTrial, ...]:
-    """Return what the host notices of each other reading of the guesses in a rehearsal's rig file.
+    """Return the results for each alternative of the guesses in a rehearsal's rig file.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 r"""Friction in the plane without a bus: host and plant in one compiled loop, a cycle of delay between them.
 
-The loop stands in for the bus: what the encoders and transducers tell at the begin of a cycle goes to the
-host, and its commands act from the begin of the next cycle on. Encoders count, transducers are exact. The
-host is `host.plane.plane_step`, the plant `sim_bus.rig.plane_plant`.
+The loop replaces the bus: the host gets the encoder and transducer values of the cycle's beginning,
+and its commands act from the beginning of the next cycle. Encoders count, transducers are exact.
+The host is `host.plane.plane_step`, the plant `sim_bus.rig.plane_plant`.
 
     h : the `PlaneHostRecord`      p : the `PlanePlantRecord`
 """
@@ -36,22 +36,22 @@ COLUMNS = (
     *("x_m", "y_m", "vx_m_s", "vy_m_s", "shown_x_N", "shown_y_N", "hand_x_N", "hand_y_N"),
     *("brake_1_Nm", "brake_2_Nm", "motor_1_Nm", "motor_2_Nm", "stuck", "v1_rad_s", "v2_rad_s"),
 )
-"""Columns of a course, at the end of each cycle; all true, but for stuck: what the law says."""
+"""Columns of a course, at the end of each cycle; all are true values except stuck, which is the law's."""
 
 
 @dataclass(frozen=True)
 class PlaneRun:
-    """How a rig in the plane is run without a bus.
+    """Settings of a run in the plane without a bus.
 
     Attributes
     ----------
     mode : "active", "passive" or "hybrid"
     law : the law in the plane
     period_s : the cycle
-    window_cycles : cycles over which the joints' speeds are taken
-    turn_s : time over which the change of the speeds is taken, to foresee the tip's direction; 0: it is not
-    models_lag : whether the host knows the lags of the brakes
-    reversal_lags : a joint that comes to rest within so many of its brake's lags has its brake let go before
+    window_cycles : cycles over which the joints' speeds are computed
+    turn_s : time over which the change of the speeds is computed, to predict the tip's direction; 0: no prediction
+    models_lag : whether the host models the lags of the brakes
+    reversal_lags : a brake is released early if its joint will come to rest within this many of its lags
     """
 
     mode: str = "hybrid"
@@ -65,14 +65,14 @@ class PlaneRun:
 
 @dataclass(frozen=True)
 class PlaneCourse:
-    """A course, and the plant and the host at its end.
+    """A course, with the final state of plant and host.
 
     Attributes
     ----------
     t_s : end of each cycle
     values : shape (n, len(COLUMNS))
     host, plant : arrays of one record
-    residual_J : works of all torques less the change of the kinetic energy
+    residual_J : work of all torques minus the change of the kinetic energy
     """
 
     t_s: npt.NDArray[np.float64]
@@ -91,10 +91,10 @@ class PlaneCourse:
         return np.stack((self.column(x), self.column(y)), axis=1)
 
     def display_errors(self, from_s: float = 0.0, least_m_s: float = 0.05) -> dict[str, float]:
-        """Return how far the displayed force is off the direction against the true velocity, and its size.
+        """Return the errors of the displayed force in direction (opposite to the true velocity) and magnitude.
 
-        Samples before `from_s` and slower than `least_m_s` are left out. Median and 95th percentile of
-        the angle [deg] and of the size [N].
+        Samples before `from_s` or slower than `least_m_s` are omitted. Median and 95th percentile
+        of the angle [deg] and of the magnitude [N].
         """
         v, shown = self.vectors("vx_m_s", "vy_m_s"), self.vectors("shown_x_N", "shown_y_N")
         speed, size = np.hypot(*v.T), np.hypot(*shown.T)
@@ -119,8 +119,8 @@ def _run(
     steps: int,
     rows: Floats,
 ) -> None:
-    """Run `len(rows)` cycles of `steps` of the plant's steps; ``hand`` has the hand's goal [m] and its muscles' force
-    [N] at each begin and at the end.
+    """Run `len(rows)` cycles of `steps` of the plant's steps; ``hand`` has the hand's goal [m] and
+    its muscles' force [N] at the start of each cycle and at the end.
     """
     for k in range(len(rows)):
         motor = h.split.motor_Nm[0], h.split.motor_Nm[1]
@@ -145,7 +145,7 @@ def _run(
 
 
 def new_plane_plant(rig: Rig, period_s: float) -> RecordArray[PlanePlantRecord]:
-    """Return the plant of a rig of two links at rest in its start, as an array of one record.
+    """Return the plant of a rig of two links at rest at its start, as an array of one record.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def new_plane_plant(rig: Rig, period_s: float) -> RecordArray[PlanePlantRecord]:
 
 
 def _new_host(rig: Rig, run: PlaneRun, law: PlaneLaw, mechanism: Mechanism) -> RecordArray[PlaneHostRecord]:
-    """Return the host's record of a rig: its beliefs, at the start."""
+    """Return the host's record of a rig: its model, at the start."""
     kinematics = rig.kinematics
     assert kinematics is not None
     record = new_records(PlaneHostRecord)
@@ -210,7 +210,7 @@ def _new_host(rig: Rig, run: PlaneRun, law: PlaneLaw, mechanism: Mechanism) -> R
 def circle(
     centre_m: tuple[float, float], radius_m: float, frequency_Hz: float, seconds: float, period_s: float = 1e-3
 ) -> npt.NDArray[np.float64]:
-    """Return goals on a circle, from its rightmost point on, at each cycle's begin and at the end [m]."""
+    """Return goals on a circle [m], from its rightmost point, at the start of each cycle and at the end."""
     phase = 2 * math.pi * frequency_Hz * period_s * np.arange(round(seconds / period_s) + 1)
     return np.array(centre_m) + radius_m * np.stack((np.cos(phase), np.sin(phase)), axis=1)
 
@@ -223,9 +223,9 @@ def simulate_plane(
     Parameters
     ----------
     rig : with [kinematics] of two links in series, and [plane]
-    goal_m : where the hand wants to be at each cycle's begin and at the end, shape (cycles + 1, 2)
+    goal_m : the hand's goal at the start of each cycle and at the end, shape (cycles + 1, 2)
     run : mode, law, cycle
-    push_N : the force of the hand's muscles beside its spring and damper, at the same instants
+    push_N : the muscles' force in addition to the hand's spring and damper, at the same instants
 
     Raises
     ------

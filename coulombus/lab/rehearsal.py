@@ -1,5 +1,6 @@
-"""Commissioning rehearsed in virtual time: the host believes its rig file, and a simulated rig is
-as it truly is, with a hand that does what a step asks of the operator.
+"""Rehearse commissioning in virtual time.
+
+The host uses its rig file, the simulated rig its true values, and a simulated hand follows the steps' instructions.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ __all__ = ["rehearsed"]
 
 
 def rehearsed(truth: Rig | None, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> Runner:
-    """Return what runs the exercises of commissioning in virtual time.
+    """Return a function that runs the exercises of commissioning in virtual time.
 
     Parameters
     ----------
-    truth : the rig as it truly is; None: as each exercise's own rig file has it
-    seed : of everything random
+    truth : the true rig; None: the rig file of each exercise
+    seed : random seed
     """
 
     def run(exercise: Exercise, path: Path) -> RunResult:
         mode = exercise.rig.one_axis().mode[exercise.mode]
         same = (f"mode.{exercise.mode}.{key}={value!r}" for key, value in mode.model_dump().items())
-        true = (truth or exercise.rig).variant(*exercise.hand, *same)  # a mode that the true rig may not have
+        true = (truth or exercise.rig).variant(*exercise.hand, *same)  # the true rig may lack the mode
         return simulate(
             exercise.rig,
             exercise.mode,

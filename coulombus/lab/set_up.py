@@ -1,9 +1,9 @@
-"""The set-up of a simulated rig, done once for rigs that differ in plant and hand alone.
+"""Cache the set-up of a simulated rig for rigs that differ only in plant and hand.
 
-Power-on, bring-up over SDO and NMT start are much of a run's work. In a sweep they are mostly the
-same, frame by frame. So a world that has ended is kept, and begins again
-behind its set-up with the plant and the hand of the next run (`ready_world`, `give_back`); or another
-world of the same devices goes on where the set-up ended (`set_up`).
+Power-on, bring-up over SDO and NMT start are much of a run's work, and in a sweep they are mostly
+identical, frame by frame. A finished world is therefore kept, and restarts after its set-up with
+the plant and the hand of the next run (`ready_world`, `give_back`); or another world of the same
+devices continues from the end of the set-up (`set_up`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from coulombus.sim_bus.network.world_state import WorldState, adopt, state_of
 __all__ = ["forget", "give_back", "ready_world", "set_up"]
 
 MOST = 6
-"""So many are kept: 1 to 2 MB each, and as much for an idle world."""
+"""Maximum cached set-ups: 1 to 2 MB each, and as much for an idle world."""
 
 
 @dataclass
@@ -33,18 +33,18 @@ class _Kept:
     plans: tuple[DevicePlan, ...]
     losses: tuple[str, ...]
     idle: list[VirtualRig] = field(default_factory=list)
-    """At most one world, which nobody uses any more: a thread that takes it takes it from all others."""
+    """At most one idle world: a thread that takes it owns it."""
 
 
 _kept: list[_Kept] = []
-"""The newest one first."""
+"""Cached set-ups, the newest first."""
 
 
 def ready_world(rig: Rig, mode: str, seed: int) -> tuple[VirtualRig, tuple[str, ...]] | None:
-    """Return an idle world behind its set-up, with the plants and hands of `rig`, and what its set-up
-    left out; None where no world can be that.
+    """Return an idle world after its set-up, with the plants and hands of `rig`, and the set-up's
+    omissions; None if no world fits.
 
-    It is the caller's own until `give_back`.
+    The caller owns it until `give_back`.
     """
     needs = tuple(map(_needs, rig.axes))
     for entry in [entry for entry in _kept if entry.key == (mode, entry.key[1], needs, needs)]:
@@ -58,9 +58,7 @@ def ready_world(rig: Rig, mode: str, seed: int) -> tuple[VirtualRig, tuple[str, 
 
 
 def give_back(world: VirtualRig) -> None:
-    """Keep a world that has ended, for `ready_world`: if its host knew what it is, and the law is the
-    project's own, whose file nobody edits meanwhile.
-    """
+    """Cache a finished world for `ready_world`, if host and plant share one rig and the law is built in."""
     if world.controllers.rig is world.rig and world.rig.law_function in BUILTIN_LAWS:
         needs = tuple(map(_needs, world.rig.axes))
         for entry in _kept:
@@ -69,8 +67,8 @@ def give_back(world: VirtualRig) -> None:
 
 
 def set_up(world: VirtualRig) -> tuple[str, ...]:
-    """Switch the nodes on and bring them up, as `lab.virtual_bringup.switch_on`; or go on where an earlier
-    set-up of such a rig has ended, with the same bytes. Return what was left out.
+    """Switch the nodes on and bring them up, as `lab.virtual_bringup.switch_on`; or continue from
+    the end of an earlier set-up of such a rig, with the same bytes. Return the omissions.
     """
     key = _key(world)
     for entry in [entry for entry in _kept if entry.key == key]:
@@ -87,7 +85,7 @@ def set_up(world: VirtualRig) -> tuple[str, ...]:
 
 
 def forget() -> None:
-    """Forget what was kept."""
+    """Clear the cache."""
     _kept.clear()
 
 

@@ -1,6 +1,4 @@
-"""One run of the rig in virtual time: bring-up, arming, display, safe end - over real PDOs,
-recorded like a real one.
-"""
+"""Run the rig in virtual time: bring-up, arming, display, safe end - over real PDOs, recorded like a real run."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ __all__ = ["TruthError", "simulate"]
 
 PROGRESS_NS = 250_000_000
 LOOK_NS = 1_000_000_000
-"""Longest step of a run that shows and writes nothing."""
+"""Longest step of a run without progress display or output files."""
 TRUTH_BYTES = 8e9
 
 
@@ -53,14 +51,14 @@ class TruthError(CoulombusError):
 
 
 class _VirtualRun(Course):
-    """The course in virtual time, whose times are the world's."""
+    """The course of a run in virtual time; times are the world's."""
 
     def __init__(self, order: _Order) -> None:
         rig, mode, seed = order.rig, order.mode, order.seed
         on_frames = None if order.record is None and not order.measured else self._write
         ready = ready_world(rig, mode, seed) if order.only_figures and order.simulated is rig else None
         self.is_ready = ready is not None
-        """The world is behind its set-up already."""
+        """Whether the world has completed its set-up."""
         self.world, losses = ready or (
             VirtualRig(order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None),
             (),
@@ -71,7 +69,7 @@ class _VirtualRun(Course):
         plants = [axis.simulation.plant for axis in order.simulated.axes]
         warms = any(plant.heat is not None or plant.coil_thermal_K_W > 0 for plant in plants)
         shows = order.progress is not None or order.record is not None
-        self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # what warms does so in the pieces of a recorded run
+        self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # a warm-up uses the steps of a recorded run
         self.only_figures = order.only_figures
         self.measured = MeasuredFrames(rig) if order.measured else None
         if order.record is not None:
@@ -82,13 +80,13 @@ class _VirtualRun(Course):
         self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)
         self.injection: Injection | None = None
         self.ended_ns = 0
-        """When the host has ended, which it does behind its safe state."""
+        """Time of the host's end, after its safe state."""
 
     def _write(self, frames: Records) -> None:
         if self.measured is not None:
             self.measured.write(frames)
         messages = self.world.take_told()
-        if len(messages):  # at one instant first what the bus carried
+        if len(messages):  # at equal times, bus frames first
             frames = np.concatenate((frames, messages))
             frames = frames[np.argsort(frames["t_ns"], kind="stable")].view(np.recarray)
         self.record(lambda recorder: recorder.write(frames))
@@ -103,26 +101,24 @@ class _VirtualRun(Course):
 
     @property
     def starts_ns(self) -> tuple[int | None, ...]:
-        """When each axis' drive entered Operation Enabled; the host learns of it a little later."""
+        """Time at which each axis' drive entered Operation Enabled; the host learns of it slightly later."""
         return self.world.starts_ns
 
     @property
     def safe_ns(self) -> int | None:
-        """When the first axis entered its safe state, by the world's clock and not by the
-        host's.
-        """
+        """Time at which the first axis entered its safe state, by the world's clock, not the host's."""
         safe_ns = self.k.safe_ns
         return None if safe_ns is None else int(bus_ns(self.world.host_clock, safe_ns))
 
     def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
-        """Run in steps short enough to show progress and to write what was recorded."""
+        """Run in steps short enough to show progress and to write the recording."""
         world = self.world
         world.run_until(min(until_ns, world.t_ns + self._look_ns), done)
         waiting = self.k.host["waiting"] != 0
         if self.k.done and waiting.any():  # the run ends with a whole cycle of all axes
             window_ns = int(self.k.host["next_ns"][waiting].max())
             world.run_until(int(bus_ns(world.host_clock, window_ns)) + 1)
-        self.mark_course(world.t_ns + (world.t_ns < until_ns))  # what begins at the display's end does not begin
+        self.mark_course(world.t_ns + (world.t_ns < until_ns))  # an event at the display's end is excluded
         world.flush()
         enabled = self.enabled_ns
         if self.progress is not None and enabled is not None:
@@ -134,9 +130,7 @@ class _VirtualRun(Course):
         self.world.ask_to_stop(trip)
 
     def course(self, seconds: float) -> None:
-        """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end
-        safely.
-        """
+        """Power on, bring up, arm, display for `seconds` from Operation Enabled, and end safely."""
         world, k = self.world, self.k
         if not self.is_ready:
             self.losses = (set_up if self.only_figures else switch_on)(world)
@@ -151,13 +145,13 @@ class _VirtualRun(Course):
             shut_down(world)
 
     def mark(self, t_ns: int, text: str) -> None:
-        """Mark what is recorded or measured at `t_ns`."""
+        """Add a marker to the recording or measurement at `t_ns`."""
         if self.measured is not None:
             self.measured.mark(t_ns, text)
         super().mark(t_ns, text)
 
     def figures(self) -> Figures:
-        """Return the display's figures, of the frames in memory where they were kept."""
+        """Return the display's figures, from the frames in memory if they were kept."""
         if self.measured is None:
             return super().figures()
         if self.enabled_ns is None:
@@ -165,7 +159,7 @@ class _VirtualRun(Course):
         return Figures([measure(recording) for recording in self.measured.recordings()], None)
 
     def close(self) -> None:
-        """Write what is left and close the recording."""
+        """Write the rest and close the recording."""
         self.world.flush()
         if self.recorder is not None:
             try:
@@ -174,7 +168,7 @@ class _VirtualRun(Course):
                 self.failure = self.failure or str(error)
 
     def result(self) -> RunResult:
-        """Return what the run came to."""
+        """Return the result of the run."""
         k, enabled, trip = self.k, self.enabled_ns, self.trip
         return self.result_of(
             self.figures(),
@@ -205,32 +199,31 @@ def simulate(
     simulated: Rig | None = None,
     measured: bool | None = None,
 ) -> RunResult:
-    """Run the rig in virtual time and return what came of it.
+    """Run the rig in virtual time and return the result.
 
     Parameters
     ----------
     rig : a rig, the name of a packaged one, or a path
     mode : ``active``, ``passive`` or ``hybrid``
-    seconds : length of the display, from Operation Enabled on
+    seconds : length of the display, from Operation Enabled
     record : write a pcapng recording there, and compute the display's figures from it
-    seed : of everything random; same seed, same bytes
+    seed : random seed; same seed, same bytes
     truth : save the plant's true course there (npz, the arrays of
         `sim_bus.rig.plant.TRUTH_COLUMNS`)
     overrides : ``SECTION.KEY=VALUE`` of the rig file
     script : called before power-on; plans faults with ``world.at(t_ns, action)``
-    faults : a fault file (docs/bus.md): what goes wrong on the bus, and when
+    faults : a fault file (docs/bus.md): bus faults and their times
     progress : called with the display's time in s every 0.25 s of it
-    force : replace `record` and `truth` where they exist
-    simulated : the rig as it truly is, where the host's `rig` believes something else of it: plant,
-        hand and devices are this one's; same buses, same nodes
-    measured : compute the display's figures of the frames in memory, 48 bytes for each cycle of an
-        axis; a file that is recorded has then no sum (`RunResult.recording_sha256`). None: where
+    force : overwrite existing `record` and `truth`
+    simulated : the true rig if it differs from the host's `rig`: it has plant, hand and devices; same buses, same nodes
+    measured : compute the display's figures from the frames in memory, 48 bytes per cycle of an
+        axis; a recorded file then has no checksum (`RunResult.recording_sha256`). None: only if
         nothing is recorded. False without a recording: no figures
 
     Raises
     ------
     coulombus.host.errors.HostError
-        a node is missing, refuses a value or is not what the rig file says; nothing was armed
+        a node is missing, refuses a value or differs from the rig file; nothing was armed
     coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError,
     coulombus.recording.pcapng_blocks.RecordingError
         the rig file, the law or the recording's path is wrong, or a limit would cut the law off
@@ -239,7 +232,7 @@ def simulate(
     coulombus.sim_bus.faults.fault_file.FaultError
         the fault file is wrong
     coulombus.rigs.arguments.WrongCall
-        an argument is of a type that is not taken
+        an argument has the wrong type
     """
     for name, given in (("record", record), ("truth", truth)):
         if given is not None:
@@ -254,7 +247,7 @@ def simulate(
     if not (math.isfinite(seconds) and seconds > 0):
         raise ValueError(f"seconds {seconds!r}: expected a number above 0")
     if record is not None or truth is not None or len(chosen.channels) > 1:
-        check_plan(chosen)  # before a file is made; bring-up refuses it, too
+        check_plan(chosen)  # before a file is created; bring-up refuses it, too
     check_demand(chosen, mode)
     for path in (Path(given) for given in (record, truth) if given is not None):
         for channel in chosen.channels:  # known before the first bus is run
@@ -294,7 +287,7 @@ def _fault_file(faults: str | os.PathLike[str]) -> Path:
 
 @dataclass(frozen=True)
 class _Order:
-    """What `simulate` was asked for, checked."""
+    """The checked arguments of `simulate`."""
 
     rig: Rig
     simulated: Rig
@@ -309,14 +302,14 @@ class _Order:
     force: bool
     measured: bool
     only_figures: bool
-    """Whether nobody sees more of the run than its figures: then the set-up may be an earlier
-    run's, and what follows the host's end is left out.
+    """Whether only the run's figures are needed: then the set-up may be an earlier run's, and the
+    part after the host's end is skipped.
     """
 
     def on(self, channel: str, stop_ns: int | None) -> _Order:
-        """Return what that is on one bus, whose host is stopped at `stop_ns`.
+        """Return the order for one bus, whose host is stopped at `stop_ns`.
 
-        It has files of its own.
+        It has separate files.
         """
 
         def script(world: VirtualRig) -> None:
@@ -343,15 +336,15 @@ class _Order:
 def _simulate_buses(order: _Order) -> RunResult:
     """Run each bus of the rig.
 
-    Where one trips, the others are run once more and stopped at that instant.
+    If one trips, the others are run again and stopped at that instant.
 
-    The buses share nothing but that, so one after the other is exact.
+    The buses share nothing else, so sequential runs are exact.
     """
     orders = {channel: order.on(channel, None) for channel in order.rig.channels}
     results = {channel: _simulate_bus(bus_order) for channel, bus_order in orders.items()}
     trips = {result.trip_ns: channel for channel, result in results.items() if result.trip_ns}
     if trips:
-        first, again = min(trips), replace(order, force=True)  # its files are those of the first time
+        first, again = min(trips), replace(order, force=True)  # its files are those of the first run
         results = {c: r if c == trips[first] else _simulate_bus(again.on(c, first)) for c, r in results.items()}
     parts = {channel: result.as_dict() for channel, result in results.items()}
     return RunResult(**merged(parts, {channel: result.exit_status for channel, result in results.items()}))
@@ -359,7 +352,7 @@ def _simulate_buses(order: _Order) -> RunResult:
 
 def _simulate_bus(order: _Order) -> RunResult:
     """Run the axes of one bus."""
-    if order.truth is not None:  # whether it can be written is better known before the run
+    if order.truth is not None:  # check before the run that it can be written
         _create(order.truth, force=order.force)
     run = _VirtualRun(order)
     try:
@@ -370,7 +363,7 @@ def _simulate_bus(order: _Order) -> RunResult:
         if order.script is not None:
             order.script(run.world)
         run.course(order.seconds)
-    except BaseException:  # refused, or interrupted: what was recorded stays readable
+    except BaseException:  # refused, or interrupted: the recording stays readable
         run.close()
         raise
     run.close()

@@ -1,4 +1,4 @@
-"""The rig in virtual time, brought up by the host as a real one is."""
+"""Bring-up of the rig in virtual time, as on a real rig."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["switch_on"]
 
 def switch_on(world: VirtualRig) -> tuple[str, ...]:
     """Switch the nodes of `world` on and bring them up over SDO, as `host.setup.bringup` does on a
-    rig; return what was left out.
+    rig; return the omissions.
     """
     world.boot()
     return bring_up(world.controllers, world)

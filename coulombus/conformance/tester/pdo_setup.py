@@ -62,7 +62,7 @@ _DEFAULT_ID = {
 
 
 class Unsupported(Exception):
-    """This PDO cannot be set up so; another PDO may."""
+    """The set-up of a PDO is not supported; another PDO may support it."""
 
 
 def numbers(unit: Unit, direction: int) -> list[int]:

@@ -1,8 +1,7 @@
-"""The paper's experiment: the same hand holds and strokes the handle, once with active and once
-with hybrid force feedback.
+"""The paper's experiment: one hand holds and strokes the handle, with active and hybrid force feedback.
 
-Every figure comes out of the recordings. The demo passes when the active display shows the limit
-cycle and the hybrid one holds still under a real push.
+All figures come from the recordings. The demo passes if the active display shows the limit cycle
+and the hybrid one holds still under a real push.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ __all__ = ["DEMO_MODES", "Criterion", "Demo", "Display", "displays", "judge", "r
 DEMO_MODES = ("active", "hybrid")
 """The paper's comparison."""
 SAME = "hybrid-as-active"
-"""The hybrid display of the active display's friction."""
+"""The hybrid display with the active display's friction."""
 
 ACTIVE_RMS_RAD_S = (0.1, 3.0)
 ACTIVE_FLIPS_PER_S = 20.0
@@ -34,17 +33,17 @@ HYBRID_PUSH_SHARE = 0.5  # of F_s
 
 @dataclass(frozen=True)
 class Criterion:
-    """One thing that the demo demands: what, what was found, and whether it holds."""
+    """A criterion of the demo: the demand, the result, and whether it holds."""
 
     text: str
     found: str
     holds: bool | None
-    """None where the rig does not measure what it takes."""
+    """None if the rig lacks the measurement."""
 
 
 @dataclass(frozen=True)
 class Display:
-    """One run of the demo: what its column is called, its mode, and the rig."""
+    """One run of the demo: its column title, mode, and rig."""
 
     title: str
     mode: str
@@ -52,8 +51,8 @@ class Display:
 
 
 def displays(rig: Rig) -> dict[str, Display]:
-    """Return what is displayed, by the name of its files: the paper's comparison, hybrid at the
-    active display's friction, and the brake alone where the rig has that mode.
+    """Return the displays by the name of their files: the paper's comparison, hybrid at the active
+    display's friction, and the brake alone if the rig has that mode.
     """
     active = rig.one_axis().mode["active"]
     same = rig.variant(f"mode.hybrid.F_s_Nm={active.F_s_Nm}", f"mode.hybrid.F_d_Nm={active.F_d_Nm}")
@@ -76,7 +75,7 @@ class Demo:
 
     @property
     def passed(self) -> bool:
-        """True when every criterion holds that can be judged."""
+        """True if every criterion that can be judged holds."""
         return all(criterion.holds is not False for criterion in self.criteria)
 
 
@@ -89,9 +88,7 @@ def _number(value: float | None, unit: str) -> str:
 
 
 def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
-    """Judge an active and a hybrid run, and a hybrid one at the active one's friction where there
-    is one.
-    """
+    """Judge an active and a hybrid run, and a hybrid run at the active one's friction if there is one."""
     active, hybrid = results["active"], results["hybrid"]
     push = HYBRID_PUSH_SHARE * rig.one_axis().mode["hybrid"].F_s_Nm
     counts, rms = hybrid.hold_counts_p2p, hybrid.hold_velocity_rms_rad_s
@@ -145,7 +142,7 @@ def _same_friction(result: RunResult) -> Criterion:
 def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Demo:
     """Run the `displays` through the rig's schedule.
 
-    Write recordings and ``demo.json`` under `directory`, in place of former ones.
+    Write recordings and ``demo.json`` under `directory`, replacing earlier ones.
     """
     directory.mkdir(parents=True, exist_ok=True)
     seconds = rig.schedule_s

@@ -1,6 +1,4 @@
-"""The paper's experiment in real time: for each mode a ``coulombus emulate`` process with bus, nodes
-and rig, and a host on its bus.
-"""
+"""The paper's experiment in real time: per mode a ``coulombus emulate`` process, and a host on its bus."""
 
 from __future__ import annotations
 
@@ -42,9 +40,7 @@ class SimDied(HostError):
 
 
 class SimProcess:
-    """A ``coulombus emulate`` of its own; `wait_ready` before use, and as a context manager it is ended
-    at the end.
-    """
+    """A ``coulombus emulate`` process; call `wait_ready` before use. As a context manager it ends the process."""
 
     def __init__(self, rig: str, address: BusAddress, mode: str, seed: int, overrides: Sequence[str]) -> None:
         self.address, self._ready = address, False
@@ -53,7 +49,7 @@ class SimProcess:
         sets = [part for override in overrides for part in ("--set", override)]
         arguments = ["--rig", rig, "--bus", str(address), "--mode", mode, "--seed", str(seed), "--json", *sets]
         parent, cpus = os.getpid(), sorted(os.sched_getaffinity(0))
-        if len(cpus) > 1:  # the host's cycle has the last one
+        if len(cpus) > 1:  # the host's cycle uses the last CPU
             arguments += ["--cpu", str(cpus[0])]
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", "coulombus", "emulate", *arguments],
@@ -71,7 +67,7 @@ class SimProcess:
         return self.process.poll() is None
 
     def wait_ready(self) -> None:
-        """Wait until the bus is there; SimDied when it does not come to that."""
+        """Wait until the bus exists; raise SimDied if the process ends first."""
         assert self.process.stdout is not None
         if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
             raise SimDied(f"coulombus emulate on {self.address} ended with status {self.process.wait()}")
@@ -83,7 +79,9 @@ class SimProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.process.send_signal(signal.SIGTERM if self._ready else signal.SIGKILL)  # before, it would tell of it
+        self.process.send_signal(
+            signal.SIGTERM if self._ready else signal.SIGKILL
+        )  # SIGTERM before readiness would print
         try:
             self.process.communicate(timeout=END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -92,9 +90,9 @@ class SimProcess:
 
 
 def compile_host(rig: Rig) -> None:
-    """Compile the host's cycle, by a data plane without a bus, while the simulations start.
+    """Compile the host's cycle with a data plane without a bus, while the simulations start.
 
-    Nothing is done where the host's code is kept.
+    Does nothing if the host's code is cached.
     """
     if is_kept(run_plane):
         return
@@ -123,7 +121,7 @@ def run_real_demo(
 
     Parameters
     ----------
-    rig : with `overrides`, as the host and the simulation use it
+    rig : with `overrides`, for host and simulation
     rig_name : its name or path, for the simulation's process
     """
     check_plan(rig)

@@ -1,6 +1,4 @@
-"""Pictures of runs: torque and velocity of recordings beside each other, like the paper's
-Fig. 14.
-"""
+"""Plots of runs: torque and velocity of recordings side by side, like the paper's Fig. 14."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ __all__ = ["HANDLE", "Traces", "draw_detail", "draw_traces", "figure_14", "share
 SHADES = {"rest": "#ffffff", "hold": "#ececec", "stroke": "#f7f7f7"}
 HANDLE = "brake.handle_torque_Nm"
 COMMANDS = {"motor": ("motor.target_torque_Nm", VERMILION), "brake": ("brake.setpoint_Nm", ORANGE)}
-"""Each quantity has a colour of its own, in every panel."""
+"""Signal and colour of each quantity; the colour is the same in every panel."""
 DETAIL_FROM_S, DETAIL_S = 2.5, 0.1  # of the hold
 BINS = 400
 WIDTH, MARGIN, HEIGHT = 3.1, 0.6, 7.4
@@ -32,28 +30,26 @@ WIDTH, MARGIN, HEIGHT = 3.1, 0.6, 7.4
 
 @dataclass(frozen=True)
 class Traces:
-    """What a panel shows; times count from the start of the schedule."""
+    """Curves of a panel; times count from the start of the schedule."""
 
     title: str
     t_s: Floats
     velocity_rad_s: Floats
     torque_t_s: Floats
     handle_Nm: Floats
-    """The hand's torque; empty where the rig does not measure it."""
+    """The hand's torque; empty if the rig does not measure it."""
     commands: Mapping[str, tuple[Floats, Floats]]
-    """By device, times and values of what the host asked it for; without those that stayed 0."""
+    """Times and values of the host's commands by device, without those that stayed 0."""
     phases: tuple[PhaseSpan, ...]
 
     @property
     def handle_label(self) -> str:
-        """What a legend says of the hand's torque."""
+        """Label of the hand's torque in a legend."""
         return f"hand, {'measured' if len(self.handle_Nm) else 'not measured'}"
 
 
 def traces(recording: Source, mode: str) -> Traces:
-    """Return the traces of `recording`, made in `mode`, from the start of its schedule to the end
-    of it.
-    """
+    """Return the traces of `recording`, made in `mode`, over its schedule."""
     spans = phases(recording)
     start = spans[0].begin_s if spans else 0.0
     end = spans[-1].end_s if spans else np.inf
@@ -74,15 +70,13 @@ def traces(recording: Source, mode: str) -> Traces:
 
 
 def _title(recording: Source, mode: str) -> str:
-    """Return the friction that is displayed."""
+    """Return the displayed friction as a title."""
     settings = recording.rig.one_axis().mode[mode]
     return f"F_s = {settings.F_s_Nm:g} Nm, F_d = {settings.F_d_Nm:g} Nm,\nK_p = {settings.K_p_Nm_rad:,.6g} Nm/rad"
 
 
 def _draw_envelope(axes: Axes, t_s: Floats, values: Floats, colour: str, label: str | None = None) -> None:
-    """Draw the least and the largest value of each of `BINS` times: a line, or the band that a limit
-    cycle fills.
-    """
+    """Draw the minimum and maximum in each of `BINS` bins: a line, or the band of a limit cycle."""
     if not len(t_s):
         axes.plot([], [], color=colour, label=label)
         return
@@ -122,9 +116,7 @@ def draw_traces(torque: Axes, speed: Axes, data: Traces, title: str) -> None:
 
 
 def draw_detail(axes: Axes, data: Traces) -> None:
-    """Draw a tenth of a second of the velocity in the hold, sample by sample: a limit cycle, or
-    nothing.
-    """
+    """Draw a tenth of a second of the velocity in the hold, sample by sample: a limit cycle, or rest."""
     begin_s = DETAIL_FROM_S + next((span.begin_s for span in data.phases if span.kind == "hold"), 0.0)
     inside = (data.t_s >= begin_s) & (data.t_s < begin_s + DETAIL_S)
     axes.plot(data.t_s[inside], data.velocity_rad_s[inside], lw=0.8, marker=".", ms=3, color=GREEN)
@@ -135,11 +127,11 @@ def draw_detail(axes: Axes, data: Traces) -> None:
 
 
 def share_labels(made: Figure, axes: Any) -> None:
-    """Let the columns share the labels of their quantities, and one legend below all of them."""
+    """Share the labels of the quantities between columns, with one legend below them."""
     for panel in axes[:, 1:].flat:
         panel.set_ylabel("")
     low, high = axes[0, 0].get_ylim()
-    axes[0, 0].set_ylim(low, high + 0.1 * (high - low))  # room for the phases' names
+    axes[0, 0].set_ylim(low, high + 0.1 * (high - low))  # space for the phases' names
     known: dict[str, Any] = {
         label: artist for panel in axes[0] for artist, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
@@ -147,12 +139,11 @@ def share_labels(made: Figure, axes: Any) -> None:
 
 
 def figure_14(recordings: Mapping[str, tuple[str, Source]], path: Path) -> None:
-    """Save torque and velocity of recordings, a column each, as a picture (the ending names the
-    format).
+    """Save torque and velocity of recordings, a column each, as an image (format by suffix).
 
     Parameters
     ----------
-    recordings : by what a column is called, the mode and the recording
+    recordings : mode and recording by column title
     """
     count = len(recordings)
     with figure(MARGIN + WIDTH * count, HEIGHT, 3, count, sharey="row", squeeze=False) as (made, axes):

@@ -1,1 +1,1 @@
-"""Recordings again: on a bus, through the host, in the virtual rig."""
+"""Replay recordings: on a bus, through the host, in the virtual rig."""

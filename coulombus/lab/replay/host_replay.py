@@ -1,13 +1,11 @@
-"""``coulombus replay FILE --host``: the controller on a recording's inputs, held against the
-recording's outputs.
+"""``coulombus replay FILE --host``: run the controller on a recording's inputs and compare the outputs.
 
-Without overrides every SYNC, heartbeat and RPDO must come out bit for bit; the first one that does
-not is shown signal by signal. So must it with a law that is named anew, if its source is the
-recorded one. A law of the user's own runs only if it is named so: a recording may be a stranger's,
-and its law is a program. With another law, or other values of the rig file, differences are
-expected: then the difference of each commanded signal is given as RMS. The rig does not react to
-what is computed here, so this tells what another law would have asked for, not what would have come
-of it.
+Without overrides every SYNC, heartbeat and RPDO must match bit for bit; the first mismatch is shown
+signal by signal. The same holds for a newly named law whose source is the recorded one. A
+user-defined law runs only if it is named: a recording may be untrusted, and its law is a program.
+With another law, or other values of the rig file, differences are expected; then the RMS difference
+of each commanded signal is given. The rig does not react to these commands, so the result shows
+what another law would have commanded, not its effect.
 """
 
 from __future__ import annotations
@@ -38,16 +36,14 @@ __all__ = ["Difference", "HostReplay", "ReplayError", "host_replay"]
 
 
 class ReplayError(CoulombusError):
-    """The recording does not hold what a replay needs; the text says what."""
+    """The recording lacks data for a replay; the text names them."""
 
     exit_status = 2
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The first frame that came out otherwise; `recorded` or `computed` is None where there is
-    none.
-    """
+    """The first frame that differs; `recorded` or `computed` is None if missing."""
 
     t_s: float
     cycle: int
@@ -60,35 +56,31 @@ class Difference:
 
 @dataclass
 class HostReplay:
-    """What came of a replay."""
+    """The result of a replay."""
 
     file: str
     mode: str
     inputs: int = 0
-    """Frames that the host was fed with."""
+    """Number of input frames."""
     cycles: int = 0
     frames: dict[str, int] = field(default_factory=dict)
-    """Frames that came out the same, by name."""
+    """Number of matching frames by name."""
     refused: int = 0
-    """Frames that the step sent and the bus had not taken: none of them is in the recording."""
+    """Frames that the step sent and the bus refused: they are not in the recording."""
     unchecked: int = 0
-    """Recorded frames behind the trace's end: the recording process was killed, or the file is
-    torn.
-    """
+    """Recorded frames after the trace's end: the recording process was killed, or the file is torn."""
     difference: Difference | None = None
     rms: dict[str, float] | None = None
-    """With overrides: RMS difference of each signal that the host commands [its unit]."""
+    """With overrides: RMS difference of each commanded signal [its unit]."""
     judged: bool = True
-    """Whether all must come out the same: without overrides, and with a law that is the recorded
-    one.
-    """
+    """Whether all frames must match: without overrides, and with the recorded law."""
     recorded_trip: str | None = None
     computed_trip: str | None = None
     remarks: tuple[str, ...] = ()
 
     @property
     def exit_status(self) -> int:
-        """Exit status of the command: 1 when something came out otherwise that should not."""
+        """Exit status of the command: 1 if frames that must match differ."""
         return 1 if self.judged and self.difference is not None else 0
 
     def as_dict(self) -> dict[str, Any]:
@@ -97,18 +89,18 @@ class HostReplay:
 
 
 def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None = None) -> HostReplay:
-    """Feed the host with a recording's inputs.
+    """Run the host on a recording's inputs.
 
     Parameters
     ----------
-    overrides : ``SECTION.KEY=VALUE`` of the rig file; differences are then measured, not held to be
-        mistakes; `law.function` with the source that is attached is no such override
-    rig : this one and not the attached one
+    overrides : ``SECTION.KEY=VALUE`` of the rig file; differences are then measured, not judged;
+        `law.function` with the attached source does not count as an override
+    rig : used instead of the attached one
 
     Raises
     ------
     ReplayError
-        The recording lacks something; nothing was computed.
+        The recording lacks data; nothing was computed.
     coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError,
     coulombus.recording.pcapng_blocks.PcapngError
     """
@@ -140,7 +132,7 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
 
 
 def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], bool]:
-    """Return what is to be told of the law, and whether its source is the recorded one."""
+    """Return a remark on the law, and whether its source is the recorded one."""
     now, recorded = law_source(chosen), recorded_sha256(recording.capture.attachments)
     name = recording.rig.law_function
     if now is None or recorded is None:
@@ -154,7 +146,7 @@ def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], b
 
 
 def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, ParameterOrder]:
-    """Return the changed parameters that the markers tell; all that the trace has must be there."""
+    """Return the changed parameters from the markers; every change in the trace must have a marker."""
     orders = orders_of((text for _, text in recording.markers), controllers)
     kinds = inputs.trace["kind"] == (Event.SET if inputs.virtual else Moment.SET)
     missing = set(inputs.trace["value"][kinds].tolist()) - set(orders)
@@ -166,15 +158,15 @@ def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> d
 
 
 class _Known(NamedTuple):
-    """What a recording tells of its host."""
+    """Data of the host in a recording."""
 
     inputs: Inputs
     sent: Records
-    """What it asked for, where that was kept, else what the bus has carried of it."""
+    """Its send requests if recorded, else its frames on the bus."""
     last_ns: int
-    """How far that goes."""
+    """End of these data."""
     behind: int = 0
-    """Frames of the host behind that."""
+    """Frames of the host after that."""
 
 
 def _known(recording: Recording, controllers: Controllers) -> _Known:
@@ -204,12 +196,12 @@ def _known(recording: Recording, controllers: Controllers) -> _Known:
     own = of_the_host.copy()
     own[: len(known)] = known[: len(own)]
     if len(trace) and trace["dropped"].any():
-        trace = trace[: int(np.argmax(trace["dropped"] > 0))]  # the log had no room: from here on frames are missing
+        trace = trace[: int(np.argmax(trace["dropped"] > 0))]  # the log was full: later frames are missing
     return _Known(Inputs(recording.frames[~own], trace), recording.frames[own], last_ns)
 
 
 class _Check:
-    """Holds what is computed against the recording, identifier by identifier, each in its order."""
+    """Compares computed frames with the recording, per identifier in order."""
 
     def __init__(self, recording: Recording, controllers: Controllers, known: _Known, *, keep: bool) -> None:
         self.recording, self.controllers, self.keep = recording, controllers, keep
@@ -254,9 +246,7 @@ class _Check:
             result.rms = self._rms()
 
     def _ended(self, sent: HostFrame) -> bool:
-        """Tell whether this is the cycle that the recording does not have: in virtual time the host
-        goes on for ever.
-        """
+        """Return whether this cycle is after the recording's end: in virtual time the host never ends."""
         if sent.can_id != CobId.SYNC or self.at[sent.can_id] < len(self.streams[sent.can_id]):
             return False
         if not self.controllers.done:
@@ -268,7 +258,7 @@ class _Check:
     def _take(self, sent: HostFrame) -> None:
         can_id = sent.can_id
         stream, at = self.streams[can_id], self.at[can_id]
-        if at == len(stream) or stream[at][0] > sent.until_ns:  # it is not in the recording
+        if at == len(stream) or stream[at][0] > sent.until_ns:  # not in the recording
             if self.refused.get(sent.cycle, 0) < sent.refusable:
                 self.refused[sent.cycle] = self.refused.get(sent.cycle, 0) + 1
                 self.result.refused += 1

@@ -1,8 +1,8 @@
 """Play recorded frames onto a bus with their original timing.
 
-Each frame has an absolute deadline, so nothing drifts: a frame that was late makes the next one no
-later. A stamp is the end of a frame; on a bus that tells its bit rate a frame is sent one frame's
-length earlier, so that on an idle bus it ends when it ended then.
+Each frame has an absolute deadline, so timing does not drift: a late frame does not delay the next
+one. A stamp is the end of a frame; on a bus with known bit rate a frame is sent one frame length
+earlier, so that on an idle bus it ends at its recorded time.
 """
 
 from __future__ import annotations
@@ -36,15 +36,14 @@ PROGRESS_NS = 100_000_000
 LEAD_NS = 20_000_000
 LONG_NS = 600_000_000_000
 NOTHING = ((0x20000000, 0),)
-"""A filter of SocketCAN's that lets nothing pass: all identifiers, inverted (CAN_INV_FILTER)."""
+"""A SocketCAN filter that passes nothing: all identifiers, inverted (CAN_INV_FILTER)."""
 
 
 @dataclass(frozen=True)
 class Tape:
-    """Frames in the order in which they are played.
+    """Frames in playing order.
 
-    `t_ns` are times from the run's start or, where stamps come from a clock, from the first frame,
-    as `coulombus decode` shows them.
+    `t_ns` are times from the run's start or, for wall-clock stamps, from the first frame, as in `coulombus decode`.
     """
 
     path: str
@@ -53,15 +52,13 @@ class Tape:
     remarks: tuple[str, ...] = ()
 
     def take(self, chosen: npt.NDArray[np.bool_]) -> Tape:
-        """Return the chosen frames only."""
+        """Return only the chosen frames."""
         return Tape(self.path, self.frames[chosen], self.t_ns[chosen], self.remarks)
 
 
 @dataclass(frozen=True)
 class Played:
-    """What was played: frames, how late they were sent [us], how often the bus was full, and how
-    long it took [s].
-    """
+    """Result of playing: frames, delays [us], number of full-bus retries, and duration [s]."""
 
     frames: int
     loops: int
@@ -72,17 +69,17 @@ class Played:
 
 
 class Stop(Protocol):
-    """What ends a playing early (`system.stop_signals.StopSignals`)."""
+    """Early stop of playing (`system.stop_signals.StopSignals`)."""
 
     def wait(self, seconds: float) -> bool:
-        """Sleep for so long; tell whether to stop."""
+        """Sleep for a time; return whether to stop."""
 
 
 def load_tape(path: str | Path, channel: Channel = None) -> Tape:
-    """Read what can be played of one bus, `channel` where the file has several: pcapng, and other
+    """Read the playable frames of one bus (`channel` if the file has several): pcapng, and other
     tools' logs (candump's .log, .asc, .blf, .trc, .csv, .mf4, .db, each also .gz).
 
-    Error frames and CAN FD frames are left out, with a remark.
+    Error frames and CAN FD frames are omitted, with a remark.
 
     Raises
     ------
@@ -111,7 +108,7 @@ def load_tape(path: str | Path, channel: Channel = None) -> Tape:
 
 
 def _leaps(path: str | Path, stamps: Integers, played_ns: Integers) -> Iterator[str]:
-    """Yield what there is to say of stamps that do not simply rise."""
+    """Yield remarks on stamps that do not increase steadily."""
     back = played_ns - stamps
     if back.any():
         row, count = int(np.argmax(back)), int(np.count_nonzero(back))
@@ -131,18 +128,18 @@ def play(
     loops: int = 1,
     progress: Callable[[float], None] = lambda seconds: None,
 ) -> Played:
-    """Send the frames on the client's bus; return what came of it.
+    """Send the frames on the client's bus; return the result.
 
     Parameters
     ----------
     speed : 2 plays in half the time
-    loops : how often; 0: until `stop`
+    loops : number of repetitions; 0: until `stop`
     progress : called ten times a second with the time played [s]
 
     Raises
     ------
     coulombus.wire.client.BusUnavailable
-        The bus went away, or took no frame for 2 s.
+        The bus closed, or accepted no frame for 2 s.
     """
     messages, due, once_ns = _plan(tape, client.bitrate_bit_s, speed)
     late: list[Integers] = []
@@ -156,7 +153,7 @@ def play(
         for message, offset in zip(messages, due, strict=True):
             deadline = begin + offset
             now = time.monotonic_ns()
-            if now < deadline or not at & 0xFF:  # asked now and then also when it is late all the time
+            if now < deadline or not at & 0xFF:  # checked now and then even if always late
                 running = not _wait_until(stop, deadline, now)
                 if not running:
                     break
@@ -178,9 +175,7 @@ def play(
 
 
 def _plan(tape: Tape, bitrate_bit_s: int, speed: float) -> tuple[list[bytes], list[int], int]:
-    """Return each frame's bytes, when it is due after the beginning [ns], and how long one loop
-    lasts [ns].
-    """
+    """Return each frame's bytes and due time from the beginning [ns], and the duration of a loop [ns]."""
     frames = tape.frames
     columns = (frames[name].tolist() for name in ("can_id", "length", "word"))
     messages, lengths = [], np.zeros(len(frames), np.int64)
@@ -205,7 +200,7 @@ def _wait_until(stop: Stop, deadline: int, now: int) -> bool:
 
 
 def _send(client: Client, message: bytes) -> int:
-    """Send; return how often the bus was full before that."""
+    """Send; return the number of retries on a full bus."""
     retries = 0
     give_up = 0
     while True:

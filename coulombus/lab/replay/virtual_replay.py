@@ -1,15 +1,12 @@
-"""``coulombus replay FILE --virtual``: the nodes and the bus in virtual time on a recording's host,
-held against the recording.
+"""``coulombus replay FILE --virtual``: recompute nodes and bus in virtual time and compare the frames.
 
-The frames that the host sent are asked for again at the instants at which they started on the wire;
-the simulated nodes, the rig and the hand are computed anew from the attached rig, mode and seed. So
-every frame must come out again: the same order, the same bytes, and the same end of frame to the
-nanosecond.
+The host's frames are requested again at the instants at which they started on the wire; the
+simulated nodes, the rig and the hand are recomputed from the attached rig, mode and seed. Every
+frame must match: the same order, the same bytes, and the same end of frame to the nanosecond.
 
-That holds for recordings whose stamps are the bus's own time: of `coulombus simulate --record`, and
-of a session in real time as `coulombus emulate --record` keeps it. A recording of `coulombus run` has
-the stamps of the host's clock, of when frames reached it, and does not tell when the bus carried
-them: it is refused here; `--host` checks it.
+This requires stamps of the bus's own time, as recorded by `coulombus simulate --record` and, in
+real time, by `coulombus emulate --record`. A recording of `coulombus run` has the host's reception
+times instead, so it is refused here; `--host` checks it.
 """
 
 from __future__ import annotations
@@ -39,21 +36,21 @@ from coulombus.wire.frame import Records, data_bytes, push
 __all__ = ["VirtualReplay", "virtual_replay"]
 
 BATCH = 32
-"""Frames of the host that are asked for ahead of time."""
+"""Frames of the host that are requested ahead."""
 FIELDS = ("t_ns", "can_id", "length", "word")
 
 
 @dataclass
 class VirtualReplay:
-    """What came of it; `recorded` and `computed` tell the first difference."""
+    """The result; `recorded` and `computed` are the first difference."""
 
     file: str
     frames: int
     """Frames of the recording."""
     asked: int
-    """Those of them that the host sent."""
+    """Frames that the host sent."""
     same: int
-    """Frames from the beginning on that came out the same."""
+    """Matching frames from the beginning."""
     t_s: float | None = None
     recorded: str | None = None
     computed: str | None = None
@@ -61,12 +58,12 @@ class VirtualReplay:
 
     @property
     def identical(self) -> bool:
-        """Whether all came out the same."""
+        """Whether all frames match."""
         return self.t_s is None
 
     @property
     def exit_status(self) -> int:
-        """1 where something came out otherwise."""
+        """Exit status: 1 if a frame differs."""
         return 0 if self.identical else 1
 
     def as_dict(self) -> dict[str, Any]:
@@ -74,7 +71,7 @@ class VirtualReplay:
         return {"identical": self.identical, **asdict(self)}
 
     def lines(self) -> list[str]:
-        """Return the result for people."""
+        """Return the result as text."""
         origin = f"{self.asked} of them from the host, the others computed"
         if self.identical:
             return [f"identical: {self.frames} frames ({origin}), order, data and end of frame"]
@@ -86,13 +83,12 @@ class VirtualReplay:
 
 
 def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
-    """Compute a recording's frames anew from what its host sent.
+    """Recompute a recording's frames from its host's frames.
 
     Raises
     ------
     coulombus.lab.replay.host_replay.ReplayError
-        The recording's stamps are not the bus's time, it does not tell mode and seed, or there were
-        faults.
+        The recording's stamps are not the bus's time, it lacks mode and seed, or there were faults.
     coulombus.rigs.rig.RigError, coulombus.recording.pcapng_blocks.PcapngError
     """
     recording = read(path, rig=rig)
@@ -111,7 +107,7 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
     if recording.rig.law_of_recording and recording.rig.law_function not in BUILTIN_LAWS:
         recording = replace(
             recording, known_rig=recording.rig.with_law(next(iter(BUILTIN_LAWS)))
-        )  # nobody asks it: the host's frames are the recorded ones
+        )  # unused: the host's frames are the recorded ones
     seed, mode = (attachments[name].decode(errors="replace") for name in ("seed", "mode"))
     if not seed.isdecimal() or mode not in recording.rig.modes:
         raise ReplayError(
@@ -136,13 +132,11 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
 
 
 class _DifferentError(Exception):
-    """A frame came out otherwise: nothing more need be computed."""
+    """A frame differs: ends the computation."""
 
 
 class _Comparison:
-    """Holds what is computed against the recorded frames as it comes, up to the first that is
-    `other` than recorded.
-    """
+    """Compares computed frames with the recorded ones as they arrive, up to the first difference (`other`)."""
 
     def __init__(self, frames: Records) -> None:
         self.frames, self.same, self.other = frames, 0, frames[:0]
@@ -160,12 +154,12 @@ class _Comparison:
 
 
 class _Nodes(VirtualRig):
-    """The rig with its nodes, and a host that listens only: whoever looks at a frame lets the
-    devices sample, and that draws from the noise.
+    """The rig with its nodes, and a host that only listens: receiving a frame makes the devices
+    sample, and sampling consumes random noise.
     """
 
     def ask(self, frames: Records) -> None:
-        """Let frames of the host take part in the arbitration from when they started on."""
+        """Enter frames of the host into arbitration from their start times."""
         requests = frames.tolist()
         starts = [_start_ns(frame, self.rig.bus.bitrate_bit_s) for frame in requests]
         for begin in range(0, len(requests), BATCH):
@@ -188,7 +182,7 @@ def _compute(
     world.ask(frames[:begin][sent[:begin]])
     if marked:
         world.run_until(_start_ns(frames[begin].tolist(), recording.rig.bus.bitrate_bit_s) - 1)
-        world.controllers.start(world.t_ns)  # it knows the nodes' NMT states from here on
+        world.controllers.start(world.t_ns)  # from here it knows the nodes' NMT states
     world.ask(frames[begin:][sent[begin:]])
     world.run_until(int(frames["t_ns"][-1]))
     world.flush()
@@ -197,7 +191,7 @@ def _compute(
 def _compute_paced(
     recording: Recording, mode: str, seed: int, sent: npt.NDArray[np.bool_], on_frames: Callable[[Records], None]
 ) -> None:
-    """As `_compute`, of what a bus in real time recorded: its clients are elsewhere, and the hand
+    """As `_compute`, for a recording of a bus in real time: its clients are external, and the hand
     rests when the drive does.
     """
     rate = recording.rig.bus.bitrate_bit_s

@@ -1,1 +1,1 @@
-"""Many runs of rigs and hands that differ: planned, carried out, kept, counted."""
+"""Sweeps: plan, execute, store and evaluate many runs with different rigs and hands."""

@@ -1,10 +1,10 @@
-"""What a rate counts: a comparison of a run's figures, as in ``hold_counts_p2p <= 2 and trip == none``.
+"""Conditions of a rate: comparisons of a run's figures, as in ``hold_counts_p2p <= 2 and trip == none``.
 
-The text is parsed, never evaluated by Python. It may hold figures by their names, numbers, texts in
-quotes, ``none``, ``true``, ``false``, ``+ - * /``, ``< <= > >= == !=`` (also in a row: ``0 < a <=
-2``), ``and``, ``or``, ``not`` and parentheses. A figure that a run does not have is ``none``: what
-is computed from it is unknown, and so is an order that it stands in; ``== none`` asks for it. An
-unknown whole does not hold.
+The text is parsed, never evaluated by Python. It may contain figures by name, numbers, quoted
+strings, ``none``, ``true``, ``false``, ``+ - * /``, ``< <= > >= == !=`` (also chained: ``0 < a <=
+2``), ``and``, ``or``, ``not`` and parentheses. A figure that a run lacks is ``none``: values
+computed from it are unknown, and so are order comparisons with it; ``== none`` tests for it. An
+unknown condition does not hold.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _WORDS: Mapping[str, Any] = {"none": None, "null": None, "true": True, "false": 
 
 
 class ConditionError(CoulombusError, ValueError):
-    """A text that is no condition; it says what is wrong, and what is expected."""
+    """The text is not a condition; the message has the problem and the expectation."""
 
     exit_status = 3
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition as it was written, checked."""
+    """A checked condition."""
 
     text: str
 
@@ -56,7 +56,7 @@ class Condition:
         Raises
         ------
         ConditionError
-            it is no condition, names a figure that is not known, or compares a text with a number
+            it is not a condition, names an unknown figure, or compares a string with a number
         """
         tree = _tree(text)
         kind = _Kinds(known).of(tree)
@@ -66,11 +66,11 @@ class Condition:
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """The figures that it names."""
+        """The figures used."""
         return tuple(dict.fromkeys(_names(_tree(self.text))))
 
     def holds(self, figures: Mapping[str, Any]) -> bool:
-        """Tell whether the figures of a run satisfy it; where that is unknown, they do not."""
+        """Return whether the figures of a run satisfy it; False if unknown."""
         return _value(_tree(self.text), figures) is True
 
 
@@ -97,7 +97,7 @@ def _depth(tree: ast.AST) -> int:
 
 
 def _dotted(node: ast.expr) -> str | None:
-    """Return the name ``a.b.c``; None of what is none."""
+    """Return the name ``a.b.c``, or None."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):
@@ -117,7 +117,7 @@ def _names(node: ast.AST) -> Iterator[str]:
 
 
 class _Kinds:
-    """What comes of each part: float, str, bool, or NoneType; a mistake raises."""
+    """Type checker of the parts: float, str, bool, or NoneType; an error raises."""
 
     def __init__(self, known: Mapping[str, type]) -> None:
         self._known = known
@@ -183,13 +183,13 @@ class _Kinds:
 
 
 def _beginning(name: str, known: Mapping[str, type]) -> str:
-    """Return a hint at the figure that begins as `name` does."""
+    """Return a hint at a figure with the same beginning as `name`."""
     suggestion = next((candidate for candidate in known if len(name) > 2 and candidate.startswith(name)), None)
     return f"; did you mean '{suggestion}'?" if suggestion else ""
 
 
 def _value(node: ast.expr, figures: Mapping[str, Any]) -> Any:
-    """Return what a checked part comes to; None: it is unknown."""
+    """Return the value of a checked part; None: unknown."""
     name = _dotted(node)
     if name is not None:
         return _WORDS[name] if name in _WORDS else figures.get(name)
@@ -212,7 +212,7 @@ def _value(node: ast.expr, figures: Mapping[str, Any]) -> Any:
 
 
 def _both(node: ast.BoolOp, figures: Mapping[str, Any]) -> bool | None:
-    """Return what ``and`` and ``or`` come to where a part is unknown: what the others decide."""
+    """Return the value of ``and`` or ``or`` with unknown parts: the others may decide it."""
     values = [_value(part, figures) for part in node.values]
     deciding = isinstance(node.op, ast.Or)
     if deciding in values:

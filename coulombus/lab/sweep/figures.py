@@ -34,7 +34,7 @@ FIGURES: Mapping[str, type] = {
 }
 """Figure of a run -> the type of its value, which may be None.
 
-Lists of sentences are one text.
+Lists of sentences are joined.
 """
 
 _OF_AXES = (
@@ -44,7 +44,7 @@ _OF_AXES = (
 
 
 def known_figures(rig: Rig) -> dict[str, type]:
-    """Return the figures of the runs of a rig; of several axes those of each, too:
+    """Return the figures of the runs of a rig; with several axes also those of each axis:
     ``axes.left.hold_counts_p2p``.
     """
     return _known(rig.axis_names, rig.channels)

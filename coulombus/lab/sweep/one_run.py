@@ -1,8 +1,7 @@
 """One run of a sweep: a rig with its values, simulated, as a row of the table.
 
-`carry_out` needs nothing but its arguments, and nothing it does depends on what was run before: a
-worker of any kind, on any machine, comes to the same row (on processors for which LLVM emits the
-same instructions).
+`carry_out` depends only on its arguments, not on earlier runs: any worker on any machine computes
+the same row (on processors for which LLVM emits the same instructions).
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ TRIPPED = "trip: "
 
 @dataclass(frozen=True)
 class Job:
-    """What all runs of a sweep have in common."""
+    """Data shared by all runs of a sweep."""
 
     rig: Rig
     seconds: float | None
@@ -50,7 +49,7 @@ class Job:
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What is asked of one run."""
+    """Request for one run."""
 
     run: int
     point: int
@@ -61,13 +60,13 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What came of a run.
+    """The result of a run.
 
     Attributes
     ----------
-    row : the table's
-    simulated_s, cpu_s : what was displayed, and what that took of one core, all set-up included
-    recording : its bytes, where it is kept
+    row : of the table
+    simulated_s, cpu_s : displayed time, and its CPU time on one core, including set-up
+    recording : its bytes, if kept
     """
 
     row: dict[str, Any]
@@ -83,10 +82,9 @@ def order_of(sweep: Sweep, run: int) -> RunRequest:
 
 
 def carry_out(job: Job, order: RunRequest) -> FinishedRun:
-    """Simulate one run and return what came of it.
+    """Simulate one run and return the result.
 
-    Whatever goes wrong with the run - a rig that is refused, a trip, a mistake of this program - is
-    the row's ``error``.
+    Any failure of the run - a refused rig, a trip, an internal error - is the row's ``error``.
 
     Raises
     ------
@@ -116,7 +114,7 @@ def carry_out(job: Job, order: RunRequest) -> FinishedRun:
 
 
 def failed_row(job: Job, order: RunRequest, error: str) -> dict[str, Any]:
-    """Return the row of a run of which nothing is known but why."""
+    """Return the row of a failed run, with only its reason."""
     return {
         **_head(job, order, error),
         **dict.fromkeys(known_figures(job.rig)),
@@ -136,20 +134,20 @@ def _seconds(job: Job, rig: Rig) -> float:
 
 
 def _simulated(job: Job, order: RunRequest) -> tuple[Rig | None, RunResult | None, str | None]:
-    """Return the rig, where it is one, what was simulated of it, and why it was not."""
+    """Return the rig, if valid, its simulation, and the reason of a failure."""
     rig = None
     try:
         rig = job.rig.variant(
             *(variation.override(value) for variation, value in zip(job.vary, order.values, strict=True))
         )
         return rig, simulate(rig, order.mode, _seconds(job, rig), seed=order.seed, measured=True), None
-    except Exception as error:  # none of them ends the other runs
+    except Exception as error:  # must not end the other runs
         known = isinstance(error, CoulombusError)
         return rig, None, f"refused: {error}" if known else f"{type(error).__name__}: {error}"
 
 
 def _recorded(rig: Rig, order: RunRequest, seconds: float) -> bytes:
-    """Return the recording of a run, which is run once more for it."""
+    """Return the recording of a run, by running it again."""
     with tempfile.TemporaryDirectory(prefix="coulombus-sweep-") as folder:
         path = Path(folder) / "run.pcapng"
         simulate(rig, order.mode, seconds, seed=order.seed, record=path, measured=True)
@@ -157,9 +155,7 @@ def _recorded(rig: Rig, order: RunRequest, seconds: float) -> bytes:
 
 
 def warm_up(job: Job) -> None:
-    """Load, or compile, what a run needs, so that no run pays for it; a rig that is refused says so
-    in its runs.
-    """
+    """Load or compile the code of a run in advance; a refused rig is reported by its runs."""
     _simulated(
         Job(job.rig, 1e-3, (), {}),
         RunRequest(0, 0, job.rig.modes[-1], 0, ()),

@@ -1,7 +1,7 @@
-"""The map of a sweep: where in the plane of its first two varied keys a condition holds.
+"""The map of a sweep: the region of its first two varied keys in which a condition holds.
 
-With more than two keys the others lie behind the plane: points of both kinds then stand beside each
-other. Values that are no numbers stand side by side in their order.
+With more than two keys, the others are projected on the plane, so points of both kinds may be
+neighbours. Non-numeric values are placed side by side in their order.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 __all__ = ["MapPoint", "draw_figure", "draw_map", "map_of"]
 
 LOGARITHMIC = 30.0
-"""Chosen numbers that reach over so much, largest to smallest, stand on a logarithmic axis."""
+"""Least ratio of largest to smallest chosen number for a logarithmic axis."""
 
 
 @dataclass(frozen=True)
 class MapPoint:
-    """A run on the map: `holds` and `figure` are None where it gave no figure."""
+    """A run on the map: `holds` and `figure` are None if it has no figure."""
 
     values: tuple[Any, ...]
     holds: bool | None
@@ -71,7 +71,7 @@ def _scale(axes: Axes, which: str, variation: Vary, values: Sequence[Any]) -> No
 
 
 def draw_figure(axes: Axes, vary: Sequence[Vary], points: Sequence[MapPoint], name: str) -> None:
-    """Draw the figure `name` of the points into `axes`, as colours; of one key as heights."""
+    """Draw the figure `name` of the points into `axes`, as colours; for a single key as heights."""
     known = [point for point in points if point.figure is not None]
     figures = [float(point.figure or 0.0) for point in known]
     places = [_places(vary[k], [point.values[k] for point in known]) for k in range(min(2, len(vary)))]

@@ -1,8 +1,8 @@
-"""The points of a sweep: which value each varied key has in each of them.
+"""The points of a sweep: the values of the varied keys in each point.
 
-Every design is a table of numbers from 0 to 1, a row for each point, made of the seed alone:
+Every design is a table of numbers from 0 to 1, a row per point, determined by the seed:
 
-- ``random``: independent and uniform; more runs add points, and change none.
+- ``random``: independent and uniform; more runs add points without changing existing ones.
 - ``latin_hypercube``: each key has one value in each of n equal parts of its range (McKay,
   Beckman, Conover 1979, doi:10.2307/1268522).
 - ``sobol``: the low-discrepancy sequence (Joe, Kuo 2008, doi:10.1137/070709359), scrambled so that it
@@ -34,9 +34,7 @@ def seed_of(seed: int, point: int) -> int:
 
 
 def points(design: str, vary: Sequence[Vary], runs: int, seed: int) -> list[tuple[Any, ...]]:
-    """Return the values of the keys `vary` in each point; of a grid all of them, of any other design
-    `runs`.
-    """
+    """Return the values of the keys `vary` in each point: all points of a grid, or `runs` points of another design."""
     if design == "grid":
         return list(itertools.product(*(variation.grid() for variation in vary)))
     unit = _unit(design, runs, len(vary), seed)
@@ -51,7 +49,7 @@ def _unit(design: str, count: int, keys: int, seed: int) -> Floats:
     if design == "latin_hypercube":
         columns = [(random.permutation(count) + random.random(count)) / count for _ in range(keys)]
         return np.minimum(np.stack(columns, axis=1), np.nextafter(1.0, 0.0))
-    from scipy.stats import qmc  # takes half a second to load
+    from scipy.stats import qmc  # slow to load
 
     sequence: Floats = qmc.Sobol(keys, scramble=True, seed=random).random_base2(max(count - 1, 0).bit_length())
     return sequence[:count]

@@ -1,4 +1,4 @@
-"""What a varied key of a sweep can be: some values, or a range."""
+"""Values of a varied key of a sweep: a list, or a range."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["Vary"]
 
 @dataclass(frozen=True)
 class Vary:
-    """A key of the rig file, and what is tried of it.
+    """A key of the rig file, and its values in the sweep.
 
     Attributes
     ----------
     key : as ``--set`` takes it
-    own : what the rig itself has there; None where it has nothing
-    values : what is chosen from; none where it is a range
-    low, high, logarithmic, count : the range; `count` values of it are a grid's
+    own : the rig's own value, or None
+    values : the choices; empty for a range
+    low, high, logarithmic, count : the range; a grid has `count` values of it
     """
 
     key: str
@@ -33,16 +33,16 @@ class Vary:
 
     @property
     def whole(self) -> bool:
-        """Whether the rig has an integer there, so that a range is one of integers."""
+        """Whether the rig's value is an integer, so that a range has integers."""
         return isinstance(self.own, int) and not isinstance(self.own, bool)
 
     def on(self, own: Any) -> Vary:
-        """Return the key of a rig that has `own` there: of an integer, a range of integers.
+        """Return the key for a rig with the value `own`: for an integer, a range of integers.
 
         Raises
         ------
         ValueError
-            the range holds no integer
+            the range contains no integer
         """
         result = replace(self, own=own)
         if not result.whole or self.values:
@@ -79,22 +79,20 @@ class Vary:
         return tuple(dict.fromkeys(self.between(self.low, self.high, u) for u in shares))
 
     def tried(self) -> tuple[Any, ...]:
-        """Return values by which the key is tried: those that are given, or the range's ends and
-        its middle.
-        """
+        """Return test values of the key: the given ones, or the range's ends and its middle."""
         if self.values:
             return self.values[:3]
         return tuple(dict.fromkeys(self.between(self.low, self.high, u) for u in (0.0, 1.0, 0.5)))
 
     @property
     def numeric(self) -> bool:
-        """Whether its values are numbers, and the rig's own, too, where it has one."""
+        """Whether its values, and the rig's own if any, are numbers."""
         return all(_number(value) for value in (*self.values, 0.0 if self.own is None else self.own))
 
     def deviation(self, value: Any) -> float:
-        """Return how far `value` is from the rig's own, as a share of what is tried: 0 is the same.
+        """Return the deviation of `value` from the rig's own, relative to the range of values: 0 is equal.
 
-        Of what is no number, and of what the rig has not, 0 or 1.
+        For non-numbers, and if the rig has no value, 0 or 1.
         """
         if self.own is None or value == self.own:
             return 0.0

@@ -1,6 +1,6 @@
-r"""How often something holds, and how sure that is: the interval of Clopper and Pearson.
+r"""Rates with confidence intervals of Clopper and Pearson.
 
-For `k` of `n` runs it is exact: it holds the true rate with at least its confidence,
+For `k` of `n` runs the interval is exact: it covers the true rate with at least its confidence,
 
 .. math:: p_- = B^{-1}(\alpha/2;\ k,\ n - k + 1), \qquad p_+ = B^{-1}(1 - \alpha/2;\ k + 1,\ n - k)
 
@@ -17,12 +17,12 @@ CONFIDENCE = 0.95
 
 
 def clopper_pearson(count: int, of: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the ends of the interval for `count` of `of`; of none from 0 to 1.
+    """Return the ends of the interval for `count` of `of`; 0 to 1 without runs.
 
     Raises
     ------
     ValueError
-        more were counted than there are, or the confidence is not between 0 and 1
+        `count` exceeds `of`, or the confidence is not between 0 and 1
     """
     if not 0 <= count <= of or not 0 < confidence < 1:
         raise ValueError(f"{count} of {of} at {confidence}; expected 0 <= count <= of, and a confidence within 0 and 1")
@@ -36,7 +36,7 @@ def clopper_pearson(count: int, of: int, confidence: float = CONFIDENCE) -> tupl
 
 @dataclass(frozen=True)
 class Rate:
-    """In how many of the runs a condition holds, with the interval of the true rate."""
+    """Number of runs in which a condition holds, with the interval of the true rate."""
 
     name: str
     count: int

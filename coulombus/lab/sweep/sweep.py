@@ -21,26 +21,23 @@ from coulombus.system.realtime import usable_cpus
 __all__ = ["SweepResult", "run_sweep"]
 
 FIGURE = "hold_counts_p2p"
-"""What is drawn of a sweep that counts nothing."""
+"""Figure drawn for a sweep without rates."""
 
 Progress = Callable[[str, int, int, int], None]
-"""Called with what is going on, how much of it is done, of how much (0: nobody knows), and how many
-runs failed.
-"""
+"""Called with the present step, the number done, the total (0: unknown), and the number of failed runs."""
 
 
 @dataclass(frozen=True)
 class SweepResult:
-    """What a sweep came to.
+    """The result of a sweep.
 
     Attributes
     ----------
-    runs, failed : how many there are, and how many have an error
-    rates : by their names; of several modes ``MODE.NAME``
-    simulated_s_per_core_s : what was displayed for each second of one core, set-up included; None
-        where nothing was
-    worst : rate -> its mildest rig that fails, with the file's path
-    maps : rate -> picture
+    runs, failed : number of runs, and of runs with an error
+    rates : by name; for several modes ``MODE.NAME``
+    simulated_s_per_core_s : displayed time per second of one core, including set-up; None without runs
+    worst : rate -> its mildest failing rig, with the file's path
+    maps : rate -> image
     """
 
     runs: int
@@ -74,21 +71,21 @@ def run_sweep(
     force: bool = False,
     progress: Progress = lambda what, done, of, failed: None,
 ) -> SweepResult:
-    """Carry out the runs of a sweep that are not done in `folder`, and return what all came to.
+    """Execute the remaining runs of a sweep in `folder`, and return the result of all runs.
 
     Parameters
     ----------
-    processes : here; default one for each CPU that this process may use
-    dask : address of a dask.distributed scheduler, whose workers do it instead
-    keep : recordings that are kept of the runs that are left
-    force : replace another sweep's results
+    processes : local ones; default one per CPU available to this process
+    dask : address of a dask.distributed scheduler whose workers are used instead
+    keep : recordings to keep of the remaining runs
+    force : overwrite another sweep's results
 
     Raises
     ------
     coulombus.lab.sweep.sweep_folder.SweepFolderError
         the folder holds another sweep, or cannot be written
     coulombus.lab.sweep.workers.ClusterError
-        there is no cluster
+        no cluster is reachable
     """
     job = Job.of(sweep, keep)
     with Folder.open(Path(folder), sweep, force=force) as kept:
@@ -119,7 +116,7 @@ def _carry_out(kept: Folder, job: Job, left: list[int], processes: int, dask: st
                 progress("runs", done, sweep.runs, failed)
     except SweepFolderError:
         raise
-    except BaseException:  # interrupted: what is done stays
+    except BaseException:  # interrupted: finished runs are kept
         kept.flush()
         progress("runs", sweep.runs - len(kept.left), sweep.runs, failed)
         raise
@@ -161,7 +158,7 @@ def _placed(finding: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _fails(row: Mapping[str, Any], rate: str) -> bool:
-    """Tell whether the condition does not hold for a rig that was simulated."""
+    """Return whether the condition fails for a simulated rig."""
     return row["cycles"] is not None and not row[f"rates.{rate}"]
 
 

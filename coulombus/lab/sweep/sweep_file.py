@@ -1,8 +1,8 @@
-"""A sweep file: which rigs and hands are simulated, and what is counted of the runs (docs/sweep.md).
+"""A sweep file: the simulated rigs and hands, and the rates to count (docs/sweep.md).
 
 ::
 
-    rig = "bench"                        # a packaged rig, or a path beside this file
+    rig = "bench"                        # a packaged rig, or a path relative to this file
     mode = "hybrid"                      # or modes = ["active", "hybrid"]: every point in each of them
     seconds = 13.0                       # of each display; default: the rig's schedule
     seed = 1
@@ -49,7 +49,7 @@ YEAR_S = 31_557_600
 MOST_RUNS = 1_000_000
 RATE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 LEAF = ("values", "low", "high", "scale", "count")
-"""Keys of what is tried of a key: where one of them stands, the key's own name ends."""
+"""Keys of a variation: their parent is the varied key."""
 CONTRADICTIONS = (
     ("grid", "runs", "a grid has as many runs as its values make; take runs out, or choose another design"),
     ("grid", None, "a grid of nothing; expected [vary] with the keys that are varied"),
@@ -59,7 +59,7 @@ CONTRADICTIONS = (
 
 
 class SweepError(CoulombusError, ValueError):
-    """A sweep file that cannot be used; one line for each mistake, with its place."""
+    """The sweep file is invalid; the text has a line for each error, with its place."""
 
     exit_status = 3
 
@@ -97,16 +97,16 @@ class _File(_Strict):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep, checked: nothing of it is left to chance.
+    """A checked sweep: fully determined.
 
     Attributes
     ----------
     path, text : the file
-    rig : with what the file sets, without what is varied
-    modes : in which every point is run
+    rig : with the file's settings, without the variations
+    modes : of every point
     seconds : of each display; None: the rig's schedule
     points : the values of the keys `vary`, in their order
-    rates : name -> what is counted
+    rates : name -> counted condition
     """
 
     path: str
@@ -126,7 +126,7 @@ class Sweep:
         return len(self.points) * len(self.modes)
 
     def fingerprint(self) -> str:
-        """Return the SHA-256 of all that the runs depend on, and of what is counted."""
+        """Return the SHA-256 of all inputs of the runs, and of the rates."""
         content = {
             "version": project_version(),
             "rig": self.rig.effective(),
@@ -148,9 +148,9 @@ def read_sweep(path: str | os.PathLike[str]) -> Sweep:
     Raises
     ------
     SweepError
-        it cannot be read, or holds a mistake; the text has a line for each, with file and line
+        it cannot be read, or has errors; the text has a line for each, with file and line
     coulombus.rigs.rig.RigError
-        the rig file has a mistake
+        the rig file has an error
     """
     path = Path(path)
     text, file, mistakes = read_checked(path, "sweep", _File, SweepError)
@@ -180,7 +180,7 @@ def read_sweep(path: str | os.PathLike[str]) -> Sweep:
 
 
 def _with_settings(rig: Rig, file: _File, mistakes: FileMistakes) -> Rig:
-    """Return the rig with what the file sets; the keys of `set` are taken together."""
+    """Return the rig with the file's settings; the keys of `set` are applied together."""
     if not file.set:
         return rig
     try:
@@ -192,7 +192,7 @@ def _with_settings(rig: Rig, file: _File, mistakes: FileMistakes) -> Rig:
 
 
 def _leaves(table: Mapping[str, Any], above: tuple[str, ...] = ("vary",)) -> Iterator[tuple[Key, Any]]:
-    """Yield where each varied key stands in the file, and what is tried of it."""
+    """Yield the place of each varied key in the file, and its variation."""
     for name, value in table.items():
         key = (*above, name)
         if isinstance(value, Mapping) and value and not _is_leaf(value):
@@ -202,7 +202,7 @@ def _leaves(table: Mapping[str, Any], above: tuple[str, ...] = ("vary",)) -> Ite
 
 
 def _is_leaf(value: Mapping[str, Any]) -> bool:
-    """Tell whether a table is what is tried of a key, misspelled perhaps, and no section of keys."""
+    """Return whether a table is a variation, perhaps misspelled, and not a section of keys."""
     return any(nearest(name, LEAF) and not isinstance(entry, Mapping) for name, entry in value.items())
 
 
@@ -303,9 +303,7 @@ def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition
 
 
 def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: FileMistakes) -> Vary:
-    """Return the key with what the rig has there; a key that the rig refuses whatever is tried of it
-    is a mistake.
-    """
+    """Return the key with the rig's own value; a key of which the rig refuses every value is an error."""
     try:
         whole = vary.on(_own(rig, vary.key))
     except ValueError as error:
@@ -325,7 +323,7 @@ def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: FileMistakes) -> Vary:
 
 
 def _beside(key: str, lacking: tuple[str, ...]) -> str:
-    """Return how a key is given that lacks others of its section."""
+    """Return a hint for a key that needs other keys of its section."""
     if not lacking:
         return ""
     section, given = lacking[0].rpartition(".")[0], ", ".join(f'"{name}=..."' for name in (key, *lacking))
@@ -333,7 +331,7 @@ def _beside(key: str, lacking: tuple[str, ...]) -> str:
 
 
 def _own(rig: Rig, key: str) -> Any:
-    """Return what the rig itself has at a key; None where it has nothing, or more than a value."""
+    """Return the rig's own value of a key; None if absent or not a single value."""
     here: Any = read_toml(rig.effective()).values
     for part in split_key(key) or ():
         if isinstance(here, list) and part.isdecimal() and int(part) < len(here):

@@ -1,15 +1,15 @@
-"""Where a sweep is kept: a folder that a power cut leaves whole, and that a later call goes on with.
+"""The folder of a sweep: consistent after a power cut, and resumable.
 
 ::
 
     DIR/sweep.toml          a copy of the sweep file
-    DIR/sweep.json          what the runs are of (a fingerprint), what they took
-    DIR/parts/000007.parquet    rows that are done, until all are
+    DIR/sweep.json          fingerprint of the runs, and their times
+    DIR/parts/000007.parquet    finished rows, until all are done
     DIR/runs.parquet        all rows, in their order
-    DIR/recordings/000012.pcapng    what --keep-recordings kept
-    DIR/worst-NAME.toml, map-NAME.png   what was found
+    DIR/recordings/000012.pcapng    recordings of --keep-recordings
+    DIR/worst-NAME.toml, map-NAME.png   worst cases and maps
 
-Each file is written whole under another name, put on the disk, and renamed.
+Each file is written completely under another name, synced, and renamed.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ OWN = re.compile(
     r"sweep\.json|runs\.parquet|summary\.json|(worst|map)-[\w.-]+\.(toml|png|eds)|\..*|"
     r"parts/\.?[\w-]+\.parquet|recordings/\.?[\w-]+\.pcapng"
 )
-"""What a sweep writes, and takes away where another one begins."""
+"""Files that a sweep writes, and that another sweep removes first."""
 PART_RUNS = 64
 ROW_GROUP = 1024
 PART_S = 800.0
-"""A part holds so many rows at most, and so much display [s]: what a power cut may cost."""
+"""Maximum rows and display time [s] of a part: the loss by a power cut."""
 
 
 class SweepFolderError(CoulombusError):
-    """A folder that cannot be used; the text says why, and what to do."""
+    """The folder cannot be used; the text has the reason and the remedy."""
 
     exit_status = 2
 
 
 @dataclass
 class RunTimes:
-    """What the runs took: displayed and on one core [s]."""
+    """Times of the runs: displayed and on one core [s]."""
 
     simulated_s: float = 0.0
     cpu_s: float = 0.0
@@ -63,14 +63,14 @@ class RunTimes:
 
 @dataclass
 class Folder:
-    """The folder of a sweep, held by this process (`open_folder`)."""
+    """The folder of a sweep, locked by this process (`open_folder`)."""
 
     path: Path
     sweep: Sweep
     rows_of_part: int
     times: RunTimes = field(default_factory=RunTimes)
     worst: dict[str, Any] = field(default_factory=dict)
-    """What was found of the worst cases, kept for a later call."""
+    """Results of the worst cases, kept for a later call."""
     _parts: dict[int, dict[int, dict[str, Any]]] = field(default_factory=dict)
     _complete: set[int] = field(default_factory=set)
     finished: bool = False
@@ -78,7 +78,7 @@ class Folder:
     @classmethod
     @contextmanager
     def open(cls, path: Path, sweep: Sweep, *, force: bool = False) -> Iterator[Folder]:
-        """Yield the folder for a sweep, with what is done of it; no other process uses it meanwhile.
+        """Yield the locked folder for a sweep, with its finished runs.
 
         Raises
         ------
@@ -140,7 +140,7 @@ class Folder:
         self.write(self.path / "sweep.json", (json.dumps(state, indent=2) + "\n").encode())
 
     def keep_worst(self, label: str, finding: Mapping[str, Any], files: Mapping[str, str]) -> None:
-        """Write the files of a worst case, and keep what was found."""
+        """Write the files of a worst case, and keep the result."""
         for name, text in files.items():
             self.write(self.path / name, text.encode())
         self.worst[label] = dict(finding)
@@ -173,7 +173,7 @@ class Folder:
 
     @property
     def left(self) -> list[int]:
-        """The runs that are not done."""
+        """The remaining runs."""
         if self.finished:
             return []
         return [
@@ -187,7 +187,7 @@ class Folder:
     # what comes
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Take a row; the part whose last it is goes to the disk."""
+        """Add a row; a completed part is written to disk."""
         number = row["run"] // self.rows_of_part
         part = self._parts.setdefault(number, {})
         part[row["run"]] = self._plain(row)
@@ -198,7 +198,7 @@ class Folder:
             self._tell()
 
     def flush(self) -> None:
-        """Write the parts that are not whole, too, and what the runs took."""
+        """Also write incomplete parts, and the times of the runs."""
         for number in self._parts:
             self._write_part(number)
         self._tell()
@@ -239,7 +239,7 @@ class Folder:
             (self.path / "parts").rmdir()
 
     def rows(self, *columns: str) -> list[dict[str, Any]]:
-        """Return these columns of all rows, of a sweep that is finished."""
+        """Return these columns of all rows of a finished sweep."""
         parquet = library("pyarrow.parquet", "a table of runs")
         rows: list[dict[str, Any]] = parquet.read_table(self.path / "runs.parquet", columns=list(columns)).to_pylist()
         return rows
@@ -257,7 +257,7 @@ class Folder:
         self.write(self._part(number), sink.getvalue().to_pybytes())
 
     def write(self, path: Path, content: bytes) -> None:
-        """Write a file of the folder whole, or not at all."""
+        """Write a file of the folder atomically."""
         with self._write_errors(path):
             write_whole(path, content)
 
@@ -288,7 +288,7 @@ class Folder:
 
     @cached_property
     def _kinds(self) -> tuple[type, ...]:
-        """The types of the varied keys' columns; what has no type of a table is TOML in it."""
+        """The types of the varied keys' columns; other values are stored as TOML."""
         types = []
         for k in range(len(self.sweep.vary)):
             kinds = {type(point[k]) for point in self.sweep.points}
@@ -310,7 +310,7 @@ _REMEDY = "name another folder, or replace what is there with --overwrite"
 
 @contextmanager
 def _held(path: Path) -> Iterator[None]:
-    """Hold a folder, made where it is not there yet, for this process alone."""
+    """Lock a folder for this process; create it if missing."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         file = (path / LOCK).open("w")

@@ -1,8 +1,8 @@
 """A worker of a sweep: ``python -m coulombus.lab.sweep.worker FD PARENT``, started by
 `coulombus.lab.sweep.workers` with an open socket.
 
-It takes the job, then one order after another, and answers each with what came of it. It has a
-session of its own, out of the terminal's reach, and ends with its parent.
+It receives the job, then one order after another, and returns the result of each. It has a separate
+session, without the terminal's signals, and ends with its parent.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ __all__ = ["main"]
 
 
 def main(fd: int, parent: int) -> None:
-    """Carry out orders until there are no more."""
+    """Execute orders until there are no more."""
     ignore()
     die_with_parent(parent)
-    runs = threading.Thread(target=_carry_out, args=(fd,))  # beside the main thread no kernel holds signals back
+    runs = threading.Thread(target=_carry_out, args=(fd,))  # outside the main thread, kernels do not delay signals
     runs.start()
     runs.join()
 
@@ -41,7 +41,7 @@ def _carry_out(fd: int) -> None:
             assert isinstance(order, RunRequest)
             try:
                 line.send(carry_out(job, order))
-            except OSError as error:  # the recording's: the parent ends the sweep by it
+            except OSError as error:  # of the recording: the parent ends the sweep
                 line.send(error)
 
 

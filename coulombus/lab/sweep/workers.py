@@ -1,6 +1,6 @@
-"""Who carries out the runs of a sweep: processes here, or a cluster of dask.distributed.
+"""Workers of a sweep: local processes, or a cluster of dask.distributed.
 
-Both yield what came of each run as it comes, in any order; the numbers do not depend on who did it.
+Both yield the result of each run on completion, in any order; the numbers do not depend on the worker.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ __all__ = ["ClusterError", "on_cluster", "on_processes"]
 
 MODULE = "coulombus.lab.sweep.worker"
 WAITING = 256
-"""Runs that a cluster is given at a time."""
+"""Runs submitted to a cluster at a time."""
 CONNECT_S = 10
 MOST_STARTS = 3
-"""A worker that ends before its first run so often cannot be started at all."""
+"""Failures before the first run after which a worker counts as unable to start."""
 
 
 class ClusterError(CoulombusError):
-    """A cluster cannot be used; the text says why, and what to do."""
+    """A cluster cannot be used; the text has the reason and the remedy."""
 
     exit_status = 2
 
 
 class _Worker:
-    """A process, and the run that it is at."""
+    """A process, and its present run."""
 
     def __init__(self, job: Job) -> None:
         ours, its = socket.socketpair()
@@ -55,17 +55,17 @@ class _Worker:
         self.line = Connection(ours.detach())
         self.ready = False
         self.order: RunRequest | None = None
-        with suppress(OSError):  # it has ended: who waits for it learns that
+        with suppress(OSError):  # it has ended: the waiting reader notices
             self.line.send(job)
 
     def take(self, order: RunRequest) -> None:
-        """Give it a run."""
+        """Send it a run."""
         self.order = order
         with suppress(OSError):
             self.line.send(order)
 
     def end(self) -> str:
-        """End it at once; return how it ended, where it had ended by itself."""
+        """Kill it; return its exit status if it had ended by itself."""
         with suppress(OSError):
             self.line.close()
         with suppress(subprocess.TimeoutExpired):
@@ -76,10 +76,9 @@ class _Worker:
 
 
 def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator[FinishedRun]:
-    """Yield what came of the runs, by `count` processes here.
+    """Yield the results of the runs, by `count` local processes.
 
-    A process that ends in the midst of a run (killed, out of memory) makes that run a failed one;
-    another one goes on.
+    If a process ends during a run (killed, out of memory), that run fails, and a new process continues.
 
     Raises
     ------
@@ -127,14 +126,14 @@ def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator
 
 
 def on_cluster(job: Job, orders: Sequence[RunRequest], address: str) -> Iterator[FinishedRun]:
-    """Yield what came of the runs, by the workers of the dask.distributed scheduler at `address`.
+    """Yield the results of the runs, by the workers of the dask.distributed scheduler at `address`.
 
-    Its workers need this package, and a law that is a file of its own.
+    Its workers need this package, and the file of a user-defined law.
 
     Raises
     ------
     ClusterError
-        dask.distributed is not installed, or no scheduler answers there
+        dask.distributed is not installed, or no scheduler responds there
     """
     try:
         cluster: Any = importlib.import_module("distributed")

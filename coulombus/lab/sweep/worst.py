@@ -1,9 +1,9 @@
 """The worst case of a rate: the mildest rig for which its condition does not hold, as a rig file.
 
-It begins with the run that deviates least from the rig's own values (`ranges.Vary.deviation`, the
-root of the sum of squares). Then each key in turn goes back as far as it can: to the rig's own value
-where the condition does not hold there either, else, for a number, to where `HALVINGS` bisections
-come between a value that holds and one that does not. Mode and seed stay those of the run.
+The search starts with the failing run that deviates least from the rig's own values
+(`ranges.Vary.deviation`, root of the sum of squares). Then each key in turn moves back as far as
+possible: to the rig's own value if the condition fails there, too; else, for a number, by
+`HALVINGS` bisections between a passing and a failing value. Mode and seed are those of the run.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from coulombus.rigs.toml_lines import Document, Key, read_toml
 __all__ = ["Worst", "deviation", "nearest_failing", "rig_files", "shrunk"]
 
 HALVINGS = 6
-"""Of each key: a 64th of the way is left."""
+"""Bisections per key: 1/64 of the interval remains."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Worst:
 
     Attributes
     ----------
-    run : where it began
+    run : the starting run
     order : its mode, seed and values
-    values : varied key -> its value, of those that are not the rig's own
-    tried : simulations that it took
+    values : varied key -> value, for keys that differ from the rig's own
+    tried : number of simulations
     """
 
     rate: str
@@ -61,18 +61,18 @@ class Worst:
 
 
 def deviation(vary: Sequence[Vary], values: Sequence[Any]) -> float:
-    """Return how far a point is from the rig's own values."""
+    """Return the distance of a point from the rig's own values."""
     return math.sqrt(sum(variation.deviation(value) ** 2 for variation, value in zip(vary, values, strict=True)))
 
 
 def nearest_failing(vary: Sequence[Vary], failing: Sequence[RunRequest]) -> RunRequest | None:
-    """Return the one of these runs that deviates least; the first of several that do alike."""
+    """Return the run that deviates least; the first of equals."""
     return min(failing, key=lambda order: (deviation(vary, order.values), order.run), default=None)
 
 
 def shrunk(job: Job, rate: str, start: RunRequest, progress: Callable[[int], None] = lambda tried: None) -> Worst:
-    """Return the mildest rig on the way from the run `start`, for which the condition of `rate` does
-    not hold, to the rig's own values.
+    """Return the mildest failing rig between the run `start`, which violates the condition of
+    `rate`, and the rig's own values.
     """
     alone = replace(job, rates={rate: job.rates[rate]}, keep="none")
     tried = 0
@@ -106,7 +106,7 @@ def _refused(row: Mapping[str, Any]) -> bool:
 
 
 def _bisected(variation: Vary, bad: Any, fails: Callable[[Any], bool]) -> Any:
-    """Return the value nearest to the rig's own that is found to fail, from `bad` on."""
+    """Return the failing value nearest to the rig's own, starting at `bad`."""
     good = variation.own
     for _ in range(HALVINGS):
         middle = variation.between(good, bad, 0.5)
@@ -120,10 +120,9 @@ def _bisected(variation: Vary, bad: Any, fails: Callable[[Any], bool]) -> Any:
 
 
 def rig_files(rig: Rig, folder: Path, name: str) -> dict[str, str]:
-    """Return the files of a rig that is to be read from `folder`, by their names there: the rig
-    file, and the EDS files that are not found from there.
+    """Return the files of a rig for `folder`, by name: the rig file, and the EDS files that are not found from there.
 
-    The file of a law stays where it is; the rig file names it from the folder.
+    The file of a law is not copied; the rig file names it relative to the folder.
     """
     values = read_toml(rig.effective()).values
     files: dict[str, str] = {}
@@ -150,7 +149,7 @@ def rig_files(rig: Rig, folder: Path, name: str) -> dict[str, str]:
 
 
 def _parts(values: Mapping[str, Any]) -> list[tuple[Key, Mapping[str, Any]]]:
-    """Return the tables that may name files: what all axes share, and each axis' own."""
+    """Return the tables that may name files: the shared one, and each axis' own."""
     return [((), values), *((("axis", name), own) for name, own in values.get("axis", {}).items())]
 
 
