@@ -1,5 +1,6 @@
-"""The paper, equation by equation and figure by figure, and past it: each part computes a
-dataclass, drawings come second.
+"""Computations of the paper, equation by equation and figure by figure, and beyond it.
+
+Each part computes a dataclass; plots are separate.
 
 Its public names are imported when they are first used; docs/api.md lists them.
 """

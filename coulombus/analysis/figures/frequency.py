@@ -1,6 +1,4 @@
-"""Figures of the frequency domain: the paper's Figs. 2, 6 and 7 as corrected, and the
-certificates.
-"""
+"""Figures of the frequency domain: the paper's corrected Figs. 2, 6 and 7, and the certificates."""
 
 from __future__ import annotations
 
@@ -54,7 +52,7 @@ class Loci:
 
 
 def loci(parameters: Parameters) -> Loci:
-    """Return what Figs. 6 and 7 show."""
+    """Return the data of Figs. 6 and 7."""
     grid = frequency_grid(parameters)
     wide = np.geomspace(1e-3, 1e4, 3000)
     disks = None
@@ -77,9 +75,7 @@ def _circle(center: complex, radius: float) -> tuple[Floats, Floats]:
 
 
 def draw_friction(axes: Axes, friction_N: float, slope_Ns_m: float | None) -> None:
-    """Draw the friction of Fig. 2: ideal (a set at v = 0), and the steepest one that is
-    certified.
-    """
+    """Draw the friction of Fig. 2: ideal (a set at v = 0), and the steepest certified one."""
     reach = 3 * friction_N / slope_Ns_m if slope_Ns_m else 1.0
     axes.plot(
         [-reach, 0, 0, reach],
@@ -98,7 +94,7 @@ def draw_friction(axes: Axes, friction_N: float, slope_Ns_m: float | None) -> No
 
 
 def draw_passive_region(axes: Axes, data: Loci, b: float) -> None:
-    """Draw Fig. 6: where (m jw + b + Z_o)^-1 can be, and where the paper's operator is."""
+    """Draw Fig. 6: the region of (m jw + b + Z_o)^-1, and the paper's operator."""
     x, y = _circle(complex(0.5 / b, 0), 0.5 / b)
     axes.fill(x, y, color="0.92", zorder=0)
     axes.plot(x, y, color=GREY, label=f"any passive operator: centre and radius 1/2b = {0.5 / b:.3g}")

@@ -1,4 +1,4 @@
-"""A law along a motion: the motion, the torque over time, and the loop that they make."""
+"""Plot of a law along a motion: the motion, the torque over time, and the hysteresis loop."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PARAMETERS_IN_A_LINE = 4
 
 
 def titled(given: GivenLaw) -> str:
-    """Return a law's name and its parameters, in lines that a picture has room for."""
+    """Return a law's name and its parameters, wrapped for a plot."""
     texts = given.parameter_texts
     lines = [texts[k : k + PARAMETERS_IN_A_LINE] for k in range(0, len(texts), PARAMETERS_IN_A_LINE)]
     return "\n".join([f"law {given.name}", *(", ".join(line) for line in lines)])

@@ -1,4 +1,4 @@
-"""Friction in the plane: displayed against wanted force over the directions, and the force ellipse."""
+"""Friction in the plane: displayed and desired force over the directions, and the force ellipse."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CURVES = (("active", VERMILION, "--"), ("passive", BLUE, "-"), ("hybrid", GREEN,
 
 
 def draw_plane(display: PlaneDisplay, friction_N: float | None = None) -> Figure:
-    """Draw the first pose: forces on the hand over 360 directions of motion, the angle by which they are off,
+    """Draw the first pose: forces on the hand over 360 directions of motion, their angular error,
     and the force ellipse with its passive part.
     """
     pose, data = display.poses[0], display.directions(friction_N)

@@ -1,4 +1,4 @@
-"""Everything together: compute the study, and say it as JSON, as text and as figures."""
+"""Compute the whole study, and report it as JSON, text and figures."""
 
 from __future__ import annotations
 
@@ -70,11 +70,10 @@ def disk_of(parameters: Parameters) -> Disk | None:
 
 
 def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambda name: None) -> TheoryResults:
-    """Compute everything; `step` is called with the name of what comes next.
+    """Compute everything; `step` is called with the name of the next step.
 
-    `parameters` are the loop's on paper; `rig` is the one whose friction is identified, that holds
-    and strokes, and that the map is about. The limit cycle through the bus is that of the rig
-    "paper".
+    `parameters` are those of the theoretical loop; `rig` is the rig of friction identification,
+    hold and stroke tests, and the map. The limit cycle through the bus is that of the rig "paper".
     """
     step("describing function")
     intersections = crossings(parameters)
@@ -111,8 +110,8 @@ def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambd
 
 
 def plain(value: Any) -> Any:
-    """Return `value` as what JSON knows: dataclasses as objects, arrays as lists, NaN and infinity
-    as null, complex as [re, im].
+    """Return `value` in types of JSON: dataclasses as objects, arrays as lists, NaN and infinity as
+    null, complex as [re, im].
     """
     if is_dataclass(value) and not isinstance(value, type):
         own = getattr(value, "as_dict", None)
@@ -221,7 +220,7 @@ def as_json(results: TheoryResults) -> dict[str, Any]:
 
 
 def nyquist_lines(intersections: Crossings, absolute: AbsoluteStability) -> Iterable[str]:
-    """Yield the frequency domain's results for people."""
+    """Yield the frequency domain's results as text."""
 
     def slope(value: float | None) -> str:
         return "every slope" if value is None else f"{value:.5g} Ns/m"
@@ -240,7 +239,7 @@ def nyquist_lines(intersections: Crossings, absolute: AbsoluteStability) -> Iter
 
 
 def fig10_lines(runs: Fig10) -> Iterable[str]:
-    """Yield Fig. 10's results for people."""
+    """Yield Fig. 10's results as text."""
     for name, run in (("active", runs.active), ("passive", runs.passive)):
         chatter = "no chatter" if run.chatter_Hz is None else f"chatter at {run.chatter_Hz:.3g} Hz"
         above = ", ".join(
@@ -255,7 +254,7 @@ def fig10_lines(runs: Fig10) -> Iterable[str]:
 
 
 def delay_lines(rows: Iterable[DelayRow]) -> Iterable[str]:
-    """Yield the delay table for people."""
+    """Yield the delay table as text."""
     yield "rate [Hz]  delay [ms]   frequency [Hz]          amplitude [mm/s]"
     yield "                       predicted  simulated    predicted  simulated"
     for r in rows:
@@ -267,7 +266,7 @@ def delay_lines(rows: Iterable[DelayRow]) -> Iterable[str]:
 
 
 def hold_lines(study: HoldStudy) -> Iterable[str]:
-    """Yield the hold and stroke tests for people."""
+    """Yield the hold and stroke tests as text."""
     yield f"rig {study.rig}; velocity RMS in rad/s while it should be still; breakaway under a push within 1 s and 50 ms, as a share of F_s"
     yield "mode     stick entry  brake   K_p      hold      dwells    slow    fast    hold's peak"
     for row in study.rows:
@@ -284,7 +283,7 @@ def hold_lines(study: HoldStudy) -> Iterable[str]:
 
 
 def map_lines(chart: OscillationMap) -> Iterable[str]:
-    """Yield a map's figures for people."""
+    """Yield a map's figures as text."""
     axes = " x ".join(f"{name} ({len(values)})" for name, values in chart.axes.items())
     yield f"map of {chart.share.size} points: {axes}"
     yield (
@@ -294,7 +293,7 @@ def map_lines(chart: OscillationMap) -> Iterable[str]:
 
 
 def lines(results: TheoryResults) -> Iterable[str]:
-    """Yield all results for people."""
+    """Yield all results as text."""
     yield from nyquist_lines(results.crossings, results.absolute)
     yield f"exact orbits          {results.orbits.text}"
     yield from fig10_lines(results.fig10)

@@ -1,6 +1,4 @@
-"""Figures of what goes through PDOs, Figs. 12 to 14 and the limit cycle on the bus; and
-the maps.
-"""
+"""Figures of runs through PDOs: Figs. 12 to 14, the limit cycle on the bus, and the maps."""
 
 from __future__ import annotations
 
@@ -41,7 +39,7 @@ __all__ = [
 SCATTER = 4000
 RESIDUAL_BINS, FEWEST = 24, 20
 MOST_ANGLE_RAD = 0.040
-"""Of a stuck handle's picture: beyond it the handle slides."""
+"""Largest angle in the plot of a stuck handle: beyond it the handle slides."""
 
 
 def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]:
@@ -73,9 +71,7 @@ def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]
 
 
 def draw_identification(axes: Axes, identification: Identification, title: str) -> None:
-    """Draw the samples (inertia and bias taken off), the fit, and the fitted Coulomb friction with
-    its interval.
-    """
+    """Draw the samples (without inertia and bias), the fit, and the fitted Coulomb friction with its interval."""
     every = max(1, len(identification.v_rad_s) // SCATTER)
     v, felt, fit = identification.v_rad_s[::every], identification.felt_Nm[::every], identification.felt
     shown = f"{len(v)} of {len(identification.v_rad_s)} samples that slide"
@@ -96,8 +92,8 @@ def draw_identification(axes: Axes, identification: Identification, title: str) 
 
 
 def draw_residuals(axes: Axes, identification: Identification) -> None:
-    """Draw what the fit leaves of the samples, and its mean in each of `RESIDUAL_BINS` speeds: a
-    curve in it is friction of another form.
+    """Draw the residuals of the fit, and their mean in each of `RESIDUAL_BINS` speeds: a curve
+    means friction of another form.
     """
     v, left = identification.v_rad_s, identification.felt_Nm - identification.felt.friction_Nm(identification.v_rad_s)
     every = max(1, len(v) // SCATTER)
@@ -114,9 +110,7 @@ def draw_residuals(axes: Axes, identification: Identification) -> None:
 
 
 def write_identification(path: str | os.PathLike[str], identification: Identification) -> Path:
-    """Write the plot of one identification, with what the fit leaves of it; the ending names the
-    format.
-    """
+    """Write the plot of one identification, with its residuals; format by suffix."""
     path = Path(path)
     with figure(6.4, 6.0, 2, 1, sharex=True, height_ratios=(2, 1)) as (made, (axes, below)):
         draw_identification(axes, identification, f"Friction identified: {Path(identification.path).name}")
@@ -129,7 +123,7 @@ def write_identification(path: str | os.PathLike[str], identification: Identific
 
 
 def write_fig13(directory: Path, data: FrictionStudy) -> list[Path]:
-    """Fig. 13: friction before and after its compensation, and what the fits leave of it."""
+    """Fig. 13: friction before and after its compensation, and the residuals."""
     with figure(9.5, 5.6, 2, 2, sharex="col", sharey="row", height_ratios=(2, 1)) as (made, axes):
         whole = f"(b) compensated with {data.compensation_Nm:.4f} Nm"
         for column, identification, title in ((0, data.before, "(a) uncompensated"), (1, data.after, whole)):
@@ -155,7 +149,7 @@ def write_fig14(directory: Path, data: HoldStudy) -> list[Path]:
 
 
 def write_stick_figure(directory: Path, data: HoldStudy) -> list[Path]:
-    """Hybrid's stick phase in each way: angle and set-point of a stuck handle under a fast push."""
+    """Hybrid's stick phase in each variant: angle and set-point of a stuck handle under a fast push."""
     rows = [row for row in data.rows if row.fast is not None]
     with figure(9.5, 5.4, 2, 2, sharex="col", height_ratios=(3, 2)) as (made, axes):
         for column, (name, text) in enumerate((("slow", "pushed within 1 s"), ("fast", "pushed within 50 ms"))):
@@ -164,7 +158,7 @@ def write_stick_figure(directory: Path, data: HoldStudy) -> list[Path]:
                 ramp: Any = getattr(row, name)
                 share = ramp.verdict(".0%", " of $F_s$")
                 ways = f"{row.stick_entry}, {row.brake_stick}: slides at {share}"
-                shown = np.where(ramp.angle_rad <= MOST_ANGLE_RAD, ramp.angle_rad, np.nan)  # above is the legend
+                shown = np.where(ramp.angle_rad <= MOST_ANGLE_RAD, ramp.angle_rad, np.nan)  # space for the legend above
                 angle.plot(ramp.t_s * 1e3, shown * 1e3, color=COLOURS[i], ls=DASHES[i], label=ways)
                 torque.plot(ramp.t_s * 1e3, ramp.setpoint_Nm, color=COLOURS[i], ls=DASHES[i])
             first: Any = getattr(rows[0], name)
@@ -189,9 +183,7 @@ def draw_bus_cycle(axes: Axes, cycle: BusCycle, colour: str, dash: Any, show_s: 
 
 
 def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
-    """The limit cycle through the bus: traces for each hardware, and frequency against delay beside
-    the loop without a bus.
-    """
+    """The limit cycle through the bus: traces for each hardware, and frequency over delay with the loop without a bus."""
     names = list(dict.fromkeys(cycle.hardware for cycle in cycles))
     with figure(11, 3.4, 1, len(names) + 1) as (made, axes):
         for place, name in zip(axes, names, strict=False):
@@ -230,7 +222,7 @@ def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
 
 
 def draw_map(axes: Axes, chart: OscillationMap, title: str) -> Any:
-    """Draw a map of two axes: share of the taps after which it oscillates, dark is oscillating."""
+    """Draw a map of two axes: share of the taps with oscillation; dark: oscillating."""
     (x_name, x), (y_name, y) = chart.axes.items()
     mesh = axes.pcolormesh(x, y, chart.share.T, shading="nearest", cmap="Blues", vmin=0, vmax=1.25, rasterized=True)
     if 0 < np.mean(chart.oscillates) < 1:
@@ -251,13 +243,12 @@ def _name(field: str) -> str:
 
 
 def write_map(directory: Path, chart: OscillationMap) -> list[Path]:
-    """The map, one panel for each rate and delay: operator's inertia against its damping, and the
-    bounds' lines where they fall.
+    """The map, one panel for each rate and delay: operator's inertia over its damping, with the lines of the bounds.
 
     Raises
     ------
     ValueError
-        the map has not both of these axes
+        the map lacks one of these axes
     """
     plane = ("operator_inertia_kg_m2", "operator_damping_Nms_rad")
     if any(name not in chart.axes for name in plane):
@@ -326,8 +317,8 @@ def write_map(directory: Path, chart: OscillationMap) -> list[Path]:
 
 
 def write_wall_plane(directory: Path, study: WallPlane) -> list[Path]:
-    """Z-width: the stiffest stable wall over its damping; lines are predicted, dashed for a wall
-    of one side; points are the bus.
+    """Z-width: the stiffest stable wall over its damping; lines are predictions, dashed for a
+    one-sided wall; points are runs through the bus.
     """
     with figure(5.5, 3.6) as (made, axes):
         for mode, colour in (("active", VERMILION), ("hybrid", BLUE)):

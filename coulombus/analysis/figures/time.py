@@ -1,6 +1,4 @@
-"""Figures of the time domain: Fig. 10, the exact orbits, and the limit cycle against rate and
-delay.
-"""
+"""Figures of the time domain: Fig. 10, the exact orbits, and the limit cycle over rate and delay."""
 
 from __future__ import annotations
 
@@ -49,7 +47,7 @@ def draw_velocity(axes: Axes, run: Run, title: str) -> None:
 
 
 def draw_force(axes: Axes, run: Run, f_h_N: Floats) -> None:
-    """Draw the operator's force and the friction as applied."""
+    """Draw the operator's force and the applied friction."""
     for begin, end in run.stick_intervals_s:
         axes.axvspan(begin, end, color="0.87", lw=0)
     axes.plot(run.t_s, run.force_N, color=VERMILION, lw=0.5, label=r"friction $\psi$")
@@ -95,7 +93,7 @@ def draw_orbit(axes: Axes, orbit: Orbit, parameters: Parameters) -> None:
 
 
 def draw_delay(frequency: Axes, amplitude: Axes, rows: Sequence[DelayRow]) -> None:
-    """Draw frequency and amplitude against delay, a colour, dash and marker for each rate: lines
+    """Draw frequency and amplitude over delay, with colour, dash and marker by rate: lines
     predicted, markers simulated.
     """
     rates = sorted({row.sample_rate_Hz for row in rows})
@@ -156,7 +154,7 @@ def write_fig10(directory: str | os.PathLike[str], runs: Fig10) -> list[Path]:
 
 
 def write_orbit_figure(directory: str | os.PathLike[str], parameters: Parameters, motions: Orbits) -> list[Path]:
-    """Write limit-cycle as PNG and SVG; return the paths: none without an orbit."""
+    """Write limit-cycle as PNG and SVG; return the paths; empty without an orbit."""
     shown = motions.found[:SHOWN_ORBITS]
     if not shown:
         return []

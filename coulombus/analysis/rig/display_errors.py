@@ -1,19 +1,20 @@
-r"""How right the display is: what the hand feels against what the law says, by simulation.
+r"""Display accuracy: torque felt by the hand compared with the law, by simulation.
 
-Two experiments, each a run through bus, nodes and PDOs, judged by the plant's true course - by the
-torque between hand and handle, not by what the host believes:
+The experiments are runs through bus, nodes and PDOs, judged by the plant's true course: the torque
+between hand and handle, not the host's estimate.
 
-- *breakaway*: a hand without a spring pushes a stuck handle with a ramp of so many Nm/s. What
-  counts is the hand's torque when the handle has come to `SLIDES_RAD_S`, against F_s.
-- *sliding*: a damped hand draws the handle at a constant speed, one way and back. What counts is
-  the mean torque once the brake has settled, against F_d; here F_s is F_d, so stick is not seen.
-- *falling*: the same with F_d of `FALL` F_s. The hand pulls the handle loose, and then lets it slow
-  down to the speed. A display that takes slow sliding for stick holds it there: the handle stands,
-  and the hand feels the F_s that it takes to move it on.
+- *breakaway*: a hand without a spring pushes a stuck handle with a torque ramp [Nm/s]. The hand's
+  torque when the handle reaches `SLIDES_RAD_S` is compared with F_s.
+- *sliding*: a damped hand moves the handle at a constant speed, back and forth. The mean torque
+  after the brake has settled is compared with F_d; F_s is F_d, so there is no stick.
+- *falling*: the same with F_d of `FALL` F_s. The hand breaks the handle loose, and then lets it
+  slow down to the speed. A display that mistakes slow sliding for stick stops it: the handle is at
+  rest, and the hand feels F_s to move it again.
 
 The control ``brake`` is the law's level as the brake's set-point, with the paper's band of
-velocity. The control ``felt`` takes the device's own friction off it, estimates slow velocities, and
-leads the brake's lags. The error budget is the control ``felt`` with one belief wrong at a time.
+velocity. The control ``felt`` subtracts the device's own friction, estimates slow velocities, and
+compensates the brake's lags by a lead. The error budget is the control ``felt`` with one wrong
+assumption at a time.
 """
 
 from __future__ import annotations
@@ -45,13 +46,13 @@ RATES_NM_S = (1.0, -1.0, 30.0, -30.0)
 SPEEDS_RAD_S = (0.02, 0.05, 0.2, 1.0)
 BUDGET_NM = 2.0
 FALL = 0.75
-"""F_d as a share of F_s, where friction falls with the speed."""
+"""Ratio F_d / F_s of friction that falls with the speed."""
 STANDS = 0.5
-"""A handle below this share of the speed that it is drawn at stands or creeps."""
+"""Ratio to the hand's speed below which the handle is at rest or creeps."""
 LOOSE = 1.1
-"""So many times F_s and the device's own friction the hand gives to pull the handle loose."""
+"""Torque that breaks the handle loose, as a multiple of F_s plus the device's own friction."""
 IRON = (0.1, 0.4), (0.2, 0.2)
-"""Half plays [Nm] and weights of an iron with hysteresis."""
+"""Half plays [Nm] and weights of an example of hysteresis."""
 SLIDES_RAD_S = 1e-4
 WINDOW_CYCLES = 32
 REST_S = 1.5
@@ -61,13 +62,13 @@ SETTLE_S, SLIDE_S = 1.0, 1.0
 
 @dataclass(frozen=True)
 class Felt:
-    """One figure: what was wanted, and what the hand felt."""
+    """One figure: the desired and the felt torque."""
 
     control: str
-    """``brake`` or ``felt``; behind it what is believed wrongly."""
+    """``brake`` or ``felt``, followed by the wrong assumption."""
     experiment: str
     of: float
-    """Rate of the push [Nm/s], or speed [rad/s]; negative: in the negative sense."""
+    """Rate of the push [Nm/s], or speed [rad/s]; signed by direction."""
     wanted_Nm: float
     felt_Nm: float
 
@@ -79,7 +80,7 @@ class Felt:
 
 @dataclass(frozen=True)
 class FeltStudy:
-    """What the hand feels with either control, and the error budget."""
+    """Felt torques with either control, and the error budget."""
 
     rig: str
     rows: tuple[Felt, ...]
@@ -97,7 +98,7 @@ class FeltStudy:
         return {"rig": self.rig, "rows": [{**asdict(row), "error": row.error} for row in self.rows]}
 
     def lines(self) -> Iterator[str]:
-        """Yield the largest errors for people."""
+        """Yield the largest errors as text."""
         yield f"rig {self.rig}; largest error of what the hand feels, as a share of F_s or F_d"
         yield f"{'control':<34} " + " ".join(f"{name:>10}" for name in EXPERIMENTS)
         worst = self.worst()
@@ -107,9 +108,7 @@ class FeltStudy:
 
 
 def felt_control(rig: Rig) -> Rig:
-    """Return `rig` with the control that makes what the hand feels right; the brake's lags are
-    believed as the simulated rig has them, and so is its iron.
-    """
+    """Return `rig` with the control ``felt``; its model of the brake's lags and iron equals the simulated rig."""
     plant = rig.one_axis().simulation.plant
     return rig.variant(
         'law.level="felt"',
@@ -126,7 +125,7 @@ def iron_of(section: str, play_Nm: Sequence[float], weights: Sequence[float]) ->
 
 
 def _wrong_beliefs(rig: Rig) -> dict[str, tuple[str, ...]]:
-    """Return what is wrong in each row of the error budget: the truth is moved, the belief stays."""
+    """Return the wrong assumption of each row of the error budget: the true value changes, the model stays."""
     plant = rig.one_axis().simulation.plant
     friction_Nm = 0.1 * (plant.coulomb_Nm + plant.brake_off_state_Nm)
     return {
@@ -172,7 +171,7 @@ def _levels(rig: Rig, mode: str, F_s_Nm: float, F_d_Nm: float, *more: str) -> Ri
         "operator.tremor_Nm=0.0",
         "limits.speed_rad_s=100.0",
         "limits.net_work_J=5.0",
-        "limits.sign_check_counts=4",  # a hand as damped as this lets it move no further
+        "limits.sign_check_counts=4",  # such a damped hand permits no larger motion
         *more,
     )
 
@@ -184,13 +183,13 @@ def _torque(points: Iterable[tuple[float, float]]) -> str:
 
 
 def broke_away(rig: Rig, F_s_Nm: float, rate_Nm_s: float, *, mode: str = "hybrid", seed: int = 0) -> float:
-    """Return the hand's torque [Nm] at which a stuck handle came to slide under a ramp of
-    `rate_Nm_s`; negative: pushed in the negative sense. NaN: it never did.
+    """Return the hand's torque [Nm] at which a stuck handle starts to slide under a ramp of
+    `rate_Nm_s` (signed by direction). NaN: it never slides.
     """
     ramp_s = 1.3 * F_s_Nm / abs(rate_Nm_s)
     phase = _torque([(0.0, 0.0), (ramp_s, rate_Nm_s * ramp_s)])
     pushed = _levels(rig, mode, F_s_Nm, 0.9 * F_s_Nm, f'phase=[{{kind="rest", duration_s={REST_S}}}, {phase}]')
-    # what it does once it is free is of no interest: the hand's damping keeps it within the limits
+    # the motion afterwards is irrelevant: the hand's damping keeps it within the limits
     truth = _truth(pushed.variant("operator.damping_Nms_rad=2.0"), mode, REST_S + ramp_s, seed)
     pushes = truth["operator_Nm"] * np.sign(rate_Nm_s)
     slides = (np.abs(truth["speed_rad_s"]) > SLIDES_RAD_S) & (pushes > 0.5 * F_s_Nm)
@@ -206,12 +205,12 @@ def slid(
     mode: str = "hybrid",
     seed: int = 0,
 ) -> list[tuple[float, float]]:
-    """Return for each speed and both senses, (speed, the hand's mean torque against it) once the
-    display has settled: signed speed in rad/s, Nm.
+    """Return (signed speed [rad/s], mean opposing torque [Nm]) for each speed in both directions,
+    after the display has settled.
 
     Parameters
     ----------
-    F_s_Nm : default is `F_d_Nm`; above it, the hand first pulls the handle loose
+    F_s_Nm : default is `F_d_Nm`; if larger, the hand first breaks the handle loose
     """
     legs = [sign * speed for speed in speeds_rad_s for sign in (1.0, -1.0)]
     plant = rig.one_axis().simulation.plant
@@ -258,7 +257,7 @@ def _rows(rig: Rig, control: str, levels_Nm: Iterable[float], seed: int) -> Iter
 
 
 def falling_rows(rig: Rig, control: str, F_s_Nm: float, seed: int) -> Iterator[Felt]:
-    """Yield what the hand feels at each speed, both ways, of a friction that falls from `F_s_Nm`."""
+    """Yield the felt torque at each speed, in both directions, for a friction that falls from `F_s_Nm`."""
     F_d_Nm = FALL * F_s_Nm
     slides = slid(rig, F_d_Nm, SPEEDS_RAD_S, F_s_Nm=F_s_Nm, seed=seed)
     wanted = [sign * speed for speed in SPEEDS_RAD_S for sign in (1.0, -1.0)]
@@ -268,7 +267,7 @@ def falling_rows(rig: Rig, control: str, F_s_Nm: float, seed: int) -> Iterator[F
 
 
 def felt_study(rig: Rig | None = None, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> FeltStudy:
-    """Measure what the hand feels with both controls, at 1, 2 and 4 Nm, and the error budget at 2 Nm.
+    """Measure the felt torque with both controls at 1, 2 and 4 Nm, and the error budget at 2 Nm.
 
     Parameters
     ----------
@@ -277,7 +276,7 @@ def felt_study(rig: Rig | None = None, *, seed: int = 0, progress: Callable[[flo
     Raises
     ------
     coulombus.host.errors.SafetyTrip
-        a run tripped; which and why is in the text
+        a run tripped; the text has the run and the reason
     coulombus.rigs.rig.RigError
         the rig has no mode hybrid
     """

@@ -1,6 +1,4 @@
-"""Fig. 13: friction at the handle, identified, compensated from what was identified, and identified
-again.
-"""
+"""Fig. 13: friction at the handle: identified, compensated by the result, and identified again."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ class FrictionStudy:
     before: Identification
     after: Identification
     compensation_Nm: float
-    """What the motor was told to give in slip."""
+    """Commanded torque of the motor in slip."""
 
     @property
     def coulomb_before_Nm(self) -> float:
@@ -62,7 +60,7 @@ STROKES = (
     (0.5, 1.2),
     (1.5, 0.8),
     (3.0, 0.6),
-)  # speed [rad/s], length of a move [s]: slow ones tell Coulomb, fast ones the slope
+)  # speed [rad/s], length of a move [s]: slow moves give Coulomb, fast ones the slope
 EXPERIMENT = ", ".join(
     ["{kind='rest', duration_s=1.0}"]
     + [
@@ -81,11 +79,11 @@ def friction_study(rig: Rig | None = None, *, seed: int = 0) -> FrictionStudy:
     """Run the identification experiment before and after the compensation, through PDOs with the
     quantised encoder.
 
-    The hand strokes the handle to and fro at three speeds, in mode hybrid with F_s = F_d = 0: the
-    brake's coil is off, so what is felt is the device's own friction, the brake's off-state torque
-    included. In the first run the motor may give nothing, so no sign check drives, and no belief in
-    the friction is needed. In the second one the motor gives 97 % of the Coulomb friction that the
-    first one identified - of the motor, nothing is known but that value.
+    The hand strokes the handle back and forth at three speeds, in mode hybrid with F_s = F_d = 0:
+    the brake's coil is off, so the felt friction is the device's own, including the brake's
+    off-state torque. In the first run the motor's torque limit is 0, so there is no sign check, and
+    no estimate of the friction is needed. In the second run the motor gives 97 % of the identified
+    Coulomb friction; nothing else about the motor is used.
 
     Parameters
     ----------
@@ -94,7 +92,7 @@ def friction_study(rig: Rig | None = None, *, seed: int = 0) -> FrictionStudy:
     Raises
     ------
     coulombus.host.errors.SafetyTrip
-        a run tripped; which and why is in the text
+        a run tripped; the text has the run and the reason
     coulombus.recording.friction.sliding.IdentifyError
         the hand does not slide the handle
     coulombus.rigs.rig.RigError

@@ -1,20 +1,19 @@
-r"""Hold and stroke, active against hybrid (Fig. 14), and what hybrid's stick phase does to it.
+r"""Hold and stroke, active and hybrid (Fig. 14), and the effect of hybrid's stick phase.
 
 All figures come from recordings of runs through bus, nodes and PDOs. The hold and the stroke are
 the rig's own schedule. A third experiment loads a stuck handle until it breaks away: a hand without
-a spring shoves once, lets go, and then pushes with a ramp to 1.15 F_s, slowly (1 s) and fast (50
-ms).
+a spring gives one push, releases, and then pushes with a ramp to 1.15 F_s, slowly (1 s) and fast
+(50 ms).
 
-The stick phase of a brake can be handled in three ways, and it matters, because the fluid lags 15
-ms behind its set-point:
+The stick phase of a brake has three variants. The choice matters, because the fluid lags 15 ms behind its set-point:
 
 - entry `paper`, brake `spring`: the set-point is :math:`|K_p (x - x_{stuck})|` with x_stuck = x at
   entry, as printed. The set-point falls to 0 when the handle stops, and the handle must move again
-  before the brake knows that it is pushed: it lurches and breaks away at a fraction of F_s.
-- entry `continuous`, brake `spring`: x_stuck = x - F/K_p. It starts at the slip's F_d, and still
-  must move to learn.
-- brake `hold`: F_s whenever stuck. A brake cannot push, so it may be told to bear more than the
-  load: nothing moves until F_s is exceeded. The entry then makes no difference to the brake.
+  before the brake responds to a push: it jerks and breaks away at a fraction of F_s.
+- entry `continuous`, brake `spring`: x_stuck = x - F/K_p. It starts at the slip's F_d, and the
+  handle must still move before the brake responds.
+- brake `hold`: F_s whenever stuck. A brake cannot push, so its set-point may exceed the load:
+  nothing moves until F_s is exceeded. The entry then does not affect the brake.
 """
 
 from __future__ import annotations
@@ -48,16 +47,16 @@ SLIDING_CYCLES = 5
 
 @dataclass(frozen=True)
 class Breakaway:
-    """What a stuck handle did under a ramp of the hand's push."""
+    """Response of a stuck handle to a ramp of the hand's push."""
 
     ramp_s: float
     torque_Nm: float | None
-    """Hand's torque on the handle just before it slid; None: it never did, or nothing measures it.
+    """Hand's torque on the handle just before it slid; None: it never slid, or the torque is not measured.
     """
     share_of_F_s: float | None
     slid: bool
     crept_rad: float
-    """How far it had moved when the push reached 0.95 F_s; stuck it should be 0."""
+    """Motion when the push reached 0.95 F_s; 0 for a perfectly stuck handle."""
     t_s: Floats
     """From the ramp's start."""
     angle_rad: Floats
@@ -65,8 +64,8 @@ class Breakaway:
     setpoint_Nm: Floats
 
     def verdict(self, share: str, of: str = "") -> str:
-        """Return at which share of F_s it slid, formatted as `share`; "slid" where the rig does not
-        measure the hand's torque, "never" where it did not slide.
+        """Return the share of F_s at which it slid, formatted as `share`; "slid" if the rig does
+        not measure the hand's torque, "never" if it did not slide.
         """
         if self.share_of_F_s is not None:
             return f"{self.share_of_F_s:{share}}{of}"
@@ -93,7 +92,7 @@ class HoldRow:
     fast: Breakaway | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values; of the break-aways torque, share and creep."""
+        """Return plain values; for break-aways torque, share and creep."""
         values = asdict(self)
         for name in ("slow", "fast"):
             ramp: Breakaway | None = values.pop(name) and getattr(self, name)
@@ -106,17 +105,17 @@ class HoldRow:
 
 @dataclass(frozen=True)
 class HoldStudy:
-    """Active and hybrid, and hybrid in each way of its stick phase."""
+    """Active and hybrid, and hybrid in each variant of its stick phase."""
 
     rig: str
     rows: tuple[HoldRow, ...]
     """Active first, then hybrid in the order of `STICK_VARIANTS`."""
     traces: dict[str, Traces]
-    """Of active, and of hybrid as the rig has it: Fig. 14."""
+    """Traces of active, and of hybrid with the rig's settings: Fig. 14."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the figures cannot say of this rig."""
+        """Limitations of the figures for this rig."""
         ramps = [ramp for row in self.rows for ramp in (row.slow, row.fast) if ramp is not None]
         if not any(ramp.slid and ramp.torque_Nm is None for ramp in ramps):
             return ()
@@ -125,7 +124,7 @@ class HoldStudy:
         )
 
     def row(self, mode: str, stick_entry: str | None = None, brake_stick: str | None = None) -> HoldRow:
-        """Return the first row of a mode, or of one way of its stick phase."""
+        """Return the first row of a mode, or of a variant of its stick phase."""
         for row in self.rows:
             if row.mode == mode and stick_entry in (None, row.stick_entry) and brake_stick in (None, row.brake_stick):
                 return row
@@ -141,9 +140,7 @@ def _recorded(rig: Rig, mode: str, directory: Path, name: str, seed: int) -> Rec
 
 
 def breakaway(recording: Recording, F_s_Nm: float, ramp_s: float) -> Breakaway:
-    """Return what the handle did under the push of the recording's last phase, a ramp of `ramp_s`
-    to 1.15 F_s.
-    """
+    """Return the handle's response to the push of the recording's last phase, a ramp of `ramp_s` to 1.15 F_s."""
     ramp = phases(recording)[-1]
     period = recording.rig.bus.period_s
     angle, measured = recording["motor.position_rad"], recording.has(HANDLE)
@@ -181,7 +178,7 @@ def _pushed(rig: Rig, ramp_s: float) -> Rig:
     return rig.variant(
         f'phase=[{{kind="rest", duration_s=1.5}}, {shove}, {ramp}]',
         "operator.stiffness_Nm_rad=0.0",
-        "limits.speed_rad_s=100.0",  # the handle flies when it breaks away; here it may
+        "limits.speed_rad_s=100.0",  # the handle is fast after breakaway, which is permitted here
         "limits.net_work_J=5.0",
     )
 
@@ -189,14 +186,14 @@ def _pushed(rig: Rig, ramp_s: float) -> Rig:
 def hold_study(
     rig: Rig | str | None = None, *, seed: int = 0, progress: Callable[[float], None] | None = None
 ) -> HoldStudy:
-    """Run active and hybrid through the rig's schedule, and hybrid's stick phase in each way.
+    """Run active and hybrid through the rig's schedule, and each variant of hybrid's stick phase.
 
     Default rig: bench.
 
     Raises
     ------
     coulombus.host.errors.SafetyTrip
-        a run tripped; which, why and what to do is in the text
+        a run tripped; the text has the run, the reason and the remedy
     coulombus.rigs.rig.RigError
         the rig lacks a mode, or sticks with no torque
     """

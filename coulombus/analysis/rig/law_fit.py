@@ -1,18 +1,18 @@
-r"""A law's parameters from a recording: the law is driven along the recorded motion, and its parameters
-are sought with which it gives the recorded torque.
+r"""Fit a law's parameters to a recording: the law, driven along the recorded motion, reproduces the torque.
 
 .. math:: f_k = \psi_\theta(x_0 \ldots x_k) + J\,a_k + f_0 + e_k,
           \qquad \hat\theta = \arg\min \sum_k e_k^2
 
-J and f_0 are linear: for each theta they are solved for (variable projection), where a recording has
-inertia and bias in it. Parameters that are scales are sought in their logarithm, from several starts,
-within the ranges that the law declares. The law is its own compiled function, so any law with named
-parameters can be fitted, one of the user's own, too.
+J and f_0 are linear: they are solved for each theta (variable projection) if the recording contains
+inertia and bias. Scale parameters are searched in their logarithm, from several starts, within the
+ranges that the law declares. The fit uses the law's compiled function, so any law with named
+parameters can be fitted, including user-defined ones.
 
 **Intervals** of 95 %: the covariance is that of Gauss and Newton, with the residuals' correlation
-counted by clusters of `CLUSTER_S` (a sandwich), and Student's t of the clusters' number. A direction of
-the parameters that the torque hardly depends on is found by the singular values; who has a part in it
-is told as *not determined*. A parameter that ends at its range has no interval either.
+counted by clusters of `CLUSTER_S` (a sandwich), and Student's t of the clusters' number. Singular
+values reveal directions of the parameters on which the torque hardly depends; parameters in such a
+direction are reported as *not determined*. A parameter that ends at its range has no interval
+either.
 
 Sources: G. Golub, V. Pereyra, Separable nonlinear least squares: the variable projection method and its
 applications, Inverse Problems 19(2), 2003, doi:10.1088/0266-5611/19/2/201; L. Ljung, System
@@ -49,25 +49,25 @@ STARTS = 5
 PERIOD = "period_rad"
 CANDIDATES, LIKELY, MOST_ROWS = 300, 3, 3000
 FINEST, LONGEST = 60.0, 4.0
-"""Periods are looked for between these parts of the way."""
+"""Search range of periods, as fractions of the travel."""
 CLUSTER_S = 0.05
 WEAK = 1e-5
-"""A direction of the parameters whose singular value is this share of the largest is not determined."""
+"""Relative singular value below which a direction of the parameters is not determined."""
 NO_PART = 1e-9
-"""So is a parameter whose part in the torque is this share of the largest part."""
+"""Relative contribution to the torque below which a parameter is not determined."""
 LEAST_SAMPLES = 50
 AGAIN = 1e-3
-"""Two starts that end with costs so near to each other have found the same."""
+"""Relative difference of costs below which two starts have found the same minimum."""
 NOTHING = 1e-12
-"""A cost that is this share of the torque's square leaves nothing to look for."""
+"""Cost relative to the squared torque at which the search ends."""
 SMOOTH = 15
-"""Samples behind a recorded speed."""
+"""Samples in the window of a recorded speed."""
 MOST_EVALUATIONS = 100
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples in a row, in which one law was felt. The law begins relaxed at the first."""
+    """Consecutive samples of one displayed law. The law is relaxed at the first."""
 
     t_s: Floats
     x_rad: Floats
@@ -76,14 +76,14 @@ class Stretch:
 
 @dataclass(frozen=True)
 class LawFit:
-    """A law's parameters, as a recording has them."""
+    """A law's parameters, fitted to a recording."""
 
     law: str
     estimates: dict[str, Estimate | None]
-    """None of an interval that the data do not carry: see `not_determined`."""
+    """None if the data do not support an interval: see `not_determined`."""
     values: dict[str, float]
     held: dict[str, Any]
-    """Parameters that were given and not fitted."""
+    """Parameters held at given values."""
     not_determined: tuple[str, ...]
     inertia_kg_m2: float | None
     offset_Nm: float | None
@@ -109,8 +109,7 @@ class LawFit:
 
 
 def stretches_of(recording: Source) -> tuple[Stretch, ...]:
-    """Return what a recording says of a law: in the display at full gain, the brake's set-point the same,
-    the hand's torque over the angle.
+    """Return the hand's torque over the angle while the display is at full gain and the brake's set-point is constant.
 
     Raises
     ------
@@ -125,7 +124,7 @@ def stretches_of(recording: Source) -> tuple[Stretch, ...]:
 
 
 class _Search:
-    """The parameters that are sought, as numbers in the logarithm of their scale."""
+    """Search variables: the free parameters, logarithmic for scales."""
 
     def __init__(self, given: GivenLaw, declared: Declaration, held: set[str], data: Sequence[Stretch]) -> None:
         self.given, self.declared = given, declared
@@ -137,13 +136,11 @@ class _Search:
         self.low, self.high = (np.array([_range(declared, name)[end] for name in self.names]) for end in (0, 1))
         self.guess = np.array([_guess(declared, name, data) for name in self.names])
         self.guess = np.clip(self.guess, np.maximum(self.low, 1e-12), self.high)
-        # a parameter that may be 0 or less is sought as a multiple of its guess, another in its logarithm
+        # a parameter that may be 0 or less is searched as a multiple of its guess, others in their logarithm
         self.scale = self.low > 0.0
 
     def starts(self, data: Sequence[Stretch]) -> Iterator[Floats]:
-        """Yield the starts: the guess, with each of the `periods` where the law has one; then others
-        around it.
-        """
+        """Yield the starts: the guess, with each of the `periods` if the law has one; then others around it."""
         guess, draw = np.where(self.scale, 0.0, 1.0), np.random.default_rng(0)
         at = next((k for k, name in enumerate(self.names) if name == PERIOD), None)
         for period in [math.nan] if at is None else periods(data):
@@ -158,14 +155,14 @@ class _Search:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """The search's ends."""
+        """Bounds of the search."""
         with np.errstate(divide="ignore", invalid="ignore"):
             low = np.where(self.scale, np.log(np.maximum(self.low, 1e-300) / self.guess), self.low / self.guess)
             high = np.where(self.scale, np.log(self.high / self.guess), self.high / self.guess)
         return low - 1e-9, high + 1e-9
 
     def values(self, u: Floats) -> Floats:
-        """Return the parameters, each within its range and within what they ask of each other."""
+        """Return the parameters, within their ranges and mutual constraints."""
         values = np.where(self.scale, self.guess * np.exp(np.clip(u, -700, 700)), self.guess * u)
         values = np.clip(values, self.low, self.high)
         place = {name: k for k, name in enumerate(self.names)}
@@ -185,16 +182,16 @@ class _Search:
         new = dict(zip(self.names, map(float, values), strict=True))
         try:
             parameters = type(self.given.parameters)(**{**self.given.parameters.model_dump(), **new})
-        except ValidationError as error:  # a rule of the law's own
+        except ValidationError as error:  # a rule of the law
             raise LawError(f"law {self.given.name!r}: no such parameters: {error}") from error
         return GivenLaw(self.given.name, self.given.pointer, self.declared, parameters)
 
 
 def periods(data: Sequence[Stretch]) -> Floats:
-    """Return the angles [rad], the likeliest first, with which the torque repeats itself, with the
-    handle's direction or without: by linear least squares of a wave of each of `CANDIDATES`.
+    """Return candidate periods [rad] of the torque over the angle, the likeliest first, signed with
+    the direction or not: by linear least squares of a wave for each of `CANDIDATES`.
 
-    A law is many waves away from the data where its period is a little wrong, so no descent finds it.
+    A small error of the period shifts the law by many waves, so gradient descent cannot find it.
     """
     step = max(sum(len(stretch.t_s) for stretch in data) // MOST_ROWS, 1)
     x, y, s = (
@@ -231,7 +228,7 @@ def _range(declared: Declaration, name: str) -> tuple[float, float]:
 
 
 def _guess(declared: Declaration, name: str, data: Sequence[Stretch]) -> float:
-    """Return a parameter's size from its unit and the data."""
+    """Return an initial guess of a parameter from its unit and the data."""
     torque = max(float(np.quantile(np.abs(np.concatenate([stretch.torque_Nm for stretch in data])), 0.8)), 1e-6)
     way = max(float(np.ptp(stretch.x_rad)) for stretch in data) or 1.0
     speed = (
@@ -254,17 +251,17 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
 
     Parameters
     ----------
-    name : the law, as ``law.function`` names it
+    name : the law, as in ``law.function``
     data : stretches of samples; the torque is the friction, positive against a positive speed
     overrides : "KEY=VALUE" holds a parameter at a value
-    rig : whether inertia and a transducer's bias are in the torque, too
+    rig : whether the torque includes inertia and a transducer's bias
 
     Raises
     ------
     coulombus.recording.friction.sliding.IdentifyError
-        the data do not carry it
+        the data do not support the fit
     coulombus.host.laws.laws.LawError, coulombus.rigs.rig.RigError
-        there is no such law, or a parameter that is held is refused
+        there is no such law, or a held parameter is refused
     """
     given = given_law(name, overrides)
     if given.declaration is None:
@@ -327,7 +324,7 @@ def _fit_of(search: _Search, best: Any, residual: Any, rest: tuple[Floats, Float
     u, e = np.asarray(best.x, np.float64), np.asarray(best.fun, np.float64)
     values, n = search.values(u), len(u)
     J = np.empty((len(e), n))
-    for k in range(n):  # of the parameters' own relative change, by central differences
+    for k in range(n):  # central differences over relative changes of the parameters
         h = 1e-4
         up, down = u.copy(), u.copy()
         up[k] += h

@@ -1,19 +1,18 @@
-r"""Maps: where the displayed friction oscillates and where it is quiet, over operator, rate, delay
-and friction level.
+r"""Stability maps of the displayed friction over operator, rate, delay and friction level.
 
 Each point is a full simulation of the sampled loop (`analysis.theory.sampled_loop`) after a tap. It
-is *quiet* when, at the end, the encoder stays within two counts (by which the hold test calls a
-display still), or moves on without turning back, or still swings but dies out. Otherwise a limit
-cycle was shown. Beside it stand the bounds of `analysis.theory.bounds`, which certify or do not.
+is *quiet* if, at the end, the encoder stays within two counts (the criterion of the hold test), or
+moves on without reversal, or oscillates with decaying amplitude. Otherwise it shows a limit cycle.
+The bounds of `analysis.theory.bounds` are given for comparison; they certify, or do not.
 
 ::
 
     found = oscillation_map({"operator_inertia_kg_m2": np.geomspace(1e-4, 0.1, 20), "delay_s": np.array([0.0, 1e-3])})
     found.share            # share of the taps after which it oscillates, an axis for each of the dictionary's entries
 
-Points are independent and every one is computed by the same compiled code, so threads, processes on
-a cluster (`dask="tcp://..."`) and the order of the work change nothing: the numbers are the same
-bit for bit (on processors for which LLVM emits the same instructions).
+Points are independent and computed by the same compiled code, so threads, processes on a cluster
+(`dask="tcp://..."`) and the order of the work do not matter: the numbers are the same bit for bit
+(on processors for which LLVM emits the same instructions).
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 QUIET_COUNTS = 2
-DYING_OUT = 0.9  # the velocity's RMS in the window's second half, against the whole: a hand's own swing that decays
+DYING_OUT = 0.9  # RMS velocity of the window's second half over the whole: a decaying swing of the hand
 MOST_DELAY_CYCLES = 60
-CHUNK = 96  # runs for one task: many enough that handing it over does not count
+CHUNK = 96  # runs per task: enough that the task overhead is negligible
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class LoopParameters:
     velocity_band_counts: float = 2.0
     compensation_Nm: float = 0.97 * 0.14
     tap_rad_s: float = 2.0
-    """Speed right after the tap that starts it: what 0.6 Nm for 10 ms give a light hand.
+    """Speed right after the initial tap: that of a light hand after 0.6 Nm for 10 ms.
 
     Below the velocity band nothing starts.
     """
@@ -114,9 +113,7 @@ class LoopParameters:
         return cls(**(values | changes))
 
     def bounds(self) -> Bounds:
-        """Return the literature's bounds for the stick spring K_p on this device, hand not counted
-        (any passive one will do).
-        """
+        """Return the literature's bounds for the stick spring K_p on this device, for any passive hand."""
         return bounds(
             self.K_p_Nm_rad,
             self.viscous_Nms_rad,
@@ -129,7 +126,7 @@ class LoopParameters:
 
 @dataclass(frozen=True)
 class PointResult:
-    """What one run of a loop came to, in its window."""
+    """Result of one run of a loop, in its window."""
 
     quiet: bool
     frequency_Hz: float
@@ -142,31 +139,29 @@ class PointResult:
 
 @dataclass(frozen=True)
 class OscillationMap:
-    """A map's numbers; arrays have one dimension for each axis, in the order of `axes`."""
+    """The numbers of a map; arrays have a dimension per axis, in the order of `axes`."""
 
     axes: dict[str, Floats]
     base: LoopParameters
     taps_rad_s: tuple[float, ...]
     share: Floats
-    """Share of the taps after which it oscillates: 0 quiet after every one, 1 oscillating after
-    every one.
-    """
+    """Share of the taps with oscillation: 0: quiet after all, 1: oscillating after all."""
     velocity_rms_rad_s: Floats
     """Largest over the taps."""
     frequency_Hz: Floats
-    """Of the tap with the largest velocity; NaN where quiet."""
+    """Frequency for the tap with the largest velocity; NaN if quiet."""
     simulated_s: float
     elapsed_s: float = field(compare=False)
 
     @property
     def oscillates(self) -> npt.NDArray[np.bool_]:
-        """True where a limit cycle was shown after at least one tap."""
+        """Whether at least one tap starts a limit cycle."""
         shown: npt.NDArray[np.bool_] = self.share > 0
         return shown
 
     @property
     def speed(self) -> float:
-        """Simulated seconds a second."""
+        """Simulated seconds per second."""
         return self.simulated_s / self.elapsed_s if self.elapsed_s > 0 else math.inf
 
     def as_dict(self) -> dict[str, Any]:
@@ -196,7 +191,7 @@ DEFAULT_AXES: dict[str, Floats] = {
 }
 DEFAULT_TAPS_RAD_S = (1.0, 3.0)
 
-LOOP_OF_PARAMETER = {  # field of LOOP -> parameter, where it is only copied
+LOOP_OF_PARAMETER = {  # field of LOOP -> parameter that is copied unchanged
     "friction": "coulomb_Nm",
     "compensation": "compensation_Nm",
     "lag": "motor_lag_s",
@@ -217,7 +212,7 @@ BOOLEAN_OR_SIGNED = ("relay", "tap_rad_s")
 def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
     """Return LOOP records (flat) of parameters that broadcast to `shape`.
 
-    Every mistake raises with its name.
+    An invalid parameter raises with its name.
     """
     flat: dict[str, Array] = {}
     for name, value in values.items():
@@ -251,9 +246,7 @@ def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
 
 
 def run_chunk(loops: Array) -> Array:
-    """Run LOOP records and return their STATS: the one task that threads and a cluster's workers
-    carry out.
-    """
+    """Run LOOP records and return their STATS: the task of threads and cluster workers."""
     out = new_records(StatsRecord, len(loops))
     run_loops(
         np.array(loops).view(np.recarray),
@@ -267,7 +260,7 @@ def run_chunk(loops: Array) -> Array:
 
 
 def _quiet(stats: Array) -> npt.NDArray[np.bool_]:
-    """Return where nothing oscillates: still, or moving on without turning back, or dying out."""
+    """Return where nothing oscillates: at rest, moving on without reversal, or decaying."""
     still = (stats["counts_p2p"] <= QUIET_COUNTS) | (stats["reversals"] < 2)
     quiet: npt.NDArray[np.bool_] = still | (stats["late_rms"] < DYING_OUT * stats["velocity_rms"])
     return quiet
@@ -279,7 +272,7 @@ def simulate_point(point: LoopParameters) -> PointResult:
     Raises
     ------
     ValueError
-        a parameter is negative, not finite, or the delay does not fit; its name is in the text
+        a parameter is negative, not finite, or the delay is too long; the text has its name
     """
     loops = _loops({f.name: getattr(point, f.name) for f in fields(point)}, (1,))
     out = new_records(StatsRecord)
@@ -304,7 +297,7 @@ def simulate_point(point: LoopParameters) -> PointResult:
 
 
 def _in_threads(chunks: Sequence[Array], workers: int) -> Iterator[tuple[int, Array]]:
-    with ThreadPoolExecutor(workers) as pool:  # the kernel holds no GIL
+    with ThreadPoolExecutor(workers) as pool:  # the kernel releases the GIL
         tasks = {pool.submit(run_chunk, chunk): i for i, chunk in enumerate(chunks)}
         for task in as_completed(tasks):
             yield tasks[task], task.result()
@@ -338,22 +331,21 @@ def oscillation_map(
         Name of a field of `LoopParameters` -> its values; every combination is a point. Default:
         `DEFAULT_AXES`, 12,288 points.
     base
-        What the other parameters are: a `LoopParameters`, or a rig (its mode active). Default: the
-        bench rig.
+        The other parameters: a `LoopParameters`, or a rig (its mode active). Default: the bench rig.
     taps_rad_s
-        Speeds after a tap that start the runs; each point runs once for each.
+        Speeds after the tap that starts a run; each point runs once per speed.
     dask
         Address of a dask.distributed scheduler, as in "tcp://127.0.0.1:8786"; its workers need this
-        package. Default: threads here.
+        package. Default: local threads.
     workers
-        Threads; default one for each processor.
+        Threads; default one per processor.
     progress
-        Called with the share of the work that is done, 0 to 1.
+        Called with the finished share of the work, 0 to 1.
 
     Raises
     ------
     ValueError
-        an unknown axis, a value that cannot be, or an empty axis
+        an unknown axis, an invalid value, or an empty axis
     ImportError
         `dask` is given, and dask.distributed is not installed
     """
@@ -379,7 +371,7 @@ def oscillation_map(
     values["tap_rad_s"] = np.asarray(taps_rad_s, np.float64)
     loops = _loops(values, shape)
 
-    run_chunk(loops[:0])  # compiled, or loaded, before the clock runs
+    run_chunk(loops[:0])  # compile or load before timing starts
     began = perf_counter()
     chunks = [loops[i : i + CHUNK] for i in range(0, len(loops), CHUNK)]
     stats = np.zeros(len(loops), STATS)
@@ -409,7 +401,7 @@ def oscillation_map(
 def at(chart: OscillationMap, **values: float) -> OscillationMap:
     """Return the map's slice at the points nearest to `values` (axis=value).
 
-    The other axes stay.
+    Other axes are kept.
     """
     index: list[Any] = []
     axes = {}

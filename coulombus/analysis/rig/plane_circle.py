@@ -1,4 +1,4 @@
-"""A circle drawn with Coulomb friction in the plane, without a bus: what hybrid, passive and active display."""
+"""A circle with Coulomb friction in the plane, without a bus: display errors of hybrid, passive and active."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ __all__ = ["CircleStudy", "circle_goals", "circle_study"]
 
 RADIUS_m = 0.05
 BAND_m_s = 0.008
-"""Below this speed the law takes the tip as stuck."""
+"""Speed below which the law treats the tip as stuck."""
 LAPS, PERIOD_s = 2.5, 1e-3
 
 
 @dataclass(frozen=True)
 class CircleStudy:
-    """What is displayed on a circle about the rig's start.
+    """Displayed friction on a circle about the rig's start.
 
     Attributes
     ----------
-    frequency_Hz, friction_N : of the circle, and what is wanted
-    errors : by the mode, those of `PlaneCourse.display_errors`, and the motors' net work [J]
+    frequency_Hz, friction_N : of the circle, and desired
+    errors : by mode, from `PlaneCourse.display_errors`, and the motors' net work [J]
     """
 
     frequency_Hz: float
@@ -39,7 +39,7 @@ class CircleStudy:
         return {"frequency_Hz": self.frequency_Hz, "friction_N": self.friction_N, "modes": self.errors}
 
     def lines(self) -> list[str]:
-        """Return it for people."""
+        """Return it as text."""
         text = [
             f"circle of {100 * RADIUS_m:g} cm about the start, {self.frequency_Hz:g} Hz, {self.friction_N:g} N wanted "
             "(no bus); median and 95th percentile:"
@@ -61,9 +61,9 @@ def circle_goals(centre_m: npt.NDArray[np.float64], frequency_Hz: float) -> npt.
 
 
 def circle_study(rig: Rig, frequency_Hz: float, friction_N: float = 3.0) -> CircleStudy:
-    """Draw the circle in each mode that the rig has, with static friction a tenth above the dynamic one.
+    """Simulate the circle in each mode of the rig, with static friction 10 % above dynamic friction.
 
-    The errors count from half a lap on, where the tip is faster than 0.05 m/s.
+    The errors count after half a lap, while the tip is faster than 0.05 m/s.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a rig in the plane can display: of poses that are named, and over its workspace."""
+"""Displayable friction of a rig in the plane: in given poses, and over its workspace."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from coulombus.rigs.rig import Rig
 __all__ = ["GRID", "PlaneDisplay", "PlaneMap", "PosedDisplay", "plane_display", "rig_levels", "rig_mechanism"]
 
 GRID = 24
-"""Angles of each joint on the map."""
+"""Number of angles of each joint on the map."""
 
 
 @dataclass(frozen=True)
 class PosedDisplay:
-    """What is displayed in one pose.
+    """Displayable friction in one pose.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class PosedDisplay:
     condition : of the Jacobian, 0 to 1
     allowed : whether the rig file allows the pose
     jacobian : shape (2, 2) [m/rad]
-    passive : what brakes alone cannot display
+    passive : errors of brakes alone
     ellipse : the force manipulability ellipse; None in a singular pose
-    largest_N : the largest friction that is the same in all directions, by the mode
-    resolution_m : the tip's way for one count of each encoder
+    largest_N : the largest isotropic friction, by mode
+    resolution_m : the tip's displacement per count of each encoder
     """
 
     q_rad: tuple[float, float]
@@ -77,7 +77,7 @@ class PosedDisplay:
         }
 
     def lines(self) -> list[str]:
-        """Return it for people."""
+        """Return it as text."""
         q1, q2 = (math.degrees(angle) for angle in self.q_rad)
         passive, largest = self.passive, self.largest_N
         text = [
@@ -105,7 +105,7 @@ class PlaneMap:
     Attributes
     ----------
     poses : the allowed ones
-    tried : how many were tried
+    tried : number of poses tested
     """
 
     poses: tuple[PosedDisplay, ...]
@@ -130,7 +130,7 @@ class PlaneMap:
         return {"tried": self.tried, "allowed": len(rows), "ranges": ranges, "rows": short}
 
     def lines(self) -> list[str]:
-        """Return the ranges for people."""
+        """Return the ranges as text."""
         found = self.as_dict()
         if not self.poses:
             return [f"workspace: none of {self.tried} poses is allowed by [kinematics]"]
@@ -144,13 +144,13 @@ class PlaneMap:
 
 @dataclass(frozen=True)
 class PlaneDisplay:
-    """What a rig in the plane displays.
+    """Displayable friction of a rig in the plane.
 
     Attributes
     ----------
     rig, kind : the rig's name and its mechanism
-    levels : the torques that each joint can have
-    poses : those that were asked for
+    levels : the torques available at each joint
+    poses : the requested ones
     workspace : the map
     """
 
@@ -171,12 +171,11 @@ class PlaneDisplay:
         }
 
     def lines(self) -> list[str]:
-        """Return it for people."""
+        """Return it as text."""
         return [line for pose in self.poses for line in pose.lines()] + self.workspace.lines()
 
     def directions(self, friction_N: float | None = None) -> Directions:
-        """Return wanted and displayed forces of the first pose; the friction is the largest of hybrid,
-        where none is given.
+        """Return desired and displayed forces of the first pose; the default friction is the largest of hybrid.
 
         Raises
         ------
@@ -197,7 +196,7 @@ def rig_mechanism(rig: Rig) -> tuple[Kinematics, Mechanism]:
     Raises
     ------
     RigError
-        its axes are independent, or a recording alone names a mechanism of the user's own
+        its axes are independent, or only a recording names a user-defined mechanism
     """
     if rig.kinematics is None:
         raise RigError([f"{rig.path}: the rig {rig.name} has no [kinematics]; expected a rig in the plane, as plane"])
@@ -210,9 +209,7 @@ def rig_mechanism(rig: Rig) -> tuple[Kinematics, Mechanism]:
 
 
 def rig_levels(rig: Rig, mode: str = "hybrid") -> Levels:
-    """Return the torques that each joint can have for the law: of a motor what its limit in `mode` leaves
-    beside the compensation.
-    """
+    """Return the torques available to the law at each joint: for a motor, its limit in `mode` minus the compensation."""
     brake, motor = [], []
     for axis in rig.axes:
         chosen = axis.mode[mode]
@@ -225,19 +222,19 @@ def rig_levels(rig: Rig, mode: str = "hybrid") -> Levels:
 def plane_display(
     rig: Rig, poses_rad: Sequence[tuple[float, float]] = (), grid: int = GRID, mode: str = "hybrid"
 ) -> PlaneDisplay:
-    """Return what a rig in the plane displays in poses, and over its workspace.
+    """Return the displayable friction of a rig in the plane, in poses and over its workspace.
 
     Parameters
     ----------
     rig : with [kinematics]
-    poses_rad : joints' angles; without any, the start of the rig file
-    grid : angles of each joint on the map, over a full turn
-    mode : whose limits of the motors hold
+    poses_rad : joints' angles; default: the start of the rig file
+    grid : number of angles of each joint on the map, over a full turn
+    mode : whose motor limits apply
 
     Raises
     ------
     RigError
-        the rig is not in the plane, or its mechanism cannot take a pose
+        the rig is not in the plane, or a pose is unreachable
     """
     kinematics, mechanism = rig_mechanism(rig)
     levels, counts = rig_levels(rig, mode), [_count_rad(axis) for axis in rig.axes]

@@ -1,4 +1,4 @@
-"""One simulated run behind a figure: recorded, or refused with what to do about it."""
+"""Simulate and record one run for a figure; refusals state the remedy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from coulombus.rigs.rig import Rig, RigError
 __all__ = ["displayed", "need_modes"]
 
 BELIEF_SHARE = 0.97
-"""The belief counts as right from this share of the true friction on: identification is as good."""
+"""Least ratio of the modelled to the true friction, as accurate as identification."""
 
 
 def need_modes(rig: Rig, *modes: str) -> None:
@@ -36,9 +36,7 @@ def need_modes(rig: Rig, *modes: str) -> None:
 
 
 def _belief(axis: Axis, mode: str) -> str:
-    """Return what to do where the controller believes in less friction than the simulated rig has;
-    "" where it does not.
-    """
+    """Return the remedy if the controller's model has less friction than the simulated rig, else ""."""
     plant = axis.simulation.plant
     believed, true = axis.mechanics.friction_Nm, plant.coulomb_Nm + plant.brake_off_state_Nm
     if believed >= BELIEF_SHARE * true:
@@ -51,16 +49,16 @@ def _belief(axis: Axis, mode: str) -> str:
 
 
 def displayed(rig: Rig, mode: str, path: Path, what: str, *, seed: int = 0) -> Path:
-    """Run the rig's whole schedule in `mode`, record it at `path`, and return that.
+    """Run the rig's whole schedule in `mode`, record it at `path`, and return the recording.
 
     Parameters
     ----------
-    what : the run's name in an error
+    what : name of the run in an error
 
     Raises
     ------
     coulombus.host.errors.SafetyTrip
-        arming was refused, the run tripped, or it showed nothing; the text says why and what to do
+        arming was refused, the run tripped, or it displayed nothing; the text has the reason and the remedy
     """
     axis = rig.one_axis()
     result = simulate(rig, mode, axis.phase_starts_s[-1], record=path, seed=seed)

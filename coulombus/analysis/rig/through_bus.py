@@ -1,22 +1,21 @@
-r"""CANopen's part: section 4's limit cycle through the virtual bus, its nodes and their PDOs,
-measured from the recording.
+r"""Effect of CANopen: section 4's limit cycle through bus, nodes and PDOs, measured from the recording.
 
-The loop of the paper acts at the instant at which it samples. Over a bus it cannot: 6064h is
-sampled at SYNC, travels in a TPDO, and the set-point that answers it travels in an RPDO, which acts
-on the next SYNC (`next_sync`: one cycle, exactly) or as soon as it has arrived (`on_reception`: the
-frames' own time on the wire). The delay :math:`\tau` is read off the recording's stamps, as is the
-frequency.
+The loop of the paper acts at the sampling instant. Over a bus this is impossible: 6064h is sampled
+at SYNC and sent in a TPDO, and the resulting set-point is sent in an RPDO, which acts on the next
+SYNC (`next_sync`: one cycle, exactly) or on arrival (`on_reception`: the frames' time on the wire).
+The recording's stamps give the delay :math:`\tau` and the frequency.
 
-Two rigs run. `coulombus/rigs/paper.toml` is section 4's plant with 0.1 um a count and no lag: its limit cycle
-must be the sampled loop's with that delay. The second is the same plant with the bench's encoder
-(80 urad a count) and the bench's motor lag (1 ms). It is *not* on that curve, for two reasons:
+Two rigs run. `coulombus/rigs/paper.toml` is section 4's plant with 0.1 um per count and no lag: its
+limit cycle must equal the sampled loop's with that delay. The second is the same plant with the
+bench's encoder (80 urad per count) and the bench's motor lag (1 ms). It is *not* on that curve, for
+two reasons:
 
-- a lag :math:`\tau_m` turns the phase by :math:`-\arctan(\omega\tau_m)` more, so the crossing of
-  :math:`-1/\Psi` wanders to where :math:`\omega(T + \tau) + \arctan(\omega\tau_m) \approx \pi/2`: a
-  slower and a larger cycle;
-- with a coarse encoder v^ is a whole number of counts a cycle, and it is 0 for many cycles in a row
-  as soon as the cycle's amplitude :math:`a T` is not many counts. There sgn(0) = 0 takes the torque
-  away. The relay has become one with a dead zone.
+- a lag :math:`\tau_m` adds the phase :math:`-\arctan(\omega\tau_m)`, so the crossing of
+  :math:`-1/\Psi` moves to :math:`\omega(T + \tau) + \arctan(\omega\tau_m) \approx \pi/2`: a slower
+  and a larger cycle;
+- with a coarse encoder v^ is a whole number of counts per cycle, and it is 0 for many successive
+  cycles if the cycle's amplitude :math:`a T` is only a few counts. Then sgn(0) = 0 removes the
+  torque: the relay has a dead zone.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 ACTUATIONS = ("next_sync", "on_reception")
 BENCH_HARDWARE = "bench encoder and motor lag"
 SETTLE_S, WINDOW_S = 2.5, 2.0
-"""The first seconds (gain ramp, transient) are left out; the window after them is measured."""
+"""Omitted time at the beginning (gain ramp, transient), and length of the measured window."""
 
 COULOMB = "coulomb"
 TAP_M_S = 0.05
@@ -80,11 +79,11 @@ class BusCycle:
     """Median, from sampling to actuation."""
     delay_range_s: tuple[float, float]
     frequency_Hz: float
-    """Sign changes of the non-zero v^, by two, a second. 0 when it is quiet."""
+    """Half the sign changes of the non-zero v^ per second; 0 if quiet."""
     loop_frequency_Hz: float
-    """The same of `analysis.theory.sampled_loop`: no bus, but this delay, encoder and lag."""
+    """Frequency of `analysis.theory.sampled_loop`: no bus, but the same delay, encoder and lag."""
     amplitude_m_s: float
-    """sqrt(2) std of v^: of a sine it is the amplitude."""
+    """sqrt(2) std of v^: the amplitude of a sine."""
     count_m: float
     """Encoder resolution at the handle [m]."""
     motor_lag_s: float
@@ -92,7 +91,7 @@ class BusCycle:
     v_m_s: Floats
     """v^ over the measured window."""
     force_N: Floats
-    """Motor's force as the drive reports it (6077h), at the same samples."""
+    """Motor's force from the drive (6077h), at the same samples."""
 
     def row(self) -> dict[str, Any]:
         """Return the row of `coulombus analyse --json`."""
@@ -110,14 +109,14 @@ class BusCycle:
 def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float("inf")) -> Delay:
     """Return the delay from sampling to actuation, from the frames' stamps alone.
 
-    The nodes sample when a SYNC has ended on the wire. What answers is the next RPDO to the motor,
-    and it acts when it has ended (transmission type 254, 255) or when the SYNC after it has (types
-    0 to 240). What the host holds back (`bus.delay_cycles`) comes on top.
+    The nodes sample when a SYNC has ended on the wire. The response is the next RPDO to the motor;
+    it acts at its end (transmission type 254, 255) or at the end of the following SYNC (types 0 to
+    240). The host's additional delay (`bus.delay_cycles`) is added.
 
     Raises
     ------
     ValueError
-        there is no SYNC with an answer in the span
+        there is no SYNC with a response in the span
     """
     pdo = next(p for p in recording.rig.pdos() if p.node == "motor" and p.layout.direction == "rpdo")
     t_ns = recording.frames["t_ns"] - recording.epoch_ns
@@ -130,7 +129,7 @@ def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float(
             f"{recording.path}: no SYNC frame with an answering set-point from {begin_s:g} s to {end_s:g} s"
         )
     answers = answers[answers > syncs[0]]
-    sampled = np.searchsorted(syncs, answers) - 1  # the SYNC before each answer
+    sampled = np.searchsorted(syncs, answers) - 1  # the SYNC before each response
     if pdo.layout.transmission <= 240:
         known = sampled + 1 < len(syncs)
         delays = syncs[sampled[known] + 1] - syncs[sampled[known]]
@@ -141,7 +140,7 @@ def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float(
 
 
 def reversal_frequency_Hz(t_s: Floats, values: Floats) -> float:
-    """Return half the sign changes of the non-zero values a second, from the first change to the
+    """Return half the sign changes of the non-zero values per second, from the first change to the
     last; 0 with fewer than two.
     """
     moving = values != 0
@@ -153,9 +152,7 @@ def reversal_frequency_Hz(t_s: Floats, values: Floats) -> float:
 
 
 def loop_frequency_Hz(axis: Axis, delay_s: float) -> float:
-    """Return the frequency of the same loop without a bus, under the delay that the bus was found
-    to add.
-    """
+    """Return the frequency of the same loop without a bus, with the measured delay of the bus."""
     base = LoopParameters.of_axis(axis, "active", relay=axis.law.function == COULOMB)
     point = replace(base, delay_s=delay_s, tap_rad_s=TAP_M_S, settle_s=SETTLE_S, window_s=WINDOW_S)
     return simulate_point(point).frequency_Hz
@@ -221,17 +218,17 @@ def through_bus(
     bench: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[BusCycle, ...]:
-    """Return the limit cycle through bus and PDOs for each actuation, and after these the same with
-    the bench's encoder and motor lag.
+    """Return the limit cycle through bus and PDOs for each actuation, then the same with the
+    bench's encoder and motor lag.
 
     Parameters
     ----------
     rig : the plant; default `coulombus/rigs/paper.toml`
     bench : also run the second curve, with `BENCH_HARDWARE`
-    progress : called with the share that is done, 0 to 1
+    progress : called with the finished share, 0 to 1
     """
     rig = load_rig("paper") if rig is None else rig
-    if rig.bus.cycles_to_actuation > 1:  # whole cycles, which only the next SYNC gives
+    if rig.bus.cycles_to_actuation > 1:  # whole cycles, which need actuation on the next SYNC
         actuations = [actuation for actuation in actuations if actuation == "next_sync"]
     plants = [(f"rig {rig.name}", rig)] + ([(BENCH_HARDWARE, with_bench_hardware(rig))] if bench else [])
     cycles: list[BusCycle] = []

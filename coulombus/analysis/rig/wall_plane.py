@@ -1,14 +1,14 @@
 r"""The K-B plane of a virtual wall through bus, nodes and PDOs.
 
-A hand that is a damper leans on the wall with a constant torque, so that the handle swings
-about :math:`p = f/K` within it. The motor shows K and B (active), or the motor K and the brake B
+A hand modelled as a damper leans on the wall with a constant torque, so that the handle oscillates
+about :math:`p = f/K` inside it. The motor displays K and B (active), or the motor K and the brake B
 (hybrid). The rig is the given one without inherent friction, off-state torque and the motor's lag:
-what is left is `analysis.theory.z_width.Handle`. The display is held against its prediction, for a wall
-that holds from both sides, and against the same hand at a wall of one side (`stable_leaning`), which is
-other code: it knows no bus and no PDO.
+the rest is `analysis.theory.z_width.Handle`. The display is compared with its prediction for a
+two-sided wall, and with the same hand at a one-sided wall (`stable_leaning`), which is independent
+code without bus and PDOs.
 
-A point is stable where nothing trips and the speed dies out (`dies_out`). For each B the largest stable K
-is found by bisection; hybrid's gain is the ratio of the areas below.
+A point is stable if nothing trips and the speed decays (`dies_out`). For each B the largest stable
+K is found by bisection; hybrid's gain is the ratio of the areas below the boundaries.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ HALVINGS = 6
 LEAN = Lean()
 """The wall is beyond the sign check's travel."""
 HAND_NMS_RAD = 0.1
-"""The hand's damping, which that check needs."""
+"""The hand's damping, needed by the sign check."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class WallPlane:
         return {"rig": self.rig, "rows": [asdict(row) for row in self.rows], "hybrid_to_active": ratios}
 
     def lines(self) -> Iterator[str]:
-        """Yield the boundary for people."""
+        """Yield the boundary as text."""
         yield f"rig {self.rig}: the stiffest stable wall [Nm/rad]"
         yield f"{'mode':<8} {'B [Nms/rad]':>12} {'predicted':>10} {'leaning':>10} {'bus':>10}"
         for row in self.rows:
@@ -86,7 +86,7 @@ class WallPlane:
 
 
 def handle_of(rig: Rig) -> Handle:
-    """Return the rig's handle and the hand on it, as the prediction takes them."""
+    """Return the rig's handle with the hand on it, for the prediction."""
     axis = rig.one_axis()
     plant = axis.simulation.plant
     return Handle(
@@ -101,7 +101,7 @@ def handle_of(rig: Rig) -> Handle:
 
 
 def stable_through_bus(rig: Rig, K_Nm_rad: float, B_Nms_rad: float, mode: str, *, seed: int = 0) -> bool:
-    """Return whether a hand that leans on the wall (K, B) feels it at rest, by simulation."""
+    """Return whether the wall (K, B) is stable under a leaning hand, by simulation."""
     nothing = ("inertia_kg_m2", "stiffness_Nm_rad", "tremor_Nm")
     leaning = rig.variant(
         "law.function=wall",
@@ -141,7 +141,7 @@ def stable_through_bus(rig: Rig, K_Nm_rad: float, B_Nms_rad: float, mode: str, *
 
 
 def _stiffest(stable: Callable[[float], bool]) -> float:
-    """Return the largest stable stiffness by bisection of its logarithm; 0 where not even the softest is."""
+    """Return the largest stable stiffness by bisection of its logarithm; 0 if even the softest is unstable."""
     low, high = SOFTEST_NM_RAD, STIFFEST_NM_RAD
     if not stable(low):
         return 0.0
@@ -158,7 +158,7 @@ def wall_plane(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> WallPlane:
-    """Return the boundary of the stable walls: predicted, at a wall of one side, and through PDOs.
+    """Return the boundary of the stable walls: predicted, for a one-sided wall, and through PDOs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""Absolute stability: what is certified, and what is not, for a friction whose slope is at most k.
+r"""Absolute stability of friction with a slope of at most k: certified or not.
 
 Tsypkin's criterion for a memoryless friction in the sector [0, k], eq. (17) for an ideal one (k to
 infinity):
@@ -10,9 +10,9 @@ part of a disk counts: :math:`\mathrm{Re}\,r(j\omega)/(2b) - 1/(2b)`, which is :
 so k < b. In continuous time, eq. (15), the disk lies in the closed right half plane, and every
 slope is certified.
 
-Tsypkin's criterion is sufficient. A loop that violates it is *not certified*; it is shown to
-oscillate only by a motion that does (`analysis.theory.orbits`). Eq. (17) as printed is strict, yet
-H*(0) = 0 with a spring: so ideal Coulomb friction is never certified by it.
+Tsypkin's criterion is sufficient. A loop that violates it is *not certified*; only an actual motion
+proves that it oscillates (`analysis.theory.orbits`). Eq. (17) as printed is strict, yet H*(0) = 0
+with a spring: so ideal Coulomb friction is never certified by it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ __all__ = [
 
 
 class Verdict(StrEnum):
-    """What may be said of a loop; in order of strength on either side of not knowing."""
+    """Verdict on a loop, in order of strength on either side of "unknown"."""
 
     CERTIFIED = "certified"
     NOT_CERTIFIED = "not certified"
@@ -51,9 +51,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class AbsoluteStability:
-    """Largest certified slopes [Ns/m] of a regularised friction; None where every slope is
-    certified.
-    """
+    """Largest certified slopes [Ns/m] of a regularised friction; None if every slope is certified."""
 
     passive_set: float
     """For every passive operator, by Tsypkin's criterion; 0: none."""
@@ -64,7 +62,7 @@ class AbsoluteStability:
     `certificate`.
     """
     nyquist: float | None
-    """The linear loop's own limit: at this gain it oscillates. No certificate can exceed it."""
+    """Stability limit of the linear loop: at this gain it oscillates. No certificate can exceed it."""
     passive_brake: float | None
     """With the brake, in continuous time, by the circle criterion; None: every slope."""
     certificate: Certificate | None
@@ -105,7 +103,7 @@ def passive_set_slope(parameters: Parameters) -> float:
     b = parameters.damping_Ns_m
     grid = np.append(frequency_grid(parameters), parameters.nyquist_Hz)
     _, late = parameters.delay_parts
-    if not late:  # r is a pure lag of at least one period: its real part comes down to -1
+    if not late:  # r is a pure lag of at least one period: its real part reaches -1
         return b
     real = multiplier(grid, parameters).real
     i = int(np.argmin(real))
@@ -129,18 +127,18 @@ def circle_slope(parameters: Parameters) -> float | None:
 
 
 def nyquist_slope(intersections: Crossings) -> float | None:
-    """Return the least gain at which the linear loop is on the edge: 1/|H*| at the crossing
-    furthest left; None without one.
+    """Return the least gain at which the linear loop is marginally stable: 1/|H*| at the leftmost
+    crossing; None without one.
     """
     return min((-1.0 / c.h_real for c in intersections.found), default=None)
 
 
 def absolute_stability(parameters: Parameters, *, taps: int = 10, shown: Orbits | None = None) -> AbsoluteStability:
-    """Return all slopes, and what may be said of ideal Coulomb friction."""
+    """Return all slopes, and the verdict on ideal Coulomb friction."""
     linear = sample(parameters)
     intersections = crossings(parameters)
     tsypkin = tsypkin_slope(parameters)
-    edge = linear.response(np.array([-1.0 + 0j]))[0].real  # at fs/2 the loop may be on the edge as well
+    edge = linear.response(np.array([-1.0 + 0j]))[0].real  # at fs/2 the loop may be marginal as well
     limit = nyquist_slope(intersections)
     if edge < 0:
         limit = -1.0 / edge if limit is None else min(limit, -1.0 / edge)

@@ -1,16 +1,15 @@
 r"""Bounds from the literature for a virtual spring of stiffness K, on a device with viscous
 friction b and Coulomb friction c.
 
-Karnopp's friction is such a spring whenever it sticks (K = K_p). The bounds know a sampling time T,
-a delay :math:`\tau`, an encoder resolution :math:`\Delta`, and make no assumption on the hand but
-that it is passive. All are about a spring; none of them certifies the *slip* phase, whose relay is
-of infinite slope. They stand next to a map of what the loop does, not in its place.
+Karnopp's friction is such a spring whenever it sticks (K = K_p). The bounds depend on the sampling
+time T, the delay :math:`\tau` and the encoder resolution :math:`\Delta`, and assume only that the
+hand is passive. All concern a spring; none of them certifies the *slip* phase, whose relay has
+infinite slope. They complement a map of the loop's behaviour, but do not replace it.
 
-Where they come from: a held spring force lags the true one by T/2 on average, and a quantised one
-is off by at most :math:`\Delta/2`, so the most that the spring gives back too much at speed v is
-the power
+Derivation: a held spring force lags the true one by T/2 on average, and quantisation adds an error
+of at most :math:`\Delta/2`, so the excess power of the spring at speed v is at most
 
-.. math:: K\,(T/2 + \tau)\,v^2 + \tfrac12 K \Delta\,|v|, \qquad \text{and the device burns}\quad b\,v^2 + c\,|v|.
+.. math:: K\,(T/2 + \tau)\,v^2 + \tfrac12 K \Delta\,|v|, \qquad \text{and the device dissipates}\quad b\,v^2 + c\,|v|.
 
 Comparing by powers of v gives them all (and the speed below which a device with enough c, but too
 little b, is quiet).
@@ -38,15 +37,13 @@ class Bounds:
     abbott_okamura_Nm_rad: float
     diolaiti_Nm_rad: float
     diolaiti_quiet_below_rad_s: float
-    """Speed below which friction burns all that the spring gives: infinite within the bound, 0
-    where quantisation alone beats c.
+    """Speed below which friction dissipates the spring's excess energy: infinite within the bound,
+    0 if quantisation alone exceeds c.
     """
 
     @property
     def certified(self) -> dict[str, bool]:
-        """Return for each bound whether the stiffness is certified by it; False is "not certified",
-        not "unstable".
-        """
+        """Return whether each bound certifies the stiffness; False is "not certified", not "unstable"."""
         return {
             "colgate": self.stiffness_Nm_rad <= self.colgate_Nm_rad,
             "abbott_okamura": self.stiffness_Nm_rad <= self.abbott_okamura_Nm_rad,
@@ -80,8 +77,8 @@ def abbott_okamura_stiffness(viscous: float, coulomb: float, period_s: float, co
 
 
 def diolaiti_stiffness(viscous: float, coulomb: float, period_s: float, delay_s: float, count: float) -> float:
-    r"""Return :math:`K = \min(b/(T/2 + \tau),\; 2c/\Delta)`: delay counted as well (after Diolaiti
-    et al. 2006); quiet at any speed.
+    r"""Return :math:`K = \min(b/(T/2 + \tau),\; 2c/\Delta)`: delay included (after Diolaiti et al.
+    2006); quiet at any speed.
     """
     _check(viscous=viscous, coulomb=coulomb, period_s=period_s, delay_s=delay_s, count=count)
     quantised = 2.0 * coulomb / count if count > 0 else math.inf
@@ -91,13 +88,11 @@ def diolaiti_stiffness(viscous: float, coulomb: float, period_s: float, delay_s:
 def diolaiti_speed(
     stiffness: float, viscous: float, coulomb: float, period_s: float, delay_s: float, count: float
 ) -> float:
-    r"""Return the speed [rad/s] below which the device burns more than the spring gives back too
-    much.
+    r"""Return the speed [rad/s] below which the device dissipates more than the spring's excess energy.
 
     .. math:: v^* = \frac{c - K\Delta/2}{K (T/2 + \tau) - b}
 
-    Infinite when b alone is enough; 0 when the quantisation gives more than c burns. Beyond v*
-    nothing is certified.
+    Infinite if b alone is enough; 0 if quantisation generates more than c dissipates. Above v* nothing is certified.
     """
     _check(stiffness=stiffness, viscous=viscous, coulomb=coulomb, period_s=period_s, delay_s=delay_s, count=count)
     left = coulomb - 0.5 * stiffness * count
@@ -112,7 +107,7 @@ def bounds(
 ) -> Bounds:
     """Return all bounds for one loop.
 
-    The friction c is what is left of the device's own after compensation.
+    The friction c is the device's own minus compensation.
     """
     return Bounds(
         stiffness_Nm_rad=stiffness,

@@ -1,20 +1,19 @@
-r"""A brake that follows late under a hand that pushes: up to which slope of damping it slides evenly.
+r"""A lagging brake under a pushing hand: the largest slope of damping with smooth sliding.
 
 *Ideal brake.* The handle is :math:`J\dot v + \beta v = f_h - F_b\,\mathrm{Sgn}(v)`, with
 :math:`\beta` the damping of device and hand together. If the brake has the level
 :math:`F_b = \lambda(v) \ge 0` at once, and :math:`\lambda(|v|) + \beta |v|` never falls with the
-speed, two motions under the same :math:`f_h(t)` come together,
+speed, two motions under the same :math:`f_h(t)` converge,
 
 .. math:: \frac{d}{dt}\,\tfrac12 J (v_1 - v_2)^2 \le 0
 
-because :math:`\lambda\,\mathrm{Sgn} + \beta` is monotone. So nothing oscillates but what the hand
-shakes.
+because :math:`\lambda\,\mathrm{Sgn} + \beta` is monotone. So only the hand can cause an oscillation.
 
-*Brake with a lag.* A brake whose level comes late, :math:`F_b = B\,L(s)\,|v|`, still opposes every
-motion, but no longer grows while the speed does. Against a hand that pushes on at a mean speed V,
-a ripple :math:`v = V + a \sin\omega t` with :math:`a < V` has :math:`|v| = v`: the describing
-function of the brake is :math:`B\,L(j\omega)` at any such amplitude, and the force of the hand does
-not enter. With a coil, a fluid and a delay,
+*Brake with a lag.* A brake with a delayed level, :math:`F_b = B\,L(s)\,|v|`, still opposes every
+motion, but does not rise together with the speed. With a hand that pushes at a mean speed V, a
+ripple :math:`v = V + a \sin\omega t` with :math:`a < V` has :math:`|v| = v`: the describing
+function of the brake is :math:`B\,L(j\omega)` at any such amplitude, independent of the hand's
+force. With a coil, a fluid and a delay,
 
 .. math:: L(s) = \frac{e^{-s\tau}}{(1 + s T_1)(1 + s T_2)}, \qquad
           J s + \beta + B\,L(s) = 0
@@ -24,9 +23,9 @@ the ripple grows beyond the least B at which a root lies on the imaginary axis,
 .. math:: \arg\{(J j\omega + \beta)(1 + j\omega T_1)(1 + j\omega T_2)\} + \omega\tau = \pi, \qquad
           B_{max} = |(J j\omega + \beta)(1 + j\omega T_1)(1 + j\omega T_2)|
 
-The work comes from the hand's mean push. It grows until the handle stops in every turn, and there
-this describing function ends. A sampled brake has its delay in cycles and one cycle more: half of
-one is the backward difference, half the hold.
+The hand's mean push supplies the energy. The ripple grows until the handle stops in every period,
+where this describing function is no longer valid. A sampled brake has its delay in cycles plus one
+cycle: half for the backward difference, half for the hold.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ __all__ = ["BrakeLag", "RippleLimit", "ripple_limit"]
 
 @dataclass(frozen=True)
 class BrakeLag:
-    """The handle, the hand on it, and how late the brake is; defaults are those of the rig ``bench``.
+    """The handle, the hand on it, and the brake's lags and delay; defaults are those of the rig ``bench``.
 
     Raises
     ------
@@ -52,13 +51,13 @@ class BrakeLag:
     """
 
     inertia_kg_m2: float = 3e-3
-    """Of handle and hand together."""
+    """Inertia of handle and hand together."""
     damping_Nms_rad: float = 0.105
-    """Of device and hand together."""
+    """Damping of device and hand together."""
     coil_lag_s: float = 3e-3
     fluid_lag_s: float = 15e-3
     delay_s: float = 2e-3
-    """Whole delay from a speed to the brake's set-point, difference and hold included."""
+    """Total delay from speed to the brake's set-point, including difference and hold."""
 
     def __post_init__(self) -> None:
         for name in ("inertia_kg_m2", "damping_Nms_rad", "coil_lag_s", "fluid_lag_s", "delay_s"):
@@ -67,28 +66,27 @@ class BrakeLag:
                 raise ParameterError(f"{name} = {value}: expected a finite number that is not negative")
 
     def phase_rad(self, omega_rad_s: float) -> float:
-        """Return by how much the brake's torque lags behind the way it acts on [rad], inertia included."""
+        """Return the phase lag [rad] of the brake's torque, including the inertia."""
         lags = math.atan(omega_rad_s * self.coil_lag_s) + math.atan(omega_rad_s * self.fluid_lag_s)
         return math.atan2(omega_rad_s * self.inertia_kg_m2, self.damping_Nms_rad) + lags + omega_rad_s * self.delay_s
 
 
 @dataclass(frozen=True)
 class RippleLimit:
-    """Where a ripple begins to grow."""
+    """Limit above which a ripple grows."""
 
     damping_Nms_rad: float
-    """B_max: the steepest slope of the brake at which sliding is even; infinite where each is."""
+    """B_max: the steepest slope of the brake with smooth sliding; infinite without a limit."""
     frequency_Hz: float
-    """Of the ripple there; NaN where there is none."""
+    """Frequency of the ripple there; NaN without a limit."""
 
 
 def ripple_limit(brake: BrakeLag) -> RippleLimit:
-    r"""Return the steepest damping that a late brake displays evenly to a hand that pushes.
+    r"""Return the largest damping that a lagging brake displays smoothly to a pushing hand.
 
-    Without a delay it is Routh's, with :math:`a_3 = J T_1 T_2`,
+    Without a delay it follows from Routh's criterion, with :math:`a_3 = J T_1 T_2`,
     :math:`a_2 = J (T_1 + T_2) + \beta T_1 T_2`, :math:`a_1 = J + \beta (T_1 + T_2)`:
-    :math:`B_{max} = a_1 a_2/a_3 - \beta`. With at most one of the lags and no delay every slope is
-    even.
+    :math:`B_{max} = a_1 a_2/a_3 - \beta`. With at most one lag and no delay every slope is smooth.
     """
     late = (brake.coil_lag_s > 0) + (brake.fluid_lag_s > 0)
     if brake.delay_s == 0.0 and late < 2:

@@ -1,14 +1,14 @@
-r"""Where H*(jw) meets -1/Psi(a): the limit cycles that the describing function predicts, eq. (3).
+r"""Crossings of H*(jw) with -1/Psi(a): limit cycles predicted by the describing function, eq. (3).
 
 For any real :math:`\Psi` the locus of :math:`-1/\Psi(a)` is on the negative real axis, so the
 frequencies follow from :math:`\mathrm{Im}\,H^* = 0,\ \mathrm{Re}\,H^* < 0` alone, on the open
 interval (0, fs/2). For Coulomb friction :math:`a = 4c|H^*|/\pi`.
 
 Stability, by Nyquist's criterion with the gain :math:`\Psi(a)` frozen: an amplitude grows where H*
-encircles :math:`-1/\Psi(a)` and decays where it does not. Coulomb's locus goes left as a grows, so
-a crossing is stable if H* passes upwards there and if nothing further left encircles it. (The
-perturbation :math:`s = j\omega + \sigma` of the harmonic balance alone gives "upwards" only: it
-sees the one root near the axis.) It is a prediction: `analysis.theory.orbits` has the exact motions.
+encircles :math:`-1/\Psi(a)` and decays where it does not. Coulomb's locus moves left as a grows, so
+a crossing is stable if H* passes upwards there and no part further left encircles it. (The
+perturbation :math:`s = j\omega + \sigma` of the harmonic balance gives only "upwards": it covers
+only the root near the axis.) This is a prediction: `analysis.theory.orbits` has the exact motions.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Crossings:
-    """All crossings in (0, fs/2), by frequency; `text` says so when there is none."""
+    """All crossings in (0, fs/2), by frequency; `text` reports if there is none."""
 
     found: tuple[Crossing, ...]
 
@@ -55,7 +55,7 @@ class Crossings:
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """Summary in one line."""
         if not self.found:
             return "no crossing: H*(jw) does not meet the negative real axis in (0, fs/2); the describing function predicts no limit cycle"
         return "; ".join(
@@ -65,9 +65,7 @@ class Crossings:
 
 
 def frequency_grid(parameters: Parameters) -> Floats:
-    """Return frequencies in (0, fs/2) [Hz], fine enough for the loop's delay: at least 100 on a
-    turn of the locus.
-    """
+    """Return frequencies in (0, fs/2) [Hz], fine enough for the loop's delay: at least 100 per turn of the locus."""
     whole, _ = parameters.delay_parts
     fs = 1.0 / parameters.period_s
     points = 2000 + 200 * (whole + 1)

@@ -1,8 +1,8 @@
-r"""What CANopen adds: frequency and amplitude of the limit cycle against sampling rate and delay.
+r"""Effect of CANopen: frequency and amplitude of the limit cycle over sampling rate and delay.
 
 Predicted by the describing function (`analysis.theory.crossings`, the crossing of largest amplitude)
 and simulated by the exact recursion (`analysis.theory.relay_loop`) from random starts. PDOs on the
-next SYNC add one cycle of delay, on reception what the frames take on the bus.
+next SYNC add one cycle of delay, PDOs on reception the frames' time on the bus.
 """
 
 from __future__ import annotations
@@ -24,22 +24,20 @@ STARTS, SECONDS, KEPT_S = 21, 40.0, 2.0
 
 @dataclass(frozen=True)
 class DelayRow:
-    """One pair of sampling rate and delay; None where the describing function predicts no limit
-    cycle.
-    """
+    """One pair of sampling rate and delay; None if the describing function predicts no limit cycle."""
 
     sample_rate_Hz: float
     delay_s: float
     predicted_Hz: float | None
     simulated_Hz: float
-    """Median over the starts of the force's sign changes / 2 a second."""
+    """Median over the starts of half the force's sign changes per second."""
     predicted_amplitude_m_s: float | None
     simulated_amplitude_m_s: float
     """Median over the starts of sqrt(2) std(v^): the amplitude of a sine of the same power."""
     slowest_Hz: float
-    """Lowest and ..."""
+    """Lowest frequency of the starts."""
     fastest_Hz: float
-    """... highest frequency of the starts: they differ where several motions are attractive."""
+    """Highest frequency of the starts; it differs from the lowest if several motions are attractive."""
 
 
 def sign_changes(force_N: np.ndarray[tuple[int], np.dtype[np.float64]]) -> int:

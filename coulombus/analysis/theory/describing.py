@@ -1,12 +1,11 @@
-r"""Describing functions, eq. (2): numerically for any friction law, analytically where one is
-known.
+r"""Describing functions, eq. (2): numerically for any friction law, analytically if known.
 
 For :math:`v = a\sin\theta` the law's fundamental is :math:`p\sin\theta + q\cos\theta` and
 :math:`\Psi = (p + jq)/a`. A law without memory has q = 0 and eq. (2); a law with memory, such as
 Karnopp's with its spring, also depends on the frequency.
 
-Every law is paired with its analytic :math:`\Psi` in `ANALYTIC` (keyed by the law's function, as
-python-control's nonlinearities carry theirs); a test holds the pairs together.
+Every law is paired with its analytic :math:`\Psi` in `ANALYTIC` (keyed by the law's function, like
+python-control's nonlinearities); a test compares the pairs.
 """
 
 from __future__ import annotations
@@ -35,14 +34,12 @@ __all__ = [
 
 LawFunction = Callable[[Any, Any, Any], float]
 SAMPLES = 10_000
-"""Samples of the last period; a jump between two samples costs 1/SAMPLES of its size at most."""
+"""Samples of the last period; a jump between two samples causes an error of at most 1/SAMPLES of its size."""
 
 
 @dataclass(frozen=True)
 class LawParameters:
-    """What a law is given, on a linear or a rotary axis: the mode's numbers of a rig file, and the
-    encoder's resolution.
-    """
+    """Inputs of a law, on a linear or a rotary axis: the mode's parameters of a rig file, and the encoder's resolution."""
 
     F_d: float = 10.0
     F_s: float = 10.0
@@ -53,9 +50,7 @@ class LawParameters:
     user: tuple[float, ...] = ()
 
     def record(self, count_v: float) -> Any:
-        """Return what a law reads of its record `host.laws.laws.LAW` when one encoder count in a
-        cycle is the speed `count_v`.
-        """
+        """Return the law's record `host.laws.laws.LAW` if one encoder count per cycle is the speed `count_v`."""
         return SimpleNamespace(
             K_p=self.K_p,
             F_s=self.F_s,
@@ -78,8 +73,8 @@ def karnopp_psi(a: float, frequency_Hz: float, law: LawParameters) -> complex:
     r"""Return Psi of `host.laws.laws.karnopp` with a continuous stick entry, for a > Delta v.
 
     Slip ends at :math:`\pi-\theta_0`, :math:`\sin\theta_0 = \Delta v/a`, and the spring is entered
-    with F_d. It is wound by :math:`A(-\cos\theta-\cos\theta_0)`, :math:`A = K_p a/\omega`, up to
-    F_s, and unwound from the turning point on by :math:`A(1+\cos\theta)`, down to -F_s, until slip
+    with F_d. It is loaded by :math:`A(-\cos\theta-\cos\theta_0)`, :math:`A = K_p a/\omega`, up to
+    F_s, and unloaded from the turning point by :math:`A(1+\cos\theta)`, down to -F_s, until slip
     begins at :math:`\pi+\theta_0`. The half period is made of pieces
     :math:`\alpha+\beta\cos\theta`, whose fundamentals are known.
     """
@@ -115,7 +110,7 @@ def regularised(motion: Any, law: Any, state: Any) -> float:
     r"""Coulomb friction with a slope: :math:`\psi = c\,\mathrm{sat}(v/\Delta)`, :math:`c` = F_d and
     :math:`\Delta` = the velocity band.
 
-    Its slope :math:`c/\Delta` is what a certificate of `analysis.theory.absolute` is about.
+    A certificate of `analysis.theory.absolute` concerns its slope :math:`c/\Delta`.
     """
     share = motion.v_counts / law.velocity_band_counts
     return float(law.F_d * min(max(share, -1.0), 1.0))
@@ -142,7 +137,7 @@ def analytic(function: LawFunction, a: float, frequency_Hz: float, law: LawParam
     Raises
     ------
     ParameterError
-        none is known for it; `numeric` does any law
+        none is known; `numeric` works for any law
     """
     known = ANALYTIC.get(function)
     if known is None:
@@ -165,8 +160,8 @@ def numeric(
     """Return Psi(a, frequency) of any law `function(motion, law, state)`, in force per velocity.
 
     The law is driven by v = a sin(theta) and its integral for `periods` periods; the fundamental of
-    the last one counts, by the midpoint rule. `function` is the plain Python function of a law, as
-    `host.laws.laws.karnopp`.
+    the last one counts, by the midpoint rule. `function` is the plain Python function of a law,
+    such as `host.laws.laws.karnopp`.
     """
     if not a > 0 or not frequency_Hz > 0:
         raise ParameterError(f"amplitude {a} and frequency {frequency_Hz}: must be positive")

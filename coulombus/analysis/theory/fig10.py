@@ -28,23 +28,23 @@ CHATTER_FROM_HZ = 20.0
 
 @dataclass(frozen=True)
 class Run:
-    """One run: traces at the samples and the figures that tell chatter from friction."""
+    """One run: traces at the samples, and figures that distinguish chatter from friction."""
 
     t_s: Floats
     x_m: Floats
     v_m_s: Floats
     """True velocity at the samples, not v^."""
     force_N: Floats
-    """psi as applied at the samples."""
+    """Applied psi at the samples."""
     stick_intervals_s: tuple[tuple[float, float], ...]
     velocity_rms_above_20Hz_m_s: float | None
-    """None where the sampling rate has no such frequencies."""
+    """None if the sampling rate has no such frequencies."""
     velocity_rms_above_100Hz_m_s: float | None
     force_rms_above_20Hz_N: float | None
     force_flips_per_s: float
     chatter_Hz: float | None
-    """Peak of the velocity's spectrum (Welch) above 20 Hz; None where the force changes its sign
-    fewer than 20 times a second.
+    """Peak of the velocity's spectrum (Welch) above 20 Hz; None if the force changes its sign fewer
+    than 20 times per second.
     """
 
 
@@ -109,7 +109,7 @@ def active_run(parameters: Parameters, force: HarmonicForce = PAPER_FORCE) -> Ru
 def passive_run(parameters: Parameters, force: HarmonicForce = PAPER_FORCE) -> Run:
     """Return the run with the brake: set-valued friction.
 
-    Sampling, delay and encoder play no part in it.
+    Sampling, delay and encoder have no effect.
     """
     motion = passive_motion(parameters, force)
     return _run(motion.t_s, motion.x_m, motion.v_m_s, motion.force_N, motion.stick_intervals_s, parameters)

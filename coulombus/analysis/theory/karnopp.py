@@ -1,10 +1,10 @@
-r"""Fig. 12: Karnopp's model as the host runs it, beside eq. (20) as printed.
+r"""Fig. 12: Karnopp's model in the host, compared with eq. (20) as printed.
 
 In stick the paper prints max(F_s, F_a). It must be a saturation, sgn(F_a) min(|F_a|, F_s): friction
-holds what is applied, up to F_s. The literal maximum never is below F_s, so a handle at rest is
-pushed by F_s where nothing pushes at it: it is kicked, slips, stops and is kicked again, an
-oscillation from rest that walks away. `karnopp_study` shows both on a free handle, sampled and
-held, through `host.laws.laws.karnopp` itself.
+balances the applied load up to F_s. The literal maximum is never below F_s, so F_s pushes an
+unloaded handle at rest: it is accelerated, slips, stops and is accelerated again, an oscillation
+from rest that drifts away. `karnopp_study` shows both on a free handle, sampled and held, through
+`host.laws.laws.karnopp` itself.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class KarnoppStudy:
-    """The model's two branches, and what both readings of eq. (20) do to a handle at rest."""
+    """The model's two branches, and the effect of both readings of eq. (20) on a handle at rest."""
 
     F_s_Nm: float
     F_d_Nm: float
     band_rad_s: float
     v_rad_s: Floats
     slip_Nm: Floats
-    """Friction at v; NaN within the band, where it answers the load."""
+    """Friction at v; NaN within the band, where it depends on the load."""
     load_Nm: Floats
     corrected_Nm: Floats
     printed_Nm: Floats
@@ -40,7 +40,7 @@ class KarnoppStudy:
     t_s: Floats
     corrected_rad: Floats
     printed_rad: Floats
-    """Angle of a handle at rest: it stays, or it does not."""
+    """Angle of a handle initially at rest."""
 
 
 def literal_karnopp(motion: Any, law: Any, state: Any) -> float:

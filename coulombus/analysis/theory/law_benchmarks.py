@@ -1,8 +1,7 @@
-r"""What the literature says of the laws, computed with them: the published benchmarks, the describing
-functions, and what a law gives back at most.
+r"""Published benchmarks of the laws, their describing functions, and the energy that they return.
 
-A benchmark holds what a law gives against another way to the same number: a closed form, or the
-continuous equations integrated by an implicit method (Radau).
+A benchmark compares a law's result with an independent one: a closed form, or the continuous
+equations integrated by an implicit method (Radau).
 """
 
 from __future__ import annotations
@@ -51,11 +50,11 @@ CANUDAS = {
 """The parameters of Canudas de Wit et al. 1995, table I, for a mass of 1 kg."""
 
 SPRING, PULL = 2.0, 0.1
-"""Of its stick-slip experiment: stiffness [N/m], speed of the spring's end [m/s]."""
+"""Stick-slip experiment: stiffness [N/m], speed of the spring's end [m/s]."""
 
 
 class Pushed(Record):
-    """A law, and a mass that is pushed against it."""
+    """A mass pushed against a law's friction."""
 
     mass: float
     spring: float
@@ -75,8 +74,8 @@ class CourseRow(Record):
 
 @kernel
 def _push(request: Asked, law_function: Any, pushed: Pushed, course: RecordArray[CourseRow], every: int) -> None:
-    """Let a mass move under a law: pulled by a spring whose end goes on, pushed by a force that
-    grows; keep each `every`-th step.
+    """Simulate a mass under a law: pulled by a spring with a moving end, pushed by a growing force;
+    keep each `every`-th step.
     """
     motion, h = request.motion, pushed.step_s
     motion.dt_s = h
@@ -122,9 +121,7 @@ def _lugre(**values: float) -> GivenLaw:
 
 
 def _begins(t: Floats, v: Floats, level: float = 0.05) -> Floats:
-    """Return when the speed rises above `level`: the begins of the slips, between two samples on a
-    straight line.
-    """
+    """Return the times at which the speed rises above `level`: the starts of the slips, linearly interpolated."""
     k = np.flatnonzero((v[1:] > level) & (v[:-1] <= level))
     return np.asarray(t[k] + (level - v[k]) / (v[k + 1] - v[k]) * (t[k + 1] - t[k]), np.float64)
 
@@ -138,7 +135,7 @@ def stick_slip(law: GivenLaw) -> tuple[float, float]:
 
 
 def break_away(law: GivenLaw, rate: float) -> float:
-    """Return the largest friction [N] that 1 kg meets under a force that grows by `rate` [N/s]:
+    """Return the largest friction [N] on 1 kg under a force that grows by `rate` [N/s]:
     Canudas de Wit et al. 1995, Fig. 4.
     """
     seconds = 2.5 / rate
@@ -195,20 +192,20 @@ def continuous(
 
 @dataclass(frozen=True)
 class Benchmark:
-    """A number that a law gives, and what it should be."""
+    """A law's result, and its expected value."""
 
     law: str
     what: str
     unit: str
     expected: float
     by: str
-    """Where `expected` comes from."""
+    """Source of `expected`."""
     found: float
     tolerance: float
 
     @property
     def ok(self) -> bool:
-        """Whether it is so."""
+        """Whether the result is as expected."""
         return abs(self.found - self.expected) <= self.tolerance
 
 
@@ -293,10 +290,10 @@ def describing_function(law: GivenLaw, a: float, frequency_Hz: float, samples: i
 
 
 def energy(law: GivenLaw, seed: int = 0) -> tuple[float, float]:
-    r"""Return the least work [J] that a law has taken up on the way of a motion of five sines, and
-    the sum of all that it took and gave, :math:`\int |\psi v|\,dt`.
+    r"""Return the least work [J] absorbed by a law during a motion of five sines, and the total
+    exchanged energy, :math:`\int |\psi v|\,dt`.
 
-    A law that is passive from its relaxed state has taken up nothing less than 0 at any time.
+    For a law that is passive from its relaxed state the absorbed work is never negative.
     """
     draw, t = np.random.default_rng(seed), np.arange(200_001) * 1e-4
     x = sum(
@@ -309,18 +306,18 @@ def energy(law: GivenLaw, seed: int = 0) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SineResponse:
-    """A law with its defaults under v = a sin: what it is to a loop, and to energy."""
+    """A law with its defaults under v = a sin: its describing function, and its energy."""
 
     law: str
     psi: complex
-    """At a = 1 rad/s and 1 Hz [Nm s/rad]."""
+    """Psi at a = 1 rad/s and 1 Hz [Nm s/rad]."""
     least_J: float
     turned_J: float
 
     @property
     def passive(self) -> bool:
-        """Whether it never gave more than it had taken along these sines, but for a share of 1e-6;
-        `law_passivity.CLAIMS` says it for every motion.
+        """Whether it never returned more than it had absorbed along these sines, within a share of
+        1e-6; `law_passivity.CLAIMS` covers every motion.
         """
         return self.least_J >= -1e-6 * self.turned_J
 
@@ -332,7 +329,7 @@ def sweep() -> tuple[SineResponse, ...]:
 
 
 def lines(results: Sequence[Benchmark], swept: Sequence[SineResponse]) -> Iterator[str]:
-    """Yield the results as tables, as docs/laws.md has them."""
+    """Yield the results as the tables of docs/laws.md."""
     yield "| law | benchmark | expected | by | found | |"
     yield "|---|---|---|---|---|---|"
     for benchmark in results:

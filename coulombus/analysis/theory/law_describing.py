@@ -20,7 +20,7 @@ with :math:`X = a/\omega`, :math:`d = F/K`, :math:`\cos\varphi = 1 - 2d/X`, for 
 and p = 0, q = -K X below. It is Kikuuwe's law without its damper, and Dahl's with alpha = 0.
 
 Source: A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design,
-1968, appendix B; the integrals are derived in the docstring's terms and held against numbers.
+1968, appendix B; the integrals are derived in these terms and tested numerically.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from scipy.special import dawsn, iv, modstruve
 __all__ = ["arctan_psi", "jenkins_psi", "stribeck_psi"]
 
 LARGE = 15.0
-"""Above this Struve's function and Bessel's differ by less than their digits: the series is used."""
+"""Argument above which Struve's and Bessel's functions agree to all digits: the series is used."""
 
 
 def stribeck_psi(a: float, F_c: float, F_s: float, v_s: float, sigma_2: float = 0.0, form: str = "gauss") -> float:

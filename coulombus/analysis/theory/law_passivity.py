@@ -1,13 +1,13 @@
-r"""Whether a friction law gives back more than it took: the theorems, and a search that may refute them.
+r"""Passivity of friction laws: theorems, and a search for counterexamples.
 
 A law is passive from its relaxed state if :math:`\int_0^t \psi v\,dt' \ge -S_0` for every motion and
-every t, with :math:`S_0` the energy that its relaxed state holds: 0, but for a potential that begins
-above its lowest place. A storage function S(z) >= 0 with :math:`\dot S \le \psi v` proves it.
+every t, with :math:`S_0` the energy of its relaxed state: 0, except for a potential that starts
+above its minimum. A storage function S(z) >= 0 with :math:`\dot S \le \psi v` proves it.
 
-`CLAIMS` says for each law whether and why, with the source. `search` looks for a motion that refutes
-it: legs of constant speed over random ways at random speeds, several decades wide, with random
-parameters. Legs are cut into so many pieces that the trapezium rule is right to a small share of
-what was turned over.
+`CLAIMS` has the verdict, the reason and the source for each law. `search` seeks a motion that
+refutes it: legs of constant speed over random distances at random speeds, over several decades,
+with random parameters. Legs are divided finely enough that the trapezium rule's error is a small
+share of the exchanged energy.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ Numbers: TypeAlias = Sequence[float] | Floats
 LEGS, PIECES = 8, 400
 """Legs of a motion, and samples of a leg."""
 FIRST = 1e-4
-"""The first piece of a leg, as a share of it: there the torque of the new speed begins."""
+"""The first piece of a leg, as a share of it: the torque of the new speed starts there."""
 SPEEDS_RAD_S = (1e-2, 1e4)
 WAYS_RAD = (1e-4, 0.3)
 COUNTS = ("karnopp", "coulomb")
-"""Laws whose band is in encoder counts a sample: what they display depends on the samples' time."""
+"""Laws with a band in encoder counts per sample: their output depends on the sampling time."""
 PERIOD_S = 1e-3
 SAMPLED_SPEEDS_RAD_S = (0.02, 20.0)
 SAMPLED_WAYS_RAD = (1e-4, 0.02)
 STARTS, STEPS = 12, 150
-"""Random motions, and how often each is changed a little to make it worse for the law."""
+"""Random motions, and number of small random changes of each that make it worse for the law."""
 SHARE = 1e-3
-"""Work of less than this share of what was turned over is the rule's own error."""
+"""Share of the exchanged energy below which work is integration error."""
 
 
 @dataclass(frozen=True)
 class PassivityClaim:
-    """What is said of a law's passivity."""
+    """Claim on a law's passivity."""
 
     verdict: str
     """``yes``, ``no``, or ``if`` and the condition."""
     why: str
-    """Storage function or reason, and where it stands."""
+    """Storage function or reason, and its source."""
     passive: tuple[str, ...] = ()
     """Overrides with which the condition holds."""
     refuted: tuple[str, ...] | None = None
-    """Overrides with which it does not; None: the law is passive at any parameters."""
+    """Overrides with which it does not hold; None: the law is passive at any parameters."""
 
 
 _BRISTLES = "if sigma_2 >= sigma_1 (F_s - F_c)/F_c"
@@ -100,18 +100,18 @@ CLAIMS = MappingProxyType(
         ),
     }
 )
-"""Each law of the project."""
+"""Claims for each built-in law."""
 
 
 @dataclass(frozen=True)
 class Refutation:
-    """A motion on which a law gave more than it had taken."""
+    """A motion along which a law returned more than it had absorbed."""
 
     law: str
     least_J: float
     """Negative."""
     turned_J: float
-    """What it took and gave until then."""
+    """Energy exchanged until then."""
     speeds_rad_s: tuple[float, ...]
     """Signed speed of each leg."""
     ways_rad: tuple[float, ...]
@@ -135,11 +135,11 @@ def _sampled(speeds: Floats, ways: Floats, period_s: float) -> tuple[Floats, Flo
 
 
 def least_work(law: GivenLaw, speeds_rad_s: Numbers, ways_rad: Numbers) -> tuple[float, float]:
-    """Return the work [J] that `law` has taken up where it is the least share of all that it took and
-    gave until then, and that sum [J]; after the first leg of a motion.
+    """Return the absorbed work [J] of `law` where its ratio to the exchanged energy is least, and
+    that energy [J]; after the first leg of a motion.
 
-    A law that compares encoder counts is asked at `PERIOD_S`, and its torque is that of the whole
-    step; any other in `PIECES` a leg, by the trapezium rule.
+    A law that compares encoder counts is evaluated at `PERIOD_S`, with a constant torque per step;
+    any other in `PIECES` per leg, by the trapezium rule.
     """
     speeds, ways = np.asarray(speeds_rad_s, np.float64), np.asarray(ways_rad, np.float64)
     if law.name in COUNTS:
@@ -155,10 +155,10 @@ def least_work(law: GivenLaw, speeds_rad_s: Numbers, ways_rad: Numbers) -> tuple
 
 
 def search(law: GivenLaw, *, starts: int = STARTS, steps: int = STEPS, seed: int = 0) -> Refutation | None:
-    """Return the motion on which `law` gave the most beyond what it had taken, as a share of what it
-    turned over; None if it gave nothing beyond on any.
+    """Return the motion with the largest excess of returned over absorbed energy, relative to the
+    exchanged energy; None if there is no excess.
 
-    Each of `starts` random motions is changed `steps` times at random, and kept where it got worse.
+    Each of `starts` random motions is changed `steps` times at random; a change is kept if it is worse for the law.
     """
     draw = np.random.default_rng(seed)
     counts = law.name in COUNTS
@@ -186,7 +186,7 @@ def search(law: GivenLaw, *, starts: int = STARTS, steps: int = STEPS, seed: int
 
 
 def trials(name: str) -> Iterator[tuple[str, Refutation | None]]:
-    """Yield for the cases of a claim, ``holds`` and ``refuted``, what `search` finds."""
+    """Yield the results of `search` for the cases of a claim, ``holds`` and ``refuted``."""
     claim = CLAIMS[name]
     yield "holds", search(given_law(name, claim.passive))
     if claim.refuted is not None:

@@ -10,7 +10,7 @@ the modified z-transform in state space:
 .. math:: H(z) = \tfrac1T z^{-1}\,\bigl[R(zI-\Phi)^{-1}\Gamma(z) + g(z)\bigr],\quad \Gamma(z) = \Gamma_0 z^{-q} + \Gamma_1 z^{-q-1}
 
 with the state (v, operator) and the displacement over a step as the output; so the differentiator's
-zero at z = 1 and the integrator's pole are cancelled on paper, not in floating point.
+zero at z = 1 and the integrator's pole are cancelled analytically, not in floating point.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def continuous_model(parameters: Parameters) -> tuple[Floats, Floats, Floats]:
     """Return A, B and the load row of the state (x, v, operator's states): y' = A y + B f.
 
     The load row gives the operator's force without its mass and damper, the spring's for the
-    paper's hand: with the handle held, friction has to bear f_h - load @ y.
+    paper's hand: with the handle held, friction must balance f_h - load @ y.
     """
     parts = parameters.operator.parts()
     n = len(parts.B)
@@ -74,8 +74,8 @@ def continuous_model(parameters: Parameters) -> tuple[Floats, Floats, Floats]:
 def exponential(A: Floats) -> Floats:
     """Return exp(A) of a small matrix by scaling, the series, and squaring.
 
-    As scipy.linalg.expm to rounding (a test holds them together), but without BLAS, whose threads
-    cost more than the arithmetic of a dozen rows.
+    Equal to scipy.linalg.expm up to rounding (a test compares them), but without BLAS, whose
+    threads cost more than the arithmetic of a dozen rows.
     """
     squarings = max(0, math.ceil(math.log2(max(float(np.linalg.norm(A, 1)), 1e-300))) + 1)
     scaled = A * 0.5**squarings
@@ -111,9 +111,7 @@ class SampledPlant:
 
     @property
     def velocity_states(self) -> Floats:
-        """Phi without the position: what decides whether a periodic motion of the velocity is
-        attractive.
-        """
+        """Phi without the position: it decides whether a periodic motion of the velocity is attractive."""
         return self.phi[1:, 1:]
 
     @property
@@ -157,9 +155,9 @@ def alias_sum(frequency_Hz: Floats, parameters: Parameters, aliases: int = ALIAS
 
     Beyond the plant's poles :math:`P(s)/s^2 = \sum_j c_j s^{-j}`, and
     :math:`\sum_{k>N} (k+\omega/\omega_s)^{-j}` is :math:`\zeta(j, N+1+\omega/\omega_s)`. With a
-    fraction of a cycle of delay the aliases' phases turn, there is no such tail, and more terms are
-    summed instead: what is left out falls with the cube of their number. Not for w = 0, where
-    single terms are infinite.
+    fraction of a cycle of delay the aliases' phases rotate and there is no such tail; more terms
+    are summed instead, and the truncation error falls with the cube of their number. Not for w = 0,
+    where single terms are infinite.
     """
     T, tau = parameters.period_s, parameters.delay_s
     w = 2 * np.pi * np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64))
@@ -182,14 +180,14 @@ def alias_sum(frequency_Hz: Floats, parameters: Parameters, aliases: int = ALIAS
 
 
 def alias_weights(frequency_Hz: Floats, parameters: Parameters, orders: int = 10) -> Floats:
-    r"""Return how much each alias has of eq. (12)'s sum, (frequencies, 2 `orders` + 1): of -`orders` ...
+    r"""Return the weight of each alias in eq. (12)'s sum, (frequencies, 2 `orders` + 1): of -`orders` ...
     `orders`.
 
     .. math:: w_k(\omega) = \frac{|1 - e^{-j\omega T}|^2}{T^2 (\omega + k\omega_s)^2}
               = \frac{\sin^2(\omega T/2)}{(\omega T/2 + k\pi)^2}, \qquad \sum_{k=-\infty}^{\infty} w_k = 1
 
-    They are positive, and that is why the region of a passive hand stays a disk of the same radius. The
-    first alias, k = -1, has as much as the frequency itself at fs/2, and nothing at 0.
+    They are positive, so the region of a passive hand remains a disk of the same radius. The first
+    alias, k = -1, has the same weight as the frequency itself at fs/2, and weight 0 at 0.
     """
     half = np.pi * np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64)) * parameters.period_s
     turns = np.arange(-orders, orders + 1)
@@ -198,8 +196,8 @@ def alias_weights(frequency_Hz: Floats, parameters: Parameters, orders: int = 10
 
 
 def alias_terms(frequency_Hz: Floats, parameters: Parameters, orders: int = 10) -> Complexes:
-    """Return the terms of eq. (10), (frequencies, 2 `orders` + 1): what each alias adds to H*(jw); not for
-    w = 0.
+    """Return the terms of eq. (10), (frequencies, 2 `orders` + 1): the contribution of each alias
+    to H*(jw); not for w = 0.
     """
     T, tau = parameters.period_s, parameters.delay_s
     w = 2 * np.pi * np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64))[:, None]
@@ -228,13 +226,12 @@ def _at_infinity(parameters: Parameters) -> Floats:
 
 
 def multiplier(frequency_Hz: Floats, parameters: Parameters) -> Complexes:
-    r"""Return r(jw) of eq. (12) in closed form: exp(-jwT), one period of pure lag, and the delay on
-    top of it.
+    r"""Return r(jw) of eq. (12) in closed form: exp(-jwT), one period of pure lag, plus the delay.
 
     :math:`\sum_k (\omega + k\omega_s)^{-2} = T^2 / (2(1-\cos\omega T))` turns eq. (12) into
-    :math:`e^{-j\omega T}`; the sum sign that is left over in eq. (13) is an error. A rest
-    :math:`\delta` of the delay weights two periods:
-    :math:`(1-\delta/T) + (\delta/T)\,e^{-j\omega T}`.
+    :math:`e^{-j\omega T}`; the remaining sum sign in eq. (13) is an error. A fraction
+    :math:`\delta` of the delay weights two periods: :math:`(1-\delta/T) + (\delta/T)\,e^{-j\omega
+    T}`.
     """
     q, late = parameters.delay_parts
     lag = np.exp(-2j * np.pi * np.asarray(frequency_Hz) * parameters.period_s)
@@ -245,9 +242,7 @@ def multiplier(frequency_Hz: Floats, parameters: Parameters) -> Complexes:
 
 @dataclass(frozen=True)
 class Disk:
-    """Where H*(jw) can be for any passive operator: a disk at each frequency, eqs. (11)-(14) as
-    corrected.
-    """
+    """Region of H*(jw) for all passive operators: a disk at each frequency, corrected eqs. (11)-(14)."""
 
     frequency_Hz: Floats
     center: Complexes
@@ -257,8 +252,7 @@ class Disk:
 def passive_disk(frequency_Hz: Floats, parameters: Parameters) -> Disk:
     """Return centre r(jw)/(2b) and radius 1/(2b), both in m/(Ns).
 
-    The weights of eq. (10)'s terms add up to 1 in modulus, so the radius stays 1/(2b) with any
-    delay.
+    The weights of eq. (10)'s terms sum to 1 in modulus, so the radius is 1/(2b) with any delay.
     """
     b = parameters.damping_Ns_m
     if b == 0:

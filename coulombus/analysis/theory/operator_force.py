@@ -3,7 +3,7 @@ integrated without error.
 
 .. math:: f_h(t) = \sum_i \alpha_i s_i + \beta_i c_i, \qquad \dot s_i = \omega_i c_i,\quad \dot c_i = -\omega_i s_i,\quad s_i(0) = 0,\ c_i(0) = 1
 
-Plant and oscillators together are one autonomous linear system; its matrix exponential holds the
+Plant and oscillators together are one autonomous linear system; its matrix exponential contains the
 plant's particular solution in closed form.
 """
 
@@ -69,7 +69,7 @@ def augmented(parameters: Parameters, force: HarmonicForce) -> tuple[Floats, Flo
     """Return the matrices of slip and of stick over (x, v, operator's states | oscillators | psi):
     Y' = A Y.
 
-    In slip psi is a constant; in stick x rests, v = 0, and only the operator's own states go on.
+    In slip psi is constant; in stick x is constant, v = 0, and only the operator's own states evolve.
     """
     A, B, _ = continuous_model(parameters)
     n, m = len(B), 2 * len(force.terms)
@@ -85,8 +85,8 @@ def augmented(parameters: Parameters, force: HarmonicForce) -> tuple[Floats, Flo
 
 
 def work(linear: SampledPlant, parameters: Parameters, force: HarmonicForce, steps: int) -> Floats:
-    """Return what f_h adds to the state in each of `steps` periods (steps, states): exact, the
-    oscillators' phases do not drift.
+    """Return the contribution of f_h to the state in each of `steps` periods (steps, states):
+    exact, without phase drift of the oscillators.
     """
     slip, _ = augmented(parameters, force)
     n, m = len(linear.phi), 2 * len(force.terms)

@@ -21,20 +21,18 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 
 ON_AXIS = 1e-9
-"""Poles nearer to the imaginary axis than this, in units of the largest pole, are on it."""
+"""Distance, in units of the largest pole, below which a pole is on the imaginary axis."""
 
 
 class ParameterError(CoulombusError, ValueError):
-    """A parameter is refused; the text says which, what it is and why."""
+    """A parameter is refused; the text has its name, its value and the reason."""
 
     exit_status = 2
 
 
 @dataclass(frozen=True)
 class OperatorParts:
-    """Z_o(s) = inertia s + damping + C (sI - A)^-1 B: what simulation needs, with v as the input
-    and a force as the output.
-    """
+    """Z_o(s) = inertia s + damping + C (sI - A)^-1 B: for simulation, with v as the input and a force as the output."""
 
     inertia: float
     damping: float
@@ -42,9 +40,7 @@ class OperatorParts:
     B: Floats
     C: Floats
     rest: Floats
-    """What the states become when the handle is moved by 1 m and held: a spring remembers, a
-    Maxwell element forgets.
-    """
+    """Final states after the handle is moved by 1 m and held: a spring keeps its force, a Maxwell element relaxes."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +112,7 @@ class Operator:
             B[0] = 1.0
             tail = remainder[-n:] / denominator[0]
             C[n - len(tail) :] = tail
-            if denominator[-1] == 0.0:  # the spring's state: the last one integrates, and the others are 0 at rest
+            if denominator[-1] == 0.0:  # the spring's state: the last state integrates, and the others are 0 at rest
                 rest[-1] = denominator[0] / denominator[-2]
         return OperatorParts(float(inertia), float(damping), A, B, C, rest)
 
@@ -149,7 +145,7 @@ def _reduced(
 
 
 def _why_not_passive(n: Floats, d: Floats) -> str:
-    """Return why n/d is not positive real, or an empty text.
+    """Return the reason why n/d is not positive real, or "".
 
     Positive real: no pole in Re s > 0, poles on the imaginary axis and at infinity simple with a
     positive residue, Re Z(jw) >= 0. Source: M. E. Van Valkenburg, Introduction to Modern Network

@@ -1,11 +1,11 @@
 r"""Periodic motions of the sampled relay loop, exactly: every switching pattern up to a period.
 
 A two-valued force :math:`\psi_k = c\,u_k` of period p drives a linear plant, so :math:`\hat v` has
-the period too and is known without simulation: its discrete spectrum is :math:`-H(z)\,c\,U` at the
+the same period and is known without simulation: its discrete spectrum is :math:`-H(z)\,c\,U` at the
 p-th roots of unity. The pattern is a motion of the loop if and only if the relay agrees with it,
 :math:`u_k = \mathrm{sgn}\,\hat v_k` for all k: the margin :math:`\min_k u_k\hat v_k` is positive.
 
-Local stability is then no approximation either. A disturbance smaller than the margin changes no
+Local stability is then exact, too. A disturbance smaller than the margin changes no
 sign, so it evolves by the plant alone: the motion is attractive if and only if the plant's own
 :math:`\Phi` (without the position) has its eigenvalues inside the unit circle.
 
@@ -31,7 +31,7 @@ __all__ = ["LONGEST", "Orbit", "Orbits", "orbits", "pattern_of", "patterns", "wo
 
 LONGEST = 16
 ROUNDING = 1e-9
-"""A margin below this share of the largest response is rounding: "+" with a spring moves nothing.
+"""Relative margin below which it is rounding error: "+" with a spring moves nothing.
 """
 SETTLE_S, KEPT_SAMPLES = 20.0, 480
 PLUS, MINUS, ZERO = "+", "-", "0"
@@ -45,19 +45,17 @@ class Orbit:
     """Signs of the force over one period, its first rotation in ASCII order ("+" before "-")."""
     period_samples: int
     frequency_Hz: float
-    """Of the pattern's repetition."""
+    """Frequency of the pattern's repetition."""
     velocity_peak_m_s: float
     """max |v^_k|."""
     margin_m_s: float
-    """min u_k v^_k: it exists because this is positive, and it survives disturbances of v^ below
-    this.
-    """
+    """min u_k v^_k: the orbit exists if this is positive, and survives smaller disturbances of v^."""
     stable: bool
     """Locally attractive: exact, not a prediction."""
     share: float | None = None
-    """Share of random starts that reached it; None where none were run."""
+    """Share of random starts that reached it; None without starts."""
     true_peak_m_s: float = 0.0
-    """max |v| of the handle itself, between the samples, too."""
+    """max |v| of the handle, including between the samples."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +66,11 @@ class Orbits:
     longest: int
     starts: int
     elsewhere: float | None
-    """Share of the starts that ended in none of them: a longer period, or none."""
+    """Share of the starts that reached none of them: a longer period, or aperiodic."""
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """Summary in one line."""
         if not self.found:
             return f"no periodic motion of at most {self.longest} samples exists"
         return "; ".join(
@@ -121,9 +119,9 @@ def pattern_of(signs: Floats, longest: int = LONGEST, *, zeros: bool = False) ->
 
 def orbits(parameters: Parameters, *, longest: int = LONGEST, starts: int = 0, seed: int = 0) -> Orbits:
     """Return every two-valued periodic motion of at most `longest` samples; `starts` random starts
-    give each one's share.
+    give the share of each.
 
-    Without an encoder: its rounding would need the position's exact value as well.
+    Only without an encoder: its rounding would also need the position's exact value.
     """
     exact = replace(parameters, resolution_m=0.0)
     linear = sample(exact)
@@ -135,9 +133,7 @@ def orbits(parameters: Parameters, *, longest: int = LONGEST, starts: int = 0, s
     for period in range(1, longest + 1):
         u = patterns(period)
         z = np.exp(2j * np.pi * np.arange(period) / period)
-        if (
-            not stable
-        ):  # a pole on the unit circle: there the response is infinite, unless the pattern has nothing there
+        if not stable:  # a pole on the unit circle: infinite response, unless the pattern has no component there
             continue
         v = -exact.friction_N * np.fft.ifft(linear.response(z) * np.fft.fft(u, axis=1), axis=1).real
         margin = np.min(u * v, axis=1)

@@ -3,7 +3,7 @@ encoder.
 
 .. math:: m\dot v + b v + Z_o v = f_h - \psi, \qquad \psi_k = c\,\mathrm{sgn}(\hat v_k), \qquad \hat v_k = (x_k - x_{k-1})/T
 
-:math:`\psi_k` acts from :math:`kT + \tau` on, for one period. The defaults are the paper's section
+:math:`\psi_k` acts from :math:`kT + \tau` for one period. The defaults are the paper's section
 4.
 """
 
@@ -17,18 +17,19 @@ from coulombus.analysis.theory.operators import Operator, ParameterError
 __all__ = ["Operator", "ParameterError", "Parameters"]
 
 GRID_OF_DELAYS = 1e-9
-"""A delay within this share of a period of a whole number of periods is taken as whole."""
+"""Distance from a whole number of periods, relative to a period, below which a delay counts as whole."""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Everything that the analysis of the loop depends on, in SI units of a linear axis.
+    """All parameters of the loop's analysis, in SI units of a linear axis.
 
     Raises
     ------
     ParameterError
-        what is refused, with the reason: NaN, a negative mass or damping, no mass at all, a period
-        or friction that is not positive, a delay that is negative or not shorter than the window
+        a parameter is refused, with the reason: NaN, a negative mass or damping, no mass at all, a
+        period or friction that is not positive, a delay that is negative or not shorter than the
+        window
     """
 
     mass_kg: float = 0.1
@@ -40,7 +41,7 @@ class Parameters:
     resolution_m: float = 0.0
     """Encoder's resolution; 0: none, as in the paper's simulation."""
     window_s: float = 10.0
-    """Length of a simulation in time, as of Fig. 10."""
+    """Duration of a simulation, as in Fig. 10."""
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "damping_Ns_m", "friction_N", "period_s", "delay_s", "resolution_m", "window_s"):

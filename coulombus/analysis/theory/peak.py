@@ -1,17 +1,17 @@
-r"""How much the loop can move at most: the l1 norm of its response, and the velocity between samples.
+r"""Largest possible motion of the loop: l1 norm of its response, and velocity between samples.
 
 **The l1 bound.** With the impulse response :math:`h_k` from the friction to :math:`-\hat v` and any
-:math:`|\psi_k| \le c`, whatever the law does,
+:math:`|\psi_k| \le c`, for any law,
 
 .. math:: |\hat v_k| \le c \sum_{i=0}^{\infty} |h_i| = c\,\|h\|_1 .
 
-No motion that the display sustains by itself can have a larger one. The bound is sharp: the sequence
-:math:`\psi_{k-i} = -c\,\mathrm{sgn}\,h_i` reaches it. The sum is cut where what is left is below a
-share of it, bounded by the powers of the plant's step.
+No self-sustained motion of the display can be larger. The bound is sharp: the sequence
+:math:`\psi_{k-i} = -c\,\mathrm{sgn}\,h_i` reaches it. The sum is truncated when the remainder,
+bounded by the powers of the plant's step, is below a share of it.
 
 **Between samples** a periodic motion is known as well: its state at the samples is the fixed point of
-a period, and from there the plant is stepped by matrix exponentials to any instant. So the true
-velocity's extremes are found, where a backward difference shows only its mean over a sample.
+a period, and from there the plant is stepped by matrix exponentials to any instant. This gives the
+extremes of the true velocity; a backward difference gives only its mean over a sample.
 
 Source of the bound: M. A. Dahleh, I. J. Diaz-Bobillo, Control of Uncertain Systems: A Linear
 Programming Approach, 1995, chapter 2.
@@ -31,10 +31,10 @@ from coulombus.analysis.theory.parameters import ParameterError, Parameters
 __all__ = ["Between", "between_samples", "l1_bound", "l1_norm"]
 
 LEFT = 1e-9
-"""Share of the norm that may be left out."""
+"""Share of the norm that may be truncated."""
 MOST_TERMS = 4_000_000
 LOOKS = 16
-"""Instants looked at in each piece of constant force."""
+"""Instants evaluated in each interval of constant force."""
 
 
 def l1_norm(linear: SampledPlant) -> float:
@@ -43,13 +43,13 @@ def l1_norm(linear: SampledPlant) -> float:
     Raises
     ------
     ParameterError
-        the plant without its position is not stable: the sum has no end
+        the plant without its position is not stable: the sum diverges
     """
     if linear.spectral_radius >= 1.0 - 1e-12:
         raise ParameterError("the plant without its position is not stable: no l1 norm; give it damping")
     phi, row = linear.velocity_states, linear.phi[0, 1:]
     total, state = 0.0, np.zeros(len(phi))
-    for k in range(linear.whole_cycles + 2):  # the force comes in over two samples: gamma_0, then gamma_1
+    for k in range(linear.whole_cycles + 2):  # the force enters over two samples: gamma_0, then gamma_1
         step = float(row @ state)
         state = phi @ state
         if k == linear.whole_cycles:
@@ -59,7 +59,7 @@ def l1_norm(linear: SampledPlant) -> float:
             step += linear.gamma_1[0]
             state = state + linear.gamma_1[1:]
         total += abs(step)
-    power, doubled = phi, 1  # phi^doubled, with a norm below 1/2: what is left falls by halves
+    power, doubled = phi, 1  # phi^doubled, with a norm below 1/2: the remainder is halved each time
     while float(np.linalg.norm(power, 2)) > 0.5:
         power, doubled = power @ power, 2 * doubled
         if doubled > MOST_TERMS:
@@ -75,7 +75,7 @@ def l1_norm(linear: SampledPlant) -> float:
 
 
 def l1_bound(parameters: Parameters) -> float:
-    """Return the largest |v^| [m/s] that a display of at most `friction_N` can sustain by itself."""
+    """Return the largest self-sustained |v^| [m/s] of a display of at most `friction_N`."""
     return parameters.friction_N * l1_norm(sample(parameters))
 
 
@@ -84,11 +84,11 @@ class Between:
     """A periodic motion of the loop between its samples."""
 
     t_s: Floats
-    """Instants within one period, from a sample on."""
+    """Instants within one period, starting at a sample."""
     v_m_s: Floats
     """The handle's true velocity there."""
     peak_m_s: float
-    """Its largest modulus: also between the instants."""
+    """Its largest modulus, including between the instants."""
     rms_m_s: float
 
 

@@ -1,8 +1,8 @@
 r"""Coulomb friction in a plane, by brakes and motors on two coupled joints.
 
 The tip moves with :math:`v = J\dot q`; the friction to be displayed is :math:`F = -c\,v/|v|`, at the
-joints :math:`\tau = J^T F`. A brake gives only :math:`\tau_i \dot q_i \le 0`. Together the joints take
-:math:`\tau\cdot\dot q = -c|v|`, so at most one of them is asked to push.
+joints :math:`\tau = J^T F`. A brake gives only :math:`\tau_i \dot q_i \le 0`. Together the joints
+absorb :math:`\tau\cdot\dot q = -c|v|`, so at most one of them must push.
 
 Let :math:`j_1, j_2` be the columns of :math:`J` and :math:`\varphi` the angle between them, 0 to
 :math:`\pi`. A motion at the angle :math:`\alpha` from :math:`j_1` has
@@ -21,10 +21,10 @@ extremes of the products follow, for any two links, and for any mechanism:
     \text{worst angle} &= |\pi/2 - \varphi| \\
     \text{power of the motors} &\le \frac{c|v|}{2} \left(\frac{1}{\sin\varphi} - 1\right)
 
-A direction is wrong where one brake would have to push. The worst angle is the least upper bound,
+A direction is wrong if one brake would have to push. The worst angle is the least upper bound,
 over all directions, of the angle between F and the nearest force that the brakes can give in that
 motion (a cone, spanned by :math:`J^{-T}` of the torques against each joint's own speed). It is
-approached where one joint stands still. The lengths of the columns have no part in it.
+approached where one joint is at rest. The lengths of the columns do not matter.
 
 Two links of the same length, with :math:`q_2` counted from the first link (0: stretched out), have
 :math:`\varphi = |q_2|/2`: a share of :math:`1 - q_2/180°` and a worst angle of :math:`90° - q_2/2`. At
@@ -58,12 +58,12 @@ __all__ = [
 
 Floats = npt.NDArray[np.float64]
 SINGULAR_RAD = 1e-9
-"""Columns that enclose less are one line."""
+"""Angle below which the columns are collinear."""
 
 
 @dataclass(frozen=True)
 class PassiveDisplay:
-    """What brakes alone cannot display in a pose, and what the motors need for it.
+    """Errors of brakes alone in a pose, and the motors' power needed instead.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class PassiveDisplay:
 
 
 def passive_display(jacobian: Floats) -> PassiveDisplay:
-    """Return what brakes alone cannot display in the pose that has this Jacobian (2 x 2) [m/rad]."""
+    """Return the errors of brakes alone in the pose with this Jacobian (2 x 2) [m/rad]."""
     first, second = jacobian[:, 0], jacobian[:, 1]
     across = abs(float(first[0] * second[1] - first[1] * second[0]))
     angle = math.atan2(across, float(first @ second))
@@ -91,18 +91,18 @@ def passive_display(jacobian: Floats) -> PassiveDisplay:
 
 
 class Levels(NamedTuple):
-    """The torques that each joint can have at most [Nm], two each."""
+    """Maximum torques of each joint [Nm], two each."""
 
     brake_Nm: tuple[float, float]
     motor_Nm: tuple[float, float]
 
 
 def largest_friction_N(jacobian: Floats, levels: Levels) -> dict[str, float]:
-    r"""Return the largest friction that is displayed alike in all directions [N], by the mode.
+    r"""Return the largest isotropic friction [N] by mode.
 
-    Motors alone have all of :math:`c|j_i|`. In hybrid the brakes have it, and the motors at most
-    :math:`c|j_i||\cos\varphi|`. Brakes alone display no isotropic friction unless the columns are at
-    right angles; "hold" is the largest disc of forces that they hold at rest.
+    Motors alone must supply all of :math:`c|j_i|`. In hybrid the brakes supply it, and the motors
+    at most :math:`c|j_i||\cos\varphi|`. Brakes alone display no isotropic friction unless the
+    columns are at right angles; "hold" is the largest disc of forces that they hold at rest.
     """
     lengths = np.hypot(jacobian[0], jacobian[1])
     coupled = abs(math.cos(passive_display(jacobian).columns_angle_rad))
@@ -115,13 +115,13 @@ def largest_friction_N(jacobian: Floats, levels: Levels) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class ForceEllipse:
-    r"""The forces at the tip of joint torques with :math:`|\tau| \le 1` Nm, and the passive part of it.
+    r"""Tip forces of joint torques with :math:`|\tau| \le 1` Nm, and their passive part.
 
     Attributes
     ----------
-    semi_axes_N : the longer and the shorter semi-axis [N for 1 Nm]
+    semi_axes_N : the longer and the shorter semi-axis [N per Nm]
     direction_rad : direction of the longer one
-    passive_area : share of the ellipse's area in the directions in which brakes alone are right
+    passive_area : share of the ellipse's area in directions in which brakes alone are correct
     """
 
     semi_axes_N: tuple[float, float]
@@ -132,8 +132,8 @@ class ForceEllipse:
 def force_ellipse(jacobian: Floats) -> ForceEllipse:
     """Return the force manipulability ellipse of a pose and its passive part.
 
-    The ellipse is :math:`F^T J J^T F = 1`. Its passive part has the sectors of the directions -F of
-    motion in which both joints take power.
+    The ellipse is :math:`F^T J J^T F = 1`. Its passive part consists of the sectors of directions
+    of motion -F in which both joints absorb power.
     """
     left, values, _ = np.linalg.svd(jacobian)
     longer = math.inf if values[1] == 0.0 else 1.0 / values[1]
@@ -150,7 +150,7 @@ def force_ellipse(jacobian: Floats) -> ForceEllipse:
 
 @dataclass(frozen=True)
 class Directions:
-    """Wanted and displayed forces over the directions of motion, in a pose.
+    """Desired and displayed forces over the directions of motion, in a pose.
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ class Directions:
     motor_share: Floats
 
     def off_deg(self, mode: str) -> Floats:
-        """Return the angle between displayed and wanted force [deg]; 180 where nothing is displayed."""
+        """Return the angle between displayed and desired force [deg]; 180 without a displayed force."""
         force: Floats = getattr(self, f"{mode}_N")
         cosine = (force * self.wanted_N).sum(axis=1)
         sine = force[:, 0] * self.wanted_N[:, 1] - force[:, 1] * self.wanted_N[:, 0]
@@ -176,10 +176,10 @@ class Directions:
 
 
 def directions(jacobian: Floats, friction_N: float, levels: Levels, count: int = 360) -> Directions:
-    """Return what is displayed of a Coulomb friction in `count` directions of motion.
+    """Return the displayed part of a Coulomb friction in `count` directions of motion.
 
-    Each brake has what its joint's speed lets it give of the wanted torque, up to its level; the
-    motors have all (active), nothing (passive) or the rest (hybrid), up to theirs.
+    Each brake supplies the desired torque as far as its joint's speed permits, up to its level; the
+    motors supply all (active), nothing (passive) or the rest (hybrid), up to their level.
 
     Raises
     ------

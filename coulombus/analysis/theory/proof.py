@@ -1,4 +1,4 @@
-r"""Positivity at all frequencies, between the points of a grid, too.
+r"""Proof of positivity at all frequencies, including between grid points.
 
 With :math:`H = N/D`, both polynomials in :math:`z^{-1}`, and a multiplier M of finite length,
 
@@ -13,8 +13,8 @@ so on an interval of half width r around m
 
 .. math:: p(\theta) \ge p(m) - r\,|p'(m)| - \tfrac12 r^2 L_2.
 
-The interval from 0 to pi is halved until that is positive on each piece: a finite proof of a statement
-on infinitely many frequencies. What rounding may do to a value is an allowance that is subtracted.
+The interval from 0 to pi is bisected until this bound is positive on each piece: a finite proof for
+infinitely many frequencies. An allowance for rounding is subtracted from each value.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class Positive:
 
     proved: bool
     lipschitz: float
-    """L_1: by how much the polynomial changes at most a rad."""
+    """L_1: largest change of the polynomial per rad."""
     pieces: int
-    """Intervals that the proof has."""
+    """Number of intervals in the proof."""
     where_rad: float
-    """An angle in the piece that could not be proved; NaN where all were."""
+    """An angle in the unproved piece; NaN if all are proved."""
 
 
 def rational(linear: SampledPlant) -> tuple[Floats, Floats]:
@@ -55,7 +55,7 @@ def rational(linear: SampledPlant) -> tuple[Floats, Floats]:
     """
     D: Floats = np.poly(linear.velocity_states).real.astype(np.float64)
     size = len(D) + linear.whole_cycles + 2
-    z = RADIUS * np.exp(2j * np.pi * np.arange(size) / size)  # off the unit circle: no pole is met
+    z = RADIUS * np.exp(2j * np.pi * np.arange(size) / size)  # off the unit circle, to avoid poles
     values = linear.response(z) * np.polyval(D[::-1], 1.0 / z)
     N: Floats = np.fft.ifft(values).real * RADIUS ** np.arange(size)
     return N, D
@@ -71,7 +71,7 @@ def cosine_polynomial(N: Floats, D: Floats, taps: Floats, slope: float) -> Float
     loop[: len(D)] += D
     loop[: len(N)] += slope * N
     two_sided = np.convolve(np.convolve(M, loop), D[::-1])
-    middle = half + len(D) - 1  # where z^0 stands
+    middle = half + len(D) - 1  # index of z^0
     p = np.zeros(max(middle, len(two_sided) - 1 - middle) + 1)
     for k, value in enumerate(two_sided):
         p[abs(k - middle)] += value
@@ -79,7 +79,7 @@ def cosine_polynomial(N: Floats, D: Floats, taps: Floats, slope: float) -> Float
 
 
 def positive(p: Floats) -> Positive:
-    """Prove that sum p_j cos(j theta) > 0 for every theta, or say where the proof ends."""
+    """Prove that sum p_j cos(j theta) > 0 for every theta, or return where the proof fails."""
     order = np.arange(len(p))
     lipschitz = float(order @ np.abs(p))
     curvature = float(order**2 @ np.abs(p))

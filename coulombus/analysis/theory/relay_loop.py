@@ -1,12 +1,11 @@
-r"""The sampled relay loop, exact from sample to sample: compiled recursion and the figures of its
-steady motion.
+r"""The sampled relay loop, exact at the samples: compiled recursion and figures of its steady motion.
 
 .. math:: y_{k+1} = \Phi y_k - \Gamma_0\psi_{k-q} - \Gamma_1\psi_{k-q-1} + w_k,\qquad
           \psi_k = c\,\mathrm{sgn}(\hat v_k),\quad \hat v_k = (x_k - x_{k-1})/T
 
 Between samples the force is constant and the plant linear, so the matrices of
 `analysis.theory.linear.sample` leave no integration error at the samples. :math:`w_k` is the
-operator's force over the period, integrated exactly by who calls (`analysis.theory.fig10`). With an
+operator's force over the period, integrated exactly by the caller (`analysis.theory.fig10`). With an
 encoder, :math:`x_k` is first rounded to its resolution.
 """
 
@@ -51,12 +50,12 @@ class Loop(NamedTuple):
 
 
 class Traces(NamedTuple):
-    """What comes in and goes out step by step."""
+    """Inputs and outputs per step."""
 
     work: Floats  # (steps or 0, states): the operator's part of each step
-    path: Floats  # (steps or 0, states): takes y_k
-    estimate: Floats  # takes the last samples of v^ ...
-    force: Floats  # ... and of the force as applied from t_k + delta on, as many
+    path: Floats  # (steps or 0, states): receives y_k
+    estimate: Floats  # receives the last samples of v^ ...
+    force: Floats  # ... and as many of the force applied from t_k + delta
 
 
 @kernel
@@ -122,13 +121,11 @@ class SteadyMotion:
     estimate_m_s: Floats
     """v^."""
     force_N: Floats
-    """psi as applied."""
+    """Applied psi."""
 
 
 def random_starts(parameters: Parameters, count: int, seed: int) -> Floats:
-    """Return `count` states (x, v, operator's states) with |x| <= 3 mm and |v| <= 0.05 m/s, springs
-    as wound as x says.
-    """
+    """Return `count` states (x, v, operator's states) with |x| <= 3 mm and |v| <= 0.05 m/s, springs deflected by x."""
     rest = parameters.operator.parts().rest
     x0, v0 = LARGEST_START
     draws = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 2))

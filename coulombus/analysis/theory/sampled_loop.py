@@ -1,22 +1,21 @@
 r"""The rig's loop alone, compiled: plant, encoder, the host's own law, a delayed set-point.
 
-No bus, no nodes - what a map needs.
+It has no bus and no nodes; maps use it.
 
 .. math::
 
     (m + m_o)\,\dot v + (b + b_o)\,v + k_o x = u - \lambda, \qquad \lambda \in F\,\mathrm{Sgn}(v), \qquad \tau_m \dot u = u^* - u
 
 A sample at :math:`kT` gives :math:`n_k = \lfloor x/q + 1/2 \rfloor` counts. The law is
-`host.laws.laws`'s karnopp or coulomb itself, fed with counts; its torque :math:`u^*_k` acts from
-:math:`kT + \tau` on, with whole cycles and a fraction of one.
+`host.laws.laws`'s karnopp or coulomb itself, with counts as input; its torque :math:`u^*_k` acts
+from :math:`kT + \tau`, a delay of whole cycles and a fraction.
 
-Between events the plant is linear, so it is stepped by its transition matrix, exactly and whatever
-the step. Where the inherent friction changes sides (v = 0), the crossing is found on the Taylor
-series of the solution: steps are short against the plant's rates, and what the series leaves out is
-less than 1e-9 of the step's motion. From there it sticks if the friction bears the load, and breaks
-away at the instant at which a lagging motor exceeds it. Without inherent friction there is no such
-event and nothing is approximated. Two crossings within one step are not seen; a step is at most a
-sample.
+Between events the plant is linear, so its transition matrix steps it exactly for any step. Where
+the inherent friction changes sign (v = 0), the crossing is found on the Taylor series of the
+solution: steps are short compared with the plant's rates, and the truncation error is less than
+1e-9 of the step's motion. From there it sticks if the friction balances the load, and breaks away
+at the instant at which a lagging motor exceeds it. Without inherent friction there is no such event
+and no approximation. Two crossings within one step are missed; a step is at most a sample.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ class LoopRecord(Record):
     band_counts: float
     x0: float
     v0: float
-    settle: float  # left out [s] ...
+    settle: float  # omitted [s] ...
     window: float  # ... before this is measured [s]
 
 
@@ -65,13 +64,13 @@ RELAY = 1
 
 
 class StatsRecord(Record):
-    """What came of it."""
+    """The results of a run."""
 
     velocity_rms: float  # of v^ in the window [rad/s]
     late_rms: float  # of v^ in the window's second half
     counts_p2p: int
     reversals: int  # sign changes of the non-zero v^
-    frequency: float  # half of these a second, from the first to the last [Hz]
+    frequency: float  # half of these per second, from the first to the last [Hz]
     torque_flips: int  # sign changes of the non-zero set-point
     samples: int  # simulated, settling included
 
@@ -81,7 +80,7 @@ STATS = dtype_of(StatsRecord)
 TERMS = 14
 RECIPROCAL = 1.0 / np.arange(1, TERMS)
 DELAY_CYCLES = 64  # a power of two
-NOTHING = 1e-30  # a lag's rest below this is 0: numbers that small are slow to compute with
+NOTHING = 1e-30  # a lag's residual below this is 0: subnormal numbers are slow
 SCRATCH = 148
 STEP_RATE = 1.25  # with friction, a step times the plant's fastest rate is at most this
 
@@ -168,9 +167,7 @@ def _value(c: Any, t: float) -> float:
 
 @kernel
 def _crossing(cv: Any, from_rest: bool, t_end: float) -> float:
-    """Return when v, of another sign at `t_end`, reaches zero: Newton's rule, kept within its
-    bracket by bisection.
-    """
+    """Return the time at which v, of another sign at `t_end`, reaches zero: Newton's method with bisection."""
     low, high = 0.0, t_end
     first = 1 if from_rest else 0  # from rest v = t (c1 + c2 t + ...): the root is the bracket's
     start = cv[first]
@@ -195,16 +192,14 @@ def _crossing(cv: Any, from_rest: bool, t_end: float) -> float:
 
 @kernel
 def _events(p: Any, y: Any, target: float, h: float, series: Any) -> None:
-    """Advance `y` by `h` where v is zero or becomes zero: stick, break away, slip, as often as it
-    takes.
-    """
+    """Advance `y` by `h` where v is zero or becomes zero: stick, break away, slip, repeatedly if necessary."""
     cx, cv, cw = series
     left = h
     for _ in range(16):
         if left <= 0.0:
             return
         if y[1] == 0.0:
-            hold = target - p.stiffness * y[0]  # what the load goes to
+            hold = target - p.stiffness * y[0]  # final value of the load
             load = hold + y[2]
             if abs(load) <= p.friction:
                 decay = math.exp(-left / p.lag) if p.lag > 0.0 else 0.0
@@ -248,7 +243,7 @@ def _advance(p: Any, y: Any, target: float, phi: Any, h: float, steps: int, seri
                     rest *= phi[2, 2]
             if (
                 abs(hold + y[2]) <= p.friction and abs(hold + rest) <= p.friction
-            ):  # the load goes from one to the other: stuck
+            ):  # the load moves from one to the other: stuck
                 y[2] = rest if abs(rest) > NOTHING else 0.0
                 return
             _events(p, y, target, h, series)
@@ -281,9 +276,9 @@ def _steps(p: Any, h: float) -> int:
 
 @kernel
 def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: Any) -> None:
-    """Run one loop; `trace` (samples x 3: x, v, set-point) is filled as far as it goes.
+    """Run one loop; `trace` (samples x 3: x, v, set-point) is filled up to its length.
 
-    `work` is SCRATCH numbers.
+    `work` has SCRATCH numbers.
     """
     T = p.period
     whole = math.floor(p.delay / T + 1e-9)
@@ -315,7 +310,7 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: 
     square, second, low, high = 0.0, 0.0, counts, counts
     last_sign, last_torque = 0.0, 0.0
     reversals, flips, began, ended = 0, 0, 0, 0
-    before = 0.0  # what acts until the set-point comes
+    before = 0.0  # acts until the set-point arrives
     for k in range(samples):
         previous = counts
         counts = math.floor(y[0] / p.count + 0.5)
@@ -370,7 +365,7 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: 
 def run_loops(loops: Any, motion: Any, law: Any, state: Any, out: Any, trace: Any) -> None:
     """Run each record of `loops` (LOOP) and write its figures to `out` (STATS).
 
-    The last run leaves `trace`.
+    The last run fills `trace`.
 
     Parameters
     ----------

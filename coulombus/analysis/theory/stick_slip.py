@@ -1,17 +1,16 @@
-r"""A brake on a linear plant: set-valued Coulomb friction, solved event by event without a
-time-stepping error.
+r"""A brake on a linear plant: set-valued Coulomb friction, solved event by event, without time-stepping error.
 
 .. math:: M\dot v + Bv + (\text{operator's states}) = f_h(t) - \psi,\qquad \psi \in c\,\mathrm{Sgn}(v)
 
 Within a phase the system is linear and autonomous (`analysis.theory.operator_force.augmented`), so
-the state at any later instant is a matrix exponential away. A phase ends at
+a matrix exponential gives the state at any later instant. A phase ends at
 
-- slip: the first zero of v. The handle sticks there if friction can bear the load, else it slips on
-  with the load's sign.
+- slip: the first zero of v. The handle sticks there if friction can balance the load; otherwise it
+  continues to slip with the load's sign.
 - stick: the first instant at which the load :math:`f_h - \text{spring}` exceeds c.
 
-Events are looked for on a grid much finer than the system's time constants, between grid points by
-the sign of the derivative (two zeros in a step are found too), and bisected to the last digit.
+Events are searched on a grid much finer than the system's time constants, between grid points by
+the sign of the derivative (which also finds two zeros in a step), and bisected to the last digit.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ def _dot(row: Floats, Y: Floats) -> float:
 
 
 class _Model(NamedTuple):
-    """The plant in its two phases, with the force's states and a constant one behind its own."""
+    """The plant in its two phases, followed by the force's states and a constant state."""
 
     slip: Floats
     stick: Floats
@@ -81,7 +80,7 @@ class _Model(NamedTuple):
 
 
 class _Motion(NamedTuple):
-    """What the run fills."""
+    """Output arrays of a run."""
 
     path: Floats
     force: Floats
@@ -143,8 +142,7 @@ def _run(model: _Model, period: float, finer: int, motion: _Motion) -> int:
                         rise_end += toward_end * load[i] * _dot(A[i], at)
             else:
                 g_end = -sense * at[1]
-                # at breakaway dv/dt is 0 to rounding, of either sign: no maximum of g is looked for
-                # there
+                # at breakaway dv/dt is 0 up to rounding, of either sign: no maximum of g is searched there
                 rise = -sense * _dot(A[1], Y) if Y[1] != 0.0 else 0.0
                 rise_end = -sense * _dot(A[1], at)
             high = rest
@@ -177,7 +175,7 @@ def _run(model: _Model, period: float, finer: int, motion: _Motion) -> int:
                 t = end
                 break
             low = 0.0
-            if not stuck and Y[1] == 0.0:  # slip has just begun at v = 0: step over this zero
+            if not stuck and Y[1] == 0.0:  # slip has just begun at v = 0: skip this zero
                 low = high
                 for _ in range(30):
                     low *= 0.5
@@ -223,20 +221,18 @@ def _run(model: _Model, period: float, finer: int, motion: _Motion) -> int:
 
 @dataclass(frozen=True)
 class StickSlip:
-    """Motion of the braked plant at the samples, and when it was stuck."""
+    """Motion of the braked plant at the samples, and its stick intervals."""
 
     t_s: Floats
     x_m: Floats
     v_m_s: Floats
     force_N: Floats
-    """psi: c against the motion in slip, the load that it bears in stick."""
+    """psi: c against the motion in slip, the balanced load in stick."""
     stick_intervals_s: tuple[tuple[float, float], ...]
 
 
 def passive_motion(parameters: Parameters, force: HarmonicForce) -> StickSlip:
-    """Return the motion from rest under `force` for the parameters' window, sampled with their
-    period.
-    """
+    """Return the motion from rest under `force` over the parameters' window, sampled at their period."""
     slip, stick = augmented(parameters, force)
     _, B, load_row = continuous_model(parameters)
     n = len(B)

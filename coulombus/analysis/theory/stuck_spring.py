@@ -1,21 +1,19 @@
-r"""The spring that sticks, in the sampled loop: how fast it settles, and how stiff it may be.
+r"""The stick spring in the sampled loop: its decay rate, and its largest stable stiffness.
 
 Stuck, Karnopp's friction is :math:`\psi_k = K (x_k - x_{stuck})`, sampled, held and delayed by q T +
-delta. A damping B may stand beside it, :math:`\psi_k = K (x_k - x_{stuck}) + B \hat v_k` with
-:math:`\hat v_k = (x_k - x_{k-1})/T`. The loop is linear; its step on (y, the forces under way) has a spectral radius
+delta. A damping B may be added, :math:`\psi_k = K (x_k - x_{stuck}) + B \hat v_k` with
+:math:`\hat v_k = (x_k - x_{k-1})/T`. The loop is linear; its step on (y, the delayed forces) has a spectral radius
 
 .. math:: \rho(K) = \max_i |\lambda_i|
 
-by which a disturbance changes at most from one sample to the next in the long run: stable while rho <
-1. Without a spring (K = 0) rho is 1, for the position may be anywhere. Where the hand has a spring of
-its own, the way between its rest and x_stuck is a constant, and no motion: its eigenvalue, 1, does not
-count.
+the asymptotic factor of a disturbance per sample: stable if rho < 1. Without a spring (K = 0) rho
+is 1, because the position is arbitrary. If the hand has a spring, the distance between its rest
+position and x_stuck is a constant, not a motion: its eigenvalue 1 does not count.
 
 :math:`K_{max}` is the least K at which an eigenvalue leaves the unit circle. It is where the Nyquist
 locus of :math:`G_x = H^* T/(1 - z^{-1})` meets the negative real axis: :math:`K_{max} = \min
 1/|G_x|` over the frequencies with Im G_x = 0, Re G_x < 0, fs/2 included. With B it is found by
-bisection of rho over K. The hand counts; what holds for every passive hand is in
-`analysis.theory.bounds`.
+bisection of rho over K. The hand is included; `analysis.theory.bounds` has the bounds for every passive hand.
 
 A *pure mass* m has closed forms without a delay. With :math:`a = K T^2/(2m)`, :math:`p = B T/(2m)`:
 
@@ -57,10 +55,12 @@ __all__ = [
 
 
 CONSTANT = 1e-9
-"""A pole of the hand so near to 0 [1/s] is that of a spring; so near to the circle, one on it."""
+"""Distance from 0 [1/s] below which a pole of the hand is a spring's; distance below which a pole
+is on the unit circle.
+"""
 SOFT_N_M, STIFF_N_M = 1e-3, 1e12
 LIGHT_KG, HEAVY_KG, MASSES = 1e-4, 1e4, 161
-"""Where `critical_mass` looks."""
+"""Search range of `critical_mass`."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ class StuckSpring:
 
     stiffness_N_m: float
     radius: float
-    """rho: below 1 it settles."""
+    """rho: it settles if below 1."""
     largest_N_m: float
-    """K_max; infinite where the locus never meets the negative real axis."""
+    """K_max; infinite if the locus never meets the negative real axis."""
 
     @property
     def stable(self) -> bool:
@@ -82,7 +82,7 @@ class StuckSpring:
 def _loop(linear: SampledPlant, K: float, B: float = 0.0) -> Floats:
     n, q = len(linear.phi), linear.whole_cycles
     size = n + q + 1 + (B > 0.0)
-    loop = np.zeros((size, size))  # y, psi of one sample ago, two, ... q + 1, and with B the x before
+    loop = np.zeros((size, size))  # y, psi of 1, 2, ... q + 1 samples ago, and with B the previous x
     loop[:n, :n] = linear.phi
     now = np.zeros(size)
     now[0] = K
@@ -107,31 +107,30 @@ def _poles(parameters: Parameters, K: float, B: float) -> Complexes:
 
 
 def spectral_radius(parameters: Parameters, stiffness_N_m: float, damping_Ns_m: float = 0.0) -> float:
-    """Return rho of the loop with a spring of `stiffness_N_m`, and a damping beside it."""
+    """Return rho of the loop with a spring of `stiffness_N_m`, and a damping."""
     return float(np.abs(_poles(parameters, stiffness_N_m, damping_Ns_m)).max())
 
 
 def unstable_poles(parameters: Parameters, stiffness_N_m: float, damping_Ns_m: float = 0.0) -> int:
-    """Return how many eigenvalues of a sample's step are outside the unit circle.
+    """Return the number of eigenvalues of a sample's step outside the unit circle.
 
-    A pair of them is an oscillation that grows; one alone at z < -1 alternates from sample to sample.
+    A pair is a growing oscillation; a single one at z < -1 alternates from sample to sample.
     """
     return int(np.sum(np.abs(_poles(parameters, stiffness_N_m, damping_Ns_m)) > 1.0 + CONSTANT))
 
 
 def largest_stiffness_damped(parameters: Parameters, damping_Ns_m: float) -> float:
-    """Return K_max [N/m] with a damping of `damping_Ns_m` beside the spring: from there on rho is above
-    1. 0 where a spring of `SOFT_N_M` does not settle either, infinite above `STIFF_N_M`.
+    """Return K_max [N/m] with a damping of `damping_Ns_m`: above it rho exceeds 1. 0 if even a
+    spring of `SOFT_N_M` does not settle, infinite above `STIFF_N_M`.
     """
     return _change(lambda K: spectral_radius(parameters, K, damping_Ns_m) < 1.0, SOFT_N_M, STIFF_N_M)
 
 
 def critical_mass(parameters: Parameters, stiffness_N_m: float, damping_Ns_m: float = 0.0) -> float:
-    """Return J_crit [kg]: with more than that at the handle, device and hand as they are else, the spring
-    settles.
+    """Return J_crit [kg]: with a larger mass at the handle, device and hand otherwise unchanged, the spring settles.
 
-    0 where it settles with `LIGHT_KG`, infinite where it does not with `HEAVY_KG`. It need not settle
-    with every mass below which another one does not: what is sought is the heaviest that does not.
+    0 if it settles with `LIGHT_KG`, infinite if it does not with `HEAVY_KG`. Stability need not be
+    monotone in the mass: the result is the heaviest mass that does not settle.
     """
 
     def grows(mass_kg: float) -> bool:
@@ -147,8 +146,8 @@ def critical_mass(parameters: Parameters, stiffness_N_m: float, damping_Ns_m: fl
 
 
 def _change(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the place between `low` and `high` at which `holds` ends; 0 where it does not hold at
-    `low`. From `low` on the place is looked for upwards by factors of 1.1.
+    """Return the point between `low` and `high` at which `holds` ends; 0 if it does not hold at
+    `low`. The point is searched upwards from `low` by factors of 1.1.
     """
     if not holds(low):
         return 0.0
@@ -171,7 +170,7 @@ def mass_radius(mass_kg: float, stiffness_N_m: float, period_s: float) -> float:
     Raises
     ------
     ParameterError
-        K T^2/(2 m) is above 8, where the poles are no longer conjugate
+        K T^2/(2 m) is above 8, and the poles are no longer conjugate
     """
     a = stiffness_N_m * period_s**2 / (2 * mass_kg)
     if not 0.0 <= a <= 8.0:
@@ -180,21 +179,21 @@ def mass_radius(mass_kg: float, stiffness_N_m: float, period_s: float) -> float:
 
 
 def mass_stiffness(mass_kg: float, damping_Ns_m: float, period_s: float) -> float:
-    """Return K_max [N/m] of a pure mass with the sampled damping B, without delay; 0 from B = 2 m/T on."""
+    """Return K_max [N/m] of a pure mass with the sampled damping B, without delay; 0 from B = 2 m/T upwards."""
     p = damping_Ns_m * period_s / (2 * mass_kg)
     return max(2 * damping_Ns_m / period_s * (1 - p) / (1 + p), 0.0)
 
 
 def mass_critical(stiffness_N_m: float, damping_Ns_m: float, period_s: float) -> float:
     """Return the mass [kg] above which the spring K with the sampled damping B settles, without delay;
-    infinite from K = 2 B/T on.
+    infinite from K = 2 B/T upwards.
     """
     share = stiffness_N_m * period_s / (2 * damping_Ns_m) if damping_Ns_m > 0 else float("inf")
     return damping_Ns_m * period_s / 2 * (1 + share) / (1 - share) if share < 1 else float("inf")
 
 
 def largest_stiffness(parameters: Parameters) -> float:
-    """Return K_max [N/m]: from there on the stuck spring does not settle."""
+    """Return K_max [N/m]: from it upwards the stuck spring does not settle."""
     linear, T = sample(parameters), parameters.period_s
     grid = frequency_grid(parameters)
 
@@ -213,5 +212,5 @@ def largest_stiffness(parameters: Parameters) -> float:
 
 
 def stuck_spring(parameters: Parameters, stiffness_N_m: float) -> StuckSpring:
-    """Return how a stuck spring of `stiffness_N_m` settles in the loop, and the largest that does."""
+    """Return the decay of a stuck spring of `stiffness_N_m` in the loop, and the largest stable stiffness."""
     return StuckSpring(stiffness_N_m, spectral_radius(parameters, stiffness_N_m), largest_stiffness(parameters))

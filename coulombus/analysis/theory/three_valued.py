@@ -1,19 +1,20 @@
-r"""Periodic motions of the relay loop with three values, and what is chosen for sgn(0).
+r"""Periodic motions of the three-valued relay loop, for each choice of sgn(0).
 
 With an encoder of resolution r the law sees :math:`\hat v_k = (n_k - n_{k-1}) r/T` in whole counts,
-:math:`n_k = \mathrm{round}((x_k + \varphi)/r)`, and often none at all. What it says then is a choice:
+:math:`n_k = \mathrm{round}((x_k + \varphi)/r)`, and often zero. The law's output is then a choice:
 
 - ``zero``: sgn(0) = 0; the force has three values
 - ``plus``: sgn(0) = +1, a comparison with one sign
-- ``hold``: the sign before, a hysteresis
+- ``hold``: the previous sign, a hysteresis
 
-A pattern u of period p gives the periodic way :math:`x_k` exactly, as in `analysis.theory.orbits`. Where
-the encoder's marks lie, :math:`\varphi` in [0, r), is not known to the loop; the counts change only
-where some :math:`x_k + \varphi` is on an edge. So the p edges part [0, r) into pieces, one look at each
-decides, and the share of :math:`\varphi` for which the pattern is a motion is exact. Half of the widest
-piece is the margin: a smaller disturbance of the way changes no count.
+A pattern u of period p gives the periodic position :math:`x_k` exactly, as in
+`analysis.theory.orbits`. The encoder's offset, :math:`\varphi` in [0, r), is unknown to the loop;
+the counts change only where some :math:`x_k + \varphi` is on an edge. The p edges therefore divide
+[0, r) into intervals, one test of each is enough, and the share of :math:`\varphi` for which the
+pattern is a motion is exact. Half of the widest interval is the margin: a smaller disturbance of
+the position changes no count.
 
-Without an encoder (r = 0) :math:`\hat v_k = 0` is met only where symmetry says so.
+Without an encoder (r = 0) :math:`\hat v_k = 0` occurs only by symmetry.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ LONGEST_THREE = 10
 
 @dataclass(frozen=True)
 class ThreeValued:
-    """One periodic motion, with zeros where the law saw no count."""
+    """One periodic motion, with zeros at samples without a count."""
 
     pattern: str
     """The force's signs, "+", "-" and "0", over one period, its first rotation in ASCII order."""
@@ -48,13 +49,13 @@ class ThreeValued:
     velocity_peak_m_s: float
     """max of the exact |x_k - x_{k-1}|/T, not rounded to counts."""
     share: float
-    """Share of the encoder's places at which it is a motion."""
+    """Share of the encoder's offsets for which it is a motion."""
     margin_m: float
-    """A smaller disturbance of the way changes no count; without an encoder 0."""
+    """A smaller disturbance of the position changes no count; 0 without an encoder."""
 
 
 def says(counts: npt.NDArray[np.float64], u: Floats, zero: Zero) -> Floats:
-    """Return what the law says of the steps `counts` (..., p) while it said `u` (..., p): signs."""
+    """Return the law's signs for the steps `counts` (..., p), given its previous output `u` (..., p)."""
     value: Floats = np.sign(counts)
     if zero == "zero":
         return value
@@ -66,12 +67,12 @@ def says(counts: npt.NDArray[np.float64], u: Floats, zero: Zero) -> Floats:
 def three_valued_orbits(
     parameters: Parameters, zero: Zero = "zero", *, longest: int = LONGEST_THREE
 ) -> tuple[ThreeValued, ...]:
-    """Return every periodic motion of at most `longest` samples but rest, the largest velocity first.
+    """Return every periodic motion of at most `longest` samples except rest, the largest velocity first.
 
     Raises
     ------
     ParameterError
-        `zero` is no choice, or the plant without its position is not stable
+        `zero` is not a valid choice, or the plant without its position is not stable
     """
     if zero not in ZEROS:
         raise ParameterError(f"zero = {zero!r}: expected one of {', '.join(ZEROS)}")
@@ -86,7 +87,7 @@ def three_valued_orbits(
         u = patterns(period, 3 if zero == "zero" else 2)
         z = np.exp(2j * np.pi * np.arange(period) / period)
         v = -c * np.fft.ifft(linear.response(z) * np.fft.fft(u, axis=1), axis=1).real
-        moving = np.any(u != 0.0, axis=1) & (np.abs(v.sum(axis=1)) <= period * rounding)  # else it creeps on
+        moving = np.any(u != 0.0, axis=1) & (np.abs(v.sum(axis=1)) <= period * rounding)  # else it drifts
         for i in np.flatnonzero(moving):
             share, margin = _with_encoder(v[i], u[i], zero, r / T) if r > 0 else _exactly(v[i], u[i], zero, rounding)
             if share > 0.0:
@@ -101,8 +102,8 @@ def _exactly(v: Floats, u: Floats, zero: Zero, rounding: float) -> tuple[float, 
 
 
 def _with_encoder(v: Floats, u: Floats, zero: Zero, count: float) -> tuple[float, float]:
-    """Return the share of the encoder's places, and half of the widest piece in `count`'s unit."""
-    x = np.cumsum(v) / count  # in counts, but for a constant
+    """Return the share of the encoder's offsets, and half of the widest interval in `count`'s unit."""
+    x = np.cumsum(v) / count  # in counts, up to a constant
     edges = np.sort((0.5 - x) % 1.0)
     widths = np.diff(np.append(edges, edges[0] + 1.0))
     middles = edges + 0.5 * widths

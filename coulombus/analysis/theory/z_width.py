@@ -1,23 +1,23 @@
-r"""Z-width: which stiffness K and damping B of a virtual wall a free handle bears, K and B by the motor
-(active), or K by the motor and B by the brake (hybrid, the paper's Fig. 8).
+r"""Z-width: stable stiffness K and damping B of a virtual wall at a free handle.
 
-The wall holds from both sides, :math:`\psi = K x + B v`, sampled with period T and held, after a delay
-of q cycles; no hand damps it, which is the worst passive operator for a spring. Handle:
+K and B are displayed by the motor (active), or K by the motor and B by the brake (hybrid, the paper's Fig. 8).
+
+The wall is two-sided, :math:`\psi = K x + B v`, sampled with period T and held, after a delay
+of q cycles; without damping by a hand, the worst passive operator for a spring. Handle:
 :math:`J\dot v + b v = -\psi`.
 
 *Predicted*, exactly between samples: with :math:`\hat v_k = (x_k - x_{k-1})/T` the active loop is
-linear, and stable if all eigenvalues of a sample's step are within the unit circle. In hybrid the motor
-has K alone. The brake's level :math:`B|\hat v|` lags behind: for an oscillation of amplitude
-:math:`V` it is its mean :math:`2BV/\pi`, and Coulomb friction of this level damps as
+linear, and stable if all eigenvalues of a sample's step are within the unit circle. In hybrid the
+motor displays only K. The brake's level :math:`B|\hat v|` lags behind: for an oscillation of
+amplitude :math:`V` it is its mean :math:`2BV/\pi`, and Coulomb friction of this level damps as
 :math:`4/(\pi V)` times it, so the handle's damping is :math:`b + (8/\pi^2) B`.
 
 *Simulated*: encoder in counts, and the brake as a set-valued element behind its lags, from a start at
-1 rad/s. A point is stable where the later half of the motion is smaller than the first, and it never
-leaves 1 rad.
+1 rad/s. A point is stable if the second half of the motion is smaller than the first, and it stays within 1 rad.
 
-*Leaning* (`stable_leaning`): the same motion at a wall of one side, against which the hand comes and
-leans. Outside the brake's level is 0, so behind each entry it has to build up anew: hybrid bears less than
-a wall that holds from both sides, and active, whose stiffness is felt in contact alone, more.
+*Leaning* (`stable_leaning`): the same motion at a one-sided wall, against which the hand moves and
+leans. Outside, the brake's level is 0, so after each entry it must build up again: compared with a
+two-sided wall, hybrid permits less, and active, whose stiffness acts only in contact, more.
 
 Sources: J. E. Colgate, J. M. Brown, Factors affecting the Z-width of a haptic display, IEEE ICRA 1994,
 doi:10.1109/ROBOT.1994.351077; the paper, Fig. 8.
@@ -70,12 +70,12 @@ class Handle:
 
 @dataclass(frozen=True)
 class Lean:
-    """How a hand comes to a wall of one side: at rest, and pushed from an instant on for `seconds`."""
+    """A hand's push against a one-sided wall: at rest, then pushed for `seconds`."""
 
     torque_Nm: float = 0.3
     way_rad: float = 0.1
     most_Nm: float = 4.0
-    """At which the motor's torque, and the brake's, end."""
+    """Torque limit of the motor and the brake."""
     seconds: float = 1.0
 
 
@@ -94,7 +94,7 @@ class ZWidth:
         return float(stable["hybrid"].sum() / max(int(stable["active"].sum()), 1))
 
     def agreement(self, mode: str) -> float:
-        """Return the share of points at which simulation and prediction say the same."""
+        """Return the share of points at which simulation and prediction agree."""
         return float(np.mean(self.predicted[mode] == self.simulated[mode]))
 
 
@@ -104,10 +104,10 @@ def stable_predicted(handle: Handle, K_Nm_rad: float, B_Nms_rad: float, mode: st
     hybrid = mode == "hybrid"
     damping = handle.viscous_Nms_rad + (MEAN_LEVEL * B_Nms_rad if hybrid else 0.0)
     sampled = 0.0 if hybrid else B_Nms_rad
-    free = np.zeros((3, 3))  # x, v, and the torque that is held
+    free = np.zeros((3, 3))  # x, v, and the held torque
     free[0, 1], free[1, 1], free[1, 2] = 1.0, -damping / handle.inertia_kg_m2, -1 / handle.inertia_kg_m2
     step = expm(free * T)
-    size = 3 + q  # x, v, the x before, and the torques under way, the newest first
+    size = 3 + q  # x, v, the previous x, and the delayed torques, the newest first
     loop = np.zeros((size, size))
     demand = np.zeros(size)
     demand[0], demand[2] = K_Nm_rad + sampled / T, -sampled / T
@@ -127,7 +127,7 @@ def hulin_stiffness(handle: Handle, B_Nms_rad: float = 0.0) -> float:
 
     .. math:: K = \frac{b + B}{T/2 + \tau}, \qquad \tau = q T
 
-    the slope of the exact boundary at the origin: it holds while :math:`K T^2 / J` and
+    the slope of the exact boundary at the origin: valid while :math:`K T^2 / J` and
     :math:`B T / J` are small. Source: T. Hulin, A. Albu-Schaeffer, G. Hirzinger, IEEE Trans. Control
     Systems Technology 22(4), 2014, doi:10.1109/TCST.2013.2283372.
     """
@@ -135,7 +135,7 @@ def hulin_stiffness(handle: Handle, B_Nms_rad: float = 0.0) -> float:
 
 
 def stable_simulated(handle: Handle, K_Nm_rad: Floats, B_Nms_rad: Floats, mode: str) -> Bools:
-    """Return at which of the points (K, B), arrays of one shape, the simulated motion dies out."""
+    """Return for which points (K, B), arrays of one shape, the simulated motion decays."""
     T, J, h = handle.period_s, handle.inertia_kg_m2, handle.period_s / STEPS
     shape = K_Nm_rad.shape
     x, v, before = np.zeros(shape), np.full(shape, START_RAD_S), np.zeros(shape)
@@ -170,10 +170,10 @@ def stable_simulated(handle: Handle, K_Nm_rad: Floats, B_Nms_rad: Floats, mode: 
 
 
 def stable_leaning(handle: Handle, K_Nm_rad: float, B_Nms_rad: float, mode: str, lean: Lean) -> bool:
-    """Return whether a hand that leans on the wall of one side (K, B) feels it at rest: `dies_out`.
+    """Return whether a one-sided wall (K, B) is stable under a leaning hand (`dies_out`).
 
-    Equations as `stable_simulated`, but that the wall begins at angle 0 and never pulls
-    (`host.laws.wall`), and torques end at ``lean.most_Nm``.
+    Equations as in `stable_simulated`, except that the wall begins at angle 0 and never pulls
+    (`host.laws.wall`), and torques are limited to ``lean.most_Nm``.
     """
     T, J, h = handle.period_s, handle.inertia_kg_m2, handle.period_s / STEPS
     to_coil, to_fluid = 1 - math.exp(-h / handle.coil_lag_s), 1 - math.exp(-h / handle.fluid_lag_s)

@@ -7,9 +7,9 @@ For an odd friction with slopes in [0, k] the loop is stable if there is an
           \mathrm{Re}\,\{M(e^{j\theta})\,(H^* + 1/k)\} \ge \varepsilon > 0\ \ \forall\theta
 
 For a given k this is linear in :math:`h`, so a linear program finds the largest :math:`\varepsilon`
-on a grid, and k is bisected. What is reported is checked afterwards on a grid many times finer, and
-proved between its frequencies by a bound on how fast the condition can change
-(`analysis.theory.proof`); the slope is lowered until both hold.
+on a grid, and k is bisected. The result is then checked on a much finer grid, and proved between
+its frequencies by a bound on the rate of change of the condition (`analysis.theory.proof`); the
+slope is lowered until both hold.
 
 Source: J. C. Willems, R. W. Brockett, Some new rearrangement inequalities having application in
 stability analysis, IEEE T-AC 13, 1968; J. Carrasco et al., Convex searches for discrete-time
@@ -32,7 +32,7 @@ __all__ = ["Certificate", "margin", "multiplier_response", "verified", "zames_fa
 FINER = 25
 NORM = 1 - 1e-6
 STEP = 1.002
-"""The bisection ends when its bounds are this near to each other, as a ratio."""
+"""Ratio of the bounds at which the bisection ends."""
 LP_POINTS = 500
 
 
@@ -46,13 +46,13 @@ class Certificate:
     norm: float
     """sum |h_i|, less than 1."""
     margin: float
-    """Least Re{M (1 + k H*)} on the grid that it was verified on."""
+    """Least Re{M (1 + k H*)} on the verification grid."""
     points: int
     """Number of that grid's frequencies."""
     proved: bool
-    """Whether it is proved at every frequency, between those of the grid, too."""
+    """Whether it is proved at every frequency, including between the grid's."""
     pieces: int
-    """Intervals of frequency that the proof has."""
+    """Number of frequency intervals in the proof."""
 
 
 def _orders(count: int) -> Floats:
@@ -76,7 +76,7 @@ def _best(response: Complexes, theta: Floats, slope: float, taps: int) -> tuple[
     sum p + q <= NORM.
     """
     loop = 1.0 + slope * response
-    # scaled by |loop| (at least 1e-3): where kH is large, so is the margin that rounding needs
+    # scaled by |loop| (at least 1e-3): rounding needs a larger margin where kH is large
     scale = np.maximum(np.abs(loop), 1e-3)
     turned = (np.exp(-1j * np.outer(theta, _orders(taps))) * loop[:, None]).real / scale[:, None]
     rows = np.hstack((turned, -turned, np.ones((len(theta), 1))))
