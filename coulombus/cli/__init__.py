@@ -1,4 +1,4 @@
-"""The command line, one file a verb, with the verb's name: the only place that knows click."""
+"""The command line: one file per verb, named after it; the only package that uses click."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ __all__: list[str] = []
 
 
 class _WithoutMf4:
-    """python-can's MF4 reader is left without its library until a log is read that needs it
-    (`coulombus.recording.mf4_log`).
+    """Import hook that hides asammdf from python-can until a log needs it (`coulombus.recording.mf4_log`).
 
-    Where that is installed (the extra ``export``), python-can loads it and pandas at its own
-    import: each start of a verb would take 0.7 s of processor time longer.
+    If asammdf is installed (the extra ``export``), python-can would load it and pandas on import:
+    each start of a verb would take 0.7 s of processor time longer.
     """
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:
-        """Refuse `asammdf` to python-can; whoever else asks is not looked at."""
+        """Hide `asammdf` from python-can; other importers are not affected."""
         if name == "asammdf" and _imported_by("can.io.mf4") and not _imported_by("coulombus.recording.mf4_log"):
             raise ImportError("left out by coulombus.cli", name=name)
 

@@ -1,4 +1,4 @@
-"""`coulombus analyse`: the whole of the paper, what a study found, and the verbs for the parts."""
+"""`coulombus analyse`: the whole paper, the results of a study, and the verbs for the parts."""
 
 from __future__ import annotations
 

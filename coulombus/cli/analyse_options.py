@@ -1,4 +1,4 @@
-"""The options of the verbs of `coulombus analyse`, and what they say."""
+"""The options of the verbs of `coulombus analyse`, and their values."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def loop_options(function: F) -> F:
 
 
 def parameters_of(options: dict[str, Any]) -> Parameters:
-    """Take the loop's parameters out of a verb's options."""
+    """Return the loop's parameters from a verb's options."""
     from coulombus.analysis.theory.parameters import Operator, Parameters
 
     o = {name: options.pop(name) for name in LOOP_NAMES}
@@ -82,7 +82,7 @@ def parameters_of(options: dict[str, Any]) -> Parameters:
 
 
 def rig_of(options: dict[str, Any]) -> Rig:
-    """Take the rig, with what is set in it, out of a verb's options."""
+    """Return the rig, with its overrides, from a verb's options."""
     from coulombus.rigs.rig import load_rig
 
     return load_rig(options.pop("rig_name"), options.pop("overrides")).alone()

@@ -1,4 +1,4 @@
-"""What the verbs of `coulombus analyse` print: results, the figures' files, progress."""
+"""Output of the verbs of `coulombus analyse`: results, the figures' files, progress."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["bar", "steps", "tell", "tell_paths"]
 
 
 def tell(as_json: bool, value: Callable[[], Any], lines: Callable[[], Any]) -> None:
-    """Print a result: its value as JSON, or its lines for people."""
+    """Print a result: its value as JSON, or its text lines."""
     from coulombus.analysis.figures.report import plain
 
     with printed():
@@ -27,14 +27,14 @@ def tell(as_json: bool, value: Callable[[], Any], lines: Callable[[], Any]) -> N
 
 
 def tell_paths(paths: list[Path]) -> None:
-    """Tell where the figures are."""
+    """Print the paths of the figures."""
     for path in paths:
         say(f"figure: {path}")
 
 
 @contextmanager
 def bar(title: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar on stderr if it is a terminal: call what is yielded with the share that is done."""
+    """Show a bar on stderr if it is a terminal; call the yielded function with the finished share."""
     from rich.progress import Progress
 
     from coulombus.system.printable_console import PrintableConsole
@@ -47,7 +47,7 @@ def bar(title: str) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def steps(count: int) -> Iterator[Callable[[str], None]]:
-    """Show which step runs: call what is yielded with its name."""
+    """Show the present step; call the yielded function with its name."""
     from rich.progress import Progress
 
     from coulombus.system.printable_console import PrintableConsole

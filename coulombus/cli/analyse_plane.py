@@ -1,4 +1,4 @@
-"""`coulombus analyse plane`: what a rig in the plane can display."""
+"""`coulombus analyse plane`: displayable friction of a rig in the plane."""
 
 from __future__ import annotations
 

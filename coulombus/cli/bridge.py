@@ -21,7 +21,7 @@ __all__ = ["bridge"]
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What a bridge does to the frames, as the options say it."""
+    """Disturbances of a bridge, from the options."""
 
     delay_ms: float
     drop: float
@@ -30,7 +30,7 @@ class Disturbance:
     seed: int
 
     def of(self, direction: int) -> Between:
-        """Return it for one direction, 0 or 1, each with chances of its own."""
+        """Return the disturbance of one direction, 0 or 1, each with its own random numbers."""
         from coulombus.sim_bus.server.bridge import faults
 
         return faults(self.delay_ms, self.drop, self.seed + direction, duplicate=self.duplicate, corrupt=self.corrupt)
@@ -90,7 +90,7 @@ def bridge(
 
         def ready() -> None:
             text = f"{a} and {b} are joined; Ctrl-C ends it"
-            with printed():  # the buses are joined, whoever reads of it
+            with printed():  # the buses are joined even if the reader of stdout has gone
                 echo(json.dumps({"event": "ready", "a": a, "b": b}) if as_json else text)
 
         result = join(

@@ -1,4 +1,4 @@
-"""Options that belong together, as one value of a verb."""
+"""Bundle related options into one parameter of a verb."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def bundle(name: str, made: type[Any], *options: Callable[[F], F]) -> Callable[[F], F]:
-    """Return a decorator that adds `options` to a verb, which gets their values as its one
-    parameter `name`.
+    """Return a decorator that adds `options` to a verb and passes their values as the parameter `name`.
 
     Parameters
     ----------
@@ -36,7 +35,5 @@ def bundle(name: str, made: type[Any], *options: Callable[[F], F]) -> Callable[[
 
 
 def repeated(option: str, texts: Iterable[str]) -> list[str]:
-    """Return the words that give an option once for each text, for the command line of another
-    process.
-    """
+    """Return command-line words that repeat an option for each text, for another process."""
     return [word for text in texts for word in (option, text)]

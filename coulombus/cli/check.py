@@ -1,4 +1,4 @@
-"""``coulombus check``: a rig file and everything that follows from it."""
+"""``coulombus check``: check a rig file and its consequences."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, bus_name: str 
 
 
 def _hold_against(findings: _Findings, bus_name: str) -> None:
-    """Refuse a rig file that counts the position otherwise than the drives on a bus (DeviceMismatch)."""
+    """Refuse a rig file whose position scale differs from the drives on a bus (DeviceMismatch)."""
     from coulombus.host.devices.scan import survey
     from coulombus.host.errors import DeviceMismatch, NodeMissing
     from coulombus.wire.address import parse_address
@@ -96,9 +96,7 @@ def _reader(values: Mapping[tuple[int, int], int]) -> Callable[[int, int], int |
 
 
 def _refused(error: RigError) -> list[dict[str, str]]:
-    """Return the mistakes of a rig file as problems: those of roles with their role, the others as
-    they are told.
-    """
+    """Return the errors of a rig file as problems: those of roles with their role, the others as their text."""
     from coulombus.rigs.problem import Problem
 
     known = [problem._asdict() for problem in error.problems]
@@ -114,7 +112,7 @@ def _once(texts: Iterable[Any]) -> list[Any]:
 
 
 class _Findings:
-    """What follows from a rig: its PDOs, its plan, what bring-up does in each mode."""
+    """Findings on a rig: its PDOs, its plan, its bring-up in each mode."""
 
     def __init__(self, rig: Rig) -> None:
         from coulombus.eds.drive_axis import axis_of
@@ -237,7 +235,7 @@ class _Findings:
         return document | ({"steps": self._steps()} if steps else {})
 
     def tell(self, steps: bool) -> None:
-        """Print everything for people."""
+        """Print everything as text."""
         from coulombus.host.laws.laws import BUILTIN_LAWS
         from coulombus.rigs.draft.draft_text import CHECK
 
@@ -282,9 +280,7 @@ class _Findings:
             echo(on_terminal(self._verdict(), 4, PROSE))
 
     def _verdict(self) -> str:
-        """Return "ok", or what a rehearsal may use and a real rig not yet: guesses, losses,
-        questions.
-        """
+        """Return "ok", or items that permit a rehearsal but not a real run yet: guesses, losses, questions."""
         if not self.guesses and not self.losses:
             return "ok, if the devices answer what is open above" if self.questions else "ok"
         lines = ("line " if len(self.guesses) == 1 else "lines ") + ", ".join(str(guess.line) for guess in self.guesses)

@@ -1,4 +1,4 @@
-"""``coulombus commission``: from a rig file that believes to one that was measured."""
+"""``coulombus commission``: replace the assumptions of a rig file by measured values."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ __all__ = ["commission"]
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """The rig of a rehearsal, as the options say it."""
+    """The rig of a rehearsal, from the options."""
 
     virtual: bool
     truth: Path | None
     seed: int
 
     def runner(self, axis: str | None) -> Runner:
-        """Return what runs the steps in virtual time."""
+        """Return a function that runs the steps in virtual time."""
         from coulombus.lab.rehearsal import rehearsed
 
         true = None if self.truth is None else load(str(self.truth.resolve()), ()).alone(axis)
@@ -67,7 +67,7 @@ rehearsal_options = bundle(
 
 @dataclass(frozen=True)
 class Own:
-    """The rig file that is written, and its bus, as the options say it."""
+    """The rig file to write, and its bus, from the options."""
 
     rig_path: Path | None
     bus_name: str | None
@@ -81,7 +81,7 @@ class Own:
         Raises
         ------
         click.UsageError
-            None is named, or one that is not written.
+            None is named, or one that must not be written.
         """
         from coulombus.rigs.rig import known_rigs
 
@@ -95,7 +95,7 @@ class Own:
         return self.rig_path
 
     def all_overrides(self) -> tuple[str, ...]:
-        """Return what is set in the rig, the wider limits of a shared machine before it."""
+        """Return the overrides of the rig, preceded by the wider limits of a shared machine."""
         from coulombus.rigs.overrides import shared_machine
         from coulombus.rigs.rig import load_rig
         from coulombus.wire.address import parse_address
@@ -108,7 +108,7 @@ class Own:
 
 @dataclass(frozen=True)
 class Doing:
-    """Which steps are done, and how, as the options say it."""
+    """Selection and settings of the steps, from the options."""
 
     names: tuple[str, ...]
     listed: bool
@@ -118,7 +118,7 @@ class Doing:
 
 @dataclass(frozen=True)
 class Weighed:
-    """What a person has measured for a step, as the options say it."""
+    """Manual measurements for a step, from the options."""
 
     weight_Nm: float | None
     marks_rad: float | None
@@ -191,7 +191,7 @@ def commission(
     rehearsal: Rehearsal,
     weighed: Weighed,
     report: Path | None,
-    overwrite: bool,  # of the report: `OutputFile` asks for it
+    overwrite: bool,  # of the report: `OutputFile` reads it
     as_json: bool,
 ) -> None:
     """Measure the rig step by step, and write what is found into its rig file.
@@ -264,7 +264,7 @@ def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None
 
 
 def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report: Path | None) -> list[StepEnd]:
-    """Do the steps, and return what came of them."""
+    """Execute the steps, and return their results."""
     done: list[StepEnd] = []
     for step in steps:
         if step.name in session.state.steps and not (doing.again or doing.names):
@@ -306,7 +306,7 @@ def _real(bus_name: str | None, as_json: bool) -> Runner:
 
 
 def _somebody() -> bool:
-    """Tell whether there is somebody who can be asked."""
+    """Return whether a terminal is available for questions."""
     return sys.stdin.isatty()
 
 
@@ -318,7 +318,7 @@ def _agree(step: Step, risk: Risk, yes: bool) -> bool:
         return True
     try:
         return click.confirm("  begin?", default=None, err=True)
-    except click.Abort:  # Ctrl-C, or the terminal is gone
+    except click.Abort:  # Ctrl-C, or the terminal has closed
         raise KeyboardInterrupt from None
 
 
@@ -332,7 +332,7 @@ def _tell(result: StepEnd) -> None:
 
 
 def _report(session: Session, path: Path | None) -> None:
-    """Write the report after each step: what was found is on paper, whatever comes next."""
+    """Write the report after each step, so that results are kept if a later step fails."""
     from coulombus.host.commission.report import write_report
     from coulombus.rigs.rewrite import write_whole
 

@@ -1,4 +1,4 @@
-"""What the verbs have in common: options, and the rig that they name."""
+"""Shared parts of the verbs: options, and loading of the rig."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ __all__ = [
 ]
 MODES = ("active", "passive", "hybrid")
 RIG_VARIABLE, BUS_VARIABLE = "COULOMBUS_RIG", "COULOMBUS_BUS"
-"""Variables of the environment that stand for --rig and --bus where these are not given."""
+"""Environment variables that are the defaults of --rig and --bus."""
 
 
 def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
-    """Load a rig and say on stderr what is allowed in it and yet may not be meant."""
+    """Load a rig and print its warnings to stderr."""
     from coulombus.rigs.rig import load_rig
 
     rig = load_rig(rig_name, overrides)
@@ -62,7 +62,7 @@ def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
 
 
 def load_with_law(rig_name: str, overrides: tuple[str, ...]) -> Rig:
-    """Load a rig whose law is asked, and say on stderr what of both may not be meant."""
+    """Load a rig with its law, and print the warnings of both to stderr."""
     from coulombus.host.setup.law_demand import remarks
 
     rig = load(rig_name, overrides)
@@ -88,7 +88,7 @@ def check_mode(rig: Rig, rig_name: str, mode: str) -> None:
 
 
 def display_s(rig: Rig, seconds: float | None) -> float:
-    """Return how long to display: so many seconds, or the rig's schedule."""
+    """Return the duration of the display: the given seconds, or the rig's schedule."""
     total = rig.schedule_s if seconds is None else seconds
     if not total > 0:
         raise click.UsageError(
@@ -195,5 +195,5 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 
 
 def listed(texts: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Return the names of one option or several, None where there is none."""
+    """Return the names of one or several options, or None."""
     return tuple(name.strip() for text in texts for name in text.split(",") if name.strip()) or None

@@ -27,7 +27,7 @@ LONGEST_TIMEOUT_S = 60.0
 
 @dataclass(frozen=True)
 class Tested:
-    """The device and how it is tested, as the options say it."""
+    """The device and the settings of its test, from the options."""
 
     bus_name: str
     node_id: int
@@ -39,14 +39,14 @@ class Tested:
 
 @dataclass(frozen=True)
 class Reports:
-    """What ``conformance`` writes, as the options say it."""
+    """Output files of ``conformance``, from the options."""
 
     overwrite: bool
     junit: Path | None
     report_path: Path | None
 
     def write(self, report: Report) -> None:
-        """Write the files that were asked for."""
+        """Write the requested files."""
         from coulombus.conformance.report import write_junit, write_report
         from coulombus.recording.output_file import new_file
 

@@ -48,4 +48,4 @@ def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Pat
                 echo(text, nl=False)
             return
         with new_file(out, force=overwrite) as path:
-            path.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect
+            path.write_text(text, encoding="cp1252", errors="replace")  # the encoding that DBC readers expect

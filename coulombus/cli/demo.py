@@ -1,4 +1,4 @@
-"""``coulombus demo``: the paper's experiment, and what to try next."""
+"""``coulombus demo``: the paper's experiment, and suggestions for next steps."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
 
 def span_of_interest(recording: Source) -> str:
     """Return a fifth of a second in the recording's hold, or of its first phase, as an option of
-    `plot`. A recording in real time begins some seconds before.
+    `plot`. A real-time recording begins some seconds earlier.
     """
     from coulombus.recording.measures import phases
 
@@ -100,7 +100,7 @@ def span_of_interest(recording: Source) -> str:
 
 
 def next_steps(rig_name: str, out: Path, span: str = "") -> tuple[tuple[str, str], ...]:
-    """Return the three commands that the demo ends with, each with what it is for."""
+    """Return the three commands suggested at the end of the demo, each with its purpose."""
     rig = "" if rig_name == "bench" else f"--rig {shell(rig_name)} "
     active = shell(str(out / "active.pcapng"))
     return (

@@ -1,4 +1,4 @@
-"""What the verbs for devices have in common: their bus, who else is on it, one line of progress."""
+"""Shared parts of the device verbs: their bus, a host on it, one line of progress."""
 
 from __future__ import annotations
 
@@ -105,13 +105,13 @@ timeout_option = click.option(
 
 
 def waiting_option(help_text: str) -> Callable[[Any], Any]:
-    """Return --timeout of a verb whose steps have different defaults; without it None comes."""
+    """Return --timeout of a verb whose steps have different defaults; its default is None."""
     return click.option("--timeout", "timeout_s", type=SECONDS, metavar="S", help=help_text)
 
 
 @contextmanager
 def open_link(bus_name: str, *, beside: bool = False) -> Iterator[BusLink]:
-    """Open a bus for a service: alone on it, or beside a host, which is said then."""
+    """Open a bus for a service, alone or together with a host, which is then reported."""
     from coulombus.host.devices.running_host import FILTERS, check_alone
     from coulombus.wire.address import parse_address
     from coulombus.wire.bus_link import BusLink
@@ -125,7 +125,7 @@ def open_link(bus_name: str, *, beside: bool = False) -> Iterator[BusLink]:
 
 
 class LiveLine:
-    """One line on a terminal's stderr that tells how far a service is; nothing elsewhere."""
+    """A progress line of a service on stderr, if that is a terminal."""
 
     def __init__(self) -> None:
         from coulombus.system.printable_console import PrintableConsole
@@ -154,7 +154,7 @@ class LiveLine:
 
 @dataclass(frozen=True)
 class DeviceOptions:
-    """How a device is reached and described, as the options say it."""
+    """Connection and description of a device, from the options."""
 
     bus_name: str
     eds: Path | None
@@ -164,11 +164,11 @@ class DeviceOptions:
 
     @contextmanager
     def open(self, node_id: int, *, to_write: bool = False) -> Iterator[tuple[BusLink, KnownDevice]]:
-        """Open the bus and a node on it, with its EDS file where there is one.
+        """Open the bus and a node on it, with its EDS file if there is one.
 
         Parameters
         ----------
-        to_write : a host at work on the bus is a reason to refuse, unless the options allow it
+        to_write : refuse if a host runs on the bus, unless the options allow it
         """
         from coulombus.host.devices.device import KnownDevice, describe
         from coulombus.host.sdo.sdo_client import LATE_S, SdoClient
@@ -195,7 +195,7 @@ device_options = bundle(
 
 
 def _of_rig(rig_name: str, node_id: int) -> tuple[Any, dict[tuple[int, int], Any]]:
-    """Return the EDS file of a node of a rig, and the units of what the host exchanges with it."""
+    """Return the EDS file of a node of a rig, and the units of its signals."""
     from coulombus.eds.units import Unit
     from coulombus.host.errors import DeviceMismatch
 

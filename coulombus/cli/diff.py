@@ -1,4 +1,4 @@
-"""``coulombus diff``: two recordings compared."""
+"""``coulombus diff``: compare two recordings."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def diff(
 
 
 def _plain(value: Any) -> Any:
-    """Return a value in which what is no number is null."""
+    """Return a value for JSON: NaN and infinity become null."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -104,11 +104,11 @@ def _plain(value: Any) -> Any:
 
 
 def _tell(comparison: Comparison) -> None:
-    """Print the differences for people."""
+    """Print the differences as text."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    table.add_column("signal", no_wrap=True)  # whose name ends with its unit
+    table.add_column("signal", no_wrap=True)  # the name ends with its unit
     for name in ("max", "rms", "at [s]"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("in")
@@ -135,4 +135,4 @@ def _verdict(difference: Difference) -> str:
     if difference.equal:
         return "equal"
     beyond = difference.max > difference.tolerance
-    return "differs" if beyond else "count differs"  # more samples in a phase of one of them
+    return "differs" if beyond else "count differs"  # one has more samples in a phase

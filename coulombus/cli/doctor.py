@@ -1,4 +1,4 @@
-"""``coulombus doctor``: what is wrong with a rig's PC, and how it is mended."""
+"""``coulombus doctor``: find problems of a rig's PC, and their fixes."""
 
 from __future__ import annotations
 

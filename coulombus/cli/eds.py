@@ -58,7 +58,7 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool)
 
 
 def _check(file: str, node_id: int) -> dict[str, Any]:
-    """Return what `--json` prints of one file; `drawn` holds the diagrams of its PDOs."""
+    """Return the `--json` object of one file; `drawn` has the diagrams of its PDOs."""
     from coulombus.eds.check import check
     from coulombus.eds.reader import EdsError, read_eds
 
@@ -96,7 +96,7 @@ def _drawing(pdo: PdoLayout) -> str:
 
 
 def _refusal(file: str, text: str) -> dict[str, Any]:
-    """Split ``file:line: what`` of an `EdsError`."""
+    """Split ``file:line: text`` of an `EdsError`."""
     line, _, what = text.removeprefix(f"{file}:").partition(": ")
     return {"line": int(line), "text": what}
 

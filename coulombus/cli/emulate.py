@@ -27,7 +27,7 @@ __all__ = ["emulate"]
 
 @dataclass(frozen=True)
 class Simulated:
-    """What a bus of ``emulate`` does, as the options say it."""
+    """Settings of a bus of ``emulate``, from the options."""
 
     mode: str | None
     seed: int
@@ -37,13 +37,13 @@ class Simulated:
     no_node_ids: bool
 
     def words(self) -> list[str]:
-        """Return the options' words for the processes of several buses."""
+        """Return the command-line words for the processes of several buses."""
         given = {"--mode": self.mode, "--seed": self.seed, "--script": self.script, "--faults": self.faults}
         words = [word for option, value in given.items() if value is not None for word in (option, str(value))]
         return [*words, *(["--unpaced"] if self.unpaced else []), *(["--no-node-ids"] if self.no_node_ids else [])]
 
     def of(self, rig: Rig) -> dict[str, Any]:
-        """Return what a `SimServer` of each bus is told, by the bus; the files are read."""
+        """Read the files and return the settings of each bus' `SimServer`, by bus."""
         from coulombus.sim_bus.faults.fault_file import read_faults
         from coulombus.sim_bus.network.script import read_script
 
@@ -76,13 +76,13 @@ simulated_options = bundle(
 
 @dataclass(frozen=True)
 class Realtime:
-    """The scheduling of the bus, as the options say it."""
+    """The scheduling of the bus, from the options."""
 
     priority: int
     cpu: int | None
 
     def words(self) -> list[str]:
-        """Return the options' words for the processes of several buses."""
+        """Return the command-line words for the processes of several buses."""
         return ["--priority", str(self.priority), *([] if self.cpu is None else ["--cpu", str(self.cpu)])]
 
 
@@ -164,7 +164,7 @@ def emulate(
 
 
 def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
-    """Serve several buses, a process each; their lines are passed on as they come."""
+    """Serve several buses, a process each; their output lines are forwarded."""
     from coulombus.host.run.buses import supervise
 
     buses = supervise(
@@ -176,7 +176,7 @@ def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
 
 
 def _pass_on(line: str) -> None:
-    """Print a line of one bus; a reader that has gone, or a full disk, ends none of them."""
+    """Print a line of one bus; a closed reader or a full disk does not end the processes."""
     try:
         echo(line)
     except OSError:

@@ -1,5 +1,6 @@
-"""What ends a verb: errors and signals as texts and exit statuses, on stderr, and on stdout with
---json.
+"""Errors and signals that end a verb, as texts and exit statuses.
+
+They are printed to stderr, and with --json also to stdout.
 """
 
 from __future__ import annotations
@@ -43,13 +44,12 @@ EXIT_STATUS = "Exit status: 0 is ok; 'coulombus help exit' lists the others."
 LINUX_MODULES = ("fcntl", "resource", "termios", "tty")
 
 WORDS, RESULT, OUTPUTS = f"{__name__}.words", f"{__name__}.result", f"{__name__}.outputs"
-"""What a context keeps: the words after the verb, that the result has been printed, and which
-option writes which file.
+"""Keys of a context: the words after the verb, whether the result has been printed, and the output file of each option.
 """
 
 
 class Failure(Exception):
-    """What ends a verb: a text and an exit status."""
+    """An error that ends a verb: a text and an exit status."""
 
     def __init__(self, text: str, status: int) -> None:
         super().__init__(text)
@@ -57,21 +57,19 @@ class Failure(Exception):
 
 
 class Verbs(click.Group):
-    """The verbs. What ends one before its result is told on stderr.
+    """The verbs. An error before the result is printed to stderr.
 
-    With --json it is an object on stdout, too.
+    With --json it is also an object on stdout.
 
-    Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs; so with the
-    other signals of `system.stop_signals`. What no verb foresees is a mistake of this program: it is told
-    with its place, and is no "a check failed".
+    Ctrl-C gives exit status 130 at any time, even while a verb loads its modules; the same holds
+    for the other signals of `system.stop_signals`. An unexpected exception is an internal error: it
+    is reported with its place, and never as a failed check.
     """
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """Read the words up to the verb; ``--help`` and ``--version`` print here, on a stdout that
-        may take nothing.
-        """
+        """Parse the words up to the verb; ``--help`` and ``--version`` print here, perhaps to a broken stdout."""
         try:
             with _failures():
                 return super().make_context(info_name, args, parent, **extra)
@@ -83,7 +81,7 @@ class Verbs(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Keep the words, to know of --json even where the rest of them is refused."""
+        """Store the words, so that --json is known even if the rest is refused."""
         _open_all_streams()
         ctx.meta[WORDS] = tuple(args)
         return super().resolve_command(ctx, args)
@@ -93,7 +91,7 @@ class Verbs(click.Group):
 
         def tell(text: str, status: int) -> None:
             if "--json" in ctx.meta.get(WORDS, ()) and RESULT not in ctx.meta:
-                with suppress(OSError):  # of a stdout that takes nothing, stderr tells
+                with suppress(OSError):  # a broken stdout is reported on stderr
                     echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
 
         try:
@@ -102,7 +100,7 @@ class Verbs(click.Group):
                     return super().invoke(ctx)
             except click.UsageError as error:
                 meant = _option_meant(error)
-                if isinstance(error, click.NoSuchOption):  # of --mod, --mode is meant, and --record is noise
+                if isinstance(error, click.NoSuchOption):  # for --mod, suggest --mode, not --record
                     begun = [option for option in error.possibilities or () if option.startswith(error.option_name)]
                     if begun:
                         raise click.NoSuchOption(error.option_name, None, begun, error.ctx) from None
@@ -112,7 +110,7 @@ class Verbs(click.Group):
             except KeyboardInterrupt:
                 raise _by_signal(signal.SIGINT) from None
         except Failure as failure:
-            if failure.status == FAULT and raised():  # what became of the signal's own exception
+            if failure.status == FAULT and raised():  # a consequence of the signal's exception
                 failure = _by_signal(raised())
             tell(str(failure), failure.status)
             _end(failure)
@@ -122,16 +120,14 @@ class Verbs(click.Group):
 
 
 def _printable(error: click.ClickException) -> click.ClickException:
-    """Return the error that click tells by itself, without control characters in its text."""
+    """Return click's error without control characters in its text."""
     error.message = printable(error.message)  # type: ignore[misc]  # Final to typeshed alone
     return error
 
 
 def _option_meant(error: click.UsageError) -> str:
-    """Return what was meant, or is missing, as the end of the error's sentence; nothing where that
-    is not known.
-    """
-    verb = re.fullmatch(r"No such command '(\S+)'\.?", error.message)  # click has found none that is like it
+    """Return the suggested or missing option as the end of the error's sentence, or ""."""
+    verb = re.fullmatch(r"No such command '(\S+)'\.?", error.message)  # click has found no similar one
     if verb is not None and error.ctx is not None and isinstance(error.ctx.command, click.Group):
         known = verb[1].lower().removesuffix("_command").replace("_", "-")
         if known == "version":
@@ -171,7 +167,7 @@ def _option_meant(error: click.UsageError) -> str:
 def errors() -> Iterator[None]:
     """Turn every error into its text and its exit status.
 
-    Say on the process' stderr when something has to be compiled first.
+    Announce the first compilation on the process' stderr.
     """
     if sys.stderr is sys.__stderr__:
         from coulombus.kernels.compile_notice import on_compiling
@@ -183,14 +179,14 @@ def errors() -> Iterator[None]:
 
 @contextmanager
 def _failures() -> Iterator[None]:
-    """Turn an error into a `Failure`: one of this project by its `exit_status`, one of the system that
-    a user can cause by what it is, all else by FAULT.
+    """Turn an error into a `Failure`: the project's errors by their `exit_status`, system errors
+    that a user can cause by their type, all others as FAULT.
     """
     try:
         yield
     except (Failure, click.ClickException, click.exceptions.Exit, click.Abort):
         raise
-    except BrokenPipeError:  # the reader of a pipe went away, as `head` does
+    except BrokenPipeError:  # the reader of a pipe closed it, as `head` does
         abandon_stdout()
         sys.exit(0)
     except CoulombusError as error:
@@ -226,7 +222,7 @@ def _failure(error: Exception) -> Failure:
 
 
 def _needs_linux(error: Exception) -> str:
-    """Return what of Linux an error misses; "" where it is another error."""
+    """Return the Linux feature that an error misses; "" for other errors."""
     if isinstance(error, ModuleNotFoundError) and error.name in LINUX_MODULES:
         return error.name
     if isinstance(error, AttributeError):
@@ -249,9 +245,7 @@ def _by_signal(number: int) -> Failure:
 
 
 def _end(failure: Failure) -> NoReturn:
-    """Tell what ended a verb, a mistake of this program with its traceback, and end with its
-    status.
-    """
+    """Print the error that ended a verb, an internal error with its traceback, and exit with its status."""
     if isinstance(failure.__cause__, OSError):
         try:
             sys.stdout.flush()
@@ -265,12 +259,12 @@ def _end(failure: Failure) -> NoReturn:
 
 
 def _open_all_streams() -> None:
-    """Put /dev/null where the shell has closed stdin, stdout or stderr (``>&-``): else the next
-    file that is opened gets its number.
+    """Open /dev/null for a closed stdin, stdout or stderr (``>&-``): otherwise the next opened file
+    gets its descriptor.
     """
     for fd, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         if getattr(sys, name) is None:
-            null = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            null = os.open(os.devnull, os.O_RDWR)  # the lowest free descriptor
             if null != fd:
                 os.dup2(null, fd)
                 os.close(null)
@@ -278,7 +272,7 @@ def _open_all_streams() -> None:
 
 
 def remark(texts: Iterable[str]) -> None:
-    """Say on stderr what a recording or a run lacks, sentence by sentence
+    """Print the remarks on a recording or a run to stderr, sentence by sentence
     (`recording.signals.Recording.remarks`, `RunResult.losses`).
     """
     for text in texts:
@@ -286,7 +280,7 @@ def remark(texts: Iterable[str]) -> None:
 
 
 def print_json(value: Any) -> None:
-    """Print a result to stdout; what goes wrong after it is told on stderr only."""
+    """Print a result to stdout; later errors go to stderr only."""
     echo(json.dumps(value, indent=2, allow_nan=False))
     context = click.get_current_context(silent=True)
     if context is not None:

@@ -1,10 +1,10 @@
-"""The exit statuses of all verbs: the one place where they are said.
+"""The exit statuses of all verbs: their single definition.
 
-An exception that ends a verb has its own as `exit_status`.
+An exception that ends a verb has its status as `exit_status`.
 
-A reader of stdout that goes away (``| head``) changes no status: a verb that has a verdict still
-ends with it, and one that only prints (`decode`, `watch`, `dbc`) with 0, as it was read for as long
-as somebody read. `emulate` and `node` go on until they are ended.
+A closed reader of stdout (``| head``) does not change the status: a verb with a verdict still ends
+with it, and one that only prints (`decode`, `watch`, `dbc`) ends with 0. `emulate` and `node`
+continue until they are stopped.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from types import MappingProxyType
 __all__ = ["FAULT", "STATUSES"]
 
 FAULT = 70
-"""A mistake of this program: EX_SOFTWARE of sysexits.h.
+"""Internal error: EX_SOFTWARE of sysexits.h.
 
-It is none of the statuses that say something of a rig or a file.
+It differs from all statuses on a rig or a file.
 """
 
 STATUSES: Mapping[int, str] = MappingProxyType(
@@ -38,4 +38,4 @@ STATUSES: Mapping[int, str] = MappingProxyType(
         143: "terminated (SIGTERM)",
     }
 )
-"""Status -> what it means."""
+"""Status -> meaning."""

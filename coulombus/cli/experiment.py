@@ -35,26 +35,26 @@ if TYPE_CHECKING:
 __all__ = ["experiment_command"]
 
 LAST_S = 0.5
-"""So long the page may take to fetch its last text."""
+"""Time limit for the page to fetch its last text."""
 
 
 @dataclass(frozen=True)
 class Where:
-    """On which bus a study is displayed, as the options say it."""
+    """The bus of a study's displays, from the options."""
 
     bus_name: str | None
     virtual: bool
     shared_machine: bool
 
     def words(self) -> list[str]:
-        """Return the options' words."""
+        """Return the command-line words of the options."""
         words = ["--virtual"] if self.virtual else [] if self.bus_name is None else ["--bus", self.bus_name]
         return words + ["--shared-machine"] * self.shared_machine
 
 
 @dataclass(frozen=True)
 class Answering:
-    """Who answers, how, and who hears of it, as the options say it."""
+    """Source, method and reporting of the answers, from the options."""
 
     observer: float | None
     felt: bool
@@ -63,7 +63,7 @@ class Answering:
     lsl: bool
 
     def words(self) -> list[str]:
-        """Return the options' words."""
+        """Return the command-line words of the options."""
         words = [] if self.observer is None else ["--observer", f"{self.observer:g}"] + ["--felt"] * self.felt
         words += ["--page"] * self.page + (["--port", str(self.port)] if self.port else [])
         return words + ["--lsl"] * self.lsl
@@ -233,7 +233,7 @@ def _simulated(observer: Observer) -> People:
 
 
 def _at_the_terminal(study: Study) -> People:
-    """Ask on stderr, read from stdin: stdout has the result alone."""
+    """Ask on stderr and read from stdin: stdout has only the result."""
     from coulombus.lab.study.session import People
     from coulombus.lab.study.trials import is_answer
 
@@ -257,8 +257,8 @@ def _at_the_terminal(study: Study) -> People:
 
 
 def _key(text: str, keys: str) -> str | None:
-    """Return what is typed: one of `keys` as it is struck at a terminal, else a line; None at the end
-    of the input. What was struck before the question is no answer to it.
+    """Return the input: one of `keys` pressed at a terminal, else a line; None at the end of the
+    input. Keys pressed before the question are discarded.
     """
     echo(f"{text} ", err=True, nl=False)
     if not (keys and in_foreground()):

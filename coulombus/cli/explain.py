@@ -1,4 +1,4 @@
-"""``coulombus explain``: what went wrong in a log or on a bus, why, and what to check first."""
+"""``coulombus explain``: find errors in a log or on a bus, their causes and first checks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["explain"]
 
 FAILED = 1
 COURSE = 29
-"""Where the text of a course's line begins."""
+"""Column of the text in a line of an incident's course."""
 
 
 def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
@@ -38,7 +38,7 @@ def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What explains the bytes, and which of them: the options' values."""
+    """Rig, EDS files and span for the explanation, from the options."""
 
     rig_name: str | None
     eds: tuple[str, ...]
@@ -46,7 +46,7 @@ class Knowledge:
     channels: tuple[str, ...]
 
     def load(self) -> tuple[Rig | None, EdsFiles]:
-        """Load rig and EDS files; say which files of a folder cannot be read."""
+        """Load rig and EDS files; report unreadable files of a folder."""
         from coulombus.recording.maps.eds_files import eds_files
 
         files = eds_files(self.eds)
@@ -56,7 +56,7 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class ExplainOutputs:
-    """What is made of it."""
+    """Output of the explanation, from the options."""
 
     report: Path | None
     overwrite: bool
@@ -137,7 +137,7 @@ def explain(
 
 
 def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | None, as_json: bool) -> Explanation:
-    """Listen to a bus, and say each incident on stderr as it comes."""
+    """Listen to a bus, and print each incident to stderr."""
     from coulombus.explain.explanation_text import news
     from coulombus.explain.live_bus import explain_bus
     from coulombus.wire.address import parse_address

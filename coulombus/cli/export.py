@@ -1,4 +1,4 @@
-"""``coulombus export``: a recording as other programs read it."""
+"""``coulombus export``: write a recording for other programs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNITS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 
 
 class _Time(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
-    """A length of time with its unit, in whole ns."""
+    """A duration with its unit, in whole ns."""
 
     name = "time"
 
@@ -37,7 +37,7 @@ class _Time(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
 
 
 def _kind_of(out: Path | None, suffixes: Mapping[str, str]) -> str:
-    """Return the format that the ending of `out` names."""
+    """Return the format of the suffix of `out`."""
     kinds = {suffix: kind for kind, suffix in suffixes.items()}
     if out is not None and out.suffix.lower() in kinds:
         return kinds[out.suffix.lower()]

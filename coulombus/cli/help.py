@@ -47,12 +47,12 @@ def _exit_statuses() -> str:
 
 
 def _explained(context: click.Context, topic: tuple[str, ...]) -> str:
-    """Return the help of the command that the words of `topic` name; of none, of the program."""
+    """Return the help of the command named by the words of `topic`; without words, of the program."""
     command: click.Command = main
     for name in topic:
         if not isinstance(command, click.Group):
             raise click.UsageError(f"{context.command_path} has no commands; got {name!r}.", context)
-        _, subcommand, _ = click.Group.resolve_command(command, context, [name])  # fails with what is like it
+        _, subcommand, _ = click.Group.resolve_command(command, context, [name])  # fails with similar names
         assert subcommand is not None
         command, context = subcommand, click.Context(subcommand, info_name=name, parent=context)
     return command.get_help(context)

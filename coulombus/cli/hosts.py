@@ -1,4 +1,4 @@
-"""Which host ``stop``, ``status``, ``mark`` and ``set`` speak to."""
+"""Select the host for ``stop``, ``status``, ``mark`` and ``set``."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = ["host_addresses"]
 def host_addresses(
     rig_name: str, bus_names: Sequence[str] = (), channel: str | None = None, *, every: bool | None = None
 ) -> list[BusAddress]:
-    """Return the buses of the hosts that are meant.
+    """Return the buses of the selected hosts.
 
-    They are those of ``--bus``, else those of a rig that was named, else that of the host which runs
-    on this machine. Where none runs, they are the buses of the default rig.
+    They are those of ``--bus``, else those of a named rig, else that of the running host on this
+    machine. If none runs, they are the buses of the default rig.
 
     Parameters
     ----------
-    every : whether several hosts are meant, as ``--all`` says it; None: the verb has no such option
+    every : the option ``--all``; None: the verb has no such option
 
     Raises
     ------

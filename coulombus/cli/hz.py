@@ -1,4 +1,4 @@
-"""``coulombus hz``: when frames come."""
+"""``coulombus hz``: timing of frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``coulombus init``: a rig file for devices that nobody has described yet."""
+"""``coulombus init``: draft a rig file for devices without one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TABLE_COLUMNS = 110
 
 @dataclass(frozen=True)
 class Wishes:
-    """Which devices the rig shall have, as the options say it."""
+    """The devices of the new rig, from the options."""
 
     drive: str
     brake: str
@@ -41,16 +41,16 @@ class Wishes:
     drive_axis: int
 
     def check(self, live: bool) -> None:
-        """Refuse what is not enough, or contradicts itself.
+        """Refuse missing or contradictory options.
 
         Parameters
         ----------
-        live : the devices of a bus are asked who they are
+        live : the devices of a bus are identified
 
         Raises
         ------
         click.UsageError
-            It says which options are missing or too many.
+            The text names the missing or superfluous options.
         """
         if not live and not (self.drive and self.brake):
             raise click.UsageError("give --drive and --brake, or --bus to ask who is there")
@@ -61,7 +61,7 @@ class Wishes:
             raise click.UsageError("each device has a node id of its own")
 
     def wanted(self) -> list[DeviceChoice]:
-        """Return them by the names that they have in the rig file."""
+        """Return the devices by their names in the rig file."""
         from coulombus.rigs.draft.discover import DeviceChoice
 
         devices = [
@@ -182,7 +182,7 @@ def init(
         if output is None:
             echo(text, nl=False)
         else:
-            with output.open("x", encoding="utf-8") as file:  # `x`: whoever made one meanwhile keeps it
+            with output.open("x", encoding="utf-8") as file:  # `x`: never overwrite a file created meanwhile
                 file.write(text)
         if rehearse and not no_trials:
             _tell_trials(draft.rig, text, err=output is None)
@@ -194,7 +194,7 @@ def init(
 
 
 def _tell_trials(rig: Rig, text: str, *, err: bool) -> None:
-    """Try the guesses of a rehearsal with their other readings, and print what notices each."""
+    """Test the alternatives of a rehearsal's guesses, and print the check that detects each."""
     from coulombus.lab.guess_trials import NOBODY, tried
 
     trials = tried(rig, text)
@@ -216,10 +216,9 @@ def _tell_trials(rig: Rig, text: str, *, err: bool) -> None:
 
 
 def _answered(bus_name: str, drive_axis: int) -> dict[int, dict[tuple[int, int], int]]:
-    """Ask who is on a bus; say it, and return what the objects of each node hold.
+    """Identify the devices on a bus, print them, and return the object values of each node.
 
-    A node id that two devices have is refused, and an identity that cannot be trusted: whose
-    objects were read, nobody knows.
+    A duplicate node id and an inconsistent identity are refused: the objects cannot be attributed to a device.
     """
     from coulombus.host.devices.scan import survey
     from coulombus.host.errors import AnswerUntrusted, DeviceMismatch
@@ -240,7 +239,7 @@ def _answered(bus_name: str, drive_axis: int) -> dict[int, dict[tuple[int, int],
 
 
 def _acknowledgements(rig: Rig) -> Iterator[str]:
-    """Yield what the rig file has to acknowledge of its devices before they are armed
+    """Yield the acknowledgements that the rig file needs before its devices are armed
     (`rigs.problem.Problem.accept`).
     """
     from coulombus.host.cycle.controller import Controller
@@ -251,7 +250,7 @@ def _acknowledgements(rig: Rig) -> Iterator[str]:
         for mode in axis.mode:
             try:
                 controller = Controller(axis, mode)
-            except RigError:  # of this mode; `check` tells
+            except RigError:  # of this mode; `check` reports it
                 continue
             for plan in device_plans(controller):
                 yield from (problem.accept for problem in plan.problems if problem.accept)

@@ -1,4 +1,4 @@
-"""``coulombus law``: the friction laws, and one of them along a given motion."""
+"""``coulombus law``: the friction laws, and a law along a given motion."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["law"]
 
 
 class _Finite(click.FloatRange):
-    """A number within a range; NaN is within none."""
+    """A number within a range; NaN is refused."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
@@ -97,7 +97,7 @@ def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **opti
 
 
 def _refuse_alone(name: str | None, motion: str | None, overrides: tuple[str, ...], options: dict[str, Any]) -> None:
-    """Refuse what is of another use of the verb."""
+    """Refuse options of another use of the verb."""
     if name is None and (motion is not None or overrides):
         raise click.UsageError("--motion and --set are of one law: give its NAME, as in coulombus law lugre")
     if motion is None and (options["csv"] is not None or options["plot"] is not None):
@@ -135,7 +135,7 @@ def _write(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
 
 
 def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
-    """Print what came of it."""
+    """Print the result."""
     samples, work_J = driven.samples, driven.work_J
     document = {
         "law": given.name,

@@ -34,7 +34,7 @@ class IdentityType(click.ParamType):  # type: ignore[type-arg]  # generic to som
     name = "identity"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Identity:
-        """Return the identity; BadParameter says how one is spelled."""
+        """Return the identity; BadParameter has the correct form."""
         from coulombus.host.devices.lss import Identity
 
         if isinstance(value, Identity):
@@ -47,7 +47,7 @@ class IdentityType(click.ParamType):  # type: ignore[type-arg]  # generic to som
 
 @dataclass(frozen=True)
 class Assignment:
-    """What is given to which devices, as the options say it."""
+    """New settings and their devices, from the options."""
 
     node_id: int | None
     everybody: bool
@@ -57,16 +57,16 @@ class Assignment:
 
     @property
     def changes(self) -> bool:
-        """Whether anything is given to anybody."""
+        """Whether any setting is changed."""
         return self.node_id is not None or self.bitrate is not None or self.store
 
     def check(self) -> None:
-        """Refuse what does not go together.
+        """Refuse incompatible options.
 
         Raises
         ------
         click.UsageError
-            It says what to give with it, or to leave out.
+            The text names the options to add or omit.
         """
         from coulombus.host.devices.lss import rate_index
 

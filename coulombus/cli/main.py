@@ -1,5 +1,6 @@
-"""The command line: a thin dispatcher to the verbs. A verb is imported when it is asked for, and
-imports what it needs when it runs.
+"""The command line: a thin dispatcher to the verbs.
+
+A verb is imported on demand, and imports its dependencies when it runs.
 """
 
 from __future__ import annotations
@@ -69,18 +70,18 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "help": "Explain a command, list them all, or the exit statuses",
     },
 }
-"""The verbs, each a module of this folder, and what they do, in a line each."""
+"""The verbs, each a module of this folder, with a one-line summary."""
 TEXTS: Mapping[str, str] = {name: text for verbs in SECTIONS.values() for name, text in verbs.items()}
 
 
 FORMER: Mapping[str, str] = {"sim": "emulate"}
-"""Former names of verbs; they go on working."""
+"""Former names of verbs, which still work."""
 FIRST = ("demo", "simulate", "run", "watch", "explain", "check")
-"""The verbs to begin with."""
+"""Verbs for beginners."""
 
 
 class Commands(Mapping[str, click.Command]):
-    """The verbs by name, in the order of `SECTIONS`; each is imported when it is looked up."""
+    """The verbs by name, in the order of `SECTIONS`; each is imported on lookup."""
 
     def __getitem__(self, name: str) -> click.Command:
         name = FORMER.get(name, name)
@@ -104,9 +105,7 @@ class Coulombus(Verbs):
     """All verbs; the help fits a terminal of 24 lines."""
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the verbs to begin with, the names of all, and where more stands; none is
-        imported.
-        """
+        """Write the first verbs, the names of all, and pointers to more help; no verb is imported."""
         formatter.write(
             "Friction you can feel, over a CAN bus.\n\nUsage: coulombus COMMAND [OPTIONS] [ARGUMENTS], or coulombus --version\n"
         )
@@ -123,10 +122,10 @@ TOPICS: Mapping[str, str] = {
     "all": "each command in a line",
     "exit": "the exit statuses",
 }
-"""What `coulombus help` explains."""
+"""Topics of `coulombus help`."""
 
 LIBRARIES = ("numba", "llvmlite", "numpy", "scipy", "pydantic", "python-can", "canopen")
-"""Whose versions a report needs."""
+"""Libraries whose versions a bug report needs."""
 
 
 def _tell_versions(context: click.Context, option: click.Parameter, given: bool) -> None:
@@ -156,5 +155,5 @@ def _tell_versions(context: click.Context, option: click.Parameter, given: bool)
 )
 def main() -> None:
     """Friction you can feel, over a CAN bus."""
-    for library in ("can", "canopen"):  # what goes wrong there comes as an exception, whose text is told
+    for library in ("can", "canopen"):  # their errors also raise exceptions, whose text is printed
         logging.getLogger(library).addHandler(logging.NullHandler())

@@ -1,4 +1,4 @@
-"""``coulombus mark``: a marker into the recording of a running host."""
+"""``coulombus mark``: add a marker to the recording of a running host."""
 
 from __future__ import annotations
 

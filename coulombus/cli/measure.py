@@ -1,4 +1,4 @@
-"""``coulombus measure``: the devices' and the host's times, which the planner counts."""
+"""``coulombus measure``: measure the times of devices and host for the planner."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["measure"]
 
 WIDTH = 80
 MARK = "measured by coulombus measure"
-"""How the comment above a written value begins."""
+"""Beginning of the comment above a written value."""
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -84,7 +84,7 @@ def measure(
         if write:
             try:
                 document["backup"] = str(_write(rig, measured, on_bus))
-            except Exception:  # what was measured is not lost
+            except Exception:  # keep the measured values
                 say("\n".join(_lines(document)))
                 raise
         with verdict(0 if fits else 1):
@@ -95,7 +95,7 @@ def measure(
 
 
 def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> None:
-    """Refuse --write where the file is not the user's, before anything is measured."""
+    """Refuse --write for a packaged file, before anything is measured."""
     from coulombus.recording.output_file import reason_against
     from coulombus.rigs.rig import known_rigs
 
@@ -146,7 +146,7 @@ def _spread(spread: Any) -> dict[str, Any]:
 
 
 def _write(rig: Rig, measured: Measured, on_bus: Rig) -> Path:
-    """Write the values into the rig file, each with where it comes from."""
+    """Write the values into the rig file, each with its source."""
     from coulombus.host.run.measure import Spread
     from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
     from coulombus.rigs.rig import load_rig_text
@@ -165,12 +165,12 @@ def _write(rig: Rig, measured: Measured, on_bus: Rig) -> Path:
         spread = measured.host if key == ("host", "compute_s") else Spread.of(times[name])
         numbers[key] = NewValue(value, note(spread))
     text = rewritten(rig.text, numbers, MARK, rig.path)
-    load_rig_text(text, rig.path)  # what is written is a rig
+    load_rig_text(text, rig.path)  # check that the result is a valid rig
     return replace_file(Path(rig.path), rig.text, text)
 
 
 def _lines(document: dict[str, Any]) -> list[str]:
-    """Return the values as a rig file has them."""
+    """Return the values as lines of a rig file."""
     return [f"{key} = {value!r}" for key, value in document["values"].items()]
 
 

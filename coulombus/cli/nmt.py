@@ -18,7 +18,7 @@ MISSING = 5
 
 
 class NodeOrAll(NodeArgument):
-    """A node as `NodeArgument` takes it, or "all"."""
+    """A node as in `NodeArgument`, or "all"."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Return the node id, 0 for all."""

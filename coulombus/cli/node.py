@@ -1,4 +1,4 @@
-"""``coulombus node``: any EDS file as a live device."""
+"""``coulombus node``: simulate a device from any EDS file."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ __all__ = ["node_command"]
 
 
 class NodeId(click.IntRange):
-    """A node id, or 255: the device has none yet (CiA 305)."""
+    """A node id, or 255 for a device without one (CiA 305)."""
 
     def __init__(self) -> None:
         super().__init__(1, 255)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number; BadParameter says which there are."""
+        """Return the number; BadParameter names the valid ones."""
         number = super().convert(value, param, ctx)
         if 127 < number < 255:
             self.fail(f"{number} is not 1 to 127, and not 255 (none yet)", param, ctx)
@@ -37,7 +37,7 @@ class NodeId(click.IntRange):
 class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
     """A kind of device by its name in `node.kinds`, or "auto".
 
-    They are imported when one is given: the help starts without numba.
+    Kinds are imported on use, so that the help starts without numba.
     """
 
     name = "kind"
@@ -45,7 +45,7 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Profile | Literal["auto"]:
-        """Return the profile; "auto" stays what it is."""
+        """Return the profile; "auto" is unchanged."""
         from coulombus.node.kinds import named
 
         if value == "auto":
@@ -58,7 +58,7 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
 
 @dataclass(frozen=True)
 class Served:
-    """What ``node`` makes of the EDS files, as the options say it."""
+    """Simulated nodes of the EDS files, from the options."""
 
     node_ids: tuple[int, ...]
     kind: Profile | Literal["auto"] | None
@@ -73,7 +73,7 @@ class Served:
         Raises
         ------
         NodeError
-            There are not as many node ids as files.
+            The numbers of node ids and files differ.
         """
         from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
 

@@ -1,4 +1,4 @@
-"""What the values of options and arguments may be: files, folders, times, rates."""
+"""Types of options and arguments: files, folders, times, rates."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ __all__ = [
 
 
 class InputPath(click.Path):
-    """A file or a folder that is read.
+    """An input file or folder.
 
-    One that is not there ends the verb as a missing rig file does, and says what may be meant.
+    A missing one ends the verb like a missing rig file, with a suggestion.
     """
 
     def __init__(self, *, file_okay: bool = True) -> None:
         super().__init__(file_okay=file_okay, exists=True, path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path; `Failure` where nothing stands, BadParameter where it is of no use."""
+        """Return the path; `Failure` if it does not exist, BadParameter if it is unusable."""
         from coulombus.eds.regular_file import mode_of
 
         try:
@@ -46,16 +46,16 @@ class InputPath(click.Path):
 
 
 class OutputFile(click.Path):
-    """A file that will be written: what forbids it is told before anything is run for it.
+    """An output file, checked before anything is run.
 
     See `recording.output_file`.
 
-    A file that exists is refused unless the verb's parameter `overwrite` is given (`force_option`).
+    An existing file is refused unless the verb's parameter `overwrite` is given (`force_option`).
 
     Parameters
     ----------
-    suffixes : endings of the name, one of which it must have; none: any
-    dash : whether ``-`` may stand for the standard output
+    suffixes : permitted suffixes of the name; empty: any
+    dash : whether ``-`` means the standard output
     """
 
     def __init__(self, *suffixes: str, dash: bool = False) -> None:
@@ -63,11 +63,11 @@ class OutputFile(click.Path):
         self.suffixes, self.dash = suffixes, dash
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path; BadParameter says what is wrong with it."""
+        """Return the path; BadParameter has the reason of a refusal."""
         if self.dash and str(value) in ("-", "/dev/stdout"):
             return Path("-")
         path = Path(str(super().convert(value, param, ctx)))
-        pipe = ".pcapng" in self.suffixes and is_stream(path)  # it may have any name
+        pipe = ".pcapng" in self.suffixes and is_stream(path)  # a pipe may have any name
         if not pipe:
             self._named(path, param, ctx)
         force = None if ctx is None else next((p for p in ctx.command.params if p.name == "overwrite"), None)
@@ -77,7 +77,7 @@ class OutputFile(click.Path):
         if reason is not None:
             self.fail(reason, param, ctx)
         if not pipe:
-            self._named(path.resolve(), param, ctx)  # what a link stands for would be replaced
+            self._named(path.resolve(), param, ctx)  # the target of a link would be overwritten
         if ctx is not None and param is not None and not is_stream(path):
             first = ctx.meta.setdefault(OUTPUTS, {}).setdefault(path.resolve(), param.opts[0])
             if first != param.opts[0]:
@@ -90,10 +90,9 @@ class OutputFile(click.Path):
 
 
 class OutputDirectory(click.Path):
-    """A directory, made where it is not there yet.
+    """A directory, created if missing.
 
-    What forbids it is told before anything is run for it. With `make` false the verb makes it, as
-    soon as nothing is refused any more.
+    It is checked before anything is run. With `make` false the verb creates it once nothing can be refused any more.
     """
 
     def __init__(self, *, make: bool = True) -> None:
@@ -101,7 +100,7 @@ class OutputDirectory(click.Path):
         self.make = make
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path; BadParameter says what is wrong with it."""
+        """Return the path; BadParameter has the reason of a refusal."""
         path = Path(value)
         if path.suffix.lower() == ".toml" and not path.is_dir():
             self.fail(f"{path}: expected a folder, and this is the name of a rig file: --rig {path}", param, ctx)
@@ -118,15 +117,15 @@ class OutputDirectory(click.Path):
 
 
 class RecordingPlace(OutputFile):
-    """Where a run is recorded: a new file ``F.pcapng``, or a folder for segments - one that exists,
-    or any name where the verb's parameter `rotate` is given.
+    """Destination of a recording: a new file ``F.pcapng``, or a folder for segments: an existing
+    one, or any name if the verb's parameter `rotate` is given.
     """
 
     def __init__(self) -> None:
         super().__init__(".pcapng")
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path; BadParameter says what is wrong with it."""
+        """Return the path; BadParameter has the reason of a refusal."""
         path = Path(value)
         rotated = ctx is not None and ctx.params.get("rotate") is not None
         if path.suffix.lower() != ".pcapng" and not is_stream(path) and (path.is_dir() or rotated):
@@ -138,7 +137,7 @@ PICTURE = OutputFile(".png", ".svg", ".pdf")
 
 
 class _Seconds(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
-    """A length of time in s: a number above 0, at most a year."""
+    """A duration in s: a number above 0, at most a year."""
 
     name = "seconds"
 

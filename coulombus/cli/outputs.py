@@ -1,4 +1,4 @@
-"""What ``coulombus run`` is told to write: the options, and what they come to."""
+"""Output options of ``coulombus run``, and the resulting outputs."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 __all__ = ["OutputOptions", "outputs_options"]
 
 SEGMENT = "100MB"
-"""When a segment ends, where nothing else is said."""
+"""Default size at which a segment ends."""
 
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """The options as they are given."""
+    """The given options."""
 
     record: Path | None
     rotate: str | None
@@ -44,12 +44,12 @@ class OutputOptions:
 
     @property
     def files(self) -> dict[str, Path]:
-        """What is written: option -> where."""
+        """Output files: option -> path."""
         places = {"--record": self.record, "--histogram": self.histogram, "--status": self.status}
         return {option: path for option, path in places.items() if path is not None}
 
     def refusable(self) -> Iterable[Path]:
-        """Return the files that are refused where they exist: no folder, and no socket."""
+        """Return the files that are refused if they exist: not folders or sockets."""
         return [
             path
             for option, path in self.files.items()
@@ -57,19 +57,19 @@ class OutputOptions:
         ]
 
     def words(self) -> list[str]:
-        """Return the words that say all but the files."""
+        """Return the command-line words of all options except the files."""
         words = ["--overwrite"] if self.overwrite else []
         if self.segmented:
             words += ["--rotate", self.rotate or SEGMENT, *(["--keep", self.keep] if self.keep else [])]
         return words + repeated("--meta", self.meta) + repeated("--mark-on", self.mark_on)
 
     def outputs(self, rig: Rig) -> Outputs:
-        """Return what the run on `rig` writes.
+        """Return the outputs of the run on `rig`.
 
         Raises
         ------
         click.UsageError
-            They do not go together.
+            The options are incompatible.
         """
         from dataclasses import replace
 
@@ -99,7 +99,7 @@ class OutputOptions:
         )
 
     def _bits(self, rig: Rig) -> tuple[BitMark, ...]:
-        """Return what --mark-on names."""
+        """Return the bits named by --mark-on."""
         from coulombus.host.run.markers import bit_mark
 
         if self.mark_on and self.record is None:
@@ -124,7 +124,7 @@ class OutputOptions:
 
 
 def _readable(parser: str) -> Callable[[click.Context, click.Parameter, str | None], str | None]:
-    """Return what refuses a text that `recording.segments` cannot read, before a folder is made."""
+    """Return an option callback that refuses a text which `recording.segments` cannot read, before a folder is made."""
 
     def check(context: click.Context, option: click.Parameter, text: str | None) -> str | None:
         from coulombus.recording import segments

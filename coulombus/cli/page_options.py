@@ -1,6 +1,4 @@
-"""The page of ``watch --web``, ``run --web`` and ``sim --web``: its options, and the process that
-serves it beside another verb.
-"""
+"""The page of ``watch --web``, ``run --web`` and ``emulate --web``: options and server process."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ END_S = 5.0
 
 @dataclass(frozen=True)
 class PageOptions:
-    """The options of the page as they are given."""
+    """The given options of the page."""
 
     web: bool
     web_port: int
@@ -47,17 +45,16 @@ class PageOptions:
         Raises
         ------
         click.UsageError
-            A page is asked for.
+            A page is requested.
         """
         if self.web:
             raise click.UsageError("--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`")
 
     @contextmanager
     def beside(self, chosen: BusesOptions, address: BusAddress) -> Iterator[None]:
-        """Serve the page of a bus in a process of its own meanwhile, where it is asked for.
+        """Serve the page of a bus in a separate process during the block, if requested.
 
-        The process ends with this one, however that ends; what goes wrong there concerns nobody
-        here. Its address is printed on stderr.
+        The process always ends with this one; its errors do not affect this one. Its address is printed to stderr.
         """
         if not self.web:
             yield
@@ -79,7 +76,7 @@ class PageOptions:
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """End the page's process: by the end of its stdin, or else by a signal."""
+    """End the page's process by closing its stdin, else by a signal."""
     assert child.stdin is not None
     child.stdin.close()
     try:
@@ -121,12 +118,12 @@ def serve_page(
     as_json: bool,
     beside: bool,
 ) -> None:
-    """Serve the page of a bus until a signal; its address is printed when it is there.
+    """Serve the page of a bus until a signal; its address is printed when it is ready.
 
     Parameters
     ----------
-    rig_name : as the command line names the rig
-    beside : another verb began this process, and holds the other end of stdin
+    rig_name : the rig's name on the command line
+    beside : another verb started this process, and holds the other end of stdin
     """
     from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
     from coulombus.host.run.last_word import last_word
@@ -170,11 +167,11 @@ def serve_recording_page(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Serve the page of a recording until a signal; its address is printed when it is there.
+    """Serve the page of a recording until a signal; its address is printed when it is ready.
 
     Parameters
     ----------
-    rig_name : decodes it; None: the attached one
+    rig_name : rig for decoding; None: the attached one
     """
     from coulombus.cli.errors import remark
     from coulombus.explain.explained import explain
@@ -196,13 +193,13 @@ def serve_recording_page(
 
 
 def _ready(url: str, as_json: bool) -> None:
-    """Say where the page is."""
+    """Print the address of the page."""
     echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")
 
 
 @contextmanager
 def _tornado() -> Iterator[None]:
-    """Say how to install Tornado where an import lacks it."""
+    """Explain how to install Tornado if its import fails."""
     from coulombus.monitor.web import WebError
 
     try:

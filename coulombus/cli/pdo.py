@@ -1,4 +1,4 @@
-"""``coulombus pdo``: what is in the rig's PDOs, bit by bit."""
+"""``coulombus pdo``: the content of the rig's PDOs, bit by bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`coulombus plan`: whether a rig's messages fit on its bus, and what would."""
+"""`coulombus plan`: check whether a rig's messages fit on its bus, with remedies."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ __all__ = ["as_dict", "message_rows", "plan_command", "role_rows"]
 
 WATCHES = "motor and brake: sync_timeout_s, setpoint_fault_s"
 WIDTH = 110
-"""Of the table in a file or a pipe, at most: it is as wide as its cells."""
+"""Maximum width of the table in a file or a pipe."""
 PROSE = 80
 HEADINGS = ("COB-ID", "message", "bits", "every", "cycle", "due", "block", "jitter", "worst", "limit", "")
 LEFT = 2
-"""So many of them stand on the left."""
+"""Number of left-aligned columns."""
 
 
 def as_dict(plan: Plan, rig: Rig) -> dict[str, Any]:
-    """Return the plan as it is printed with --json; times in us, the highest priority first."""
+    """Return the plan for --json; times in us, the highest priority first."""
     from coulombus.rigs.plan.rig_plan import bitrates_that_fit, largest_axes, shortest_period_ns
     from coulombus.rigs.plan.role_costs import longer_period, without_roles
 
@@ -89,7 +89,7 @@ def _change(change: Remedy | None) -> dict[str, Any] | None:
 
 
 def role_rows(plan: Plan, rig: Rig) -> list[dict[str, Any]]:
-    """Return a row for each entry of the rig's PDOs: its role and what it costs each cycle [us]."""
+    """Return a row for each entry of the rig's PDOs: its role and its time per cycle [us]."""
     from coulombus.rigs.plan.role_costs import role_costs
 
     return [
@@ -193,7 +193,7 @@ def _print_roles(rows: list[dict[str, Any]]) -> None:
 
 
 def _print_changes(would: dict[str, Any]) -> None:
-    """Tell what to change so that the plan fits: the period, or the roles."""
+    """Print changes that make the plan fit: the period, or the roles."""
     period, without = would["period"], would["without"]
     if period is not None:
         echo(f"a period of {period['period_us']:g} us fits:")
@@ -212,7 +212,7 @@ def _print_changes(would: dict[str, Any]) -> None:
 
 
 def _draw(path: Path, plans: dict[str, Plan], *, force: bool) -> None:
-    """Draw each bus, into a file of its own where there are several."""
+    """Plot each bus, into separate files if there are several."""
     from coulombus.recording.output_file import new_file
     from coulombus.rigs.plan.gantt import write_gantt
 
@@ -234,21 +234,21 @@ def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> Er
 
 @dataclass(frozen=True)
 class Traffic:
-    """What the planned traffic has otherwise than the rig, as the options say it."""
+    """Differences of the planned traffic from the rig, from the options."""
 
     bitrate: int | None
     period_us: float | None
     axes: int | None
 
     def options(self) -> dict[str, Any]:
-        """Return them as `rigs.plan.rig_plan.plans` takes them."""
+        """Return the arguments for `rigs.plan.rig_plan.plans`."""
         period_ns = None if self.period_us is None else round(self.period_us * 1e3)
         return {"bitrate_bit_s": self.bitrate, "period_ns": period_ns, "axes": self.axes}
 
 
 @dataclass(frozen=True)
 class Times:
-    """What is assumed of devices, host and bus, as the options say it."""
+    """Assumptions on devices, host and bus, from the options."""
 
     bus_errors: Errors
     node_us: float | None
@@ -256,7 +256,7 @@ class Times:
     sporadic_ms: float | None
 
     def assumptions(self) -> Assumptions:
-        """Return them in ns, as the planner takes them."""
+        """Return them in ns, for the planner."""
         from coulombus.rigs.plan.rig_plan import Assumptions
 
         node, host = (None if us is None else round(us * 1e3) for us in (self.node_us, self.host_us))

@@ -1,4 +1,4 @@
-"""``coulombus plot``: a recording as a picture."""
+"""``coulombus plot``: plot a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``coulombus replay``: what the command line says, and what is printed of what came of it."""
+"""``coulombus replay``: its options, and the output of its results."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ __all__ = ["replay"]
 
 
 class NotToTheRig(CoulombusError):
-    """What would move a rig is not sent there without being asked for."""
+    """Frames that would move a rig are not sent without an explicit option."""
 
     exit_status = 7
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which frames of a recording are played, as the options say it."""
+    """The frames of a recording to play, from the options."""
 
     from_s: float | None
     to_s: float | None
@@ -43,7 +43,7 @@ class Choice:
     channels: tuple[str, ...]
 
     def of(self, tape: Tape, rig_name: str | None) -> Tape:
-        """Return the frames that are left."""
+        """Return the selected frames."""
         import numpy as np
 
         from coulombus.recording.frame_sender import HOST, rig_of, senders
@@ -65,7 +65,7 @@ class Choice:
         return tape.take(chosen)
 
     def _on_bus(self, rig: Rig) -> Rig:
-        """Return the rig as it is on the bus that is played, where --channel has its name."""
+        """Return the rig's part on the played bus, if --channel names it."""
         names = {name for text in self.channels for name in text.split("=")}
         return next((rig.on(channel) for channel in rig.channels if channel in names), rig)
 
@@ -86,7 +86,7 @@ choice_options = bundle(
 
 @dataclass(frozen=True)
 class Playing:
-    """How a recording is played, as the options say it."""
+    """Settings of playing a recording, from the options."""
 
     speed: float
     loops: int
@@ -112,14 +112,14 @@ playing_options = bundle(
 
 @dataclass(frozen=True)
 class Otherwise:
-    """What differs from the recording's own rig, as the options say it."""
+    """Differences from the recording's own rig, from the options."""
 
     rig_name: str | None
     law: str | None
     overrides: tuple[str, ...]
 
     def rig(self, file: Path) -> Rig | None:
-        """Return the rig that is named, as it is on the recorded bus; None: the recording's own."""
+        """Return the named rig's part on the recorded bus; None: the recording's own rig."""
         from coulombus.recording.bus_match import recorded_channel
         from coulombus.recording.reading import captures
         from coulombus.rigs.rig import load_rig
@@ -131,7 +131,7 @@ class Otherwise:
         return rig.on(recorded) if recorded in rig.channels else rig
 
     def all_overrides(self) -> tuple[str, ...]:
-        """Return what is set in the rig, the law as one of them."""
+        """Return the overrides of the rig, including the law."""
         if self.law is None:
             return self.overrides
         path, colon, function = self.law.rpartition(":")
@@ -200,7 +200,7 @@ def replay(
 
 
 def _check(file: Path, otherwise: Otherwise, as_host: bool, as_json: bool) -> None:
-    """Hold the host, or the bus model, against a recording."""
+    """Compare the host, or the bus model, with a recording."""
     rig = otherwise.rig(file)
     if as_host:
         from coulombus.lab.replay.host_replay import host_replay
@@ -324,7 +324,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, cho
 
 
 def _moves(tape: Tape) -> bool:
-    """Tell whether frames of a host are among them."""
+    """Return whether the frames include a host's."""
     import numpy as np
 
     from coulombus.recording.frame_sender import HOST, rig_of, senders

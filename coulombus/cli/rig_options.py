@@ -1,4 +1,4 @@
-"""Which rig a verb is about, and which of its buses, each as one value."""
+"""The rig of a verb, and its buses, as bundled options."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ __all__ = [
 
 @dataclass(frozen=True)
 class RigOptions:
-    """A rig, and what is set in it, as the options say it."""
+    """A rig and its overrides, from the options."""
 
     rig_name: str
     overrides: tuple[str, ...]
 
     def load(self, *before: str) -> Rig:
-        """Load the rig, and say on stderr what may not be meant.
+        """Load the rig, and print its warnings to stderr.
 
         Parameters
         ----------
-        before : SECTION.KEY=V, set before what the options set
+        before : SECTION.KEY=V, applied before the options' overrides
         """
         return load_with_law(self.rig_name, (*before, *self.overrides))
 

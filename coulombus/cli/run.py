@@ -75,7 +75,7 @@ def run_command(
     with errors():
         from coulombus.host.run.buses import path_on
         from coulombus.host.run.real_run import real_run
-        from coulombus.host.run.runbook import anchor  # before the run: at its end no file may be opened any more
+        from coulombus.host.run.runbook import anchor  # before the run: at its end files can no longer be opened
         from coulombus.recording.output_file import check as check_output
         from coulombus.rigs.overrides import shared_machine as wider
         from coulombus.rigs.rig import load_rig
@@ -98,7 +98,7 @@ def run_command(
             words += ["--shared-machine"] if shared_machine else []
             words += [] if cpu is None else ["--cpu", str(cpu)]
             for path in (path_on(path, channel) for path in outputs.refusable() for channel in addresses):
-                check_output(path, force=outputs.overwrite)  # of all buses before the first one starts
+                check_output(path, force=outputs.overwrite)  # for all buses before the first one starts
             _run_buses([*words, *outputs.words()], addresses, outputs.files, mode, as_json)
         (address,) = addresses.values()
         if not as_json and in_foreground():
@@ -123,7 +123,7 @@ def run_command(
 
 
 def _state(axes: list[dict[str, Any]]) -> str:
-    """Return what is felt now, in words that a line of 80 columns holds."""
+    """Return the present display as text, at most 80 columns wide."""
     shown = ", ".join(
         f"{axis['axis']} {axis['phase']}: brake {axis['brake_torque_Nm']:.2f}, handle {axis['handle_torque_Nm']:.2f} Nm".lstrip()
         for axis in axes
@@ -132,9 +132,7 @@ def _state(axes: list[dict[str, Any]]) -> str:
 
 
 def _say_what_to_do(trip: str | None, anchor: Callable[[str], str | None], shared_machine: bool) -> None:
-    """After a trip: where its causes stand (`anchor`); for want of TPDOs on a machine of one's own,
-    what else it may be.
-    """
+    """After a trip, print the place of its causes (`anchor`); for missing TPDOs on the built-in bus, also other causes."""
     if trip is None:
         return
     if "TPDO_LOST" in trip and not shared_machine:
@@ -147,7 +145,7 @@ def _say_what_to_do(trip: str | None, anchor: Callable[[str], str | None], share
 def _run_buses(
     words: list[str], addresses: dict[str, BusAddress], files: dict[str, Path], mode: str, as_json: bool
 ) -> None:
-    """Run the host on several buses, a process each, and end with the status that they come to."""
+    """Run the host on several buses, a process each, and exit with their combined status."""
     from coulombus.host.run.buses import merged, path_on, supervise
     from coulombus.host.run.result import RunResult
     from coulombus.host.run.runbook import anchor

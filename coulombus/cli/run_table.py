@@ -1,4 +1,4 @@
-"""What runs came to, as a table for people."""
+"""Results of runs as a table."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 __all__ = ["print_remark", "print_runs", "print_verdict"]
 
 WIDTH = 80
-"""Of the table in a file or a pipe."""
+"""Width of the table in a file or a pipe."""
 
 ALWAYS = ("recording", "trip")
-"""Rows that are shown without a value, too."""
+"""Rows that are shown even without a value."""
 
 
 def _columns(results: dict[str, RunResult]) -> Iterator[tuple[str, RunResult]]:
-    """Yield a column for each result, for each axis of a rig that has several."""
+    """Yield a column for each result, or for each axis of a rig with several."""
     from dataclasses import replace
 
     for title, result in results.items():
@@ -84,7 +84,7 @@ def print_runs(results: dict[str, RunResult]) -> None:
         elif field in ALWAYS or any(cell != "-" for cell in cells):
             table.add_row(label, *cells)
     console.print(table)
-    for line in beneath:  # paths and sentences, whole
+    for line in beneath:  # paths and sentences, not wrapped
         echo(folded(line, sys.stdout))
     for title, texts in remarks.items():
         for text in texts:

@@ -1,4 +1,4 @@
-"""``coulombus scan``: which devices are on a bus."""
+"""``coulombus scan``: find the devices on a bus."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def _path(description: Description | None) -> str | None:
 
 
 def _row(answers: Answers, description: Description | None) -> dict[str, Any]:
-    """Return a node as the JSON has it; null: not told."""
+    """Return a node for JSON; null: unknown."""
     keys = ("vendor_id", "product_code", "revision", "serial")
     identity = {key: answers.numbers.get((0x1018, part)) for part, key in enumerate(keys, 1)}
     return {

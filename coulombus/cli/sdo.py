@@ -34,7 +34,7 @@ __all__ = ["sdo"]
 WIDTH = 80
 CHECK_FAILED, ABORTED = 1, 6
 STATE_BEHIND_COMMAND = (0x1010, 0x1011, 0x1023, 0x1024, 0x1F50, 0x1F51)
-"""A write of these is a command (CiA 301, 7.5.2.13); a read tells a state, never what was written."""
+"""Objects whose write is a command (CiA 301, 7.5.2.13); a read returns a state, not the written value."""
 
 object_argument = click.argument("name", metavar="OBJECT")
 type_option = click.option(
@@ -55,10 +55,10 @@ storing_option = click.option(
 
 
 class SdoGroup(click.Group):
-    """The verbs; a node in the place of one opens the shell."""
+    """The verbs; a node instead of a verb opens the shell."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the word `shell` before a node."""
+        """Insert the word `shell` before a node."""
         if args and not args[0].startswith("-") and not difflib.get_close_matches(args[0], self.commands):
             args = ["shell", *args]
         return super().parse_args(ctx, args)
@@ -231,7 +231,7 @@ def dump(
 
 
 def _described(device: KnownDevice) -> Any:
-    """Return the EDS file of a device, without which a DCF cannot be made."""
+    """Return the EDS file of a device, which a DCF needs."""
     from coulombus.host.errors import DeviceMismatch
 
     if device.description is None:
@@ -305,7 +305,7 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
 
 
 def _agreed(question: str) -> bool:
-    """Ask on the terminal; without one nothing is written."""
+    """Ask on the terminal; without a terminal nothing is written."""
     if not sys.stdin.isatty():
         raise click.UsageError("say --yes: there is no terminal to ask on")
     return click.confirm(printable(question), err=True)

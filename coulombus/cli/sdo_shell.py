@@ -105,11 +105,11 @@ class Shell(cmd.Cmd):
         return True
 
     def emptyline(self) -> bool:
-        """Do nothing with an empty line; the last one is not repeated: it may have written."""
+        """Ignore an empty line; the last command is not repeated, because it may have written."""
         return False
 
     def default(self, line: str) -> None:
-        """Refuse a word that is no command."""
+        """Refuse an unknown command."""
         known = ", ".join(name[3:] for name in self.get_names() if name.startswith("do_") and name != "do_EOF")
         raise click.UsageError(f"{line.split()[0]!r} is no command; expected one of {known}")
 
@@ -136,7 +136,7 @@ class Shell(cmd.Cmd):
     # course
 
     def onecmd(self, line: str) -> bool:
-        """Do one line; what goes wrong is told, and the shell goes on, unless the bus has gone."""
+        """Execute one line; errors are printed, and the shell continues unless the bus has closed."""
         try:
             return bool(super().onecmd(line))
         except BusUnavailable:
@@ -160,7 +160,7 @@ class Shell(cmd.Cmd):
             say(f"a host is on the bus: {host}; its display may be disturbed")
 
     def _words(self, line: str, count: int) -> list[str]:
-        """Return the words of a line; the last one takes the rest of it."""
+        """Return the words of a line; the last one contains the rest."""
         try:
             words = shlex.split(line)
         except ValueError as error:
@@ -180,7 +180,7 @@ def _history() -> Path:
 
 
 def _with_readline() -> Callable[[], None]:
-    """Read the history; return what writes it. A system without readline has none."""
+    """Read the history; return a function that writes it. Without readline there is no history."""
     try:
         import readline
     except ImportError:
@@ -200,7 +200,7 @@ def _with_readline() -> Callable[[], None]:
 
 
 def run(shell: Shell) -> None:
-    """Take lines until the end."""
+    """Process lines until the end."""
     if not shell.interactive:
         shell.cmdloop()
         return
@@ -214,7 +214,7 @@ def run(shell: Shell) -> None:
                 return
             except Stopped:
                 raise
-            except KeyboardInterrupt:  # at the prompt: the line is thrown away
+            except KeyboardInterrupt:  # at the prompt: discard the line
                 forget()
                 echo()
     finally:

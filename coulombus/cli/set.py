@@ -1,4 +1,4 @@
-"""``coulombus set``: the parameters of a running host, changed while it displays."""
+"""``coulombus set``: change the parameters of a running host."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _seconds(ctx: click.Context, param: click.Parameter, text: str | None) -> fl
 
 @dataclass(frozen=True)
 class Manner:
-    """Of which axis, how fast and by whose right values change, as the options say it."""
+    """Axis, ramp time and permission of a change, from the options."""
 
     axis: str
     over_s: float | None
@@ -60,7 +60,7 @@ class Manner:
     key: str
 
     def order(self, values: dict[str, float]) -> dict[str, Any]:
-        """Return what the host is asked for."""
+        """Return the order for the host."""
         order: dict[str, Any] = {"values": values, "axis": self.axis, "undo": self.undo, "key": self.key}
         return order if self.over_s is None else {**order, "over_s": self.over_s}
 
@@ -130,7 +130,7 @@ def set_command(
 
 
 def _list(reply: dict[str, Any]) -> None:
-    """Print the parameters for people."""
+    """Print the parameters as text."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
@@ -148,7 +148,7 @@ def _list(reply: dict[str, Any]) -> None:
 
 
 def _rows(reply: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Return each parameter with its name, that of its axis before it."""
+    """Return each parameter with its name, prefixed by its axis."""
     return [
         (f"{row['axis']}.{row['name']}" if row.get("axis") else row["name"], row)
         for rows in reply["parameters"]

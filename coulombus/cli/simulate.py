@@ -37,7 +37,7 @@ __all__ = ["simulate_command"]
 
 @dataclass(frozen=True)
 class Files:
-    """What ``simulate`` writes, as the options say it."""
+    """Output files of ``simulate``, from the options."""
 
     record: Path | None
     truth: Path | None
@@ -46,13 +46,13 @@ class Files:
 
 @dataclass(frozen=True)
 class Events:
-    """What happens in the run beside the rig's schedule, as the options say it."""
+    """Events of the run besides the rig's schedule, from the options."""
 
     faults: Path | None
     script: Path | None
 
     def entries(self, rig: Rig) -> tuple[Entry, ...]:
-        """Return what the script file says of the nodes of `rig`."""
+        """Return the script file's entries for the nodes of `rig`."""
         from coulombus.sim_bus.network.script import read_script
 
         return () if self.script is None else read_script(self.script, [node.name for node in rig.nodes])

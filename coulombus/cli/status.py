@@ -1,4 +1,4 @@
-"""``coulombus status``: what the host on a bus is doing."""
+"""``coulombus status``: state of the host on a bus."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _state(address: BusAddress) -> dict[str, Any]:
     Raises
     ------
     coulombus.host.run.control_socket.NoHost
-        None answers; the text has the end of the last one.
+        No host responds; the text has the end of the last one.
     """
     from coulombus.host.run.control_socket import NoHost, ask_status, host_runs
     from coulombus.host.run.last_word import ending, last_word
@@ -67,7 +67,7 @@ def _state(address: BusAddress) -> dict[str, Any]:
 
 
 def _tell(state: dict[str, Any]) -> None:
-    """Print a host's state for people."""
+    """Print a host's state as text."""
     shown = state.get("display_s")
     since = "not yet displaying" if shown is None else f"displaying for {_number(shown)} s"
     rows = [

@@ -1,4 +1,4 @@
-"""``coulombus stop``: a running host's safe end."""
+"""``coulombus stop``: stop a running host safely."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def stop(rig_name: str, bus_names: tuple[str, ...], every: bool) -> None:
         from coulombus.host.run.control_socket import NoHost, StopRequest
 
         addresses = host_addresses(rig_name, bus_names, every=every)
-        requests = [StopRequest(address) for address in addresses]  # all are asked before one is waited for
+        requests = [StopRequest(address) for address in addresses]  # request all before waiting for the first
         failures, sentences = [], []
         for request in requests:
             try:
@@ -59,7 +59,7 @@ def stop(rig_name: str, bus_names: tuple[str, ...], every: bool) -> None:
 
 
 def _what_came(address: BusAddress, result: Mapping[str, Any]) -> str:
-    """Return what a host said to a stop, as a sentence."""
+    """Return a host's response to a stop request, as a sentence."""
     if not result:
         return f"the host on {address} took the request and ended without a word"
     if result["trip"]:

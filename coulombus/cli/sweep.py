@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["sweep_command"]
 
 TOLD_EVERY_S = 10.0
-"""How often a line tells the progress where stderr is no terminal."""
+"""Interval of progress lines if stderr is not a terminal."""
 
 
 @click.command("sweep", epilog=EXIT_STATUS)
@@ -102,7 +102,7 @@ def sweep_command(
 
 
 def _tell(result: SweepResult, seconds: float | None) -> None:
-    """Print what a sweep came to."""
+    """Print the result of a sweep."""
     for rate in result.rates.values():
         echo(rate.text)
     echo(f"{result.runs} runs, {result.failed} of them failed (column error)")
@@ -122,7 +122,7 @@ def _tell(result: SweepResult, seconds: float | None) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int, int], None]]:
-    """Show a bar on stderr, or tell a line now and then where that is no terminal."""
+    """Show a bar on stderr, or print a line at intervals if that is not a terminal."""
     from coulombus.system.printable_console import PrintableConsole
 
     console = PrintableConsole(stderr=True)

@@ -1,4 +1,4 @@
-"""How a verb shows something: tables as wide as the terminal, lines that fit, progress."""
+"""Output of the verbs: tables as wide as the terminal, wrapped lines, progress."""
 
 from __future__ import annotations
 
@@ -30,36 +30,32 @@ __all__ = [
 
 
 class ShowProgress(Protocol):
-    """Takes a bar's label, the time reached, the whole time, and what is said of it."""
+    """Callback with a bar's label, the time reached, the total time, and a text."""
 
     def __call__(self, label: str, t: float, total: float | None, told: str = ..., /) -> None: ...
 
 
 PROSE = 100
-"""Columns of what is read in a file or a pipe."""
+"""Columns of prose in a file or a pipe."""
 
 
 def echo(text: object = "", *, nl: bool = True, err: bool = False) -> None:
     """Print a text on stdout, or stderr, without control characters (`system.foreign_text`).
 
-    Whatever a verb prints goes this way, or by `system.exit.say` and `table_console`.
+    All output of a verb uses this, or `system.exit.say` and `table_console`.
     """
     click.echo(printable(str(text)), nl=nl, err=err)
 
 
 def print_table(console: Console, table: Table) -> None:
-    """Print a table whose cells have no markup; rich itself would end the verb where the reader
-    has gone.
-    """
+    """Print a table without markup in its cells; rich itself would end the verb if the reader has closed."""
     with console.capture() as text:
         console.print(table, markup=False)
     click.echo(text.get(), nl=False)
 
 
 def table_console(width: int) -> Console:
-    """Return the console for a table on stdout: the terminal, or so many columns of a file or a
-    pipe.
-    """
+    """Return the console for a table on stdout: the terminal, or a fixed width in a file or a pipe."""
     from coulombus.system.printable_console import PrintableConsole
 
     console = PrintableConsole()
@@ -67,8 +63,8 @@ def table_console(width: int) -> Console:
 
 
 def print_fitting(console: Console, build: Callable[[Collection[str]], Table], leave: Sequence[str]) -> None:
-    """Print the table that ``build(left out)`` makes with as few of the columns `leave`, the first
-    first, left out as the console's width asks for: no cell of it is cut as long as that helps.
+    """Print the table of ``build(omitted)``, omitting as few columns of `leave` as the console's
+    width requires, in their order: no cell is truncated as long as that helps.
     """
     from rich.measure import Measurement
 
@@ -83,8 +79,8 @@ def print_fitting(console: Console, build: Callable[[Collection[str]], Table], l
 
 
 def on_terminal(line: str, indent: int, piped: int | None = None) -> str:
-    """Return a line of stdout: broken as `hanging` does where a terminal ends; whole in a file or a
-    pipe, or broken behind `piped` columns.
+    """Return a line for stdout: wrapped by `hanging` on a terminal; whole in a file or a pipe, or
+    wrapped at `piped` columns.
     """
     columns = columns_of(sys.stdout) or piped
     return line if columns is None else hanging(line, columns, indent)
@@ -92,8 +88,8 @@ def on_terminal(line: str, indent: int, piped: int | None = None) -> str:
 
 @contextmanager
 def progress(enabled: bool, done: str = "displayed", width: int = 40) -> Iterator[ShowProgress]:
-    """Show live bars of `width` columns on stderr: call what is yielded with a label, the time
-    reached, the whole time (None: nobody knows), and what is said of it instead of `done`.
+    """Show live bars of `width` columns on stderr; call the yielded function with a label, the time
+    reached, the total time (None: unknown), and a text instead of `done`.
     """
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
@@ -132,9 +128,7 @@ def progress(enabled: bool, done: str = "displayed", width: int = 40) -> Iterato
 
 @contextmanager
 def running(bars: Progress) -> Iterator[AbstractContextManager[None]]:
-    """Show bars as long as the block runs; yield what a change of them is to stand in: a terminal
-    that was closed takes nothing more, and what is shown there goes on without it.
-    """
+    """Show bars during the block; yield a context manager that wraps each update. A closed terminal is ignored."""
     shown = suppress(OSError)
     with shown:
         bars.start()

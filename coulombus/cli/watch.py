@@ -1,4 +1,4 @@
-"""``coulombus watch``: a bus live, in a terminal, in a browser, or handed on."""
+"""``coulombus watch``: live view of a bus in a terminal, in a browser, or in another tool."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 __all__ = ["host_line", "watch"]
 
 COUNTED = {"missed_deadlines": "deadlines missed"}
-"""The host's counters that its line shows where they are not 0."""
+"""Counters of the host that its line shows if they are not 0."""
 
 
 def host_line(address: BusAddress) -> HostLine | None:
-    """Return what the host on a bus does, or how the last one ended; None where there was none."""
+    """Return the state of the host on a bus, or the end of the last one, or None."""
     from coulombus.host.run.control_socket import NoHost, ask_status
     from coulombus.host.run.last_word import ending, last_word
     from coulombus.monitor.snapshot import HostLine
@@ -56,7 +56,7 @@ def host_line(address: BusAddress) -> HostLine | None:
 
 @dataclass(frozen=True)
 class View:
-    """How a live bus is shown, or to whom it is handed on, as the options say it."""
+    """View of a live bus, or tool to forward it to, from the options."""
 
     interval: float | None
     pcapng: Path | None
@@ -67,12 +67,12 @@ class View:
     eds: tuple[str, ...]
 
     def check(self, page: PageOptions, as_json: bool) -> None:
-        """Refuse what does not go together.
+        """Refuse incompatible options.
 
         Raises
         ------
         click.UsageError
-            It says which options, and which of them to leave out.
+            The text names the options, and those to omit.
         """
         ways = {
             "--web": page.web,
@@ -231,7 +231,7 @@ def _open(
     Raises
     ------
     click.UsageError
-        No page is asked for, or a bus as well.
+        No page is requested, or a bus is also given.
     """
     if not page.web:
         raise click.UsageError(f"watch {file} needs --web; for text: coulombus decode {file}, coulombus explain {file}")
@@ -241,7 +241,7 @@ def _open(
 
 
 def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None, as_json: bool) -> None:
-    """Feed Foxglove or PlotJuggler until a signal; tell where, and at the end how much."""
+    """Forward to Foxglove or PlotJuggler until a signal; print the address, and the amount at the end."""
     from coulombus.monitor.forward import Foxglove, PlotJuggler, Sink, forward
 
     def ready(url: str) -> None:
