@@ -132,7 +132,7 @@ def _state(axes: list[dict[str, Any]]) -> str:
 
 
 def _say_what_to_do(trip: str | None, anchor: Callable[[str], str | None], shared_machine: bool) -> None:
-    """After a trip, print the place of its causes (`anchor`); for missing TPDOs on the built-in bus, also other causes."""
+    """After a trip, print the place of its causes (`anchor`); for missing TPDOs, suggest --shared-machine first."""
     if trip is None:
         return
     if "TPDO_LOST" in trip and not shared_machine:

@@ -1,5 +1,4 @@
-"""pcapng files for python-can's programs: ``can_logger -f run.pcapng``, ``can_player run.pcapng``,
-``can_logconvert``.
+"""pcapng files for python-can's programs: ``can_logger -f run.pcapng``, ``can_player run.pcapng``, ``can_logconvert``.
 
 python-can finds it by the entry points ``can.io.message_writer`` and ``can.io.message_reader``,
 whose keys include the dot. It loads every plug-in for each file of any kind, so the compiled

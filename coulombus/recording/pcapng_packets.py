@@ -1,6 +1,4 @@
-"""Decode the packets of a pcapng file as columns: stamps of any resolution, frames of link type
-227.
-"""
+"""Decode the packets of a pcapng file as columns: stamps of any resolution, frames of link type 227."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Recordings: pcapng files of link type 227 (SocketCAN) with nanosecond stamps, as Wireshark reads
-them.
+"""Recordings: pcapng files of link type 227 (SocketCAN) with nanosecond stamps, as Wireshark reads them.
 
 Every `PcapngWriter.write` writes complete blocks with one system call, so a killed process leaves a
 readable file. The file holds no clock reading and no host name: same input, same bytes.

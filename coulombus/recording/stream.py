@@ -1,5 +1,4 @@
-"""``coulombus watch --pcapng F``: a bus as a pcapng stream while it runs, for ``wireshark -k -i -``
-or a named pipe.
+"""``coulombus watch --pcapng F``: a bus as a pcapng stream while it runs, for ``wireshark -k -i -`` or a named pipe.
 
 Every batch of frames is written with one system call on arrival. Nothing is ever sent. A slow
 reader delays only this client; the bus counts its lost frames.

@@ -1,5 +1,6 @@
-"""Node guarding by the host: of nodes that cannot consume its heartbeat or produce none
-(CiA 301, section 7.2.8.3.2.1).
+"""Node guarding by the host (CiA 301, section 7.2.8.3.2.1).
+
+It guards nodes that cannot consume its heartbeat, or produce none.
 """
 
 from __future__ import annotations

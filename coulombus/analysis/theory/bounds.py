@@ -1,5 +1,6 @@
-r"""Bounds from the literature for a virtual spring of stiffness K, on a device with viscous
-friction b and Coulomb friction c.
+r"""Bounds from the literature for a virtual spring of stiffness K.
+
+The device has viscous friction b and Coulomb friction c.
 
 Karnopp's friction is such a spring whenever it sticks (K = K_p). The bounds depend on the sampling
 time T, the delay :math:`\tau` and the encoder resolution :math:`\Delta`, and assume only that the

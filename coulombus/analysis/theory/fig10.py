@@ -1,5 +1,4 @@
-r"""Fig. 10: the paper's plant under the paper's force, with friction displayed actively and
-passively.
+r"""Fig. 10: the paper's plant under the paper's force, with friction displayed actively and passively.
 
 Active: the sampled law on a motor, exact between samples (`analysis.theory.relay_loop`). Passive: a
 brake with set-valued friction, exact to the event (`analysis.theory.stick_slip`). Both start at rest

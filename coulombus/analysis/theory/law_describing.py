@@ -1,5 +1,7 @@
-r"""Describing functions of laws with named parameters, in closed form: for :math:`v = a \sin\theta` the
-law's fundamental is :math:`p \sin\theta + q \cos\theta`, and :math:`\Psi = (p + jq)/a`.
+r"""Describing functions of laws with named parameters, in closed form.
+
+For :math:`v = a \sin\theta` the law's fundamental is :math:`p \sin\theta + q \cos\theta`, and
+:math:`\Psi = (p + jq)/a`.
 
 With r = a/v_s, the three forms of Stribeck friction are
 

@@ -1,5 +1,4 @@
-r"""The operator's muscle force :math:`f_h(t)` as the output of oscillators, so that it is
-integrated without error.
+r"""The operator's muscle force :math:`f_h(t)` as the output of oscillators, so that it is integrated without error.
 
 .. math:: f_h(t) = \sum_i \alpha_i s_i + \beta_i c_i, \qquad \dot s_i = \omega_i c_i,\quad \dot c_i = -\omega_i s_i,\quad s_i(0) = 0,\ c_i(0) = 1
 

@@ -1,5 +1,4 @@
-r"""The parameters of the paper's loop, checked: device, operator, friction, sampling, delay,
-encoder.
+r"""The parameters of the paper's loop, checked: device, operator, friction, sampling, delay, encoder.
 
 .. math:: m\dot v + b v + Z_o v = f_h - \psi, \qquad \psi_k = c\,\mathrm{sgn}(\hat v_k), \qquad \hat v_k = (x_k - x_{k-1})/T
 

@@ -1,5 +1,4 @@
-r"""Zames-Falb multipliers for the sampled loop: a tighter certificate than Tsypkin's, found by
-linear programming.
+r"""Zames-Falb multipliers for the sampled loop: a tighter certificate than Tsypkin's, found by linear programming.
 
 For an odd friction with slopes in [0, k] the loop is stable if there is an
 

@@ -1,6 +1,4 @@
-"""Cases 5.1 to 5.6 and E.1 to E.9: EMCY, error register and history (CiA 301, sections 7.2.7,
-7.5.2.2 and 7.5.2.4).
-"""
+"""Cases 5.1 to 5.6 and E.1 to E.9: EMCY, error register and history (CiA 301, sections 7.2.7, 7.5.2.2 and 7.5.2.4)."""
 
 from __future__ import annotations
 

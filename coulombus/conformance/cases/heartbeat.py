@@ -1,5 +1,6 @@
-"""Cases 7.101 to 7.207 and H.1 to H.5: heartbeat, alone and together with node guarding (CiA 301, sections
-7.2.8.2.2 and 7.2.8.3.2).
+"""Cases 7.101 to 7.207 and H.1 to H.5: heartbeat, alone and together with node guarding.
+
+Source: CiA 301, sections 7.2.8.2.2 and 7.2.8.3.2.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Cases 1.0 and 4.1 to 4.9: the file, and every object against it (CiA 306-1; CiA 301, section
-7.4).
-"""
+"""Cases 1.0 and 4.1 to 4.9: the file, and every object against it (CiA 306-1; CiA 301, section 7.4)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""Cases 3.1 to 3.20: PDO parameters, and the triggers of TPDOs in each NMT state (CiA 301, sections
-7.2.2, 7.5.2.35, 7.5.2.37).
+"""Cases 3.1 to 3.20: PDO parameters, and the triggers of TPDOs in each NMT state.
+
+Source: CiA 301, sections 7.2.2, 7.5.2.35, 7.5.2.37.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""Own cases R.1 to R.10: RPDOs, their data, lengths, transmission types, deadline and window (CiA
-301, 7.2.2, 7.5.2.35 and 36).
+"""Own cases R.1 to R.10: RPDOs, their data, lengths, transmission types, deadline and window.
+
+Source: CiA 301, 7.2.2, 7.5.2.35 and 36.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""Own cases T.1 to T.9: timing of TPDOs, refused writes while they are valid, and an empty map (CiA
-301, 7.2.2, 7.5.2.37 and 38).
+"""Own cases T.1 to T.9: timing of TPDOs, refused writes while they are valid, and an empty map.
+
+Source: CiA 301, 7.2.2, 7.5.2.37 and 38.
 """
 
 from __future__ import annotations

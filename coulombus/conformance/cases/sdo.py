@@ -1,5 +1,6 @@
-"""Cases 2.1 to 2.12, 2.28 to 2.30, S.4, S.5 and S.12: expedited transfers, invalid requests,
-further channels (CiA 301, section 7.2.4).
+"""Cases 2.1 to 2.12, 2.28 to 2.30, S.4, S.5 and S.12: expedited transfers, invalid requests, further channels.
+
+Source: CiA 301, section 7.2.4.
 """
 
 from __future__ import annotations

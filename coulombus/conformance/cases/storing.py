@@ -1,5 +1,6 @@
-"""Cases 8.1 to 8.10, K.1 and K.2: storing, restoring, verify configuration, restricted identifiers
-(CiA 301, sections 7.5.2.13, 14, 23, 7.3.5).
+"""Cases 8.1 to 8.10, K.1 and K.2: storing, restoring, verify configuration, restricted identifiers.
+
+Source: CiA 301, sections 7.5.2.13, 14, 23, 7.3.5.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""Cases 6.1 to 6.10 and Y.1 to Y.6: SYNC producer and consumer, its counter, and the identifiers of
-SYNC, TIME and EMCY (CiA 301, sections 7.2.5, 7.5.2.5 and 7.5.2.22).
+"""Cases 6.1 to 6.10 and Y.1 to Y.6: SYNC producer, consumer and counter; identifiers of SYNC, TIME and EMCY.
+
+Source: CiA 301, sections 7.2.5, 7.5.2.5 and 7.5.2.22.
 """
 
 from __future__ import annotations

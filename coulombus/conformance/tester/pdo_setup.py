@@ -1,6 +1,4 @@
-"""Set up PDOs for the cases, and cause events over the bus alone (CiA 301, sections
-7.2.2 and 7.5.2.35 to 38).
-"""
+"""Set up PDOs for the cases, and cause events over the bus alone (CiA 301, sections 7.2.2 and 7.5.2.35 to 38)."""
 
 from __future__ import annotations
 

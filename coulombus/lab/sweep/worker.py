@@ -1,5 +1,6 @@
-"""A worker of a sweep: ``python -m coulombus.lab.sweep.worker FD PARENT``, started by
-`coulombus.lab.sweep.workers` with an open socket.
+"""A worker of a sweep: ``python -m coulombus.lab.sweep.worker FD PARENT``.
+
+`coulombus.lab.sweep.workers` starts it with an open socket.
 
 It receives the job, then one order after another, and returns the result of each. It has a separate
 session, without the terminal's signals, and ends with its parent.

@@ -1,5 +1,6 @@
-"""HDF5: a group for each signal, with the datasets ``t_s`` and ``values``; ``values`` has the
-attribute ``unit``. Signals of one PDO share their ``t_s``. ``/markers`` has ``t_s`` and ``text``.
+"""HDF5: a group for each signal, with the datasets ``t_s`` and ``values``.
+
+``values`` has the attribute ``unit``. Signals of one PDO share their ``t_s``. ``/markers`` has ``t_s`` and ``text``.
 """
 
 from __future__ import annotations

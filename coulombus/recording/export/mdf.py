@@ -1,5 +1,6 @@
-"""ASAM MDF 4: a channel group for each PDO with the master channel ``t_s`` [s], or one group on a
-grid; the signals' units are the channels'.
+"""ASAM MDF 4: a channel group for each PDO with the master channel ``t_s`` [s], or one group on a grid.
+
+The channels have the signals' units.
 """
 
 from __future__ import annotations

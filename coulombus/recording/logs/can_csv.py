@@ -1,6 +1,4 @@
-"""python-can's .csv: ``timestamp,arbitration_id,extended,remote,error,dlc,data``, the data in
-base64.
-"""
+"""python-can's .csv: ``timestamp,arbitration_id,extended,remote,error,dlc,data``, the data in base64."""
 
 from __future__ import annotations
 

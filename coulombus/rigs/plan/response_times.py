@@ -1,5 +1,6 @@
-"""Worst-case response time of every message on a CAN bus: Davis, Burns, Bril and Lukkien 2007,
-doi:10.1007/s11241-007-9012-7.
+"""Worst-case response time of every message on a CAN bus.
+
+Source: Davis, Burns, Bril and Lukkien 2007, doi:10.1007/s11241-007-9012-7.
 
 A message m of period (or least interval) T, release jitter J and longest frame C waits for one frame of lower priority
 already on the wire, B, and for every frame of higher priority (hp) that is released before its own start::
