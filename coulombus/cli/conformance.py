@@ -1,4 +1,4 @@
-"""`coulombus conformance`. Imports what it needs only when it runs."""
+"""`coulombus conformance`. It imports its dependencies only when it runs."""
 
 from __future__ import annotations
 

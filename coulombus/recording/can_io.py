@@ -88,7 +88,7 @@ class PcapngMessageWriter(SizedMessageWriter):
         self.skipped = 0
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Take one message."""
+        """Write one message."""
         if not is_classical(msg):
             self.skipped += 1
             return

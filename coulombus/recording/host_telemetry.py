@@ -8,8 +8,8 @@ separate interface, `HOST_INTERFACE`, with extended identifiers that no bus of a
                               phase  trip   limits        gain          stuck  position_age
                          + 1  law_Nm (real32)             law_brake_Nm (real32)
                          + 2  velocity_rad_s (real32)     x_stuck_rad (real32)
-                         + 3  and further: two numbers (real32) each of what the law keeps;
-                              of an odd number the last frame has one, and 4 bytes
+                         + 3  and further: two values (real32) each of the law's state;
+                              for an odd number the last frame has one value, and 4 bytes
 
 The names of the law's state are attached (`NAME`): a JSON list of strings. The recording is thus
 self-contained, and `read` has the values as signals: ``host.phase``, ``host.law_Nm``.

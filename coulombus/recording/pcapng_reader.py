@@ -312,7 +312,7 @@ def _what_is_bad(reader: _Reader, at: int) -> str:
 
 
 def _section(reader: _Reader, at: int) -> tuple[int, int]:
-    """Take the section header at word `at`.
+    """Process the section header at word `at`.
 
     Return the next block's position and FULL, or `at` and END if more must be read first.
     """

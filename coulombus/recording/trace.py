@@ -40,7 +40,7 @@ _HEAD = struct.Struct("<II")
 
 
 class Moment(IntEnum):
-    """What a row tells."""
+    """Kind of a row of the real-time loop."""
 
     START = 0  # the cycle begins with the first period at `t_ns`; earlier frames are ignored
     BEGIN = 1  # a cycle due at `t_ns`; `value`: whether the dead man's switch is held

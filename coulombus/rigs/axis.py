@@ -69,7 +69,7 @@ class Sections(Section):
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the values of a rig come from.
+    """Origin of a rig's values.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class Axis(Sections):
 
     @property
     def simulation(self) -> Simulation:
-        """What only the simulation knows.
+        """Sections that only the simulation uses.
 
         Raises
         ------
@@ -209,10 +209,9 @@ class Axis(Sections):
         return self.origin.source(self.name).said(text) if self.name else text
 
     def mistake(self, key: str, expected: str) -> RigError:
-        """Return the error that says where `key` stands, what stands there, and what was
-        `expected`, for later checks.
+        """Return an error with the place of `key`, its value, and the `expected` value, for later checks.
 
-        A law's parameter may stand nowhere: then it has its default.
+        A law's parameter may be absent and have its default.
         """
         path: Key = tuple(key.split("."))
         source = self.origin.source(self.name)

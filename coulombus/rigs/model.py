@@ -2,7 +2,7 @@
 
 The models are the schema: they define the range and meaning of every key. A test compares `docs/rig-file.md` with them,
 and `rigs.errors` takes its texts from them. The devices and their roles are in `rigs.devices`, the simulated rig
-([plant], [operator], [[phase]]) is in `rigs.plant`. SI units stand in the keys' names. Times are seconds in the file;
+([plant], [operator], [[phase]]) is in `rigs.plant`. The keys' names contain SI units. Times are seconds in the file;
 `*_ns` properties give int64 nanoseconds.
 """
 

@@ -268,7 +268,7 @@ def _statements(lines: list[str]) -> list[_Statement]:
             statements.append(
                 _Statement(first, number if closed else first, path, False, _without_comment(key[2]), closed)
             )
-            if not closed:  # do not hide what follows
+            if not closed:  # do not hide later keys
                 number = first
         number += 1
     return statements

@@ -19,9 +19,7 @@ COMPENSATION = 0.97
 
 @dataclass(frozen=True)
 class FrictionStudy:
-    """Fig. 13: friction at the handle, identified, compensated from what was identified, identified
-    again.
-    """
+    """Fig. 13: friction at the handle: identified, compensated by the result, and identified again."""
 
     before: Identification
     after: Identification

@@ -104,7 +104,7 @@ def reads_back(unit: Unit, index: int, subindex: int, text: bytes, after: str = 
 
 
 OUT_OF_TURN = (Abort.TOGGLE, Abort.TIMEOUT, Abort.COMMAND, Abort.BLOCK_SIZE, Abort.SEQUENCE, Abort.GENERAL)
-"""How a request out of turn is refused."""
+"""Abort codes for a request out of turn."""
 
 
 def judge_out_of_turn(unit: Unit, abort: TransferAborted) -> str:

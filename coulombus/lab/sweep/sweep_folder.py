@@ -96,7 +96,7 @@ class Folder:
             folder._begin(force=force)
             yield folder
 
-    # what is there
+    # reading
 
     def _begin(self, *, force: bool) -> None:
         fingerprint = self._fingerprint
@@ -184,7 +184,7 @@ class Folder:
             if run not in self._parts.get(number, ())
         ]
 
-    # what comes
+    # adding results
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row; a completed part is written to disk."""
@@ -244,7 +244,7 @@ class Folder:
         rows: list[dict[str, Any]] = parquet.read_table(self.path / "runs.parquet", columns=list(columns)).to_pylist()
         return rows
 
-    # how it is written
+    # writing
 
     def _part(self, number: int) -> Path:
         return self.path / "parts" / f"{number:06}.parquet"
