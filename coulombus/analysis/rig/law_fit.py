@@ -49,7 +49,7 @@ STARTS = 5
 PERIOD = "period_rad"
 CANDIDATES, LIKELY, MOST_ROWS = 300, 3, 3000
 FINEST, LONGEST = 60.0, 4.0
-"""Search range of periods, as fractions of the travel."""
+"""Search range of periods: from travel / FINEST to LONGEST times the travel."""
 CLUSTER_S = 0.05
 WEAK = 1e-5
 """Relative singular value below which a direction of the parameters is not determined."""
