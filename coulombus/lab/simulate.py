@@ -69,7 +69,7 @@ class _VirtualRun(Course):
         plants = [axis.simulation.plant for axis in order.simulated.axes]
         warms = any(plant.heat is not None or plant.coil_thermal_K_W > 0 for plant in plants)
         shows = order.progress is not None or order.record is not None
-        self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # a warm-up uses the steps of a recorded run
+        self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # heat flows in the steps of a recorded run
         self.only_figures = order.only_figures
         self.measured = MeasuredFrames(rig) if order.measured else None
         if order.record is not None:

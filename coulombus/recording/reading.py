@@ -34,7 +34,7 @@ from coulombus.rigs.signals import RigPdo
 __all__ = ["Blocks", "blocks", "captures", "has_rig", "read"]
 
 RIG = "rig.toml"
-HOST = "host."  # prefix of attachments that only the host's replay reads: many, and binary
+HOST = "host."  # prefix of attachments that only the host's replay reads: many, and not text
 
 
 @dataclass

@@ -80,7 +80,7 @@ STATS = dtype_of(StatsRecord)
 TERMS = 14
 RECIPROCAL = 1.0 / np.arange(1, TERMS)
 DELAY_CYCLES = 64  # a power of two
-NOTHING = 1e-30  # a lag's residual below this is 0: subnormal numbers are slow
+NOTHING = 1e-30  # a lag's residual below this is 0: tiny numbers are slow to compute with
 SCRATCH = 148
 STEP_RATE = 1.25  # with friction, a step times the plant's fastest rate is at most this
 

@@ -79,9 +79,7 @@ class SimProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.process.send_signal(
-            signal.SIGTERM if self._ready else signal.SIGKILL
-        )  # SIGTERM before readiness would print
+        self.process.send_signal(signal.SIGTERM if self._ready else signal.SIGKILL)  # a SIGTERM before would print
         try:
             self.process.communicate(timeout=END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
