@@ -39,14 +39,14 @@ class DcfReader(ValueReader):
             return 0, 0
         section = known[0]
         if section.name.lower() != COMMISSIONING[0]:
-            text = f"the section head [{section.name}] is not spelled as CiA 306 has it"
+            text = f"the section head [{section.name}] does not follow CiA 306"
             self.say(section.line, text, "[DeviceComissioning]")
         node_id, rate = (self.integer(section, key, 0) for key in ("nodeid", "baudrate"))
         if section.get("nodeid") and not 1 <= node_id <= 127:
             self.say(section.at("nodeid"), f"{section.what('nodeid')}={node_id} is not 1 to 127", "none")
             node_id = 0
         if rate not in (0, *BIT_RATES):
-            text = f"{section.what('baudrate')}={rate} is no bit rate of CiA 301 in kbit/s"
+            text = f"{section.what('baudrate')}={rate} is not a bit rate of CiA 301 in kbit/s"
             self.say(section.at("baudrate"), text, "none")
             rate = 0
         return node_id, 1000 * rate

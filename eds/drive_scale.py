@@ -186,7 +186,7 @@ def velocity_unit(value: Values) -> tuple[float, str]:
     """
     code = value(VELOCITY_UNIT, 0)
     if not isinstance(code, int):
-        raise ValueError("the file does not tell the unit of a velocity (60A9h)")
+        raise ValueError("60A9h (unit of velocity) is missing")
     prefix, numerator, time = _prefixed(code & 0xFFFFFFFF)
     increments = resolution(value)
     turn = TURNS.get(numerator)

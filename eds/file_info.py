@@ -167,11 +167,11 @@ class FileReader(DcfReader):
                 self.check_attached(name, section, objects)
             elif name not in OTHER_SECTIONS:
                 like = "datatype" in section.entries or "objecttype" in section.entries
-                text = f"the section [{section.name}] is none of CiA 306"
+                text = f"the section [{section.name}] is not defined in CiA 306"
                 self.say(section.line, text, "a comment", "error" if like else "warning")
         for key, count in unknown.items():
             section = first[key]
-            text = f"{section.what(key)} is no key of CiA 306" + (f" ({count} times)" if count > 1 else "")
+            text = f"{section.what(key)} is not a key of CiA 306" + (f" ({count} times)" if count > 1 else "")
             self.say(section.at(key), text, "a comment")
 
     def check_attached(self, name: str, section: Section, objects: Mapping[int, Object]) -> None:
@@ -182,7 +182,7 @@ class FileReader(DcfReader):
         entry = objects.get(index)
         keys = section.numbered()
         for key in section.entries.keys() - set(keys.values()) - {"nrofentries"}:
-            self.say(section.at(key), f"{section.what(key)} is no sub-index in decimal", "a comment")
+            self.say(section.at(key), f"{section.what(key)} is not a decimal sub-index", "a comment")
         if entry is None:
             self.say(section.line, f"[{section.name}] belongs to {index:04X}h, which is not described", "a comment")
         elif strange := [subindex for subindex in keys if subindex not in entry.variables]:

@@ -208,11 +208,11 @@ class _Reader(FileReader):
         names = {"VAR": VAR, "ARRAY": ARRAY, "RECORD": RECORD, "DOMAIN": DOMAIN}
         guess = RECORD if subs else ARRAY if compact else VAR
         if text in names:
-            self.say(head.at("objecttype"), f"[{head.name}] ObjectType={text} is no number", f"0x{names[text]:X}")
+            self.say(head.at("objecttype"), f"[{head.name}] ObjectType={text} is not a number", f"0x{names[text]:X}")
             return names[text]
         kind = self.integer(head, "objecttype", guess)
         if kind not in OBJECT_TYPES:
-            text = f"[{head.name}] ObjectType=0x{kind:X} is none of CiA 301"
+            text = f"[{head.name}] ObjectType=0x{kind:X} is not defined in CiA 301"
             self.say(head.at("objecttype"), text, f"0x{guess:X}", "error")
             return guess
         if (subs or compact) and not text:
@@ -275,7 +275,7 @@ class _Reader(FileReader):
         if named is not None:
             self.say(
                 section.at("datatype"),
-                f"{section.what('datatype')}={section.shown('datatype')} is no number",
+                f"{section.what('datatype')}={section.shown('datatype')} is not a number",
                 f"0x{named:04X}",
             )
             return named
@@ -295,7 +295,7 @@ class _Reader(FileReader):
             self.say(section.at("datatype"), text, DATA_TYPES[actual].name if actual in DATA_TYPES else "nothing of it")
             return actual if actual in DATA_TYPES else 0
         elif code not in DATA_TYPES:
-            text = f"[{section.name}] DataType=0x{code:04X} is none of CiA 301"
+            text = f"[{section.name}] DataType=0x{code:04X} is not defined in CiA 301"
             self.say(section.at("datatype"), text, "a type of unknown width")
         return code
 

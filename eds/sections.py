@@ -46,7 +46,7 @@ def cut(text: str) -> str:
 
 @lru_cache(maxsize=4096)
 def number_of(text: str) -> Number | None:
-    """Read ``0x1F``, ``31``, ``-31``; also ``1Fh``, ``1F``, ``031``. None if it is no number."""
+    """Read ``0x1F``, ``31``, ``-31``; also ``1Fh``, ``1F``, ``031``. None if it is not a number."""
     if len(text) > MOST_DIGITS:
         return None
     low = text.lower()
@@ -192,7 +192,7 @@ class SectionReader:
         text = raw.decode(encoding, "replace")
         if "\ufffd" in text:
             line = len(_LINE_END.findall(text[: text.index("\ufffd")])) + 1
-            self.say(line, "there are bytes that stand for no character", "the character U+FFFD")
+            self.say(line, "invalid bytes for this encoding", "the character U+FFFD")
         return text
 
     # Lines to sections.
@@ -220,7 +220,7 @@ class SectionReader:
             if section is None:
                 self.say(number, f"'{line[:40]}' comes before the first section", "a comment")
             elif not equals or not spelled:
-                self.say(number, f"'{line[:40]}' is no key=value", "a comment")
+                self.say(number, f"'{line[:40]}' is not key=value", "a comment")
             else:
                 key = lowered.get(spelled)
                 if key is None:
@@ -249,7 +249,7 @@ class SectionReader:
             key = f"{index:04x}" if subindex < 0 else f"{index:04x}sub{subindex:x}"
         if match and not strict:
             usual = f"{index:04X}" if subindex < 0 else f"{index:04X}sub{subindex:X}"
-            self.say(number, f"the section head [{cut(name)}] is not spelled as CiA 306 has it", f"[{usual}]")
+            self.say(number, f"the section head [{cut(name)}] does not follow CiA 306", f"[{usual}]")
         known = self.sections.get(key)
         if known is not None:
             self.say(number, f"the section [{cut(name)}] is in line {known.line} already", "one section, first values")
@@ -303,7 +303,7 @@ class SectionReader:
             return assumed
         number = number_of(text)
         if number is None:
-            self.say(section.at(key), f"{section.what(key)}={cut(text)} is no number", str(assumed), "error")
+            self.say(section.at(key), f"{section.what(key)}={cut(text)} is not a number", str(assumed), "error")
             return assumed
         if number.complaint:
             self.say(section.at(key), f"{section.what(key)}={cut(text)} {number.complaint}", str(number.value))

@@ -96,7 +96,7 @@ class ValueReader(SectionReader):
             return bytes.fromhex(re.sub("(?i)0x|,", " ", text))
         except ValueError:
             self.say(
-                section.at(key), f"{section.what(key)}={cut(text)} is no row of hexadecimal octets", "its characters"
+                section.at(key), f"{section.what(key)}={cut(text)} is not a row of hexadecimal octets", "its characters"
             )
             return text.encode("cp1252", "replace")
 
@@ -117,7 +117,7 @@ class ValueReader(SectionReader):
             try:
                 value = float(text.replace(",", "."))
             except ValueError:
-                return None, "is no number"
+                return None, "is not a number"
         if not math.isfinite(value):
             return None, "is not finite"
         if DATA_TYPES[code].bits == 32 and abs(value) > LARGEST_REAL32:
@@ -139,13 +139,13 @@ class ValueReader(SectionReader):
         if relative and terms[0].upper() != "$NODEID":
             self.say(where, f"{what}={cut(text)} has the node id in the wrong place", f"$NODEID+{cut('+'.join(rest))}")
         if not relative and text.lower() in ("true", "false"):
-            self.say(where, f"{what}={cut(text)} is no number", str(int(text.lower() == "true")))
+            self.say(where, f"{what}={cut(text)} is not a number", str(int(text.lower() == "true")))
             rest = [str(int(text.lower() == "true"))]
         total, hexadecimal = 0, False
         for term in rest:
             number = number_of(term)
             if number is None:
-                return None, False, "is no number"
+                return None, False, "is not a number"
             if number.complaint:
                 self.say(where, f"{what}={cut(text)} {number.complaint}", str(number.value))
             if number.doubtful and section.pdo_parameter:

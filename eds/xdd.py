@@ -176,7 +176,7 @@ class XddReader(SectionReader):
         Raises
         ------
         EdsError
-            The text is no well-formed XML, no XDD, or describes no object.
+            The text is not well-formed XML, no XDD, or describes no object.
         """
         # imported here: the import takes 0.1 s, and no EDS needs it
         from coulombus.eds.xml_elements import read_elements

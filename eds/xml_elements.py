@@ -128,7 +128,7 @@ def read_elements(path: str, text: str) -> XmlElement:
         parser.close()
     except SAXParseException as error:
         line = max(1, error.getLineNumber() or 1)
-        raise EdsError(f"{path}:{line}: is no well-formed XML ({error.getMessage()}); {REMEDY}") from error
+        raise EdsError(f"{path}:{line}: is not well-formed XML ({error.getMessage()}); {REMEDY}") from error
     except DefusedXmlException as error:
         raise EdsError(f"{path}:{tree.line}: declares a DTD or entities, which are not read; {REMEDY}") from error
     assert tree.root is not None  # otherwise it is not well-formed

@@ -198,7 +198,7 @@ class Lss:
         """Be silent for twice the delay: once at the old bit rate, then at the new one; refused in OPERATIONAL."""
         record = self._record
         if record["nmt"] == NmtState.OPERATIONAL:
-            raise ValueError("a device at work does not leave its bus")
+            raise ValueError("refused in OPERATIONAL")
         self.rate = self.pending_rate
         delay_ns = int.from_bytes(data[1:3], "little") * 1_000_000
         record["sdo_deadline_ns"][:] = FAR_FUTURE_NS

@@ -95,7 +95,7 @@ class FileStore(Store):
 
     def _write(self, sections: Sections) -> None:
         if self.foreign:
-            raise OSError(errno.EEXIST, "is no store of a device, and is not replaced", str(self._path))
+            raise OSError(errno.EEXIST, "is not the store of a device, and is not replaced", str(self._path))
         beside = self._path.with_name(self._path.name + ".new")
         with suppress(FileNotFoundError):
             os.unlink(beside)  # remnant of a power cut; a link is not followed
@@ -125,7 +125,7 @@ def _parse(raw: bytes, identity: str) -> Sections:
     """Return the sections of a file; ValueError says why it is not usable."""
     head, _, body = raw.partition(b"\n")
     if not head.startswith(_MAGIC.encode() + b" "):
-        raise ValueError("is no store of a device")
+        raise ValueError("is not the store of a device")
     if head != f"{_MAGIC} {len(body)} {zlib.crc32(body):08x}".encode():
         raise ValueError("is torn or was changed (length or CRC differ)")
     try:
@@ -133,7 +133,7 @@ def _parse(raw: bytes, identity: str) -> Sections:
         device, sections = content["device"], content["sections"]
         result = {n: {k: bytes.fromhex(v) for k, v in section.items()} for n, section in sections.items()}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"has a content that is not understood ({error})") from error
+        raise ValueError(f"has invalid content ({error})") from error
     if device != identity:
         raise ValueError(f"was written by another device ({device}), this one is {identity}")
     return result

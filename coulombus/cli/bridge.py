@@ -60,7 +60,7 @@ disturbance_options = bundle(
 @click.option("--one-way", is_flag=True, help="From A to B only.")
 @disturbance_options
 @click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after this many seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line: ready, then what came of it.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line: ready, then the result.")
 def bridge(
     a: str,
     b: str,

@@ -116,7 +116,7 @@ def _tell(findings: Sequence[Finding]) -> None:
             echo(" " * INDENT + line)  # to be copied: not wrapped
     bad = sum(not finding.ok for finding in findings)
     if bad:
-        echo(f"{bad} of {len(findings)} to mend; `coulombus doctor --fix` prints all commands as a script")
+        echo(f"{bad} of {len(findings)} to fix; `coulombus doctor --fix` prints all commands as a script")
     else:
         echo("ok")
 

@@ -218,7 +218,7 @@ def _failure(error: Exception) -> Failure:
         if damaged(error):
             empty(kernels.CACHE_DIR)
             return Failure(f"the compiled code in {kernels.CACHE_DIR} was damaged and is removed; start again", 2)
-    return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
+    return Failure(f"internal error, please report it: {type(error).__name__}: {error}", FAULT)
 
 
 def _needs_linux(error: Exception) -> str:

@@ -158,7 +158,7 @@ def experiment_command(
             if not came.complete:
                 words = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
                 words += [*answering.words(), *where.words()]
-                say(f"coulombus: ended: {came.ended_by}; nothing is lost; to go on: {shlex.join(words)}")
+                say(f"coulombus: ended: {came.ended_by}; nothing is lost; to continue: {shlex.join(words)}")
             _tell(came, out, as_json)
 
 
@@ -240,7 +240,7 @@ def _at_the_terminal(study: Study) -> People:
     def go_on(text: str) -> bool:
         say(text)
         while True:
-            given = _key("Go on? y or q:", "yq")
+            given = _key("Continue? y or q:", "yq")
             if given in ("y", "q", None):
                 return given == "y"
 

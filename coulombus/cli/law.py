@@ -27,7 +27,7 @@ class _Finite(click.FloatRange):
         """Return the number."""
         number = float(super().convert(value, param, ctx))
         if number != number:
-            self.fail(f"{value} is no number", param, ctx)
+            self.fail(f"{value} is not a number", param, ctx)
         return number
 
 

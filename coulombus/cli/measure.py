@@ -36,7 +36,7 @@ MARK = "measured by coulombus measure"
 @click.option(
     "--cycles", type=click.IntRange(100, 1_000_000), default=2000, show_default=True, help="Cycles of the host."
 )
-@click.option("--write", is_flag=True, help="Write the values into the rig file; the old one is kept beside it.")
+@click.option("--write", is_flag=True, help="Write the values into the rig file; the old file is kept next to it.")
 @click.option("--cpu", type=CPU, default=None, help="CPU for the cycle's process.  [default: the last one]")
 @json_option
 def measure(

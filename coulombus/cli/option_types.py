@@ -110,7 +110,7 @@ class OutputDirectory(click.Path):
         try:
             path.mkdir(parents=True, exist_ok=True)
         except FileExistsError:
-            self.fail(f"{path}: expected a folder, and it is none", param, ctx)
+            self.fail(f"{path}: it is not a folder", param, ctx)
         except OSError as error:
             self.fail(f"{path}: cannot be made: {error.strerror}", param, ctx)
         return path

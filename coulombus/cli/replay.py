@@ -99,7 +99,7 @@ playing_options = bundle(
     Playing,
     click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="2: twice as fast."),
     click.option(
-        "--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="Number of times; 0: for ever."
+        "--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="Number of times; 0: without end."
     ),
     click.option(
         "--to-rig", is_flag=True, help="Also send the host's frames to a real interface: they move the motor."

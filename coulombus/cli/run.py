@@ -136,7 +136,7 @@ def _say_what_to_do(trip: str | None, anchor: Callable[[str], str | None], share
     if trip is None:
         return
     if "TPDO_LOST" in trip and not shared_machine:
-        text = "a machine that does other work may have stood still for that long: --shared-machine widens the limits"
+        text = "a busy machine may have stalled for that long: --shared-machine widens the limits"
         say(f"coulombus: {text} (docs/realtime.md)")
     if place := anchor(trip):
         say(f"coulombus: likely causes, and what to do: {place}")

@@ -236,7 +236,7 @@ def _described(device: KnownDevice) -> Any:
 
     if device.description is None:
         raise DeviceMismatch(
-            f"node {device.node_id} is no device of ours: name its EDS file by --eds, or --eds device, if it keeps one"
+            f"node {device.node_id} is not a device of this project: name its EDS file by --eds, or --eds device, if it keeps one"
         )
     return device.description
 
@@ -307,7 +307,7 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
 def _agreed(question: str) -> bool:
     """Ask on the terminal; without a terminal nothing is written."""
     if not sys.stdin.isatty():
-        raise click.UsageError("say --yes: there is no terminal to ask on")
+        raise click.UsageError("no terminal to ask on: give --yes")
     return click.confirm(printable(question), err=True)
 
 

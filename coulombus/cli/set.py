@@ -31,7 +31,7 @@ def _values(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
             value = float(number)
         except ValueError:
             hint = number_hint(number, "") or "; expected NAME=VALUE, as in F_s=2.0"
-            value, reason = float("nan"), f"'{number}' is no number{hint}"
+            value, reason = float("nan"), f"'{number}' is not a number{hint}"
         if not equals or not name:
             reason = "expected NAME=VALUE, as in F_s=2.0"
         if reason:

@@ -92,7 +92,7 @@ def sweep_command(
                 )
             except KeyboardInterrupt:
                 again = shlex.join(["coulombus", "sweep", str(file), "-o", str(out)])
-                say(f"coulombus: {reached[0]} of {sweep.runs} runs are done and kept; to go on: {again}")
+                say(f"coulombus: {reached[0]} of {sweep.runs} runs are done and kept; to continue: {again}")
                 raise
         with verdict(0):
             if as_json:

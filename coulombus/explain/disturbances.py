@@ -101,7 +101,7 @@ class Disturbances:
         for destroyed in recent if first else (frame,):
             kinds.update(text for bit, text in KINDS.items() if destroyed.violation & bit)
             identifiers[destroyed.can_id] += 1
-        what = "frames that nobody acknowledged" if alone_often else "destroyed frames"
+        what = "frames without acknowledgement" if alone_often else "destroyed frames"
         clue.text = f"{clue.count} {what}"
         if kinds:
             clue.text += " (" + ", ".join(f"{kind} {count}" for kind, count in kinds.most_common(3)) + ")"

@@ -46,7 +46,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "no_ack": Kind(
             60, "Frames were not acknowledged", "The sender was alone: the cable is open, or the others are off.",
             ("Check that the other nodes have power.", "Look for an open plug between sender and the others.", TERMINATION),
-            "An unacknowledged frame is repeated until somebody hears it.", "ISO 11898-1, 10.11", "bus",
+            "An unacknowledged frame is repeated until a node acknowledges it.", "ISO 11898-1, 10.11", "bus",
         ),
         "error_passive": Kind(
             55, "A controller became error passive", "Many of its frames were destroyed.",
@@ -56,7 +56,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "error_frames": Kind(
             58, "Many frames were destroyed", "Disturbance on the wire, a wrong bit timing, or two senders of one identifier.",
-            ("Look whether a motor cable lies beside the CAN cable.", TERMINATION,
+            ("Check whether a motor cable runs next to the CAN cable.", TERMINATION,
              "Compare the bit timing (sample point) of all nodes."),
             "Each destroyed frame is sent again: frames come late, and load grows.", "ISO 11898-1, 10.11; docs/bus.md", "bus",
         ),
@@ -88,7 +88,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             82, "The host fell silent", "The host's program or PC stopped, or its cable was cut.",
             ("Check whether the host's program still runs, and what it said last.", "Check the host's cable and interface.",
              "coulombus doctor: was its process held up or ended?"),
-            "Nobody commands the nodes: each does what its own watches do.", "CiA 301, 7.2.8.3.2.2; docs/runbook.md", "bus",
+            "The nodes get no commands: the monitors of each node decide.", "CiA 301, 7.2.8.3.2.2; docs/runbook.md", "bus",
         ),
         "sync_gap": Kind(
             40, "SYNC came late", "The host did not keep its cycle, or SYNC waited for other frames.",
@@ -127,7 +127,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "node_lost": Kind(
             70, "A node fell silent", "It lost its supply or its connection, or its firmware hangs.",
             (CABLE, "Measure its supply voltage at the plug.", "Switch it off and on; if it comes back, look for its error log."),
-            "Nobody commands it any more: it does what its own watches do.", "CiA 301, 7.2.8.3.2.2",
+            "It gets no commands: its own monitors decide.", "CiA 301, 7.2.8.3.2.2",
         ),
         "left_operational": Kind(
             62, "A node left OPERATIONAL unordered", "An error made it stop its PDOs (1029h), or its firmware did.",
@@ -138,7 +138,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             39, "Frames of a node do not get through", "Identifiers with a higher priority fill the bus.",
             ("See which identifier goes before it: coulombus hz.", "Give that PDO an inhibit time (1800h:03).",
              "Give the starved frame a lower identifier."),
-            "Whoever waits for it takes its sender for dead.", "ISO 11898-1, 10.8 (arbitration)",
+            "Its consumers assume that its sender has failed.", "ISO 11898-1, 10.8 (arbitration)",
         ),
         "guard_toggle": Kind(
             21, "The toggle bit of node guarding did not alternate", "An answer was lost, came twice, or the node restarted.",
@@ -154,7 +154,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             26, "A PDO does not keep its event timer", "Its sender is busy, or the bus is full.",
             ("Read 1800h:05 of the node again.", "Look at the bus load at that time.",
              "Check that its inhibit time is shorter than the event timer."),
-            "Whoever watches this PDO takes it for lost.", "CiA 301, 7.5.2.37 (1800h:05)",
+            "Consumers with an event timer assume that this PDO is lost.", "CiA 301, 7.5.2.37 (1800h:05)",
         ),
         "inhibit_time": Kind(
             24, "A PDO does not keep its inhibit time", "The device ignores 1800h:03, or took it in another unit.",
@@ -194,7 +194,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "emcy": Kind(
             53, "A node reported an error", "The node's own diagnosis.",
             (MANUAL, "Read 1001h and 1003h of the node.", "Look at what was commanded just before."),
-            "A node reports what it cannot mend itself.", "CiA 301, 7.2.7 and 7.5.2.4 (1003h)",
+            "A node reports an error that it cannot correct itself.", "CiA 301, 7.2.7 and 7.5.2.4 (1003h)",
         ),
         "error_code": Kind(
             52, "A drive shows an error code", "The drive's own diagnosis (603Fh).",
@@ -230,7 +230,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "heartbeat_lost": Kind(
             42, "A node's heartbeat stopped", "Its other frames come: 1017h was changed, or the node is overloaded.",
             ("Read 1017h of the node.", "Look for a write to 1017h just before.", "Check the load of the node and of the bus."),
-            "Whoever watches it takes it for dead.", "CiA 301, 7.2.8.3.2.2",
+            "Its heartbeat consumers assume that it has failed.", "CiA 301, 7.2.8.3.2.2",
         ),
         "heartbeat_late": Kind(
             20, "Heartbeats came late", "The node or the bus was busy.",
@@ -261,10 +261,10 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "pdo_stopped": Kind(
             36, "A periodic PDO stopped", "Its sender stopped it, or its event timer was changed.",
             ("Check the node's NMT state.", "Read its event timer (1800h:05).", "Look for a write to its parameters."),
-            "Whoever needs it works with old values.", "CiA 301, 7.5.2.37",
+            "Its consumers work with old values.", "CiA 301, 7.5.2.37",
         ),
         "pdo_length": Kind(
-            55, "A PDO's length does not fit its map", "The node has another map than its master believes.",
+            55, "A PDO's length does not fit its map", "The node's PDO map differs from its master's.",
             ("Read 1600h or 1A00h of the node.", "Write the map again after each restart of the node.",
              "Check that the EDS file is of this firmware."),
             "Values are read from wrong bytes, or not at all.", "CiA 301, 7.2.2.5 (EMCY 8210h)",
@@ -298,7 +298,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "not_applied": Kind(
             33, "A setting was confirmed and not applied", "The node took the write, and keeps another value.",
             ("Read it again.", "Write it in PRE-OPERATIONAL, PDO switched off (bit 31).", "Look in the manual which values it rounds or refuses."),
-            "The node works with another setting than its master believes.", "CiA 301, 7.5.2", "sdo",
+            "The node's setting differs from its master's.", "CiA 301, 7.5.2", "sdo",
         ),
         "host_trip": Kind(
             25, "The host stopped the machine", "The host's own watch: any failed check leads to the safe state.",

@@ -133,7 +133,7 @@ class Nodes:
         if node.booted_ns >= 0 and t_ns - node.booted_ns < SAME_NS:
             return  # a duplicated frame
         if reset is None and not new:
-            text = "it sends boot-up, and nobody had ordered a reset"
+            text = "it sends boot-up without an NMT reset"
             if node.boots and self.clues.stands("restarted", node.number):
                 text = "it sends boot-up again and again"
             self.clues.begin("restarted", node.number, t_ns, text, row=row)

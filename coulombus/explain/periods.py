@@ -127,7 +127,7 @@ class Timing:
             overdue_ns = self.bus.order_due_ns(last, max(SILENT * self.period_ns, 20 * MS))
             if t_ns > overdue_ns and not self._stopped(last):
                 self.clues.begin(
-                    "sync_lost", None, last, "SYNC stops, and nobody had stopped the nodes", row=self.sync_row
+                    "sync_lost", None, last, "SYNC stops without an NMT order to the nodes", row=self.sync_row
                 )
         for key, pdo in self._pdos.items():
             if pdo.regular or not pdo.period_ns or pdo.last_ns < 0:
@@ -215,7 +215,7 @@ class Timing:
         for begin, end, row in self._quiet:
             place = int(sync.t_ns.searchsorted(end))
             if place < len(sync) and int(sync.t_ns[place]) - end <= max(3 * (end - begin), 200 * MS):
-                text = f"no frame of anybody for {(end - begin) / MS:.1f} ms"
+                text = f"no frame of any node for {(end - begin) / MS:.1f} ms"
                 self.clues.begin("bus_silent", None, begin, text, row=row)
                 self.clues.end("bus_silent", None, end, "frames come again")
                 silences.append((begin, end))

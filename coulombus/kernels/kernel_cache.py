@@ -63,9 +63,7 @@ def choose(key: str) -> Path | None:
     inherited = _inherited(name)
     directory = inherited or _first(_places(), name)
     if directory is None:
-        say(
-            "compiled code cannot be kept, so every start compiles: no directory can be written; name one by NUMBA_CACHE_DIR"
-        )
+        say("no writable cache, so every start compiles: no directory can be written; name one by NUMBA_CACHE_DIR")
         os.environ.pop("NUMBA_CACHE_DIR", None)
         return None
     os.environ["NUMBA_CACHE_DIR"] = str(directory)

@@ -63,8 +63,8 @@ def readings(axis: Axis, text: str) -> Iterator[OtherReading]:
     if "motor.rated_torque_Nm" in marked:
         rated = plant.motor_rated_torque_Nm
         for factor, meaning in (
-            (1000.0, "in mNm where uNm is believed"),
-            (1e-3, "in uNm where mNm is believed"),
+            (1000.0, "in mNm, where the rig file has uNm"),
+            (1e-3, "in uNm, where the rig file has mNm"),
             (3.0, "per mille of a rated current with three times the torque"),
             (1 / 3, "per mille of a rated current with a third of the torque"),
         ):
@@ -76,8 +76,8 @@ def readings(axis: Axis, text: str) -> Iterator[OtherReading]:
     if "motor.encoder_counts_rev" in marked:
         believed = axis.motor.encoder_counts_rev
         for counts, meaning in (
-            (4 * believed, "lines where counts are believed"),
-            (believed // 4, "counts where lines are believed"),
+            (4 * believed, "lines, where the rig file has counts"),
+            (believed // 4, "counts, where the rig file has lines"),
             (360, "degrees"),
             (3_600, "tenths of a degree"),
             (360_000, "thousandths of a degree"),

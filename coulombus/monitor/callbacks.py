@@ -58,7 +58,7 @@ class Callback:
             self.errors += 1
             if self.error is None:
                 self.error = error
-                logger.exception("the call-back of %s raised; it is told once, and counted", ", ".join(self.names))
+                logger.exception("the call-back of %s raised; reported once, then counted", ", ".join(self.names))
 
 
 class LiveBus:
@@ -164,14 +164,14 @@ class LiveBus:
     def _tell_lost(self) -> None:
         if self.lost and not self._told_lost:
             self._told_lost = True
-            text = "%s: %d frames were lost: the call-backs are slower than the bus; it is told once, and counted"
+            text = "%s: %d frames were lost: the call-backs are slower than the bus; reported once, then counted"
             logger.warning(text, self._client.address, self.lost)
 
     def _tell_malformed(self, pdo: RigPdo, length: int) -> None:
         name = f"{pdo.node}.{pdo.name}"
         self.malformed[name] = self.malformed.get(name, 0) + 1
         if self.malformed[name] == 1:
-            text = "%s came with %d bytes, the rig has %d: is this the rig of this bus? it is told once, and counted"
+            text = "%s came with %d bytes, the rig has %d: is this the rig of this bus? reported once, then counted"
             logger.warning(text, name, length, pdo.layout.length)
 
     def _take(self, t_ns: int, can_id: int, length: int, data: bytes) -> None:

@@ -153,5 +153,5 @@ class IncidentReader:
             try:
                 self.look(time.time_ns())
             except Exception as error:  # an unknown bus may have unforeseen content: the view goes on
-                self.failure = f"incidents are no longer looked for: {type(error).__name__}: {error}"
+                self.failure = f"the search for incidents has ended: {type(error).__name__}: {error}"
                 return

@@ -187,7 +187,7 @@ def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_S
     starts = [float(r.t_s.min(initial=np.inf)) for r in (first, second)]
     if not all(map(len, ends_of := [r.frames for r in (first, second)])):
         empty = [r.path for r, frames in zip((first, second), ends_of, strict=True) if not len(frames)]
-        return [], [f"{path}: there is no frame in it" for path in empty], []
+        return [], [f"{path}: it has no frame" for path in empty], []
     if not marks[0] or not marks[1]:
         lengths = [end - start for end, start in zip(ends, starts, strict=True)]
         remarks = [] if marks[0] == marks[1] else ["only one of the recordings has phases"]

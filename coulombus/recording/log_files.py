@@ -81,7 +81,7 @@ def read_log(path: str | Path) -> LogContent:
     except (ValueError, ImportError, NotImplementedError) as error:
         raise LogError(f"{path}: it cannot be read: {error}; expected {EXPECTED}") from error
     if not log.rows and set(log.losses) == {MALFORMED}:
-        raise LogError(f"{path}: there is no frame in it: is it of the kind that its name tells? Expected {EXPECTED}")
+        raise LogError(f"{path}: it has no frame: does its suffix match its content? Expected {EXPECTED}")
     remarks = log.all_remarks(str(path))
     if broken:
         remarks.append(f"{path}: its compressed data are damaged or end too early: what stood behind is not known")

@@ -52,7 +52,7 @@ def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, An
         return None
     axes, shared = values["axis"], {key: value for key, value in values.items() if key != "axis"}
     if not isinstance(axes, dict) or not all(isinstance(own, dict) for own in axes.values()):
-        source.say(("axis",), "is no table of axes; expected [axis.NAME], once for each axis")
+        source.say(("axis",), "is not a table of axes; expected [axis.NAME], once for each axis")
         return {}
     if not 1 <= len(axes) <= MAX_AXES:
         source.say(("axis",), f"got {len(axes)} axes, expected 1 to {MAX_AXES}")

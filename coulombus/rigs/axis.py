@@ -43,7 +43,7 @@ class Sections(Section):
         default_factory=FrozenMap, description="further nodes that only tell, each with a name of its own"
     )
     role: Roles = Field(Roles.model_validate({}), description="which object of which device has which role")
-    mechanics: Mechanics = Field(description="the device, as the controller believes it to be")
+    mechanics: Mechanics = Field(description="the device, by the controller's model")
     law: Law = Field(description="the friction law")
     mode: Modes = Field(description="the modes, each with its parameters")
     limits: Limits = Field(description="what trips, and the safe state")

@@ -47,7 +47,7 @@ def bind_switch(parts: Parts, bindings: Sequence[Binding]) -> Binding | None:
             continue
         entry = checked_entry(description, index, subindex, "tpdo")
         if any(binding.place == (node, index, subindex) for binding in bindings):
-            raise ValueError(f"{index:04X}h:{subindex} of the {node} is mapped already; it is no switch")
+            raise ValueError(f"{index:04X}h:{subindex} of the {node} is mapped already, so it cannot be a switch")
         _check_mask(deadman, node, entry)
         return Binding(Kind("deadman", f"{node}.deadman", "tpdo", "", True), node, entry)
     raise ValueError(f"no EDS file describes {index:04X}h:{subindex}")

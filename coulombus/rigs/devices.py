@@ -132,15 +132,15 @@ class Brake(_Actuator):
 
     rated_torque_Nm: float = Field(gt=0, le=1e4, description="largest braking torque at the handle")
     coil_A_Nm: float = Field(gt=0, le=100, description="coil current for each Nm commanded")
-    coil_continuous_A: float = Field(gt=0, le=1000, description="current that the coil bears for ever")
+    coil_continuous_A: float = Field(gt=0, le=1000, description="continuous current of the coil")
     coil_time_constant_s: float = Field(gt=0, le=1e4, description="time constant of the coil's I2t watch")
     coil_lag_s: float = Field(
-        0.0, ge=0, le=1, description="believed lag of the coil, which the lead takes off; 0: none"
+        0.0, ge=0, le=1, description="assumed lag of the coil, which the lead compensates; 0: none"
     )
     fluid_lag_s: float = Field(
-        0.0, ge=0, le=1, description="believed lag of the fluid, which the lead takes off; 0: none"
+        0.0, ge=0, le=1, description="assumed lag of the fluid, which the lead compensates; 0: none"
     )
-    iron: Iron | None = Field(None, description="believed magnetic hysteresis, which the host inverts")
+    iron: Iron | None = Field(None, description="assumed magnetic hysteresis, which the host inverts")
     hold_s: Milliseconds = Field(
         ge=0, le=65.535, description="set-point lost: it is held this long ...", json_schema_extra=MS
     )

@@ -198,7 +198,7 @@ class FilePhase(Section):
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
     kind: Literal["file"]
-    path: str = Field("", description="CSV file, beside the rig file; columns t_s,torque_Nm")
+    path: str = Field("", description="CSV file, next to the rig file; columns t_s,torque_Nm")
     duration_s: float = Field(
         gt=0, le=86400, description="length of the phase; the file's last t_s where it is not given"
     )
@@ -229,7 +229,7 @@ class MotionPhase(Section):
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
     kind: Literal["motion"]
-    path: str = Field("", description="CSV file, beside the rig file; columns t_s,x_rad")
+    path: str = Field("", description="CSV file, next to the rig file; columns t_s,x_rad")
     duration_s: float = Field(
         gt=0, le=86400, description="length of the phase; the file's last t_s where it is not given"
     )

@@ -264,7 +264,7 @@ class Rig:
         """Return the rig with further overrides, as ``--set`` takes them."""
         wrong = next((override for override in overrides if not isinstance(override, str)), None)
         if wrong is not None:
-            raise WrongCall(f"{wrong!r} is no override: expected texts, as in variant('mode.active.F_s_Nm=1.0')")
+            raise WrongCall(f"{wrong!r} is not an override: expected texts, as in variant('mode.active.F_s_Nm=1.0')")
         if not overrides:
             return self
         attached = self.origin.attached

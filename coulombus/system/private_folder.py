@@ -53,7 +53,7 @@ def reason_against(folder: Path) -> str:
     """
     status = folder.lstat()  # not stat: in a world-writable folder anybody can place a link
     if not stat.S_ISDIR(status.st_mode):
-        return f"{folder} is no folder: remove it"
+        return f"{folder} is not a folder: remove it"
     if status.st_uid != os.geteuid():
         return f"{folder} belongs to user {status.st_uid}, and not to user {os.geteuid()}: remove it"
     mode = stat.S_IMODE(status.st_mode)

@@ -102,7 +102,7 @@ def interface_name(name: str) -> str:
         a program would read it as more than a name
     """
     if not INTERFACE.fullmatch(name):
-        raise ValueError(f"{name!r} is no name of a network interface that can stand in another program's file")
+        raise ValueError(f"{name!r} cannot be the name of a network interface in another program's file")
     return name
 
 

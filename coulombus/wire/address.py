@@ -124,7 +124,7 @@ def parse_address(text: str) -> BusAddress:
         bare = text if not colon and _NAME.fullmatch(text) else name or "bench"
         if colon and kind not in get_args(Kind):
             raise AddressError(
-                f"bus {text!r}: there is no kind of bus {kind!r}; expected coulombus:NAME for a virtual bus or "
+                f"bus {text!r}: unknown kind of bus {kind!r}; expected coulombus:NAME for a virtual bus or "
                 "socketcan:IF for a CAN interface of Linux, as in socketcan:can0, which the card's driver makes"
             )
         raise AddressError(

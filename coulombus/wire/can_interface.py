@@ -228,7 +228,7 @@ class CoulombusBus(can.BusABC):
             if self._client.wait(0.01):
                 self._take()
         if self._client.unanswered or self._client.controller is None:
-            raise can.CanOperationError(f"bus {self._client.address} does not tell the state of its controllers")
+            raise can.CanOperationError(f"bus {self._client.address} does not report its controllers")
         self._off = self._client.controller.state == BUS_OFF
         return str(self._client.controller)
 

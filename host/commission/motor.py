@@ -152,7 +152,7 @@ class Motor(Step):
         ends = [float(np.min(rows.motor_Nm)), float(np.max(rows.motor_Nm))]
         curve = Curve(
             "Hand against motor",
-            "motor's torque as believed [Nm]",
+            "motor's torque by the rig file [Nm]",
             "hand's torque, friction taken off [Nm]",
             {"windows": (*thinned(rows.motor_Nm, rest), "."), "fit": (ends, [-k * torque for torque in ends], "-")},
         )

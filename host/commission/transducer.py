@@ -82,7 +82,7 @@ class Zero(Step):
         mean = mean_in(series, *span, "the transducer's zero", abs(binding.scale))
         new = rounded((binding.offset - mean.value) * turned, mean.reach) + 0.0  # no -0
         reach = mean.reach
-        basis = f"mean of {len(series)} samples with nobody at the handle"
+        basis = f"mean of {len(series)} samples without a hand at the handle"
         old = binding.offset * turned
         findings = (
             Finding(OFFSET, "transducer's zero", old, new, "Nm", reach, basis, changed=abs(new - old) > reach),

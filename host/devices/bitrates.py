@@ -92,7 +92,7 @@ def choose(
                 _set_back(name, before, commands)
     if heard_rate is None:
         raise NodeMissing(
-            f"nobody was heard on socketcan:{name} at any bit rate; is a device powered and the bus terminated?"
+            f"no node was heard on socketcan:{name} at any bit rate; is a device powered and the bus terminated?"
         )
     _set(name, heard_rate, commands)
     return heard_rate

@@ -137,11 +137,11 @@ def check_file(device: KnownDevice, description: Description) -> dict[Place, Val
         )
     bad = [diagnosis for diagnosis in description.diagnoses if diagnosis.assumed == "the default"]
     if bad:
-        raise DeviceMismatch(f"{bad[0]}; mend the file first ({len(bad)} such values)")
+        raise DeviceMismatch(f"{bad[0]}; correct the file first ({len(bad)} such values)")
     node_id = device.node_id
     values = {place: description.default(*place, node_id) for place in configured(description)}
     if not values:
-        raise DeviceMismatch(f"{description.path} gives no values (ParameterValue): it is no DCF")
+        raise DeviceMismatch(f"{description.path} gives no values (ParameterValue): it is not a DCF")
     mapped = _mapped(values)
     return {
         place: value

@@ -337,7 +337,7 @@ class KnownDevice:
         try:
             return bytes.fromhex(text.removeprefix("0x"))
         except ValueError:
-            raise ValueRefused(f"{what}: {text!r} is no row of hexadecimal bytes; a file is @FILE") from None
+            raise ValueRefused(f"{what}: {text!r} is not a row of hexadecimal bytes; a file is @FILE") from None
 
     @property
     def _path(self) -> str:
@@ -349,7 +349,7 @@ class KnownDevice:
         if match is None:
             word = {"true": 1, "false": 0}.get(text.strip().lower())
             if kind.kind != "bool" or word is None:
-                raise ValueRefused(f"{what}: {text!r} is no number; expected {kind.name}")
+                raise ValueRefused(f"{what}: {text!r} is not a number; expected {kind.name}")
             return word
         number = _spelled(match[1], text, what)
         if match[2]:
@@ -368,7 +368,7 @@ class KnownDevice:
             raise ValueRefused(f"{what}: {text!r} is too large; expected {kind.name}")
         if kind.kind != "real":
             if number != int(number):
-                raise ValueRefused(f"{what}: {text!r} is no whole number; expected {kind.name}")
+                raise ValueRefused(f"{what}: {text!r} is not a whole number; expected {kind.name}")
             number = int(number)
         widest = LARGEST_REAL32 if kind.bits == 32 else math.inf  # of a REAL
         low, high = variable.whole or (-widest, widest)
@@ -403,4 +403,4 @@ def _spelled(number: str, text: str, what: str) -> float:
         whole = re.fullmatch(r"[-+]?[0-9]+", number)
         return int(number) if whole else value
     except (ValueError, OverflowError):
-        raise ValueRefused(f"{what}: {text!r} is no number") from None
+        raise ValueRefused(f"{what}: {text!r} is not a number") from None

@@ -159,7 +159,7 @@ def interface(can: Interface) -> Outcome:
     if kind == ARPHRD_CAN:
         return Outcome(True, f"{can.name} is a CAN interface")
     return Outcome(
-        False, f"{can.name} is no CAN interface (type {kind})", "# name a CAN interface: --bus socketcan:can0"
+        False, f"{can.name} is not a CAN interface (type {kind})", "# name a CAN interface: --bus socketcan:can0"
     )
 
 
@@ -198,9 +198,9 @@ def txqueuelen(can: Interface) -> Outcome:
     if can.virtual:
         return Outcome(True, f"{length} frames; nothing waits there: it is virtual")
     if length < SHORTEST_QUEUE:
-        return Outcome(False, f"{length} frames: an SDO beside the cycle may find no room", fix)
+        return Outcome(False, f"{length} frames: an SDO transfer during the cycle may overflow it", fix)
     if length > LONGEST_QUEUE:
-        return Outcome(False, f"{length} frames: a bus that stands still fills it with old set-points", fix)
+        return Outcome(False, f"{length} frames: a bus without traffic fills it with old set-points", fix)
     return Outcome(True, f"{length} frames")
 
 

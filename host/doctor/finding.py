@@ -57,7 +57,7 @@ def examine(checks: Iterable[Check]) -> list[Finding]:
             outcome = Outcome(False, str(error), "# look at it by hand")
         except Exception as error:
             text = f"this check failed: {type(error).__name__}: {error}"
-            outcome = Outcome(False, text, "# a mistake of this program, please report it")
+            outcome = Outcome(False, text, "# internal error, please report it")
         findings.append(Finding(name, outcome.ok, _line(outcome.found), "" if outcome.ok else outcome.fix))
     return findings
 
@@ -74,7 +74,7 @@ def script(findings: Iterable[Finding]) -> str:
         if finding.ok or finding.fix in done:
             continue
         done.add(finding.fix)
-        lines += [f"# {finding.check}: {comment(finding.found)}", finding.fix or "# no command mends it", ""]
+        lines += [f"# {finding.check}: {comment(finding.found)}", finding.fix or "# no command fixes it", ""]
     if not done:
-        lines += ["# nothing has to be mended", ""]
+        lines += ["# nothing to fix", ""]
     return "\n".join(lines)

@@ -106,7 +106,7 @@ def read_cyclictest(text: str) -> tuple[dict[int, int], float]:
     """Return counts and maximum from the output of ``cyclictest -q -h``; LatencyError for other texts."""
     most = _MOST.search(text)
     if most is None:
-        raise LatencyError("what cyclictest printed is no histogram")
+        raise LatencyError("cyclictest printed no histogram")
     counts = {int(us): int(count) for us, count in _COUNT.findall(text) if int(count)}
     latest = int(most[1])
     overflow = re.search(r"^# Histogram Overflows:\s*(\d+)", text, re.MULTILINE)
@@ -282,7 +282,7 @@ def judge(latency: Latency, demands: RigDemands) -> Finding:
         text += f" (cyclictest {latency.cyclictest.at(0.5):.0f}, {latency.cyclictest.at(0.99):.0f}, {latency.cyclictest.latest_us:.0f})"
     outcome = Outcome(True, f"fit for {demands}: {text}")
     if reasons:
-        fix = "# mend what the other checks name, and test again; until then: simulated nodes only"
+        fix = "# fix the other checks, and test again; until then: simulated nodes only"
         outcome = Outcome(False, f"not fit for {demands}: {'; '.join(reasons)}; {text}", fix)
     figures: dict[str, Any] = {
         "own": own.as_dict(),

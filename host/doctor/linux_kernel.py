@@ -39,7 +39,7 @@ def preempt_rt(machine: Machine) -> Outcome:
         real_time = False
     if real_time or "PREEMPT_RT" in words or "PREEMPT RT" in version:
         return Outcome(True, f"{words[2]} is PREEMPT_RT")
-    return Outcome(False, f"{words[2]} is no PREEMPT_RT kernel", RT_KERNELS.get(_distribution(machine), _build()))
+    return Outcome(False, f"{words[2]} is not a PREEMPT_RT kernel", RT_KERNELS.get(_distribution(machine), _build()))
 
 
 def _build() -> str:

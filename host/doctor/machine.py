@@ -114,7 +114,7 @@ class Machine:
             raise nonsense(name, text, "an integer") from None
 
     def names(self, folder: str) -> list[str]:
-        """Return the sorted names in a folder; empty if there is no such folder."""
+        """Return the sorted names in a folder; empty if folder not found."""
         try:
             return sorted(path.name for path in self.path(folder).iterdir())
         except (FileNotFoundError, NotADirectoryError):

@@ -267,7 +267,7 @@ class StopRequest:
             self._connect()
             self._socket.send(STOP)
         except TimeoutError:
-            self._fail(f"does not let anybody in within {self._let_in_s:g} s: it does not look after its door any more")
+            self._fail(f"does not accept a connection within {self._let_in_s:g} s: it no longer serves its socket")
         except (FileNotFoundError, ConnectionRefusedError):
             self._failure = f"no host runs on bus {address}"
         except OSError as error:

@@ -134,7 +134,7 @@ class HeldKey(Switch):
 
     def __init__(self, hold: Callable[[int], None], other: Callable[[bytes], None] = lambda strokes: None) -> None:
         if not sys.stdin.isatty():
-            raise SafetyTrip('host.deadman = "key" needs a terminal: the standard input is none')
+            raise SafetyTrip('host.deadman = "key" needs a terminal: standard input is not one')
         super().__init__(hold)
         self._keys, self._other, self._last = Keys(self._struck, self._let_go), other, 0
 

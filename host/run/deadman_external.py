@@ -43,7 +43,7 @@ REASONS = {
     errno.EINVAL: "it has no such line, or no pull resistor for it",
     errno.ENOENT: "there is no such device; `ls /dev/gpiochip*` shows those that are there",
     errno.EACCES: "no right to read it; a udev rule or the group `gpio` gives it",
-    errno.ENOTTY: "it is no GPIO device",
+    errno.ENOTTY: "it is not a GPIO device",
 }
 
 

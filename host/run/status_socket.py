@@ -175,7 +175,7 @@ def _clear(path: Path) -> None:
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(kind):
-        raise StatusError(f"{path} is there and is no socket; choose another name")
+        raise StatusError(f"{path} is not a socket; choose another name")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
         try:
             probe.connect(str(path))

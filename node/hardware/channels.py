@@ -76,7 +76,7 @@ def finite(value: object, where: str) -> float:
     Raises
     ------
     HardwareError
-        The value is no number, or not finite.
+        The value is not a number, or not finite.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise HardwareError(f"{where}: got {str(value)[:MOST_BYTES]!r}, expected a finite number")

@@ -36,7 +36,7 @@ def find(root: Path, device: str) -> Path:
     if "/" in device:
         path = Path(device)
         if not path.is_dir():
-            raise HardwareError(f"{device}: there is no such folder")
+            raise HardwareError(f"{device}: folder not found")
         return path
     if (root / device).is_dir():
         return root / device

@@ -50,7 +50,7 @@ class Loop(Section):
 
     period_s: float = Field(0.001, ge=1e-4, le=0.1, description="from one reading and writing to the next")
     watchdog_s: float = Field(
-        0.05, ge=0.001, le=1.0, description="a node that stands still for so long has its outputs made safe"
+        0.05, ge=0.001, le=1.0, description="if the node hangs for so long, its outputs become safe"
     )
 
 
@@ -70,7 +70,7 @@ class Python(Section):
 
 class _Wired(Section):
     object: str = Field(min_length=1, description='"7300:01", or the name of the object in the EDS')
-    raw_at_zero: float = Field(0.0, description="what the channel says, or is told, at the value 0")
+    raw_at_zero: float = Field(0.0, description="the channel's input or output at the value 0")
     raw_per_unit: float = Field(1.0, description="by how much that grows for one unit of the value")
 
 
@@ -208,7 +208,7 @@ def read_io_file(path: str | Path, description: Description, profile: Profile) -
     try:
         text = read_regular(path).decode("utf-8-sig")
     except (NoRegularFile, OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is no text in UTF-8"
+        why = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise RigError((f"{path}: {why}; expected an I/O file (docs/own-device.md)",)) from None
     document = read_toml(text)
     source = Source(str(path), document)

@@ -67,7 +67,7 @@ class Guard:
         with suppress(BlockingIOError):
             answer = os.read(self._answers, 64)
             if TRIPPED in answer:
-                raise HardwareError(f"the node stood still for {self._watchdog_s:g} s, and its watchdog acted")
+                raise HardwareError(f"the node hung for {self._watchdog_s:g} s, and its watchdog acted")
             if not answer:
                 raise HardwareError("the watchdog process is gone")
 

@@ -387,8 +387,6 @@ def read_faults(path: Path) -> FaultPlan:
         line = document.line(("fault", MAX_FAULTS))
         raise FaultError(f"{path}:{line}: {len(file.fault)} faults; a file may have {MAX_FAULTS}")
     if not file.fault and not file.controller:
-        raise FaultError(
-            f"{path}: there is no fault in it; expected [[fault]] or [[controller]], once for each (docs/bus.md)"
-        )
+        raise FaultError(f"{path}: it has no fault; expected [[fault]] or [[controller]], once for each (docs/bus.md)")
     lines = tuple(document.line(("fault", n)) for n in range(len(file.fault)))
     return FaultPlan(str(path), file, lines, document, tuple(range(len(lines))), tuple(range(len(file.controller))))

@@ -106,7 +106,7 @@ class Injection:
             if self._world.bus[1].stage == Stage.FREE:
                 self.tell()
                 join(self._world.bus, out, self._before, now)
-                self._mark(now, f"the cable is mended (line {self.plan.lines[row]})")
+                self._mark(now, f"the cable is repaired (line {self.plan.lines[row]})")
 
     def _mark(self, t_ns: int, text: str) -> None:
         if self._on_fault is not None:

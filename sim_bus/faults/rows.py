@@ -226,7 +226,7 @@ def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
             row.station = nodes.station(getattr(fault, name), (*key, name))
     host = row.station in (SOURCE_HOST, CLIENTS)
     if isinstance(fault, Reset) and host:
-        raise nodes.plan.mistake((*key, "node"), "the host is no node that could be reset; expected a node of the rig")
+        raise nodes.plan.mistake((*key, "node"), "the host cannot be reset; expected a node of the rig")
     if isinstance(fault, Babble) and host:
         row.station = SOURCE_HOST  # on a bus of clients, a separate station
     if isinstance(fault, Flip | Noise) and row.station not in (ALL, CLIENTS):

@@ -113,7 +113,7 @@ def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
         raise ScriptError(f"{path}: {', '.join(table) or 'at'}; expected nothing but entries [[at]]")
     if not entries:
         raise ScriptError(
-            f"{path}: there is no entry in it; expected [[at]] with t_s, node and action, once for each thing that happens"
+            f"{path}: it has no entry; expected [[at]] with t_s, node and action, once for each thing that happens"
         )
     names = tuple(dict.fromkeys((*NODES, *nodes)))
     return tuple(_entry(f"{path}: entry {n} of [[at]]", given, names) for n, given in enumerate(entries, 1))

@@ -90,7 +90,7 @@ class LiveNodes:
         if self.store is not None and (
             (self.store.exists() and not self.store.is_file()) or not self.store.absolute().parent.is_dir()
         ):
-            raise NodeError(f"--store {self.store}: expected a file, in a directory that is there")
+            raise NodeError(f"--store {self.store}: expected a file in an existing directory")
         for (path, _), description in zip(self.eds, self.descriptions, strict=True):
             if description.diagnoses:
                 number = len(description.diagnoses)
@@ -174,7 +174,7 @@ class LiveNodes:
             self._check_kind(devices[-1])
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
             if isinstance(kept, FileStore) and kept.foreign:
-                raise NodeError(f"--store {kept.diagnosis}; such a file is not replaced: name another one")
+                raise NodeError(f"--store {kept.diagnosis}; choose another file; this one is not overwritten")
             if tell and isinstance(kept, FileStore) and kept.diagnosis:
                 say(f"coulombus: {kept.diagnosis}")
         return devices

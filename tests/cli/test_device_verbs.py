@@ -114,7 +114,7 @@ def test_init_names_what_to_do_for_a_device_without_a_file(desk, tmp_path):
     desk.add(eds("motor", vendor=0x77), 3)
     result = call("init", *BUS, "--drive-id", 3, "-o", "my.toml")
     assert result.exit_code == 3
-    assert "there is no EDS file for it; put its maker's file into a folder, give it with --eds-folder" in result.stderr
+    assert "it has no EDS file here; put its maker's file into a folder, give it with --eds-folder" in result.stderr
     assert not (tmp_path / "my.toml").exists()
 
 

@@ -413,9 +413,7 @@ def test_a_mistake_of_this_program_is_no_failed_check(monkeypatch, as_json):
     result = CliRunner().invoke(main, ["check", *(["--json"] if as_json else [])])
     assert result.exit_code == FAULT == 70
     assert "in mistaken" in result.stderr
-    assert result.stderr.splitlines()[-1] == (
-        "coulombus: a mistake of this program, please report it: KeyError: '6072h'"
-    )
+    assert result.stderr.splitlines()[-1] == ("coulombus: internal error, please report it: KeyError: '6072h'")
     if as_json:
         assert json.loads(result.stdout)["exit_status"] == FAULT
 

@@ -93,7 +93,7 @@ def test_a_node_that_is_stopped_or_killed_has_a_safe_output(tmp_path):
     ("change", "told"),
     [
         (("safe = 0.0", "safe = 9.0"), "io.toml:17: output.0.safe: got '9.0', expected 0 to 4, the limits"),
-        (("/dac", "/dax"), "dax: there is no such folder"),
+        (("/dac", "/dax"), "dax: folder not found"),
         (("out_voltage0", "out_voltage7"), "it has no channel 'out_voltage7'; it has out_voltage0"),
         (("in_voltage1", "in_voltage9"), "it has no channel 'in_voltage9'; it has in_voltage0, in_voltage1"),
     ],

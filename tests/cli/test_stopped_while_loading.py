@@ -114,4 +114,4 @@ def test_a_mistake_without_a_signal_is_told_with_its_traceback():
     status, err = ended(("check",), "coulombus.rigs.rig", act='raise SystemError("of its own")')
     assert status == 70
     assert err.startswith("Traceback")
-    assert err.endswith("coulombus: a mistake of this program, please report it: SystemError: of its own\n")
+    assert err.endswith("coulombus: internal error, please report it: SystemError: of its own\n")

@@ -89,7 +89,7 @@ def test_an_empty_value_configures_nothing():
         ("11", "is outside the object's limits"),
         ("-1", "is outside the object's limits"),
         ("70000", "does not fit into INTEGER16"),
-        ("five", "is no number"),
+        ("five", "is not a number"),
     ],
 )
 def test_a_value_that_an_sdo_could_not_write_is_told_and_not_loaded(written, complaint):
@@ -216,9 +216,9 @@ def test_a_map_that_stands_in_the_values():
 @pytest.mark.parametrize(
     ("mapped", "why"),
     [
-        ("ParameterValue=0x2000001O", "is no number"),
+        ("ParameterValue=0x2000001O", "is not a number"),
         ("ParameterValue=020000", "may mean octal"),
-        ("DefaultValue=0x20000010\nParameterValue=oops", "is no number"),
+        ("DefaultValue=0x20000010\nParameterValue=oops", "is not a number"),
         ("ParameterValue=0x20000010\nParameterValue=0x20000008", "is given twice with different values"),
         ("DataType=8\nParameterValue=0x20000010", "is given twice with different values"),
         ("ParameterValue=0x20000008", "but INTEGER16 has 16"),
@@ -248,16 +248,14 @@ def test_a_compact_map_of_two_readings_is_refused():
         ("[DeviceComissioning]\nNodeID=200\n", 0, 0, ["[DeviceComissioning] NodeID=200 is not 1 to 127; assumed none"]),
         (
             "[DeviceComissioning]\nBaudRate=500000\n",
-            *(0, 0, ["[DeviceComissioning] BaudRate=500000 is no bit rate of CiA 301 in kbit/s; assumed none"]),
+            *(0, 0, ["[DeviceComissioning] BaudRate=500000 is not a bit rate of CiA 301 in kbit/s; assumed none"]),
         ),
         (
             "[DeviceCommissioning]\nNodeID=3\n",
             *(
                 3,
                 0,
-                [
-                    "the section head [DeviceCommissioning] is not spelled as CiA 306 has it; assumed [DeviceComissioning]"
-                ],
+                ["the section head [DeviceCommissioning] does not follow CiA 306; assumed [DeviceComissioning]"],
             ),
         ),
     ],

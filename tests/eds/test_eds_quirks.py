@@ -47,7 +47,7 @@ def test_bytes_that_are_no_character():
     line = line_of(variable(), "ParameterName=X")
     assert complaints(parse_eds(raw, "q.eds")) == [
         f"{line}: warning: the file is neither ASCII nor UTF-8; assumed Windows-1252",
-        f"{line}: warning: there are bytes that stand for no character; assumed the character U+FFFD",
+        f"{line}: warning: invalid bytes for this encoding; assumed the character U+FFFD",
     ]
 
 
@@ -75,14 +75,14 @@ def test_tabs_are_spaces():
 )
 def test_section_heads_of_another_spelling(head):
     text = record("[2000sub0]", head, said=2).replace("DefaultValue=4", "DefaultValue=1", 1)
-    expect(text, head, f"warning: the section head {head} is not spelled as CiA 306 has it; assumed [2000sub1]")
+    expect(text, head, f"warning: the section head {head} does not follow CiA 306; assumed [2000sub1]")
 
 
 def test_a_section_of_no_known_name():
     text = variable() + "[Vendor]\nColour=red\n"
-    expect(text, "[Vendor]", "warning: the section [Vendor] is none of CiA 306; assumed a comment")
+    expect(text, "[Vendor]", "warning: the section [Vendor] is not defined in CiA 306; assumed a comment")
     text = variable() + "[2001sub1FF]\nParameterName=Y\nDataType=5\n"
-    expect(text, "[2001sub1FF]", "error: the section [2001sub1FF] is none of CiA 306; assumed a comment")
+    expect(text, "[2001sub1FF]", "error: the section [2001sub1FF] is not defined in CiA 306; assumed a comment")
 
 
 def test_sections_of_cia_306_that_hold_no_object():
@@ -137,10 +137,12 @@ def test_a_diagnosis_quotes_at_most_60_characters(key):
 
 def test_many_alike_are_one_line_with_their_number():
     some = parse(variable() + "".join(f"[Junk{k}]\na=b\n" for k in range(20)))
-    assert sum("is none of CiA 306" in d.text for d in some.diagnoses) == 20
+    assert sum("is not defined in CiA 306" in d.text for d in some.diagnoses) == 20
     many = parse(variable() + "".join(f"[Junk{k}]\na=b\n" for k in range(500)))
-    (diagnosis,) = (d for d in many.diagnoses if "is none of CiA 306" in d.text)
-    assert diagnosis.text.startswith("the section [Junk0] is none of CiA 306 (and 499 more like this, up to line ")
+    (diagnosis,) = (d for d in many.diagnoses if "is not defined in CiA 306" in d.text)
+    assert diagnosis.text.startswith(
+        "the section [Junk0] is not defined in CiA 306 (and 499 more like this, up to line "
+    )
     assert diagnosis.line == line_of(variable() + "[Junk0]", "[Junk0]")
 
 
@@ -178,7 +180,10 @@ def test_a_misspelled_key_is_told_once():
     text = variable(DefualtValue=5) + "[2001]\nParameterName=Y\nDataType=5\nAccessType=ro\nDefualtValue=6\n"
     head = HEAD.replace("SupportedObjects=1\n1=0x2000", "SupportedObjects=2\n1=0x2000\n2=0x2001")
     expect(
-        text, "DefualtValue=5", "warning: [2000] DefualtValue is no key of CiA 306 (2 times); assumed a comment", head
+        text,
+        "DefualtValue=5",
+        "warning: [2000] DefualtValue is not a key of CiA 306 (2 times); assumed a comment",
+        head,
     )
 
 
@@ -301,7 +306,7 @@ def test_a_data_type_by_its_name():
     d = expect(
         variable(DataType="INTEGER32", DefaultValue="-1"),
         "DataType=INTEGER32",
-        "warning: [2000] DataType=INTEGER32 is no number; assumed 0x0004",
+        "warning: [2000] DataType=INTEGER32 is not a number; assumed 0x0004",
     )
     assert (d.variable(0x2000, 0).data_type, d.variable(0x2000, 0).default) == (4, -1)
 
@@ -311,13 +316,15 @@ def test_a_data_type_of_the_manufacturer(code):
     expect(
         variable(DataType=code),
         f"DataType={code}",
-        f"warning: [2000] DataType={code} is none of CiA 301; assumed a type of unknown width",
+        f"warning: [2000] DataType={code} is not defined in CiA 301; assumed a type of unknown width",
     )
 
 
 def test_an_object_type_that_there_is_not():
     d = expect(
-        variable(ObjectType="0x4"), "ObjectType=0x4", "error: [2000] ObjectType=0x4 is none of CiA 301; assumed 0x7"
+        variable(ObjectType="0x4"),
+        "ObjectType=0x4",
+        "error: [2000] ObjectType=0x4 is not defined in CiA 301; assumed 0x7",
     )
     assert d.objects[0x2000].object_type == 7
 
@@ -372,7 +379,7 @@ def test_names_of_compact_sub_objects_are_held_against_them():
     d = parse(text)
     assert complaints(d) == [
         f"{line_of(text, 'NrOfEntries')}: warning: [2000Name] has 1 entries, not 2; assumed 1",
-        f"{line_of(text, '0x2=b')}: warning: [2000Name] 0x2 is no sub-index in decimal; assumed a comment",
+        f"{line_of(text, '0x2=b')}: warning: [2000Name] 0x2 is not a decimal sub-index; assumed a comment",
     ]
     assert [d.variable(0x2000, k).name for k in range(1, 4)] == ["a", "L 2", "L 3"]
     text = variable() + "[2001Name]\nNrOfEntries=0\n"
@@ -459,7 +466,7 @@ def test_lists_that_skip_repeat_and_misplace():
 def test_an_entry_of_a_list_that_is_no_number_lists_nothing():
     d = parse(variable(), HEAD.replace("1=0x2000", "1=all"))
     assert [x.text for x in d.diagnoses] == [
-        "[ManufacturerObjects] 1=all is no number",
+        "[ManufacturerObjects] 1=all is not a number",
         "[2000] is in no list of objects",
     ]
 
@@ -571,10 +578,10 @@ def test_both_lacks_of_a_mapped_object_are_told():
         (lambda: with_pdos(pdo(entries=["0x20000041"]), DataType="0x0009"), "maps 2000h:0 in 65 bits"),
         (lambda: with_pdos(pdo(entries=["0x20000010"] * 5)), "1600h maps 80 bits"),
         (lambda: with_pdos(pdo(), DataType="0x0040"), "maps 2000h:0 in 16 bits, whose DataType is not known"),
-        (lambda: with_pdos(pdo(entries=["20000010h ; X", "6 0 4"])), "[1600sub2] DefaultValue=6 0 4 is no number"),
+        (lambda: with_pdos(pdo(entries=["20000010h ; X", "6 0 4"])), "[1600sub2] DefaultValue=6 0 4 is not a number"),
         (lambda: with_pdos(pdo(entries=["0x2000001000"])), "does not fit into UNSIGNED32"),
         (lambda: with_pdos(pdo("0x20000181")), "1400h:1 has the identifier 0x181"),
-        (lambda: with_pdos(pdo("$NODEID*2")), "[1400sub1] DefaultValue=$NODEID*2 is no number"),
+        (lambda: with_pdos(pdo("$NODEID*2")), "[1400sub1] DefaultValue=$NODEID*2 is not a number"),
         (lambda: with_pdos(pdo("0201")), "which may mean octal"),
         (lambda: with_pdos(pdo("0x201\nDefaultValue=0x202")), "DefaultValue is given twice with different values"),
     ],

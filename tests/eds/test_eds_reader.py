@@ -102,16 +102,16 @@ def test_defaults_by_data_type(read, code, written, expected):
         ("0x0005", "-1", 255, "does not fit into UNSIGNED8; assumed two's complement, 255"),
         ("0x0003", "70000", None, "does not fit into INTEGER16; assumed no value"),
         ("0x0005", "0x100", None, "does not fit into UNSIGNED8; assumed no value"),
-        ("0x0005", "many", None, "is no number; assumed no value"),
-        ("0x0001", "TRUE", 1, "is no number; assumed 1"),
+        ("0x0005", "many", None, "is not a number; assumed no value"),
+        ("0x0001", "TRUE", 1, "is not a number; assumed 1"),
         ("0x0008", "1,5", 1.5, "decimal comma; assumed 1.5"),
         ("0x0008", "0x3FC00000", 1.5, "is hexadecimal; assumed an IEEE 754 pattern"),
         ("0x0008", "0x123456789", None, "does not fit into REAL32; assumed no value"),
-        ("0x0008", "-0x1", None, "is no number; assumed no value"),
+        ("0x0008", "-0x1", None, "is not a number; assumed no value"),
         ("0x0008", "nan", None, "is not finite; assumed no value"),
-        ("0x000A", "odd", b"odd", "no row of hexadecimal octets; assumed its characters"),
+        ("0x000A", "odd", b"odd", "not a row of hexadecimal octets; assumed its characters"),
         ("0x0007", "$NODEID+$NODEID", None, "has the node id more than once; assumed no value"),
-        ("0x0007", "$NODEID-1", None, "is no number; assumed no value"),
+        ("0x0007", "$NODEID-1", None, "is not a number; assumed no value"),
     ],
 )
 def test_odd_defaults_are_told(read, code, written, expected, complaint):
@@ -154,7 +154,7 @@ def test_the_node_id_is_added(read, written, constant, default):
         ({"DataType": "0x0008", "LowLimit": "-0.5", "HighLimit": "0.5"}, (-0.5, 0.5), ""),
         ({"LowLimit": "0", "HighLimit": "0xFFFF"}, (None, None), "LowLimit 0 is above HighLimit -1; assumed no limits"),
         ({"LowLimit": "$NODEID+1"}, (None, None), "depends on the node id; assumed no limit"),
-        ({"HighLimit": "much"}, (None, None), "is no number; assumed no value"),
+        ({"HighLimit": "much"}, (None, None), "is not a number; assumed no value"),
         ({"HighLimit": "5", "DefaultValue": "9"}, (None, 5), "DefaultValue=9 is outside its limits; assumed 9"),
     ],
 )
@@ -173,14 +173,14 @@ def test_limits(read, keys, limits, complaint):
         ({"AccessType": "RO ; read only"}, "access", "ro", "comment after the value; assumed RO"),
         ({"AccessType": "R/W"}, "access", "rw", ""),
         ({"DataType": None}, "data_type", 0, "error: [2000] DataType is missing; assumed a type of unknown width"),
-        ({"DataType": "0x0099"}, "data_type", 0x99, "none of CiA 301; assumed a type of unknown width"),
+        ({"DataType": "0x0099"}, "data_type", 0x99, "not defined in CiA 301; assumed a type of unknown width"),
         ({"DataType": "0010"}, "data_type", 0, "can be read in two ways; assumed a type of unknown width"),
         ({"DataType": "3"}, "data_type", 3, ""),
         ({"PDOMapping": None}, "pdo_mappable", False, ""),
         ({"PDOMapping": "1"}, "pdo_mappable", True, ""),
-        ({"ObjectType": "VAR"}, "data_type", 3, "ObjectType=VAR is no number; assumed 0x7"),
+        ({"ObjectType": "VAR"}, "data_type", 3, "ObjectType=VAR is not a number; assumed 0x7"),
         ({"ObjectType": ""}, "data_type", 3, ""),
-        ({"ObjectType": "something"}, "data_type", 3, "is no number; assumed 7"),
+        ({"ObjectType": "something"}, "data_type", 3, "is not a number; assumed 7"),
     ],
 )
 def test_missing_and_odd_keys(read, keys, attribute, expected, complaint):
@@ -232,8 +232,8 @@ def test_noise_between_the_sections(read):
     d = read(text)
     line = HEAD.count("\n")
     assert complaints(d) == [
-        f"{line + 3}: warning: 'no key' is no key=value; assumed a comment",
-        f"{line + 4}: warning: '=5' is no key=value; assumed a comment",
+        f"{line + 3}: warning: 'no key' is not key=value; assumed a comment",
+        f"{line + 4}: warning: '=5' is not key=value; assumed a comment",
         f"{line + 5}: warning: the section head '[2000' has no ']'; assumed [2000]",
     ]
 
@@ -309,9 +309,9 @@ def test_records_and_their_sub_indices(read):
         (record("[2000sub0]", kind="0x7"), 9, [0], "is ObjectType 0x7 but has sub-indices; assumed 0x9"),
         (record(), 9, [], "array or record without sub-indices; assumed an empty object"),
         (record("[2000sub1]").partition("[2000sub1]")[2].join(["[2000sub1]", ""]), 9, [1], "has no section [2000]"),
-        (record("[2000sub0]", kind="ARRAY"), 8, [0], "ObjectType=ARRAY is no number; assumed 0x8"),
+        (record("[2000sub0]", kind="ARRAY"), 8, [0], "ObjectType=ARRAY is not a number; assumed 0x8"),
         (variable(ObjectType="0x2", DataType=None), 2, [0], ""),
-        (variable(ObjectType="DOMAIN", DataType=None), 2, [0], "ObjectType=DOMAIN is no number"),
+        (variable(ObjectType="DOMAIN", DataType=None), 2, [0], "ObjectType=DOMAIN is not a number"),
     ],
 )
 def test_object_types(read, text, kind, subs, complaint):
@@ -378,7 +378,7 @@ def test_missing_sections_and_padded_numbers_of_the_device(read):
     d = read(variable(), head=HEAD.replace("VendorName=Nobody", "VendorNumber=001\nProductNumber=\nRevisionNumber=x"))
     text = "\n".join(complaints(d))
     assert "[DeviceInfo] VendorNumber=001 is zero-padded; assumed 1" in text
-    assert "[DeviceInfo] RevisionNumber=x is no number" in text
+    assert "[DeviceInfo] RevisionNumber=x is not a number" in text
     assert d.info["VendorNumber"] == "001"
 
 

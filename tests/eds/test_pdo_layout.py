@@ -217,7 +217,7 @@ REFUSED = {
         r"1A00h:0 is 254; expected 0 to 64 entries \(no multiplexed PDO\)",
     ),
     "no number": (["6064"], None, "sub1", r"maps 0000h:23 in 176 bits; expected 1 to 64 bits"),
-    "unreadable": (["position"], None, "sub1", r"DefaultValue=position is no number; correct it"),
+    "unreadable": (["position"], None, "sub1", r"DefaultValue=position is not a number; correct it"),
     "octal?": (["0123"], None, "sub1", r"may mean octal; correct it, a PDO parameter is never guessed"),
 }
 

@@ -278,10 +278,10 @@ def test_objects_of_modules_are_left_out_and_told():
         (CAR.replace('"2000"', '"20000"'), "<CANopenObject> has index=20000"),
         (CAR.replace('index="2000" ', ""), "<CANopenObject> has no index"),
         (CAR + "\n" + CAR.replace('"5"', '"6"'), "defaultValue=6, but line"),
-        (CAR.replace('"0003"', '"0F00"'), "DataType=0x0F00 is none of CiA 301"),
+        (CAR.replace('"0003"', '"0F00"'), "DataType=0x0F00 is not defined in CiA 301"),
         (CAR.replace(' accessType="rw"', ""), "AccessType is missing"),
-        (CAR.replace('"5"', '"five"'), "defaultValue=five is no number"),
-        (CAR.replace("/>", ' PDOmapping="yes"/>'), "PDOmapping=yes is no number"),
+        (CAR.replace('"5"', '"five"'), "defaultValue=five is not a number"),
+        (CAR.replace("/>", ' PDOmapping="yes"/>'), "PDOmapping=yes is not a number"),
         (CAR.replace("/>", ' highLimit="4"/>'), "defaultValue=5 is outside its limits"),
     ],
 )
@@ -421,7 +421,7 @@ def test_a_torn_file_is_refused_at_every_place():
     for length in range(30, len(text) - 2, 7):
         with pytest.raises(EdsError, match=REFUSAL) as refused:
             read(text[:length])
-        assert "no well-formed XML" in str(refused.value)
+        assert "not well-formed XML" in str(refused.value)
 
 
 @pytest.mark.parametrize(

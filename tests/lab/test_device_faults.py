@@ -235,7 +235,7 @@ def test_a_sensor_has_no_faults_of_its_own(tmp_path):
 def test_a_script_in_which_nothing_stands_is_refused(tmp_path, text):
     path = tmp_path / "s.toml"
     path.write_text(text)
-    with pytest.raises(ScriptError, match=r"s\.toml: there is no entry in it; expected \[\[at\]\]"):
+    with pytest.raises(ScriptError, match=r"s\.toml: it has no entry; expected \[\[at\]\]"):
         read_script(path)
 
 

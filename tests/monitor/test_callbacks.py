@@ -74,7 +74,7 @@ def test_a_pdo_of_another_length_is_counted_and_told_once(bus, caplog):
         assert heard.malformed == {"motor.TPDO1": 2}
     assert only.calls == 1
     assert [record.getMessage() for record in caplog.records] == [
-        "motor.TPDO1 came with 7 bytes, the rig has 8: is this the rig of this bus? it is told once, and counted"
+        "motor.TPDO1 came with 7 bytes, the rig has 8: is this the rig of this bus? reported once, then counted"
     ]
 
 

@@ -110,7 +110,7 @@ def test_the_reader_goes_on_where_a_look_fails(monkeypatch):
     monkeypatch.setattr("coulombus.monitor.live_incidents.LOOK_S", 0.0)
     monkeypatch.setattr(reader, "look", fail)
     reader._run()
-    assert reader.failure == "incidents are no longer looked for: ValueError: an odd bus"
+    assert reader.failure == "the search for incidents has ended: ValueError: an odd bus"
     reader.take(beats(1, 2, 1))
     assert reader._waiting == []
 

@@ -360,11 +360,11 @@ def test_another_kind_of_file_is_not_replaced(tmp_path: Path):
     store = FileStore(path)
     store.attach("it")
     assert store.foreign
-    with pytest.raises(OSError, match="is no store of a device"):
+    with pytest.raises(OSError, match="is not the store of a device"):
         store.put({"communication": {"1017:00": b"\x01\x00"}})
     assert path.read_text() == "[rig]\n"
     done = CliRunner().invoke(
         main, ["node", "eds/motor.eds", "--node-id", "1", "--bus", "coulombus:none", "--store", str(path)]
     )
     assert done.exit_code == 2
-    assert "is not replaced: name another one" in done.output
+    assert "choose another file; this one is not overwritten" in done.output

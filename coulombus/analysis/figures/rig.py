@@ -66,7 +66,7 @@ def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]
             data.t_s, data.printed_rad * 1e3, color=VERMILION, ls="--", label="as printed: kicked again and again"
         )
         rest.legend(loc="best")
-        label(rest, "time [s]", "angle [mrad]", "(c) a handle at rest, nobody near it")
+        label(rest, "time [s]", "angle [mrad]", "(c) a handle at rest, without a hand")
         return [*save(made, directory, "fig12-karnopp")]
 
 

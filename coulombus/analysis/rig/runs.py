@@ -42,7 +42,7 @@ def _belief(axis: Axis, mode: str) -> str:
     if believed >= BELIEF_SHARE * true:
         return ""
     return (
-        f"; identify first: the belief mechanics.friction_Nm is {believed:g} Nm, the simulated rig has {true:g} Nm "
+        f"; identify first: mechanics.friction_Nm is {believed:g} Nm, the simulated rig has {true:g} Nm "
         f"(plant.coulomb_Nm + plant.brake_off_state_Nm); set mechanics.friction_Nm to what 'coulombus identify' finds, and "
         f"mode.{mode}.motor_limit_Nm to at least 1.2 times that"
     )

@@ -185,7 +185,7 @@ def _known(recording: Recording, controllers: Controllers) -> _Known:
     frames = recording.frames[: len(known)] if in_virtual_time else recording.frames
     if not len(frames):
         raise ReplayError(
-            f"{recording.path}: there is no frame in it of which its trace tells: the recording was ended too soon"
+            f"{recording.path}: its trace has no frame of this recording: the recording was ended too soon"
         )
     last_ns = int(frames["t_ns"][-1])
     if in_virtual_time:

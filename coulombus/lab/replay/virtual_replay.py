@@ -115,7 +115,7 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
         )
     frames = recording.frames
     if not len(frames) or recording.epoch_ns:
-        why = "its stamps are a clock's, and not the bus's own time" if len(frames) else "there is no frame in it"
+        why = "its stamps are a clock's, and not the bus's own time" if len(frames) else "it has no frame"
         raise ReplayError(
             f"{path}: {why}: take a recording of `coulombus simulate --record` or `coulombus emulate --record`"
         )

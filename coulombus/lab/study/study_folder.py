@@ -90,7 +90,7 @@ def _write(path: Path, text: str) -> None:
 def _full(path: Path, error: OSError) -> StudyFolderError:
     return StudyFolderError(
         f"{path}: cannot be written ({error.strerror or error}); answers so far are kept, the last one perhaps not: "
-        "make room, and give the same command to go on"
+        "make room, and give the same command to continue"
     )
 
 
@@ -146,7 +146,7 @@ def read_events(path: Path) -> list[dict[str, str]]:
         cells = line.split("\t")
         if len(cells) != len(COLUMNS):
             raise StudyFolderError(
-                f"{path}:{number}: {len(cells)} columns; expected {len(COLUMNS)}; mend or remove the row"
+                f"{path}:{number}: {len(cells)} columns; expected {len(COLUMNS)}; correct or remove the row"
             )
         rows.append(dict(zip(COLUMNS, cells, strict=True)))
     return rows

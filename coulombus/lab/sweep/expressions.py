@@ -61,7 +61,7 @@ class Condition:
         tree = _tree(text)
         kind = _Kinds(known).of(tree)
         if kind is not bool:
-            raise ConditionError("it is no comparison; expected one such as hold_counts_p2p <= 2")
+            raise ConditionError("it is not a comparison; expected, for example, hold_counts_p2p <= 2")
         return cls(text)
 
     @property
@@ -166,7 +166,7 @@ class _Kinds:
 
     def _expect(self, node: ast.expr, kind: type, what: str) -> None:
         if self.of(node) is not kind:
-            raise ConditionError(f"'{ast.unparse(node)}' is no {what.partition(' ')[2]}; expected {what}")
+            raise ConditionError(f"'{ast.unparse(node)}' is not {what}")
 
     def _compared(self, node: ast.Compare) -> type:
         parts = [node.left, *node.comparators]

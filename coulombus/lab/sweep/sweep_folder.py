@@ -269,7 +269,7 @@ class Folder:
             done = self.sweep.runs - len(self.left)
             raise SweepFolderError(
                 f"{path}: cannot be written ({error.strerror or error}); runs that are done are kept ({done} of "
-                f"{self.sweep.runs}, some of them perhaps not on the disk): make room, and give the same command to go on"
+                f"{self.sweep.runs}, some of them perhaps not on the disk): make room, and give the same command to continue"
             ) from error
 
     def _schema(self) -> Any:

@@ -173,7 +173,7 @@ def _about(path: str | Path) -> dict[str, str]:
         if len(capture.frames):
             break
     else:
-        raise ExportError(f"{path}: there is no frame in it: nothing was recorded, and nothing can be exported")
+        raise ExportError(f"{path}: it has no frame, so nothing can be exported")
     about = {"recording": Path(path).name}
     if "mode" in attachments:
         about["mode"] = attachments["mode"].decode(errors="replace")

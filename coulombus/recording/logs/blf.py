@@ -60,7 +60,7 @@ def read(content: Content) -> Log:
     if head[: len(MAGIC)] != MAGIC[: len(head)]:
         raise ValueError("it does not begin as a .blf file does")
     if len(head) < FILE_HEADER.size:
-        log.remarks.append(f"{len(head)} bytes were left out: the file ends in the midst of its header")
+        log.remarks.append(f"{len(head)} bytes were left out: the file ends within its header")
         return log
     _, size, whole, count, *start = FILE_HEADER.unpack(head)
     content.read(max(size - FILE_HEADER.size, 0))
@@ -70,7 +70,7 @@ def read(content: Content) -> Log:
     if missing > 0 and (torn or content.given < whole):
         log.lose("the file ends before them, or is damaged there", count=missing)
     elif torn:
-        log.remarks.append(f"{torn} bytes were left out: the file is damaged there, or ends in the midst of an object")
+        log.remarks.append(f"{torn} bytes were left out: the file is damaged there, or ends within an object")
     return log
 
 

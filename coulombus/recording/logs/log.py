@@ -36,7 +36,7 @@ Row: TypeAlias = tuple[int, int, int, bytes, str]
 
 MALFORMED = "no frame of this format"
 SHORT = "fewer data bytes than the length says"
-CUT = "the file ends in the midst of it"
+CUT = "the file ends within it"
 EVENT = "no frame, but an event of the tool or the adapter (status, statistics)"
 FD = "a CAN FD frame"
 

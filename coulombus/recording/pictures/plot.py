@@ -78,7 +78,7 @@ class Envelope:
     _high: Floats = field(default_factory=lambda: np.full(BINS, -np.inf))
 
     def add(self, t_s: Floats, values: Any) -> None:
-        """Take samples; those outside the times, and what is no number, are left out."""
+        """Take samples; those outside the times, and what is not a number, are left out."""
         inside = (t_s >= self.begin_s) & (t_s <= self.end_s) & np.isfinite(values)
         t_s, values = t_s[inside], np.asarray(values, np.float64)[inside]
         self.count += len(t_s)
@@ -151,7 +151,7 @@ def _extent(source: Readable) -> tuple[float, float]:
     """Return the times of the first and the last frame [s]."""
     times = [t for block in source if len(block.frames) for t in (block.t_s[0], block.t_s[-1])]
     if not times:
-        raise SpanError(f"{source.path}: there is no frame in it: nothing was recorded, and nothing can be drawn")
+        raise SpanError(f"{source.path}: it has no frame, so nothing can be drawn")
     return float(min(times)), float(max(times))
 
 

@@ -96,7 +96,7 @@ class _Gathering:
             if self.files:
                 text += f" none of {len(self.files)} EDS files in the folder has it; put its maker's file there"
             else:
-                text += " there is no EDS file for it; put its maker's file into a folder, give it with --eds-folder"
+                text += " it has no EDS file here; put its maker's file into a folder, give it with --eds-folder"
             raise RigError([f"{text}, or name it with --drive, --brake or --sensor"])
         self.node_ids.add(node_id)
         return DraftDevice(node, description, self._name_of(description), node_id, answers)

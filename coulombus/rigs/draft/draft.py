@@ -166,7 +166,7 @@ class Draft:
                 self.text.put(f"{at}.{key}", 0, f"a simulated device has 0, as its file tells none{real}", REHEARSAL)
             else:
                 self.text.put(f"{at}.{key}", number, doubt)
-        self.text.put(f"{at}.response_us", RESPONSE_US, "nobody has measured this device; see its manual")
+        self.text.put(f"{at}.response_us", RESPONSE_US, "this device was not measured; see its manual")
 
     def _replace(self, device: DraftDevice, part: dict[str, Any]) -> None:
         if device.node in ("motor", "brake"):
@@ -207,7 +207,7 @@ class Draft:
                 text.put(name, simulated[name])
         for key, belief in SAME_IN_PLANT.items():
             text.put(f"plant.{key}", text.get(belief))
-        text.note("plant", "the simulated rig is as this file believes the real one to be", REHEARSAL)
+        text.note("plant", "the simulated rig has the values of this file", REHEARSAL)
 
     def _settled(self) -> Rig:
         """Return the rig, after fixing what can be fixed."""

@@ -32,7 +32,7 @@ SLOPE, TORQUE_OFFSET, INTERPOLATION = 0x6087, 0x60B2, 0x60C2
 WITNESS = "bring-up holds it against the drive; commissioning and the travel of the sign check prove it"
 LEAST_TORQUE_Nm, MOST_TORQUE_Nm = 1e-3, 1000.0
 """Plausible rated torque of a motor; other values are in another unit."""
-MILLI = "taken for mNm, as CiA 402 has it; if it is another unit, the host pushes less than it believes"
+MILLI = "taken for mNm, as CiA 402 has it; if it is another unit, the host pushes less than it assumes"
 MICRO = "taken for uNm, as it is too large for mNm"
 READINGS = "drives count the set-point in per mille of 6076h in mNm, of 6076h in uNm, or of the rated current"
 GUESSED_mA = 1000
@@ -275,7 +275,7 @@ def _own_units(text: RigText, device: DraftDevice, maker: MakerMode, rated_Nm: f
         scale = float(f"{rated_Nm / 1000:.4g}")
         why = (
             f"the maker's own unit: Nm at the shaft for one count of {device.label(maker.setpoint)}; here a per mille of the rated torque. "
-            "If a count is less, the host pushes less than it believes"
+            "If a count is less, the host pushes less than it assumes"
         )
     text.put("role.torque_setpoint.scale_Nm", scale, why)
     if maker.actual is not None and device.entry(maker.actual, "tpdo"):

@@ -87,7 +87,7 @@ def test_an_interface_that_hears_nobody_is_as_it_was(talks, reports, up):
     interface = Interface(33_333, talks=talks, before=500_000)
     interface.flags = ["UP"] if up else []
     interface.info["info_data"]["ctrlmode"] = ["BERR-REPORTING"] if reports else []
-    with pytest.raises(NodeMissing, match="nobody was heard on socketcan:can0 at any bit rate"):
+    with pytest.raises(NodeMissing, match="no node was heard on socketcan:can0 at any bit rate"):
         choose("can0", commands=interface.commands, link=interface.link)
     assert (interface.rate, interface.listen) == (500_000, False)
     assert (interface.reports, interface.up) == (reports, up)

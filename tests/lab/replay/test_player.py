@@ -223,7 +223,7 @@ def test_a_log_that_breaks_off_is_told(tmp_path):
     path.write_text("(1.000000) can0 181#0102\n(1.100000) can0 181#01", encoding="utf-8")
     tape = load_tape(path)
     assert len(tape.frames) == 1
-    assert tape.remarks == (f"{path}: 1 row was left out: the file ends in the midst of it (the first is line 2)",)
+    assert tape.remarks == (f"{path}: 1 row was left out: the file ends within it (the first is line 2)",)
 
 
 def test_stamps_that_go_back_or_leap_are_told(tmp_path):
@@ -252,7 +252,7 @@ def test_a_torn_file_is_played_to_its_last_whole_block(file, bus):
     [
         ("a.pcapng", b"", PcapngError, "empty"),
         ("a.pcapng", b"\xa1\xb2\xc3\xd4" * 9, PcapngError, "classic pcap"),
-        ("a.csv", b"rubbish\n" * 9, LogError, "there is no frame in it"),
+        ("a.csv", b"rubbish\n" * 9, LogError, "it has no frame"),
         ("a.xyz", b"rubbish", LogError, "expected a pcapng file, or another tool's log"),
         ("a.log", b"", LogError, "the file is empty"),
     ],

@@ -23,7 +23,7 @@ def test_a_device_is_found_by_folder_by_number_and_by_name(sysfs):
     assert find(sysfs.folder, "mcp3208") == sysfs.folder / "adc"
     with pytest.raises(HardwareError, match=r"no device 'mcp9'; there are: adc \(mcp3208\), dac \(mcp4725\)"):
         find(sysfs.folder, "mcp9")
-    with pytest.raises(HardwareError, match="there is no such folder"):
+    with pytest.raises(HardwareError, match="folder not found"):
         find(sysfs.folder, "/nowhere/adc")
     sysfs.put("dac/name", "mcp3208")
     with pytest.raises(HardwareError, match="2 devices are called 'mcp3208'"):

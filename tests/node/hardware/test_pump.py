@@ -165,7 +165,7 @@ def test_a_reset_alone_does_not_help(rig):
 def test_a_watchdog_that_acts_again_at_the_reset_is_told_again(rig):
     """Nothing was told, and who waited for an answer to the reset waited for ever."""
     rig.start()
-    rig.guards[0].trouble = why = "the node stood still for 1 s, and its watchdog acted"
+    rig.guards[0].trouble = why = "the node hung for 1 s, and its watchdog acted"
     rig.period()
     rig.bench.nmt(129)
     rig.guards[0].trouble = why
@@ -186,7 +186,7 @@ def test_an_output_that_is_gone_is_told_as_not_safe(rig):
     assert [code for code, *_ in rig.bench.emcy()] == [0x5000]
 
 
-@pytest.mark.parametrize("why", ["the watchdog process is gone", "the node stood still for 0.05 s"])
+@pytest.mark.parametrize("why", ["the watchdog process is gone", "the node hung for 0.05 s"])
 def test_a_watchdog_that_acted_or_is_gone_is_a_fault(rig, why):
     rig.start()
     rig.period(3000)

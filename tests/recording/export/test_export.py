@@ -243,7 +243,7 @@ def test_a_torn_recording_is_exported_to_its_end_and_that_is_said(source, tmp_pa
 
 @pytest.mark.parametrize("kind", ["csv", "blf"])
 def test_nothing_recorded_is_an_error_and_leaves_no_file(tmp_path, kind):
-    with pytest.raises(ExportError, match="there is no frame in it"):
+    with pytest.raises(ExportError, match="it has no frame"):
         export(record(tmp_path / "empty.pcapng", 0), tmp_path / "out", kind)
     assert [path.name for path in tmp_path.iterdir()] == ["empty.pcapng"]
 

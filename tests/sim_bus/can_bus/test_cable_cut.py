@@ -95,7 +95,7 @@ def test_who_is_cut_off_becomes_safe_and_stays_so(tmp_path, far):
         assert np.any(mine > begin + 300 * MS)
     texts = [text for _, text in read(tmp_path / "r.pcapng").markers]
     assert "the cable is cut (line 1)" in texts
-    assert "the cable is mended (line 1)" in texts
+    assert "the cable is repaired (line 1)" in texts
 
 
 def cut_rig(tmp_path, text):

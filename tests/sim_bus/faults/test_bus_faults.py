@@ -104,7 +104,7 @@ def test_one_mistake_is_told_once_and_a_byte_order_mark_is_none(tmp_path):
     ("text", "reason"),
     [
         ('[[fault]]\nkind = "reset"\nnode = "arm"\n', r"faults.toml:3: .*'arm'.*motor, brake"),
-        ('[[fault]]\nkind = "reset"\nnode = "host"\n', r"faults.toml:3: .*no node that could be reset"),
+        ('[[fault]]\nkind = "reset"\nnode = "host"\n', r"faults.toml:3: .*the host cannot be reset"),
         ("[[controller]]\nnode = 'motor'\n[[controller]]\nnode = 1\n", r"faults.toml:4: .*in line 1 already"),
         ("[[fault]]\nkind = 'drop'\nbus = 'can0'\n", r"faults.toml:3: .*no bus 'can0'"),
     ],
@@ -412,5 +412,5 @@ lost_for = "host"
 def test_a_file_without_a_fault_is_refused(tmp_path, text):
     file = tmp_path / "f.toml"
     file.write_text(text)
-    with pytest.raises(FaultError, match=r"f.toml: there is no fault in it; expected \[\[fault\]\] or"):
+    with pytest.raises(FaultError, match=r"f.toml: it has no fault; expected \[\[fault\]\] or"):
         read_faults(file)

@@ -121,14 +121,14 @@ def test_a_store_is_a_file_of_one_node(tmp_path):
     with pytest.raises(NodeError, match=text):
         nodes(tmp_path, (BRAKE, 5), (BRAKE, 6), store=store)
     for wrong in (tmp_path, tmp_path / "none" / "store"):
-        with pytest.raises(NodeError, match=f"^--store {wrong}: expected a file, in a directory that is there$"):
+        with pytest.raises(NodeError, match=f"^--store {wrong}: expected a file in an existing directory$"):
             nodes(tmp_path, (BRAKE, 5), store=wrong)
 
 
 def test_a_file_that_is_no_store_is_not_replaced(tmp_path, said):
     store = tmp_path / "store"
     store.write_text("my thesis")
-    with pytest.raises(NodeError, match=r"^--store .*; such a file is not replaced: name another one$"):
+    with pytest.raises(NodeError, match=r"^--store .*; choose another file; this one is not overwritten$"):
         nodes(tmp_path, (BRAKE, 5), store=store)
     assert store.read_text() == "my thesis"
     assert said == []

@@ -77,7 +77,7 @@ def _subject(
             for row in rows:
                 _check_numbers(row)
         except ValueError as error:
-            raise StudyFolderError(f"{path}: a cell is no number ({error}); mend or remove the row") from None
+            raise StudyFolderError(f"{path}: a cell is not a number ({error}); correct or remove the row") from None
     counted = [row for row in rows if row["training"] == "0"]
     names = dict.fromkeys(row["condition"] for row in counted)
     conditions = {}

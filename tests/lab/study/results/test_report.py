@@ -152,7 +152,7 @@ def test_a_folder_of_no_study_and_a_broken_row_are_told(keep, tmp_path):
     keep(TEXT, 0.15)
     path = tmp_path / "out" / "sub-S01" / "sub-S01_task-jnd_events.tsv"
     path.write_text(path.read_text().replace("\t2.4\t", "\tx\t"))
-    with pytest.raises(StudyFolderError, match="is no number"):
+    with pytest.raises(StudyFolderError, match="is not a number"):
         report(tmp_path / "out")
 
 
