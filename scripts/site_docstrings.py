@@ -1,15 +1,20 @@
 """Tells mkdocstrings how docstrings of this project name what they take: `name : what it is`.
 
 NumPy's style has the type behind the colon. Here the annotation has it, and the words behind the
-colon are the description.
+colon are the description. Formulas in Sphinx's form become those of the pages (`site_math`).
 """
 
 from __future__ import annotations
 
 import re
+import sys
+from pathlib import Path
 from typing import Any
 
 from griffe import Extension, Object
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from site_math import dollars
 
 __all__ = ["Described"]
 
@@ -25,7 +30,7 @@ class Described(Extension):
     def on_object(self, *, obj: Object, **_: Any) -> None:
         """Look at one docstring."""
         if obj.docstring is not None:
-            text = SECTION.sub(lambda found: ENTRY.sub(r"\1\n    \2", found[0]), obj.docstring.value)
+            text = SECTION.sub(lambda found: ENTRY.sub(r"\1\n    \2", found[0]), dollars(obj.docstring.value))
             obj.docstring.value = RAISES.sub(lambda found: found[1] + SEVERAL.sub(_apart, found[2]), text)
 
 

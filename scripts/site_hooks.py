@@ -4,7 +4,7 @@
   `reference/python.md` for mkdocstrings from the public names, `reference/commands.md`: which test
   runs which command of the documents;
 - CHANGELOG, CONTRIBUTING, SECURITY, and each source file that a page links to, as pages;
-- notebooks as pages; Mermaid's text as SVG (`site_diagrams`);
+- notebooks as pages; Mermaid's text as SVG (`site_diagrams`), formulas as MathML (`site_math`);
 - a page that would load something from the network ends the build.
 """
 
@@ -35,6 +35,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests" / "support")]
 from documented import as_page as commands_page  # noqa: E402, I001
 from site_diagrams import svg  # noqa: E402
+from site_math import STYLE, raw_formula, typeset  # noqa: E402
 from site_records import records_page  # noqa: E402
 
 PROJECT = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
@@ -275,13 +276,26 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Files) -> str:
     return "".join(piece if n % 2 else LINK.sub(link, piece) for n, piece in enumerate(pieces))
 
 
+def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
+    """Typeset the formulas of a page."""
+    try:
+        return typeset(html)
+    except ValueError as error:
+        raise PluginError(f"{page.file.src_path}: {error}") from error
+
+
 def on_post_page(output: str, page: Any, config: Any) -> str:
     """Refuse a page that loads from the network; let the search run from the disk."""
     if found := LOADED.search(output):
         raise PluginError(f"{page.file.src_path} loads from the network: {found[0]}")
     if found := TORN.search(output):
         raise PluginError(f"{page.file.src_path}: a formula was read as emphasis: {found[0]}; write \\_ and \\*")
-    return output.replace("</head>", f"{FROM_DISK}</head>", 1)
+    if found := raw_formula(output):
+        raise PluginError(
+            f"{page.file.src_path}: a formula was not typeset: {found}; write $...$ or $$ on its own line"
+        )
+    style = STYLE if "<math" in output else ""
+    return output.replace("</head>", f"{style}{FROM_DISK}</head>", 1)
 
 
 def on_post_build(config: Any) -> None:

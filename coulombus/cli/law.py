@@ -179,10 +179,12 @@ def _list(as_json: bool) -> None:
         width = max(len(entry["law"]) for entry in laws)
         for entry in laws:
             echo(on_terminal(f"{entry['law']:<{width}}  {entry['title']}", width + 2))
-        echo("`coulombus law NAME` lists a law's parameters; docs/laws.md has its equation")
+        echo("`coulombus law NAME` lists a law's parameters; docs/laws.md#equations has the equations")
 
 
 def _describe(given: GivenLaw, as_json: bool) -> None:
+    from coulombus.host.laws.laws import BUILTIN_LAWS
+
     entry = _as_dict(given.name, given.declaration)
     with printed():
         if as_json:
@@ -191,6 +193,8 @@ def _describe(given: GivenLaw, as_json: bool) -> None:
         echo(f"{given.name}: {entry.get('title') or 'a law without named parameters'}")
         for doi in entry.get("doi", ()):
             echo(f"doi:{doi}")
+        if given.name in BUILTIN_LAWS:
+            echo(f"equation: docs/laws.md#{given.name}")
         if entry.get("parameters"):
             _print_parameters(entry["parameters"])
 
