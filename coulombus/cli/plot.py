@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from coulombus.cli.bundle import bundle
 from coulombus.cli.common import file_channel_option, force_option, recording_argument, say, signals_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import PICTURE
 
+if TYPE_CHECKING:
+    from coulombus.recording.pictures.plot import Plot
+
 __all__ = ["plot_command"]
+
+SIZES_CM = (2.0, 100.0)
+"""The least and the largest width and height of a picture."""
 
 
 def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
@@ -22,6 +31,48 @@ def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple
         raise click.BadParameter(str(error)) from None
 
 
+def _size(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        width, height = (float(part) for part in text.lower().split("x"))
+    except ValueError:
+        width = height = 0.0
+    if not (SIZES_CM[0] <= width <= SIZES_CM[1] and SIZES_CM[0] <= height <= SIZES_CM[1]):
+        limits = f"{SIZES_CM[0]:g} to {SIZES_CM[1]:g} cm each"
+        raise click.BadParameter(f"{text!r}: expected WIDTHxHEIGHT in cm, as 16x9, {limits}")
+    return width, height
+
+
+@dataclass(frozen=True)
+class LookOptions:
+    """The options of a picture's look as they are given."""
+
+    title: str | None
+    size_cm: tuple[float, float] | None
+    dpi: float | None
+
+
+look_options = bundle(
+    "look",
+    LookOptions,
+    click.option("--title", metavar="TEXT", help="Title of the picture.  [default: the file's name]"),
+    click.option("--size", "size_cm", callback=_size, metavar="WxH", help="Width and height in cm, as 16x9."),
+    click.option("--dpi", type=click.FloatRange(30, 1200), metavar="N", help="Resolution of a .png.  [default: 140]"),
+)
+
+
+def _not_visible(data: Plot) -> list[str]:
+    """Return a line on the curves that others cover, and one on the signals that are not drawn."""
+    from coulombus.recording.pictures.plot import hidden
+
+    covered = [f"{name} under {other}" for name, other in hidden(data)]
+    lines = [f"drawn wide, because another curve covers it: {', '.join(covered)}"] if covered else []
+    if data.left_out:
+        lines.append(f"not drawn: {', '.join(data.left_out)} (no unit; name them with --signals)")
+    return lines
+
+
 @click.command("plot", epilog=EXIT_STATUS)
 @recording_argument
 @signals_option
@@ -30,6 +81,7 @@ def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @file_channel_option
 @force_option
+@look_options
 def plot_command(
     file: Path,
     signals: tuple[str, ...] | None,
@@ -38,20 +90,22 @@ def plot_command(
     rig_name: str | None,
     channels: tuple[str, ...],
     overwrite: bool,
+    look: LookOptions,
 ) -> None:
     """Draw a recording's signals over time, a panel for each unit, with the markers.
 
     Where there are more samples than room, the least and the largest value are drawn. Without
-    --signals words of bits are left out.
+    --signals words of bits are left out. The output names them, and each curve under another one.
 
     \b
     Examples:
       coulombus plot run.pcapng
       coulombus plot run.pcapng --signals motor.position_rad,brake.handle_torque_Nm --span 3:5 -o hold.svg
+      coulombus plot run.pcapng --title "Subject 3, hybrid" --size 16x9 --dpi 300
     """
     with errors():
         from coulombus.recording.output_file import new_file, reason_against
-        from coulombus.recording.pictures.plot import plot, save_picture
+        from coulombus.recording.pictures.plot import Look, figure_of, save_picture, traces_of
         from coulombus.recording.reading import blocks
 
         place = out or (Path(f"{file}.png") if file.is_dir() else file.with_suffix(".png"))
@@ -61,9 +115,12 @@ def plot_command(
         if reason is not None:
             raise click.UsageError(reason)
         source = blocks(file, rig_name, channels)
-        made = plot(source, signals, span)
+        data = traces_of(source, signals, span)
+        made = figure_of(data, Look(look.title, look.size_cm, look.dpi))
         with new_file(place, force=overwrite) as path:
-            save_picture(made, path)
+            save_picture(made, path, look.dpi)
         with verdict(0):
             remark(source.remarks)
             say(f"{place}: drawn")
+            for line in _not_visible(data):
+                say(line)

@@ -118,7 +118,9 @@ def test_a_tolerance_of_nothing_is_told(tmp_path):
 def test_the_differences_as_a_picture(tmp_path):
     comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", push=50), tolerances={"Nm": 0.01})
     made = draw_differences(comparison)
-    assert "A: a.pcapng" in made.axes[0].get_title(loc="left")
+    legend = made.axes[0].get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["A: a.pcapng", "B: b.pcapng"]
+    assert made.axes[1].get_title(loc="left") == "A - B"
     row = [axes.get_ylabel() for axes in made.axes].index("brake.setpoint_Nm\n[Nm]")
     assert made.axes[row + 1].lines[0].get_ydata().min() == pytest.approx(-0.05)
     save_picture(made, tmp_path / "diff.png")

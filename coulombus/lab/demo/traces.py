@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coulombus.recording.measures import Floats, PhaseSpan, phases, velocity
-from coulombus.recording.pictures.style import BLUE, GREEN, ORANGE, VERMILION, figure
+from coulombus.recording.pictures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, figure
 from coulombus.recording.signals import Source, series
 
 if TYPE_CHECKING:
@@ -76,14 +76,16 @@ def _title(recording: Source, mode: str) -> str:
 
 
 def _draw_envelope(axes: Axes, t_s: Floats, values: Floats, colour: str, label: str | None = None) -> None:
-    """Draw the minimum and maximum in each of `BINS` bins: a line, or the band of a limit cycle."""
+    """Draw the mean in each of `BINS` bins, and the band from minimum to maximum: a limit cycle."""
     if not len(t_s):
         axes.plot([], [], color=colour, label=label)
         return
     first = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], BINS + 1)[:-1])
     first = np.unique(first)
     low, high = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
-    axes.fill_between(t_s[first], low, high, color=colour, lw=0.8, label=label)
+    mean = np.add.reduceat(values, first) / np.diff(np.append(first, len(values)))
+    axes.fill_between(t_s[first], low, high, color=colour, alpha=0.3, lw=0)
+    axes.plot(t_s[first], mean, color=colour, lw=1.0, label=label)
 
 
 def draw_traces(torque: Axes, speed: Axes, data: Traces, title: str) -> None:
@@ -135,6 +137,9 @@ def share_labels(made: Figure, axes: Any) -> None:
     known: dict[str, Any] = {
         label: artist for panel in axes[0] for artist, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
+    from matplotlib.patches import Patch
+
+    known["smallest to largest value; line: mean"] = Patch(color=GREY, alpha=0.3, lw=0)
     made.legend(known.values(), known.keys(), loc="outside lower center", ncols=len(known))
 
 

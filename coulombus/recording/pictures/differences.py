@@ -28,10 +28,11 @@ def draw_differences(comparison: Comparison) -> Figure:
     with figure(11, 1.2 + 1.6 * max(len(shown), 1), max(len(shown), 1), 2, squeeze=False, sharex=True) as (made, axes):
         for row, signal in zip(axes, shown, strict=False):
             _draw_row(row, signal, comparison.pairs[signal.name])
-        axes[0, 0].set_title(f"A: {Path(comparison.a).name}   B: {Path(comparison.b).name}")
-        axes[0, 1].set_title("A less B")
+        axes[0, 1].set_title("A - B")
         if shown:
-            axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=2)
+            curves, _ = axes[0, 0].get_legend_handles_labels()
+            names = (f"A: {Path(comparison.a).name}", f"B: {Path(comparison.b).name}")
+            axes[0, 0].legend(curves, names, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.1, ncols=2)
         for axis in axes[-1]:
             axis.set_xlabel("time in A [s]")
     return made
@@ -49,7 +50,7 @@ def _draw_row(row: tuple[Axes, Axes], signal: Difference, pair: Pair) -> None:
         _line(both, gathered, colour, width, name)
     gathered = Envelope(float(pair.t_s[0]), float(pair.t_s[-1]) + 1e-9)
     gathered.add(pair.t_s, pair.difference)
-    _line(apart, gathered, BLUE, 0.8, "A less B")
+    _line(apart, gathered, BLUE, 0.8, "A - B")
     if signal.tolerance:
         for sign in (-1, 1):
             apart.axhline(sign * signal.tolerance, color=GREY, lw=0.8, ls="--")

@@ -7,7 +7,7 @@ the largest value: a spike of one sample is seen at any length.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Envelope", "Plot", "Trace", "draw", "plot", "save_picture", "traces_of"]
+__all__ = ["Envelope", "Look", "Plot", "Trace", "draw", "figure_of", "hidden", "plot", "save_picture", "traces_of"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -32,6 +32,11 @@ BINS = 1200
 """Columns of a picture in which a signal is drawn."""
 MOST_SAMPLES = 2 * BINS
 """That are drawn one by one."""
+CM_PER_INCH = 2.54
+LINE, COVERED = 0.01, 0.95
+"""Width of a line as a share of a panel's range; share of a curve under another one that hides it."""
+WIDE = 2.6
+"""Width of a curve that another one covers [pt]."""
 MOST_MARKERS = 24
 """That are written beside their line."""
 
@@ -64,6 +69,19 @@ class Plot:
     end_s: float
     traces: tuple[Trace, ...]
     markers: tuple[tuple[float, str], ...]
+    left_out: tuple[str, ...] = ()
+    """Signals of the recording that are not drawn, because no signals were named."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Title and size of a picture; None: chosen from the data."""
+
+    title: str | None = None
+    size_cm: tuple[float, float] | None = None
+    """Width and height."""
+    dpi: float | None = None
+    """Pixels an inch of a .png."""
 
 
 @dataclass
@@ -144,7 +162,31 @@ def traces_of(
             for name, envelope in envelopes.items():
                 envelope.add(block.signals[name].t_s, block.signals[name].values)
     traces = tuple(envelope.trace(name, units[name]) for name, envelope in envelopes.items())
-    return Plot(Path(source.path).name, begin, end, traces, tuple(markers))
+    left_out = tuple(signal.name for signal in known if signal.name not in names) if signals is None else ()
+    return Plot(Path(source.path).name, begin, end, traces, tuple(markers), left_out)
+
+
+def hidden(data: Plot) -> tuple[tuple[str, str], ...]:
+    """Return the curves that a later one of their panel covers, and that other one: at `COVERED` of
+    the times they are less than a line apart.
+    """
+    pairs: list[tuple[str, str]] = []
+    for place, trace in enumerate(data.traces):
+        panel = [other for other in data.traces if trace.unit and other.unit == trace.unit and len(other.t_s)]
+        if not len(trace.t_s) or trace not in panel:
+            continue
+        near = LINE * (max(other.high.max() for other in panel) - min(other.low.min() for other in panel))
+        later = (other for other in data.traces[place + 1 :] if other in panel)
+        cover = next((other for other in later if _apart(trace, other, near) <= 1 - COVERED), None)
+        if cover is not None:
+            pairs.append((trace.name, cover.name))
+    return tuple(pairs)
+
+
+def _apart(one: Trace, other: Trace, near: float) -> float:
+    """Return the share of times at which two curves are more than `near` apart."""
+    low, high = (np.interp(one.t_s, other.t_s, values) for values in (other.low, other.high))
+    return float(np.mean((np.abs(low - one.low) > near) | (np.abs(high - one.high) > near)))
 
 
 def _extent(source: Readable) -> tuple[float, float]:
@@ -161,9 +203,10 @@ def draw(made: Figure, data: Plot) -> None:
     for trace in data.traces:
         panels.setdefault(trace.unit or trace.name, []).append(trace)
     axes = made.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    below = dict(hidden(data))
     for panel, traces in zip(axes, panels.values(), strict=True):
         for trace, (colour, dashes) in zip(traces, _manners(traces), strict=True):
-            _draw_trace(panel, trace, colour, dashes)
+            _draw_trace(panel, trace, colour, dashes, wide=trace.name in below)
         unit = traces[0].unit
         panel.set_ylabel(f"{WORDS.get(unit, '')} [{unit}]".strip() if unit else traces[0].name.rpartition(".")[2])
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
@@ -192,14 +235,15 @@ def _manners(traces: Sequence[Trace]) -> Iterator[tuple[str, Any]]:
         yield shade(colour, again), DASHES[again % len(DASHES)]
 
 
-def _draw_trace(axes: Axes, trace: Trace, colour: str, dashes: Any) -> None:
+def _draw_trace(axes: Axes, trace: Trace, colour: str, dashes: Any, *, wide: bool) -> None:
+    """Draw a curve; one that another covers is wide, so that it stays visible below it."""
     if trace.is_envelope:
         axes.fill_between(trace.t_s, trace.low, trace.high, color=colour, alpha=0.35, lw=0)
-        axes.plot(trace.t_s, trace.high, color=colour, lw=0.7)
-        axes.plot(trace.t_s, trace.low, color=colour, lw=0.7, label=trace.name)
+        axes.plot(trace.t_s, trace.high, color=colour, lw=WIDE if wide else 0.7)
+        axes.plot(trace.t_s, trace.low, color=colour, lw=WIDE if wide else 0.7, label=trace.name)
     else:
         style: Any = {"drawstyle": "default" if trace.unit else "steps-post"}
-        axes.plot(trace.t_s, trace.low, color=colour, ls=dashes, lw=1.0, label=trace.name, **style)
+        axes.plot(trace.t_s, trace.low, color=colour, ls=dashes, lw=WIDE if wide else 1.0, label=trace.name, **style)
 
 
 def _write_markers(axes: Axes, data: Plot) -> None:
@@ -222,16 +266,27 @@ def plot(
     source: Readable, signals: Sequence[str] | None = None, span: tuple[float | None, float | None] = (None, None)
 ) -> Figure:
     """Return a figure of a recording's signals; parameters and errors as `traces_of`."""
-    data = traces_of(source, signals, span)
+    return figure_of(traces_of(source, signals, span))
+
+
+def figure_of(data: Plot, look: Look | None = None) -> Figure:
+    """Return a figure of what a picture shows, with a panel for each unit."""
+    look = look or Look()
     panels = len({trace.unit or trace.name for trace in data.traces})
-    with figure(10, 1.2 + 1.5 * panels) as (made, axes):
+    width, height = (10, 1.2 + 1.5 * panels) if look.size_cm is None else (cm / CM_PER_INCH for cm in look.size_cm)
+    with figure(width, height) as (made, axes):
         axes.remove()
-        draw(made, data)
+        draw(made, data if look.title is None else replace(data, title=look.title))
     return made
 
 
-def save_picture(made: Figure, path: Path) -> None:
-    """Write a figure; the ending names the format, and the same figure has the same bytes."""
+def save_picture(made: Figure, path: Path, dpi: float | None = None) -> None:
+    """Write a figure; the ending names the format, and the same figure has the same bytes.
+
+    Parameters
+    ----------
+    dpi : pixels an inch of a .png; None: those of the common style
+    """
     metadata: Mapping[str, Any] = {
         ".png": {"Software": None},
         ".svg": {"Date": None, "Creator": None},
@@ -241,5 +296,5 @@ def save_picture(made: Figure, path: Path) -> None:
 
     from coulombus.recording.pictures.style import SETTINGS
 
-    with matplotlib.rc_context(SETTINGS):
+    with matplotlib.rc_context(SETTINGS if dpi is None else {**SETTINGS, "savefig.dpi": dpi}):
         made.savefig(path, metadata=metadata[path.suffix.lower()])

@@ -10,13 +10,20 @@ import numpy as np
 
 from coulombus.lab.study.results.fit import Fit
 from coulombus.lab.study.results.report_markdown import page
-from coulombus.recording.pictures.style import figure, save
+from coulombus.recording.pictures.style import COLOURS, DASHES, GREY, figure, save
 from coulombus.rigs.rewrite import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["write_figures"]
+
+CHANCE = 0.5
+"""Proportion of levels that cannot be told from the reference."""
+LARGEST_POINT = 90.0
+"""Area of the point with most answers [pt^2]."""
+DECADE = 10.0
+"""JNDs that span more than this are drawn on a logarithmic axis."""
 
 
 def write_figures(results: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -46,15 +53,37 @@ def write_figures(results: Mapping[str, Any], folder: Path) -> list[Path]:
 
 
 def draw_psychometric(axes: Axes, shown: Mapping[str, Any], level: str, unit: str) -> None:
-    """Draw the share of answers at each level, and the fitted function."""
+    """Draw the share of answers at each level, the fitted function with its band of 95 %, the point
+    of subjective equality with its interval, and the chance level.
+
+    The area of a point is proportional to its number of answers.
+    """
+    most = max(count for condition in shown.values() for _, count in condition["levels"].values())
+    axes.axhline(CHANCE, color=GREY, lw=0.8, ls="--", zorder=0)
+    axes.annotate(
+        "chance", (1.0, CHANCE), (-2, 2), "axes fraction", "offset points", ha="right", color=GREY, fontsize=8
+    )
     for k, (name, condition) in enumerate(shown.items()):
-        fit = Fit(**condition["fit"])
+        fit, colour = Fit(**condition["fit"]), COLOURS[k % len(COLOURS)]
         levels = np.array([float(level) for level in condition["levels"]])
         counts = np.array(list(condition["levels"].values()), float)
-        axes.scatter(levels, counts[:, 0] / counts[:, 1], s=8 + 2 * counts[:, 1], color=f"C{k}", alpha=0.6)
+        sizes = LARGEST_POINT * counts[:, 1] / most
+        axes.scatter(levels, counts[:, 0] / counts[:, 1], s=sizes, color=colour, alpha=0.5, lw=0)
+        if condition.get("band_95") is not None:
+            band = condition["band_95"]
+            axes.fill_between(band["level"], band["low"], band["high"], color=colour, alpha=0.15, lw=0)
         x = np.linspace(levels.min(), levels.max(), 200)
-        axes.plot(x, fit.chance(x), color=f"C{k}", label=f"{name}: JND {fit.jnd:.3g} {unit}".rstrip())
+        words = f"{name}: JND {fit.jnd:.3g} {unit}".rstrip() + f", PSE {fit.pse:.3g} {unit}".rstrip()
+        axes.plot(x, fit.chance(x), color=colour, ls=DASHES[k % len(DASHES)], label=words)
+        at = float(fit.chance(fit.pse))
+        axes.plot([fit.pse, fit.pse], [-0.03, at], color=colour, lw=0.8, ls=":")
+        axes.plot(fit.pse_95, [at, at], color=colour, lw=1.6)
+        axes.plot(fit.pse, at, marker="|", ms=10, mew=1.6, color=colour)
+    axes.scatter([], [], s=LARGEST_POINT, color=GREY, alpha=0.5, lw=0, label=f"{most} answers; area by number")
+    axes.fill_between([], [], [], color=GREY, alpha=0.15, lw=0, label="95 % of the function; bar: of the PSE")
     axes.set(xlabel=level, ylabel="proportion judged larger", ylim=(-0.03, 1.03))
+    edge = 0.04 * (axes.get_xlim()[1] - axes.get_xlim()[0])
+    axes.set_xlim(axes.get_xlim()[0] - edge, axes.get_xlim()[1] + edge)
 
 
 def draw_track(axes: Axes, shown: Mapping[str, Any], level: str, unit: str) -> None:
@@ -92,10 +121,12 @@ def draw_exploration(axes: Axes, shown: Mapping[str, Any], level: str, unit: str
 def draw_conditions(axes: Axes, results: Mapping[str, Any], unit: str) -> None:
     """Draw each subject's JND in each condition, the geometric mean and its interval."""
     names = [name for name, condition in results["conditions"].items() if condition["jnd"] is not None]
+    drawn: list[float] = []
     for x, name in enumerate(names):
         whole = results["conditions"][name]
         counted = [subject for subject in results["subjects"] if subject not in whole["left_out"]]
         jnds = [results["subjects"][subject][name]["fit"]["jnd"] for subject in counted]
+        drawn += [*jnds, whole["jnd"], *(whole["jnd_95"] or ())]
         axes.scatter([x] * len(jnds), jnds, s=14, color="C0", alpha=0.5)
         axes.scatter([x + 0.15], [whole["jnd"]], s=40, color="C1", marker="D")
         if whole["jnd_95"] is not None:
@@ -105,7 +136,10 @@ def draw_conditions(axes: Axes, results: Mapping[str, Any], unit: str) -> None:
     label = f"JND of {results['level']['quantity']} [{unit}]" if unit else "JND"
     axes.set(ylabel=label, title="n subjects, geometric mean, interval of 95 %")
     axes.set_xlim(-0.5, len(names) - 0.3)
-    axes.set_ylim(bottom=0)
+    if max(drawn) > DECADE * min(drawn):
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(bottom=0)
 
 
 _OF_SUBJECTS: tuple[tuple[str, Callable[[Any], bool], Callable[[Axes, Mapping[str, Any], str, str], None]], ...] = (

@@ -46,6 +46,8 @@ answer on top: many answers have a narrow peak, which may stand between the poin
 """
 COARSE, POINTS = (25, 17, 11), (41, 40, 14)
 """Of a coarse and of the fine grid. Even numbers: no point of every sigma stands at a shift of 0."""
+NEGLIGIBLE_WEIGHT = 1e-5
+"""Points of the grid with less than this share of the largest weight have no part in a band."""
 TINY = 1e-12
 
 
@@ -117,6 +119,28 @@ class Posterior:
     def lapse_at(self, shares: Sequence[float]) -> Floats:
         """Return quantiles of the lapse rate."""
         return _quantiles(self.lapse, self.weight.sum(axis=(0, 1, 2)), shares)
+
+    def chance_at(self, distances: Floats, shares: Sequence[float]) -> Floats:
+        """Return quantiles of the chance that a level is judged larger, the mean of both orders.
+
+        Parameters
+        ----------
+        distances : of the levels from the reference, in units of the level, shape (n,)
+
+        Returns
+        -------
+        quantiles at each distance, shape (n, number of shares)
+        """
+        weight = self.weight.ravel()
+        kept = np.flatnonzero(weight > NEGLIGIBLE_WEIGHT * weight.max())
+        sigma, shift, bias, lapse = np.unravel_index(kept, self.weight.shape)
+        share, lapses = weight[kept] / weight[kept].sum(), self.lapse[lapse]
+        rows = []
+        for distance in distances:
+            z = distance / np.exp(self.log_sigma[sigma]) - self.shift[shift]
+            both = ndtr(z - self.bias[bias]) + ndtr(z + self.bias[bias])
+            rows.append(_quantiles(lapses / 2 + (1 - lapses) * both / 2, share, shares))
+        return np.asarray(rows, float)
 
 
 def _quantiles(values: Floats, weight: Floats, shares: Sequence[float]) -> Floats:

@@ -25,6 +25,8 @@ from coulombus.rigs.field_help import unit_of, without_unit
 
 __all__ = ["report"]
 
+BAND_LEVELS = 41
+"""Levels at which the band of a psychometric function is computed."""
 OPTIMISERS = ("bfgs", "lbfgs", "powell")
 """One after the other, until one converges; the last needs no slope."""
 
@@ -134,7 +136,7 @@ def _check_numbers(row: Mapping[str, str]) -> None:
 def _condition(rows: Sequence[Mapping[str, str]], kind: str | None) -> tuple[dict[str, Any], Posterior | None]:
     """Return the fit of one subject in one condition, with the answers that it is of, and its posterior."""
     result: dict[str, Any] = {"trials": len(rows), "fit": None, "no_fit": None, "magnitudes": None, "levels": {}}
-    result |= {"staircase": None, "exploration": None, "track": None}
+    result |= {"staircase": None, "exploration": None, "track": None, "band_95": None}
     answered = [row for row in rows if row["answer"] != "n/a"]
     if not answered:
         return result | {"no_fit": "nothing was asked"}, None
@@ -159,7 +161,10 @@ def _condition(rows: Sequence[Mapping[str, str]], kind: str | None) -> tuple[dic
         fit, posterior = fit_answers(levels, larger, reference, [row["first"] == "2" for row in answered])
     except ValueError as error:
         return result | {"no_fit": str(error)}, None
-    return result | {"fit": fit.as_dict()}, posterior
+    x = np.linspace(min(levels), max(levels), BAND_LEVELS)
+    low_high = posterior.chance_at(x - reference, (0.025, 0.975))
+    band = {"level": x.tolist(), "low": low_high[:, 0].tolist(), "high": low_high[:, 1].tolist()}
+    return result | {"fit": fit.as_dict(), "band_95": band}, posterior
 
 
 def _out_of_mean(condition: Mapping[str, Any] | None) -> str | None:
