@@ -126,6 +126,14 @@ class Weighed:
     marks_reach_rad: float
 
 
+@dataclass(frozen=True)
+class Paper:
+    """Where the report is written besides the folder of the commissioning, and its operator's name."""
+
+    path: Path | None
+    operator: str | None
+
+
 own_options = bundle(
     "own",
     Own,
@@ -183,6 +191,7 @@ weighed_options = bundle(
 @rehearsal_options
 @weighed_options
 @click.option("--report", type=OutputFile(".html"), metavar="F.html", help="Write the report there, too.")
+@click.option("--operator", metavar="NAME", help="Your name, for the report.  [default: the user's]")
 @force_option
 @json_option
 def commission(
@@ -191,6 +200,7 @@ def commission(
     rehearsal: Rehearsal,
     weighed: Weighed,
     report: Path | None,
+    operator: str | None,
     overwrite: bool,  # of the report: `OutputFile` reads it
     as_json: bool,
 ) -> None:
@@ -228,7 +238,7 @@ def commission(
         run = rehearsal.runner(own.axis) if rehearsal.virtual else _real(own.bus_name, as_json)
         given = Given(weighed.weight_Nm, weighed.marks_rad, weighed.marks_reach_rad, weighed.weight_reach_Nm)
         session = Session(path, run, given, _now, overrides, own.axis)
-        done = _commission(session, chosen, doing, report)
+        done = _commission(session, chosen, doing, Paper(report, operator))
         asked_for_what_lacks = bool(doing.names) and any(result.what == "lacking" for result in done)
         with verdict(1 if asked_for_what_lacks else 0):
             if as_json:
@@ -263,7 +273,7 @@ def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None
                 echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
 
 
-def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report: Path | None) -> list[StepEnd]:
+def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, paper: Paper) -> list[StepEnd]:
     """Execute the steps, and return their results."""
     done: list[StepEnd] = []
     for step in steps:
@@ -274,7 +284,7 @@ def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report:
         done.append(result)
         _tell(result)
         if result.what == "done":
-            _report(session, report)
+            _report(session, paper)
     return done
 
 
@@ -331,26 +341,29 @@ def _tell(result: StepEnd) -> None:
         say(f"  note: {text}")
 
 
-def _report(session: Session, path: Path | None) -> None:
+def _report(session: Session, paper: Paper) -> None:
     """Write the report after each step, so that results are kept if a later step fails."""
     from coulombus.host.commission.report import write_report
     from coulombus.rigs.rewrite import write_whole
 
-    page = write_report(session).read_bytes()
-    if path is not None:
-        write_whole(path, page)
+    page = write_report(session, paper.operator).read_bytes()
+    if paper.path is not None:
+        write_whole(paper.path, page)
 
 
 def _print_findings(done: list[StepEnd]) -> None:
     from rich.table import Table
+
+    from coulombus.host.commission.report import rounded
 
     table = Table(box=None, pad_edge=False)
     for name, justify in (("finding", "left"), ("was", "right"), ("is", "right"), ("+-", "right"), ("unit", "left")):
         table.add_column(name, justify=justify)  # type: ignore[arg-type]
     for result in done:
         for finding in result.outcome.findings if result.outcome else ():
-            reach = "" if finding.uncertainty is None else f"{finding.uncertainty:.2g}"
-            table.add_row(finding.key or finding.name, _figure(finding.old), _figure(finding.new), reach, finding.unit)
+            new, reach = rounded(finding.new, finding.uncertainty)
+            new = new if isinstance(finding.new, float) else _figure(finding.new)
+            table.add_row(finding.key or finding.name, _figure(finding.old), new, reach, finding.unit)
     table_console(80).print(table)
 
 

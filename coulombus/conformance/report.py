@@ -1,4 +1,8 @@
-"""The report of a run as JSON, JUnit XML, Markdown and HTML: causes first, then the cases."""
+"""The report of a run as JSON, JUnit XML, Markdown and HTML.
+
+For people: verdict, causes of failures, then the cases, those that failed first. For programs: the
+cases in the order of the catalogue.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +16,23 @@ from coulombus.conformance.runner import Outcome, Report
 from coulombus.system.foreign_text import one_line, printable
 from coulombus.system.quoting import xml
 
-__all__ = ["WORDS", "as_dict", "heading", "junit", "markdown", "summary", "write_junit", "write_report"]
+__all__ = ["WORDS", "as_dict", "heading", "junit", "markdown", "summary", "verdict", "write_junit", "write_report"]
 
 WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable", "error": "ERROR of the tester"}
 _SHOWN = ("fail", "error")
+_FIRST = ("fail", "error", "pass", "not_applicable")
+"""Order of the results in a report for people."""
+STYLE = """
+:root { color-scheme: light dark; --line: #bbb; --soft: #f4f4f4; --fail: #fdd; --error: #fed; --pass: #efe; --grey: #666; }
+@media (prefers-color-scheme: dark) { :root { --line: #555; --soft: #222; --fail: #5b1f1f; --error: #5b3a14; --pass: #17351c; --grey: #aaa; } }
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
+h2 { font-size: 1.1em; } td, th { padding: .2em .8em; text-align: left; vertical-align: top; }
+table { border-collapse: collapse; } tr { border-bottom: 1px solid var(--line); }
+.fail { background: var(--fail); } .error { background: var(--error); } .pass { background: var(--pass); }
+.not_applicable { color: var(--grey); } .verdict { font-weight: 600; padding: .5em .8em; }
+pre { background: var(--soft); padding: 1em; overflow-x: auto; }
+@media print { :root { color-scheme: light; } body { margin: 0; } tr, pre { break-inside: avoid; } thead { display: table-header-group; } }
+"""
 
 
 def heading(number: int, cause: FailureCause) -> str:
@@ -63,6 +80,27 @@ def summary(report: Report) -> str:
     return counts if report.ended_by is None else f"{counts}; the run was ended before its last case"
 
 
+def verdict(report: Report) -> tuple[str, str]:
+    """Return the kind of a run's result, "pass", "fail" or "error", and its sentence."""
+    failed, errors = report.count("fail"), report.count("error")
+    if failed:
+        count = len(causes(report))
+        return "fail", f"FAILED: {_number(failed, 'case')}, {_number(count, 'cause')}"
+    if errors or report.ended_by is not None:
+        return "error", "NOT COMPLETE: no case failed, and not every case has a result"
+    return "pass", f"PASSED: {_number(report.count('pass'), 'case')}"
+
+
+def _number(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _failures_first(report: Report) -> list[tuple[Outcome, str]]:
+    """Return the cases with their reasons: failures, errors, passes, those that do not apply."""
+    pairs = zip(report.outcomes, reasons(report), strict=True)
+    return sorted(pairs, key=lambda pair: _FIRST.index(pair[0].result))
+
+
 def junit(report: Report) -> ElementTree.Element:
     """Return the report as JUnit XML: one suite, a case that does not apply is skipped."""
     suite = ElementTree.Element(
@@ -98,9 +136,13 @@ def write_junit(report: Report, path: Path) -> None:
 
 
 def markdown(report: Report) -> str:
-    """Return the report as Markdown: the count, each cause with its frames, and a table."""
+    """Return the report as Markdown: verdict, each cause with its frames, and a table of the cases,
+    failures first.
+    """
     lines = [
         f"# Conformance of {_cell(report.device)}, node {report.node_id}",
+        "",
+        f"**{verdict(report)[1]}.**",
         "",
         f"EDS: `{report.eds}`. {summary(report)}.",
         "",
@@ -112,21 +154,21 @@ def markdown(report: Report) -> str:
     for outcome in _errors(report):
         lines += [f"## {outcome.case.id} {_cell(outcome.case.name)}", "", _cell(outcome.reason), ""]
         lines += ["```", *outcome.frames, "```", ""]
-    lines += ["| case | | result | reason |", "|---|---|---|---|"]
+    lines += ["| case | name | result | reason |", "|---|---|---|---|"]
     lines += [
         f"| {outcome.case.id} | {_cell(outcome.case.name)} | {WORDS[outcome.result]} | {_cell(reason)} |"
-        for outcome, reason in zip(report.outcomes, reasons(report), strict=True)
+        for outcome, reason in _failures_first(report)
     ]
     return "\n".join(lines) + "\n"
 
 
 def page(report: Report) -> str:
-    """Return the report as an HTML page of its own."""
+    """Return the report as an HTML page of its own: light or dark, and to be printed."""
     text = html.escape
     rows = "".join(
         f'<tr class="{outcome.result}"><td>{text(outcome.case.id)}<td>{text(outcome.case.name)}'
         f"<td>{WORDS[outcome.result]}<td>{text(reason)}</tr>\n"
-        for outcome, reason in zip(report.outcomes, reasons(report), strict=True)
+        for outcome, reason in _failures_first(report)
     )
     remarks = "".join(f"<li>{text(remark)}\n" for remark in report.remarks)
     details = "".join(
@@ -137,15 +179,12 @@ def page(report: Report) -> str:
         )
     )
     title = text(f"Conformance of {report.device}, node {report.node_id}")
-    style = (
-        "body{font-family:sans-serif;margin:2em}td,th{padding:.2em .8em;text-align:left;vertical-align:top}"
-        ".fail{background:#fdd}.error{background:#fed}.pass{background:#efe}.not_applicable{color:#666}pre{background:#f4f4f4;padding:1em}"
-    )
+    kind, sentence = verdict(report)
     return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{style}</style>\n'
-        f"<h1>{title}</h1><p>EDS: {text(report.eds)}. {summary(report)}.</p>\n"
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>\n'
+        f'<h1>{title}</h1><p class="verdict {kind}">{text(sentence)}</p><p>EDS: {text(report.eds)}. {summary(report)}.</p>\n'
         f"<ul>{remarks}</ul>{details}"
-        f"<table><tr><th>case<th><th>result<th>reason</tr>\n{rows}</table></html>\n"
+        f"<table><thead><tr><th>case<th>name<th>result<th>reason</tr></thead>\n{rows}</table></html>\n"
     )
 
 

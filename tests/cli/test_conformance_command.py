@@ -5,6 +5,8 @@ where that matters.
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import canopen
@@ -14,7 +16,7 @@ from click.testing import CliRunner
 from conformance_bench import EDS, KIND_OF, VirtualLink, description, new_unit, run_cases
 from coulombus.cli.main import main
 from coulombus.conformance.catalogue import catalogue
-from coulombus.conformance.report import as_dict, summary, write_junit, write_report
+from coulombus.conformance.report import as_dict, summary, verdict, write_junit, write_report
 from coulombus.conformance.runner import ConformanceRefused, DeviceSilent, WrongDevice, check_before, run, select
 from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Timing, Unit
@@ -97,6 +99,28 @@ def test_the_reports_name_each_case(tmp_path):
         assert summary(report) in text
         assert "581  [8]  43 00 10 00" in text
         assert "P.9" in text
+
+
+def test_a_report_for_people_has_the_verdict_on_top_and_the_failures_first(tmp_path):
+    unit = new_unit("mr_brake")
+    unit.description = description("motor")  # 1000h is another
+    report = run(unit, select(["2.1", "2.5", "P.1"]))
+    results = [outcome.result for outcome in report.outcomes]
+    assert results.index("pass") < len(results) - 1 - results[::-1].index("fail")  # mixed in the catalogue's order
+    for ending, row in (("md", r"^\| ([\dP.]+) \|"), ("html", r'<tr class="\w+"><td>([\dP.]+)<')):
+        write_report(report, tmp_path / f"r.{ending}")
+        text = (tmp_path / f"r.{ending}").read_text()
+        kinds = {outcome.case.id: outcome.result for outcome in report.outcomes}
+        listed = [kinds[case] for case in re.findall(row, text, re.M)]
+        assert listed == sorted(results, key=("fail", "error", "pass", "not_applicable").index)
+        assert text.index("FAILED: ") < text.index("cause 1")
+    assert f"FAILED: {results.count('fail')} case" in text
+
+
+def test_a_run_without_failures_is_passed():
+    report = run(new_unit("mr_brake"), select(["2.1", "2.5"]))
+    assert verdict(report) == ("pass", "PASSED: 2 cases")
+    assert verdict(replace(report, ended_by=KeyboardInterrupt()))[0] == "error"
 
 
 def test_selected_cases_run_in_the_catalogues_order():
