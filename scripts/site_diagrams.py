@@ -31,7 +31,8 @@ def svg(text: str) -> str:
     if kind == "stateDiagram-v2":
         return _arcs([_transition(line) for line in rest])
     if kind == "graph":
-        return _arcs([_edge(line) for line in rest])
+        edges = [_edge(line) for line in rest]
+        return _loop(edges) if lines[0].split()[1:] == ["LR"] else _arcs(edges)
     raise ValueError(f"no diagram: {lines[0]!r}")
 
 
@@ -97,6 +98,45 @@ def _arcs(edges: list[tuple[str, str, str]]) -> str:
                 parts.append(_text(edge_x + side * 6, y0 - 3, label, "start" if side == 1 else "end"))
     right = widest[True] + 14 * (len(down) + 1) + 10 if down else 10.0
     return _canvas(left + box + right, y, parts)
+
+
+ROW, BESIDE = 92, 14
+"""Height of a row of boxes, and distance of an arrow from the middle of its row [px]."""
+
+
+def _loop(edges: list[tuple[str, str, str]]) -> str:
+    """Draw a loop from left to right: columns of boxes, the arrows forward above those back.
+
+    A column with a single box makes it as high as all rows, so that each arrow is a straight line.
+    """
+    column = {edges[0][0]: 0}
+    for start, end, _ in edges:
+        column.setdefault(end, column[start] + 1)
+    columns = [[name for name in column if column[name] == k] for k in range(max(column.values()) + 1)]
+    rows = max(len(names) for names in columns)
+    box = max(len(name) for name in column) * CHARACTER + 20
+    gap = max(len(label) for *_, label in edges) * CHARACTER + 26
+    left = {name: 10 + column[name] * (box + gap) for name in column}
+    parts = []
+    for names in columns:
+        tall = ROW * rows / len(names)
+        for row, name in enumerate(names):
+            top = 10 + row * tall
+            size = f'width="{box:.0f}" height="{tall - 12:.0f}"'
+            parts.append(f'<rect x="{left[name]:.0f}" y="{top:.0f}" {size} rx="5"/>')
+            parts.append(_text(left[name] + box / 2, top + (tall - 12) / 2 + 4, name))
+    for start, end, label in edges:
+        ahead = column[end] - column[start]
+        ends = [columns[column[name]] for name in (start, end)]
+        many = [names.index(name) for names, name in zip(ends, (start, end), strict=True) if len(names) > 1]
+        if abs(ahead) != 1 or len(many) > 1:
+            raise ValueError(f"no edge of a loop: {start} to {end}")
+        middle = 10 + ROW * (many[0] + 0.5 if many else rows / 2) - 6
+        y = middle - ahead * BESIDE
+        x0, x1 = (left[start] + box, left[end]) if ahead == 1 else (left[start], left[end] + box)
+        parts.append(f'<path d="M{x0:.0f} {y:.0f}H{x1:.0f}" marker-end="url(#tip)"/>')
+        parts.append(_text((x0 + x1) / 2, y - 5 if ahead == 1 else y + 15, label))
+    return _canvas(20 + len(columns) * (box + gap) - gap, 20 + ROW * rows - 12, parts)
 
 
 def _sequence(lines: list[str]) -> str:

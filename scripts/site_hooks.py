@@ -68,6 +68,28 @@ if (location.protocol === "file:") window.Worker = class extends EventTarget {
 frame.
 """
 
+FAQ_BOOST = 8
+"""Weight of the FAQ among the results of a search; other pages have 1."""
+
+NOT_FOUND = """
+<p>The address has no page. The search at the top finds pages by their words.</p>
+<ul>
+<li><a href="index.html">First page</a></li>
+<li><a href="faq.html">FAQ</a></li>
+<li><a href="reference/verbs.html">All verbs</a></li>
+<li><a href="runbook.html">The display stopped: runbook</a></li>
+</ul>
+"""
+NOT_FOUND_ROOT = """<script>
+{
+  const parts = location.pathname.split("/").slice(0, -1), base = document.createElement("base")
+  const at = parts.findIndex(part => FOLDERS.includes(part))
+  base.href = (at < 0 ? parts : parts.slice(0, at)).join("/") + "/"
+  document.head.append(base)
+}
+</script>"""
+"""A server shows the page at the wrong address: its links begin at the site's first folder."""
+
 API = ("coulombus", "coulombus.analysis", "coulombus.lab", "coulombus.recording")
 """The packages whose public names docs/api.md lists."""
 
@@ -254,6 +276,8 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Files) -> str:
     place = page.file.src_path
     if place.startswith(("repository/", "reference/")):
         return text
+    if place == "faq.md":  # a question in the search's field is a heading there
+        page.meta["search"] = {"boost": FAQ_BOOST}
     written = ROOT / "docs" / place
     if place.startswith("project/"):
         written = ROOT / Path(place).name
@@ -296,6 +320,23 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
         )
     style = STYLE if "<math" in output else ""
     return output.replace("</head>", f"{style}{FROM_DISK}</head>", 1)
+
+
+def on_post_template(output: str, template_name: str, config: Any) -> str:
+    """Let the page for a wrong address work in any folder, and from the disk: relative links."""
+    if template_name != "404.html":
+        return output
+    output = re.sub(r'((?:href|src)="|"search": ")/(?!/)', r"\1", output).replace('"base": "/"', '"base": "."')
+    folders = sorted({Path(file).parts[0] for file in _places() if len(Path(file).parts) > 1})
+    root = NOT_FOUND_ROOT.replace("FOLDERS", json.dumps(folders))
+    output = re.sub(r"(<h1>404[^<]*</h1>)", rf"\1{NOT_FOUND}", output, count=1)
+    return output.replace("<head>", f"<head>{root}", 1).replace("</head>", f"{FROM_DISK}</head>", 1)
+
+
+def _places() -> Iterator[str]:
+    """Yield the place of each page that is in a folder of the site."""
+    yield from (place_of(path) for path, _ in _pages())
+    yield from ("reference/verbs.md", "repository/a.md")
 
 
 def on_post_build(config: Any) -> None:

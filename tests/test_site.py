@@ -81,8 +81,29 @@ def test_every_diagram_is_drawn_with_all_its_words(name):
             assert all(part in words for part in "".join(label).split("<br/>")), label
 
 
+def test_a_loop_is_drawn_from_left_to_right():
+    edges = '    a -- "go" --> b\n    a -- "run" --> c\n    b -- "on" --> d\n    c --> d\n    d -- "back" --> b\n'
+    drawn = ET.fromstring(diagrams.svg(f"graph LR\n{edges}"))
+    boxes = [(float(box.get("x")), float(box.get("height"))) for box in drawn.findall(".//{*}rect")]
+    assert len(boxes) == 4
+    assert boxes[0][0] < boxes[1][0] == boxes[2][0] < boxes[3][0]
+    assert boxes[0][1] == boxes[3][1] > 2 * boxes[1][1]
+    ways = [
+        re.fullmatch(r"M([\d.]+) ([\d.]+)H([\d.]+)", path.get("d")).groups()
+        for path in drawn.findall(".//{*}g/{*}path")
+    ]
+    senses = [float(x1) > float(x0) for x0, _, x1 in ways]
+    assert senses == [True, True, True, True, False]
+    assert len({(x0, y) for x0, y, _ in ways}) == 5  # no arrow lies on another one
+
+
 def test_what_cannot_be_drawn_ends_the_build():
-    for text in ("pie\n  a: 1", "stateDiagram-v2\n  a => b", "sequenceDiagram\n  loop"):
+    for text in (
+        "pie\n  a: 1",
+        "stateDiagram-v2\n  a => b",
+        "sequenceDiagram\n  loop",
+        "graph LR\n  a --> b\n  b --> c\n  a --> c",
+    ):
         with pytest.raises(ValueError, match=r"^no "):
             diagrams.svg(text)
 
@@ -106,7 +127,7 @@ def test_make_docs_fails_on_a_warning(tmp_path):
 
 
 def test_a_link_to_nowhere_is_left_to_mkdocs_which_warns():
-    page = SimpleNamespace(file=SimpleNamespace(src_path="faq.md"))
+    page = SimpleNamespace(file=SimpleNamespace(src_path="faq.md"), meta={})
     text = "[a](theory.md) [b](theorie.md) [c](../nowhere.py) [d](../examples) [e](../LICENSE)"
     wanted = "[a](theory.md) [b](theorie.md) [c](../nowhere.py) d [e](repository/LICENSE.md)"
     assert hooks.on_page_markdown(text, page, None, None) == wanted
@@ -118,6 +139,27 @@ def test_a_page_that_loads_from_the_network_ends_the_build(tag):
     with pytest.raises(PluginError, match=r"x\.md loads from the network"):
         hooks.on_post_page(f"<html>{tag}</html>", page, None)
     assert hooks.on_post_page('<a href="https://x.org">', page, None) == '<a href="https://x.org">'
+
+
+def test_the_page_of_a_wrong_address_has_relative_links_below_the_site_s_first_folder():
+    made = '<html><head><link href="/assets/a.css"></head><h1>404 - Not found</h1><a href="/laws.html">l</a></html>'
+    page = hooks.on_post_template(made, "404.html", None)
+    assert not re.search(r'(href|src)="/', page)
+    assert 'href="laws.html"' in page
+    for link in re.findall(r'<li><a href="([\w/.]+)\.html"', page):
+        assert (ROOT / "docs" / f"{link}.md").exists() or link == "reference/verbs"
+    assert page.index("document.head.append(base)") < page.index("assets/a.css")
+    assert {"tutorials", "reference", "project", "repository"} <= set(
+        re.findall(r'"(\w+)"', page.partition("<link")[0])
+    )
+    assert hooks.on_post_template(made, "sitemap.xml", None) == made
+
+
+def test_the_faq_is_first_for_how_do_i_stop():
+    page = SimpleNamespace(file=SimpleNamespace(src_path="faq.md"), meta={})
+    text = hooks.on_page_markdown((ROOT / "docs" / "faq.md").read_text(), page, None, None)
+    assert re.search(r"^## How do I stop\b", text, re.M)
+    assert page.meta["search"]["boost"] > 1
 
 
 @pytest.mark.parametrize("torn", ["<em k_1>k = (x_k − x</em>", "<em>, and a = 4c|H</em>"])
