@@ -4,6 +4,7 @@
   `reference/python.md` for mkdocstrings from the public names, `reference/commands.md`: which test
   runs which command of the documents;
 - CHANGELOG, CONTRIBUTING, SECURITY, and each source file that a page links to, as pages;
+- the figures of the gallery, by the page's own commands (`site_gallery`);
 - notebooks as pages; Mermaid's text as SVG (`site_diagrams`), formulas as MathML (`site_math`);
 - a page that would load something from the network ends the build.
 """
@@ -35,6 +36,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests" / "support")]
 from documented import as_page as commands_page  # noqa: E402, I001
 from site_diagrams import svg  # noqa: E402
+from site_gallery import FOLDER, PAGE, pictures, shown  # noqa: E402
 from site_math import STYLE, raw_formula, typeset  # noqa: E402
 from site_records import records_page  # noqa: E402
 
@@ -257,6 +259,11 @@ def on_files(files: Files, config: Any) -> Files:
             place = place_of(path)
             files.remove(files.get_file_from_path(place))
             made[place.removesuffix(".ipynb") + ".md"] = notebook_page(path)
+    try:
+        for name, content in pictures((ROOT / "docs" / PAGE).read_text()).items():
+            files.append(File.generated(config, f"{FOLDER}/{name}", content=content))
+    except RuntimeError as error:
+        raise PluginError(f"{PAGE}: {error}") from error
     for place, text in made.items():
         file = File.generated(config, place, content=text)
         if place.startswith("repository/"):
@@ -276,6 +283,8 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Files) -> str:
     place = page.file.src_path
     if place.startswith(("repository/", "reference/")):
         return text
+    if place == PAGE:
+        text = shown(text)
     if place == "faq.md":  # a question in the search's field is a heading there
         page.meta["search"] = {"boost": FAQ_BOOST}
     written = ROOT / "docs" / place

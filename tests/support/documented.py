@@ -29,6 +29,8 @@ RULES = (
     (r"docs/tutorials/sweep\.md: (dask|.*--dask)", "needs a cluster; tests/lab/sweep runs a sweep on one"),
     (r"docs/tutorials/", "run by tests/test_tutorials.py"),
     (r"docs/service\.md: (?!.*socketcan)", "run by tests/test_commands.py, on a live bus"),
+    (r"docs/gallery\.md: coulombus diff", "ends with 1, as they differ; the site runs it: tests/test_site_gallery.py"),
+    (r"docs/gallery\.md: coulombus identify", "needs strokes, 13 s of a recording; the site runs it"),
     (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/cli/test_export_docs.py"),
     # what installs, tests and measures this project
     (r": (sudo|echo|for)", MACHINE),

@@ -139,8 +139,9 @@ def share_labels(made: Figure, axes: Any) -> None:
     }
     from matplotlib.patches import Patch
 
-    known["smallest to largest value; line: mean"] = Patch(color=GREY, alpha=0.3, lw=0)
-    made.legend(known.values(), known.keys(), loc="outside lower center", ncols=len(known))
+    known["band: smallest to largest; line: mean"] = Patch(color=GREY, alpha=0.3, lw=0)
+    columns = len(known) if axes.shape[1] > 2 else 2
+    made.legend(known.values(), known.keys(), loc="outside lower center", ncols=columns)
 
 
 def figure_14(recordings: Mapping[str, tuple[str, Source]], path: Path) -> None:

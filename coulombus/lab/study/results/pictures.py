@@ -36,10 +36,10 @@ def write_figures(results: Mapping[str, Any], folder: Path) -> list[Path]:
         for name, condition_has, draw in _OF_SUBJECTS:
             shown = {key: condition for key, condition in conditions.items() if condition_has(condition)}
             if shown:
-                with figure(6.0, 4.0) as (made, axes):
+                with figure(6.0, 4.0 + 0.2 * len(shown)) as (made, axes):
                     draw(axes, shown, named, unit)
                     axes.set_title(f"{study}subject {subject}")
-                    axes.legend()
+                    made.legend(loc="outside lower left")
                     paths += save(made, folder, f"sub-{subject}_{name}")
     if (
         any(condition["jnd"] is not None for condition in results["conditions"].values())
