@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.lab.demo import real_demo
 from coulombus.lab.demo.demo import DEMO_MODES, SAME, displays, run_demo
-from coulombus.lab.demo.traces import BINS, draw_traces, traces
+from coulombus.lab.demo.traces import BINS, Traces, draw_traces, share_labels, traces
 from coulombus.recording.pictures.style import figure
 from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
@@ -61,11 +62,29 @@ def test_a_limit_cycle_is_the_band_that_it_fills(shown):
     data = traces(blocks(folder / "active.pcapng"), "active")
     with figure(4, 4, 2) as (_, (torque, speed)):
         draw_traces(torque, speed, data, "active")
-        (band,) = (one for one in torque.collections if one.get_label() == "motor, commanded")
+        (line,) = (line for line in torque.lines if line.get_label() == "motor, commanded")
+        band = torque.collections[0]
     _, values = data.commands["motor"]
     drawn = band.get_paths()[0].vertices
     assert (drawn[:, 1].min(), drawn[:, 1].max()) == (values.min(), values.max())
     assert len(drawn) <= 2 * BINS + 3
+    assert len(line.get_ydata()) <= BINS
+
+
+def test_the_mean_is_drawn_over_the_band_of_a_limit_cycle():
+    t_s = np.arange(20_000) * 1e-3
+    slow = 0.3 * np.sin(t_s)
+    none = np.zeros(0)
+    data = Traces("a", t_s, slow, none, none, {"motor": (t_s, slow + np.where(np.arange(len(t_s)) % 2, 0.7, -0.7))}, ())
+    with figure(4, 4, 2) as (_, (torque, speed)):
+        draw_traces(torque, speed, data, "active")
+        share_labels(torque.figure, np.array([[torque], [speed]]))
+    (line,) = (line for line in torque.lines if line.get_label() == "motor, commanded")
+    x, y = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+    assert y == pytest.approx(0.3 * np.sin(x + 0.025), abs=0.02)
+    assert torque.collections[0].get_paths()[0].vertices[:, 1].max() == pytest.approx(1.0, abs=1e-3)
+    legend = [text.get_text() for text in torque.figure.legends[0].get_texts()]
+    assert legend == ["motor, commanded", "hand, not measured", "band: smallest to largest; line: mean"]
 
 
 @pytest.mark.real_time
