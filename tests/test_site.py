@@ -67,7 +67,7 @@ def test_every_field_of_the_records_is_on_the_page():
         assert all(words for _, _, words in records.fields_of_record(record)), f"{record}: a field without a word"
         assert f"\n## {record.__name__}\n" in text
     assert "| `phase_cycle` | `int` | cycles since the phase began |" in text
-    assert "| `frames` | `Frame[QUEUE_CAPACITY]` | the first `count` of them |" in text
+    assert "| `frames` | `Frame[QUEUE_CAPACITY]` | the first `count` of them are valid |" in text
 
 
 @pytest.mark.parametrize("name", ["architecture.md", "devices.md", "index.md", "safety.md"])
