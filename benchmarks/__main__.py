@@ -173,6 +173,20 @@ def million_frames(count: int = 1_000_000) -> None:
     show(f"frame lengths that differ from the oracle's, of {count:,}", f"{different}", "0")
 
 
+def observers_of(options: argparse.Namespace) -> None:
+    """Run the simulated observers that the options name."""
+    from benchmarks.observer_displays import observer_displays
+    from benchmarks.observer_groups import observer_groups
+    from benchmarks.observers import observers
+
+    if options.displays:
+        observer_displays(show, 1 if options.smallest else options.observers, options.document)
+    elif options.groups:
+        observer_groups(show, 2 if options.smallest else options.groups, options.document)
+    else:
+        observers(show, 8 if options.smallest else options.observers, options.document)
+
+
 def virtual() -> None:
     """Run the benchmarks in virtual time."""
     for benchmark in (simulation, start_up, frame_lengths):
@@ -214,6 +228,8 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=0.5, help="of the runs that look for what is lost")
     parser.add_argument("--hours", type=float, default=0.0, help="of bus time in one run, in virtual time")
     parser.add_argument("--observers", type=int, default=200, help="of each method and kind")
+    parser.add_argument("--displays", action="store_true", help="observers judge what they feel of simulated displays")
+    parser.add_argument("--groups", type=int, default=0, help="of observers, for the hierarchical fit")
     parser.add_argument("--document", type=Path, help="write the table of the observers there, between its marks")
     parser.add_argument("--rigs", type=int, default=10, help="random rigs that are commissioned")
     parser.add_argument("--seed", type=int, default=1, help="of the random rigs")
@@ -277,9 +293,7 @@ def main() -> None:
 
         sweep(show)
     if options.what == "observers":
-        from benchmarks.observers import observers
-
-        observers(show, 8 if options.smallest else options.observers, options.document)
+        observers_of(options)
     if options.what == "lost":
         from benchmarks.realtime import lost
 

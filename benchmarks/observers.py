@@ -4,13 +4,13 @@ Each observer answers all trials of a study of its method. Its JND is drawn arou
 0.2). It is ideal, or its point of subjective equality is a third of a JND off, or its interval bias is
 half a sigma, or all is drawn at random: the point of subjective equality up to half a JND off, a bias up
 to half a sigma, lapses up to 4 %. Levels, orders and answers come from the classes that a session
-uses; no display is shown (examples/study_coverage.py shows them).
+uses; no display is shown (`benchmarks.observer_displays` shows them).
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -28,7 +28,7 @@ from coulombus.lab.study.results.posterior import Posterior
 from coulombus.lab.study.study import Study, read_study
 from coulombus.lab.study.trials import Trials
 
-__all__ = ["METHODS", "answered", "observers"]
+__all__ = ["METHODS", "answered", "answers_of", "faults_of", "observers", "share", "within", "write_table"]
 
 Show: TypeAlias = Callable[..., None]
 
@@ -58,7 +58,6 @@ question = "Which one had more friction?"
 [[condition]]
 name = "hybrid"
 """
-START, END = "<!-- observers: begin -->", "<!-- observers: end -->"
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,8 @@ def _study(method: str) -> Study:
         return read_study(path)
 
 
-def _faults(case: str, jnd: float, random: np.random.Generator) -> Faults:
+def faults_of(case: str, jnd: float, random: np.random.Generator) -> Faults:
+    """Return what an observer of a case does other than an ideal one."""
     sigma = jnd * SIGMAS_A_JND
     if case == "PSE off by JND/3":
         return Faults(shift=jnd / 3)
@@ -91,11 +91,16 @@ def _faults(case: str, jnd: float, random: np.random.Generator) -> Faults:
     return Faults()
 
 
-def answered(method: str, case: str, subject: int) -> Result:
-    """Let observer number `subject` answer all trials of a method, and fit its answers."""
+Truth: TypeAlias = tuple[float, Faults]
+Answered: TypeAlias = tuple[list[float], list[bool], float, list[bool]]
+"""Levels, whether each was judged larger, the reference, whether the level was the second display."""
+
+
+def answers_of(method: str, case: str, subject: int) -> tuple[Truth, Answered]:
+    """Let observer number `subject` answer all trials of a method; return its JND and faults, too."""
     random = np.random.default_rng([SEED, subject])
     jnd = JND * float(np.exp(random.normal(0.0, SPREAD)))
-    faults = _faults(case, jnd, random)
+    faults = faults_of(case, jnd, random)
     observer, trials = Observer(jnd, SEED, subject, faults=faults), Trials(_study(method), subject)
     levels, larger, second = [], [], []
     while (trial := trials.next()) is not None:
@@ -104,15 +109,23 @@ def answered(method: str, case: str, subject: int) -> Result:
         larger.append(trial.right(answer))
         second.append(trial.first == 2)
         trials.answer(answer)
-    fit, posterior = fit_answers(levels, larger, REFERENCE, second)
+    return (jnd, faults), (levels, larger, REFERENCE, second)
+
+
+def answered(method: str, case: str, subject: int) -> Result:
+    """Let observer number `subject` answer all trials of a method, and fit its answers."""
+    (jnd, faults), answers = answers_of(method, case, subject)
+    fit, posterior = fit_answers(*answers)
     return Result(jnd, REFERENCE + faults.shift, fit, posterior)
 
 
-def _share(held: Iterable[bool]) -> str:
+def share(held: Iterable[bool]) -> str:
+    """Return how often something held, as text."""
     return f"{np.mean(list(held)):.1%}"
 
 
-def _within(bounds: tuple[float | None, float | None], truth: float) -> bool:
+def within(bounds: Sequence[float | None], truth: float) -> bool:
+    """Tell whether an interval holds the truth; None: it has no end there."""
     low, high = bounds
     return (low is None or low <= truth) and (high is None or truth <= high)
 
@@ -130,11 +143,11 @@ def _row(method: str, case: str, results: list[Result]) -> tuple[str, ...]:
     return (
         method,
         case,
-        _share(_within(each.fit.jnd_95, each.jnd) for each in results),
-        _share(_within(each.fit.pse_95, each.pse) for each in results),
+        share(within(each.fit.jnd_95, each.jnd) for each in results),
+        share(within(each.fit.pse_95, each.pse) for each in results),
         f"{np.median(ratio) - 1:+.1%}",
         f"{np.exp(np.mean(np.log(ratio))) - 1:+.1%}",
-        _share(each.fit.probability < 0.05 for each in results),
+        share(each.fit.probability < 0.05 for each in results),
     )
 
 
@@ -161,13 +174,12 @@ def observers(show: Show, count: int, document: Path | None = None, processes: i
                 show(f"{method}, {case}: JND held, PSE held, median error", f"{held}, {pse}, {error}", "90 to 99 %")
                 show(f"... groups of {GROUP}, hierarchical fit: JND held", _groups(results))
     if document is not None:
-        _write(document, count, rows)
+        write_table(document, "observers", f"{count} observers in each row, seed {SEED}:", [HEAD, *rows])
 
 
-def _write(document: Path, count: int, rows: list[tuple[str, ...]]) -> None:
-    """Replace the table between the marks of a document."""
-    lines = [HEAD, ("---",) * len(HEAD), *rows]
-    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    said = f"{count} observers in each row, seed {SEED}:"
-    before, _, rest = document.read_text().partition(START)
-    document.write_text(f"{before}{START}\n{said}\n\n{table}\n{END}{rest.partition(END)[2]}")
+def write_table(document: Path, name: str, said: str, rows: Sequence[Sequence[str]]) -> None:
+    """Replace what stands between the marks `name` of a document by a text and a table with its head."""
+    begin, end = (f"<!-- {name}: {mark} -->" for mark in ("begin", "end"))
+    table = "\n".join(f"| {' | '.join(line)} |" for line in (rows[0], ["---"] * len(rows[0]), *rows[1:]))
+    before, _, rest = document.read_text().partition(begin)
+    document.write_text(f"{before}{begin}\n{said}\n\n{table}\n{end}{rest.partition(end)[2]}")

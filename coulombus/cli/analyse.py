@@ -72,8 +72,9 @@ def _all(options: dict[str, Any]) -> None:
 @click.argument("folder", type=click.Path(readable=False, path_type=Path, file_okay=False))
 @figures_option
 @click.option("--exploration", is_flag=True, help="How the hands moved, from the recordings.")
+@click.option("--felt", is_flag=True, help="Thresholds in the torque that the hand felt, too, from the recordings.")
 @json_option
-def study(folder: Path, figures: Path | None, exploration: bool, as_json: bool) -> None:
+def study(folder: Path, figures: Path | None, exploration: bool, felt: bool, as_json: bool) -> None:
     """Thresholds of a study that `coulombus experiment` has kept in FOLDER.
 
     Points of subjective equality, just noticeable differences, lapses and interval biases with
@@ -92,7 +93,7 @@ def study(folder: Path, figures: Path | None, exploration: bool, as_json: bool) 
         from coulombus.lab.study.results.report import report
         from coulombus.lab.study.results.report_text import lines
 
-        result = report(folder, exploration=exploration)
+        result = report(folder, exploration=exploration, felt=felt)
         if figures is not None:
             tell_paths(write_figures(result, figures))
         if result["no_mixed_model"] is not None and len(result["subjects"]) > 1:

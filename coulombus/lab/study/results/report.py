@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from coulombus.lab.study.felt_torque import felt_Nm
 from coulombus.lab.study.results.exploration import Exploration, explored, mean_of
+from coulombus.lab.study.results.felt_fit import fit_felt
 from coulombus.lab.study.results.fit import LEAST_TRIALS, fit_answers, fit_magnitudes
 from coulombus.lab.study.results.hierarchy import hierarchical
 from coulombus.lab.study.results.posterior import Posterior
@@ -31,11 +33,13 @@ OPTIMISERS = ("bfgs", "lbfgs", "powell")
 """One after the other, until one converges; the last needs no slope."""
 
 
-def report(folder: str | os.PathLike[str], *, exploration: bool = False) -> dict[str, Any]:
+def report(
+    folder: str | os.PathLike[str], *, exploration: bool = False, felt: bool = False
+) -> dict[str, Any]:
     """Return what the answers of a folder come to, as plain values for JSON.
 
     How the hands explored is read from the recordings where nothing was asked, and everywhere where
-    `exploration` is set.
+    `exploration` is set. With `felt` each fit is made of the torque that was felt, too.
 
     Training is left out. Fewer than `LEAST_TRIALS` answers are not fitted. Thresholds over the subjects
     are a geometric mean with the interval of Student's t of their logarithms; a subject without a fit,
@@ -48,12 +52,15 @@ def report(folder: str | os.PathLike[str], *, exploration: bool = False) -> dict
     ------
     StudyFolderError
         it is the folder of no study, or a file of it cannot be used
+    coulombus.lab.study.felt_torque.FeltError
+        with `felt`: a recording does not tell what the hand felt
     """
     folder = Path(folder)
     study = _study_of(folder)
     posteriors: dict[tuple[str, str], Posterior] = {}
     subjects = {
-        subject: _subject(folder, subject, study["kind"], exploration, posteriors) for subject in subjects_of(folder)
+        subject: _subject(folder, subject, study["kind"], (exploration, felt), posteriors)
+        for subject in subjects_of(folder)
     }
     names = list(dict.fromkeys(name for subject in subjects.values() for name in subject))
     conditions = {name: _over(name, subjects, posteriors) for name in names}
@@ -69,8 +76,15 @@ def report(folder: str | os.PathLike[str], *, exploration: bool = False) -> dict
 
 
 def _subject(
-    folder: Path, subject: str, kind: str | None, exploration: bool, posteriors: dict[tuple[str, str], Posterior]
+    folder: Path,
+    subject: str,
+    kind: str | None,
+    from_recordings: tuple[bool, bool],
+    posteriors: dict[tuple[str, str], Posterior],
 ) -> dict[str, Any]:
+    """Return the conditions of a subject; `from_recordings`: how the hand explored, what it felt."""
+    exploration, felt = from_recordings
+    recordings = folder / f"sub-{subject}" / "recordings"
     paths = sorted((folder / f"sub-{subject}").glob(f"sub-{subject}_task-*_events.tsv"))
     rows: list[dict[str, str]] = []
     for path in paths:
@@ -89,7 +103,9 @@ def _subject(
         if posterior is not None:
             posteriors[subject, name] = posterior
         if exploration or all(row["answer"] == "n/a" for row in own):
-            conditions[name]["exploration"] = _explored(folder / f"sub-{subject}" / "recordings", own)
+            conditions[name]["exploration"] = _explored(recordings, own)
+        if felt and conditions[name]["fit"] is not None:
+            conditions[name]["felt"] = _felt(recordings, own)
     return conditions
 
 
@@ -112,7 +128,7 @@ def _explored(recordings: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, 
     """Return the mean figures of the displays of each level."""
     by_level: dict[str, list[Exploration]] = {}
     for row in rows:
-        path = recordings / f"trial-{int(row['trial']):04d}_display-{max(int(row['first']), 1)}.pcapng"
+        path = _recording(recordings, row, max(int(row["first"]), 1))
         try:
             display = explored(path)
         except (OSError, RecordingError) as error:
@@ -123,6 +139,27 @@ def _explored(recordings: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, 
             by_level.setdefault(f"{float(row['level']):g}", []).append(display)
     levels = sorted(by_level, key=float)
     return {level: {"displays": len(by_level[level]), **mean_of(by_level[level]).as_dict()} for level in levels}
+
+
+def _recording(recordings: Path, row: Mapping[str, str], display: int) -> Path:
+    return recordings / f"trial-{int(row['trial']):04d}_display-{display}.pcapng"
+
+
+def _felt(recordings: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+    """Return the fit of comparisons in the torque that was felt."""
+    answered = [row for row in rows if row["answer"] != "n/a"]
+    felt = []
+    for row in answered:
+        first = int(row["first"])
+        for display in (first, 3 - first):
+            path = _recording(recordings, row, display)
+            try:
+                felt.append(felt_Nm(path))
+            except (OSError, RecordingError) as error:
+                raise StudyFolderError(f"{path}: cannot be read ({error}); restore it, or leave --felt out") from None
+    levels, reference = [float(row["level"]) for row in answered], float(answered[0]["reference"])
+    larger = [row["answer"] == row["first"] for row in answered]
+    return fit_felt(levels, felt, larger, reference, [row["first"] == "2" for row in answered]).as_dict()
 
 
 def _check_numbers(row: Mapping[str, str]) -> None:
@@ -136,7 +173,7 @@ def _check_numbers(row: Mapping[str, str]) -> None:
 def _condition(rows: Sequence[Mapping[str, str]], kind: str | None) -> tuple[dict[str, Any], Posterior | None]:
     """Return the fit of one subject in one condition, with the answers that it is of, and its posterior."""
     result: dict[str, Any] = {"trials": len(rows), "fit": None, "no_fit": None, "magnitudes": None, "levels": {}}
-    result |= {"staircase": None, "exploration": None, "track": None, "band_95": None}
+    result |= {"staircase": None, "exploration": None, "track": None, "band_95": None, "felt": None}
     answered = [row for row in rows if row["answer"] != "n/a"]
     if not answered:
         return result | {"no_fit": "nothing was asked"}, None

@@ -30,6 +30,7 @@ def page(results: Mapping[str, Any], paths: Sequence[Path] = ()) -> str:
         parts.append(f"The level is {results['level']['quantity']}{unit}. Intervals are of 95 %.")
     head = ["subject", "condition", "trials", f"JND{unit}", f"PSE{unit}", "Weber fraction", "right", "lapses"]
     head += [f"interval bias{unit}", "deviance p", "overdispersion", "exponent", f"staircase{unit}"]
+    head += ["JND felt [Nm]", "PSE felt [Nm]", "reference felt [Nm]"]
     parts.append(_table(head, rows))
     together = list(lines({**results, "subjects": {}}))
     if together:
@@ -56,7 +57,14 @@ def _cells(condition: Mapping[str, Any]) -> tuple[str, ...]:
     turns = (
         "" if turned is None else f"{turned['threshold']:.4g} ({turned['turns']} turns, {turned['right']:.1%} right)"
     )
-    return *cells, exponent, turns
+    return *cells, exponent, turns, *_felt_cells(condition["felt"])
+
+
+def _felt_cells(felt: Mapping[str, Any] | None) -> tuple[str, str, str]:
+    if felt is None:
+        return "", "", ""
+    jnd, pse = (f"{felt['fit'][name]:.4g}{between(felt['fit'][f'{name}_95'])}" for name in ("jnd", "pse"))
+    return jnd, pse, f"{felt['reference_Nm']:.4g}"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:

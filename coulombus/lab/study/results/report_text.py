@@ -42,6 +42,8 @@ def lines(results: Mapping[str, Any]) -> Iterable[str]:
                 turned = condition["staircase"]
                 text += f", {turned['turns']} turns around {turned['threshold']:.4g}{unit} ({turned['right']:.1%} right there)"
             yield text
+            if condition["felt"] is not None:
+                yield f"  {_felt_text(condition['felt'], unit)}"
             for level, hand in (condition["exploration"] or {}).items():
                 yield f"  level {level}{unit}: {_hand_text(hand)}"
     for name, condition in results["conditions"].items():
@@ -72,6 +74,13 @@ def _fit_text(fit: Mapping[str, Any], unit: str) -> str:
     if fit["one_sided"]:
         text += "; levels on one side of the reference: PSE and slope are hardly told apart"
     return text
+
+
+def _felt_text(felt: Mapping[str, Any], unit: str) -> str:
+    fit = felt["fit"]
+    text = f"as felt: JND {fit['jnd']:.4g} Nm{between(fit['jnd_95'])}, PSE {fit['pse']:.4g} Nm{between(fit['pse_95'])}"
+    text += f", reference {felt['reference_Nm']:.4g} Nm, {felt['gain']:.3g} Nm for each{unit or ' unit'} of the level"
+    return f"{text}, spread {felt['spread_Nm']:.2g} Nm"
 
 
 def _left_out(condition: Mapping[str, Any]) -> str:
