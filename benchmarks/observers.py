@@ -22,9 +22,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from coulombus.lab.study.observer import Faults, Observer
-from coulombus.lab.study.results.fit import Fit, fit_answers
-from coulombus.lab.study.results.hierarchy import hierarchical
-from coulombus.lab.study.results.posterior import Posterior
+from coulombus.lab.study.results.fit import Fit, fit_comparisons
 from coulombus.lab.study.study import Study, read_study
 from coulombus.lab.study.trials import Trials
 
@@ -34,7 +32,6 @@ Show: TypeAlias = Callable[..., None]
 
 SEED, REFERENCE, JND, SPREAD = 20, 2.0, 0.15, 0.2
 SIGMAS_A_JND = 1 / float(ndtri(0.75))
-GROUP = 8
 METHODS = {
     "constant stimuli, 180 trials": 'kind = "constant"\nlevels = [1.6, 1.8, 1.9, 2.1, 2.2, 2.4]\nrepeats = 30\n',
     "staircases 1 up 2 down, 120 trials": 'kind = "staircase"\nstart = 2.8\nlow = 2.0\nhigh = 3.2\n'
@@ -67,7 +64,6 @@ class Result:
     jnd: float
     pse: float
     fit: Fit
-    posterior: Posterior
 
 
 @lru_cache
@@ -115,8 +111,7 @@ def answers_of(method: str, case: str, subject: int) -> tuple[Truth, Answered]:
 def answered(method: str, case: str, subject: int) -> Result:
     """Let observer number `subject` answer all trials of a method, and fit its answers."""
     (jnd, faults), answers = answers_of(method, case, subject)
-    fit, posterior = fit_answers(*answers)
-    return Result(jnd, REFERENCE + faults.shift, fit, posterior)
+    return Result(jnd, REFERENCE + faults.shift, fit_comparisons(*answers))
 
 
 def share(held: Iterable[bool]) -> str:
@@ -128,14 +123,6 @@ def within(bounds: Sequence[float | None], truth: float) -> bool:
     """Tell whether an interval holds the truth; None: it has no end there."""
     low, high = bounds
     return (low is None or low <= truth) and (high is None or truth <= high)
-
-
-def _groups(results: list[Result]) -> str:
-    """Return how often the hierarchical fit of groups holds the JND that they were drawn around."""
-    groups = [results[k : k + GROUP] for k in range(0, len(results) - GROUP + 1, GROUP)]
-    fits = [hierarchical({str(k): each.posterior for k, each in enumerate(group)}) for group in groups]
-    held = [fit.jnd_95[0] <= JND <= fit.jnd_95[1] for fit in fits if fit is not None]
-    return f"{sum(held)} of {len(held)}"
 
 
 def _row(method: str, case: str, results: list[Result]) -> tuple[str, ...]:
@@ -172,7 +159,6 @@ def observers(show: Show, count: int, document: Path | None = None, processes: i
                 rows.append(_row(method, case, results))
                 held, pse, error = rows[-1][2], rows[-1][3], rows[-1][4]
                 show(f"{method}, {case}: JND held, PSE held, median error", f"{held}, {pse}, {error}", "90 to 99 %")
-                show(f"... groups of {GROUP}, hierarchical fit: JND held", _groups(results))
     if document is not None:
         write_table(document, "observers", f"{count} observers in each row, seed {SEED}:", [HEAD, *rows])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
 import subprocess
 import sys
 
@@ -68,17 +67,7 @@ def test_every_example_is_run():
         "two_axes.py",
         "virtual_network.py",
         "own_device.py",  # tests/sim_bus/server/test_own_device.py
-        "study_coverage.py",
     }
-
-
-def test_study_coverage_goes_on_where_it_was_stopped(tmp_path):
-    program = runpy.run_path(str(EXAMPLES / "study_coverage.py"))
-    found = [program["study"](tmp_path, 20, seed) for seed in (0, 0)]
-    assert found[0] == found[1]  # nothing was left for the second time
-    assert found[0]["fit"]["trials"] == 20
-    told = program["figures"](found)
-    assert (told["studies"], told["true_jnd_Nm"], told["mean_of_turns_Nm"]) == (2, 0.15, None)
 
 
 def test_two_axes(tmp_path):

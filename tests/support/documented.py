@@ -59,7 +59,6 @@ RULES = (
     (r": coulombus commission", "minutes of virtual time: tests/cli/test_commission_command.py"),
     (r": coulombus sweep", "64 runs: tests/cli/test_sweep_command.py runs smaller ones"),
     (r": coulombus experiment", "a study of many trials: tests/cli/test_experiment_command.py runs shorter ones"),
-    (r": .*study_coverage\.py", "half an hour of processor time: tests/test_examples.py runs a short one"),
     (r": coulombus analyse study", "reads a study's folder: docs/tutorials/study.md analyses the one that it makes"),
     (r"--sensor amplifier", "files of three makers: tests/cli/test_init_command.py"),
     (r"\| jq ", "needs jq: tests/cli/test_eds_command.py and tests/monitor/test_decode.py read the JSON"),
