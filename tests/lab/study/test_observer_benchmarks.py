@@ -1,5 +1,6 @@
 """The programs that measure how often the intervals of a study hold the truth."""
 
+import numpy as np
 import pytest
 
 from benchmarks import observer_displays, observer_groups, observers
@@ -36,18 +37,15 @@ def test_an_interval_holds_the_truth_as_felt_or_as_commanded():
     assert [result.held("pse", way) for way in (True, False)] == [True, False]
 
 
-def test_a_group_has_observers_of_its_own(monkeypatch):
+def test_a_group_is_drawn_from_its_pool_and_no_observer_twice(monkeypatch):
     monkeypatch.setattr(observer_groups, "SIZE", 3)
-    answered = []
-
-    def answers_of(method, case, subject):
-        answered.append(subject)
-        return observers.answers_of(method, case, subject)
-
-    monkeypatch.setattr(observer_groups, "answers_of", answers_of)
-    group = observer_groups.group_fit("QUEST+, 80 trials", "ideal", 2)
-    assert (answered, group.subjects) == ([6, 7, 8], 3)
-    assert group.jnd_95[0] < observers.JND < group.jnd_95[1]
+    pool = [observer_groups.pooled("QUEST+, 80 trials", "ideal", subject) for subject in range(4)]
+    groups = [observer_groups.group_fit(pool, number) for number in (0, 1, 2, 0)]
+    assert groups[0] == groups[3]
+    assert len({group.jnd for group in groups}) > 1
+    for group in groups:
+        assert len(set(group.subject_jnd.values())) == group.subjects == 3
+        assert group.jnd_95[0] < np.exp(np.mean(np.log([jnd for jnd, _ in pool]))) < group.jnd_95[1]
 
 
 def test_a_table_is_written_between_its_marks_alone(tmp_path):
