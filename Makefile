@@ -102,6 +102,8 @@ long: $(VENV)/.dev  ## what takes an hour: every mutant, a million frames agains
 	@$(BIN)/python -m benchmarks loss --minutes 30
 	@$(BIN)/python -m benchmarks.explain truths --runs 2000
 	@$(BIN)/python -m benchmarks observers --observers 1000
+	@$(BIN)/python -m benchmarks observers --displays --observers 100
+	@$(BIN)/python -m benchmarks observers --groups 200
 	@$(BIN)/python -m benchmarks coverage --rigs 200
 
 constraints: $(VENV)/.made  ## name the newest versions as those that are tested together; run make test behind it
