@@ -33,9 +33,7 @@ OPTIMISERS = ("bfgs", "lbfgs", "powell")
 """One after the other, until one converges; the last needs no slope."""
 
 
-def report(
-    folder: str | os.PathLike[str], *, exploration: bool = False, felt: bool = False
-) -> dict[str, Any]:
+def report(folder: str | os.PathLike[str], *, exploration: bool = False, felt: bool = False) -> dict[str, Any]:
     """Return what the answers of a folder come to, as plain values for JSON.
 
     How the hands explored is read from the recordings where nothing was asked, and everywhere where
