@@ -240,7 +240,7 @@ def _go_through(session: SubjectSession, people: People) -> None:
         people.tell(_headline(trial, file.blinded))
         for number in range(1, len(trial.levels) + 1):
             if len(trial.levels) > 1:
-                people.tell(f"display {number}")
+                people.tell(f"now {number}")
             session.show(number)
         if not file.question:
             session.answer("n/a")
