@@ -234,7 +234,7 @@ def _answered(bus_name: str, drive_axis: int) -> dict[int, dict[tuple[int, int],
         say(f"coulombus: {answers}")
     if not nodes:
         look = f"coulombus scan --bus {bus_name} tells of devices without a node id, of silent ones and of the wire"
-        say(f"coulombus: nobody on {bus_name} answers SDO: {look}")
+        say(f"coulombus: no node on {bus_name} responds to SDO: {look}")
     return {answers.node_id: dict(answers.numbers) for answers in nodes}
 
 

@@ -181,7 +181,7 @@ def test_init_on_a_bus_where_nobody_answers_says_who_tells_more(desk):
     desk._rows.clear()
     result = call("init", *BUS)
     assert result.exit_code == 3
-    assert "nobody on coulombus:desk answers SDO: coulombus scan --bus coulombus:desk" in result.stderr
+    assert "no node on coulombus:desk responds to SDO: coulombus scan --bus coulombus:desk" in result.stderr
 
 
 def test_error_frames_are_told(desk):

@@ -35,7 +35,7 @@ def call(tmp_path):
 def test_answers_are_typed_and_the_session_goes_on(call, tmp_path):
     first = call(input="maybe\ny\n3\n1\nq\n")
     assert first.exit_code == 0, first.output
-    assert "to go on: coulombus experiment" in first.stderr
+    assert "to continue: coulombus experiment" in first.stderr
     assert "level" not in first.stderr  # blinded
     second = call("--json", input="y\n2\n")
     assert json.loads(second.stdout) == {

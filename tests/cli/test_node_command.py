@@ -205,7 +205,7 @@ def test_mistakes_are_told(tmp_path):
     with pytest.raises(NodeError, match="one file keeps one node"):
         LiveNodes(((MOTOR, 1), (BRAKE, 2)), store=tmp_path / "s")
     for store in (tmp_path, tmp_path / "absent" / "s"):
-        with pytest.raises(NodeError, match="a directory that is there"):
+        with pytest.raises(NodeError, match="an existing directory"):
             LiveNodes(((MOTOR, 1),), store=store)
     empty = tmp_path / "empty.eds"
     empty.write_text("[FileInfo]\nFileName=empty.eds\n")

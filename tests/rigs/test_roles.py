@@ -58,7 +58,7 @@ def test_a_velocity_is_mapped_only_where_it_is_asked_for(polarity):
     assert by_name["motor.velocity_rad_s"].scale == pytest.approx(polarity * 0.5 / 9.587)
     text = '\n[role.velocity]\nobject = "606C"\n'
     (error,) = errors(text=text).errors
-    assert "does not tell the unit of a velocity (60A9h); give [role.velocity] its scale_rad_s" in error
+    assert "60A9h (unit of velocity) is missing; give [role.velocity] its scale_rad_s" in error
     rpm = MOTOR.replace("\n1=0x", "\n1=0x", 1)
     rpm = re.sub(
         r"(\[OptionalObjects\]\nSupportedObjects=)(\d+)\n",

@@ -93,7 +93,7 @@ def test_bus_off_is_told_by_the_state():
 
 
 def test_a_bus_that_does_not_tell_its_controllers(bus):
-    with opened() as ours, pytest.raises(can.CanOperationError, match="does not tell"):
+    with opened() as ours, pytest.raises(can.CanOperationError, match="does not report"):
         ours.details()
 
 

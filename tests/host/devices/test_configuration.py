@@ -153,7 +153,7 @@ def test_who_is_interrupted_knows_what_was_written():
     ("text", "why"),
     [
         (MOTOR.text, "gives no values"),
-        (edit(MOTOR.text, "1017", ParameterValue="fast"), "1017.*mend the file first"),
+        (edit(MOTOR.text, "1017", ParameterValue="fast"), "1017.*correct the file first"),
         (
             edit(edit(MOTOR.text, "1017", ParameterValue="5"), "1018sub1", DefaultValue="0x77"),
             "is of the device 1018h 0x00000077",

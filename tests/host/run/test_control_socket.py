@@ -130,7 +130,7 @@ def test_a_listener_that_never_accepts_is_no_success():
 
 def test_a_full_backlog_does_not_hold_the_asker_for_ever():
     with listener(backlog=0), connected():
-        assert "does not let anybody in" in refused(StopRequest(BUS, SHORT_S))
+        assert "does not accept a connection" in refused(StopRequest(BUS, SHORT_S))
 
 
 @pytest.fixture

@@ -200,7 +200,11 @@ def test_a_line_that_is_unplugged_is_let_go(chip, plane, monkeypatch):
 
 @pytest.mark.parametrize(
     ("error", "text"),
-    [(errno.EBUSY, "another program has this line"), (errno.EINVAL, "no such line"), (errno.ENOTTY, "no GPIO device")],
+    [
+        (errno.EBUSY, "another program has this line"),
+        (errno.EINVAL, "no such line"),
+        (errno.ENOTTY, "not a GPIO device"),
+    ],
 )
 def test_a_line_that_cannot_be_had_is_refused_with_its_reason(chip, plane, error, text):
     chip.error = error

@@ -165,7 +165,7 @@ def test_the_socket_of_a_killed_host_is_taken_over_and_other_files_are_not(short
     StatusSocket(path, dict).close()
     assert not path.exists()
     path.write_text("mine")
-    with pytest.raises(StatusError, match="no socket"):
+    with pytest.raises(StatusError, match="not a socket"):
         StatusSocket(path, dict)
     assert path.read_text() == "mine"
 
