@@ -68,14 +68,21 @@ def independent(values: Floats) -> float:
 def counted_reach(deviation: float, count: float) -> float:
     r"""Return the largest error of a signal's mean due to its quantisation in counts.
 
-    Noise of :math:`\sigma` dithers the signal: the error is below
-    :math:`\tfrac{\Delta}{2} e^{-2 \pi^2 \sigma^2/\Delta^2}` (B. Widrow, I. Kollar, Quantization Noise,
-    2008, chapter 19). The counts' own :math:`\Delta^2/12` is subtracted from the observed variance first.
+    With the observed variance :math:`V` in counts squared:
+
+    - Noise of :math:`\sigma` counts dithers the signal: the error is below
+      :math:`\tfrac12 e^{-2 \pi^2 \sigma^2}`, with :math:`\sigma^2 = V - 1/12` (B. Widrow, I. Kollar,
+      Quantization Noise, 2008, chapter 19).
+    - Noise far below a count toggles between two values near the edge of a count, a share :math:`p`
+      of the time in one of them: :math:`V = p (1 - p)`, and the error is up to
+      :math:`|p - \tfrac12| = \sqrt{\tfrac14 - V}`.
     """
     if count == 0.0:
         return 0.0
-    noise = max(deviation**2 - count**2 / 12, 0.0)
-    return float(0.5 * count * np.exp(-2 * np.pi**2 * noise / count**2))
+    variance = (deviation / count) ** 2
+    dithered = 0.5 * np.exp(-2 * np.pi**2 * max(variance - 1 / 12, 0.0))
+    toggling = np.sqrt(max(0.25 - variance, 0.0))
+    return float(count * max(dithered, toggling))
 
 
 def mean_in(series: Series, begin_s: float, end_s: float, what: str, count: float = 0.0) -> Mean:

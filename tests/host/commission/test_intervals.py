@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from coulombus.host.commission.earlier import rounded, shares
 from coulombus.host.commission.samples import counted_reach, independent, mean_in
@@ -40,6 +41,18 @@ def test_the_mean_of_counts_is_off_by_less_than_is_said(noise):
         counts = np.rint(offset + noise * np.random.default_rng(3).standard_normal(20_000))
         scatter = 3 * np.std(counts) / np.sqrt(20_000)
         assert abs(np.mean(counts) - offset) <= counted_reach(float(np.std(counts)), 1.0) + scatter
+
+
+def test_the_error_of_counts_is_bounded_for_any_noise_and_any_place_within_a_count():
+    """Near the edge of a count, noise far below a count was taken for a dither."""
+    rng, k = np.random.default_rng(1), np.arange(-30, 31)
+    for noise, place in zip(
+        np.exp(rng.uniform(np.log(0.01), np.log(2), 2000)), rng.uniform(-0.5, 0.5, 2000), strict=True
+    ):
+        share = norm.cdf((k + 0.5 - place) / noise) - norm.cdf((k - 0.5 - place) / noise)
+        mean = np.sum(k * share)
+        deviation = float(np.sqrt(np.sum((k - mean) ** 2 * share)))
+        assert abs(mean - place) <= counted_reach(deviation, 1.0) + 1e-9
 
 
 def test_the_interval_of_a_mean_holds_the_truth_of_correlated_noise():
