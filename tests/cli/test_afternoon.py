@@ -14,7 +14,9 @@ pytestmark = [pytest.mark.real_time, pytest.mark.slow]
 
 def test_the_document_has_the_whole_afternoon():
     verbs = [shlex.split(line)[1] for kind, line in blocks() if kind == "command"]
-    wanted = "emulate scan lss lss sdo init check measure doctor commission commission run status stop run nmt nmt decode"
+    wanted = (
+        "emulate scan lss lss sdo init check measure doctor commission commission run status stop run nmt nmt decode"
+    )
     assert verbs == wanted.split()
 
 

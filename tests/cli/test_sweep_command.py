@@ -122,7 +122,7 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path):
     assert process.returncode == 130, err
     assert told == ""
     assert "Traceback" not in err
-    line = next(line for line in err.splitlines() if "to go on" in line)
+    line = next(line for line in err.splitlines() if "to continue" in line)
     assert line.endswith(f"to continue: coulombus sweep {path} -o {out}")
     kept = sum(pyarrow.parquet.read_table(part).num_rows for part in out.glob("parts/*.parquet"))
     assert int(line.split()[1]) == kept > 0

@@ -84,7 +84,7 @@ def test_a_shorted_coil_trips_wherever_it_is_told(rig, kind):
     result = simulate(rig(kind), "hybrid", 3.0, script=lambda world: world.at(MS, shorted))
     if KINDS[kind][3]:  # it tells nothing, and nothing else notices in this rig
         assert (result.exit_status, result.trip) == (0, None)
-        assert any("hears none of its faults by EMCY" in text for text in result.losses)
+        assert any("reports no fault to the host by EMCY" in text for text in result.losses)
     else:
         assert result.exit_status == 7
         assert result.trip.startswith("EMCY_BRAKE")

@@ -193,7 +193,7 @@ def test_more_friction_than_believed_is_identified_and_compensated():
         (
             ("analyse", "hold", "--set", "plant.coulomb_Nm=0.12"),
             7,
-            "identify first: the belief mechanics.friction_Nm is 0.14 Nm",
+            "identify first: mechanics.friction_Nm is 0.14 Nm",
         ),
         (("analyse", "hold", "--set", "mode.hybrid.F_s_Nm=0", "--set", "mode.hybrid.F_d_Nm=0"), 3, "set it above 0"),
         (("analyse", "--set", "limits.travel_rad=0.5"), 7, "identification experiment (before compensation)"),

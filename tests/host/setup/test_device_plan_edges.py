@@ -373,7 +373,7 @@ def test_a_part_of_the_identity_that_the_file_does_not_tell_is_asked_of_the_devi
 
 def test_a_part_of_the_identity_that_the_file_lacks_is_not_compared():
     plan = motor_of(gone(MOTOR, "1018sub1"))
-    lost = "motor (node 1): motor.eds has no 1018h:01, so that its vendor id is not compared"
+    lost = "motor (node 1): motor.eds has no 1018h:01, so the vendor id is not compared"
     assert plan.losses[0] == lost
     assert plan.identity == ((2, "product code", 0x402),)
     assert plan.problems == plan.questions == ()

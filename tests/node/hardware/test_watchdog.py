@@ -103,7 +103,7 @@ def test_a_node_that_stands_still_is_found_and_told(dac):
     guard.feed()
     assert select.select([guard._answers], [], [], 20.0)[0]  # nobody feeds it: it acts
     assert dac.read_text() == "10\n"
-    with pytest.raises(HardwareError, match=r"stood still for 0.05 s"):
+    with pytest.raises(HardwareError, match=r"hung for 0.05 s"):
         guard.feed()
     guard.close()
 

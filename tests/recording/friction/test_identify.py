@@ -143,7 +143,7 @@ class Made(Source):
     """A recording made of arrays; `markers` as in a run's recording."""
 
     def __init__(self, t, signals, markers=()):
-        self.path, self.rig, self.markers = "made", load_rig("bench"), list(markers)
+        self.path, self.known_rig, self.markers = "made", load_rig("bench"), list(markers)
         self.signals = {name: Series(t, np.asarray(values), "") for name, values in signals.items()}
 
     def __iter__(self):
