@@ -30,7 +30,7 @@ STYLE = (
     "<style>math{font-family:'STIX Two Math','Latin Modern Math','Cambria Math','TeX Gyre Termes Math',"
     "'DejaVu Math TeX Gyre',math;font-size:1.1em}"
     ".formula{display:flex;align-items:center;margin:1em 0}"
-    ".formula math{flex:1;overflow-x:auto;padding:.3em 0}</style>"
+    ".formula math{flex:1;overflow:auto hidden;padding:.3em 0}</style>"
 )
 """Style of the formulas: the reader's own mathematical font. A narrow window scrolls a long one."""
 
