@@ -20,6 +20,7 @@ from coulombus.explain.identifier_table import IdentifierRow, Identifiers
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
 from coulombus.explain.nodes import STATES
+from coulombus.explain.orders import Orders
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
@@ -110,7 +111,7 @@ class Explainer:
             self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
         self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
         self._others = (
-            *(Disturbances(self.bus), self._host, BusLoad(self.bus), self._drives, self._timing),
+            *(Orders(self.bus), Disturbances(self.bus), self._host, BusLoad(self.bus), self._drives, self._timing),
             *(PdoTimers(self.bus), Lengths(self.bus), DriveValues(self.bus), self._identifiers),
         )
         self._pieces = Pieces()

@@ -134,6 +134,12 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             ("Look at its EMCY around this time.", "Read 1003h (error history) and 1001h.", "Read 1029h: it decides what an error leads to."),
             "It sends and takes no PDOs any more.", "CiA 301, 7.3.2.2 and 7.5.2.32 (1029h)",
         ),
+        "ordered_away": Kind(
+            83, "A node was ordered out of OPERATIONAL at work", "An NMT command took it out while set-points were sent to it.",
+            ("Find the sender of the command: a second master, a tool, a person.", "coulombus decode: the NMT row at this time.",
+             "Start the node again, and look whether the command comes again."),
+            "It sends and takes no PDOs any more, and its master works on.", "CiA 301, 7.3.2.2.2 (NMT)",
+        ),
         "starved": Kind(
             39, "Frames of a node do not get through", "Identifiers with a higher priority fill the bus.",
             ("See which identifier goes before it: coulombus hz.", "Give that PDO an inhibit time (1800h:03).",

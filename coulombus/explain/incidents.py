@@ -45,7 +45,7 @@ MINOR = frozenset(
 """Kinds that do not stop a machine by themselves."""
 REMARKS = frozenset({"limit_active", "error_history"})
 """Kinds that name an incident only if it has no other clue."""
-GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational"})
+GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational", "ordered_away"})
 """Kinds after which a node does not answer as before."""
 OF_AXES = frozenset(
     {
@@ -75,8 +75,10 @@ class Incident:
     def root(self) -> Clue:
         """The clue that names it."""
         telling = [clue for clue in self.clues if clue.kind not in REMARKS] or self.clues
-        begin = min(clue.begin_ns for clue in telling)
-        early = [clue for clue in telling if clue.begin_ns <= begin + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
+        grave = [clue for clue in telling if clue.kind not in MINOR] or telling
+        begin = min(clue.begin_ns for clue in grave)
+        early = [clue for clue in grave if clue.begin_ns <= begin + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
+        early += [clue for clue in telling if begin - ROOT_NS <= clue.begin_ns < begin]  # jitter behind it is no cause
         return max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
 
     @property
@@ -184,6 +186,8 @@ def _explains(incident: Incident, clue: Clue) -> bool:
         and clue.kind not in ("host_trip", "sdo_refused_read")
     ):
         return True
+    if clue.kind not in MINOR and _minor(incident) and at > incident.begin_ns + AFTER_NS:
+        return False  # jitter that has lasted is not what stops a machine now
     tolerance = SILENCE_NS if clue.kind in SILENCE else TOLERANCE_NS
     if at < incident.begin_ns - tolerance or (end is not None and at > end + AFTER_NS):
         return False

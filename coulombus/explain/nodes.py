@@ -15,6 +15,8 @@ S = 1_000_000_000
 LOST_KINDS = ("node_lost", "host_lost", "heartbeat_lost")
 UNANSWERED = 3
 """Unanswered node guarding requests after which a node is lost: the usual life time factor."""
+LEAST_PERIOD_NS = 500_000
+"""1017h counts milliseconds: no producer is faster."""
 SAME_NS = 300_000
 """Time within which two frames are one duplicated frame."""
 LOST = 2.5
@@ -162,6 +164,8 @@ class Nodes:
             node.gaps.clear()
             return  # the first interval of a new period
         if not node.period_ns:
+            if gap < LEAST_PERIOD_NS:
+                return  # stamps of frames that waited in the recorder's queue
             node.gaps.append(gap)
             recent = sorted(node.gaps[-5:])
             if len(recent) >= 3 and recent[-1] < 1.3 * recent[0]:
