@@ -19,8 +19,8 @@ from coulombus.explain.host_markers import HostMarkers
 from coulombus.explain.identifier_table import IdentifierRow, Identifiers
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
+from coulombus.explain.nmt_orders import Orders
 from coulombus.explain.nodes import STATES
-from coulombus.explain.orders import Orders
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
