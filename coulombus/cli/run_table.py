@@ -45,7 +45,7 @@ def print_runs(results: dict[str, RunResult]) -> None:
         ("missed deadlines", "missed_deadlines", ""),
         ("hold: velocity RMS", "hold_velocity_rms_rad_s", "rad/s"),
         ("hold: encoder peak to peak", "hold_counts_p2p", "counts"),
-        ("hold: sign changes of the torque", "torque_flips_per_s", "/s"),
+        ("hold: torque sign changes", "torque_flips_per_s", "/s"),
         ("hold: spectral peak", "hold_peak_Hz", "Hz"),
         ("hold: largest push", "hold_push_Nm", "Nm"),
         ("dwells: velocity RMS", "stick_velocity_rms_rad_s", "rad/s"),

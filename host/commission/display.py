@@ -59,7 +59,7 @@ class Display(Step):
             ("hold: encoder peak to peak", measures.hold_counts_p2p, "counts"),
             ("hold: velocity, RMS", measures.hold_velocity_rms_rad_s, "rad/s"),
             ("hold: largest push", measures.hold_push_Nm, "Nm"),
-            ("hold: sign changes of the torque", measures.torque_flips_per_s, "1/s"),
+            ("hold: torque sign changes", measures.torque_flips_per_s, "1/s"),
         )
         findings = tuple(Finding("", name, None, value, unit, None, basis) for name, value, unit in rows)
         remarks: tuple[str, ...] = ()
