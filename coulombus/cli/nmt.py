@@ -7,7 +7,14 @@ from typing import Any
 import click
 
 from coulombus.cli.common import json_option, say, verdict
-from coulombus.cli.device_options import NodeArgument, beside_option, devices_bus_option, open_link, waiting_option
+from coulombus.cli.device_options import (
+    NodeArgument,
+    beside_option,
+    devices_bus_option,
+    open_link,
+    rig_option,
+    waiting_option,
+)
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.tables import echo
 
@@ -29,10 +36,19 @@ class NodeOrAll(NodeArgument):
 @click.argument("word", type=click.Choice(WORDS), metavar="COMMAND")
 @click.argument("node_id", type=NodeOrAll(), metavar="NODE|all")
 @devices_bus_option
+@rig_option
 @waiting_option("How long to wait for the heartbeat. [default: 2; for a boot-up 5]")
 @beside_option
 @json_option
-def nmt(word: str, node_id: int, bus_name: str, timeout_s: float | None, beside: bool, as_json: bool) -> None:
+def nmt(
+    word: str,
+    node_id: int,
+    bus_name: str,
+    rig_name: str | None,  # NodeArgument reads it
+    timeout_s: float | None,
+    beside: bool,
+    as_json: bool,
+) -> None:
     """Send an NMT command: start, stop, preop, reset or reset-communication; to a node, or to all.
 
     Waits for the heartbeat or boot-up and prints the state that it reports. Ends with 5 when a node
@@ -42,6 +58,7 @@ def nmt(word: str, node_id: int, bus_name: str, timeout_s: float | None, beside:
     Examples:
       coulombus nmt preop 5 --bus socketcan:can0
       coulombus nmt reset all --bus socketcan:can0
+      coulombus nmt stop brake --rig my-rig.toml --bus socketcan:can0
     """
     with errors():
         from coulombus.host.devices.nmt import command

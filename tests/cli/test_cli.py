@@ -331,3 +331,11 @@ def test_a_former_name_goes_on_working_and_is_listed_nowhere():
         assert name not in set(main.commands)
         shown = CliRunner().invoke(main, ["help", name]).output
         assert shown == CliRunner().invoke(main, [name, "--help"]).output
+
+
+def test_nmt_knows_a_node_by_the_name_that_a_rig_gives():
+    done = CliRunner().invoke(main, ["nmt", "stop", "brake", "--rig", "bench", "--bus", "coulombus:none"])
+    assert done.exit_code == 4, done.output
+    done = CliRunner().invoke(main, ["nmt", "stop", "brak", "--rig", "bench", "--bus", "coulombus:none"])
+    assert done.exit_code == 2
+    assert "the rig bench has the nodes motor, brake" in done.output
