@@ -135,10 +135,11 @@ def test_a_node_that_is_powered_off_and_a_sim_that_is_killed_trip_the_host(start
     other = start_sim("--script", script)
     with observer(interface) as client:
         with host(interface, *NO_SWITCH, mode="hybrid", seconds=30) as run:
+            until(client, enabled, run)
+            until(client, lambda can_id, data: can_id == 0x702 and data == b"\0")  # read meanwhile: the queue is short
             status, data, err = told(run)
         assert status == 7, err
         assert data["trip"].startswith("TPDO_LOST")
-        until(client, lambda can_id, data: can_id == 0x702 and data == b"\0")
     with observer(interface) as client, host(interface, *NO_SWITCH, mode="active", seconds=30) as run:
         until(client, enabled, run)
         other.process.kill()
