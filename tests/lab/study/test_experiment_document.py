@@ -14,12 +14,12 @@ def rows(header):
 
 
 def test_every_key_of_a_study_file_stands_in_its_table():
-    keys = [key for first, _ in rows("| key | what it says |") for key in re.findall(r"`(\w+)`", first)]
+    keys = [key for first, _ in rows("| key | meaning |") for key in re.findall(r"`(\w+)`", first)]
     assert sorted(keys) == sorted(StudyFile.model_fields)
 
 
 def test_every_method_stands_in_its_table_with_its_keys():
-    found = {first.strip().strip("`"): keys for first, keys in rows("| `method.kind` | its keys |")}
+    found = {first.strip().strip("`"): keys for first, keys in rows("| `method.kind` | keys |")}
     assert set(found) == set(METHODS)
     for kind, model in METHODS.items():
         assert set(re.findall(r"`(\w+)`", found[kind])) == set(model.model_fields) - {"kind"}
