@@ -8,12 +8,11 @@ from pathlib import Path
 
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.eds.description import Description
-from coulombus.eds.eds_folder import fitting
 from coulombus.eds.own_devices import told_identity
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import Block
 from coulombus.explain.seen_node import SeenNode
-from coulombus.recording.maps.seen_maps import Map, maps_of
+from coulombus.recording.maps.seen_maps import Map, identified, maps_of
 
 __all__ = ["Bus", "Order", "product"]
 
@@ -175,14 +174,11 @@ class Bus:
         if self.stale:
             self.stale = False
             for node in self.nodes.values():
-                identity = node.identity
-                if node.number in self.of_rig and any(identity):
-                    self._compare(node.number, identity)
-                if node.number not in self.descriptions and any(identity):
-                    description = fitting(self.candidates, identity, node.revision)
-                    if description is not None:
-                        self.descriptions[node.number] = description
-                        self.names.setdefault(node.number, product(description))
+                if node.number in self.of_rig and any(node.identity):
+                    self._compare(node.number, node.identity)
+            for number, description in identified(self.nodes, self.descriptions, self.candidates).items():
+                self.descriptions[number] = description
+                self.names.setdefault(number, product(description))
             self.maps = maps_of(self.nodes, self.descriptions, self.fixed)
 
     def describe(self, number: int) -> Description | None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import struct
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -28,7 +27,7 @@ from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync
 from coulombus.recording.bus_match import Channel, channel_texts, one_bus
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
-from coulombus.recording.pdo_columns import PdoTable
+from coulombus.recording.pdo_columns import PdoTable, decode_field
 from coulombus.recording.reading import captures
 from coulombus.recording.signals import Recording, Source, epoch_of
 from coulombus.rigs.rig import Rig
@@ -139,15 +138,15 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles) -> Iterator[Row]:
 
 def _objects(pdo: RigPdo, word: int, length: int) -> Row:
     """Return the raw values of a frame's mapped objects."""
-    data, values = (word & (1 << 64) - 1).to_bytes(8, "little"), {}
+    values = {}
     for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True):
         if start + entry.bits > 8 * length or entry.dummy:
             continue
-        raw = int(get_field(word, start, entry.bits, int(entry.signed)))
-        real = entry.kind == "real" and start % 8 == 0
-        values[where(entry.index, entry.subindex)] = (
-            struct.unpack_from("<f" if entry.bits == 32 else "<d", data, start // 8)[0] if real else raw
-        )
+        if entry.kind == "real":
+            value = decode_field(np.array([word]), start, entry)[0].item()
+        else:
+            value = int(get_field(word, start, entry.bits, int(entry.signed)))
+        values[where(entry.index, entry.subindex)] = value
     return values
 
 

@@ -137,11 +137,14 @@ class Live:
     def _learn(self, block: Block) -> None:
         """Learn PDOs; without a rig these are shown."""
         if self._learned is not None and self._learned.take(block) and self.rig is None:
-            self._pdos = self._learned.pdos()
-            for pdo in self._pdos:
-                if pdo.layout.direction == "tpdo" and pdo.node_id not in self._by_id:
-                    self._stranger(pdo.node_id)
-            self._arrange()
+            self._take_learned(self._learned.pdos())
+
+    def _take_learned(self, pdos: tuple[RigPdo, ...]) -> None:
+        self._pdos = pdos
+        for pdo in pdos:
+            if pdo.layout.direction == "tpdo" and pdo.node_id not in self._by_id:
+                self._stranger(pdo.node_id)
+        self._arrange()
 
     def _is_another(self) -> bool:
         """Return whether the bus is not the assumed rig's."""
@@ -164,9 +167,7 @@ class Live:
         for node in self._nodes:
             node.name, node.timeout_ns, node.known = str(node.node_id), NEVER_NS, True
         self._by_id, self._emergencies = {node.node_id: node for node in self._nodes}, {}
-        self._learn(Block.of(()))
-        self._pdos = self._learned.pdos()
-        self._arrange()
+        self._take_learned(self._learned.pdos())
 
     def take(self, received: Block | Sequence[Received]) -> None:
         """Add frames; no content raises.

@@ -75,16 +75,23 @@ class BusMatch:
     channels : the rig's buses
     given : the user's choice, see `Channel`
     recorded : the rig's bus of a coulombus recording
+    single : why there may be no more than one bus, where `channels` has one
     """
 
     path: str
     channels: tuple[str, ...]
     given: tuple[str, ...] = ()
     recorded: str = ""
+    single: str = "the rig has one"
     left_out: Counter[str] = field(default_factory=Counter)
     _names: tuple[str, ...] = ()
     _channel_of: dict[str, str] = field(default_factory=dict)
     _in_order: bool = False
+
+    @classmethod
+    def without_rig(cls, path: str, given: tuple[str, ...]) -> BusMatch:
+        """Return the match of a recording without a rig: to one bus."""
+        return cls(path, ("",), tuple(text.rpartition("=")[2] for text in given), single="they are of one bus each")
 
     def take(self, capture: Capture) -> Capture:
         """Return a stretch with only the frames of the rig's buses.
@@ -156,7 +163,7 @@ class BusMatch:
 
     def _unknown(self, names: tuple[str, ...]) -> ChannelError:
         if len(self.channels) == 1:
-            return _several(self.path, names, "the rig has one")
+            return _several(self.path, names, self.single)
         listed = ", ".join(self.channels)
         remedy = f"say which is which: --channel {self.channels[0]}={names[0] or 'NAME'}"
         return ChannelError(f"{self.path}: {_has(names)}, and the rig has the buses {listed}; {remedy}")
@@ -185,10 +192,7 @@ def one_bus(capture: Capture, given: tuple[str, ...]) -> tuple[Capture, tuple[st
     ChannelError
         It has several buses and none is named, or it lacks the named one.
     """
-    names = bus_names(capture)
-    if not given and len(names) > 1:
-        raise _several(capture.path, names, "they are of one bus each")
-    match = BusMatch(capture.path, ("",), tuple(text.rpartition("=")[2] for text in given))
+    match = BusMatch.without_rig(capture.path, given)
     return match.take(capture), match.remarks()
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
-from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, one_bus, recorded_channel
+from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, recorded_channel
 from coulombus.recording.host_telemetry import NAME as INSIDE
 from coulombus.recording.host_telemetry import inside_pdos, of_axis
 from coulombus.recording.log_files import LogError, is_log, read_log
@@ -82,8 +82,8 @@ class Blocks(Source):
             left_out.update(left_out_of(block))
             warnings += capture.warnings
             yield block
-        told = [*warnings, *match.remarks(), *_remaps(self.path, self.maps, self.bare)]
-        self.remarks = remarks_on(self.path, told, left_out)
+        warnings += [*match.remarks(), *_remaps(self.path, self.maps, self.bare)]
+        self.remarks = remarks_on(self.path, warnings, left_out)
 
     def seen_by(self, axis: str) -> Blocks:
         """Return the view of the axis of this name, with the signals' plain names.
@@ -207,23 +207,8 @@ def _rig(rig: Rig | str | os.PathLike[str]) -> Rig:
     return rig if isinstance(rig, Rig) else load_rig(rig)
 
 
-class _OneBus:
-    """Selects the bus of a log without a rig, like `BusMatch` with a rig."""
-
-    def __init__(self, channel: tuple[str, ...]) -> None:
-        self._channel = channel
-
-    def take(self, capture: Capture) -> Capture:
-        """Return the bus' frames."""
-        return one_bus(capture, self._channel)[0]
-
-    def remarks(self) -> tuple[str, ...]:
-        """Return no remarks: the user chose the bus."""
-        return ()
-
-
-def _match(path: str, rig: Rig | None, channel: tuple[str, ...], recorded: str) -> BusMatch | _OneBus:
-    return _OneBus(channel) if rig is None else BusMatch(path, rig.channels, channel, recorded)
+def _match(path: str, rig: Rig | None, channel: tuple[str, ...], recorded: str) -> BusMatch:
+    return BusMatch.without_rig(path, channel) if rig is None else BusMatch(path, rig.channels, channel, recorded)
 
 
 def _learned(captures: Iterable[Capture], eds: Iterable[str]) -> LogMaps:

@@ -11,12 +11,11 @@ import numpy.typing as npt
 from coulombus.eds import sdo_forms as forms
 from coulombus.eds.cia301 import DUMMY_TYPES, CobId
 from coulombus.eds.description import Description
-from coulombus.eds.eds_folder import fitting
 from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.recording.maps.eds_files import EdsFiles
-from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, maps_of
+from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, identified, maps_of
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
@@ -122,11 +121,7 @@ class LogMaps:
         if not self._stale:
             return False
         self._stale = False
-        for node in self._nodes.values():
-            if node.number not in self._descriptions and any(node.identity):
-                found = fitting(self._candidates, node.identity, node.revision)
-                if found is not None:
-                    self._descriptions[node.number] = found
+        self._descriptions |= identified(self._nodes, self._descriptions, self._candidates)
         known = {n: MappedNode(n) for n in self._descriptions if n not in self._nodes} | self._nodes
         maps = maps_of(known, self._descriptions, {})
         changed = False

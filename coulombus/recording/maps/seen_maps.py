@@ -8,10 +8,11 @@ from typing import TypeAlias
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.description import Description, EdsError
+from coulombus.eds.eds_folder import fitting
 from coulombus.eds.pdo import COMMUNICATION, MAPPING, PdoLayout, read_layout
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Field", "Map", "MappedNode", "Objects", "maps_of", "maps_of_rig"]
+__all__ = ["Field", "Map", "MappedNode", "Objects", "identified", "maps_of", "maps_of_rig"]
 
 PDOS = 8
 BASES = {"tpdo": int(CobId.TPDO1), "rpdo": int(CobId.RPDO1)}
@@ -98,6 +99,18 @@ class Map:
         for mapped in self.fields:
             if 0x6000 <= mapped.index < 0xA000 and (mapped.index - 0x6000) % 0x800 == low:
                 yield (mapped.index - 0x6000) // 0x800, mapped
+
+
+def identified(
+    nodes: Mapping[int, MappedNode], known: Mapping[int, Description], candidates: tuple[Description, ...]
+) -> dict[int, Description]:
+    """Return the candidate of each node that has no EDS file yet and whose identity (1018h) one fits."""
+    fits = {
+        node.number: fitting(candidates, node.identity, node.revision)
+        for node in nodes.values()
+        if node.number not in known and any(node.identity)
+    }
+    return {number: description for number, description in fits.items() if description is not None}
 
 
 def maps_of_rig(rig: Rig) -> dict[int, Map]:
