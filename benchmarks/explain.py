@@ -19,11 +19,12 @@ import numpy as np
 from benchmarks.explain_bus import Machine
 from benchmarks.explain_runs import main as truths
 from coulombus.explain.explained import Explainer
-from coulombus.explain.live_bus import Followed, records_of
+from coulombus.explain.live_bus import Followed
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.client import Received
 from coulombus.wire.frame import Records, data_bytes
+from coulombus.wire.frame_batches import Block
 
 CAUSE, NODE, STATE, INVENTED = 0.95, 0.98, 0.98, 1 / 200
 
@@ -89,7 +90,7 @@ def live(seconds: float = 20.0) -> None:
     batch = max(round(1e8 / every_ns), 1)
     begin = time.process_time()
     for number, start in enumerate(range(0, count, batch), 1):
-        explainer.take(records_of(received[start : start + batch]))
+        explainer.take(Block.of(received[start : start + batch]).records)
         if number % 5 == 0:
             explainer.look()
             followed.look(explainer.explanation())

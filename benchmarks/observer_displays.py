@@ -21,16 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.observers import JND, REFERENCE, SEED, SPREAD, Show, faults_of, share, within, write_table
+from benchmarks.observers import REFERENCE, SEED, Show, share, study_file, truth_of, within, write_table
 from coulombus.host.run.result import RunResult
 from coulombus.lab.study.displays import Display, VirtualDisplays
-from coulombus.lab.study.felt_torque import felt_Nm
+from coulombus.lab.study.felt_torque import felt_of
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.results.report import report
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
 from coulombus.lab.study.study_folder import SubjectFolder
-from coulombus.lab.study.trials import Trial
 
 __all__ = ["METHODS", "displayed", "observer_displays"]
 
@@ -43,19 +42,6 @@ METHODS = {
     "QUEST+, 40 trials": 'kind = "quest"\nlow = 2.0\nhigh = 3.0\ntrials = 40\n',
 }
 """Name of a method -> its table of the study file; a person takes some minutes for each."""
-STUDY = """name = "displays"
-seconds = 1.2
-seed = {seed}
-reference = {reference}
-question = "Which one had more friction?"
-[level]
-"mode.{{mode}}.F_s_Nm" = 1.0
-"mode.{{mode}}.F_d_Nm" = 1.0
-[method]
-{method}
-[[condition]]
-name = "hybrid"
-"""
 HANDS, SPEEDS_RAD_S = 0.15, (3.0, 5.0)
 """Standard deviation of the logarithm of a hand's impedance; desired speeds of a stroke."""
 SUBJECT = "S01"
@@ -97,28 +83,20 @@ class HandDisplays(VirtualDisplays):
 
 def displayed(method: str, subject: int) -> Chain:
     """Show all trials of a method to observer number `subject`, and analyse its folder."""
-    random = np.random.default_rng([SEED, subject])
-    jnd = JND * float(np.exp(random.normal(0.0, SPREAD)))
-    faults = faults_of("all at random", jnd, random)
+    jnd, faults = truth_of("all at random", subject)
     folder = Path(tempfile.mkdtemp(prefix="observer-"))
     try:
-        file = folder / "study.toml"
-        file.write_text(STUDY.format(seed=SEED + subject, reference=REFERENCE, method=METHODS[method]))
+        file = study_file(folder, "displays", 1.2, SEED + subject, METHODS[method])
         with SubjectFolder(read_study(file), folder / "kept", SUBJECT, {"bus": "virtual time"}) as kept:
-            judged = partial(_judged, kept)
-            observer = Observer(jnd, SEED + subject, kept.number, judged, faults)
-            people = People(tell=lambda text: None, ask=observer.answer, go_on=lambda text: True)
-            came = run_session(SubjectSession(kept, HandDisplays(subject)), people)
-            if not came.complete:
-                raise RuntimeError(f"{method}, observer {subject}: {came.ended_by}")
+            observer = Observer(jnd, SEED + subject, kept.number, partial(felt_of, kept), faults)
+            session = SubjectSession(kept, HandDisplays(subject))
+            shown = run_session(session, People.simulated(observer.answer))
+            if not shown.complete:
+                raise RuntimeError(f"{method}, observer {subject}: {shown.ended_by}")
         condition = report(folder / "kept", felt=True)["subjects"][SUBJECT]["hybrid"]
     finally:
         shutil.rmtree(folder)  # 0.8 MB a display
     return Chain(jnd, faults.shift, condition["fit"], condition["felt"])
-
-
-def _judged(kept: SubjectFolder, trial: Trial) -> Sequence[float]:
-    return [felt_Nm(kept.recording(trial, number)) for number in range(1, len(trial.levels) + 1)]
 
 
 HEAD = (

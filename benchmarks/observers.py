@@ -26,7 +26,18 @@ from coulombus.lab.study.results.fit import Fit, fit_comparisons
 from coulombus.lab.study.study import Study, read_study
 from coulombus.lab.study.trials import Trials
 
-__all__ = ["METHODS", "answered", "answers_of", "faults_of", "observers", "share", "within", "write_table"]
+__all__ = [
+    "METHODS",
+    "answered",
+    "answers_of",
+    "faults_of",
+    "observers",
+    "share",
+    "study_file",
+    "truth_of",
+    "within",
+    "write_table",
+]
 
 Show: TypeAlias = Callable[..., None]
 
@@ -42,8 +53,8 @@ METHODS = {
 }
 """Name of a method -> its table of the study file."""
 CASES = ("ideal", "PSE off by JND/3", "bias of sigma/2", "all at random")
-STUDY = """name = "observers"
-seconds = 0.1
+STUDY = """name = "{name}"
+seconds = {seconds}
 seed = {seed}
 reference = {reference}
 question = "Which one had more friction?"
@@ -66,12 +77,17 @@ class Result:
     fit: Fit
 
 
+def study_file(folder: Path, name: str, seconds: float, seed: int, method: str) -> Path:
+    """Write a study with one condition and this table of its method, and return its path."""
+    path = folder / "study.toml"
+    path.write_text(STUDY.format(name=name, seconds=seconds, seed=seed, reference=REFERENCE, method=method))
+    return path
+
+
 @lru_cache
 def _study(method: str) -> Study:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "study.toml"
-        path.write_text(STUDY.format(seed=SEED, reference=REFERENCE, method=METHODS[method]))
-        return read_study(path)
+        return read_study(study_file(Path(folder), "observers", 0.1, SEED, METHODS[method]))
 
 
 def faults_of(case: str, jnd: float, random: np.random.Generator) -> Faults:
@@ -92,11 +108,16 @@ Answered: TypeAlias = tuple[list[float], list[bool], float, list[bool]]
 """Levels, whether each was judged larger, the reference, whether the level was the second display."""
 
 
-def answers_of(method: str, case: str, subject: int) -> tuple[Truth, Answered]:
-    """Let observer number `subject` answer all trials of a method; return its JND and faults, too."""
+def truth_of(case: str, subject: int) -> Truth:
+    """Draw JND and faults of observer number `subject` of a case."""
     random = np.random.default_rng([SEED, subject])
     jnd = JND * float(np.exp(random.normal(0.0, SPREAD)))
-    faults = faults_of(case, jnd, random)
+    return jnd, faults_of(case, jnd, random)
+
+
+def answers_of(method: str, case: str, subject: int) -> tuple[Truth, Answered]:
+    """Let observer number `subject` answer all trials of a method; return its JND and faults, too."""
+    jnd, faults = truth_of(case, subject)
     observer, trials = Observer(jnd, SEED, subject, faults=faults), Trials(_study(method), subject)
     levels, larger, second = [], [], []
     while (trial := trials.next()) is not None:

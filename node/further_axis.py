@@ -1,4 +1,4 @@
-"""A drive of several axes, of which one is simulated, as a kind of device.
+"""Device kind of a drive with several axes: one axis is simulated.
 
 The objects of that axis replace those of the first axis. The objects of its other axes are values
 only.

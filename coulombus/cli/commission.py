@@ -354,14 +354,14 @@ def _report(session: Session, paper: Paper) -> None:
 def _print_findings(done: list[StepEnd]) -> None:
     from rich.table import Table
 
-    from coulombus.host.commission.report import rounded
+    from coulombus.host.commission.report import value_texts
 
     table = Table(box=None, pad_edge=False)
     for name, justify in (("finding", "left"), ("was", "right"), ("is", "right"), ("+-", "right"), ("unit", "left")):
         table.add_column(name, justify=justify)  # type: ignore[arg-type]
     for result in done:
         for finding in result.outcome.findings if result.outcome else ():
-            new, reach = rounded(finding.new, finding.uncertainty)
+            new, reach = value_texts(finding.new, finding.uncertainty)
             new = new if isinstance(finding.new, float) else _figure(finding.new)
             table.add_row(finding.key or finding.name, _figure(finding.old), new, reach, finding.unit)
     table_console(80).print(table)

@@ -8,10 +8,11 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,6 @@ from coulombus.system.keyboard import in_foreground
 if TYPE_CHECKING:
     from coulombus.lab.study.displays import Displays
     from coulombus.lab.study.lsl import LslMarkers, LslSignals
-    from coulombus.lab.study.observer import Observer
     from coulombus.lab.study.session import People, Session, SubjectSession
     from coulombus.lab.study.study import Study
     from coulombus.lab.study.study_folder import SubjectFolder
@@ -188,13 +188,15 @@ def _streams(folder: SubjectFolder, lsl: bool) -> tuple[()] | tuple[LslMarkers, 
 @contextmanager
 def _people(session: SubjectSession, answering: Answering) -> Iterator[People]:
     from coulombus.lab.study.displays import VirtualDisplays
+    from coulombus.lab.study.felt_torque import felt_of
     from coulombus.lab.study.observer import Observer, levels
     from coulombus.lab.study.session import People
 
     study = session.study
     if answering.observer is not None:
-        judged = _felt(session.folder) if answering.felt else levels
-        yield _simulated(Observer(answering.observer, study.file.seed, session.folder.number, judged))
+        judged = partial(felt_of, session.folder) if answering.felt else levels
+        observer = Observer(answering.observer, study.file.seed, session.folder.number, judged)
+        yield People.simulated(observer.answer)
     elif answering.page:
         from coulombus.lab.study.page import AnswerPage
 
@@ -215,21 +217,6 @@ def _tell(session: Session, out: Path, as_json: bool) -> None:
     else:
         left = "complete" if session.complete else "not complete"
         echo(f"{session.subject}: {session.trials} trials answered, {left}: {out}")
-
-
-def _felt(folder: SubjectFolder) -> Callable[[Trial], list[float]]:
-    from coulombus.lab.study.felt_torque import felt_Nm
-
-    def judged(trial: Trial) -> list[float]:
-        return [felt_Nm(folder.recording(trial, number)) for number in range(1, len(trial.levels) + 1)]
-
-    return judged
-
-
-def _simulated(observer: Observer) -> People:
-    from coulombus.lab.study.session import People
-
-    return People(tell=lambda text: None, ask=observer.answer, go_on=lambda text: True)
 
 
 def _at_the_terminal(study: Study) -> People:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.incidents import Incident
@@ -11,12 +11,11 @@ from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress
-from coulombus.wire.client import Client, Received
-from coulombus.wire.data_word import data_word
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.client import Client
+from coulombus.wire.frame_batches import Block
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["LATE_NS", "Followed", "explain_bus", "records_of", "same_incident"]
+__all__ = ["LATE_NS", "Followed", "explain_bus", "same_incident"]
 
 WAIT_S = 0.1
 LOOK_S = 0.5
@@ -44,13 +43,6 @@ class Followed:
             if self._known.get(key) != incident.status:
                 self._known[key] = incident.status
                 self._tell(explanation, incident)
-
-
-def records_of(received: Sequence[Received]) -> Records:
-    """Return a client's received frames as records for `Explainer`."""
-    frames = new_records(Frame, len(received))
-    frames[:] = [(t_ns, can_id, length, data_word(data), 0) for t_ns, can_id, length, data in received]
-    return frames
 
 
 def explain_bus(
@@ -86,7 +78,7 @@ def explain_bus(
         while not stop.wait(0) and (end is None or time.monotonic() < end):
             client.wait(WAIT_S)
             while received := client.receive():
-                explainer.take(records_of(received))
+                explainer.take(Block.of(received).records)
             now = time.monotonic()
             if now - looked > LOOK_S:
                 looked = now

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 
 from coulombus.lab.study.displays import VirtualDisplays
-from coulombus.lab.study.felt_torque import felt_Nm
+from coulombus.lab.study.felt_torque import felt_of
 from coulombus.lab.study.observer import Faults, Observer, levels
 from coulombus.lab.study.session import People, Session, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
 from coulombus.lab.study.study_folder import SubjectFolder
-from coulombus.lab.study.trials import Trial
 from coulombus.rigs.arguments import path_text
 
 __all__ = ["experiment"]
@@ -50,10 +50,6 @@ def experiment(
     place = Path(path_text(out, "out", 'experiment("study.toml", "out", "S01", 0.15)'))
     known = f"simulated, JND {jnd:g}" + " Nm felt" * felt
     with SubjectFolder(plan, place, subject, {"observer": known, "bus": "virtual time"}) as folder:
-
-        def torques(trial: Trial) -> list[float]:
-            return [felt_Nm(folder.recording(trial, number)) for number in range(1, len(trial.levels) + 1)]
-
-        observer = Observer(jnd, plan.file.seed, folder.number, torques if felt else levels, faults or Faults())
-        people = People(tell=lambda text: None, ask=observer.answer, go_on=lambda text: True)
-        return run_session(SubjectSession(folder, VirtualDisplays()), people)
+        judged = partial(felt_of, folder) if felt else levels
+        observer = Observer(jnd, plan.file.seed, folder.number, judged, faults or Faults())
+        return run_session(SubjectSession(folder, VirtualDisplays()), People.simulated(observer.answer))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from coulombus.eds.own_devices import told_identity
-from coulombus.monitor.live_incidents import records_of
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.log_maps import LogMaps, pdo_without_map
 from coulombus.rigs.rig import Rig
@@ -28,7 +27,7 @@ class LearnedPdos:
 
     def take(self, block: Block) -> bool:
         """Learn from frames; return whether the result of `pdos` changed."""
-        changed = self._maps.take(records_of(block))
+        changed = self._maps.take(block.records)
         new = {can_id for can_id in block.rows if can_id < 0x800} - self._came
         self._came |= new
         return changed or any(pdo_without_map(can_id) or self._maps.pdo(can_id) for can_id in new)

@@ -11,8 +11,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.explanation_text import cause, checks, course, title
 from coulombus.explain.incidents import Incident
@@ -20,10 +18,9 @@ from coulombus.explain.live_bus import LATE_NS, same_incident
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.wire.client import Received
-from coulombus.wire.frame import FRAME, Records
 from coulombus.wire.frame_batches import Block
 
-__all__ = ["IncidentReader", "IncidentRow", "LiveIncidents", "incident_rows", "records_of"]
+__all__ = ["IncidentReader", "IncidentRow", "LiveIncidents", "incident_rows"]
 
 LOOK_S = 0.5
 COURSE = 12
@@ -51,15 +48,6 @@ class IncidentRow:
     """Time, role and text of its events."""
 
 
-def records_of(block: Block) -> Records:
-    """Return the frames of a block as records."""
-    frames = np.zeros(len(block), FRAME)
-    for name, column in (("t_ns", block.t_ns), ("can_id", block.can_ids), ("length", block.lengths)):
-        frames[name] = column
-    frames["word"] = block.words
-    return frames
-
-
 class LiveIncidents:
     """Processes frames once; `look` returns the incidents.
 
@@ -77,7 +65,7 @@ class LiveIncidents:
     def take(self, block: Block) -> None:
         """Process frames."""
         if len(block):
-            self._explainer.take(records_of(block))
+            self._explainer.take(block.records)
 
     def look(self, now_ns: int) -> tuple[IncidentRow, ...]:
         """Return the incidents at a time [ns since 1970], the most important first."""

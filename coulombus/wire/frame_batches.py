@@ -21,6 +21,7 @@ import numpy.typing as npt
 from coulombus.system.c_library import c_library
 from coulombus.wire.ancillary import CONTROL_WORDS, OVERFLOW, SECOND_NS, STAMP
 from coulombus.wire.client import CAN_LENGTH, MESSAGE_BYTES, Client, Received
+from coulombus.wire.frame import Frame, Records, new_records
 
 __all__ = ["Block", "BlockReader"]
 
@@ -100,6 +101,16 @@ class Block:
         starts = [0, *(np.flatnonzero(ordered[1:] != ordered[:-1]) + 1).tolist()]
         ends = [*starts[1:], len(ordered)]
         return {int(ordered[a]): order[a:b] for a, b in zip(starts, ends, strict=True)}
+
+    @property
+    def records(self) -> Records:
+        """The frames as records of `wire.frame.Frame`."""
+        records = new_records(Frame, len(self))
+        for name, column in zip(
+            ("t_ns", "can_id", "length", "word"), (self.t_ns, self.can_ids, self.lengths, self.words), strict=True
+        ):
+            records[name] = column
+        return records
 
     def data(self, row: int) -> bytes:
         """Return the eight data bytes of a row."""

@@ -19,7 +19,7 @@ from coulombus.host.commission.steps import STEPS
 from coulombus.rigs.rewrite import write_whole
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Signature", "report", "rounded", "signature", "write_report"]
+__all__ = ["Signature", "report", "signature", "value_texts", "write_report"]
 
 SMALLEST_PLACE = 9
 """Decimals beyond which a value is shown with an exponent."""
@@ -152,7 +152,7 @@ def _step(title: str, outcome: Mapping[str, Any]) -> Iterator[str]:
     for finding in outcome["findings"]:
         written = ' class="written"' if finding["key"] and finding["changed"] else ""
         name = escape(finding["name"]) + (f" <code>{escape(finding['key'])}</code>" if finding["key"] else "")
-        new, reach = rounded(finding["new"], finding["uncertainty"])
+        new, reach = value_texts(finding["new"], finding["uncertainty"])
         yield (
             f'<tr{written}><td>{name}</td><td class="n">{_figure(finding["old"])}</td><td class="n">{new}</td>'
             f'<td class="n">{reach}</td><td>{escape(finding["unit"])}</td><td class="small">{escape(finding["basis"])}</td></tr>'
@@ -164,7 +164,7 @@ def _step(title: str, outcome: Mapping[str, Any]) -> Iterator[str]:
         yield f'<div class="pictures">{"".join(_picture(curve) for curve in outcome["curves"])}</div>'
 
 
-def rounded(value: Any, reach: float | None) -> tuple[str, str]:
+def value_texts(value: Any, reach: float | None) -> tuple[str, str]:
     """Return a value and half of its interval with the digits that the interval allows: two digits
     of the interval, and the value to the same place.
     """

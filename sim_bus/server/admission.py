@@ -53,7 +53,7 @@ class Admission:
     ) -> None:
         self._address, self._bit_rate, self._world, self._pace, self._result = address, bit_rate, world, pace, result
         self.listener: socket.socket | None = None
-        rows = SLOTS + 1  # the last is for a client that is told that the bus is full
+        rows = SLOTS + 1  # the last row serves a client that gets the answer "bus full"
         self.slots = new_records(SlotRecord, rows)
         self.slots["fd"] = -1
         self._words = np.zeros((rows, 2 * MESSAGE_FRAMES), np.int64)

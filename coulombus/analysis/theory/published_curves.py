@@ -172,14 +172,14 @@ def _frictional_lag() -> LiteratureCurve:
 
 
 def _break_away() -> LiteratureCurve:
-    law, published, found = _given("lugre", **CANUDAS), [], []
+    law, published, computed = _given("lugre", **CANUDAS), [], []
     for rate in FORCE_RATES:
         ramped = continuous(lambda t, rate=rate: rate * t, 2.5 / rate)  # type: ignore[misc]
         published.append(float(ramped.friction.max()))
         course = course_of(law, 2.5 / rate, max(1, round(25 / rate)), force_rate=rate)
-        found.append(float(course["friction"].max()))
+        computed.append(float(course["friction"].max()))
     rates = np.array(FORCE_RATES)
-    line = LiteratureLine("largest friction", rates, np.array(published), rates, np.array(found))
+    line = LiteratureLine("largest friction", rates, np.array(published), rates, np.array(computed))
     return LiteratureCurve(
         *(
             "lugre-break-away",

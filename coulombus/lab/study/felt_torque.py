@@ -15,10 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
+from coulombus.lab.study.study_folder import SubjectFolder
+from coulombus.lab.study.trials import Trial
 from coulombus.recording.reading import read
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["FeltError", "felt_Nm"]
+__all__ = ["FeltError", "felt_Nm", "felt_of"]
 
 LEAST_RAD = 0.05
 """Who turned the handle less has felt nothing to judge by."""
@@ -28,6 +30,11 @@ class FeltError(CoulombusError):
     """A recording does not tell what a hand felt; the text says why, and what to do."""
 
     exit_status = 2
+
+
+def felt_of(folder: SubjectFolder, trial: Trial) -> list[float]:
+    """Return the mean friction [Nm] that the hand felt in each display of a trial; errors as `felt_Nm`."""
+    return [felt_Nm(folder.recording(trial, number)) for number in range(1, len(trial.levels) + 1)]
 
 
 def felt_Nm(path: Path) -> float:

@@ -63,6 +63,11 @@ class People:
     go_on: Callable[[str], bool]
     clock: Callable[[], float] | None = None
 
+    @classmethod
+    def simulated(cls, answer: Callable[[Trial], str]) -> People:
+        """Return a subject that reads no text, answers each trial and always goes on."""
+        return cls(tell=lambda text: None, ask=answer, go_on=lambda text: True)
+
 
 @dataclass(frozen=True)
 class Session:

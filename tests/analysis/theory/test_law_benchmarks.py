@@ -49,7 +49,7 @@ def test_every_benchmark_is_met(computed):
 
 def test_a_wrong_law_misses_its_benchmark(computed):
     law = given_law("lugre", [f"{key}={value!r}" for key, value in {**CANUDAS, "F_s_Nm": 1.4}.items()])
-    expected = {one.what: one for one in computed[0]}["break-away at 1 N/s (1995, Fig. 4)"].expected
+    expected = {benchmark.what: benchmark for benchmark in computed[0]}["break-away at 1 N/s (1995, Fig. 4)"].expected
     assert abs(break_away(law, 1.0) - expected) > 0.05
 
 

@@ -7,7 +7,7 @@ from importlib.metadata import version
 import pytest
 
 from coulombus.host.commission.progress import Progress
-from coulombus.host.commission.report import Signature, report, rounded, signature
+from coulombus.host.commission.report import Signature, report, signature, value_texts
 from coulombus.rigs.rig import load_rig, packaged_rig
 
 TITLES = {"zero": "zero", "friction": "friction"}
@@ -37,7 +37,7 @@ def head_of(page):
     ],
 )
 def test_a_figure_has_the_digits_of_its_interval(value, reach, shown):
-    assert rounded(value, reach) == shown
+    assert value_texts(value, reach) == shown
 
 
 def test_verdict_operator_version_and_hash_stand_before_the_first_step(tmp_path):
