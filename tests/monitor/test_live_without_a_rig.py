@@ -90,6 +90,12 @@ def test_an_assumed_rig_is_left_when_the_bus_is_another_ones(rig, frames):
     assert not any("motor" in name for name in signals)
 
 
+def test_a_node_that_only_sends_pdos_is_listed_when_the_rig_is_left(rig):
+    live = Live(rig, LearnedPdos())
+    live.take([frame(0.1, 0x181, bytes(3)), frame(0.2, 0x189, bytes(4))])
+    assert {node.name for node in live.snapshot(T0 + S).nodes} == {"1", "9"}
+
+
 @pytest.mark.parametrize(
     "frames",
     [

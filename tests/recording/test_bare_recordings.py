@@ -101,3 +101,4 @@ def test_a_log_of_two_buses_asks_for_one(path):
             reader(path)
     for recording in both(path, channel="can0"):
         assert len(series(recording, "5.TPDO1.6041h:00")[0]) == 220
+        assert f"{path}: 1 frames of the bus can1 were left out" in recording.remarks
