@@ -18,19 +18,20 @@ import numpy.typing as npt
 
 from coulombus.host.laws.plane.plane_law import PlaneLawFunction
 from coulombus.host.laws.plane.plane_laws import PlaneLaw, load_plane_law
-from coulombus.host.plane.plane_step import ACTIVE, HYBRID, PASSIVE, TRACK, PlaneHostRecord, plane_step
+from coulombus.host.plane.plane_host import PLANE_MODES, PlaneModel, new_plane_host
+from coulombus.host.plane.plane_records import TRACK, PlaneHostRecord
+from coulombus.host.plane.plane_step import plane_step
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Floats, RecordArray, new_records
+from coulombus.kernels.records import Floats, RecordArray
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.kinematics.load_mechanism import Mechanism, load_mechanism
 from coulombus.rigs.kinematics.mechanism_records import MechanismFunction
 from coulombus.rigs.rig import Rig
+from coulombus.sim_bus.rig.joints import new_plane_plant
 from coulombus.sim_bus.rig.plane_plant import advance_plane, tip_force
 from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
 
-__all__ = ["COLUMNS", "PLANE_MODES", "PlaneCourse", "PlaneRun", "circle", "new_plane_plant", "simulate_plane"]
-
-PLANE_MODES = {"active": ACTIVE, "passive": PASSIVE, "hybrid": HYBRID}
+__all__ = ["COLUMNS", "PlaneCourse", "PlaneRun", "circle", "simulate_plane"]
 
 COLUMNS = (
     *("x_m", "y_m", "vx_m_s", "vy_m_s", "shown_x_N", "shown_y_N", "hand_x_N", "hand_y_N"),
@@ -144,66 +145,33 @@ def _run(
         row[12] = h.state.stuck
 
 
-def new_plane_plant(rig: Rig, period_s: float) -> RecordArray[PlanePlantRecord]:
-    """Return the plant of a rig of two links at rest at its start, as an array of one record.
-
-    Raises
-    ------
-    RigError
-        the rig has no [plane], no [plant], or another mechanism than two links in series
+def _new_plant(rig: Rig, period_s: float) -> RecordArray[PlanePlantRecord]:
+    """Return the plant of a rig of two links at rest at its start, as an array of one record, with its joints'
+    lags and friction.
     """
-    kinematics, truth = rig.kinematics, None if rig.in_plane is None else rig.in_plane.plane
-    if kinematics is None or truth is None or kinematics.kind.strip() != "serial_2r":
-        raise RigError([f'{rig.path}: the rig {rig.name} has no [plane] with kinematics.kind = "serial_2r"'])
-    joints = [axis.simulation.plant for axis in rig.axes]
-    record = new_records(PlanePlantRecord)
-    p = record[0]
-    (m1, m2), (c1, c2), (i1, i2) = truth.link_mass_kg, truth.link_centre_m, truth.link_inertia_kg_m2
-    l1, l2 = kinematics.l1_m or 0.0, kinematics.l2_m or 0.0
-    p["h"], p["l1"], p["l2"] = joints[0].step_s, l1, l2
-    p["a2"] = i2 + m2 * c2**2 + truth.hand_mass_kg * l2**2
-    p["a3"] = p["a2"] + joints[1].inertia_kg_m2
-    p["a1"] = p["a2"] + i1 + m1 * c1**2 + (m2 + truth.hand_mass_kg) * l1**2 + joints[0].inertia_kg_m2
-    p["k"] = l1 * (m2 * c2 + truth.hand_mass_kg * l2)
-    p["viscous"] = [joint.viscous_Nms_rad for joint in joints]
+    record = new_plane_plant(rig)
+    p, joints = record[0], [axis.simulation.plant for axis in rig.axes]
+    step_s = joints[0].step_s
     p["inherent"] = [joint.coulomb_Nm + joint.brake_off_state_Nm for joint in joints]
-    p["stiffness"], p["damping"] = truth.hand_stiffness_N_m, truth.hand_damping_Ns_m
-    p["hand_kg"] = truth.hand_mass_kg
-    lags = (joints[0].motor_lag_s, joints[0].brake_coil_lag_s, joints[0].brake_fluid_lag_s)
-    decays = [math.exp(-joints[0].step_s / lag) if lag > 0.0 else 0.0 for lag in lags]
-    p["motor_decay"], p["coil_decay"], p["fluid_decay"] = decays
-    start = zip(kinematics.offsets_rad, kinematics.signs, kinematics.start_rad, strict=True)
-    p["angle"] = [offset + sign * q for offset, sign, q in start]
-    tip_force(p)
-    p["goal_m"] = p["tip_m"]
-    if abs(period_s / joints[0].step_s - round(period_s / joints[0].step_s)) > 1e-9:
+    for name, key in (("motor", "motor_lag_s"), ("coil", "brake_coil_lag_s"), ("fluid", "brake_fluid_lag_s")):
+        lags = [getattr(joint, key) for joint in joints]
+        p[f"{name}_decay"] = [math.exp(-step_s / lag) if lag > 0.0 else 0.0 for lag in lags]
+    if abs(period_s / step_s - round(period_s / step_s)) > 1e-9:
         raise RigError([f"{rig.path}: plant.step_s: expected a whole number of steps in a cycle of {period_s:g} s"])
     return record
 
 
 def _new_host(rig: Rig, run: PlaneRun, law: PlaneLaw, mechanism: Mechanism) -> RecordArray[PlaneHostRecord]:
-    """Return the host's record of a rig: its model, at the start."""
-    kinematics = rig.kinematics
-    assert kinematics is not None
-    record = new_records(PlaneHostRecord)
-    h = record[0]
-    h["mechanism"], h["law"] = mechanism.record[0], law.record()[0]
-    h["mode"], h["window_cycles"] = PLANE_MODES[run.mode], run.window_cycles
-    h["turn_cycles"] = min(round(run.turn_s / run.period_s), TRACK - run.window_cycles - 1)
-    h["start_rad"], h["least_condition"] = kinematics.start_rad, kinematics.least_condition
-    h["count_rad"] = [2 * math.pi / (axis.motor.encoder_counts_rev * axis.mechanics.ratio) for axis in rig.axes]
-    c, modes = h["control"], [axis.mode[run.mode] for axis in rig.axes]
-    brakes = 0.0 if run.mode == "active" else 1.0
-    c["brake_limit_Nm"] = [brakes * axis.limits.brake_torque_Nm for axis in rig.axes]
-    c["motor_limit_Nm"] = [0.0 if run.mode == "passive" else mode.motor_limit_Nm for mode in modes]
-    c["friction_Nm"] = [axis.mechanics.friction_Nm for axis in rig.axes]
-    c["lead_s"] = run.period_s * (0.5 * run.window_cycles + 1.5)
-    c["compensation"], c["period_s"] = modes[0].compensation, run.period_s
-    c["passivity_J"] = min(axis.limits.passivity_J for axis in rig.axes)
-    plant = rig.axes[0].simulation.plant
-    c["reversal_s"] = run.reversal_lags * (plant.brake_coil_lag_s + plant.brake_fluid_lag_s)
-    for name, lag in (("coil_step", plant.brake_coil_lag_s), ("fluid_step", plant.brake_fluid_lag_s)):
-        c[name] = 1.0 - math.exp(-run.period_s / lag) if run.models_lag and lag > 0.0 else 1.0
+    """Return the host's record of a rig: its model, with the changes of the run."""
+    record = new_plane_host(rig, run.mode, PlaneModel(law, mechanism), run.period_s)
+    h, T = record[0], run.period_s
+    h["window_cycles"] = run.window_cycles
+    h["turn_cycles"] = min(round(run.turn_s / T), TRACK - run.window_cycles - 1)
+    c, brakes = h["control"], [axis.brake for axis in rig.axes]
+    c["lead_s"] = T * (0.5 * run.window_cycles + 1.5)
+    c["reversal_s"] = [run.reversal_lags * (brake.coil_lag_s + brake.fluid_lag_s) for brake in brakes]
+    if not run.models_lag:
+        c["coil_step"] = c["fluid_step"] = 1.0
     return record
 
 
@@ -233,7 +201,7 @@ def simulate_plane(
         the rig is not in the plane
     """
     run = PlaneRun() if run is None else run
-    plant = new_plane_plant(rig, run.period_s)
+    plant = _new_plant(rig, run.period_s)
     assert rig.kinematics is not None
     mechanism = load_mechanism(rig.kinematics, rig.law_directory)
     law = load_plane_law("plane_karnopp") if run.law is None else run.law
@@ -244,8 +212,8 @@ def simulate_plane(
     before = _kinetic(plant[0])
     _run(mechanism.function, law.function, host[0], plant[0], hand, steps, rows)
     p = plant[0]
-    works = p["work_hand"] + sum(p[name].sum() for name in ("work_motor", "work_brake", "work_friction"))
-    residual = float(works - p["loss_viscous"] - (_kinetic(p) - before))
+    works = sum(p[name].sum() for name in ("work_hand", "work_motor", "work_brake", "work_friction"))
+    residual = float(works - p["work_viscous"].sum() - (_kinetic(p) - before))
     t_s: npt.NDArray[np.float64] = run.period_s * np.arange(1, len(goals), dtype=np.float64)
     return PlaneCourse(t_s, rows, host, plant, residual)
 

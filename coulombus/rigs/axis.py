@@ -108,6 +108,7 @@ class Axis(Sections):
     Attributes
     ----------
     name : "" where the rig has one axis; else its signals are called NAME.motor.position_rad
+    joint : whether it is a joint of the rig's [kinematics]
     descriptions : parsed EDS files of its `devices`, in their order
     origin : where the values come from
     """
@@ -115,6 +116,7 @@ class Axis(Sections):
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
     name: str = Field("", exclude=True)
+    joint: bool = Field(False, exclude=True)
     descriptions: tuple[Description, ...] = Field(exclude=True)
     origin: Origin = Field(exclude=True)
 
@@ -126,11 +128,13 @@ class Axis(Sections):
         descriptions: Mapping[Node, Description],
         origin: Origin,
         allocation: AxisPdos | None = None,
+        *,
+        joint: bool = False,
     ) -> Axis:
         """Return the axis of these sections and EDS files; `allocation`: theirs, if already computed."""
         values: dict[str, Any] = {key: getattr(sections, key) for key in Sections.model_fields}
         ordered = tuple(descriptions[node] for node in sections.devices)
-        axis = cls(**values, name=name, descriptions=ordered, origin=origin)
+        axis = cls(**values, name=name, joint=joint, descriptions=ordered, origin=origin)
         if allocation is not None:
             axis.__dict__["allocation"] = allocation
         return axis
@@ -138,7 +142,7 @@ class Axis(Sections):
     def from_origin(self, origin: Origin) -> Axis:
         """Return a copy with another origin."""
         descriptions = dict(zip(self.devices, self.descriptions, strict=True))
-        return Axis.of(self, self.name, descriptions, origin, self.allocation)
+        return Axis.of(self, self.name, descriptions, origin, self.allocation, joint=self.joint)
 
     def has_devices_of(self, sections: Sections, descriptions: Mapping[Node, Description]) -> bool:
         """Return whether sections and EDS files equal this axis' own, `NO_DEVICES` aside."""
@@ -151,7 +155,8 @@ class Axis(Sections):
         """Return the axis as if the rig file removed these roles (object = "none")."""
         said = self.role.model_dump(exclude_none=True) | {role: {"object": "none"} for role in roles}
         lean = self.model_copy(update={"role": Roles.model_validate(said)})
-        return Axis.of(lean, self.name, dict(zip(self.devices, self.descriptions, strict=True)), self.origin)
+        descriptions = dict(zip(self.devices, self.descriptions, strict=True))
+        return Axis.of(lean, self.name, descriptions, self.origin, joint=self.joint)
 
     @property
     def prefix(self) -> str:
@@ -233,10 +238,12 @@ class Axis(Sections):
 
     def __reduce__(self) -> tuple[Any, ...]:
         texts = tuple((description.path, description.text) for description in self.descriptions)
-        return _reload, (self.model_dump(by_alias=True), self.name, texts, self.origin)
+        return _reload, (self.model_dump(by_alias=True), self.name, self.joint, texts, self.origin)
 
 
-def _reload(values: dict[str, Any], name: str, eds_texts: tuple[tuple[str, str], ...], origin: Origin) -> Axis:
+def _reload(
+    values: dict[str, Any], name: str, joint: bool, eds_texts: tuple[tuple[str, str], ...], origin: Origin
+) -> Axis:
     sections = Sections.model_validate(values)
     descriptions = (parse_eds(text.encode(), path) for path, text in eds_texts)
-    return Axis.of(sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin)
+    return Axis.of(sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin, joint=joint)

@@ -75,7 +75,7 @@ class AxisParts:
             raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
         return cls(sections, descriptions, allocation)
 
-    def axis(self, name: str, origin: Origin) -> Axis:
+    def axis(self, name: str, origin: Origin, *, joint: bool) -> Axis:
         """Return the axis; call only if nothing was refused."""
         assert self.sections is not None
-        return Axis.of(self.sections, name, self.descriptions, origin, self.allocation)
+        return Axis.of(self.sections, name, self.descriptions, origin, self.allocation, joint=joint)

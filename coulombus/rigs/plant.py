@@ -9,6 +9,7 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from coulombus.rigs.hysteresis import Iron
+from coulombus.rigs.kinematics.plane_phases import PlanePhase
 from coulombus.rigs.model import NS, SAYS_POLARITY, Nanoseconds, Polarity, Section, to_ns
 from coulombus.rigs.plant_detail import Cable, Fluid, Friction, Handle, Heat, Ripple
 
@@ -251,5 +252,6 @@ class MotionPhase(Section):
 
 
 Phase: TypeAlias = Annotated[
-    RestPhase | HoldPhase | StrokePhase | PaperPhase | FilePhase | MotionPhase, Field(discriminator="kind")
+    RestPhase | HoldPhase | StrokePhase | PaperPhase | FilePhase | MotionPhase | PlanePhase,
+    Field(discriminator="kind"),
 ]

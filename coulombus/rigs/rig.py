@@ -23,7 +23,7 @@ from coulombus.rigs.axis_parts import AxisParts
 from coulombus.rigs.devices import DeviceSection
 from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.errors import RigError, Source
-from coulombus.rigs.kinematics.kinematics_rules import PLANE_SECTIONS, PlaneSections, read_plane
+from coulombus.rigs.kinematics.kinematics_rules import PLANE_SECTIONS, PlaneSections, check_phases, read_plane
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
 from coulombus.rigs.model import About, Bus, Host
 from coulombus.rigs.rig_file import known_rigs, named_rig, packaged_rig, read_rig_file
@@ -35,9 +35,8 @@ from coulombus.rigs.toml_lines import Table, read_toml
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
-
-UNCOUPLED = "run, sim and simulate drive each joint by its own law, and simulate it alone (docs/plane.md)"
-"""Limitation of mechanisms: the joints are not coupled yet."""
+JOINT_LAW = "karnopp"
+"""Law of a joint of [kinematics] that is used alone; its parameters are in [mode.NAME]."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +176,8 @@ class Rig:
     def alone(self, name: str | None = None) -> Rig:
         """Return the axis `name` as a separate rig, without the axis in node and signal names.
 
+        A joint alone has no tip: its law is `JOINT_LAW`, and its hand rests.
+
         Raises
         ------
         RigError
@@ -186,7 +187,8 @@ class Rig:
         if not axis.name:
             return self
         texts = {axis.part(node).eds: axis.description(node).text for node in axis.devices}
-        return self._as_said(load_rig_text(_emitted(axis), self.path, texts, attached=self.origin.attached))
+        text = _alone(axis) if axis.joint else _emitted(axis)
+        return self._as_said(load_rig_text(text, self.path, texts, attached=self.origin.attached))
 
     def _as_said(self, rig: Rig) -> Rig:
         """Copy the provenance of the law (`law_named`) onto `rig`."""
@@ -310,6 +312,13 @@ def _emitted(axis: Axis) -> str:
     return _spelled(axis.rig.name, axis.model_dump(by_alias=True))
 
 
+def _alone(joint: Axis) -> str:
+    values = joint.model_dump(by_alias=True)
+    values["law"] = {key: value for key, value in values["law"].items() if not isinstance(value, dict)}
+    values["law"]["function"], values["phase"] = JOINT_LAW, []
+    return _spelled(joint.rig.name, values)
+
+
 def _reload(text: str, path: str, eds_texts: Mapping[str, str], attached: bool, law_named: bool) -> Rig:
     rig = load_rig_text(text, path, eds_texts, attached=attached)
     return _from(rig, replace(rig.origin, law_named=law_named))
@@ -406,12 +415,12 @@ def _load(
             source.lacking += part_source.lacking
             source.problems += part_source.problems
     in_plane = read_plane(values, tuple(named or ()), source, attached=attached)
+    check_phases(values, source, in_plane=in_plane is not None)
     source.raise_all()
     law_named = any(override.partition("=")[0].strip().endswith("law.function") for override in overrides)
     origin = Origin(path, text, tuple(overrides), attached, law_named)
-    axes = tuple(part.axis(name, origin) for name, part in zip(own_values, parts, strict=True))
+    joint = in_plane is not None
+    axes = tuple(part.axis(name, origin, joint=joint) for name, part in zip(own_values, parts, strict=True))
     warnings = [text for name, own in own_values.items() for text in remarks(own, sources[name])]
-    if in_plane is not None:
-        warnings.append(f"{source.where(('kinematics',))[1]}: kinematics: {UNCOUPLED}")
     spelled = "" if named is None else _spelled(axes[0].rig.name, values)
     return Rig(axes, origin, tuple(dict.fromkeys(warnings)), in_plane, spelled)

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from coulombus.host.cycle import step
 from coulombus.host.cycle.records import AxisRecords, Image, LawFunction, Phase, Trip
+from coulombus.host.cycle.joints import finish_joints
+from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.kernels.records import Integers
 from coulombus.wire.frame import Queue, push
@@ -94,11 +96,21 @@ def _couple(axes: AxisRecords) -> None:
 
 
 @kernel
-def finish(axes: AxisRecords, law_function: LawFunction, t_ns: int, window_over: int, out: Queue) -> int:
+def finish(
+    axes: AxisRecords,
+    law_function: LawFunction,
+    t_ns: int,
+    window_over: int,
+    out: Queue,
+    plane: PlaneFunctions | None = None,
+) -> int:
     """Finish the cycle of each axis whose TPDOs are complete, or of all waiting axes if the window is over.
 
-    Return the number of axes that still wait.
+    With `plane` the axes are the joints of one arm, which finish together. Return the number of axes that
+    still wait.
     """
+    if plane is not None:
+        return int(finish_joints(axes, plane, t_ns, window_over, out))
     waiting = 0
     for k in range(axes.shape[0]):
         h = axes[k].host
@@ -111,9 +123,11 @@ def finish(axes: AxisRecords, law_function: LawFunction, t_ns: int, window_over:
 
 
 @kernel
-def on_time(axes: AxisRecords, law_function: LawFunction, t_ns: int, out: Queue) -> None:
+def on_time(
+    axes: AxisRecords, law_function: LawFunction, t_ns: int, out: Queue, plane: PlaneFunctions | None = None
+) -> None:
     """Do what is due at `t_ns`: end the window for TPDOs, or start the next cycle."""
-    finish(axes, law_function, t_ns, WINDOW_OVER, out)
+    finish(axes, law_function, t_ns, WINDOW_OVER, out, plane)
     first = axes[0]
     if t_ns >= first.host.sync_ns + first.control.period_ns or first.host.cycle == 0:
         begin(axes, t_ns, out)

@@ -26,9 +26,10 @@ from coulombus.host.cycle.records import (
     Trip,
 )
 from coulombus.host.cycle.trip_text import trip_text
-from coulombus.host.laws.law import LawRecord
-from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, load_declared
+from coulombus.host.laws.law import Declaration, LawRecord, Parameters
+from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, load_declared, load_law
 from coulombus.host.laws.parameters import axis_parameters
+from coulombus.host.laws.plane.plane_laws import PlaneLaw
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.deadman_object import deadman_mask
 from coulombus.rigs.emergency import emcy_identifier
@@ -106,9 +107,9 @@ class Controller:
     Attributes
     ----------
     axis : one-record array of AXIS; `control`, `host`, `rpdos` and so on are views of its parts
-    law_function : the friction law as a function pointer
+    law_function : the friction law as a function pointer; of a joint unused
     declaration, parameters : the law's declaration and the values of its named parameters; None for
-        a law without named parameters
+        a law without named parameters. Of a joint: those of the law in the plane
 
     Raises
     ------
@@ -117,25 +118,22 @@ class Controller:
         cannot take a limit
     """
 
-    def __init__(self, axis: Axis, mode: str) -> None:
+    def __init__(self, axis: Axis, mode: str, plane: PlaneLaw | None = None) -> None:
         self.axis = axis
         self.mode = mode
-        if axis.law_of_recording and axis.law.function not in BUILTIN_LAWS:
-            expected = f"{' or '.join(BUILTIN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
-            raise axis.mistake("law.function", f"{expected}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
-        try:
-            loaded = load_declared(axis.law.function.strip(), axis.law_directory)
-        except LawError as error:
-            raise axis.mistake("law.function", f"a friction law; {error}") from error
-        self.law_function: LawFunction = loaded.pointer
-        self.declaration = loaded.declaration
-        self.parameters = parameters = axis_parameters(axis, loaded.declaration, mode)
-        self.law_state = () if loaded.declaration is None else loaded.declaration.state
+        self.declaration: Declaration | None
+        self.parameters: Parameters | None
+        if plane is None:
+            self._load_law(axis, mode)
+        else:  # a joint: its share of the force comes from the plane, the parameters are with the first joint
+            self.law_function = load_law("coulomb")
+            self.declaration, self.parameters = plane.declaration, plane.parameters
+        self.law_state = () if self.declaration is None else self.declaration.state
         self.records = new_records(AxisRecord)
         self.motion["dt_s"] = axis.bus.period_s
         self.law[:] = self._new_law()
-        if loaded.declaration is not None and parameters is not None:
-            loaded.declaration.fill(self.law[0], parameters)
+        if self.declaration is not None and self.parameters is not None:
+            self.declaration.fill(self.law[0], self.parameters)
         self.law["velocity_band_counts"] /= axis.law.velocity_window_cycles
         pdos = axis.pdos()
         self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
@@ -147,6 +145,19 @@ class Controller:
         self.host["share"] = 1.0
         constants = [constant.value for pdo in pdos for constant in pdo.constants]
         self.host["image"][0, Image.CONSTANT : Image.CONSTANT + len(constants)] = constants
+
+    def _load_law(self, axis: Axis, mode: str) -> None:
+        """Set the law of an axis, its declaration and its parameters."""
+        if axis.law_of_recording and axis.law.function not in BUILTIN_LAWS:
+            expected = f"{' or '.join(BUILTIN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
+            raise axis.mistake("law.function", f"{expected}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
+        try:
+            loaded = load_declared(axis.law.function.strip(), axis.law_directory)
+        except LawError as error:
+            raise axis.mistake("law.function", f"a friction law; {error}") from error
+        self.law_function = loaded.pointer
+        self.declaration = loaded.declaration
+        self.parameters = axis_parameters(axis, loaded.declaration, mode)
 
     @property
     def records(self) -> Records:

@@ -14,6 +14,7 @@ from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.records import AxisRecord, AxisRecords, Phase, SignResult, Trip
 from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
+from coulombus.host.plane.plane_host import load_plane, new_plane_host
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records, new_records
 
@@ -36,6 +37,8 @@ class Controllers:
         the axis
     owner : int64 array of 2048, the axis of each identifier
     law_function : the compiled law, one for all axes
+    plane : law and mechanism of a rig whose axes are the joints of one arm, else None
+    static_N : the largest force of the law in the plane [N]
 
     Raises
     ------
@@ -47,7 +50,10 @@ class Controllers:
         if len(rig.channels) > 1:
             raise ValueError(f"the axes hang on the buses {', '.join(rig.channels)}; take those of one with Rig.on")
         self.rig, self.mode = rig, mode
-        self.each = tuple(Controller(axis, mode) for axis in rig.axes)
+        model = load_plane(rig, mode)
+        self.plane = None if model is None else model.functions
+        self.static_N = 0.0 if model is None else model.peak_N
+        self.each = tuple(Controller(axis, mode, None if model is None else model.law) for axis in rig.axes)
         self.law_function = self.each[0].law_function
         for controller in self.each[1:]:  # the first axis sends SYNC and the heartbeat
             controller.control["sync_cob_id"] = -1
@@ -55,6 +61,10 @@ class Controllers:
         self.owner = np.zeros(2048, np.int64)
         for k, controller in enumerate(self.each):
             self.owner[list(controller.can_ids())] = k
+        if model is not None:
+            self.each[0].records["plane"] = new_plane_host(rig, mode, model)
+            for controller in self.each[1:]:
+                controller.control["law_keeps"] = 0
         self.adopt(new_records(AxisRecord, len(self.each)))
 
     def adopt(self, axes: AxisRecords) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from coulombus.host.laws.laws import BUILTIN_LAWS
+from coulombus.host.laws.plane.plane_laws import PLANE_LAWS
 from coulombus.rigs.axis import Axis
 
 __all__ = [
@@ -47,7 +48,8 @@ def brake_end_Nm(axis: Axis) -> float:
 
 def law_pushes(axis: Axis) -> bool:
     """Return whether the axis' law is a built-in law that pushes back in mode hybrid."""
-    own = BUILTIN_LAWS.get(axis.law.function.strip())
+    name = axis.law.function.strip()
+    own = BUILTIN_LAWS.get(name) or PLANE_LAWS.get(name)
     return own is not None and own.pushes
 
 
@@ -55,10 +57,11 @@ def motor_limit_Nm(axis: Axis, mode: str) -> float:
     """Return the largest motor torque at the handle [Nm] in a mode; the drive's limit 6072h is set to it.
 
     In `hybrid` the motor only compensates friction, so the limit is at most 1.2 times the identified
-    friction. For a law that pushes, the rig file's limit holds.
+    friction. For a law that pushes, and for a joint in the plane, whose motor gives what the brakes cannot, the
+    rig file's limit holds.
     """
     limit = axis.mode[mode].motor_limit_Nm
-    if mode != "hybrid" or law_pushes(axis):
+    if mode != "hybrid" or axis.joint or law_pushes(axis):
         return limit
     return min(limit, HYBRID_MARGIN * axis.mechanics.friction_Nm)
 

@@ -37,6 +37,7 @@ __all__ = [
     "enable",
     "enter",
     "run",
+    "run_joint",
     "safe",
     "settle",
     "sign_check",
@@ -55,6 +56,7 @@ DISABLE_CYCLES = 100  # longest wait for the drive to report that it is disabled
 def _begin(h: HostRecord, phase: int) -> None:
     h.phase = phase
     h.phase_cycle = 0
+    h.ready = 0
     h.reference_counts = h.counts
     h.still = 0
 
@@ -126,6 +128,8 @@ def still(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """
     count_still(h)
     loaded = abs(h.handle_Nm) > c.still_handle_Nm
+    if h.held:
+        h.still = h.phase_cycle = 0
     if loaded or h.still == 0:
         h.still = 0
         h.handle_before_Nm = 0.0
@@ -212,12 +216,13 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
 
 @kernel
 def settle(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
-    """SETTLE: ramp the sign check's torque to 0, and wait until the handle is still."""
+    """SETTLE: ramp the sign check's torque to 0, and wait until the handle is still, and all joints are."""
     count_still(h)
     torque_Nm = max(abs(h.torque_Nm) - SETTLE_STEPS * c.sign_step_Nm, 0.0) * h.sign_direction
-    if torque_Nm == 0.0 and h.still >= c.settle_cycles:
+    h.ready = 1 if torque_Nm == 0.0 and h.still >= c.settle_cycles else 0
+    if h.ready and not h.held:
         return torque_Nm, Phase.RUN
-    if h.phase_cycle > c.still_timeout_cycles:
+    if h.phase_cycle > c.still_timeout_cycles and not h.held:
         return _refuse(h, Trip.NOT_STILL)
     return torque_Nm, Phase.SETTLE
 
@@ -258,20 +263,44 @@ def split_law(axis: AxisRecord) -> float:
             setpoint = 0.0
         if c.level_is_felt:
             setpoint = brake_level(c, h, setpoint, given_Nm)
-        setpoint = h.gain * setpoint + withheld_Nm
-        if setpoint > c.brake_limit_Nm:
-            if setpoint > c.brake_limit_Nm + c.brake_Nm_raw:  # less than a count is rounding
-                h.clipped_setpoints += 1
-                h.clipped = 1
-            setpoint = c.brake_limit_Nm
-        setpoint = lead(c, h, setpoint)
-        lowest_Nm = min(h.brake_Nm - c.brake_fall_Nm, c.brake_limit_Nm)
-        if setpoint < lowest_Nm:
-            h.slowed_setpoints += 1
-            h.clipped = 1
-            setpoint = lowest_Nm
-        h.brake_Nm = setpoint
+        setpoint = _within_limit(c, h, h.gain * setpoint + withheld_Nm)
+        h.brake_Nm = _not_too_fast(c, h, lead(c, h, setpoint))
     return h.gain * torque_Nm
+
+
+@kernel
+def _within_limit(c: ControlRecord, h: HostRecord, setpoint: float) -> float:
+    """Return the brake's set-point [Nm], at most its limit."""
+    if setpoint <= c.brake_limit_Nm:
+        return setpoint
+    if setpoint > c.brake_limit_Nm + c.brake_Nm_raw:  # less than a count is rounding
+        h.clipped_setpoints += 1
+        h.clipped = 1
+    return float(c.brake_limit_Nm)
+
+
+@kernel
+def _not_too_fast(c: ControlRecord, h: HostRecord, setpoint: float) -> float:
+    """Return the brake's set-point [Nm], which falls from the last one by at most ``brake_fall_Nm``."""
+    lowest_Nm = min(h.brake_Nm - c.brake_fall_Nm, c.brake_limit_Nm)
+    if not setpoint < lowest_Nm:
+        return setpoint
+    h.slowed_setpoints += 1
+    h.clipped = 1
+    return float(lowest_Nm)
+
+
+@kernel
+def run_joint(axis: AxisRecord, t_ns: int) -> tuple[float, int]:
+    """RUN of a joint: bound the share that the law in the plane has given it (`host.cycle.joints`)."""
+    c, h, state = axis.control, axis.host, axis.state
+    if c.brake_active:
+        h.brake_Nm = _not_too_fast(c, h, _within_limit(c, h, max(state.brake_Nm, 0.0)))
+    if h.full_gain_ns < 0 and h.gain >= 1.0:
+        h.full_gain_ns = t_ns
+    if h.image[Image.STATUSWORD] & INTERNAL_LIMIT:
+        h.limited_by_drive += 1
+    return -state.motor_Nm, Phase.RUN
 
 
 @kernel
@@ -341,10 +370,10 @@ def disable(h: HostRecord) -> tuple[float, int]:
 
 
 @kernel
-def _act(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, int]:
+def _act(axis: AxisRecord, law_function: LawFunction | None, t_ns: int) -> tuple[float, int]:
     """Run one cycle of the present phase, and set its controlword.
 
-    Return the motor's torque [Nm] and the next phase.
+    `law_function` None: the axis is a joint of an arm, whose law was evaluated before. Return the motor's torque [Nm] and the next phase.
     """
     c, h = axis.control, axis.host
     h.image[Image.CONTROLWORD] = CONTROLWORDS[h.phase, h.drive]
@@ -358,7 +387,7 @@ def _act(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float,
     if h.phase == Phase.SETTLE:
         return settle(c, h)
     if h.phase == Phase.RUN:
-        return run(axis, law_function, t_ns)
+        return run_joint(axis, t_ns) if law_function is None else run(axis, law_function, t_ns)
     if h.phase == Phase.SAFE:
         return safe(c, h)
     if h.phase == Phase.DISABLE:
@@ -368,11 +397,11 @@ def _act(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float,
 
 
 @kernel
-def advance(axis: AxisRecord, law_function: LawFunction, doubt: int, t_ns: int) -> float:
+def advance(axis: AxisRecord, law_function: LawFunction | None, doubt: int, t_ns: int) -> float:
     """Advance the axis' phase by one cycle; return the motor's torque [Nm] before the limits.
 
     A trip of a monitor (`doubt`) or of the phase itself, or a stop request, makes the axis safe in the
-    same cycle. Only the first reason counts.
+    same cycle. Only the first reason counts. `law_function` None: see `run_joint`.
     """
     c, h = axis.control, axis.host
     if doubt != Trip.NONE or h.stop != 0:

@@ -11,6 +11,8 @@ from typing import Annotated, TypeAlias
 
 from coulombus.eds.codec import PdoRecord
 from coulombus.host.laws.law import LawFunction, LawRecord, LawStateRecord, MotionRecord
+from coulombus.host.plane.plane_records import PlaneHostRecord
+from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.kernels.records import FloatField, IntegerField, Record, RecordArray, dtype_of
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.hysteresis import MOST_PLAYS
@@ -34,6 +36,7 @@ __all__ = [
     "LiveRecord",
     "OrderRecord",
     "Phase",
+    "PlaneFunctions",
     "SignResult",
     "Slot",
     "Trip",
@@ -85,6 +88,8 @@ class Trip(IntEnum):
     HEARTBEAT_SENSOR = 25
     MOTOR_TORQUE = 26
     LAW_CLIPPED = 27
+    WORKSPACE = 28
+    SINGULAR = 29
     NOT_STILL = 32  # from here on: arming was refused
     HANDLE_LOADED = 33
     ENABLE_TIMEOUT = 34
@@ -244,6 +249,10 @@ class HostRecord(Record):
 
     phase: int  # a `Phase`
     phase_cycle: int  # cycles since the phase began
+    doubt: int  # the `Trip` of this cycle's monitors (joints of an arm)
+    held: int  # 1: another joint of the arm is not ready for this joint's next phase
+    ready: int  # 1: the phase is over but for the other joints
+    safe_from_Nm: float  # brake torque at the begin of the safe state (joints of an arm)
     stop: int  # 1: safe stop requested; above: the `Trip` to stop for
     trip: int  # a `Trip`
     trip_ns: int  # time of the trip, or of the entry into SAFE without one
@@ -397,6 +406,7 @@ class AxisRecord(Record):
     law: LawRecord  # the law's parameters
     state: LawStateRecord  # the law's state and output
     live: LiveRecord  # changes of the law's parameters
+    plane: PlaneHostRecord  # two joints of one arm: that of the first axis is used
 
 
 AXIS = dtype_of(AxisRecord)

@@ -28,7 +28,17 @@ from coulombus.host.cycle.records import AxisRecord, ControlRecord, HostRecord, 
 from coulombus.kernels.decorator import kernel
 from coulombus.wire.frame import CAN_RTR_FLAG, Queue, push
 
-__all__ = ["SOURCE_HOST", "begin", "brake_raw", "finish", "limit_torque", "on_frame", "send"]
+__all__ = [
+    "SOURCE_HOST",
+    "begin",
+    "brake_raw",
+    "close_and_send",
+    "finish",
+    "limit_torque",
+    "observe",
+    "on_frame",
+    "send",
+]
 
 SOURCE_HOST = -1
 """Station number of the host in a queue and in a log."""
@@ -249,16 +259,29 @@ def send(axis: AxisRecord, t_ns: int, out: Queue) -> None:
 
 
 @kernel
+def observe(axis: AxisRecord, t_ns: int) -> int:
+    """End the wait for this cycle's TPDOs, measure and watch; return a `Trip`, or `Trip.NONE`."""
+    c, h = axis.control, axis.host
+    _close(c, h, t_ns)
+    return watch(c, h, measure(c, h), t_ns)
+
+
+@kernel
+def close_and_send(axis: AxisRecord, t_ns: int, out: Queue) -> None:
+    """Count a clipped law, and send the RPDOs."""
+    h = axis.host
+    _doubt_clipped_law(axis.control, h)
+    send(axis, t_ns, out)
+    h.arrived &= ~axis.control.by_timer  # a TPDO by timer that arrives from here on counts for the next cycle
+
+
+@kernel
 def finish(axis: AxisRecord, law_function: LawFunction, t_ns: int, out: Queue) -> None:
     """Finish the cycle at `t_ns`: measure, watch, advance the phase (which evaluates the law), limit the
     torque, and send the RPDOs.
     """
-    c, h = axis.control, axis.host
-    _close(c, h, t_ns)
-    jump = measure(c, h)
-    doubt = watch(c, h, jump, t_ns)
+    h = axis.host
+    doubt = observe(axis, t_ns)
     torque_Nm = advance(axis, law_function, doubt, t_ns)
-    h.torque_Nm = limit_torque(c, h, torque_Nm)
-    _doubt_clipped_law(c, h)
-    send(axis, t_ns, out)
-    h.arrived &= ~c.by_timer  # a TPDO by timer that arrives from here on counts for the next cycle
+    h.torque_Nm = limit_torque(axis.control, h, torque_Nm)
+    close_and_send(axis, t_ns, out)

@@ -33,7 +33,7 @@ class Transition(NamedTuple):
 ANY_TIME = (
     *(Trip.SPEED, Trip.ENCODER_JUMP, Trip.NET_WORK, Trip.HANDLE_TORQUE, Trip.TRAVEL, Trip.VOLTAGE, Trip.COIL_I2T),
     *(Trip.TPDO_LOST, Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.HEARTBEAT_MOTOR, Trip.HEARTBEAT_BRAKE, Trip.NMT_STATE),
-    *(Trip.EMCY_SENSOR, Trip.HEARTBEAT_SENSOR, Trip.MOTOR_TORQUE),
+    *(Trip.EMCY_SENSOR, Trip.HEARTBEAT_SENSOR, Trip.MOTOR_TORQUE, Trip.WORKSPACE, Trip.SINGULAR),
 )
 """Trips of the monitors that run in every phase."""
 

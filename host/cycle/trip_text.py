@@ -37,6 +37,8 @@ TRIP_TEXT = {
     Trip.SECOND_HOST: "another sender uses identifiers that belong to this host: {foreign}",
     Trip.MOTOR_TORQUE: "the motor's measured torque (6077h) is off from its commands by more than limits.motor_mismatch_Nm",
     Trip.LAW_CLIPPED: "a limit acted on the friction law {law} in most cycles, so the hand did not feel this law: {clipped}",
+    Trip.WORKSPACE: "the tip left the workspace kinematics.x_m, kinematics.y_m",
+    Trip.SINGULAR: "the arm is too near to a singular pose (kinematics.least_condition)",
     Trip.DEADMAN: "the dead man's switch was not held",
     Trip.DATA_PLANE: "the data plane's process ended or hung",
     Trip.HOST: "the host's process failed, ended or hung",

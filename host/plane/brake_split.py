@@ -45,23 +45,23 @@ from __future__ import annotations
 
 import math
 
-from coulombus.host.plane.split_records import SplitControlRecord, SplitStateRecord
+from coulombus.host.plane.plane_records import SplitControlRecord, SplitStateRecord
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import FloatField, Floats
 from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
 
-__all__ = ["expect_brakes", "hold", "observe", "slip"]
+__all__ = ["expect_brakes", "hold", "observe", "release", "slip"]
 
 FLUID_LEAD, COIL_LEAD = 3.0, 2.0
 """Gains of the lead compensation of a brake's lags (`host.cycle.brake_model`)."""
 
 
 @kernel
-def _seen(c: SplitControlRecord, before: float, now: float) -> float:
+def _seen(coil_step: float, before: float, now: float) -> float:
     """Return the coil's torque that the fluid follows in a cycle: the mean, or the new torque without a coil
     lag.
     """
-    return now if c.coil_step >= 1.0 else 0.5 * (before + now)
+    return now if coil_step >= 1.0 else 0.5 * (before + now)
 
 
 @kernel
@@ -74,9 +74,9 @@ def _sense(v_rad_s: float) -> float:
 def _lead(c: SplitControlRecord, s: SplitStateRecord, joint: int, level_Nm: float) -> float:
     """Return the set-point that brings a brake to a level faster than its lags."""
     seen, wish = s.expected_Nm[joint], level_Nm
-    if c.fluid_step < 1.0:
+    if c.fluid_step[joint] < 1.0:
         wish = seen + FLUID_LEAD * (level_Nm - seen)
-    if c.coil_step < 1.0:
+    if c.coil_step[joint] < 1.0:
         wish = s.coil_Nm[joint] + COIL_LEAD * (wish - s.coil_Nm[joint])
     return min(max(wish, 0.0), c.brake_limit_Nm[joint])
 
@@ -90,11 +90,12 @@ def expect_brakes(c: SplitControlRecord, s: SplitStateRecord) -> None:
     """
     for i in range(JOINTS):
         before = s.coil_Nm[i]
-        s.coil_Nm[i] += c.coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
-        s.expected_Nm[i] += c.fluid_step * (_seen(c, before, s.coil_Nm[i]) - s.expected_Nm[i])
+        coil_step, fluid_step = c.coil_step[i], c.fluid_step[i]
+        s.coil_Nm[i] += coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
+        s.expected_Nm[i] += fluid_step * (_seen(coil_step, before, s.coil_Nm[i]) - s.expected_Nm[i])
         s.sent_Nm[i], s.motor_sent_Nm[i] = s.brake_Nm[i], s.motor_Nm[i]
-        coil = s.coil_Nm[i] + c.coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
-        s.ahead_Nm[i] = s.expected_Nm[i] + c.fluid_step * (_seen(c, s.coil_Nm[i], coil) - s.expected_Nm[i])
+        coil = s.coil_Nm[i] + coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
+        s.ahead_Nm[i] = s.expected_Nm[i] + fluid_step * (_seen(coil_step, s.coil_Nm[i], coil) - s.expected_Nm[i])
 
 
 @kernel
@@ -137,15 +138,18 @@ def slip(
         v = v_rad_s[i]
         sense = _sense(v)
         soon = _sense(v + rate_rad_s2[i] * c.lead_s)
-        part, soonest = 1.0, c.reversal_s * abs(rate_rad_s2[i])
+        part, soonest = 1.0, c.reversal_s[i] * abs(rate_rad_s2[i])
         if c.motor_limit_Nm[i] > 0.0 and v * rate_rad_s2[i] < 0.0 and abs(v) < soonest:
             part = abs(v) / soonest
         level = max(-torque * sense - c.friction_Nm[i], 0.0) * part
         s.brake_Nm[i] = min(level, c.brake_limit_Nm[i])
+        s.clipped[i] = 1 if c.brake_limit_Nm[i] > 0.0 and level > c.brake_limit_Nm[i] else 0
         passive = -sense * (s.ahead_Nm[i] + c.friction_Nm[i])
         most = max(c.motor_limit_Nm[i] - abs(push), 0.0)
-        rest = torque + soon * (s.ahead_Nm[i] + c.compensation * c.friction_Nm[i])
+        rest = torque + soon * (s.ahead_Nm[i] + c.compensation_Nm[i])
         s.motor_Nm[i] = min(max(rest, -most), most)
+        if c.motor_limit_Nm[i] > 0.0 and abs(rest) > most:
+            s.clipped[i] = 1
         power += (s.motor_Nm[i] + passive) * v
         pushing += max(s.motor_Nm[i] * v, 0.0)
     keep = _kept_share(c, s, power, pushing)
@@ -153,7 +157,8 @@ def slip(
         if s.motor_Nm[i] * v_rad_s[i] > 0.0:
             s.motor_Nm[i] *= keep
         push = -(pose.jacobian[0, i] * push_N[0] + pose.jacobian[1, i] * push_N[1])
-        s.motor_Nm[i] += min(max(push, -c.motor_limit_Nm[i]), c.motor_limit_Nm[i])
+        s.push_Nm[i] = min(max(push, -c.motor_limit_Nm[i]), c.motor_limit_Nm[i])
+        s.motor_Nm[i] += s.push_Nm[i]
 
 
 @kernel
@@ -192,4 +197,13 @@ def hold(c: SplitControlRecord, s: SplitStateRecord, pose: PoseRecord, level_N: 
         length = math.hypot(pose.jacobian[0, i], pose.jacobian[1, i])
         level = share * abs(hand_Nm[i]) + spare * length - c.friction_Nm[i]
         s.brake_Nm[i] = _lead(c, s, i, min(max(level, 0.0), c.brake_limit_Nm[i]))
-        s.motor_Nm[i] = 0.0
+        s.clipped[i] = 1 if level > c.brake_limit_Nm[i] else 0
+        s.motor_Nm[i] = s.push_Nm[i] = 0.0
+
+
+@kernel
+def release(s: SplitStateRecord) -> None:
+    """Set no command."""
+    for i in range(JOINTS):
+        s.brake_Nm[i] = s.motor_Nm[i] = s.push_Nm[i] = 0.0
+        s.clipped[i] = 0

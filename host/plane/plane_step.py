@@ -6,75 +6,64 @@ h : the `PlaneHostRecord`
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import NamedTuple
 
-from coulombus.host.laws.plane.plane_law import (
-    PlaneLawFunction,
-    PlaneLawRecord,
-    PlaneMotionRecord,
-    PlaneStateRecord,
-)
-from coulombus.host.plane.brake_split import expect_brakes, hold, observe, slip
-from coulombus.host.plane.split_records import SplitControlRecord, SplitStateRecord
+from coulombus.host.laws.plane.plane_law import PlaneLawFunction
+from coulombus.host.plane.brake_split import expect_brakes, hold, observe, release, slip
+from coulombus.host.plane.plane_records import ACTIVE, TRACK, PlaneHostRecord
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import FloatField, IntegerField, Record
-from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismFunction, MechanismRecord, PoseRecord
+from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismFunction
 from coulombus.rigs.kinematics.pose_kernels import condition, locate
 
-__all__ = ["ACTIVE", "HYBRID", "PASSIVE", "TRACK", "PlaneHostRecord", "plane_step"]
-
-ACTIVE, PASSIVE, HYBRID = 0, 1, 2
-TRACK = 64
-"""Size of the ring of positions for the speeds."""
+__all__ = ["PlaneFunctions", "display", "may_display", "measure_plane", "plane_step"]
 
 
-class PlaneHostRecord(Record):
-    """State of a host of two joints: model, measurements and commands."""
+class PlaneFunctions(NamedTuple):
+    """The compiled law and mechanism of two joints."""
 
-    mechanism: MechanismRecord
-    control: SplitControlRecord
-    law: PlaneLawRecord
-    mode: int
-    window_cycles: int  # window of the joints' speeds, at most TRACK // 2 - 1
-    turn_cycles: int  # window of the speeds' change for the law; together with the speeds' window below TRACK
-    count_rad: Annotated[FloatField, JOINTS]  # angle of an encoder count at the joint
-    start_rad: Annotated[FloatField, JOINTS]  # the joints' angles at count 0
-    least_condition: float  # smallest condition of a pose with force; below it, the pose is too near to singular
-
-    counts: Annotated[IntegerField, JOINTS]  # encoders
-    hand_Nm: Annotated[FloatField, JOINTS]  # transducers: the hand's torques on the joints
-    track: Annotated[IntegerField, (TRACK, JOINTS)]  # counts of the last cycles
-    cycle: int
-    v_rad_s: Annotated[FloatField, JOINTS]
-    rate_rad_s2: Annotated[FloatField, JOINTS]  # change of the speeds, over two windows
-    pose: PoseRecord
-    motion: PlaneMotionRecord
-    state: PlaneStateRecord
-    split: SplitStateRecord
-    condition: float
-    outside: int  # cycles in a pose without force
-
+    law: PlaneLawFunction
+    mechanism: MechanismFunction
 
 @kernel
 def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHostRecord) -> None:
     """Do one cycle: measure, evaluate the law, split its force."""
-    _measure(mechanism, h)
+    measure_plane(mechanism, h)
     observe(h.control, h.split, h.v_rad_s)
     expect_brakes(h.control, h.split)
-    fx, fy = law(h.motion, h.law, h.state)
-    h.state.psi_N[0], h.state.psi_N[1] = fx, fy
-    if not (h.condition >= h.least_condition and math.isfinite(fx) and math.isfinite(fy)):
+    if not (may_display(h) and display(law, h)):
         h.outside += 1
-        for i in range(JOINTS):
-            h.split.brake_Nm[i] = h.split.motor_Nm[i] = 0.0
-    elif h.mode != ACTIVE and h.state.stuck == 1 and h.state.hold_N > 0.0:
-        hold(h.control, h.split, h.pose, h.state.hold_N, h.hand_Nm)
-    else:
-        slip(h.control, h.split, h.pose, h.state.psi_N, h.state.motor_N, h.v_rad_s, h.rate_rad_s2)
+        release(h.split)
 
 
 @kernel
-def _measure(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
+def may_display(h: PlaneHostRecord) -> bool:
+    """Return whether the pose is far enough from singular, and the tip in the workspace."""
+    if not h.condition >= h.least_condition:
+        return False
+    for i in range(2):
+        if not h.low_m[i] <= h.pose.x_m[i] <= h.high_m[i]:
+            return False
+    return True
+
+
+@kernel
+def display(law: PlaneLawFunction, h: PlaneHostRecord) -> bool:
+    """Evaluate the law and split its force; return False, without commands, if it is not finite."""
+    fx, fy = law(h.motion, h.law, h.state)
+    h.state.psi_N[0], h.state.psi_N[1] = fx, fy
+    if not (math.isfinite(fx + fy) and math.isfinite(h.state.motor_N[0] + h.state.motor_N[1] + h.state.hold_N)):
+        return False
+    for i in range(2):
+        h.psi_N[i], h.push_N[i] = h.gain * h.state.psi_N[i], h.gain * h.state.motor_N[i]
+    if h.mode != ACTIVE and h.state.stuck == 1 and h.state.hold_N > 0.0:
+        hold(h.control, h.split, h.pose, h.gain * h.state.hold_N, h.hand_Nm)
+    else:
+        slip(h.control, h.split, h.pose, h.psi_N, h.push_N, h.v_rad_s, h.rate_rad_s2)
+    return True
+
+
+@kernel
+def measure_plane(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
     """Set pose, speeds and the law's input from the encoders' counts and the transducers."""
     window = min(h.window_cycles, h.cycle)
     for i in range(JOINTS):

@@ -30,7 +30,7 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
-from coulombus.host.cycle.records import AxisRecords, LawFunction
+from coulombus.host.cycle.records import AxisRecords, LawFunction, PlaneFunctions
 from coulombus.host.cycle.telemetry import tell_all
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.numba_inside import borrowed
@@ -199,7 +199,7 @@ def _advance(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     if steps > 0:
         first = p.t_ns // p.step_ns - axis.force_step
         row = first if axis.truth_on else -1
-        course(p, world.f_h[a], axis.steps_per_knot, first, steps, world.truth[a], row)
+        course(world.plant, a, world.f_h, axis.steps_per_knot, first, steps, world.truth, row)
 
 
 @inlined
@@ -300,11 +300,16 @@ def next_event(w: WorldRecord, b: BusRecord, out: Queue, deadlines: Integers, ho
 
 @kernel
 def run(
-    world: World, host: HostCycle, law_function: LawFunction | None, course: CourseFunction, closely: int | None
+    world: World,
+    host: HostCycle,
+    law_function: LawFunction | None,
+    course: CourseFunction,
+    plane: PlaneFunctions | None,
+    closely: int | None,
 ) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
-    `law_function` None: there is no host in this world. `closely` None: stop when the detailed path
+    `law_function` None: there is no host in this world. `plane`: the host's axes are the joints of one arm. `closely` None: stop when the detailed path
     is needed. Numba omits code that depends on an argument that is None.
     """
     world, host = borrowed(world), borrowed(host)  # each use of an array would change its reference count
@@ -354,7 +359,7 @@ def run(
         if what == HOST:
             if law_function is not None:
                 first, t_host = out.count, own_ns(w, t)
-                host_axes.on_time(host.axes, law_function, t_host, out)
+                host_axes.on_time(host.axes, law_function, t_host, out, plane)
                 if w.clock_on + w.keep_sent != 0:
                     _keep(w, out, first)
                 if w.tells != 0:
@@ -402,7 +407,7 @@ def run(
                 first, t_host = out.count, own_ns(w, t)
                 request = host_axes.on_frame(host.axes, host.owner, t_host, b.can_id, b.length, b.word)
                 if request == 1 and w.host_on:
-                    host_axes.finish(host.axes, law_function, t_host, host_axes.WINDOW_OPEN, out)
+                    host_axes.finish(host.axes, law_function, t_host, host_axes.WINDOW_OPEN, out, plane)
                     if w.clock_on + w.keep_sent != 0:
                         _keep(w, out, first)
                     if w.tells != 0:

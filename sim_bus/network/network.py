@@ -44,7 +44,7 @@ from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.reader import Description, read_eds
 from coulombus.host.cycle.controllers import unused_law
-from coulombus.host.cycle.records import AxisRecord, LawFunction
+from coulombus.host.cycle.records import AxisRecord, LawFunction, PlaneFunctions
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.kernels.decorator import Entry
 from coulombus.kernels.records import Floats, Integers, RecordArray
@@ -116,6 +116,7 @@ class AttachedAxes:
     truth: Floats
     host: HostCycle
     law_function: LawFunction
+    plane: PlaneFunctions | None = None
 
 
 def without_mechanics(devices: int) -> AttachedAxes:
@@ -209,7 +210,7 @@ class VirtualNetwork:
             m.f_h,
             m.truth,
         )
-        self._arguments = (world, m.host, m.law_function, course_of(m.plant))
+        self._arguments = (world, m.host, m.law_function, course_of(m.plant), m.plane)
         attach(self.bus[0], TAP)
         if mechanics is not None:
             attach(self.bus[0], SOURCE_HOST)
@@ -217,7 +218,7 @@ class VirtualNetwork:
         self._run = Entry(run)
 
     @property
-    def arguments(self) -> tuple[World, HostCycle, LawFunction, CourseFunction]:
+    def arguments(self) -> tuple[World, HostCycle, LawFunction, CourseFunction, PlaneFunctions | None]:
         """Arguments of `sim_bus.network.event_loop.run` except `closely`.
 
         Python may have changed the records since the last run.

@@ -25,8 +25,10 @@ from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
 from coulombus.sim_bus.network.network import AttachedAxes, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
+from coulombus.sim_bus.rig.joints import PLANE_COLUMNS, new_plane_plant
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
-from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, new_plant, truth_columns
+from coulombus.sim_bus.rig.plane_hand import PlaneHand
+from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, TRUTH_COLUMNS, new_plant, truth_columns
 from coulombus.sim_bus.rig.plant_step import course_of
 from coulombus.sim_bus.rig.records import AXIS, PlantRecord, RigAxis
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
@@ -109,7 +111,10 @@ class VirtualRig(VirtualNetwork):
         self._take(rig, plant, seed)
         self._axes["truth_on"] = truth
         steps = knots * int(self._axes["steps_per_knot"].max())
-        self._columns = [truth_columns(axis.simulation.plant) for axis in rig.axes]
+        self._columns = [
+            truth_columns(axis.simulation.plant) if rig.in_plane is None else (*TRUTH_COLUMNS, *PLANE_COLUMNS)
+            for axis in rig.axes
+        ]
         self._truth_block = np.zeros((n, steps if truth else 1, max(map(len, self._columns))))
         self._truth: list[list[Any]] = [[] for _ in range(n)]
         k = self.controllers
@@ -125,7 +130,7 @@ class VirtualRig(VirtualNetwork):
             on_frames=on_frames,
             mechanics=AttachedAxes(
                 *(axes, axis_of, plant, self._f_h, self._truth_block),
-                *(HostCycle(k.axes, k.owner, self._told), k.law_function),
+                *(HostCycle(k.axes, k.owner, self._told), k.law_function, k.plane),
             ),
         )
         self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # plain arrays, like `_axes`
@@ -152,7 +157,13 @@ class VirtualRig(VirtualNetwork):
         """Initialise `plant` and the hands from `rig`."""
         n = len(rig.axes)
         self.rig = rig
-        self.operators = [Operator(axis, self.mode, seed + a * SEED_STEP) for a, axis in enumerate(rig.axes)]
+        if rig.in_plane is None:
+            self.operators: list[Operator | PlaneHand] = [
+                Operator(axis, self.mode, seed + a * SEED_STEP) for a, axis in enumerate(rig.axes)
+            ]
+        else:
+            static_N = self.controllers.static_N
+            self.operators = [PlaneHand(rig, static_N, direction, seed) for direction in range(n)]
         self._left: list[tuple[float, float] | None] = [None] * n
         """Schedules that ended early: start and end [s]."""
         self._had, self._truth_from = 0, [0] * n
@@ -162,6 +173,8 @@ class VirtualRig(VirtualNetwork):
         self._axes["steps_per_knot"] = [max(1, round(KNOT_S / axis.simulation.plant.step_s)) for axis in rig.axes]
         for a, axis in enumerate(rig.axes):
             plant[a : a + 1] = new_plant(axis, seed + a * SEED_STEP)
+        if rig.in_plane is not None:
+            plant["plane"][:1] = new_plane_plant(rig, seed)
 
     def _couple(self) -> None:
         """Connect the devices with the plants, and the hands with the plants."""
@@ -178,7 +191,7 @@ class VirtualRig(VirtualNetwork):
         self._events = []
         self.controllers.rename(rig)
         self._take(rig, self.plant, seed)
-        self._arguments = (*self._arguments[:3], course_of(self.plant))
+        self._arguments = (*self._arguments[:3], course_of(self.plant), self._arguments[4])
         self._couple()
 
     # time
@@ -208,7 +221,8 @@ class VirtualRig(VirtualNetwork):
     def answer(self, why: int) -> None:
         """Handle an exit of the kernel (`sim_bus.network.event_loop.Exit`), at the present time."""
         if why in (Exit.FORCE, Exit.ENABLED):
-            self._new_force_block(int(self._world["axis"][0]))
+            for a in self._together(int(self._world["axis"][0])):
+                self._new_force_block(a)
             if why == Exit.ENABLED:
                 for entry in self._waiting:
                     self.at(self.t_ns + entry.t_ns, entry.act)
@@ -234,6 +248,10 @@ class VirtualRig(VirtualNetwork):
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         self._heard.append(BusFrame(t_ns, can_id, data, len(data)))
 
+    def _together(self, a: int) -> Sequence[int]:
+        """Return the axes whose hand is that of axis `a`: in the plane one hand holds the tip of all joints."""
+        return range(len(self.operators)) if self.rig.in_plane is not None else (a,)
+
     def _new_force_block(self, a: int) -> None:
         """Compute the next block of the hand's force on axis `a`, from now on."""
         axis, plant, f_h = self._axes[a], self.plant[a], self._f_h[a]
@@ -244,7 +262,8 @@ class VirtualRig(VirtualNetwork):
         self._truth_from[a] = step
         knots = step + np.arange(len(f_h)) * int(axis["steps_per_knot"])
         t = np.asarray(knots * float(plant["h"]), np.float64)
-        start = int(axis["operator_start_ns"])
+        starts = self._axes["operator_start_ns"][list(self._together(a))]
+        start = -1 if starts.min() < 0 else int(starts.max())
         if start >= 0:
             self._left[a] = None
         f_h[:] = self.operators[a].torque_Nm(t, *(self._left[a] or (None if start < 0 else start * 1e-9, None)))

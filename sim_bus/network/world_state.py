@@ -92,7 +92,7 @@ def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
 
 def adopt(world: VirtualRig, state: WorldState) -> bool:
     """Restore `state` into a fresh world. False (and no change) if it does not fit."""
-    parts, _, _, course = world.arguments
+    parts, _, _, course, _ = world.arguments
     if JIT_DISABLED or not (world.plain and world.t_ns == 0 and (state.t_ns < parts.axes["force_end_ns"]).all()):
         return False
     advanced = (_advanced(parts, course, a, state.t_ns) for a in range(len(parts.axes)))

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.plant import Operator as Hand
 
-__all__ = ["KNOT_S", "LET_GO_S", "Operator", "drawn", "paper_force_N"]
+__all__ = ["KNOT_S", "LET_GO_S", "Floats", "Operator", "drawn", "paper_force_N", "subject_draws"]
 
 KNOT_S = 1e-3
 LET_GO_S = 2.0
@@ -54,13 +54,14 @@ def drawn(hand: Hand, seed: int) -> Hand:
     if hand.population == 0.0:
         return hand
     names = ("inertia_kg_m2", "damping_Nms_rad", "stiffness_Nm_rad", "tremor_Nm")
-    factors = np.exp(hand.population * _subject(seed).standard_normal(len(names)))
+    factors = np.exp(hand.population * subject_draws(seed).standard_normal(len(names)))
     return hand.model_copy(
         update={name: getattr(hand, name) * float(k) for name, k in zip(names, factors, strict=True)}
     )
 
 
-def _subject(seed: int, what: int = 0) -> np.random.Generator:
+def subject_draws(seed: int, what: int = 0) -> np.random.Generator:
+    """Return a subject's random generator; `what` separates its draws."""
     return np.random.default_rng((SUBJECT, what, seed & 0xFFFFFFFFFFFFFFFF))
 
 
@@ -78,9 +79,9 @@ class Operator:
         spread = self._hand.population
         self._late_s = np.zeros(MOST_TAPS)
         if spread > 0:
-            self._late_s = LATE_S * spread * np.abs(_subject(seed, 3).standard_normal(MOST_TAPS))
-            self._tremor_rad = 2 * np.pi * _subject(seed, 1).random()
-            self._push, self._tap = np.exp(spread * _subject(seed, 2).standard_normal(2))
+            self._late_s = LATE_S * spread * np.abs(subject_draws(seed, 3).standard_normal(MOST_TAPS))
+            self._tremor_rad = 2 * np.pi * subject_draws(seed, 1).random()
+            self._push, self._tap = np.exp(spread * subject_draws(seed, 2).standard_normal(2))
         self._phases = axis.phases
         self._F_s = axis.mode[mode].F_s_Nm
         self.starts_s = np.array(axis.phase_starts_s)

@@ -37,7 +37,7 @@ import math
 from coulombus.kernels.decorator import kernel
 from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
 
-__all__ = ["advance_plane", "kinetic_J", "tip_force"]
+__all__ = ["advance_plane", "kinetic_J", "step_plane", "tip_force"]
 
 ITERATIONS = 8
 CLOSE = 1e-15
@@ -220,11 +220,11 @@ def _keep(p: PlanePlantRecord, dt: float) -> None:
         p.friction_Nm[i] = -own
         p.brake_Nm[i] = own - p.load[i]
         p.angle[i] += way
-        p.work_hand += p.hand_Nm[i] * way
+        p.work_hand[i] += p.hand_Nm[i] * way
         p.work_motor[i] += p.motor[i] * way
         p.work_brake[i] += p.brake_Nm[i] * way
         p.work_friction[i] += p.friction_Nm[i] * way
-        p.loss_viscous += p.viscous[i] * w * way
+        p.work_viscous[i] += p.viscous[i] * w * way
         p.v[i] = p.v_end[i]
     p.part_s += dt
 
@@ -266,6 +266,17 @@ def tip_force(p: PlanePlantRecord) -> None:
 
 
 @kernel
+def step_plane(p: PlanePlantRecord) -> None:
+    """Advance the plant by a step with constant torques of the motors and largest frictions (``motor``, ``level``)."""
+    p.part_s = 0.0
+    left = p.h
+    for _part_number in range(PARTS):
+        left = _part(p, left)
+        if left <= 0.0:
+            break
+
+
+@kernel
 def advance_plane(p: PlanePlantRecord, steps: int) -> None:
     """Advance the plant by `steps` of its steps with constant commands (``motor_want``, ``brake_want``), while
     the hand's target moves with ``goal_m_s``.
@@ -273,16 +284,11 @@ def advance_plane(p: PlanePlantRecord, steps: int) -> None:
     for _ in range(steps):
         for i in range(2):
             before = p.motor_lagged[i]
-            p.motor_lagged[i] = p.motor_want[i] + (before - p.motor_want[i]) * p.motor_decay
+            p.motor_lagged[i] = p.motor_want[i] + (before - p.motor_want[i]) * p.motor_decay[i]
             p.motor[i] = 0.5 * (before + p.motor_lagged[i])
-            p.coil[i] = p.brake_want[i] + (p.coil[i] - p.brake_want[i]) * p.coil_decay
-            p.fluid[i] = p.coil[i] + (p.fluid[i] - p.coil[i]) * p.fluid_decay
+            p.coil[i] = p.brake_want[i] + (p.coil[i] - p.brake_want[i]) * p.coil_decay[i]
+            p.fluid[i] = p.coil[i] + (p.fluid[i] - p.coil[i]) * p.fluid_decay[i]
             p.level[i] = p.inherent[i] + p.fluid[i]
-        p.part_s = 0.0
-        left = p.h
-        for _part_number in range(PARTS):
-            left = _part(p, left)
-            if left <= 0.0:
-                break
+        step_plane(p)
         for i in range(2):
             p.goal_m[i] += p.h * p.goal_m_s[i]

@@ -12,6 +12,10 @@ __all__ = ["PlanePlantRecord"]
 class PlanePlantRecord(Record):
     """Two links with brakes, motors and a hand; arrays of two hold joint or direction 1 and 2."""
 
+    on: int  # 1: the plants of a rig's two axes are the joints of these links
+    offset_rad: Annotated[FloatField, 2]  # the mechanism's angle where the joint's is 0
+    sign: Annotated[FloatField, 2]  # sense of the joint in the mechanism
+    start_rad: Annotated[FloatField, 2]  # the joint's angle where its axis' is 0
     h: float  # step [s]
     l1: float  # lengths of the links [m]
     l2: float
@@ -24,9 +28,9 @@ class PlanePlantRecord(Record):
     stiffness: Annotated[FloatField, 2]  # of the hand [N/m]
     damping: Annotated[FloatField, 2]  # of the hand [N s/m]
     hand_kg: float
-    motor_decay: float  # decay of the motor's lag in a step
-    coil_decay: float
-    fluid_decay: float
+    motor_decay: Annotated[FloatField, 2]  # decay of the motor's lag in a step
+    coil_decay: Annotated[FloatField, 2]
+    fluid_decay: Annotated[FloatField, 2]
 
     motor_want: Annotated[FloatField, 2]  # commands [Nm]
     brake_want: Annotated[FloatField, 2]
@@ -53,8 +57,9 @@ class PlanePlantRecord(Record):
     shown_N: Annotated[FloatField, 2]  # force of motors, brakes and friction on the hand
     tip_m: Annotated[FloatField, 2]
     tip_m_s: Annotated[FloatField, 2]
-    work_hand: float  # J
+    work_hand: Annotated[FloatField, 2]  # J
     work_motor: Annotated[FloatField, 2]
     work_brake: Annotated[FloatField, 2]
     work_friction: Annotated[FloatField, 2]
-    loss_viscous: float
+    work_viscous: Annotated[FloatField, 2]  # loss of the viscous friction [J]
+    coil_square: Annotated[FloatField, 2]  # sum of the squared coil torques of a course [Nm^2]

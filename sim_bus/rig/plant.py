@@ -70,6 +70,7 @@ __all__ = [
     "advance",
     "coil_current",
     "coil_target",
+    "drive_train",
     "encoder_rad",
     "heat_coil",
     "keep_truth",
@@ -307,6 +308,24 @@ def coil_target(p: PlantRecord) -> float:
 
 
 @inlined
+def drive_train(p: PlantRecord, target: float, coil_wants: float, remembers: bool) -> tuple[float, float]:
+    """Advance motor, coil and fluid by a step; return the motor's mean torque and the brake's capacity [Nm].
+
+    `remembers`: the iron is not demagnetised, or its current is negative.
+    """
+    motor = target + (p.motor - target) * p.motor_decay
+    torque = 0.5 * (p.motor + motor)
+    if p.cogging > 0.0:
+        torque -= p.cogging * math.sin(p.cogging_rad * p.x)
+    p.motor = motor
+    p.coil = coil_wants + (p.coil - coil_wants) * p.coil_decay
+    iron = magnetise(p) if remembers else p.coil
+    p.fluid = iron + (p.fluid - iron) * p.fluid_decay
+    p.inherent = _inherent(p)
+    return torque, p.brake_gain * p.fluid + p.off_state
+
+
+@inlined
 def keep_truth(p: PlantRecord, out: Floats) -> None:
     """Write the first columns of the true course, `TRUTH_COLUMNS` up to the works."""
     out[0] = p.t_ns * 1e-9
@@ -345,17 +364,8 @@ def advance(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, 
     within = first - knot * per_knot
     slope = (f_h[knot + 1] - f_h[knot]) / per_knot
     for k in range(steps):
-        motor = target + (p.motor - target) * p.motor_decay
-        torque = 0.5 * (p.motor + motor)
-        if p.cogging > 0.0:
-            torque -= p.cogging * math.sin(p.cogging_rad * p.x)
-        p.motor = motor
-        p.coil = coil_wants + (p.coil - coil_wants) * p.coil_decay
+        torque, capacity = drive_train(p, target, coil_wants, remembers)
         square += p.coil * p.coil
-        iron = magnetise(p) if remembers else p.coil
-        p.fluid = iron + (p.fluid - iron) * p.fluid_decay
-        capacity = p.brake_gain * p.fluid + p.off_state
-        p.inherent = _inherent(p)
         level = capacity + p.inherent
         hand = f_h[knot] + slope * (within + 0.5)
         drive = hand + torque

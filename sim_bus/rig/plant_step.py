@@ -1,7 +1,7 @@
-"""Entry points for the virtual bus to advance a plant: one rigid body, and the detailed plant.
+"""Entry points for the virtual bus to advance a plant: one rigid body, the detailed plant, two coupled joints.
 
-Both have the same signature, so that the loop of the bus takes either as a pointer and contains
-neither. A rig without a `[plant.X]` compiles nothing of the detailed plant.
+All have the same signature, so that the loop of the bus takes any as a pointer and contains none. A rig
+without a `[plant.X]` compiles nothing of the detailed plant, a rig without `[plane]` nothing of the joints.
 
     p : the `PlantRecord` of an axis
 """
@@ -15,9 +15,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from coulombus.kernels.decorator import JIT_DISABLED, cacheable, kernel
-from coulombus.kernels.records import Floats, Records
+from coulombus.kernels.records import Floats, RecordArray, Records
 from coulombus.sim_bus.rig.chain import move
 from coulombus.sim_bus.rig.elements import stored_in_elements
+from coulombus.sim_bus.rig.joints import advance_joints
 from coulombus.sim_bus.rig.mr_brake import brake_capacity, heat, iron, thin
 from coulombus.sim_bus.rig.plant import (
     TRUTH_COLUMNS,
@@ -36,7 +37,9 @@ import numba  # isort: skip  (after kernels.decorator, which sets the cache dire
 
 __all__ = ["CourseFunction", "advance_detailed", "course_of"]
 
-CourseFunction: TypeAlias = Callable[[PlantRecord, Floats, int, int, int, Floats, int], int]
+PlantRecords: TypeAlias = RecordArray[PlantRecord]
+CourseFunction: TypeAlias = Callable[[PlantRecords, int, Floats, int, int, int, Floats, int], int]
+"""Advances the plant of an axis, and with it the plants that are coupled to it."""
 PLAIN = len(TRUTH_COLUMNS)
 RIPPLE, COGGING = BODIES, BODIES + 1
 """Rows of `waves`."""
@@ -119,16 +122,27 @@ def advance_detailed(
         heat_coil(p, steps * p.h, square / steps)
 
 
-def _plain(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> int:
-    advance(p, f_h, per_knot, first, steps, truth, row)
+def _plain(
+    plants: PlantRecords, a: int, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int
+) -> int:
+    advance(plants[a], f_h[a], per_knot, first, steps, truth[a], row)
     return 0
 
 
-def _either(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> int:
-    if p.detail.on != 0:
-        advance_detailed(p, f_h, per_knot, first, steps, truth, row)
+def _either(
+    plants: PlantRecords, a: int, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int
+) -> int:
+    if plants[a].detail.on != 0:
+        advance_detailed(plants[a], f_h[a], per_knot, first, steps, truth[a], row)
     else:
-        advance(p, f_h, per_knot, first, steps, truth, row)
+        advance(plants[a], f_h[a], per_knot, first, steps, truth[a], row)
+    return 0
+
+
+def _joints(
+    plants: PlantRecords, _a: int, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int
+) -> int:
+    advance_joints(plants, f_h, per_knot, first, steps, truth, row)
     return 0
 
 
@@ -136,7 +150,8 @@ def course_of(plants: Records) -> CourseFunction:
     """Return the function that advances these plants, in the form for kernels: compiled, or loaded from the
     cache.
     """
-    function = _either if plants.view(np.ndarray)["detail"]["on"].any() else _plain
+    plain = plants.view(np.ndarray)
+    function = _joints if plain["plane"]["on"].any() else _either if plain["detail"]["on"].any() else _plain
     return function if JIT_DISABLED else _pointer(function)
 
 
@@ -145,7 +160,7 @@ def _pointer(function: CourseFunction) -> CourseFunction:
     """Return a plant's function in the form for kernels; it stores nothing, so a process loads it once."""
     dispatcher: Any = numba.njit(nogil=True, error_model="numpy", cache=cacheable(function))(function)
     i8, f8 = numba.int64, numba.float64
-    signature = i8(numba.from_dtype(PLANT), f8[::1], i8, i8, i8, f8[:, ::1], i8)
+    signature = i8(numba.from_dtype(PLANT)[::1], i8, f8[:, ::1], i8, i8, i8, f8[:, :, ::1], i8)
     dispatcher.compile(signature.args)
     pointer: CourseFunction = numba.types.CompileResultWAP(dispatcher.overloads[dispatcher.signatures[0]])
     return pointer

@@ -7,6 +7,7 @@ from typing import Annotated
 from coulombus.kernels.records import FloatField, IntegerField, Record, RecordArray, dtype_of
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.plant_detail import MOST_ELEMENTS
+from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
 
 __all__ = [
     "AXIS",
@@ -198,6 +199,7 @@ class PlantRecord(Record):
     w_friction: float  # work of the device's own friction
     w_viscous: float  # loss of the device's viscous friction
     detail: DetailRecord  # parts beyond one rigid body
+    plane: PlanePlantRecord  # two coupled joints: that of the first axis is used
 
 
 class ShownRecord(Record):

@@ -64,9 +64,12 @@ class PacedRig(VirtualRig):
         """Handle an exit of the kernel, at the world's present time."""
         if why == Serve.RESTED:
             axis = int(self._world["axis"][0])
-            self._left[axis] = int(self._axes[axis]["operator_start_ns"]) * 1e-9, self.t_ns * 1e-9
+            together = self._together(axis)
+            start_ns = int(self._axes["operator_start_ns"][list(together)].max())
             self._axes[axis]["operator_start_ns"] = -1
-            self._new_force_block(axis)
+            for a in together:
+                self._left[a] = self._left[a] or (start_ns * 1e-9, self.t_ns * 1e-9)
+                self._new_force_block(a)
         else:
             super().answer(why)
         self._actuate()

@@ -111,7 +111,7 @@ class BusServer:
         self._pace["stop"] = self._pace["wakeups"] = 0
 
     def _serve(self) -> int:
-        worker, (_, host, _, course) = self._worker, self.world.arguments
+        worker, (_, host, _, course, _) = self._worker, self.world.arguments
         why = int(self._run(self._pace, self._admission.clients, worker.shared, worker.loop, host, course))
         self._drain_jobs(worker.shared, worker.loop, course, self._pace[0])
         return why

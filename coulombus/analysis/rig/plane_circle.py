@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.laws.plane.plane_laws import load_plane_law
-from coulombus.lab.plane_loop import PLANE_MODES, PlaneRun, circle, new_plane_plant, simulate_plane
+from coulombus.host.plane.plane_host import PLANE_MODES
+from coulombus.lab.plane_loop import PlaneRun, circle, simulate_plane
 from coulombus.rigs.rig import Rig
+from coulombus.sim_bus.rig.joints import new_plane_plant
 
 __all__ = ["CircleStudy", "circle_goals", "circle_study"]
 
@@ -70,7 +72,7 @@ def circle_study(rig: Rig, frequency_Hz: float, friction_N: float = 3.0) -> Circ
     coulombus.rigs.errors.RigError
         the rig is not an arm of two links with [plane]
     """
-    centre = new_plane_plant(rig, PERIOD_s)[0]["tip_m"].copy()
+    centre = new_plane_plant(rig)[0]["tip_m"].copy()
     goals = circle_goals(centre, frequency_Hz)
     law = load_plane_law(
         "plane_karnopp", [f"F_d_N={friction_N!r}", f"F_s_N={1.1 * friction_N!r}", f"band_m_s={BAND_m_s}"]

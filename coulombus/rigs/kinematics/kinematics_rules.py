@@ -12,11 +12,12 @@ from coulombus.rigs.errors import Source
 from coulombus.rigs.field_help import expected, explain, fields_of
 from coulombus.rigs.kinematics.kinematics_section import LENGTHS, Kinematics, PlanePlant
 from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
+from coulombus.rigs.kinematics.plane_phases import PLANE_KINDS
 from coulombus.rigs.kinematics.mechanisms import MECHANISMS, condition, locate
 from coulombus.rigs.model import Section
 from coulombus.rigs.toml_lines import Table
 
-__all__ = ["PLANE_SECTIONS", "PlaneSections", "check_kinematics", "read_plane"]
+__all__ = ["PLANE_SECTIONS", "PlaneSections", "check_kinematics", "check_phases", "read_plane"]
 
 PLANE_SECTIONS = frozenset(("kinematics", "plane"))
 """The sections that describe all axes as the joints of one mechanism."""
@@ -60,6 +61,20 @@ def read_plane(values: Table, axes: tuple[str, ...], source: Source, *, attached
     if sections is not None:
         check_kinematics(sections.kinematics, source, attached=attached)
     return sections
+
+
+def check_phases(values: Table, source: Source, *, in_plane: bool) -> None:
+    """Note phases that move a tip in a rig of independent axes, and phases of one axis in a rig in the plane."""
+    phases = values.get("phase")
+    for i, phase in enumerate(phases if isinstance(phases, list) else ()):
+        kind = phase.get("kind") if isinstance(phase, dict) else None
+        if not isinstance(kind, str) or kind == "rest" or source.is_wrong(("phase", i)):
+            continue
+        if in_plane and kind not in PLANE_KINDS:
+            expected = f"rest, {', '.join(PLANE_KINDS)}: the hand of a rig with [kinematics] moves the tip"
+            source.stands(("phase", i, "kind"), kind, expected)
+        elif not in_plane and kind in PLANE_KINDS:
+            source.stands(("phase", i, "kind"), kind, "a phase of one axis: only a rig with [kinematics] has a tip")
 
 
 def _check_lengths(values: Table, source: Source) -> None:

@@ -113,3 +113,8 @@ class PlanePlant(Section):
     hand_mass_kg: float = Field(ge=0, le=1e3, description="mass of the hand at the tip")
     hand_damping_Ns_m: tuple[float, float] = _pair((0.0, 0.0), "the hand's damping along x and y", "N s/m")
     hand_stiffness_N_m: tuple[float, float] = _pair((0.0, 0.0), "the hand's stiffness along x and y", "N/m")
+    hand_tremor_N: float = Field(0.0, ge=0, le=1e3, description="amplitude of the hand's tremor, in each direction")
+    hand_tremor_Hz: float = Field(9.0, ge=0, le=1e3, description="frequency of the tremor")
+    hand_population: float = Field(
+        0.0, ge=0, le=1, description="spread of hands: 0: every seed has this hand; else each seed is a subject"
+    )

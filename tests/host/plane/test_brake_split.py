@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.host.plane.brake_split import expect_brakes, hold, observe, slip
-from coulombus.host.plane.split_records import SplitControlRecord, SplitStateRecord
+from coulombus.host.plane.plane_records import SplitControlRecord, SplitStateRecord
 from coulombus.kernels.records import new_records
 from coulombus.rigs.kinematics.mechanism_records import PoseRecord
 
@@ -19,13 +19,14 @@ number = st.floats(-5, 5, allow_subnormal=False)
 level = st.floats(0, 4, allow_subnormal=False)
 
 
-def control(brake=9.0, motor=9.0, **others):
+def control(brake=9.0, motor=9.0, compensation=1.0, **others):
     c = new_records(SplitControlRecord)[0]
     c["brake_limit_Nm"], c["motor_limit_Nm"] = brake, motor
     c["coil_step"] = c["fluid_step"] = 1.0
-    c["period_s"], c["passivity_J"], c["compensation"] = 1e-3, 1e9, 1.0
+    c["period_s"], c["passivity_J"] = 1e-3, 1e9
     for name, value in others.items():
         c[name] = value
+    c["compensation_Nm"] = compensation * c["friction_Nm"]
     return c
 
 

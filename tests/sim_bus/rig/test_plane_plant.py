@@ -26,8 +26,8 @@ def plant(step=50e-6, **values):
 
 
 def balance(p):
-    works = p["work_hand"] + sum(p[name].sum() for name in ("work_motor", "work_brake", "work_friction"))
-    return float(works - p["loss_viscous"])
+    works = sum(p[name].sum() for name in ("work_hand", "work_motor", "work_brake", "work_friction"))
+    return float(works - p["work_viscous"].sum())
 
 
 def energy(p):

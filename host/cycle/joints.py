@@ -1,0 +1,203 @@
+"""The cycle's end for the joints of one arm: their commands are computed together.
+
+The cycle waits for the TPDOs of all joints. Each joint is measured and watched as an axis is
+(`host.cycle.step`). Then the law in the plane is evaluated once, its force is split, and each joint runs its
+phase with its share.
+
+- A trip of one joint makes all joints safe in the same cycle.
+- The joints arm one after the other: a joint is moved by its sign check only while the joints before it
+  are still, and the law begins when all joints are in phase RUN.
+- The tip is watched from the first cycle: its workspace, and the Jacobian's condition.
+- In the safe state the brakes fall together, in the proportion of the hand's torques, so that a loaded hand
+  is let go along its force.
+
+    axes : the `AxisRecord` of each joint; the first holds the `PlaneHostRecord` h
+"""
+
+from __future__ import annotations
+
+import math
+
+from coulombus.host.cycle import step
+from coulombus.host.cycle.phases import advance
+from coulombus.host.cycle.records import AxisRecords, Phase, Trip
+from coulombus.host.plane.brake_split import expect_brakes, observe, release
+from coulombus.host.plane.plane_records import PlaneHostRecord
+from coulombus.host.plane.plane_step import PlaneFunctions, display, measure_plane
+from coulombus.kernels.decorator import kernel
+from coulombus.rigs.kinematics.mechanism_records import JOINTS
+from coulombus.wire.frame import Queue
+
+__all__ = ["finish_joints"]
+
+
+@kernel
+def finish_joints(axes: AxisRecords, plane: PlaneFunctions, t_ns: int, window_over: int, out: Queue) -> int:
+    """Finish the cycle of all joints if their TPDOs are complete, or the window is over.
+
+    Return the number of joints that still wait.
+    """
+    waiting, incomplete = 0, 0
+    for k in range(JOINTS):
+        c, h = axes[k].control, axes[k].host
+        waiting += h.waiting
+        incomplete += 1 if h.waiting and h.arrived & c.awaited != c.awaited else 0
+    if waiting == 0 or (incomplete > 0 and not window_over):
+        return incomplete
+    for k in range(JOINTS):
+        axes[k].host.doubt = step.observe(axes[k], t_ns)
+    measured = _measure(axes, plane)
+    _doubt_tip(axes, measured)
+    if _displays(axes):
+        _display(axes, plane)
+    else:
+        release(axes[0].plane.split)
+    _share(axes)
+    _share_doubt(axes)
+    _hold_back(axes)
+    for k in range(JOINTS):
+        torque_Nm = advance(axes[k], None, axes[k].host.doubt, t_ns)
+        axes[k].host.torque_Nm = step.limit_torque(axes[k].control, axes[k].host, torque_Nm)
+    _release_together(axes)
+    for k in range(JOINTS):
+        step.close_and_send(axes[k], t_ns, out)
+    return 0
+
+
+@kernel
+def _measure(axes: AxisRecords, plane: PlaneFunctions) -> bool:
+    """Give the joints' measurements, last commands and parameters to the plane; return whether the pose is known."""
+    h = axes[0].plane
+    known = True
+    for i in range(JOINTS):
+        axis = axes[i]
+        h.counts[i], h.hand_Nm[i] = axis.host.counts, axis.host.handle_Nm
+        h.split.brake_Nm[i], h.split.motor_Nm[i] = axis.host.brake_Nm, axis.host.torque_Nm
+        h.control.compensation_Nm[i] = axis.control.compensation_Nm
+        known = known and axis.host.has_position != 0
+    for k in range(h.law.user.shape[0]):
+        h.law.user[k] = axes[0].law.user[k]
+    measure_plane(plane.mechanism, h)
+    observe(h.control, h.split, h.v_rad_s)
+    expect_brakes(h.control, h.split)
+    return known
+
+
+@kernel
+def _doubt_tip(axes: AxisRecords, measured: bool) -> None:
+    """Doubt a tip outside of its workspace, and a pose that is too near to singular."""
+    h, first = axes[0].plane, axes[0].host
+    if not measured or first.doubt != Trip.NONE:
+        return
+    if not h.condition >= h.least_condition:
+        first.doubt = Trip.SINGULAR
+        return
+    for i in range(2):
+        if not h.low_m[i] <= h.pose.x_m[i] <= h.high_m[i]:
+            first.doubt = Trip.WORKSPACE
+
+
+@kernel
+def _displays(axes: AxisRecords) -> bool:
+    """Return whether all joints are in phase RUN and none doubts; ramp the law's gain."""
+    for k in range(JOINTS):
+        h = axes[k].host
+        if h.phase != Phase.RUN or h.doubt != Trip.NONE or h.stop != 0:
+            return False
+    gain = 1.0
+    for k in range(JOINTS):
+        axes[k].host.gain = min(axes[k].host.gain + axes[k].control.gain_step, 1.0)
+        gain = min(gain, axes[k].host.gain)
+    axes[0].plane.gain = gain
+    return True
+
+
+@kernel
+def _display(axes: AxisRecords, plane: PlaneFunctions) -> None:
+    """Evaluate the law; a force that is not finite is a doubt."""
+    h, first = axes[0].plane, axes[0].host
+    if first.gain <= axes[0].control.gain_step:
+        _forget(h)
+    if display(plane.law, h):
+        return
+    first.doubt = Trip.LAW
+    first.law_Nm, first.law_part = h.state.psi_N[0], 0
+    if math.isfinite(first.law_Nm):
+        first.law_Nm = h.state.psi_N[1]
+    if math.isfinite(first.law_Nm):
+        first.law_Nm, first.law_part = h.state.hold_N, 1
+    if math.isfinite(first.law_Nm):
+        first.law_Nm, first.law_part = h.state.motor_N[0] + h.state.motor_N[1], 2
+    release(h.split)
+
+
+@kernel
+def _forget(h: PlaneHostRecord) -> None:
+    """Begin the law at rest, with no force."""
+    state = h.state
+    state.stuck = 0
+    state.hold_N = 0.0
+    for i in range(2):
+        state.psi_N[i] = state.motor_N[i] = 0.0
+    for k in range(state.user.shape[0]):
+        state.user[k] = 0.0
+
+
+@kernel
+def _share(axes: AxisRecords) -> None:
+    """Give each joint its share of the law's force, with the signs of `LawStateRecord`."""
+    h = axes[0].plane
+    for i in range(JOINTS):
+        axis = axes[i]
+        state, motion = axis.state, axis.motion
+        state.stuck = h.state.stuck
+        state.psi_Nm = h.pose.jacobian[0, i] * h.psi_N[0] + h.pose.jacobian[1, i] * h.psi_N[1]
+        state.brake_Nm, state.motor_Nm = h.split.brake_Nm[i], -h.split.motor_Nm[i]
+        axis.host.pushed_Nm = -h.split.push_Nm[i]
+        axis.host.clipped |= h.split.clipped[i]
+        motion.x_rad, motion.v_rad_s = axis.host.counts * axis.control.rad_count, h.v_rad_s[i]
+        motion.handle_Nm = axis.host.handle_Nm
+    for k in range(h.state.user.shape[0]):
+        axes[0].state.user[k] = h.state.user[k]
+
+
+@kernel
+def _share_doubt(axes: AxisRecords) -> None:
+    """Let a joint's doubt make the others safe, too."""
+    for k in range(JOINTS):
+        if axes[k].host.doubt != Trip.NONE:
+            for other in range(JOINTS):
+                if axes[other].host.doubt == Trip.NONE:
+                    axes[other].host.doubt = Trip.OTHER_AXIS
+            return
+
+
+@kernel
+def _hold_back(axes: AxisRecords) -> None:
+    """Let a joint wait in STILL for the joints before it, and in SETTLE for all."""
+    ready = True
+    for k in range(JOINTS):
+        h = axes[k].host
+        h.held = 0 if ready or h.phase > Phase.STILL else 1
+        ready = ready and (h.phase == Phase.RUN or (h.phase == Phase.SETTLE and h.ready != 0))
+    for k in range(JOINTS):
+        if axes[k].host.phase == Phase.SETTLE:
+            axes[k].host.held = 0 if ready else 1
+
+
+@kernel
+def _release_together(axes: AxisRecords) -> None:
+    """Let the brakes of the safe state fall together: each keeps the largest share that a joint keeps of its own
+    start.
+    """
+    share = 0.0
+    for k in range(JOINTS):
+        h = axes[k].host
+        if h.phase != Phase.SAFE:
+            return
+        if h.phase_cycle == 0:
+            h.safe_from_Nm = h.brake_Nm
+        if h.safe_from_Nm > 0.0:
+            share = max(share, h.brake_Nm / h.safe_from_Nm)
+    for k in range(JOINTS):
+        axes[k].host.brake_Nm = min(share, 1.0) * axes[k].host.safe_from_Nm
