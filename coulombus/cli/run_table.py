@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from coulombus.cli.tables import echo, table_console
 from coulombus.system.wrap_text import folded
@@ -60,6 +60,7 @@ def print_runs(results: dict[str, RunResult]) -> None:
         ("dead man's switch", "deadman", ""),
     )
     remarks = {title: result.remarks for title, result in results.items()}
+    arms = [_arm(title, result.plane) for title, result in results.items() if result.plane]
     results = dict(_columns(results))
     console = table_console(WIDTH)
     room = (console.width - max(len(label) for label, _, _ in rows)) // max(1, len(results)) - 1
@@ -84,11 +85,22 @@ def print_runs(results: dict[str, RunResult]) -> None:
         elif field in ALWAYS or any(cell != "-" for cell in cells):
             table.add_row(label, *cells)
     console.print(table)
-    for line in beneath:  # paths and sentences, not wrapped
+    for line in (*arms, *beneath):  # paths and sentences, not wrapped
         echo(folded(line, sys.stdout))
     for title, texts in remarks.items():
         for text in texts:
             print_remark(f"{title}: {text}")
+
+
+def _arm(title: str, plane: dict[str, Any]) -> str:
+    """Return the figures of an arm in the plane as a line."""
+    works = ", ".join(f"{name} {work:.3g} J" for name, work in plane["motor_work_J"].items())
+    text = f"net work of the motors: {works}, absorbed by all: {plane['absorbed_J']:.3g} J"
+    off = plane.get("angle_error_deg", {})
+    if off.get("median") is not None:
+        angle = f"{off['median']:.2g} deg from the law's direction (95 %: {off['p95']:.2g})"
+        text = f"{angle}, {plane['force_ratio']:.3g} times its size; {text}"
+    return f"tip, {title}: {text}"
 
 
 def print_remark(text: str) -> None:

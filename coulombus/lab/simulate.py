@@ -18,6 +18,7 @@ from coulombus.host.run.result import RunResult
 from coulombus.host.run.run_sequence import Course, Figures
 from coulombus.host.setup.bringup import check_plan, release, shut_down
 from coulombus.host.setup.law_demand import check_demand
+from coulombus.lab.plane_figures import plane_figures
 from coulombus.lab.set_up import give_back, ready_world, set_up
 from coulombus.lab.virtual_bringup import switch_on
 from coulombus.recording.measures import Measures, measure
@@ -60,7 +61,14 @@ class _VirtualRun(Course):
         self.is_ready = ready is not None
         """Whether the world has completed its set-up."""
         self.world, losses = ready or (
-            VirtualRig(order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None),
+            VirtualRig(
+                order.simulated,
+                mode,
+                believed=rig,
+                seed=seed,
+                truth=order.truth is not None,
+                tip=order.measured or order.record is not None,
+            ),
             (),
         )
         self.world.on_frames = on_frames
@@ -180,7 +188,17 @@ class _VirtualRun(Course):
             trip_ns=int(bus_ns(self.world.host_clock, k.trip_ns)) if k.trip_ns else None,
             faults=None if self.injection is None else self.injection.results(),
             controllers=None if self.injection is None else controllers_of(self.world),
+            plane=self._plane(),
         )
+
+    def _plane(self) -> dict[str, Any] | None:
+        """Return the figures of an arm in the plane."""
+        model, enabled = self.k.plane_model, self.enabled_ns
+        figures = self.k.plane_figures()
+        if model is None or figures is None or enabled is None or not (self.measured or self.recorder):
+            return figures
+        course = self.world.tip_course()
+        return figures | plane_figures(self.world.rig, model.law, course, (self.world.enabled_ns or 0) * 1e-9)
 
 
 def simulate(

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from coulombus.recording.signals import Source
 
 __all__ = [
+    "HOLDS",
     "HOLD_LEAD_S",
     "HOLD_TAIL_S",
     "MEASURED",
@@ -39,6 +40,8 @@ Window: TypeAlias = tuple[float, float]
 MEASURED = ("motor.position_rad", "motor.target_torque_Nm", "brake.handle_torque_Nm")
 """The signals of an axis from which figures are computed."""
 
+HOLDS = ("hold", "tip_hold")
+"""Kinds of phases in which the hand holds the handle, or the tip of an arm."""
 HOLD_LEAD_S, HOLD_TAIL_S = 0.8, 0.02
 STICK_WINDOW_S = (0.35, 0.95)
 SPECTRUM_SAMPLES = 512
@@ -94,7 +97,7 @@ def velocity(t_s: Floats, angle_rad: Floats, period_s: float) -> tuple[Floats, F
 
 def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], list[Window]]:
     """Return the hold windows and the stick windows [s]; a stick window ends no later than its dwell."""
-    holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind == "hold"]
+    holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind in HOLDS]
     sticks = []
     for span in spans:
         stroke = recording.rig.one_axis().phases[span.index]

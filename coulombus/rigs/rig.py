@@ -315,7 +315,8 @@ def _emitted(axis: Axis) -> str:
 def _alone(joint: Axis) -> str:
     values = joint.model_dump(by_alias=True)
     values["law"] = {key: value for key, value in values["law"].items() if not isinstance(value, dict)}
-    values["law"]["function"], values["phase"] = JOINT_LAW, []
+    values["law"]["function"] = JOINT_LAW
+    values["phase"] = [{"kind": "rest", "duration_s": phase.duration_s} for phase in joint.phases]
     return _spelled(joint.rig.name, values)
 
 

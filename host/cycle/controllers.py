@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -37,8 +38,8 @@ class Controllers:
         the axis
     owner : int64 array of 2048, the axis of each identifier
     law_function : the compiled law, one for all axes
-    plane : law and mechanism of a rig whose axes are the joints of one arm, else None
-    static_N : the largest force of the law in the plane [N]
+    plane_model, plane : law and mechanism of a rig whose axes are the joints of one arm, and their compiled
+        functions; else None
 
     Raises
     ------
@@ -50,9 +51,8 @@ class Controllers:
         if len(rig.channels) > 1:
             raise ValueError(f"the axes hang on the buses {', '.join(rig.channels)}; take those of one with Rig.on")
         self.rig, self.mode = rig, mode
-        model = load_plane(rig, mode)
+        self.plane_model = model = load_plane(rig, mode)
         self.plane = None if model is None else model.functions
-        self.static_N = 0.0 if model is None else model.peak_N
         self.each = tuple(Controller(axis, mode, None if model is None else model.law) for axis in rig.axes)
         self.law_function = self.each[0].law_function
         for controller in self.each[1:]:  # the first axis sends SYNC and the heartbeat
@@ -184,6 +184,22 @@ class Controllers:
         if first is None:
             return None
         return f"axis {first.axis.name}: {first.trip}" if first.axis.name else first.trip
+
+    def plane_figures(self) -> dict[str, Any] | None:
+        """Return the figures of an arm in the plane: each motor's net work on its joint [J], the energy that motors,
+        brakes and friction absorbed together [J], the cycles in which the motors were held back to stay passive, and
+        the smallest condition of the Jacobian; None for independent axes.
+        """
+        if self.plane is None:
+            return None
+        h = self.axes["plane"][0]
+        names = self.rig.axis_names
+        return {
+            "motor_work_J": {name: float(work) for name, work in zip(names, h["split"]["motor_J"], strict=True)},
+            "absorbed_J": float(h["split"]["taken_J"]),
+            "withheld_cycles": int(h["split"]["withheld"]),
+            "smallest_condition": float(h["smallest_condition"]),
+        }
 
     @property
     def trip_ns(self) -> int:

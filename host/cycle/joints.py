@@ -58,6 +58,7 @@ def finish_joints(axes: AxisRecords, plane: PlaneFunctions, t_ns: int, window_ov
     for k in range(JOINTS):
         torque_Nm = advance(axes[k], None, axes[k].host.doubt, t_ns)
         axes[k].host.torque_Nm = step.limit_torque(axes[k].control, axes[k].host, torque_Nm)
+    _start_together(axes, t_ns)
     _release_together(axes)
     for k in range(JOINTS):
         step.close_and_send(axes[k], t_ns, out)
@@ -183,6 +184,22 @@ def _hold_back(axes: AxisRecords) -> None:
     for k in range(JOINTS):
         if axes[k].host.phase == Phase.SETTLE:
             axes[k].host.held = 0 if ready else 1
+
+
+@kernel
+def _start_together(axes: AxisRecords, t_ns: int) -> None:
+    """Let the display start, for all joints, when the last drive is in Operation Enabled."""
+    enabled = True
+    for k in range(JOINTS):
+        if axes[k].host.phase >= Phase.SAFE:
+            return
+        enabled = enabled and axes[k].host.phase > Phase.ENABLE
+    for k in range(JOINTS):
+        h = axes[k].host
+        if not enabled:
+            h.enabled_ns = -1
+        elif h.enabled_ns < 0:
+            h.enabled_ns = t_ns
 
 
 @kernel

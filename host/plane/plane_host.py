@@ -110,7 +110,7 @@ def new_plane_host(rig: Rig, mode: str, model: PlaneModel, period_s: float | Non
     h["count_rad"] = [axis.allocation.bound["position"].scale for axis in rig.axes]
     for k, limits in enumerate((kinematics.x_m, kinematics.y_m)):
         h["low_m"][k], h["high_m"][k] = limits or (-math.inf, math.inf)
-    h["gain"] = 1.0
+    h["gain"] = h["smallest_condition"] = 1.0
     c, modes = h["control"], [axis.mode[mode] for axis in rig.axes]
     brakes = 0.0 if mode == "active" else 1.0
     c["brake_limit_Nm"] = [brakes * axis.limits.brake_torque_Nm for axis in rig.axes]

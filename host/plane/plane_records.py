@@ -73,6 +73,7 @@ class PlaneHostRecord(Record):
     state: PlaneStateRecord
     split: SplitStateRecord
     condition: float  # of the Jacobian: its smallest singular value over its largest
+    smallest_condition: float  # smallest condition since the law began
     gain: float  # gain of the law, 0 to 1
     psi_N: Annotated[FloatField, 2]  # the law's force, times the gain
     push_N: Annotated[FloatField, 2]  # the part of it that pushes back, times the gain

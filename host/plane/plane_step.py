@@ -49,6 +49,7 @@ def may_display(h: PlaneHostRecord) -> bool:
 @kernel
 def display(law: PlaneLawFunction, h: PlaneHostRecord) -> bool:
     """Evaluate the law and split its force; return False, without commands, if it is not finite."""
+    h.smallest_condition = min(h.smallest_condition, h.condition)
     fx, fy = law(h.motion, h.law, h.state)
     h.state.psi_N[0], h.state.psi_N[1] = fx, fy
     if not (math.isfinite(fx + fy) and math.isfinite(h.state.motor_N[0] + h.state.motor_N[1] + h.state.hold_N)):

@@ -86,6 +86,10 @@ class RunResult(Doubts, Timing, Measures):
     """
     buses: dict[str, dict[str, Any]] | None = None
     """Result of each bus by its channel; None for a rig with one bus."""
+    plane: dict[str, Any] | None = None
+    """Figures of an arm in the plane: the net work of each motor, the smallest condition of the Jacobian, and, of a
+    simulated arm, how the displayed force differs from the law's. None for a rig of independent axes.
+    """
 
     @classmethod
     def of(

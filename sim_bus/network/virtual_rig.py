@@ -73,6 +73,7 @@ class VirtualRig(VirtualNetwork):
     on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) after they were
         sent
     truth : store the plant's true course (`truth()` returns it)
+    tip : store the true course of an arm's tip (`tip_course()` returns it), a row for each millisecond
     numbered : the devices have the rig's node ids; otherwise none, and wait for an LSS master
     """
 
@@ -85,6 +86,7 @@ class VirtualRig(VirtualNetwork):
         seed: int = 0,
         on_frames: Callable[[Records], None] | None = None,
         truth: bool = False,
+        tip: bool = False,
         numbered: bool = True,
     ) -> None:
         self.mode = mode
@@ -104,18 +106,21 @@ class VirtualRig(VirtualNetwork):
         self._waiting: list[Planned] = []
 
         n = len(rig.axes)
-        knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
+        tip = tip and rig.in_plane is not None
+        knots = TRUTH_BLOCK_KNOTS if truth or tip else BLOCK_KNOTS
         axes, plant = new_records(RigAxis, n), new_records(PlantRecord, n)
         self._axes = axes.view(np.ndarray)  # read often in Python: a recarray looks each field up in Python
         self._f_h = np.zeros((n, knots + 1))
         self._take(rig, plant, seed)
-        self._axes["truth_on"] = truth
+        self._axes["truth_on"] = truth or tip
+        self._every = 1 if truth or not tip else int(self._axes["steps_per_knot"][0])
+        """Steps of the plant for each stored row of its true course."""
         steps = knots * int(self._axes["steps_per_knot"].max())
         self._columns = [
             truth_columns(axis.simulation.plant) if rig.in_plane is None else (*TRUTH_COLUMNS, *PLANE_COLUMNS)
             for axis in rig.axes
         ]
-        self._truth_block = np.zeros((n, steps if truth else 1, max(map(len, self._columns))))
+        self._truth_block = np.zeros((n, steps if truth or tip else 1, max(map(len, self._columns))))
         self._truth: list[list[Any]] = [[] for _ in range(n)]
         k = self.controllers
         self._told = new_records(Frame, TOLD_FRAMES)
@@ -162,7 +167,8 @@ class VirtualRig(VirtualNetwork):
                 Operator(axis, self.mode, seed + a * SEED_STEP) for a, axis in enumerate(rig.axes)
             ]
         else:
-            static_N = self.controllers.static_N
+            model = self.controllers.plane_model
+            static_N = 0.0 if model is None else model.peak_N
             self.operators = [PlaneHand(rig, static_N, direction, seed) for direction in range(n)]
         self._left: list[tuple[float, float] | None] = [None] * n
         """Schedules that ended early: start and end [s]."""
@@ -199,9 +205,10 @@ class VirtualRig(VirtualNetwork):
     @property
     def starts_ns(self) -> tuple[int | None, ...]:
         """Time at which each axis's drive entered Operation Enabled, which began its operator's schedule; None
-        before.
+        before. One hand that holds an arm begins with the last joint.
         """
-        return tuple(None if start < 0 else start for start in self._axes["operator_start_ns"].tolist())
+        starts = tuple(None if start < 0 else start for start in self._axes["operator_start_ns"].tolist())
+        return starts if self.rig.in_plane is None else (self.enabled_ns,) * len(starts)
 
     @property
     def enabled_ns(self) -> int | None:
@@ -413,7 +420,8 @@ class VirtualRig(VirtualNetwork):
         if self._axes[a]["truth_on"]:
             begin = int(self._axes[a]["force_step"])  # first row of the block
             step = int(self.plant["t_ns"][a]) // int(self.plant["step_ns"][a])
-            self._truth[a].append(self._truth_block[a, self._truth_from[a] - begin : step - begin].copy())
+            first = self._truth_from[a] + -self._truth_from[a] % self._every  # a row is the end of a step
+            self._truth[a].append(self._truth_block[a, first - begin : step - begin : self._every].copy())
             self._truth_from[a] = step
 
     def truth(self, a: int = 0) -> Mapping[str, Any]:
@@ -424,3 +432,8 @@ class VirtualRig(VirtualNetwork):
         table = np.concatenate(self._truth[a]) if self._truth[a] else np.zeros((0, self._truth_block.shape[2]))
         self._truth[a] = [table]
         return dict(zip(self._columns[a], table.T, strict=False))  # another axis may have more columns
+
+    def tip_course(self) -> Mapping[str, Any]:
+        """Return the true course of an arm's tip so far: time and `joints.PLANE_COLUMNS`, a row for each millisecond."""
+        every = max(1, int(self._axes["steps_per_knot"][0]) // self._every)
+        return {name: column[::every] for name, column in self.truth(0).items() if name in ("t_s", *PLANE_COLUMNS)}

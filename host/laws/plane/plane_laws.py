@@ -117,6 +117,7 @@ def _drive(
     state: PlaneStateRecord,
     t_s: npt.NDArray[np.float64],
     x_m: npt.NDArray[np.float64],
+    v_m_s: npt.NDArray[np.float64],
     psi_N: npt.NDArray[np.float64],
 ) -> int:
     """Evaluate the law along a motion; return the first sample with a force that is not finite, or -1."""
@@ -125,7 +126,7 @@ def _drive(
         motion.dt_s = t_s[k] - t_s[before] if k > 0 else t_s[1] - t_s[0]
         for i in range(2):
             motion.x_m[i] = x_m[k, i]
-            motion.v_m_s[i] = (x_m[k, i] - x_m[before, i]) / motion.dt_s
+            motion.v_m_s[i] = v_m_s[k, i]
         fx, fy = law_function(motion, law, state)
         psi_N[k, 0], psi_N[k, 1] = fx, fy
         if not (math.isfinite(fx) and math.isfinite(fy)):
@@ -158,15 +159,17 @@ class PlaneLaw:
                 record[0]["user"][k] = number
         return record
 
-    def along(self, t_s: npt.ArrayLike, x_m: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def along(
+        self, t_s: npt.ArrayLike, x_m: npt.ArrayLike, v_m_s: npt.ArrayLike | None = None
+    ) -> npt.NDArray[np.float64]:
         """Return the force at each sample of a motion [N], shape (n, 2), from the relaxed state.
-
-        A sample's velocity is the slope of the interval that ends there, 0 at the first.
 
         Parameters
         ----------
         t_s : ascending times, two or more [s]
         x_m : positions at these times, shape (n, 2) [m]
+        v_m_s : velocities at these times, shape (n, 2) [m/s]; None: the slope of the interval that ends
+            there, 0 at the first
 
         Raises
         ------
@@ -174,9 +177,14 @@ class PlaneLaw:
             the law returned a force that is not finite
         """
         times, places = np.ascontiguousarray(t_s, np.float64), np.ascontiguousarray(x_m, np.float64)
+        if v_m_s is None:
+            slopes = np.diff(places, axis=0) / np.diff(times)[:, None]
+            velocities = np.vstack((np.zeros((1, 2)), slopes))
+        else:
+            velocities = np.ascontiguousarray(v_m_s, np.float64)
         forces = np.zeros_like(places)
         motion, state = new_records(PlaneMotionRecord), new_records(PlaneStateRecord)
-        wrong = _drive(self.function, motion[0], self.record()[0], state[0], times, places, forces)
+        wrong = _drive(self.function, motion[0], self.record()[0], state[0], times, places, velocities, forces)
         if wrong >= 0:
             raise LawError(
                 f"law {self.name!r} returned {forces[wrong].tolist()} N at t_s={times[wrong]:g}; "
