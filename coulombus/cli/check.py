@@ -236,7 +236,7 @@ class _Findings:
 
     def tell(self, steps: bool) -> None:
         """Print everything as text."""
-        from coulombus.host.laws.laws import BUILTIN_LAWS
+        from coulombus.host.laws.plane.plane_laws import builtin_laws
         from coulombus.rigs.draft.draft_text import CHECK
 
         for text in self.diagnoses:
@@ -259,7 +259,7 @@ class _Findings:
             echo(on_terminal(f"limit: {text}", 4, PROSE))
         for mode, limit in self.limits.items():
             echo(f"mode {mode}: drive torque limit {self.limited_by[mode]} = {limit} per mille")
-        if self.rig.law_function.strip() not in BUILTIN_LAWS:
+        if self.rig.law_function.strip() not in builtin_laws(self.rig):
             unknown = "what a limit cuts off of it is not known before it runs; the run tells"
             echo(on_terminal(f"law {self.rig.law_function}: {unknown}", 4))
         for text in self.rig.host.accept:

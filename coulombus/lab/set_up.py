@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from coulombus.host.laws.laws import BUILTIN_LAWS
+from coulombus.host.laws.plane.plane_laws import builtin_laws
 from coulombus.host.setup.bringup import meet, plans_of
 from coulombus.host.setup.device_plan import DevicePlan
 from coulombus.lab.virtual_bringup import switch_on
@@ -59,7 +59,7 @@ def ready_world(rig: Rig, mode: str, seed: int) -> tuple[VirtualRig, tuple[str, 
 
 def give_back(world: VirtualRig) -> None:
     """Cache a finished world for `ready_world`, if host and plant share one rig and the law is built in."""
-    if world.controllers.rig is world.rig and world.rig.law_function in BUILTIN_LAWS:
+    if world.controllers.rig is world.rig and world.rig.law_function in builtin_laws(world.rig):
         needs = tuple(map(_needs, world.rig.axes))
         for entry in _kept:
             if entry.key == (world.mode, entry.key[1], needs, needs):

@@ -102,15 +102,15 @@ def finish(
     t_ns: int,
     window_over: int,
     out: Queue,
-    plane: PlaneFunctions | None = None,
+    arm: PlaneFunctions | None = None,
 ) -> int:
     """Finish the cycle of each axis whose TPDOs are complete, or of all waiting axes if the window is over.
 
-    With `plane` the axes are the joints of one arm, which finish together. Return the number of axes that
+    With `arm` the axes are the joints of one arm, which finish together. Return the number of axes that
     still wait.
     """
-    if plane is not None:
-        return int(finish_joints(axes, plane, t_ns, window_over, out))
+    if arm is not None:
+        return int(finish_joints(axes, arm, t_ns, window_over, out))
     waiting = 0
     for k in range(axes.shape[0]):
         h = axes[k].host
@@ -124,10 +124,10 @@ def finish(
 
 @kernel
 def on_time(
-    axes: AxisRecords, law_function: LawFunction, t_ns: int, out: Queue, plane: PlaneFunctions | None = None
+    axes: AxisRecords, law_function: LawFunction, t_ns: int, out: Queue, arm: PlaneFunctions | None = None
 ) -> None:
     """Do what is due at `t_ns`: end the window for TPDOs, or start the next cycle."""
-    finish(axes, law_function, t_ns, WINDOW_OVER, out, plane)
+    finish(axes, law_function, t_ns, WINDOW_OVER, out, arm)
     first = axes[0]
     if t_ns >= first.host.sync_ns + first.control.period_ns or first.host.cycle == 0:
         begin(axes, t_ns, out)

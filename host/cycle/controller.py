@@ -109,7 +109,7 @@ class Controller:
     axis : one-record array of AXIS; `control`, `host`, `rpdos` and so on are views of its parts
     law_function : the friction law as a function pointer; of a joint unused
     declaration, parameters : the law's declaration and the values of its named parameters; None for
-        a law without named parameters. Of a joint: those of the law in the plane
+        a law without named parameters. Of an arm's first joint: those of the law in the plane; of the others None
 
     Raises
     ------
@@ -123,11 +123,11 @@ class Controller:
         self.mode = mode
         self.declaration: Declaration | None
         self.parameters: Parameters | None
-        if plane is None:
-            self._load_law(axis, mode)
-        else:  # a joint: its share of the force comes from the plane, the parameters are with the first joint
+        if axis.joint:  # its share of the force comes from the plane; the parameters are with the first joint
             self.law_function = load_law("coulomb")
-            self.declaration, self.parameters = plane.declaration, plane.parameters
+            self.declaration, self.parameters = (None, None) if plane is None else (plane.declaration, plane.parameters)
+        else:
+            self._load_law(axis, mode)
         self.law_state = () if self.declaration is None else self.declaration.state
         self.records = new_records(AxisRecord)
         self.motion["dt_s"] = axis.bus.period_s

@@ -38,7 +38,7 @@ class Controllers:
         the axis
     owner : int64 array of 2048, the axis of each identifier
     law_function : the compiled law, one for all axes
-    plane_model, plane : law and mechanism of a rig whose axes are the joints of one arm, and their compiled
+    plane_model, arm : law and mechanism of a rig whose axes are the joints of one arm, and their compiled
         functions; else None
 
     Raises
@@ -52,8 +52,9 @@ class Controllers:
             raise ValueError(f"the axes hang on the buses {', '.join(rig.channels)}; take those of one with Rig.on")
         self.rig, self.mode = rig, mode
         self.plane_model = model = load_plane(rig, mode)
-        self.plane = None if model is None else model.functions
-        self.each = tuple(Controller(axis, mode, None if model is None else model.law) for axis in rig.axes)
+        self.arm = None if model is None else model.functions
+        law = None if model is None else model.law
+        self.each = tuple(Controller(axis, mode, law if k == 0 else None) for k, axis in enumerate(rig.axes))
         self.law_function = self.each[0].law_function
         for controller in self.each[1:]:  # the first axis sends SYNC and the heartbeat
             controller.control["sync_cob_id"] = -1
@@ -63,8 +64,6 @@ class Controllers:
             self.owner[list(controller.can_ids())] = k
         if model is not None:
             self.each[0].records["plane"] = new_plane_host(rig, mode, model)
-            for controller in self.each[1:]:
-                controller.control["law_keeps"] = 0
         self.adopt(new_records(AxisRecord, len(self.each)))
 
     def adopt(self, axes: AxisRecords) -> None:
@@ -190,7 +189,7 @@ class Controllers:
         brakes and friction absorbed together [J], the cycles in which the motors were held back to stay passive, and
         the smallest condition of the Jacobian; None for independent axes.
         """
-        if self.plane is None:
+        if self.arm is None:
             return None
         h = self.axes["plane"][0]
         names = self.rig.axis_names

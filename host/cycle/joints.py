@@ -32,7 +32,7 @@ __all__ = ["finish_joints"]
 
 
 @kernel
-def finish_joints(axes: AxisRecords, plane: PlaneFunctions, t_ns: int, window_over: int, out: Queue) -> int:
+def finish_joints(axes: AxisRecords, arm: PlaneFunctions, t_ns: int, window_over: int, out: Queue) -> int:
     """Finish the cycle of all joints if their TPDOs are complete, or the window is over.
 
     Return the number of joints that still wait.
@@ -46,10 +46,10 @@ def finish_joints(axes: AxisRecords, plane: PlaneFunctions, t_ns: int, window_ov
         return incomplete
     for k in range(JOINTS):
         axes[k].host.doubt = step.observe(axes[k], t_ns)
-    measured = _measure(axes, plane)
+    measured = _measure(axes, arm)
     _doubt_tip(axes, measured)
     if _displays(axes):
-        _display(axes, plane)
+        _display(axes, arm)
     else:
         release(axes[0].plane.split)
     _share(axes)
@@ -66,7 +66,7 @@ def finish_joints(axes: AxisRecords, plane: PlaneFunctions, t_ns: int, window_ov
 
 
 @kernel
-def _measure(axes: AxisRecords, plane: PlaneFunctions) -> bool:
+def _measure(axes: AxisRecords, arm: PlaneFunctions) -> bool:
     """Give the joints' measurements, last commands and parameters to the plane; return whether the pose is known."""
     h = axes[0].plane
     known = True
@@ -78,7 +78,7 @@ def _measure(axes: AxisRecords, plane: PlaneFunctions) -> bool:
         known = known and axis.host.has_position != 0
     for k in range(h.law.user.shape[0]):
         h.law.user[k] = axes[0].law.user[k]
-    measure_plane(plane.mechanism, h)
+    measure_plane(arm.mechanism, h)
     observe(h.control, h.split, h.v_rad_s)
     expect_brakes(h.control, h.split)
     return known
@@ -114,12 +114,12 @@ def _displays(axes: AxisRecords) -> bool:
 
 
 @kernel
-def _display(axes: AxisRecords, plane: PlaneFunctions) -> None:
+def _display(axes: AxisRecords, arm: PlaneFunctions) -> None:
     """Evaluate the law; a force that is not finite is a doubt."""
     h, first = axes[0].plane, axes[0].host
     if first.gain <= axes[0].control.gain_step:
         _forget(h)
-    if display(plane.law, h):
+    if display(arm.law, h):
         return
     first.doubt = Trip.LAW
     first.law_Nm, first.law_part = h.state.psi_N[0], 0

@@ -125,14 +125,14 @@ def parameters_of(controller: Controller) -> tuple[Parameter, ...]:
     chosen, friction_Nm = axis.mode[mode], axis.mechanics.friction_Nm
     share = (motor_Nm / friction_Nm if friction_Nm > 0 else math.inf, motor_whose)
     parameters = []
-    if law is None or law.uses_mode_keys:
+    if not axis.joint and (law is None or law.uses_mode_keys):
         names = OF_MODE if law is None else {name: slot for name, slot in OF_MODE.items() if name in law.names}
         parameters = [
             _parameter(chosen, name, slot, shown if name in TORQUES else ANYTHING) for name, slot in names.items()
         ]
-    elif controller.parameters is not None:
+    elif law is not None and controller.parameters is not None:
         for k, name in enumerate(law.names):
-            end = shown if name in law.extremes else ANYTHING
+            end = shown if name in law.extremes and not axis.joint else ANYTHING
             if law.parameters.model_fields[name].annotation is float:
                 parameters.append(_parameter(controller.parameters, name, Slot.USER + k, end))
     parameters.append(_parameter(chosen, "compensation", Slot.COMPENSATION, share, friction_Nm))

@@ -102,7 +102,7 @@ class _Replay:
         self.clock = new_records(HostClock)[0]
         self.out = new_queue()
         self.axes, self.host = controllers.axes, controllers.host
-        self.law_function, self.plane = controllers.law_function, controllers.plane
+        self.law_function, self.arm = controllers.law_function, controllers.arm
         self.orders = inputs.orders
         self.frames = inputs.frames[["t_ns", "can_id", "length", "word"]]
         self.row = self.first = 0
@@ -166,7 +166,7 @@ class _Replay:
             else:
                 if value:
                     axes.ask_to_stop(self.axes, value)
-                axes.finish(self.axes, self.law_function, t_ns, int(kind == Moment.WINDOW), self.out, self.plane)
+                axes.finish(self.axes, self.law_function, t_ns, int(kind == Moment.WINDOW), self.out, self.arm)
             yield from self._sent(cycle, until_ns, later - refused_before)
 
     def in_virtual_time(self, events: npt.NDArray[Any]) -> Iterator[HostFrame]:
@@ -182,9 +182,9 @@ class _Replay:
                     return  # the recording has ended
                 now_ns = int(own_ns(self.clock, min(arrives_ns, due_ns)))
                 if due_ns < arrives_ns:
-                    axes.on_time(self.axes, self.law_function, now_ns, self.out, self.plane)
+                    axes.on_time(self.axes, self.law_function, now_ns, self.out, self.arm)
                 elif self._feed() == 1 and running:
-                    axes.finish(self.axes, self.law_function, now_ns, 0, self.out, self.plane)
+                    axes.finish(self.axes, self.law_function, now_ns, 0, self.out, self.arm)
                 for sent in self._sent(int(self.host["cycle"][0])):
                     yield sent._replace(t_ns=int(bus_ns(self.clock, sent.t_ns)))
             if kind == Event.START:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.regular_file import read_regular
-from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, find_law
+from coulombus.host.laws.laws import LawError, find_law
+from coulombus.host.laws.plane.plane_laws import builtin_laws
 from coulombus.rigs.rig import Rig
 
 __all__ = ["SHA256", "SOURCE", "LawSource", "law_attachments", "law_source", "recorded_sha256"]
@@ -49,8 +50,8 @@ def law_source(rig: Rig) -> LawSource | None:
     """Return the source of the rig's law, without running it; None if it cannot be read."""
     name = rig.law_function
     place = name.rpartition(":")[0]
-    if name in BUILTIN_LAWS:
-        own = BUILTIN_LAWS[name]
+    own = builtin_laws(rig).get(name)
+    if own is not None:
         text = inspect.getsource(
             own.function if own.uses_mode_keys else inspect.getmodule(own.function) or own.function
         )

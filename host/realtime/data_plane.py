@@ -141,6 +141,7 @@ class DataPlane:
             "axes": self.shared.axis_count,
             "law": rig.law_function,
             "law_directory": str(rig.law_directory.absolute()),
+            "kinematics": None if rig.kinematics is None else rig.kinematics.model_dump(),
             "priority": priority,
             "cpu": cpu,
         }

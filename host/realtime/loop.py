@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramps_a_brake, safe_setpoints
-from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
+from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, PlaneFunctions, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.cycle.telemetry import tell
 from coulombus.host.realtime.log_rings import log_frame, log_moment
@@ -303,7 +303,7 @@ def _obey(b: Buffers) -> None:
 
 
 @kernel
-def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
+def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, end_ns: int) -> int:
     """Receive until all axes have finished their cycle, or until the window for TPDOs is over.
 
     Return 1 if the bus is lost.
@@ -326,13 +326,13 @@ def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
         if result == COMPLETE:
             now = now_ns()
             log_moment(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
-            if finish(axes, law_function, now, 0, b.out) == 0:
+            if finish(axes, law_function, now, 0, b.out, arm) == 0:
                 break
             if _transmit(b, 0) != 0:
                 return 1
     now = now_ns()
     log_moment(b.plane, b.trace, Moment.WINDOW, now, p.asked)
-    finish(axes, law_function, now, 1, b.out)
+    finish(axes, law_function, now, 1, b.out, arm)
     return 1 if _transmit(b, 0) != 0 else 0
 
 
@@ -351,7 +351,7 @@ def _goes_on(p: PlaneRecord, axes: AxisRecords, command: int) -> bool:
 
 
 @kernel
-def _cycle(b: Buffers, law_function: LawFunction) -> int:
+def _cycle(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None) -> int:
     """Run cycles; return 0 after the parent's command, when brakes that only the host ramps are off, and 1
     if the bus is lost.
     """
@@ -384,7 +384,7 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
         if _transmit(b, 0) != 0:
             return 1
         sync = now_ns()
-        if _collect(b, law_function, sync + c.window_ns) != 0:
+        if _collect(b, law_function, arm, sync + c.window_ns) != 0:
             return 1
         done = now_ns()
         _tell(b, done)
@@ -401,7 +401,7 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
 
 
 @kernel
-def run_plane(b: Buffers, law_function: LawFunction) -> int:
+def run_plane(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None = None) -> int:
     """Execute the parent's commands until QUIT or the loss of the bus; return the `PlaneStatus`."""
     p, axes = b.plane[0], b.axes
     base = b.plane.ctypes.data
@@ -411,7 +411,7 @@ def run_plane(b: Buffers, law_function: LawFunction) -> int:
         if command == PlaneCommand.CYCLE:
             store_release(base + AT_STATUS, PlaneStatus.CYCLING)
             cpu = clock_ns(CLOCK_THREAD_CPUTIME_ID)
-            gone = _cycle(b, law_function)
+            gone = _cycle(b, law_function, arm)
             p.cpu_ns += clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu
             for k in range(axes.shape[0]):
                 h = axes[k].host

@@ -23,9 +23,13 @@ import numpy as np
 
 from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
+from coulombus.host.laws.plane.plane_laws import load_plane_law
+from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.host.realtime.loop import MESSAGE_FRAMES, Buffers, run_plane
 from coulombus.host.realtime.shared_memory import PlaneCommand, SharedPlane
 from coulombus.recording.host_telemetry import MOST_FRAMES
+from coulombus.rigs.kinematics.kinematics_section import Kinematics
+from coulombus.rigs.kinematics.load_mechanism import load_mechanism
 from coulombus.system.realtime import ask_for_real_time, die_with_parent, outlive_parent
 from coulombus.system.stop_signals import SIGNALS
 from coulombus.wire.frame import QUEUE_CAPACITY, Frame, new_queue, new_records
@@ -43,13 +47,25 @@ def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
     return Buffers(fd, *parts, box, words, tx, poll, new_queue(), new_records(Frame, MOST_FRAMES))
 
 
-def warm_up(shared: SharedPlane, buffers: Buffers, law_function: LawFunction) -> None:
+def load_functions(settings: dict[str, Any]) -> tuple[LawFunction, PlaneFunctions | None]:
+    """Return the compiled law of the axes, and law and mechanism of an arm whose joints they are."""
+    directory = Path(settings["law_directory"])
+    if settings["kinematics"] is None:
+        return load_law(settings["law"], directory), None
+    law = load_plane_law(settings["law"].strip(), directory=directory)
+    mechanism = load_mechanism(Kinematics.model_validate(settings["kinematics"]), directory)
+    return load_law("coulomb"), PlaneFunctions(law.function, mechanism.function)
+
+
+def warm_up(
+    shared: SharedPlane, buffers: Buffers, law_function: LawFunction, arm: PlaneFunctions | None = None
+) -> None:
     """Load (or compile) the loop by a call that returns at once, and touch every page of the rings and the
     histograms.
     """
     command = int(shared.plane["command"][0])
     shared.plane["command"] = PlaneCommand.QUIT
-    run_plane(buffers, law_function)
+    run_plane(buffers, law_function, arm)
     shared.plane["command"] = command
     shared.ring["source"] = 0
     shared.trace["kind"] = 0
@@ -62,14 +78,14 @@ def main(settings: dict[str, Any]) -> int:
     die_with_parent(settings["parent"])
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     shared = SharedPlane(settings["memory_fd"], settings["axes"])
-    law_function = load_law(settings["law"], Path(settings["law_directory"]))
+    law_function, arm = load_functions(settings)
     buffers = new_buffers(settings["bus_fd"], shared)
-    warm_up(shared, buffers, law_function)
+    warm_up(shared, buffers, law_function, arm)
     report = ask_for_real_time(settings["priority"], settings["cpu"])
     shared.plane["parent"] = settings["parent"]
     outlive_parent()
     print(json.dumps({"ready": True, "real_time": report.as_dict()}), flush=True)
-    run_plane(buffers, law_function)
+    run_plane(buffers, law_function, arm)
     return 0
 
 

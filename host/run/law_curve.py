@@ -36,7 +36,7 @@ Line: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 
 def law_curve(axis: Axis, mode: str, live: Mapping[str, float]) -> Line | None:
     """Return the torque of an axis' law in a mode at steady speeds of both signs; None for a law without
-    a curve.
+    a curve, and for a joint, whose share depends on the other.
 
     Parameters
     ----------
@@ -49,6 +49,8 @@ def law_curve(axis: Axis, mode: str, live: Mapping[str, float]) -> Line | None:
     coulombus.host.laws.laws.LawError
         the law returned a number that is not finite
     """
+    if axis.joint:
+        return None
     controller = Controller(axis, mode)
     law, law_name = controller.law.copy(), axis.law.function
     for parameter in parameters_of(controller):

@@ -304,12 +304,12 @@ def run(
     host: HostCycle,
     law_function: LawFunction | None,
     course: CourseFunction,
-    plane: PlaneFunctions | None,
+    arm: PlaneFunctions | None,
     closely: int | None,
 ) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
-    `law_function` None: there is no host in this world. `plane`: the host's axes are the joints of one arm. `closely` None: stop when the detailed path
+    `law_function` None: there is no host in this world. `arm`: the host's axes are the joints of one arm. `closely` None: stop when the detailed path
     is needed. Numba omits code that depends on an argument that is None.
     """
     world, host = borrowed(world), borrowed(host)  # each use of an array would change its reference count
@@ -359,7 +359,7 @@ def run(
         if what == HOST:
             if law_function is not None:
                 first, t_host = out.count, own_ns(w, t)
-                host_axes.on_time(host.axes, law_function, t_host, out, plane)
+                host_axes.on_time(host.axes, law_function, t_host, out, arm)
                 if w.clock_on + w.keep_sent != 0:
                     _keep(w, out, first)
                 if w.tells != 0:
@@ -407,7 +407,7 @@ def run(
                 first, t_host = out.count, own_ns(w, t)
                 request = host_axes.on_frame(host.axes, host.owner, t_host, b.can_id, b.length, b.word)
                 if request == 1 and w.host_on:
-                    host_axes.finish(host.axes, law_function, t_host, host_axes.WINDOW_OPEN, out, plane)
+                    host_axes.finish(host.axes, law_function, t_host, host_axes.WINDOW_OPEN, out, arm)
                     if w.clock_on + w.keep_sent != 0:
                         _keep(w, out, first)
                     if w.tells != 0:

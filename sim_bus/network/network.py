@@ -116,7 +116,7 @@ class AttachedAxes:
     truth: Floats
     host: HostCycle
     law_function: LawFunction
-    plane: PlaneFunctions | None = None
+    arm: PlaneFunctions | None = None
 
 
 def without_mechanics(devices: int) -> AttachedAxes:
@@ -210,7 +210,7 @@ class VirtualNetwork:
             m.f_h,
             m.truth,
         )
-        self._arguments = (world, m.host, m.law_function, course_of(m.plant), m.plane)
+        self._arguments = (world, m.host, m.law_function, course_of(m.plant), m.arm)
         attach(self.bus[0], TAP)
         if mechanics is not None:
             attach(self.bus[0], SOURCE_HOST)

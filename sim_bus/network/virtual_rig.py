@@ -135,7 +135,7 @@ class VirtualRig(VirtualNetwork):
             on_frames=on_frames,
             mechanics=AttachedAxes(
                 *(axes, axis_of, plant, self._f_h, self._truth_block),
-                *(HostCycle(k.axes, k.owner, self._told), k.law_function, k.plane),
+                *(HostCycle(k.axes, k.owner, self._told), k.law_function, k.arm),
             ),
         )
         self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # plain arrays, like `_axes`

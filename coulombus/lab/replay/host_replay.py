@@ -22,7 +22,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import ParameterOrder, orders_of
 from coulombus.host.cycle.replay import HostFrame, Inputs, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
-from coulombus.host.laws.laws import BUILTIN_LAWS
+from coulombus.host.laws.plane.plane_laws import builtin_laws
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording
@@ -137,7 +137,7 @@ def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], b
     name = recording.rig.law_function
     if now is None or recorded is None:
         text = f"{recording.path}: whether {chosen.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
-        own = chosen.law_function == name and name in BUILTIN_LAWS  # a built-in law needs no attachment
+        own = chosen.law_function == name and name in builtin_laws(chosen)  # a built-in law needs no attachment
         return () if own else (text,), own
     if now.sha256 == recorded:
         return (), True

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.host.laws.laws import BUILTIN_LAWS
+from coulombus.host.laws.plane.plane_laws import builtin_laws
 from coulombus.lab.replay.host_replay import ReplayError
 from coulombus.recording.frame_sender import senders
 from coulombus.recording.reading import read
@@ -104,9 +104,9 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
             f"{path}: faults of a fault file struck in it ({struck}), and what they did to the bits is not in a recording: --virtual checks "
             "recordings without faults; --host checks this one"
         )
-    if recording.rig.law_of_recording and recording.rig.law_function not in BUILTIN_LAWS:
+    if recording.rig.law_of_recording and recording.rig.law_function not in builtin_laws(recording.rig):
         recording = replace(
-            recording, known_rig=recording.rig.with_law(next(iter(BUILTIN_LAWS)))
+            recording, known_rig=recording.rig.with_law(next(iter(builtin_laws(recording.rig))))
         )  # unused: the host's frames are the recorded ones
     seed, mode = (attachments[name].decode(errors="replace") for name in ("seed", "mode"))
     if not seed.isdecimal() or mode not in recording.rig.modes:

@@ -362,7 +362,8 @@ def _law_mistake(rig: Rig) -> str | None:
     """Return why a law of the rig cannot be loaded."""
     try:
         for axis in rig.axes:
-            load_declared(axis.law.function.strip(), axis.law_directory)
+            if not axis.joint:
+                load_declared(axis.law.function.strip(), axis.law_directory)
     except LawError as error:
         return f"law.function: {error}"
     return None

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.laws.law import Declaration, Parameters, declaration_of
-from coulombus.host.laws.laws import LawError, bounds_checked, law_function, why_not
+from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, bounds_checked, law_function, why_not
 from coulombus.host.laws.parameters import set_parameters
 from coulombus.host.laws.plane.plane_coulomb import plane_coulomb
 from coulombus.host.laws.plane.plane_dahl import plane_dahl
@@ -33,12 +33,13 @@ from coulombus.host.laws.plane.plane_viscous import plane_viscous
 from coulombus.host.laws.plane.plane_wall import plane_wall
 from coulombus.kernels.decorator import JIT_DISABLED, cacheable, kernel
 from coulombus.kernels.records import RecordArray, new_records
+from coulombus.rigs.rig import Rig
 from coulombus.system.errors import CoulombusError
 
 import numba  # isort: skip  (after kernels.decorator, which names the cache directory)
 import numba.experimental.function_type  # isort: skip  (defines the type of a compiled law)
 
-__all__ = ["PLANE_LAWS", "PlaneLaw", "compile_plane_law", "load_plane_law"]
+__all__ = ["PLANE_LAWS", "PlaneLaw", "builtin_laws", "compile_plane_law", "load_plane_law"]
 
 PLANE_LAWS: Mapping[str, Declaration] = MappingProxyType(
     {
@@ -51,6 +52,11 @@ PLANE_LAWS: Mapping[str, Declaration] = MappingProxyType(
     }
 )
 """The built-in laws in the plane by their names."""
+
+
+def builtin_laws(rig: Rig) -> Mapping[str, Declaration]:
+    """Return the built-in laws for a rig by their names: laws of one axis, or laws in the plane."""
+    return BUILTIN_LAWS if rig.kinematics is None else PLANE_LAWS
 
 
 @lru_cache(64)
