@@ -143,6 +143,7 @@ class Controller:
             self.host[name] = -1
         self.host["deadman_ok"] = 1
         self.host["share"] = 1.0
+        self.host["safe_from_Nm"] = -1.0
         constants = [constant.value for pdo in pdos for constant in pdo.constants]
         self.host["image"][0, Image.CONSTANT : Image.CONSTANT + len(constants)] = constants
 

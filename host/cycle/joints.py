@@ -204,17 +204,36 @@ def _start_together(axes: AxisRecords, t_ns: int) -> None:
 
 @kernel
 def _release_together(axes: AxisRecords) -> None:
-    """Let the brakes of the safe state fall together: each keeps the largest share that a joint keeps of its own
-    start.
-    """
+    """Let the brakes fall together in the safe state: each keeps the largest share that a joint keeps of its start."""
     share = 0.0
     for k in range(JOINTS):
-        h = axes[k].host
-        if h.phase != Phase.SAFE:
+        if axes[k].host.phase != Phase.SAFE:
             return
-        if h.phase_cycle == 0:
-            h.safe_from_Nm = h.brake_Nm
+    if axes[0].host.safe_from_Nm < 0.0:
+        _align_brakes(axes)
+    for k in range(JOINTS):
+        h = axes[k].host
         if h.safe_from_Nm > 0.0:
             share = max(share, h.brake_Nm / h.safe_from_Nm)
     for k in range(JOINTS):
         axes[k].host.brake_Nm = min(share, 1.0) * axes[k].host.safe_from_Nm
+
+
+@kernel
+def _align_brakes(axes: AxisRecords) -> None:
+    """Begin the release: brakes that hold more than the hand's torques fall to a common multiple of these.
+
+    Then both brakes let go at the same instant. No brake rises, and none falls below the hand's torque. Without a
+    believed transducer the brakes begin where they are.
+    """
+    multiple, believed = math.inf, True
+    for k in range(JOINTS):
+        c, h = axes[k].control, axes[k].host
+        believed = believed and c.still_handle_Nm < math.inf and h.missed_in_a_row == 0 and h.trip != Trip.HANDLE_TORQUE
+        if h.handle_Nm != 0.0:
+            multiple = min(multiple, h.brake_Nm / abs(h.handle_Nm))
+    for k in range(JOINTS):
+        h = axes[k].host
+        h.safe_from_Nm = h.brake_Nm
+        if believed and 1.0 <= multiple < math.inf:
+            h.safe_from_Nm = min(multiple * abs(h.handle_Nm), h.brake_Nm)

@@ -252,7 +252,7 @@ class HostRecord(Record):
     doubt: int  # the `Trip` of this cycle's monitors (joints of an arm)
     held: int  # 1: another joint of the arm is not ready for this joint's next phase
     ready: int  # 1: the phase is over but for the other joints
-    safe_from_Nm: float  # brake torque at the begin of the safe state (joints of an arm)
+    safe_from_Nm: float  # brake torque at the begin of the safe state (joints of an arm); negative before
     stop: int  # 1: safe stop requested; above: the `Trip` to stop for
     trip: int  # a `Trip`
     trip_ns: int  # time of the trip, or of the entry into SAFE without one

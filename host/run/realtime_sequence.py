@@ -417,6 +417,7 @@ class RealCourse(Course):
             real_time=plane.real_time,
             deadman=self.deadman,
             stopped_by=self.stopped_by,
+            plane=k.plane_figures(),
             trip_ns=k.trip_ns - self.zero_ns if k.trip_ns else None,
         )
 

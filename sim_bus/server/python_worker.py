@@ -133,6 +133,14 @@ def enqueue(beside: Beside, world: World, course: CourseFunction, pace: PaceReco
 
 
 @kernel
+def _of_hand(world: World, a: int) -> tuple[int, int]:
+    """Return first and last + 1 of the axes that the hand of axis `a` holds: of an arm all."""
+    if world.plant[0].plane.on != 0:
+        return 0, world.axes.shape[0]
+    return a, a + 1
+
+
+@kernel
 def _begin(beside: Beside, world: World) -> None:
     """Let Python begin with the first pending job, unless it is working."""
     j, w, python = beside.state, world.state, beside.python
@@ -153,8 +161,10 @@ def _begin(beside: Beside, world: World) -> None:
     if job.axis >= 0:
         python.state.axis = job.axis
         now.start_ns = world.axes[job.axis].operator_start_ns
-        _copy(beside.python_axes[job.axis], beside.axes[job.axis], 0, beside.axes.shape[1])
-        _copy(beside.python_plant[job.axis], beside.plant[job.axis], 0, beside.plant.shape[1])
+        first, end = _of_hand(world, job.axis)
+        for a in range(first, end):
+            _copy(beside.python_axes[a], beside.axes[a], 0, beside.axes.shape[1])
+            _copy(beside.python_plant[a], beside.plant[a], 0, beside.plant.shape[1])
     for k in range(job.rows):
         i = job.row[k]
         now.row[k] = i
@@ -180,13 +190,14 @@ def take_results(beside: Beside, world: World, course: CourseFunction, pace: Pac
         i = now.row[k]
         world.nodes[i].outbox_next_ns = python.nodes[i].outbox_next_ns
     if a >= 0:
-        axis, made = world.axes[a], python.axes[a]
-        for k in range(python.f_h.shape[1]):
-            world.f_h[a, k] = python.f_h[a, k]
-        axis.force_step = made.force_step
-        axis.force_end_ns = made.force_end_ns
-        if made.operator_start_ns != now.start_ns:
-            axis.operator_start_ns = made.operator_start_ns
+        first, end = _of_hand(world, a)
+        for i in range(first, end):
+            for k in range(python.f_h.shape[1]):
+                world.f_h[i, k] = python.f_h[i, k]
+            world.axes[i].force_step = python.axes[i].force_step
+            world.axes[i].force_end_ns = python.axes[i].force_end_ns
+        if python.axes[a].operator_start_ns != now.start_ns:
+            world.axes[a].operator_start_ns = python.axes[a].operator_start_ns
         beside.asked[a] -= 1
         w.script_ns = min(w.script_ns, python.state.script_ns)
     if now.frames > 0:  # frames that came meanwhile move up

@@ -169,7 +169,7 @@ def serve(
             if t_event > t_ns:
                 break
             w.until_ns = max(t_event, w.t_ns)
-            reason = run(world, host, None, course, 1)
+            reason = run(world, host, None, course, None, 1)
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
                 lost = hand_out(w, p, bus, world.log, clients)
