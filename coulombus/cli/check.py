@@ -111,6 +111,17 @@ def _once(texts: Iterable[Any]) -> list[Any]:
     return list(dict.fromkeys(texts))
 
 
+def _tip_lines(rig: Rig) -> list[str]:
+    """Return what an arm in the plane can display at its start, and how finely it measures its tip."""
+    if rig.kinematics is None:
+        return []
+    from coulombus.analysis.rig.plane_display import plane_display
+
+    pose = plane_display(rig, grid=0).poses[0]
+    counts = " and ".join(f"{1e6 * way:.3g} um" for way in pose.resolution_m)
+    return [*pose.lines(), f"  a count of the encoders moves the tip by {counts}"]
+
+
 class _Findings:
     """Findings on a rig: its PDOs, its plan, its bring-up in each mode."""
 
@@ -166,6 +177,7 @@ class _Findings:
             text for axis in rig.axes for mode in axis.mode for text in meanings_of(axis, mode)
         )
         self.cut: list[str] = _once(text for mode in rig.modes for text in cut_off(rig, mode))
+        self.tip = _tip_lines(rig)
         self.guesses = guesses(rig.origin.text)
         self.diagnoses = [str(d) for node in rig.nodes for d in node.description.diagnoses]
         self.ok = self.fits and not self.problems and not self.cut
@@ -257,6 +269,8 @@ class _Findings:
                 echo(on_terminal(f"  that throws the hand: {GENTLER}", 4, PROSE))
         for text in self.meanings:
             echo(on_terminal(f"limit: {text}", 4, PROSE))
+        for text in self.tip:
+            echo(on_terminal(text, 4))
         for mode, limit in self.limits.items():
             echo(f"mode {mode}: drive torque limit {self.limited_by[mode]} = {limit} per mille")
         if self.rig.law_function.strip() not in builtin_laws(self.rig):

@@ -416,7 +416,7 @@ def _load(
             source.lacking += part_source.lacking
             source.problems += part_source.problems
     in_plane = read_plane(values, tuple(named or ()), source, attached=attached)
-    check_phases(values, source, in_plane=in_plane is not None)
+    check_phases(values, source, in_plane="kinematics" in values)
     source.raise_all()
     law_named = any(override.partition("=")[0].strip().endswith("law.function") for override in overrides)
     origin = Origin(path, text, tuple(overrides), attached, law_named)

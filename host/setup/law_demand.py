@@ -7,13 +7,16 @@ Those of a user's law are unknown before it runs. Clipping is then counted in ev
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from coulombus.host.cycle.output_limits import brake_limit, law_pushes, motor_limit, scale_Nm, torque_step_Nm
 from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.host.laws.parameters import axis_parameters
+from coulombus.host.plane.plane_host import load_plane
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.kinematics.pose_kernels import condition
 from coulombus.rigs.rig import Rig, RigError
 
 __all__ = ["check_demand", "cut_off", "remarks"]
@@ -54,6 +57,40 @@ def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
             yield axis.mistake(key, _expected(limit, torque_Nm, whose, key))
 
 
+def _tip(rig: Rig, mode: str) -> Iterator[RigError]:
+    r"""Yield an error if a joint cannot bear the law's largest force at the arm's start, or the start is too near to
+    a singular pose.
+
+    A joint's torque is at most :math:`F |J_i|`. The brakes bear it, and in mode active the motors do.
+    """
+    model, kinematics = load_plane(rig, mode), rig.kinematics
+    assert model is not None
+    assert kinematics is not None
+    pose = model.mechanism.pose(*kinematics.start_rad)
+    found = condition(pose)
+    if not found >= kinematics.least_condition:
+        where, names = rig.origin.source().where(("kinematics", "start_rad"))[1], "kinematics.start_rad"
+        yield RigError(
+            [
+                f"{where}: {names}: the Jacobian's condition is {found:.2g} there, "
+                f"and kinematics.least_condition is {kinematics.least_condition:g}: the arm would not be armed"
+            ]
+        )
+        return
+    law = model.law
+    for name in () if law.declaration is None else law.declaration.extremes:
+        force_N = float(getattr(law.parameters, name))
+        for i, axis in enumerate(rig.axes):
+            length_m = math.hypot(*(float(row[i]) for row in pose["jacobian"]))
+            limit_Nm, whose = motor_limit(axis, mode) if mode == "active" else brake_limit(axis)
+            limit_Nm += axis.mechanics.friction_Nm
+            if force_N * length_m > limit_Nm:
+                yield rig.axes[0].mistake(
+                    f"law.{law.name}.{name}",
+                    f"at most {limit_Nm / length_m:.4g} N at the start: {whose} of {axis.name} ends there",
+                )
+
+
 def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
     """Return the peak outputs of the rig's law in a mode; empty if they are unknown."""
     own = BUILTIN_LAWS.get(axis.law.function.strip())
@@ -72,6 +109,8 @@ def cut_off(rig: Rig, mode: str) -> list[str]:
     """Return the texts of all demands that a limit of an axis would clip in this mode, each with
     ``file:line``, key and remedy.
     """
+    if rig.kinematics is not None:
+        return _texts(_tip(rig, mode))
     return _texts(error for axis in rig.axes for part in (_motor, _brake) for error in part(axis, mode))
 
 

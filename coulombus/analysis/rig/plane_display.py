@@ -228,7 +228,7 @@ def plane_display(
     ----------
     rig : with [kinematics]
     poses_rad : joints' angles; default: the start of the rig file
-    grid : number of angles of each joint on the map, over a full turn
+    grid : number of angles of each joint on the map, over a full turn; 0: no map
     mode : whose motor limits apply
 
     Raises
@@ -266,7 +266,7 @@ def plane_display(
             degrees = ", ".join(f"{math.degrees(angle):g}" for angle in q)
             raise RigError([f"--pose {degrees}: the mechanism cannot take it: its links do not meet there"])
         shown.append(display)
-    turn = (np.arange(grid) + 0.5) * (2 * math.pi / grid) - math.pi
+    turn = np.linspace(-math.pi, math.pi, 2 * grid + 1)[1::2]
     tried = [posed((float(q1), float(q2))) for q1 in turn for q2 in turn]
     workspace = PlaneMap(tuple(pose for pose in tried if pose is not None and pose.allowed), len(tried))
     return PlaneDisplay(rig.name, kinematics.kind, levels, tuple(shown), workspace)
