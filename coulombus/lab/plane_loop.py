@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from coulombus.host.laws.plane.plane_law import PlaneLawFunction
 from coulombus.host.laws.plane.plane_laws import PlaneLaw, load_plane_law
-from coulombus.host.plane.plane_host import PLANE_MODES, PlaneModel, new_plane_host
+from coulombus.host.plane.plane_host import PlaneModel, new_plane_host
 from coulombus.host.plane.plane_records import TRACK, PlaneHostRecord
 from coulombus.host.plane.plane_step import plane_step
 from coulombus.kernels.decorator import kernel

@@ -12,8 +12,8 @@ axis, which counts them.
 from __future__ import annotations
 
 from coulombus.host.cycle import step
-from coulombus.host.cycle.records import AxisRecords, Image, LawFunction, Phase, Trip
 from coulombus.host.cycle.joints import finish_joints
+from coulombus.host.cycle.records import AxisRecords, Image, LawFunction, Phase, Trip
 from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.kernels.records import Integers

@@ -20,7 +20,6 @@ from coulombus.host.cycle.records import (
     AxisRecord,
     ControlRecord,
     Image,
-    LawFunction,
     Phase,
     SignResult,
     Trip,

@@ -66,7 +66,9 @@ def load_plane(rig: Rig, mode: str) -> PlaneModel | None:
         return None
     axis, name = rig.axes[0], rig.law_function.strip()
     if name in BUILTIN_LAWS:
-        raise axis.mistake("law.function", f"a law in the plane, since the rig has [kinematics]: {', '.join(PLANE_LAWS)}")
+        raise axis.mistake(
+            "law.function", f"a law in the plane, since the rig has [kinematics]: {', '.join(PLANE_LAWS)}"
+        )
     if rig.law_of_recording and name not in PLANE_LAWS:
         expected = f"{', '.join(PLANE_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
         raise axis.mistake("law.function", f"{expected}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
@@ -87,10 +89,14 @@ def _refuse_plane_law(rig: Rig) -> None:
     """Refuse a law in the plane for independent axes."""
     for axis in rig.axes:
         if axis.law.function.strip() in PLANE_LAWS:
-            raise axis.mistake("law.function", f"a law of one axis, since the rig has no [kinematics]: {', '.join(BUILTIN_LAWS)}")
+            raise axis.mistake(
+                "law.function", f"a law of one axis, since the rig has no [kinematics]: {', '.join(BUILTIN_LAWS)}"
+            )
 
 
-def new_plane_host(rig: Rig, mode: str, model: PlaneModel, period_s: float | None = None) -> RecordArray[PlaneHostRecord]:
+def new_plane_host(
+    rig: Rig, mode: str, model: PlaneModel, period_s: float | None = None
+) -> RecordArray[PlaneHostRecord]:
     """Return the host's record of a rig in the plane at its start, as an array of one record.
 
     Parameters

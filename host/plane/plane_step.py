@@ -24,6 +24,7 @@ class PlaneFunctions(NamedTuple):
     law: PlaneLawFunction
     mechanism: MechanismFunction
 
+
 @kernel
 def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHostRecord) -> None:
     """Do one cycle: measure, evaluate the law, split its force."""
@@ -38,12 +39,9 @@ def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHost
 @kernel
 def may_display(h: PlaneHostRecord) -> bool:
     """Return whether the pose is far enough from singular, and the tip in the workspace."""
-    if not h.condition >= h.least_condition:
-        return False
-    for i in range(2):
-        if not h.low_m[i] <= h.pose.x_m[i] <= h.high_m[i]:
-            return False
-    return True
+    x, y = h.pose.x_m[0], h.pose.x_m[1]
+    inside = h.low_m[0] <= x <= h.high_m[0] and h.low_m[1] <= y <= h.high_m[1]
+    return inside and h.condition >= h.least_condition
 
 
 @kernel

@@ -56,7 +56,8 @@ class PlaneHand:
     """
 
     def __init__(self, rig: Rig, static_N: float, direction: int, seed: int = 0) -> None:
-        assert rig.in_plane is not None and rig.in_plane.plane is not None
+        assert rig.in_plane is not None
+        assert rig.in_plane.plane is not None
         self._hand = drawn_hand(rig.in_plane.plane, seed)
         self._push, self._tremor_rad = 1.0, 0.5 * np.pi * direction
         if self._hand.hand_population > 0:
@@ -67,9 +68,7 @@ class PlaneHand:
 
     def torque_Nm(self, t: Floats, start_s: float | None, end_s: float | None = None) -> Floats:
         """Return the force [N] at the absolute times `t` [s], like `sim_bus.rig.operator.Operator.torque_Nm`."""
-        tremor: Floats = self._hand.hand_tremor_N * np.sin(
-            2 * np.pi * self._hand.hand_tremor_Hz * t + self._tremor_rad
-        )
+        tremor: Floats = self._hand.hand_tremor_N * np.sin(2 * np.pi * self._hand.hand_tremor_Hz * t + self._tremor_rad)
         if start_s is None:
             return tremor
         if end_s is None:
@@ -125,9 +124,9 @@ def _way(phase: Phase, s: Floats, direction: int) -> tuple[Floats, Floats]:
         return 0.5 * phase.height_m * np.sin(2 * w * s), phase.height_m * w * np.cos(2 * w * s)
     if phase.kind == "tip_circle":
         out = np.clip(s / phase.approach_s, 0.0, 1.0)
-        radius = phase.radius_m * out**2 * (3 - 2 * out)
-        w = 2 * np.pi * phase.frequency_Hz * (s >= phase.approach_s)
-        angle = phase.direction_rad - (0.5 * np.pi if direction == 1 else 0.0) + w * (s - phase.approach_s)
+        radius: Floats = phase.radius_m * out**2 * (3 - 2 * out)
+        turning = 2 * np.pi * phase.frequency_Hz * (s >= phase.approach_s)
+        angle = phase.direction_rad - (0.5 * np.pi if direction == 1 else 0.0) + turning * (s - phase.approach_s)
         growing = 6 * phase.radius_m / phase.approach_s * out * (1 - out)
-        return radius * np.cos(angle), growing * np.cos(angle) - radius * w * np.sin(angle)
+        return radius * np.cos(angle), growing * np.cos(angle) - radius * turning * np.sin(angle)
     return np.zeros_like(s), np.zeros_like(s)
