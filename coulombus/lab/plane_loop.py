@@ -19,7 +19,7 @@ import numpy.typing as npt
 from coulombus.host.laws.plane.plane_law import PlaneLawFunction
 from coulombus.host.laws.plane.plane_laws import PlaneLaw, load_plane_law
 from coulombus.host.plane.plane_host import PlaneModel, new_plane_host
-from coulombus.host.plane.plane_records import TRACK, PlaneHostRecord
+from coulombus.host.plane.plane_host_record import TRACK, PlaneHostRecord
 from coulombus.host.plane.plane_step import plane_step
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import Floats, RecordArray
@@ -27,7 +27,7 @@ from coulombus.rigs.errors import RigError
 from coulombus.rigs.kinematics.load_mechanism import Mechanism, load_mechanism
 from coulombus.rigs.kinematics.mechanism_records import MechanismFunction
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.rig.joints import new_plane_plant
+from coulombus.sim_bus.rig.arm_plant import new_plane_plant
 from coulombus.sim_bus.rig.plane_plant import advance_plane, tip_force
 from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
 

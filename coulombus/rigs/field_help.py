@@ -52,6 +52,7 @@ UNITS = {
     "_ohm": "ohm",
     "_rad": "rad",
     "_Nm": "Nm",
+    "_N": "N",
     "_m": "m",
     "_kg": "kg",
     "_Hz": "Hz",

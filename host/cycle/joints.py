@@ -11,7 +11,8 @@ phase with its share.
 - In the safe state the brakes fall together, in the proportion of the hand's torques, so that a loaded hand
   is let go along its force.
 
-    axes : the `AxisRecord` of each joint; the first holds the `PlaneHostRecord` h
+    axes : the `AxisRecord` of each joint; the first holds the `PlaneHostRecord`
+    c : the CONTROL record of a joint        h : its HOST record
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from coulombus.host.cycle import step
 from coulombus.host.cycle.phases import advance
 from coulombus.host.cycle.records import AxisRecords, Phase, Trip
 from coulombus.host.plane.brake_split import expect_brakes, observe, release
-from coulombus.host.plane.plane_records import PlaneHostRecord
+from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.plane.plane_step import PlaneFunctions, display, measure_plane
 from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS
@@ -68,33 +69,33 @@ def finish_joints(axes: AxisRecords, arm: PlaneFunctions, t_ns: int, window_over
 @kernel
 def _measure(axes: AxisRecords, arm: PlaneFunctions) -> bool:
     """Give the joints' measurements, last commands and parameters to the plane; return whether the pose is known."""
-    h = axes[0].plane
+    plane = axes[0].plane
     known = True
     for i in range(JOINTS):
         axis = axes[i]
-        h.counts[i], h.hand_Nm[i] = axis.host.counts, axis.host.handle_Nm
-        h.split.brake_Nm[i], h.split.motor_Nm[i] = axis.host.brake_Nm, axis.host.torque_Nm
-        h.control.compensation_Nm[i] = axis.control.compensation_Nm
+        plane.counts[i], plane.hand_Nm[i] = axis.host.counts, axis.host.handle_Nm
+        plane.split.brake_Nm[i], plane.split.motor_Nm[i] = axis.host.brake_Nm, axis.host.torque_Nm
+        plane.control.compensation_Nm[i] = axis.control.compensation_Nm
         known = known and axis.host.has_position != 0
-    for k in range(h.law.user.shape[0]):
-        h.law.user[k] = axes[0].law.user[k]
-    measure_plane(arm.mechanism, h)
-    observe(h.control, h.split, h.v_rad_s)
-    expect_brakes(h.control, h.split)
+    for k in range(plane.law.user.shape[0]):
+        plane.law.user[k] = axes[0].law.user[k]
+    measure_plane(arm.mechanism, plane)
+    observe(plane.control, plane.split, plane.v_rad_s)
+    expect_brakes(plane.control, plane.split)
     return known
 
 
 @kernel
 def _doubt_tip(axes: AxisRecords, measured: bool) -> None:
     """Doubt a tip outside of its workspace, and a pose that is too near to singular."""
-    h, first = axes[0].plane, axes[0].host
+    plane, first = axes[0].plane, axes[0].host
     if not measured or first.doubt != Trip.NONE:
         return
-    if not h.condition >= h.least_condition:
+    if not plane.condition >= plane.least_condition:
         first.doubt = Trip.SINGULAR
         return
     for i in range(2):
-        if not h.low_m[i] <= h.pose.x_m[i] <= h.high_m[i]:
+        if not plane.low_m[i] <= plane.pose.x_m[i] <= plane.high_m[i]:
             first.doubt = Trip.WORKSPACE
 
 
@@ -116,30 +117,32 @@ def _displays(axes: AxisRecords) -> bool:
 @kernel
 def _display(axes: AxisRecords, arm: PlaneFunctions) -> None:
     """Evaluate the law; a force that is not finite is a doubt."""
-    h, first = axes[0].plane, axes[0].host
-    if first.gain <= axes[0].control.gain_step:
-        _forget(h)
-    if display(arm.law, h):
+    plane, first = axes[0].plane, axes[0].host
+    if plane.display_cycles == 0:
+        _forget(plane)
+    plane.display_cycles += 1
+    if display(arm.law, plane):
         return
     first.doubt = Trip.LAW
-    first.law_Nm, first.law_part = h.state.psi_N[0], 0
+    first.law_Nm, first.law_part = plane.state.psi_N[0], 0
     if math.isfinite(first.law_Nm):
-        first.law_Nm = h.state.psi_N[1]
+        first.law_Nm = plane.state.psi_N[1]
     if math.isfinite(first.law_Nm):
-        first.law_Nm, first.law_part = h.state.hold_N, 1
+        first.law_Nm, first.law_part = plane.state.hold_N, 1
     if math.isfinite(first.law_Nm):
-        first.law_Nm, first.law_part = h.state.motor_N[0] + h.state.motor_N[1], 2
-    release(h.split)
+        first.law_Nm, first.law_part = plane.state.motor_N[0] + plane.state.motor_N[1], 2
+    release(plane.split)
 
 
 @kernel
-def _forget(h: PlaneHostRecord) -> None:
-    """Begin the law at rest, with no force."""
-    state = h.state
+def _forget(plane: PlaneHostRecord) -> None:
+    """Begin the law at rest, with no force and no work."""
+    state = plane.state
+    plane.split.taken_J = 0.0
     state.stuck = 0
     state.hold_N = 0.0
     for i in range(2):
-        state.psi_N[i] = state.motor_N[i] = 0.0
+        state.psi_N[i] = state.motor_N[i] = plane.split.motor_J[i] = 0.0
     for k in range(state.user.shape[0]):
         state.user[k] = 0.0
 
@@ -147,19 +150,19 @@ def _forget(h: PlaneHostRecord) -> None:
 @kernel
 def _share(axes: AxisRecords) -> None:
     """Give each joint its share of the law's force, with the signs of `LawStateRecord`."""
-    h = axes[0].plane
+    plane = axes[0].plane
     for i in range(JOINTS):
         axis = axes[i]
         state, motion = axis.state, axis.motion
-        state.stuck = h.state.stuck
-        state.psi_Nm = h.pose.jacobian[0, i] * h.psi_N[0] + h.pose.jacobian[1, i] * h.psi_N[1]
-        state.brake_Nm, state.motor_Nm = h.split.brake_Nm[i], -h.split.motor_Nm[i]
-        axis.host.pushed_Nm = -h.split.push_Nm[i]
-        axis.host.clipped |= h.split.clipped[i]
-        motion.x_rad, motion.v_rad_s = axis.host.counts * axis.control.rad_count, h.v_rad_s[i]
+        state.stuck = plane.state.stuck
+        state.psi_Nm = plane.pose.jacobian[0, i] * plane.psi_N[0] + plane.pose.jacobian[1, i] * plane.psi_N[1]
+        state.brake_Nm, state.motor_Nm = plane.split.brake_Nm[i], -plane.split.motor_Nm[i]
+        axis.host.pushed_Nm = -plane.split.push_Nm[i]
+        axis.host.clipped |= plane.split.clipped[i]
+        motion.x_rad, motion.v_rad_s = axis.host.counts * axis.control.rad_count, plane.v_rad_s[i]
         motion.handle_Nm = axis.host.handle_Nm
-    for k in range(h.state.user.shape[0]):
-        axes[0].state.user[k] = h.state.user[k]
+    for k in range(plane.state.user.shape[0]):
+        axes[0].state.user[k] = plane.state.user[k]
 
 
 @kernel

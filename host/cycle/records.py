@@ -11,7 +11,7 @@ from typing import Annotated, TypeAlias
 
 from coulombus.eds.codec import PdoRecord
 from coulombus.host.laws.law import LawFunction, LawRecord, LawStateRecord, MotionRecord
-from coulombus.host.plane.plane_records import PlaneHostRecord
+from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.kernels.records import FloatField, IntegerField, Record, RecordArray, dtype_of
 from coulombus.rigs.devices import TABLE_POINTS

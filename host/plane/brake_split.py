@@ -45,7 +45,7 @@ from __future__ import annotations
 
 import math
 
-from coulombus.host.plane.plane_records import SplitControlRecord, SplitStateRecord
+from coulombus.host.plane.plane_host_record import SplitControlRecord, SplitStateRecord
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import FloatField, Floats
 from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord

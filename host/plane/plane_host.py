@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from coulombus.host.laws.laws import BUILTIN_LAWS, LawError
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.host.laws.plane.plane_laws import PLANE_LAWS, PlaneLaw, load_plane_law
-from coulombus.host.plane.plane_records import ACTIVE, HYBRID, PASSIVE, TRACK, PlaneHostRecord
+from coulombus.host.plane.plane_host_record import ACTIVE, HYBRID, PASSIVE, TRACK, PlaneHostRecord
 from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.kernels.records import RecordArray, new_records
 from coulombus.rigs.axis import Axis

@@ -24,8 +24,8 @@ from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
 from coulombus.sim_bus.network.network import AttachedAxes, VirtualNetwork
+from coulombus.sim_bus.rig.arm_plant import PLANE_COLUMNS, new_plane_plant
 from coulombus.sim_bus.rig.coupling import brake_torque
-from coulombus.sim_bus.rig.joints import PLANE_COLUMNS, new_plane_plant
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plane_hand import PlaneHand
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, TRUTH_COLUMNS, new_plant, truth_columns
@@ -434,6 +434,6 @@ class VirtualRig(VirtualNetwork):
         return dict(zip(self._columns[a], table.T, strict=False))  # another axis may have more columns
 
     def tip_course(self) -> Mapping[str, Any]:
-        """Return the true course of an arm's tip so far: time and `joints.PLANE_COLUMNS`, a row for each millisecond."""
+        """Return the true course of an arm's tip so far: time and `arm_plant.PLANE_COLUMNS`, a row for each millisecond."""
         every = max(1, int(self._axes["steps_per_knot"][0]) // self._every)
         return {name: column[::every] for name, column in self.truth(0).items() if name in ("t_s", *PLANE_COLUMNS)}

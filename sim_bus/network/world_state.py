@@ -135,9 +135,11 @@ def _seen(plants: Records) -> tuple[tuple[float, ...], ...]:
 
 
 def _advanced(parts: Any, course: Any, a: int, t_ns: int) -> Records | None:
-    """Return the plant of axis `a` at `t_ns`; None if it depends on the pieces of the way there."""
+    """Return the plant of axis `a` at `t_ns`; None if it depends on the pieces of the way there, or on another axis."""
+    if parts.plant["plane"]["on"].any():
+        return None
     results = []
-    axis, f_h, truth = parts.axes[a], parts.f_h[a], parts.truth[a]
+    axis, f_h, truth = parts.axes[a], parts.f_h[a : a + 1], parts.truth[a : a + 1]
     per_knot = int(axis["steps_per_knot"])
     for pieces in PIECES:
         plant = copied(parts.plant[a : a + 1])
@@ -145,7 +147,7 @@ def _advanced(parts: Any, course: Any, a: int, t_ns: int) -> Records | None:
         now_ns, step_ns = int(p["t_ns"]), int(p["step_ns"])
         for piece in range(1, pieces + 1):
             steps = (t_ns * piece // pieces - now_ns) // step_ns
-            course(p, f_h, per_knot, now_ns // step_ns, steps, truth, -1)
+            course(plant, 0, f_h, per_knot, now_ns // step_ns, steps, truth, -1)
             now_ns += steps * step_ns
         results.append(plant)
     return results[0] if len({plant.tobytes() for plant in results}) == 1 else None

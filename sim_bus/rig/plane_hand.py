@@ -1,6 +1,6 @@
 r"""The operator's muscle force on the tip in the plane: the schedule of a rig file as a function of time.
 
-The hand's stiffness and damping belong to the plant (`sim_bus.rig.joints`); this module gives its muscle
+The hand's stiffness and damping belong to the plant (`sim_bus.rig.arm_plant`); this module gives its muscle
 force. A hand whose target is :math:`x_d(t)` drives its own impedance, measured from the tip's start
 :math:`x_0`, with
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from coulombus.kernels.decorator import JIT_DISABLED, cacheable, kernel
 from coulombus.kernels.records import Floats, RecordArray, Records
+from coulombus.sim_bus.rig.arm_plant import advance_joints
 from coulombus.sim_bus.rig.chain import move
 from coulombus.sim_bus.rig.elements import stored_in_elements
-from coulombus.sim_bus.rig.joints import advance_joints
 from coulombus.sim_bus.rig.mr_brake import brake_capacity, heat, iron, thin
 from coulombus.sim_bus.rig.plant import (
     TRUTH_COLUMNS,

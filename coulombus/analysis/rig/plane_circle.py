@@ -12,7 +12,7 @@ from coulombus.host.laws.plane.plane_laws import load_plane_law
 from coulombus.host.plane.plane_host import PLANE_MODES
 from coulombus.lab.plane_loop import PlaneRun, circle, simulate_plane
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.rig.joints import new_plane_plant
+from coulombus.sim_bus.rig.arm_plant import new_plane_plant
 
 __all__ = ["CircleStudy", "circle_goals", "circle_study"]
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.host.plane.brake_split import expect_brakes, hold, observe, slip
-from coulombus.host.plane.plane_records import SplitControlRecord, SplitStateRecord
+from coulombus.host.plane.plane_host_record import SplitControlRecord, SplitStateRecord
 from coulombus.kernels.records import new_records
 from coulombus.rigs.kinematics.mechanism_records import PoseRecord
 

@@ -221,7 +221,7 @@ class Commanded(Bench):
         self.sent, self.safe, self.waited, self.cpu = [], [], [], [10, 250]
         self.patch(loop, "load_acquire", lambda at: self.next_command() if at - SHARED == loop.AT_COMMAND else 0)
         self.patch(loop, "clock_ns", lambda clock: self.cpu.pop(0))
-        self.patch(loop, "_cycle", lambda b, law: self.gone)
+        self.patch(loop, "_cycle", lambda b, law, arm: self.gone)
         self.patch(loop, "_take", self.take)
         self.patch(loop, "ppoll_ns", self.wait)
         self.patch(loop, "safe_setpoints", lambda axes, t_ns, out: self.safe.append((t_ns, out.count)))

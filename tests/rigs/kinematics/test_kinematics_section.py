@@ -85,14 +85,6 @@ def test_an_axis_alone_is_no_mechanism():
     assert load_rig("plane").alone("elbow").kinematics is None
 
 
-def test_axes_on_a_bus_of_their_own_are_no_mechanism():
-    rig = load_rig("plane", ("axis.shoulder.bus.channel=a", "axis.elbow.bus.channel=b"))
-    assert rig.kinematics is not None
-    part = rig.on("b")
-    assert part.kinematics is None
-    assert load_rig_text(part.effective(), part.path) == part
-
-
 @pytest.mark.parametrize("value", ["0.0", "-0.2", "nan", '"long"', "true"])
 def test_a_link_without_a_length_is_refused_with_its_line(tmp_path, value):
     path = plane_file(tmp_path, ("l2_m = 0.2\n", f"l2_m = {value}\n"))
@@ -227,10 +219,3 @@ def test_every_key_is_documented(heading, model):
         assert unit == unit_of(name)
         assert accepted == accepted_range(info) or not accepted_range(info)
         assert len(meaning) > 8
-
-
-def test_a_rig_in_the_plane_says_what_is_not_coupled_yet():
-    (text,) = load_rig("plane").warnings
-    assert "plane.toml:" in text
-    assert "each joint by its own law" in text
-    assert load_rig("two_axes").warnings == ()

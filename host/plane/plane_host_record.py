@@ -73,6 +73,7 @@ class PlaneHostRecord(Record):
     state: PlaneStateRecord
     split: SplitStateRecord
     condition: float  # of the Jacobian: its smallest singular value over its largest
+    display_cycles: int  # cycles in which the law was evaluated
     smallest_condition: float  # smallest condition since the law began
     gain: float  # gain of the law, 0 to 1
     psi_N: Annotated[FloatField, 2]  # the law's force, times the gain
