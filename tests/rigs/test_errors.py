@@ -120,7 +120,8 @@ WRONG_VALUES = {
     ),
     "a kind": (
         ('kind = "stroke"', 'kind = "strok"'),
-        'phase.2.kind: got \'"strok"\', expected one of "rest", "hold", "stroke", "paper", "file", "motion", "tip_hold", "tip_line", "tip_circle", "tip_eight"; did you mean \'stroke\'?',
+        'phase.2.kind: got \'"strok"\', expected one of "rest", "hold", "stroke", "paper", "file", "motion", '
+        '"tip_hold", "tip_line", "tip_circle", "tip_eight"; did you mean \'stroke\'?',
     ),
 }
 WRONG_KEYS = {
