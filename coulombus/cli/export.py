@@ -75,7 +75,7 @@ def export_command(
     mcap, hdf5, mat), or whole frames (candump, asc, blf).
 
     The file is written whole or not at all, in a memory that does not grow with the recording.
-    parquet, mf4, mcap and hdf5 need libraries: pip install '.[export]' in the clone.
+    parquet, mf4 and hdf5 need libraries: pip install '.[export]' in the clone.
 
     \b
     Examples:
@@ -87,13 +87,13 @@ def export_command(
     with errors():
         from coulombus.recording.export.export import KINDS as SUFFIXES
         from coulombus.recording.export.export import export
-        from coulombus.recording.output_file import reason_against
+        from coulombus.recording.output_file import named_after, reason_against
 
         if kind is None:
             kind = _kind_of(out, SUFFIXES)
         if kind in ("candump", "asc", "blf") and (signals is not None or grid_ns is not None):
             raise click.UsageError(f"{kind} has whole frames: leave --signals and --grid out")
-        place = out or (Path(f"{file}{SUFFIXES[kind]}") if file.is_dir() else file.with_suffix(SUFFIXES[kind]))
+        place = out or named_after(file, SUFFIXES[kind])
         reason = reason_against(
             place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
         )

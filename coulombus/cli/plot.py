@@ -104,11 +104,11 @@ def plot_command(
       coulombus plot run.pcapng --title "Subject 3, hybrid" --size 16x9 --dpi 300
     """
     with errors():
-        from coulombus.recording.output_file import new_file, reason_against
+        from coulombus.recording.output_file import named_after, new_file, reason_against
         from coulombus.recording.pictures.plot import Look, figure_of, save_picture, traces_of
         from coulombus.recording.reading import blocks
 
-        place = out or (Path(f"{file}.png") if file.is_dir() else file.with_suffix(".png"))
+        place = out or named_after(file, ".png")
         reason = reason_against(
             place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
         )

@@ -2,7 +2,7 @@
 
 The format follows from the content, else from the file's name. candump's, .asc, .trc, .csv and .blf
 are read here (`recording.logs`), .mf4 with asammdf, other formats by python-can's registry, which
-includes plug-ins. Each may be compressed with gzip.
+includes plug-ins. Each may be compressed with gzip or zstd.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from coulombus.eds.regular_file import naming, require_regular
+from coulombus.eds.regular_file import require_regular
 from coulombus.recording.logs import blf, mf4, python_can
 from coulombus.recording.logs.asc import AscRows
 from coulombus.recording.logs.can_csv import HEAD, CsvRows
@@ -52,10 +52,10 @@ class LogContent:
 
 
 def is_pcapng(path: str | Path) -> bool:
-    """Return whether a file begins like pcapng; raise OSError for a pipe or a device."""
+    """Return whether a file, unpacked, begins like pcapng; raise OSError for a pipe or a device."""
     require_regular(path)
-    with Path(path).open("rb") as file, naming(path):
-        return file.read(4) == b"\x0a\x0d\x0d\x0a"
+    with Content(path) as content:
+        return content.read(4) == b"\x0a\x0d\x0d\x0a"
 
 
 def is_log(path: str | Path) -> bool:
@@ -84,13 +84,13 @@ def read_log(path: str | Path) -> LogContent:
         raise LogError(f"{path}: it has no frame: does its suffix match its content? Expected {EXPECTED}")
     remarks = log.all_remarks(str(path))
     if broken:
-        remarks.append(f"{path}: its compressed data are damaged or end too early: what stood behind is not known")
+        remarks.append(f"{path}: {broken}: what stood behind is not known")
     return LogContent(log.frames(), tuple(log.buses), tuple(remarks))
 
 
-def _read(path: str | Path, kind: str) -> tuple[Log, bool]:
+def _read(path: str | Path, kind: str) -> tuple[Log, str]:
     if kind == ".mf4" and not _packed(path):
-        return mf4.read(path), False
+        return mf4.read(path), ""
     if kind in TEXTS or kind == ".blf":
         with Content(path) as content:
             if kind == ".blf":
@@ -109,12 +109,12 @@ def _read(path: str | Path, kind: str) -> tuple[Log, bool]:
         raise ValueError(error)
     if error:
         log.remarks.append(f"what stands behind frame {len(log.rows)} was left out: it cannot be read ({error})")
-    return log, False
+    return log, ""
 
 
 def _packed(path: str | Path) -> bool:
-    with Path(path).open("rb") as file:
-        return file.read(2) == b"\x1f\x8b"
+    with Content(path) as content:
+        return bool(content.packing)
 
 
 def _kind(path: str | Path) -> str:
@@ -129,7 +129,7 @@ def _kind(path: str | Path) -> str:
     for kind, is_of in MARKS.items():
         if any(is_of(line) for line in lines):
             return kind
-    name = Path(path).name.lower().removesuffix(".gz")
+    name = Path(path).name.lower().removesuffix(".gz").removesuffix(".zst")
     return next((ending for ending in LOGS if name.endswith(ending)), "")
 
 

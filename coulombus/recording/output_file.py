@@ -17,9 +17,17 @@ from pathlib import Path
 from coulombus.eds.regular_file import naming
 from coulombus.eds.unfinished_file import remove_unfinished, unfinished
 
-__all__ = ["check", "is_stream", "new_file", "open_new", "reason_against"]
+__all__ = ["check", "is_stream", "named_after", "new_file", "open_new", "reason_against"]
 
 FORCE = "choose another name, or replace it with --overwrite (in Python: force=True)"
+
+
+def named_after(recording: Path, suffix: str) -> Path:
+    """Return the default name of an output: that of the recording with another ending; for a folder its name and it."""
+    if recording.is_dir():
+        return Path(f"{recording}{suffix}")
+    packed = recording.suffix.lower() in (".gz", ".zst") and len(recording.suffixes) > 1
+    return (recording.with_suffix("") if packed else recording).with_suffix(suffix)
 
 
 def is_stream(path: Path) -> bool:

@@ -77,8 +77,8 @@ OTHER_FORMATS = {
         ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23c4d"),
         "a classic pcap file: convert it with 'editcap -F pcapng IN OUT'",
     ),
-    "1f8b": "compressed with gzip: unpack it with 'gunzip'",
-    "28b52ffd": "compressed with zstd: unpack it with 'unzstd'",
+    "1f8b": "compressed twice: unpack it once with 'gunzip'",
+    "28b52ffd": "compressed twice: unpack it once with 'unzstd'",
 }
 """First bytes of other file formats -> their names."""
 KINDS = (INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)

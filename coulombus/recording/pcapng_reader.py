@@ -1,7 +1,8 @@
 """Read pcapng files of link type 227: coulombus' recordings, and those of dumpcap, tcpdump -w, editcap.
 
 A file is read `CHUNK` bytes at a time, so that memory does not depend on its length
-(`iter_pcapng`). A kernel walks from block to block, and packets are decoded as whole columns.
+(`iter_pcapng`). A file compressed with gzip or zstd is unpacked while it is read; offsets in texts
+are those of its content. A kernel walks from block to block, and packets are decoded as whole columns.
 Sections may have either byte order and any time resolution; captured packets may be 16 bytes (as
 the kernel gives them) or 8 + length.
 """
@@ -12,14 +13,15 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.regular_file import naming, require_regular
+from coulombus.eds.regular_file import require_regular
 from coulombus.kernels.decorator import kernel
 from coulombus.recording.folders import segments
+from coulombus.recording.logs.content import Content
 from coulombus.recording.pcapng_blocks import (
     ATTACHMENT,
     BYTE_ORDER_MAGIC,
@@ -101,7 +103,7 @@ class Capture:
 @dataclass
 class _Reader:
     path: str
-    file: BinaryIO
+    file: Content
     data: bytes = b""
     words: Words = field(default_factory=lambda: np.zeros(0, np.uint32))
     base: int = 0
@@ -129,8 +131,7 @@ class _Reader:
 
     def more(self, at: int) -> bool:
         """Drop the words before `at` and read more; return whether there was more."""
-        with naming(self.path):
-            chunk = self.file.read(CHUNK)
+        chunk = self.file.read(CHUNK)
         self.base += 4 * at
         self.data = self.data[4 * at :] + chunk
         self.words = np.frombuffer(self.data, "<u4", len(self.data) // 4)
@@ -186,7 +187,7 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
             yield from iter_pcapng(segment)
         return
     require_regular(path)
-    with Path(path).open("rb") as file:
+    with Content(path) as file:
         reader = _Reader(str(path), file)
         reader.more(0)
         _check_start(reader)
@@ -207,6 +208,8 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
                 if not _resume(reader, at, _what_is_bad(reader, at)):
                     break
                 at = 0
+    if file.broken:
+        reader.warnings.append(f"{reader.path}: {file.broken}: what stood behind is not known")
     _check_linktypes(reader)
     yield reader.take(reader.torn)
 
@@ -281,6 +284,8 @@ def _walk(words: Words, at: int, swap: int, offsets: Integers) -> tuple[int, int
 
 def _check_start(reader: _Reader) -> None:
     start = reader.data[:4]
+    if not start and reader.file.broken:
+        raise PcapngError(f"{reader.path}: {reader.file.broken}: nothing of it can be unpacked; take another file")
     if not start:
         raise PcapngError(f"{reader.path}: the file is empty: nothing was recorded; take another file")
     if not b"\x0a\x0d\x0d\x0a".startswith(start):
@@ -296,10 +301,12 @@ def _check_start(reader: _Reader) -> None:
 
 def _damaged(reader: _Reader, start: int, what: str) -> PcapngError:
     """Return the error for byte `start` of the reader's data."""
-    offset = reader.base + start
+    offset, path = reader.base + start, reader.path
+    unpacked = {"gzip": f"zcat {path} | head -c {offset}", "zstd": f"zstdcat {path} | head -c {offset}"}
+    remedy = unpacked.get(reader.file.packing, f"head -c {offset} {path}")
     return PcapngError(
-        f"{reader.path}: offset {offset}: {what}; the file is damaged there: "
-        f"keep what stands before it with 'head -c {offset} {reader.path} > repaired.pcapng'"
+        f"{path}: offset {offset}: {what}; the file is damaged there: "
+        f"keep what stands before it with '{remedy} > repaired.pcapng'"
     )
 
 
@@ -355,8 +362,7 @@ def _resume(reader: _Reader, at: int, what: str) -> bool:
     while (place := next_block(reader.data, begin, reader.order, RESUMED)) is None:
         reader.leave(max(len(reader.data) - RESUMED, begin))
         begin = 0
-        with naming(reader.path):
-            chunk = reader.file.read(CHUNK)
+        chunk = reader.file.read(CHUNK)
         if not chunk:
             reader.torn = reader.base + len(reader.data) - offset
             return False

@@ -46,7 +46,7 @@ def _meant(path: Path, known: Sequence[str]) -> str:
     """Return the remedy if `path` exists but is not a rig file."""
     if path.suffix.lower() in (".eds", ".dcf", ".xdd", ".xdc"):
         return f"; an EDS file becomes a rig file by coulombus init --drive {shell(str(path))} --brake bench -o my-rig.toml"
-    if path.suffix == ".pcapng":
+    if path.name.removesuffix(".zst").removesuffix(".gz").endswith(".pcapng"):
         return "; this is the name of a recording, and its rig is attached to it"
     return f"; {path} is a folder" if path.is_dir() else nearest(str(path), known)
 

@@ -77,7 +77,7 @@ class Stop(Protocol):
 
 def load_tape(path: str | Path, channel: Channel = None) -> Tape:
     """Read the playable frames of one bus (`channel` if the file has several): pcapng, and other
-    tools' logs (candump's .log, .asc, .blf, .trc, .csv, .mf4, .db, each also .gz).
+    tools' logs (candump's .log, .asc, .blf, .trc, .csv, .mf4, .db), each also .gz or .zst.
 
     Error frames and CAN FD frames are omitted, with a remark.
 

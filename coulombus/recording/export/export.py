@@ -145,7 +145,9 @@ def _check_place(path: Path, out: Path, kind: str) -> None:
     whole = out.exists() and path.exists()
     if whole and (out.samefile(path) or (path.is_dir() and path.resolve() in out.resolve().parents)):
         raise ExportError(f"{out}: that is the recording itself; nothing is written over it; choose another name")
-    others = {suffix: name for name, suffix in KINDS.items() if suffix != KINDS[kind]} | {".pcapng": ""}
+    others = {suffix: name for name, suffix in KINDS.items() if suffix != KINDS[kind]} | dict.fromkeys(
+        (".pcapng", ".gz", ".zst"), ""
+    )
     suffix = out.suffix.lower()
     if suffix in others:
         other = others[suffix]

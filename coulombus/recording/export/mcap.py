@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from zstandard import ZstdCompressor
 
 from coulombus.recording.export.text_table import texts_of
-from coulombus.recording.extras import library
 from coulombus.recording.sample_groups import Array, Column, Group, Stretch
 
 __all__ = ["McapWriter"]
@@ -78,7 +78,7 @@ class McapWriter:
     """Writes the rows of `groups`."""
 
     def __init__(self, path: Path, groups: tuple[Group, ...], about: Mapping[str, str]) -> None:
-        self._compress = library("zstandard", "mcap").ZstdCompressor().compress
+        self._compress = ZstdCompressor().compress
         self._groups = groups
         self._base_ns = int(about.get("start_ns", 0))
         self._file = path.open("wb")

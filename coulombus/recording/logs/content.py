@@ -1,31 +1,47 @@
-"""The bytes of a log, possibly compressed with gzip, to its end or its truncation."""
+"""The bytes of a recording or a log, unpacked from gzip or zstd, to their end or their truncation."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from coulombus.eds.regular_file import naming
 
 __all__ = ["LONGEST_LINE", "Content"]
 
 CHUNK = 1 << 16
+SLICE = 1 << 11
+"""Compressed bytes unpacked at a time: at most 64 MiB of content, in a file made for that."""
 LONGEST_LINE = 1 << 16
 """Maximum bytes of a line; a longer one is split, and no part is a frame."""
-GZIP = b"\x1f\x8b"
 GZIP_FORMAT = 31  # of zlib's `wbits`: a gzip header, and the largest window
 
 
+def _zstd() -> Any:
+    import zstandard
+
+    return zstandard.ZstdDecompressor().decompressobj()
+
+
+PACKINGS: dict[bytes, tuple[str, Callable[[], Any]]] = {
+    b"\x1f\x8b": ("gzip", lambda: zlib.decompressobj(GZIP_FORMAT)),
+    b"\x28\xb5\x2f\xfd": ("zstd", _zstd),
+}
+"""First bytes of a compressed file -> its format, and an object that unpacks one member (frame) of it."""
+
+
 class Content:
-    """A file's content, unpacked; a context manager.
+    """A file's content, unpacked while it is read; a context manager.
 
     Attributes
     ----------
-    broken : bool
-        The compressed data are truncated or damaged; the data before are read.
+    packing : str
+        "gzip", "zstd", or "" for a file that is not compressed.
+    broken : str
+        If the compressed data are truncated or damaged, where and how; the data before are read.
     given : int
         Bytes of the content read so far.
 
@@ -40,14 +56,15 @@ class Content:
         self._file = Path(path).open("rb")  # noqa: SIM115 (closed at the end of this context)
         try:
             with naming(self._path):
-                start = self._file.read(2)
+                start = self._file.read(4)
                 self._file.seek(0)
         except OSError:
             self._file.close()
             raise
-        self._chunks = self._unpacked() if start == GZIP else self._plain()
+        self.packing, member = next((PACKINGS[magic] for magic in PACKINGS if start.startswith(magic)), ("", None))
+        self._chunks = self._plain(CHUNK) if member is None else self._unpacked(member)
         self._waiting = b""
-        self.broken = False
+        self.broken = ""
         self.given = 0
 
     def __enter__(self) -> Self:
@@ -89,23 +106,25 @@ class Content:
         if text:
             yield text.decode("utf-8", "replace"), False
 
-    def _plain(self) -> Iterator[bytes]:
+    def _plain(self, size: int) -> Iterator[bytes]:
         with naming(self._path):
-            while chunk := self._file.read(CHUNK):
+            while chunk := self._file.read(size):
                 yield chunk
 
-    def _unpacked(self) -> Iterator[bytes]:
-        unpacker = zlib.decompressobj(GZIP_FORMAT)
-        for packed in self._plain():
+    def _unpacked(self, member: Callable[[], Any]) -> Iterator[bytes]:
+        unpacker, at = member(), 0
+        for packed in self._plain(SLICE):
+            at += len(packed)
             while packed:
-                if unpacker.eof:  # gzip members may be concatenated
-                    unpacker = zlib.decompressobj(GZIP_FORMAT)
+                if unpacker.eof:  # members may be concatenated
+                    unpacker = member()
                 try:
-                    chunk = unpacker.decompress(packed, CHUNK)
-                except zlib.error:
-                    self.broken = True
+                    chunk = unpacker.decompress(packed)
+                except Exception as error:  # each library has its own
+                    self.broken = f"offset {at - len(packed)}: its {self.packing} data are damaged ({error})"
                     return
-                packed = unpacker.unused_data if unpacker.eof else unpacker.unconsumed_tail
+                packed = unpacker.unused_data
                 if chunk:
                     yield chunk
-        self.broken = not unpacker.eof
+        if not unpacker.eof:
+            self.broken = f"offset {at}: its {self.packing} data end too early"
