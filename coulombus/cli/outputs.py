@@ -22,6 +22,7 @@ __all__ = ["OutputOptions", "outputs_options"]
 
 SEGMENT = "100MB"
 """Default size at which a segment ends."""
+ZSTD = "zstd"
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class OutputOptions:
     record: Path | None
     rotate: str | None
     keep: str | None
+    compress: str | None
     status: Path | None
     meta: tuple[str, ...]
     mark_on: tuple[str, ...]
@@ -61,6 +63,7 @@ class OutputOptions:
         words = ["--overwrite"] if self.overwrite else []
         if self.segmented:
             words += ["--rotate", self.rotate or SEGMENT, *(["--keep", self.keep] if self.keep else [])]
+            words += ["--compress", self.compress or ZSTD]
         return words + repeated("--meta", self.meta) + repeated("--mark-on", self.mark_on)
 
     def outputs(self, rig: Rig) -> Outputs:
@@ -79,14 +82,16 @@ class OutputOptions:
         rotation = None if self.rotate is None else parse_rotation(self.rotate)
         keep = None if self.keep is None else parse_size(self.keep)
         if self.segmented:
-            rotation = replace(rotation or parse_rotation(SEGMENT), keep_bytes=keep)
+            compress = self.compress in (None, ZSTD)
+            rotation = replace(rotation or parse_rotation(SEGMENT), keep_bytes=keep, compress=compress)
             if keep is not None and keep < 2 * (rotation.most_bytes or 0):
                 raise click.UsageError(
                     f"--keep {keep} bytes: expected at least two segments of {rotation.most_bytes} bytes"
                 )
-        elif rotation is not None or keep is not None:
+        elif rotation is not None or keep is not None or self.compress is not None:
             raise click.UsageError(
-                "--rotate and --keep are of a folder: give one with --record, as in --record runs --rotate 1h"
+                "--rotate, --keep and --compress are of a folder: give one with --record, as in "
+                "--record runs --rotate 1h"
             )
         return Outputs(
             record=self.record,
@@ -160,6 +165,11 @@ outputs_options = bundle(
         callback=_readable("parse_size"),
         metavar="SIZE",
         help="Keep this much in that folder, and remove the oldest segments: 20GB.  [default: all]",
+    ),
+    click.option(
+        "--compress",
+        type=click.Choice([ZSTD, "none"]),
+        help=f"Compress finished segments, in a process of the lowest priority.  [default of a folder: {ZSTD}]",
     ),
     click.option(
         "--status",

@@ -12,8 +12,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.capture import Capture
 from coulombus.recording.measures import MEASURED
-from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.pdo_columns import signals_of
 from coulombus.recording.recorder import Markers
 from coulombus.recording.signals import Recording, Series, markers_of

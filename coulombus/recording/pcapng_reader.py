@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from coulombus.eds.regular_file import require_regular
 from coulombus.kernels.decorator import kernel
-from coulombus.recording.folders import segments
+from coulombus.recording.capture import Capture
+from coulombus.recording.folders import present, segments
 from coulombus.recording.logs.content import Content
 from coulombus.recording.pcapng_blocks import (
     ATTACHMENT,
@@ -50,7 +50,7 @@ from coulombus.recording.pcapng_blocks import (
 from coulombus.recording.pcapng_packets import BadPacketError, Integers, Interface, Words, column, decode_packets
 from coulombus.wire.frame import FRAME, Records
 
-__all__ = ["Capture", "iter_pcapng", "read_pcapng"]
+__all__ = ["iter_pcapng", "read_pcapng"]
 
 CHUNK = 1 << 20
 """Bytes read at a time: 22,000 frames, 3.6 s of a rig with one axis at 1 kHz."""
@@ -60,44 +60,6 @@ BLOCKS = 1 << 15  # walked at a time
 RESUMED = 1 << 16
 """Maximum bytes of the next block after damage."""
 END, FULL, SECTION, BAD = range(4)
-
-
-@dataclass(frozen=True)
-class Capture:
-    """Content of a file or of a stretch of it.
-
-    `frames` are records of `FRAME`: `t_ns` since 1970 (or since the run's start, in virtual time),
-    `source` the number of the interface, in the file's order. `comments` are (row of `frames`,
-    text).
-    """
-
-    path: str
-    frames: Records
-    comments: list[tuple[int, str]]
-    attachments: dict[str, bytes]
-    comment: str = ""
-    application: str = ""
-    hardware: str = ""
-    operating_system: str = ""
-    torn: int = 0
-    """Bytes of an incomplete last block, which are omitted; 0: the file ends with a complete block."""
-    skipped: int = 0
-    """Packets other than classical CAN frames (other link types, CAN FD, truncated)."""
-    warnings: tuple[str, ...] = ()
-    """Damaged blocks, packets and attachments, which are omitted."""
-    inside: Records = field(default_factory=lambda: np.zeros(0, FRAME))
-    """Frames that were on no bus: the host's telemetry (`recording.host_telemetry`)."""
-    buses: tuple[str, ...] = ("",)
-    """Name of the bus of each `source`, as in the file; "" for an interface without a bus."""
-    channels: tuple[str, ...] | None = None
-    """The rig's bus of each `source` (`recording.bus_match`); None: the rig's only bus."""
-
-    def frames_on(self, channel: str) -> npt.NDArray[np.bool_]:
-        """Return whether each frame was on a bus of the rig."""
-        if self.channels is None:
-            return np.ones(len(self.frames), bool)
-        numbers = [number for number, name in enumerate(self.channels) if name == channel]
-        return np.isin(self.frames["source"], numbers)
 
 
 @dataclass
@@ -184,7 +146,7 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
     """
     if Path(path).is_dir():
         for segment in _segments(path):
-            yield from iter_pcapng(segment)
+            yield from iter_pcapng(present(segment))
         return
     require_regular(path)
     with Content(path) as file:

@@ -18,12 +18,13 @@ from itertools import chain
 from pathlib import Path
 
 from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, recorded_channel
+from coulombus.recording.capture import Capture
 from coulombus.recording.host_telemetry import NAME as INSIDE
 from coulombus.recording.host_telemetry import inside_pdos, of_axis
 from coulombus.recording.log_files import LogError, is_log, read_log
 from coulombus.recording.maps.eds_files import eds_files
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
-from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
+from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
 from coulombus.recording.remarks import remarks_on
 from coulombus.recording.signals import GIVE_RIG, Recording, Source, decode, epoch_of, left_out_of, markers_of
 from coulombus.recording.unwrap import Turns

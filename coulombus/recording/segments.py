@@ -3,15 +3,15 @@
 ::
 
     DIR/000007-20261122T200412Z/          the seventh run here, with its start time
-        000001.pcapng                     a whole recording: Wireshark and `read` open it alone
-        000002.pcapng
-        index.jsonl                       a line for each segment that begins, ends, or is removed
+        000001.pcapng.zst                 a whole recording: Wireshark and `read` open it alone
+        000002.pcapng                     the segment in writing is never compressed
+        index.jsonl                       a line for each segment that begins, ends, is compressed or removed
 
 The numbers define the order, even if the clock is set back. A killed process leaves a readable
 file, because each write consists of complete blocks. Space is pre-allocated without a change of the
 file's length, so that a full disk is noticed early; the rest is freed at the segment's end. A
 thread syncs the files to disk every few seconds, because a sync may take longer than the host can
-wait.
+wait. A process compresses finished segments (`recording.segment_compressor`).
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from coulombus.recording.folders import runs, segments_of
+from coulombus.recording.folders import INDEX, files_of, runs, segments_of
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import About, Recorder
+from coulombus.recording.segment_compressor import SegmentCompressor
 from coulombus.recording.wall_clock import utc
 from coulombus.rigs.rig import Rig
 from coulombus.system.c_library import c_library
@@ -40,7 +41,6 @@ from coulombus.wire.frame import Records
 
 __all__ = ["INDEX", "Rotation", "SegmentedRecorder", "parse_rotation", "parse_size", "reserve"]
 
-INDEX = "index.jsonl"
 ATTEMPTS = 100
 RESERVED = 16 << 20
 FLUSH_S = 5.0
@@ -61,12 +61,15 @@ class Rotation:
     Attributes
     ----------
     most_bytes, most_s : size and duration at which a segment ends; None: unlimited
-    keep_bytes : limit of all segments in the folder, beyond which the oldest are removed; None: unlimited
+    keep_bytes : limit of all segments in the folder, as they are on the disk, beyond which the oldest are
+        removed; None: unlimited
+    compress : whether finished segments are compressed
     """
 
     most_bytes: int | None = 100 * 10**6
     most_s: float | None = None
     keep_bytes: int | None = None
+    compress: bool = False
 
 
 def parse_size(text: str) -> int:
@@ -162,7 +165,7 @@ class SegmentedRecorder(Recorder):
         self._number, self._begun_ns, self._last_ns, self._frames = 1, -1, 0, 0
         self._reserved, self._told_s = 0, time.monotonic()
         self._step = min(RESERVED, rotation.most_bytes or RESERVED)
-        self._index = -1
+        self._index, self._largest = -1, 0
         try:
             self._index = os.open(self.run / INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
             with suppress(OSError):  # a file system without locks: the run cannot be detected as active
@@ -177,6 +180,7 @@ class SegmentedRecorder(Recorder):
                 raise
             raise RecordingError(f"{self.run}: the recording cannot be created ({error.strerror})") from error
         self._flusher = _Flusher()
+        self._compressor = SegmentCompressor(folder) if rotation.compress else None
         self._note("begun", segment=self._segment.name)
         self._make_room()
 
@@ -230,7 +234,10 @@ class SegmentedRecorder(Recorder):
         self._flusher.flush(writer.fileno())
         times = {} if self._begun_ns < 0 else {"first_ns": self._begun_ns, "last_ns": self._last_ns}
         name, frames = self._segment.name, writer.frames
+        self._largest = max(self._largest, size)
         writer.close()
+        if self._compressor is not None:
+            self._compressor.add(self._segment)
         self._note("ended", segment=name, frames=frames, bytes=size, **times)
 
     def _note(self, event: str, **values: Any) -> None:
@@ -257,9 +264,10 @@ class SegmentedRecorder(Recorder):
         keep = self.rotation.keep_bytes
         if keep is None:
             return False
-        old = [path for run in runs(self.folder) for path in segments_of(run) if path not in self._present(run)]
+        old = [path for run in runs(self.folder) for path in files_of(run) if path not in self._present(run)]
         sizes = [_size(path) for path in old]
-        surplus = max(sum(sizes) + (self.rotation.most_bytes or max(sizes, default=0)) - keep, more)
+        coming = self.rotation.most_bytes or max(*sizes, self._largest, 0)
+        surplus = max(sum(sizes) + coming - keep, more)
         freed = 0
         for path, size in zip(old, sizes, strict=True):
             if freed >= surplus:
@@ -268,7 +276,7 @@ class SegmentedRecorder(Recorder):
                 path.unlink()
                 freed += size
                 self._note("removed", segment=str(path.relative_to(self.folder)), bytes=size)
-                if path.parent != self.run and not segments_of(path.parent):
+                if path.parent != self.run and not files_of(path.parent):
                     (path.parent / INDEX).unlink(missing_ok=True)
                     path.parent.rmdir()
         return freed > 0
@@ -290,6 +298,8 @@ class SegmentedRecorder(Recorder):
             os.close(self._index)
             self._index = -1
             self._flusher.close()
+            if self._compressor is not None:
+                self._compressor.close()
 
 
 def _lives(run: Path) -> bool:

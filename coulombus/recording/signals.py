@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Any, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.capture import Capture
 from coulombus.recording.host_telemetry import of_axis
 from coulombus.recording.log_files import WALL_CLOCK_NS
-from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.pdo_columns import PdoTable, bare_tables, behind, rig_tables, table_of
 from coulombus.recording.remarks import UNSURE, remarks_on
 from coulombus.recording.signal_names import UnknownSignal, are_texts, one_signal, signal_of

@@ -26,8 +26,9 @@ from hypothesis import strategies as st
 
 import coulombus.recording.pcapng_reader
 import coulombus.recording.pcapng_writer
+from coulombus.recording.capture import Capture
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError, attachment_block
-from coulombus.recording.pcapng_reader import Capture, read_pcapng
+from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
 from places import ROOT

@@ -282,6 +282,8 @@ def test_what_is_no_rotation_is_refused(text):
         "--keep 20 --record DIR",
         "--rotate 1h",
         "--keep 20GB",
+        "--compress zstd",
+        "--compress gzip --record DIR",
         "--rotate 1h --record DIR/f.pcapng",
         "--record DIR/none",
         "--rotate 100MB --keep 150MB --record DIR",
