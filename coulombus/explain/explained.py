@@ -25,7 +25,7 @@ from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
 from coulombus.recording.bus_match import Channel, channel_texts, one_bus
-from coulombus.recording.capture import Capture
+from coulombus.recording.file_content import Capture
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.seen_maps import maps_of_rig
 from coulombus.recording.reading import HOST, RIG, captures

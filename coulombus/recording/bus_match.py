@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from coulombus.recording.capture import Capture
+from coulombus.recording.file_content import Capture
 from coulombus.rigs.arguments import WrongCall
 from coulombus.system.errors import CoulombusError
 

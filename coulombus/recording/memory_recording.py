@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.capture import Capture
+from coulombus.recording.file_content import Capture
 from coulombus.recording.measures import MEASURED
 from coulombus.recording.pdo_columns import signals_of
 from coulombus.recording.recorder import Markers

@@ -19,7 +19,7 @@ import numpy as np
 
 from coulombus.eds.regular_file import require_regular
 from coulombus.kernels.decorator import kernel
-from coulombus.recording.capture import Capture
+from coulombus.recording.file_content import Capture
 from coulombus.recording.folders import present, segments
 from coulombus.recording.logs.content import Content
 from coulombus.recording.pcapng_blocks import (

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.pdo import Entry
-from coulombus.recording.capture import Capture
+from coulombus.recording.file_content import Capture
 from coulombus.recording.unwrap import POSITION, Turns, fastest, follow
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal

@@ -18,7 +18,7 @@ from itertools import chain
 from pathlib import Path
 
 from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, recorded_channel
-from coulombus.recording.capture import Capture
+from coulombus.recording.file_content import Capture
 from coulombus.recording.host_telemetry import NAME as INSIDE
 from coulombus.recording.host_telemetry import inside_pdos, of_axis
 from coulombus.recording.log_files import LogError, is_log, read_log

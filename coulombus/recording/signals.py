@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.capture import Capture
+from coulombus.recording.file_content import Capture
 from coulombus.recording.host_telemetry import of_axis
 from coulombus.recording.log_files import WALL_CLOCK_NS
 from coulombus.recording.pdo_columns import PdoTable, bare_tables, behind, rig_tables, table_of

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 
 import coulombus.recording.pcapng_reader
 import coulombus.recording.pcapng_writer
-from coulombus.recording.capture import Capture
+from coulombus.recording.file_content import Capture
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError, attachment_block
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
