@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -39,7 +38,7 @@ def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tup
     """
     with errors():
         from coulombus.monitor.decode import as_json as as_json_line
-        from coulombus.monitor.decode import as_text, bare_rows, fitted, rows
+        from coulombus.monitor.decode import as_text, bare_rows, fitted, rows, text_lines
         from coulombus.recording.maps.eds_files import eds_files
         from coulombus.recording.reading import blocks, has_rig
         from coulombus.rigs.rig import load_rig
@@ -50,16 +49,20 @@ def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tup
         recording = None
         if not bare:
             recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name), channel=channels)
+            recording.inside = ()  # frames of the host's telemetry were on no bus
         files = eds_files(eds)
         remark(files.refused)
         out = sys.stdout
         width = columns_of(out)
 
-        def line(row: dict[str, Any]) -> str:
-            text = as_json_line(row) if as_json else printable(as_text(row))
-            return text if as_json or width is None else fitted(text, width)
+        def written(text: str) -> str:
+            return text + "\n" if as_json or width is None else fitted(text, width) + "\n"
 
-        for row in bare_rows(file, channels, files) if recording is None else rows(recording):
-            out.write(line(row) + "\n")
+        if recording is not None and not as_json:
+            for lines in text_lines(recording):
+                out.writelines(map(written, lines))
+        else:
+            for row in bare_rows(file, channels, files) if recording is None else rows(recording):
+                out.write(written(as_json_line(row) if as_json else printable(as_text(row))))
         out.flush()
         remark(() if recording is None else recording.remarks)

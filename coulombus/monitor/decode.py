@@ -3,7 +3,7 @@
 Every row has `t_s`, `can_id`, `node` (a name of the rig, a node id's number as text, or None) and
 `pdo` ("TPDO1" or None). A PDO of the rig adds its signals by name in SI units; any other frame adds
 `service`, `data` (hexadecimal) and the decoded service; a comment adds `marker`, a rig with several
-buses `bus`.
+buses `bus`. `text_lines` prints the PDOs of a block as whole columns, without a dict for each.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ from coulombus.recording.reading import captures
 from coulombus.recording.signals import Recording, Source, epoch_of
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
+from coulombus.system.foreign_text import printable
 from coulombus.wire.error_frames import error_frame
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
-__all__ = ["Row", "as_json", "as_text", "bare_rows", "fitted", "rows"]
+__all__ = ["Row", "as_json", "as_text", "bare_rows", "fitted", "rows", "text_lines"]
 
 NODE_ID = 0x7F
 FUNCTION = 0x780
@@ -50,6 +51,8 @@ TEXT_SHOWN = 64
 """Shown characters of an object's text; JSON has all of it."""
 INDENT = 26
 """Column of continuation lines: under the node's name."""
+MOST_KEPT = 4096
+"""Texts of frames that are kept, because most services come again."""
 BETWEEN_ITEMS = re.compile(r"(?<=\S)  (?=\w+=)")
 
 
@@ -65,18 +68,14 @@ def rows(recording: Source) -> Iterator[Row]:
 
 
 def _block_rows(block: Recording, services: Mapping[str, _Services]) -> Iterator[Row]:
-    frames = block.frames
-    first, *_ = services.values()
-    channels = block.capture.channels or ()
-    of_source = [services.get(channel, first) for channel in channels]
+    frames, channels = block.frames, block.capture.channels or ()
+    first, of_source = _of_sources(block, services)
     table_of = np.full(len(frames), -1, np.int64)
     tables = [table for table in block.tables if not table.inside]
     for number, table in enumerate(tables):
         table_of[table.rows] = number
     pdos = [_pdo_rows(table) for table in tables]
-    comments: dict[int, str] = {}
-    for row, text in block.capture.comments:
-        comments[row] = f"{comments[row]}; {text}" if row in comments else text
+    comments = _comments(block)
     columns = (block.t_s, frames["can_id"], frames["length"], frames["word"], frames["source"], table_of)
     for i, (t_s, can_id, length, word, source, number) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
         if number >= 0:
@@ -88,8 +87,23 @@ def _block_rows(block: Recording, services: Mapping[str, _Services]) -> Iterator
         if channels:
             row_of_frame["bus"] = channels[source]
         if i in comments:
-            row_of_frame["marker"] = comments[i].replace("\n", "; ")
+            row_of_frame["marker"] = comments[i]
         yield row_of_frame
+
+
+def _of_sources(block: Recording, services: Mapping[str, _Services]) -> tuple[_Services, list[_Services]]:
+    """Return the services of the first bus, and those of each source of a rig with several buses."""
+    first, *_ = services.values()
+    return first, [services.get(channel, first) for channel in block.capture.channels or ()]
+
+
+def _comments(block: Recording) -> dict[int, str]:
+    """Return the comment of each row that has any, in one line."""
+    comments: dict[int, str] = {}
+    for row, text in block.capture.comments:
+        text = text.replace("\n", "; ")
+        comments[row] = f"{comments[row]}; {text}" if row in comments else text
+    return comments
 
 
 def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
@@ -98,6 +112,66 @@ def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
     head = (table.pdo.node, table.pdo.name)
     for values in zip(*(column.tolist() for column in table.columns), strict=True):
         yield zip(names, head + values, strict=True)
+
+
+def text_lines(recording: Source) -> Iterator[list[str]]:
+    """Yield the `printable` lines of each block: `as_text` of each of its `rows`."""
+    rig = recording.rig
+    services = {channel: _Services(rig.on(channel)) for channel in rig.channels}
+    kept: dict[tuple[int, int, int, int], str] = {}
+    for block in recording:
+        if len(block.frames):
+            yield _block_lines(block, services, kept)
+
+
+def _block_lines(
+    block: Recording, services: Mapping[str, _Services], kept: dict[tuple[int, int, int, int], str]
+) -> list[str]:
+    frames, channels = block.frames, block.capture.channels or ()
+    first, of_source = _of_sources(block, services)
+    times = block.t_s
+    lines: list[str] = [""] * len(frames)
+    is_pdo = np.zeros(len(frames), bool)
+    for table in block.tables:
+        if table.inside or not len(table.rows):
+            continue
+        is_pdo[table.rows] = True
+        row: Row = {"t_s": 0.0, "can_id": table.pdo.layout.cob_id, "node": table.pdo.node, "pdo": table.pdo.name}
+        bus = f"  bus={channels[frames['source'][table.rows[0]]]}" if channels else ""
+        template = printable(_row_template(row, table) + bus.replace("%", "%%")).rstrip()
+        columns = (times[table.rows].tolist(), *(column.tolist() for column in table.columns))
+        for i, values in zip(table.rows.tolist(), zip(*columns, strict=True), strict=True):
+            lines[i] = template % values
+    others = np.flatnonzero(~is_pdo)
+    names = ("can_id", "length", "word", "source")
+    keys = zip(*(frames[name][others].tolist() for name in names), strict=True)
+    for i, t_s, key in zip(others.tolist(), times[others].tolist(), keys, strict=True):
+        text = kept.get(key)
+        if text is None:
+            can_id, length, word, source = key
+            row = (of_source[source] if of_source else first).row(t_s, can_id, length, word)
+            if channels:
+                row["bus"] = channels[source]
+            text = printable(as_text(row))[len(_time_text(t_s)) :]
+            if "phase" not in row and row.get("service") != "SDO":  # an SDO frame depends on those before it
+                if len(kept) >= MOST_KEPT:
+                    kept.clear()
+                kept[key] = text
+        lines[i] = _time_text(t_s) + text
+    for i, text in _comments(block).items():
+        lines[i] = printable(f"{lines[i]}  # {text}").rstrip()
+    return lines
+
+
+def _row_template(row: Row, table: PdoTable) -> str:
+    """Return the ``%`` template of the lines of one PDO: its time, and its values."""
+    items = []
+    for signal, column in zip(table.pdo.signals, table.columns, strict=True):
+        name = signal.name.rpartition(".")[2].replace("%", "%%")
+        is_float = column.dtype.kind == "f"
+        value = f"%+{WIDTH}.5f" if is_float else f"0x%{HEXADECIMAL[name]}" if name in HEXADECIMAL else "%d"
+        items.append(f"{name}={value}")
+    return "%14.6f" + _head(row)[len(_time_text(0.0)) :].replace("%", "%%") + " " + "  ".join(items)
 
 
 def bare_rows(path: Path, channel: Channel, eds: EdsFiles) -> Iterator[Row]:
@@ -236,9 +310,7 @@ def as_text(row: Row) -> str:
 
             1.004321  181  motor  TPDO1      statusword=0x0237      position_rad=   +0.12345  torque_Nm=   -0.00173
     """
-    can_id = f"{row['can_id']:08X}" if row.get("extended") else f"{row['can_id']:03X}"
-    what = row["pdo"] or row["service"]
-    line = f"{row['t_s']:14.6f}  {can_id:>8}  {row['node'] or '-':<6} {what:<10}"
+    line = _head(row)
     if row.get("remote"):
         line += f" remote request, {row['length']} bytes"
     elif row.get("service") == "error":
@@ -253,6 +325,17 @@ def as_text(row: Row) -> str:
     if "marker" in row:
         line = f"{line.rstrip()}  # {row['marker']}"
     return line.rstrip()
+
+
+def _time_text(t_s: float) -> str:
+    return f"{t_s:14.6f}"
+
+
+def _head(row: Row) -> str:
+    """Return the columns before the content."""
+    can_id = f"{row['can_id']:08X}" if row.get("extended") else f"{row['can_id']:03X}"
+    what = row["pdo"] or row["service"]
+    return f"{_time_text(row['t_s'])}  {can_id:>8}  {row['node'] or '-':<6} {what:<10}"
 
 
 def fitted(line: str, width: int) -> str:
