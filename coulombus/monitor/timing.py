@@ -1,21 +1,22 @@
 """Timing of frames: rate and jitter of each identifier, and the delay of each PDO after SYNC.
 
 The period of an identifier is the median of the times between its frames. The jitter of a frame is
-the deviation of its interval from that. All times are the frames' own stamps.
+the deviation of its interval from that. All times are the frames' own stamps. Intervals and delays
+are counted, not kept, so that the memory does not grow with a recording.
 """
 
 from __future__ import annotations
 
 import time
-from array import array
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId
+from coulombus.monitor.time_counts import TimeCounts
 from coulombus.recording.bus_match import Channel, channel_texts, one_bus
 from coulombus.recording.reading import captures
 from coulombus.recording.signals import Source
@@ -31,6 +32,8 @@ __all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recor
 Integers = npt.NDArray[np.int64]
 FLAGS = CAN_ERR_FLAG | CAN_RTR_FLAG
 WAIT_S = 0.1
+MOST_WAITING = 4096
+"""Frames of a live bus that wait to be counted."""
 NAMES = {int(service): service.name for service in CobId}
 FUNCTION = 0x780
 PDOS = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
@@ -51,12 +54,11 @@ class Spread:
     max_us: float
 
     @classmethod
-    def of(cls, times_ns: Integers) -> Spread | None:
+    def of(cls, times_ns: TimeCounts) -> Spread | None:
         """Return the spread of the times; None without times."""
         if not len(times_ns):
             return None
-        p50, p99, most = np.percentile(times_ns, (50, 99, 100)) / 1e3
-        return cls(float(p50), float(p99), float(most))
+        return cls(*(time_ns / 1e3 for time_ns in times_ns.percentiles((50, 99, 100))))
 
 
 @dataclass(frozen=True)
@@ -75,29 +77,56 @@ class Timing:
     from_sync: Spread | None
 
 
+@dataclass
+class _Line:
+    """Stamps of one identifier: the first, the last, their number; intervals, and delays after the last SYNC."""
+
+    first_ns: int
+    last_ns: int
+    frames: int = 0
+    gaps: TimeCounts = field(default_factory=TimeCounts)
+    delays: TimeCounts = field(default_factory=TimeCounts)
+
+
 class Stamps:
     """The stamps [ns] of each identifier, in order of arrival."""
 
     def __init__(self) -> None:
-        self.of: dict[int, array[int]] = {}
+        self._of: dict[int, _Line] = {}
+        self._sync_ns = np.zeros(0, np.int64)
+        """The last SYNC so far, if any."""
+        self._waiting: list[tuple[int, int]] = []
+
+    @property
+    def of(self) -> Mapping[int, _Line]:
+        """The stamps of each identifier."""
+        self._flush()
+        return self._of
 
     def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
         """Add frames of a live bus, as `wire.client.Client.receive` returns them."""
-        for t_ns, can_id, _, _ in received:
-            if not can_id & FLAGS:
-                self._line(can_id).append(t_ns)
+        self._waiting += [(t_ns, can_id) for t_ns, can_id, _, _ in received]
+        if len(self._waiting) > MOST_WAITING:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._waiting:
+            t_ns, can_ids = np.array(self._waiting, np.int64).T
+            self._waiting = []
+            self.take_all(t_ns, can_ids)
 
     def take_all(self, t_ns: Integers, can_ids: Integers) -> None:
         """Add frames of a recording."""
+        syncs = np.concatenate((self._sync_ns, t_ns[can_ids == CobId.SYNC]))
+        self._sync_ns = syncs[-1:]
         for can_id in np.unique(can_ids).tolist():
             if not can_id & FLAGS:
-                self._line(can_id).frombytes(t_ns[can_ids == can_id].astype(np.int64).tobytes())
-
-    def _line(self, can_id: int) -> array[int]:
-        line = self.of.get(can_id)
-        if line is None:
-            line = self.of[can_id] = array("q")
-        return line
+                times = t_ns[can_ids == can_id]
+                line = self._of.setdefault(can_id, _Line(int(times[0]), int(times[0])))
+                line.gaps.add(np.diff(times, prepend=line.last_ns)[0 if line.frames else 1 :])
+                line.delays.add(_delays(times, syncs))
+                line.frames += len(times)
+                line.last_ns = int(times[-1])
 
 
 def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
@@ -152,24 +181,21 @@ def recorded_bare(path: Path, channel: Channel) -> Stamps:
 
 def timing(rig: Rig | None, stamps: Stamps) -> tuple[Timing, ...]:
     """Return the timing of each identifier, the lowest first; without a rig, nodes are numbers."""
-    syncs = np.array(stamps.of.get(int(CobId.SYNC), ()), np.int64)
     pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in (() if rig is None else rig.pdos())}
     nodes = {} if rig is None else {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
     timings = []
     for can_id, line in sorted(stamps.of.items()):
-        t_ns = np.array(line, np.int64)
-        gaps = np.diff(t_ns)
-        period = float(np.median(gaps)) if len(gaps) else None
-        span_s = (t_ns[-1] - t_ns[0]) / 1e9
+        period = line.gaps.median() if len(line.gaps) else None
+        span_s = (line.last_ns - line.first_ns) / 1e9
         timings.append(
             Timing(
                 can_id=can_id & ~CAN_EFF_FLAG,
                 name=pdos.get(can_id) or _name(can_id, nodes),
-                frames=len(t_ns),
-                rate_per_s=float(len(gaps) / span_s) if span_s > 0 else None,
+                frames=line.frames,
+                rate_per_s=float(len(line.gaps) / span_s) if span_s > 0 else None,
                 period_ms=None if period is None else period / 1e6,
-                jitter=None if period is None else Spread.of(np.abs(gaps - period).astype(np.int64)),
-                from_sync=Spread.of(_delays(t_ns, syncs))
+                jitter=None if period is None else Spread.of(line.gaps.distances(period)),
+                from_sync=Spread.of(line.delays)
                 if can_id in pdos or (rig is None and can_id & FUNCTION in PDOS)
                 else None,
             )

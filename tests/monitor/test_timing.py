@@ -113,5 +113,5 @@ def test_listening_to_a_bus(private_sockets, monkeypatch):
 
         monkeypatch.setattr("coulombus.monitor.timing.StopSignals", Heard)
         stamps, lost = listen(parse_address("coulombus:t"), 0.05)
-    assert {can_id: len(line) for can_id, line in stamps.of.items()} == {0x080: 20, 0x181: 20}
+    assert {can_id: line.frames for can_id, line in stamps.of.items()} == {0x080: 20, 0x181: 20}
     assert lost == 3
