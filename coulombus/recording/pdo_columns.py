@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,8 +26,10 @@ Integers: TypeAlias = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class PdoTable:
     """The frames of one PDO: their rows in `Recording.frames`, their stamps, their places in the
-    file's order, and one column of SI values per signal. Rows of the host's telemetry (`inside`)
-    are rows in `Capture.inside`.
+    file's order, and their data words. Rows of the host's telemetry (`inside`) are rows in
+    `Capture.inside`.
+
+    A column is decoded when it is asked for; only that of a position, which continues, is always.
     """
 
     pdo: RigPdo
@@ -34,10 +37,24 @@ class PdoTable:
     rows: Integers
     t_ns: Integers
     order: Integers
-    columns: tuple[Array, ...]
+    words: Integers
     malformed: int
+    positions: Mapping[str, Array]
+    """The unwrapped column of a position, by its name."""
     turns: Mapping[str, Turns]
     inside: bool = False
+
+    def column(self, signal: Signal) -> Array:
+        """Return the SI values of one of the PDO's signals."""
+        if signal.name in self.positions:
+            return self.positions[signal.name]
+        place = self.pdo.signals.index(signal)
+        return _si(decode_field(self.words, self.pdo.layout.starts[place], self.pdo.layout.entries[place]), signal)
+
+    @cached_property
+    def columns(self) -> tuple[Array, ...]:
+        """One column of SI values per signal."""
+        return tuple(map(self.column, self.pdo.signals))
 
 
 def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig | None, before: Mapping[str, Turns]) -> PdoTable:
@@ -46,9 +63,10 @@ def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig | None, b
     came = np.flatnonzero(can_ids == layout.cob_id)
     rows = came[frames["length"][came] == layout.length]
     words, stamps = frames["word"][rows], frames["t_ns"][rows]
-    signals, turns = signals_of(pdo, words, stamps, rig, before)
-    columns = tuple(values for _, values in signals)
-    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, stamps, 2 * rows, columns, len(came) - len(rows), turns)
+    signals, turns = signals_of(pdo, words, stamps, rig, before, () if rig is None else (POSITION,))
+    positions = {signal.name: values for signal, values in signals}
+    name, malformed = f"{pdo.node}.{pdo.name}", len(came) - len(rows)
+    return PdoTable(pdo, name, rows, stamps, 2 * rows, words, malformed, positions, turns)
 
 
 def rig_tables(capture: Capture, can_ids: Integers, rig: Rig, before: Mapping[str, Turns]) -> Iterator[PdoTable]:

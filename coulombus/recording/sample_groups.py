@@ -118,10 +118,9 @@ def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
     rows = []
     for group in groups:
         table = tables[group.name]
-        columns = dict(zip((s.name for s in table.pdo.signals), table.columns, strict=True))
-        rows.append(
-            Rows(table.order, table.t_ns - block.epoch_ns, tuple(columns[column.name] for column in group.columns))
-        )
+        signals = {signal.name: signal for signal in table.pdo.signals}
+        columns = tuple(table.column(signals[column.name]) for column in group.columns)
+        rows.append(Rows(table.order, table.t_ns - block.epoch_ns, columns))
     placed = tuple(
         (2 * row, (int(block.frames["t_ns"][row]) - block.epoch_ns) / 1e9, line)
         for row, text in block.capture.comments
@@ -178,9 +177,9 @@ def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:
             continue
         t_ns = block.frames["t_ns"] - block.epoch_ns
         for table in block.tables:
-            for signal, values in zip(table.pdo.signals, table.columns, strict=True):
+            for signal in table.pdo.signals:
                 if signal.name in held:
-                    held[signal.name].add(table.t_ns - block.epoch_ns, values)
+                    held[signal.name].add(table.t_ns - block.epoch_ns, table.column(signal))
         if following is None:
             following = -(-int(t_ns[0]) // grid_ns)
         until = max(until, int(t_ns.max()))

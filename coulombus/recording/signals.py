@@ -82,6 +82,30 @@ class Series:
         return np.append(self.values.astype(np.float64), before)[last]  # -1: the appended value
 
 
+class _SignalsOfTables(Mapping[str, Series]):
+    """The signals of PDOs by name, each decoded when it is asked for."""
+
+    def __init__(self, tables: Sequence[PdoTable], epoch_ns: int) -> None:
+        self._places = {signal.name: (table, signal) for table in tables for signal in table.pdo.signals}
+        self._epoch_ns = epoch_ns
+        self._times: dict[str, Floats] = {}
+        self._series: dict[str, Series] = {}
+
+    def __getitem__(self, name: str) -> Series:
+        if name not in self._series:
+            table, signal = self._places[name]
+            if table.name not in self._times:
+                self._times[table.name] = (table.t_ns - self._epoch_ns) / 1e9
+            self._series[name] = Series(self._times[table.name], table.column(signal), signal.unit)
+        return self._series[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
 class Source:
     """A source of figures: the recording's blocks in sequence, each a `Recording` with absolute times."""
 
@@ -397,18 +421,13 @@ def decode(
     def at_s(row: int) -> float:
         return float((frames["t_ns"][row] - epoch_ns) / 1e9)
 
-    signals = {}
-    for table in tables:
-        at: Floats = (table.t_ns - epoch_ns) / 1e9
-        for signal, values in zip(table.pdo.signals, table.columns, strict=True):
-            signals[signal.name] = Series(at, values, signal.unit)
     return Recording(
         path=capture.path,
         known_rig=rig,
         capture=capture,
         epoch_ns=epoch_ns,
         tables=tables,
-        signals=MappingProxyType(signals),
+        signals=_SignalsOfTables(tables, epoch_ns),
         markers=[(at_s(row), line) for row, text in capture.comments for line in text.splitlines()],
         malformed=MappingProxyType({table.name: table.malformed for table in tables if not table.inside}),
         before=MappingProxyType(dict(before)),
