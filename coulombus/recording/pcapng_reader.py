@@ -13,12 +13,10 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from coulombus.eds.regular_file import require_regular
-from coulombus.kernels.decorator import kernel
 from coulombus.recording.file_content import Capture
 from coulombus.recording.folders import present, segments
 from coulombus.recording.logs.content import Content
@@ -48,6 +46,8 @@ from coulombus.recording.pcapng_blocks import (
     read_attachment,
 )
 from coulombus.recording.pcapng_packets import BadPacketError, Integers, Interface, Words, column, decode_packets
+from coulombus.recording.pcapng_walk import BAD, END, FULL, SECTION, walk
+from coulombus.recording.time_search import Window, offset_before
 from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["iter_pcapng", "read_pcapng"]
@@ -56,16 +56,17 @@ CHUNK = 1 << 20
 """Bytes read at a time: 22,000 frames, 3.6 s of a rig with one axis at 1 kHz."""
 MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
 """Maximum bytes of all attachments, plus 4 per byte of the file before them: a trace is shorter than its frames."""
+ALL = Window()
 BLOCKS = 1 << 15  # walked at a time
 RESUMED = 1 << 16
 """Maximum bytes of the next block after damage."""
-END, FULL, SECTION, BAD = range(4)
 
 
 @dataclass
 class _Reader:
     path: str
     file: Content
+    window: Window
     data: bytes = b""
     words: Words = field(default_factory=lambda: np.zeros(0, np.uint32))
     base: int = 0
@@ -90,6 +91,8 @@ class _Reader:
     attached: int = 0
     """Bytes of all attachments so far, uncompressed."""
     excessive: bool = False
+    begun: bool = False
+    """Whether a stretch with frames was taken: the first one gives the recording's time 0."""
 
     def more(self, at: int) -> bool:
         """Drop the words before `at` and read more; return whether there was more."""
@@ -104,6 +107,21 @@ class _Reader:
         self.base += size
         self.data = self.data[size:]
         self.words = np.frombuffer(self.data, "<u4", len(self.data) // 4)
+
+    def seek(self) -> None:
+        """Go on shortly before the window, if it is behind what was read of a recording of this project."""
+        last = self.parts[-1]["t_ns"][-1:] if self.parts else ()
+        if self.own and not self.file.packing and len(last) and self.window.is_behind(int(last[0])):
+            self.base = offset_before(self.path, self.base, self.order, self.interfaces, self.window)
+            self.file.seek(self.base)
+            self.data = b""
+
+    def is_earlier(self, packet: Integers) -> bool:
+        """Return whether this packet, the last of some, is before the window of a recording of this project."""
+        if not self.own or self.window.begin_ns is None or not self.begun:
+            return False
+        frames = decode_packets(self.words, packet, self.order, self.interfaces, 0).frames
+        return len(frames) == 1 and self.window.is_behind(int(frames["t_ns"][0]))
 
     def take(self, torn: int = 0) -> Capture:
         """Return the stretch just read, and begin the next."""
@@ -122,12 +140,13 @@ class _Reader:
             inside=np.concatenate([np.zeros(0, FRAME), *self.inside]),
             buses=tuple(self.buses),
         )
+        self.begun = self.begun or len(capture.frames) > 0
         self.inside = []
         self.parts, self.comments, self.attachments, self.warnings, self.skipped = [], [], {}, [], 0
         return capture
 
 
-def iter_pcapng(path: str | Path) -> Iterator[Capture]:
+def iter_pcapng(path: str | Path, window: Window = ALL) -> Iterator[Capture]:
     """Read a pcapng file of SocketCAN frames stretch by stretch, in bounded memory. For a folder
     (`recording.segments`) the segments of its newest run are read as one file.
 
@@ -135,6 +154,9 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
     block, reading continues at the next complete one, and `Capture.warnings` has the bytes between
     them. The last stretch, perhaps without a frame, reports an incomplete last block, which is
     omitted (`Capture.torn`). A file that is still being written is read to its present end.
+
+    With a `window` stretches outside of it may be left out, in recordings of this project, whose
+    stamps rise. The first stretch has the attachments.
 
     Raises
     ------
@@ -145,24 +167,27 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
         It cannot be opened or read.
     """
     if Path(path).is_dir():
-        for segment in _segments(path):
-            yield from iter_pcapng(present(segment))
+        yield from _of_segments(_segments(path), window)
         return
     require_regular(path)
     with Content(path) as file:
-        reader = _Reader(str(path), file)
+        reader = _Reader(str(path), file, window)
         reader.more(0)
         _check_start(reader)
         offsets = np.zeros(BLOCKS, np.int64)
         at, reason = 0, FULL
         while True:
             if reason == END:
-                more, at = reader.more(at), 0
+                reader.leave(4 * at)
+                reader.seek()
+                more, at = reader.more(0), 0
                 if more:
-                    yield reader.take()
+                    yield (capture := reader.take())
+                    if reader.own and len(capture.frames) and window.is_before(int(capture.frames["t_ns"][0])):
+                        return
                 elif not _resume(reader, 0, "a block that does not end"):
                     break
-            count, at, reason = _walk(reader.words, at, int(reader.order == ">"), offsets)
+            count, at, reason = walk(reader.words, at, int(reader.order == ">"), offsets)
             _take(reader, offsets[:count])
             if reason == SECTION:
                 at, reason = _section(reader, at)
@@ -174,6 +199,29 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
         reader.warnings.append(f"{reader.path}: {file.broken}: what stood behind is not known")
     _check_linktypes(reader)
     yield reader.take(reader.torn)
+
+
+def _of_segments(paths: list[Path], window: Window) -> Iterator[Capture]:
+    """Yield the stretches of a run's segments, from the last that begins before the window on."""
+    first, end = 0, len(paths)
+    while window.begin_ns is not None and end - first > 1:
+        middle = (first + end) // 2
+        begin_ns = _first_ns(paths[middle])
+        if begin_ns is not None and window.is_behind(begin_ns):
+            first = middle
+        else:
+            end = middle
+    for path in paths[first:]:
+        for capture in iter_pcapng(present(path), window):
+            yield capture
+            if len(capture.frames) and window.is_before(int(capture.frames["t_ns"][0])):
+                return
+
+
+def _first_ns(path: Path) -> int | None:
+    """Return the first stamp of a segment; None if it has no frame."""
+    stamps = (int(capture.frames["t_ns"][0]) for capture in iter_pcapng(present(path)) if len(capture.frames))
+    return next(stamps, None)
 
 
 def _segments(path: str | Path) -> list[Path]:
@@ -207,41 +255,6 @@ def read_pcapng(path: str | Path) -> Capture:
         warnings=tuple(text for part in parts for text in part.warnings),
         inside=np.concatenate([part.inside for part in parts]),
     )
-
-
-@kernel
-def _swapped(word: int) -> int:
-    return (word & 0xFF) << 24 | (word & 0xFF00) << 8 | (word >> 8) & 0xFF00 | word >> 24
-
-
-@kernel
-def _walk(words: Words, at: int, swap: int, offsets: Integers) -> tuple[int, int, int]:
-    """Note where blocks begin (in words), from `at` on.
-
-    Return their number, the stop position, and its reason.
-    """
-    size = words.shape[0]
-    count = 0
-    while True:
-        if size - at < 3:
-            return count, at, END
-        if np.int64(words[at]) == 0x0A0D0D0A:
-            return count, at, SECTION
-        if count == offsets.shape[0]:
-            return count, at, FULL
-        length: Any = np.int64(words[at + 1])
-        if swap:
-            length = _swapped(length)
-        if length < 12 or length % 4 != 0 or length > 0x1000000:
-            return count, at, BAD
-        after = at + length // 4
-        if after > size:
-            return count, at, END
-        if words[after - 1] != words[at + 1]:
-            return count, at, BAD
-        offsets[count] = at
-        count += 1
-        at = after
 
 
 def _check_start(reader: _Reader) -> None:
@@ -361,7 +374,7 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         elif kind in (PACKET, SIMPLE_PACKET):
             reader.skipped += 1
     packets = offsets[kinds == ENHANCED_PACKET]
-    if not len(packets):
+    if not len(packets) or reader.is_earlier(packets[-1:]):
         return
     try:
         decoded = decode_packets(reader.words, packets, reader.order, reader.interfaces, reader.earlier)

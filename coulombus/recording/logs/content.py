@@ -86,6 +86,12 @@ class Content:
         self.given += min(count, size)
         return whole[:count]
 
+    def seek(self, offset: int) -> None:
+        """Go on at an offset of a file that is not compressed."""
+        with naming(self._path):
+            self._file.seek(offset)
+        self._waiting = b""
+
     def rest(self) -> int:
         """Skip to the end; return the number of bytes skipped."""
         count = 0
