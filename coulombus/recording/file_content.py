@@ -2,14 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from coulombus.wire.frame import FRAME, Records
 
-__all__ = ["Capture"]
+__all__ = ["Capture", "joined"]
+
+
+def joined(path: str | Path, parts: Sequence[Capture]) -> Capture:
+    """Return the content of a file from that of its stretches."""
+    first = np.cumsum([0, *(len(part.frames) for part in parts)]).tolist()
+    attachments: dict[str, bytes] = {}
+    for part in parts:
+        attachments |= part.attachments
+    return replace(
+        parts[-1],
+        path=str(path),
+        torn=sum(part.torn for part in parts),
+        frames=np.concatenate([part.frames for part in parts]),
+        comments=[(row + at, text) for row, part in zip(first, parts, strict=False) for at, text in part.comments],
+        attachments=attachments,
+        skipped=sum(part.skipped for part in parts),
+        warnings=tuple(text for part in parts for text in part.warnings),
+        inside=np.concatenate([part.inside for part in parts]),
+    )
 
 
 @dataclass(frozen=True)
@@ -41,6 +62,12 @@ class Capture:
     """Name of the bus of each `source`, as in the file; "" for an interface without a bus."""
     channels: tuple[str, ...] | None = None
     """The rig's bus of each `source` (`recording.bus_match`); None: the rig's only bus."""
+
+    def part(self, rows: npt.NDArray[np.bool_], inside: npt.NDArray[np.bool_]) -> Capture:
+        """Return the content with some of the frames, and of those of the host's telemetry; comments of others are left out."""
+        places = np.cumsum(rows) - 1
+        comments = [(int(places[row]), text) for row, text in self.comments if rows[row]]
+        return replace(self, frames=self.frames[rows], comments=comments, inside=self.inside[inside])
 
     def frames_on(self, channel: str) -> npt.NDArray[np.bool_]:
         """Return whether each frame was on a bus of the rig."""

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from coulombus.eds.regular_file import require_regular
-from coulombus.recording.file_content import Capture
+from coulombus.recording.file_content import Capture, joined
 from coulombus.recording.folders import present, segments
 from coulombus.recording.logs.content import Content
 from coulombus.recording.pcapng_blocks import (
@@ -47,7 +47,7 @@ from coulombus.recording.pcapng_blocks import (
 )
 from coulombus.recording.pcapng_packets import BadPacketError, Integers, Interface, Words, column, decode_packets
 from coulombus.recording.pcapng_walk import BAD, END, FULL, SECTION, walk
-from coulombus.recording.time_search import Window, offset_before
+from coulombus.recording.time_search import ALL, Window, offset_before
 from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["iter_pcapng", "read_pcapng"]
@@ -56,7 +56,6 @@ CHUNK = 1 << 20
 """Bytes read at a time: 22,000 frames, 3.6 s of a rig with one axis at 1 kHz."""
 MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
 """Maximum bytes of all attachments, plus 4 per byte of the file before them: a trace is shorter than its frames."""
-ALL = Window()
 BLOCKS = 1 << 15  # walked at a time
 RESUMED = 1 << 16
 """Maximum bytes of the next block after damage."""
@@ -110,11 +109,11 @@ class _Reader:
 
     def seek(self) -> None:
         """Go on shortly before the window, if it is behind what was read of a recording of this project."""
-        last = self.parts[-1]["t_ns"][-1:] if self.parts else ()
-        if self.own and not self.file.packing and len(last) and self.window.is_behind(int(last[0])):
+        last = np.concatenate([part["t_ns"] for part in self.parts[-1:]] or [np.zeros(0, np.int64)])
+        if self.own and not self.file.packing and len(last) and self.window.is_behind(int(last[-1])):
             self.base = offset_before(self.path, self.base, self.order, self.interfaces, self.window)
             self.file.seek(self.base)
-            self.data = b""
+            self.data, self.window = b"", ALL
 
     def is_earlier(self, packet: Integers) -> bool:
         """Return whether this packet, the last of some, is before the window of a recording of this project."""
@@ -239,22 +238,7 @@ def read_pcapng(path: str | Path) -> Capture:
 
     Raises as `iter_pcapng`.
     """
-    parts = list(iter_pcapng(path))
-    first = np.cumsum([0, *(len(part.frames) for part in parts)]).tolist()
-    attachments: dict[str, bytes] = {}
-    for part in parts:
-        attachments |= part.attachments
-    return replace(
-        parts[-1],
-        path=str(path),
-        torn=sum(part.torn for part in parts),
-        frames=np.concatenate([part.frames for part in parts]),
-        comments=[(row + at, text) for row, part in zip(first, parts, strict=False) for at, text in part.comments],
-        attachments=attachments,
-        skipped=sum(part.skipped for part in parts),
-        warnings=tuple(text for part in parts for text in part.warnings),
-        inside=np.concatenate([part.inside for part in parts]),
-    )
+    return joined(path, list(iter_pcapng(path)))
 
 
 def _check_start(reader: _Reader) -> None:

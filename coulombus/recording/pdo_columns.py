@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -17,7 +17,16 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
 
-__all__ = ["PdoTable", "bare_tables", "behind", "decode_field", "rig_tables", "signals_of", "table_of"]
+__all__ = [
+    "PdoTable",
+    "bare_tables",
+    "behind",
+    "decode_field",
+    "joined_table",
+    "rig_tables",
+    "signals_of",
+    "table_of",
+]
 
 Array: TypeAlias = npt.NDArray[Any]
 Integers: TypeAlias = npt.NDArray[np.int64]
@@ -67,6 +76,25 @@ def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig | None, b
     positions = {signal.name: values for signal, values in signals}
     name, malformed = f"{pdo.node}.{pdo.name}", len(came) - len(rows)
     return PdoTable(pdo, name, rows, stamps, 2 * rows, words, malformed, positions, turns)
+
+
+def joined_table(parts: Sequence[PdoTable], rows: Sequence[int], frames: Sequence[int]) -> PdoTable:
+    """Return the table of one PDO from those of a file's stretches.
+
+    Parameters
+    ----------
+    rows, frames : for each stretch the number of rows, and of bus frames, before it
+    """
+    positions = {name: np.concatenate([part.positions[name] for part in parts]) for name in parts[0].positions}
+    return replace(
+        parts[-1],
+        rows=np.concatenate([part.rows + first for part, first in zip(parts, rows, strict=False)]),
+        t_ns=np.concatenate([part.t_ns for part in parts]),
+        order=np.concatenate([part.order + 2 * first for part, first in zip(parts, frames, strict=False)]),
+        words=np.concatenate([part.words for part in parts]),
+        malformed=sum(part.malformed for part in parts),
+        positions=positions,
+    )
 
 
 def rig_tables(capture: Capture, can_ids: Integers, rig: Rig, before: Mapping[str, Turns]) -> Iterator[PdoTable]:

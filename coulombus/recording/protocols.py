@@ -91,5 +91,11 @@ class Readable(Protocol):
     def __iter__(self) -> Iterator[Block]:
         """Yield the blocks."""
 
+    def within(self, begin_s: float, end_s: float) -> Readable:
+        """Return a source with all of this stretch of time, and perhaps more."""
+
+    def extent(self) -> tuple[float, float] | None:
+        """Return the times of the first and the last frame [s]; None without a frame."""
+
     def signal(self, name: str) -> Signal:
         """Return the rig's definition of a signal."""

@@ -4,96 +4,42 @@ The meaning of the bits comes from the rig file and the EDS files attached to th
 file without them (candump's, Wireshark's, or one rewritten by editcap) it comes from the given rig,
 else from the log itself (`recording.maps`).
 
-`read` keeps everything: 40 bytes per frame and about 8 for each of its signals. `blocks` streams
-the file, a `Recording` of some seconds at a time, so figures and rows need only bounded memory.
+`read` keeps a short recording: 40 bytes per frame and about 8 for each of its signals. Of a long one
+it reads what is asked for (`recording.long_recording`). `blocks` streams the file, a `Recording` of
+some seconds at a time, so figures and rows need only bounded memory.
 """
 
 from __future__ import annotations
 
 import os
-from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
-from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, recorded_channel
+from coulombus.recording.block_source import HOST, WHOLE, Blocks, Span, bus_match, captures, first_rows, remaps
+from coulombus.recording.bus_match import Channel, channel_texts, recorded_channel
 from coulombus.recording.file_content import Capture
+from coulombus.recording.folders import segments
 from coulombus.recording.host_telemetry import NAME as INSIDE
-from coulombus.recording.host_telemetry import inside_pdos, of_axis
-from coulombus.recording.log_files import LogError, is_log, read_log
+from coulombus.recording.host_telemetry import inside_pdos
+from coulombus.recording.log_files import LogError, is_log
+from coulombus.recording.logs.content import Content
+from coulombus.recording.long_recording import LongRecording
 from coulombus.recording.maps.eds_files import eds_files
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
-from coulombus.recording.remarks import remarks_on
-from coulombus.recording.signals import GIVE_RIG, Recording, Source, decode, epoch_of, left_out_of, markers_of
-from coulombus.recording.unwrap import Turns
+from coulombus.recording.signals import GIVE_RIG, Recording, decode
+from coulombus.recording.span import checked_span
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo
 
-__all__ = ["Blocks", "blocks", "captures", "has_rig", "read"]
+__all__ = ["HOST", "RIG", "Blocks", "blocks", "captures", "has_rig", "read"]
 
+KEPT_BYTES, PACKED_SHARE = 1 << 26, 16
+"""Size of the longest recording that `read` keeps: three minutes of one axis; compressed bytes count as so many."""
 RIG = "rig.toml"
-HOST = "host."  # prefix of attachments that only the host's replay reads: many, and not text
-
-
-@dataclass
-class Blocks(Source):
-    """A streamed recording: each iteration reads the file, a `Recording` of some seconds at a time (see `blocks`)."""
-
-    path: str
-    known_rig: Rig | None
-    remarks: tuple[str, ...] = field(default=(), init=False)
-    """As `Recording.remarks`, of the last completed iteration."""
-
-    axis: str = ""
-    """The axis of this view, with the signals' plain names; "": all axes.
-    """
-
-    inside: tuple[RigPdo, ...] = ()
-    channel: tuple[str, ...] = ()
-    """Bus of the file, as `read` takes it."""
-
-    recorded: str = ""
-    """The rig's bus that the recording names."""
-
-    maps: LogMaps | None = None
-    """Without a rig: PDO maps learned from the log."""
-
-    def __post_init__(self) -> None:
-        self._whole = self.known_rig
-        if self.axis and self._whole is not None:
-            self.known_rig = self._whole.alone(self.axis)
-        self.bare = () if self.maps is None else self.maps.pdos()
-
-    def __iter__(self) -> Iterator[Recording]:
-        epoch_ns, left_out, warnings, turns = None, Counter[str](), list[str](), dict[str, Turns]()
-        match = _match(self.path, self._whole, self.channel, self.recorded)
-        row = 0
-        for capture in map(match.take, captures(self.path)):
-            if epoch_ns is None and len(capture.frames):
-                epoch_ns = epoch_of(capture.frames)
-            begins = _begins(self.maps, self.bare, row)
-            block = decode(capture, self.known_rig, epoch_ns, turns, self.inside, self.bare, begins)
-            row += len(capture.frames)
-            turns |= block.turns
-            if self.axis and self._whole is not None:
-                block = replace(block, markers=markers_of(self.axis, self._whole, block.markers))
-            left_out.update(left_out_of(block))
-            warnings += capture.warnings
-            yield block
-        warnings += [*match.remarks(), *_remaps(self.path, self.maps, self.bare)]
-        self.remarks = remarks_on(self.path, warnings, left_out)
-
-    def seen_by(self, axis: str) -> Blocks:
-        """Return the view of the axis of this name, with the signals' plain names.
-
-        Markers of other axes are left out.
-        """
-        if not axis:
-            return self
-        return Blocks(self.path, self.rig, axis, of_axis(self.inside, axis), self.channel, self.recorded)
 
 
 def read(
@@ -102,8 +48,9 @@ def read(
     channel: Channel = None,
     *,
     eds: Iterable[str] = (),
+    span: Span = WHOLE,
 ) -> Recording:
-    """Read a recording whole.
+    """Read a recording: a short one whole, of a long one what is asked for.
 
     Without an attached or given rig, nodes are numbers, and a signal is named by its PDO and
     object, as ``"5.TPDO1.6064h:00"``, with raw values, if the map is known from SDO configuration
@@ -121,6 +68,9 @@ def read(
         with several buses ``"a=can0"``, or several of these (`recording.bus_match`).
     eds
         EDS files for a log without a rig: ``"5=drive.eds"``, or a folder whose files are matched by identity.
+    span
+        Only the frames from begin to end [s], None: open. Of a recording of this project, whose stamps
+        rise, the rest is not read. A counter of 32 bits is taken to begin without a wrap.
 
     Raises
     ------
@@ -131,21 +81,23 @@ def read(
     coulombus.recording.bus_match.ChannelError
         The file has other buses than the rig, and `channel` does not select them.
     coulombus.rigs.arguments.WrongCall
-        `path` is not a file's name, or `rig` is neither a rig nor its name.
+        `path` is not a file's name, `rig` is neither a rig nor its name, or `span` is no pair of times.
     coulombus.eds.description.EdsError
         An entry of `eds` has neither form, or its file cannot be read.
     """
-    path = path_text(path, "path", 'read("run.pcapng")')
+    path, span = path_text(path, "path", 'read("run.pcapng")'), checked_span(span)
+    if span != WHOLE or _is_long(path):
+        return LongRecording(blocks(path, rig, channel, eds=eds, span=span))
     capture = next(captures(path)) if is_log(path) else read_pcapng(path)
     known = _attached_rig((capture,)) if rig is None else _rig(rig)
     recorded = recorded_channel(capture.attachments)
-    match = _match(path, known, channel_texts(channel), recorded)
+    match = bus_match(path, known, channel_texts(channel), recorded)
     capture = match.take(capture)
     maps = _learned([capture], eds) if known is None else None
     pdos = () if maps is None else maps.pdos()
-    capture = replace(capture, warnings=(*capture.warnings, *match.remarks(), *_remaps(path, maps, pdos)))
+    capture = replace(capture, warnings=(*capture.warnings, *match.remarks(), *remaps(path, maps, pdos)))
     if known is None:
-        return decode(capture, None, bare=pdos, begins=_begins(maps, pdos, 0))
+        return decode(capture, None, bare=pdos, begins=first_rows(maps, pdos, 0))
     return decode(capture, known, inside=_inside(known, recorded, capture.attachments.get(INSIDE)))
 
 
@@ -155,6 +107,7 @@ def blocks(
     channel: Channel = None,
     *,
     eds: Iterable[str] = (),
+    span: Span = WHOLE,
 ) -> Blocks:
     """Return a recording to iterate over, repeatedly, in bounded memory.
 
@@ -165,16 +118,29 @@ def blocks(
     path = path_text(path, "path", 'blocks("run.pcapng")')
     if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
-    texts = channel_texts(channel)
+    texts, span = channel_texts(channel), checked_span(span)
     stretches = captures(path)
     first = next(stretches)  # the description of the telemetry is attached first
     known = _attached_rig(chain([first], stretches)) if rig is None else _rig(rig)
     recorded = recorded_channel(first.attachments)
     if known is None:
-        match = _match(path, None, texts, recorded)
-        return Blocks(path, None, channel=texts, recorded=recorded, maps=_learned(map(match.take, captures(path)), eds))
+        match = bus_match(path, None, texts, recorded)
+        maps = _learned(map(match.take, captures(path)), eds)
+        return Blocks(path, None, channel=texts, recorded=recorded, maps=maps, span=span)
     inside = _inside(known, recorded, first.attachments.get(INSIDE))
-    return Blocks(path, known, inside=inside, channel=texts, recorded=recorded)
+    return Blocks(path, known, inside=inside, channel=texts, recorded=recorded, span=span)
+
+
+def _is_long(path: str) -> bool:
+    """Return whether a recording is too long to be kept; a log of another tool is kept."""
+    paths = segments(Path(path)) if Path(path).is_dir() else [Path(path)]
+    if not Path(path).is_dir() and is_log(path):
+        return False
+    size = 0
+    for part in paths:
+        with Content(part) as content:
+            size += part.stat().st_size * (PACKED_SHARE if content.packing else 1)
+    return size > KEPT_BYTES
 
 
 def has_rig(path: str | Path) -> bool:
@@ -183,20 +149,6 @@ def has_rig(path: str | Path) -> bool:
         if RIG in capture.attachments or len(capture.frames):
             return RIG in capture.attachments
     return False
-
-
-def captures(path: str | Path) -> Iterator[Capture]:
-    """Yield a pcapng file's stretches; another tool's log is a single stretch."""
-    if is_log(path):
-        log = read_log(path)
-        return iter(
-            [
-                Capture(
-                    str(path), log.frames, comments=[], attachments={}, warnings=log.remarks, buses=log.buses or ("",)
-                )
-            ]
-        )
-    return iter_pcapng(path)
 
 
 def _inside(rig: Rig, recorded: str, attached: bytes | None) -> tuple[RigPdo, ...]:
@@ -208,10 +160,6 @@ def _rig(rig: Rig | str | os.PathLike[str]) -> Rig:
     return rig if isinstance(rig, Rig) else load_rig(rig)
 
 
-def _match(path: str, rig: Rig | None, channel: tuple[str, ...], recorded: str) -> BusMatch:
-    return BusMatch.without_rig(path, channel) if rig is None else BusMatch(path, rig.channels, channel, recorded)
-
-
 def _learned(captures: Iterable[Capture], eds: Iterable[str]) -> LogMaps:
     """Return the PDO maps of a log, learned stepwise because a map may change."""
     maps = LogMaps(eds_files(eds))
@@ -219,20 +167,6 @@ def _learned(captures: Iterable[Capture], eds: Iterable[str]) -> LogMaps:
         for start in range(0, len(capture.frames), LEARNED):
             maps.take(capture.frames[start : start + LEARNED])
     return maps
-
-
-def _begins(maps: LogMaps | None, pdos: Iterable[RigPdo], row: int) -> dict[int, int]:
-    """Return the first row of each PDO's map in a stretch that begins at `row`."""
-    return {} if maps is None else {pdo.layout.cob_id: maps.begin(pdo.layout.cob_id) - row for pdo in pdos}
-
-
-def _remaps(path: str, maps: LogMaps | None, pdos: Iterable[RigPdo]) -> Iterator[str]:
-    """Return sentences on PDOs with an earlier map, whose frames are in no signal."""
-    begins = _begins(maps, pdos, 0)
-    for pdo in pdos:
-        begin = begins.get(pdo.layout.cob_id, 0)
-        if begin:
-            yield f"{path}: {pdo.node}.{pdo.name} got another map at frame {begin}: its signals begin there"
 
 
 def _attached_rig(captures: Iterable[Capture]) -> Rig | None:

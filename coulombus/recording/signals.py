@@ -30,6 +30,7 @@ from coulombus.recording.log_files import WALL_CLOCK_NS
 from coulombus.recording.pdo_columns import PdoTable, bare_tables, behind, rig_tables, table_of
 from coulombus.recording.remarks import UNSURE, remarks_on
 from coulombus.recording.signal_names import UnknownSignal, are_texts, one_signal, signal_of
+from coulombus.recording.signal_series import Series, SignalsOfTables
 from coulombus.recording.unwrap import Turns
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import WrongCall
@@ -60,50 +61,6 @@ GIVE_RIG = "give one: read(path, rig=...), or --rig on the command line"
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Series:
-    """One signal: times [s], values in `unit`.
-
-    Bit fields (unit "") are integers, the rest is float64.
-    """
-
-    t_s: Floats
-    values: Array
-    unit: str
-
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-    def held(self, t_s: Floats, before: float) -> Floats:
-        """Return the last value at or before each of the times `t_s` [s]; `before` if there is none."""
-        last = np.searchsorted(self.t_s, t_s, "right") - 1
-        return np.append(self.values.astype(np.float64), before)[last]  # -1: the appended value
-
-
-class _SignalsOfTables(Mapping[str, Series]):
-    """The signals of PDOs by name, each decoded when it is asked for."""
-
-    def __init__(self, tables: Sequence[PdoTable], epoch_ns: int) -> None:
-        self._places = {signal.name: (table, signal) for table in tables for signal in table.pdo.signals}
-        self._epoch_ns = epoch_ns
-        self._times: dict[str, Floats] = {}
-        self._series: dict[str, Series] = {}
-
-    def __getitem__(self, name: str) -> Series:
-        if name not in self._series:
-            table, signal = self._places[name]
-            if table.name not in self._times:
-                self._times[table.name] = (table.t_ns - self._epoch_ns) / 1e9
-            self._series[name] = Series(self._times[table.name], table.column(signal), signal.unit)
-        return self._series[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._places)
 
 
 class Source:
@@ -165,6 +122,15 @@ class Source:
         if self.known_rig is None or not self.known_rig.axis_names:
             return (self,)
         return tuple(self.seen_by(name) for name in self.rig.axis_names)
+
+    def within(self, begin_s: float, end_s: float) -> Source:
+        """Return a source whose blocks have all of this stretch of time, and perhaps more."""
+        return self
+
+    def extent(self) -> tuple[float, float] | None:
+        """Return the times of the first and the last frame [s]; None without a frame."""
+        times = [t for block in self if len(block.frames) for t in (block.t_s[0], block.t_s[-1])]
+        return (float(min(times)), float(max(times))) if times else None
 
     def has(self, name: str) -> bool:
         """Return whether the signal exists: the signal of an absent role is in no PDO."""
@@ -236,16 +202,31 @@ class Recording(Source):
         return self.capture.frames
 
     @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Attached files by name."""
+        return self.capture.attachments
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self.frames)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last frame [s]."""
+        return float(np.ptp(self.t_s)) if len(self.frames) else 0.0
+
+    @property
     def clock(self) -> Mapping[str, Any]:
         """Wall-clock time of time 0, and the synchronisation of that clock
         (`recording.wall_clock`); empty in virtual time.
         """
-        return attached_object(self.capture.attachments.get(CLOCK))
+        return attached_object(self.attachments.get(CLOCK))
 
     @property
     def meta(self) -> Mapping[str, Any]:
         """The user's notes on the recording (``run --meta``)."""
-        return attached_object(self.capture.attachments.get(META))
+        return attached_object(self.attachments.get(META))
 
     @property
     def t_s(self) -> Floats:
@@ -293,8 +274,7 @@ class Recording(Source):
 
     def _summary(self) -> str:
         """Return its length and content as a text."""
-        seconds = float(np.ptp(self.t_s)) if len(self.frames) else 0.0
-        return f"{seconds:.3f} s, {len(self.frames)} frames, {len(self.signals)} signals, {len(self.markers)} markers"
+        return f"{self.duration_s:.3f} s, {self.count} frames, {len(self.signals)} signals, {len(self.markers)} markers"
 
     def to_pandas(self, signals: Sequence[str] | None = None, *, grid_s: float | None = None) -> pandas.DataFrame:
         """Return a DataFrame: a column for each signal, indexed by the time ``t_s`` [s].
@@ -427,7 +407,7 @@ def decode(
         capture=capture,
         epoch_ns=epoch_ns,
         tables=tables,
-        signals=_SignalsOfTables(tables, epoch_ns),
+        signals=SignalsOfTables(tables, epoch_ns),
         markers=[(at_s(row), line) for row, text in capture.comments for line in text.splitlines()],
         malformed=MappingProxyType({table.name: table.malformed for table in tables if not table.inside}),
         before=MappingProxyType(dict(before)),

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from coulombus.recording.pcapng_blocks import ENHANCED_PACKET, next_block
-from coulombus.recording.pcapng_packets import Interface, decode_packets
+from coulombus.recording.pcapng_packets import Integers, Interface, decode_packets
 
-__all__ = ["Window", "offset_before"]
+__all__ = ["ALL", "Window", "offset_before"]
 
+FIRST_NS, LAST_NS = -(1 << 63), (1 << 63) - 1
 SLACK_NS = 1_000_000_000
 """Stamps may be that far out of order: those of the host's telemetry are written after the frames."""
 PROBED = 1 << 18
@@ -36,6 +37,12 @@ class Window:
     begin_ns: int | None = None
     end_ns: int | None = None
 
+    def places(self, t_ns: Integers) -> Integers:
+        """Return -1 for a stamp before the window, 0 for one in it, 1 for one behind it."""
+        early = t_ns < (FIRST_NS if self.begin_ns is None else self.begin_ns)
+        late = t_ns > (LAST_NS if self.end_ns is None else self.end_ns)
+        return late.astype(np.int64) - early
+
     def is_before(self, t_ns: int) -> bool:
         """Return whether every frame behind one of this stamp is later than the window."""
         return self.end_ns is not None and t_ns > self.end_ns + SLACK_NS
@@ -43,6 +50,9 @@ class Window:
     def is_behind(self, t_ns: int) -> bool:
         """Return whether every frame before one of this stamp is earlier than the window."""
         return self.begin_ns is not None and t_ns < self.begin_ns - SLACK_NS
+
+
+ALL = Window()
 
 
 def offset_before(path: str | Path, start: int, order: str, interfaces: Sequence[Interface], window: Window) -> int:

@@ -209,12 +209,12 @@ def test_the_memory_does_not_grow_with_the_recording(tmp_path, monkeypatch, work
 def test_only_the_beginning_is_read_for_the_rig(recorded, monkeypatch):
     counts = []
 
-    def counted(path):
-        for part in iter_pcapng(path):
+    def counted(path, *window):
+        for part in iter_pcapng(path, *window):
             counts.append(len(part.frames))
             yield part
 
-    monkeypatch.setattr("coulombus.recording.reading.iter_pcapng", counted)
+    monkeypatch.setattr("coulombus.recording.block_source.iter_pcapng", counted)
     assert blocks(recorded).rig.name == "bench"
     assert len(counts) == 1
 

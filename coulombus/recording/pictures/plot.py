@@ -149,14 +149,17 @@ def traces_of(
     measured = [signal.name for signal in known if signal.unit] or [signal.name for signal in known]
     names = measured if signals is None else list(signals)
     units = {name: source.signal(name).unit for name in names}
-    first, last = _extent(source)
+    extent = source.extent()
+    if extent is None:
+        raise SpanError(f"{source.path}: it has no frame, so nothing can be drawn")
+    first, last = extent
     begin = first if span[0] is None else max(span[0], first)
     end = last if span[1] is None else min(span[1], last)
     if not begin < end:
         raise SpanError(f"{source.path}: there is nothing to show: it goes from {first:.3f} s to {last:.3f} s")
     envelopes = {name: Envelope(begin, end) for name in names}
     markers: list[tuple[float, str]] = []
-    for block in source:
+    for block in source.within(begin, end):
         markers += [(t_s, text) for t_s, text in block.markers if begin <= t_s <= end]
         if len(block.frames) and block.t_s[-1] >= begin and block.t_s[0] <= end:
             for name, envelope in envelopes.items():
@@ -187,14 +190,6 @@ def _apart(one: Trace, other: Trace, near: float) -> float:
     """Return the share of times at which two curves are more than `near` apart."""
     low, high = (np.interp(one.t_s, other.t_s, values) for values in (other.low, other.high))
     return float(np.mean((np.abs(low - one.low) > near) | (np.abs(high - one.high) > near)))
-
-
-def _extent(source: Readable) -> tuple[float, float]:
-    """Return the times of the first and the last frame [s]."""
-    times = [t for block in source if len(block.frames) for t in (block.t_s[0], block.t_s[-1])]
-    if not times:
-        raise SpanError(f"{source.path}: it has no frame, so nothing can be drawn")
-    return float(min(times)), float(max(times))
 
 
 def draw(made: Figure, data: Plot) -> None:
