@@ -13,7 +13,6 @@ import numpy as np
 
 from coulombus.recording.bus_match import BusMatch
 from coulombus.recording.file_content import Capture
-from coulombus.recording.folders import segments
 from coulombus.recording.host_telemetry import of_axis
 from coulombus.recording.log_files import is_log, read_log
 from coulombus.recording.maps.log_maps import LogMaps
@@ -72,13 +71,15 @@ class Blocks(Source):
 
     def __iter__(self) -> Iterator[Recording]:
         epoch_ns, left_out, warnings, turns = None, Counter[str](), list[str](), dict[str, Turns]()
-        window = self._window()
+        window, is_searched = self._window(), self._is_searched()
         match = self._match()
         row = 0
-        for capture in map(match.take, captures(self.path, window if self._is_searched() else ALL)):
+        for capture in map(match.take, captures(self.path, window if is_searched else ALL)):
             if epoch_ns is None and len(capture.frames):
                 epoch_ns = epoch_of(capture.frames)
             for part, begin, is_wanted in _parts(capture, window):
+                if is_searched and not is_wanted:
+                    continue
                 begins = first_rows(self.maps, self.bare, row + begin)
                 block = decode(part, self.known_rig, epoch_ns, turns, self.inside, self.bare, begins)
                 turns |= block.turns
@@ -125,7 +126,7 @@ class Blocks(Source):
     def extent(self) -> tuple[float, float] | None:
         """Return the times of the first and the last frame [s]; None without a frame.
 
-        Of a recording of this project only its two ends are read.
+        Of a recording of this project only its two ends are read, or decoded where it is compressed.
         """
         if self.span != WHOLE or self.axis:
             return super().extent()
@@ -133,13 +134,12 @@ class Blocks(Source):
         first = next(firsts, None)
         if first is None:
             return None
-        last = list(map(self._match().take, captures(self.path, Window(begin_ns=LATEST_NS))))
-        if not len(last[-1].frames):
-            last = list(map(self._match().take, captures(_last_file(self.path))))
-        epoch_ns = epoch_of(first.frames)
-        parts = [part.frames["t_ns"] for part in (first, *last) if len(part.frames)]
-        stamps = [int(t_ns) - epoch_ns for part in parts for t_ns in (part[0], part[-1])]
-        return min(stamps) / 1e9, max(stamps) / 1e9
+        epoch_ns, times = epoch_of(first.frames), list[int]()
+        for part in (first, *map(self._match().take, captures(self.path, Window(begin_ns=LATEST_NS)))):
+            if len(part.frames):
+                times += part.frames["t_ns"][[0, -1]].tolist()
+                times = [min(times), max(times)]
+        return (times[0] - epoch_ns) / 1e9, (times[1] - epoch_ns) / 1e9
 
     def seen_by(self, axis: str) -> Blocks:
         """Return the view of the axis of this name, with the signals' plain names.
@@ -150,11 +150,6 @@ class Blocks(Source):
             return self
         inside = of_axis(self.inside, axis)
         return Blocks(self.path, self.rig, axis, inside, self.channel, self.recorded, span=self.span)
-
-
-def _last_file(path: str) -> Path:
-    """Return the last segment of a folder, or the file."""
-    return segments(Path(path))[-1] if Path(path).is_dir() else Path(path)
 
 
 def _parts(capture: Capture, window: Window) -> Iterator[tuple[Capture, int, bool]]:

@@ -59,6 +59,8 @@ MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
 BLOCKS = 1 << 15  # walked at a time
 RESUMED = 1 << 16
 """Maximum bytes of the next block after damage."""
+FEW = 64
+"""Packets that are decoded of a stretch before the window: its end is known then."""
 
 
 @dataclass
@@ -358,8 +360,10 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         elif kind in (PACKET, SIMPLE_PACKET):
             reader.skipped += 1
     packets = offsets[kinds == ENHANCED_PACKET]
-    if not len(packets) or reader.is_earlier(packets[-1:]):
+    if not len(packets):
         return
+    if reader.is_earlier(packets[-1:]):
+        packets = packets[-FEW:]
     try:
         decoded = decode_packets(reader.words, packets, reader.order, reader.interfaces, reader.earlier)
     except BadPacketError as error:
