@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import filecmp
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
@@ -23,9 +22,11 @@ import numpy.typing as npt
 
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.difference import Comparison, Difference, Pair
+from coulombus.recording.long_recording import LongRecording
+from coulombus.recording.piecewise import CommonSpan, Cursor, Tally, pair_in, pieces
 from coulombus.recording.reading import read
 from coulombus.recording.signal_names import UnknownSignal
-from coulombus.recording.signals import Recording, Series
+from coulombus.recording.signals import Recording
 from coulombus.rigs.arguments import WrongCall, path_text
 from coulombus.rigs.rig import Rig
 
@@ -37,16 +38,6 @@ ALL = ""
 """Key of the tolerance for every signal with a unit."""
 NAMED = 4
 """Signals that a sentence names; the others are counted."""
-
-
-@dataclass(frozen=True)
-class _Span:
-    """A common stretch: its time 0 in each recording, and its begin and end from there."""
-
-    name: str
-    zero: tuple[float, float]
-    begin_s: float
-    end_s: float
 
 
 def compare(
@@ -84,7 +75,7 @@ def compare(
     _check_types(tolerances)
     first, second = read(a, rig, channel), read(b, rig, channel)
     common = [name for name in first.signals if name in second.signals]
-    units = {name: first.signals[name].unit for name in common}
+    units = {name: first.signal(name).unit for name in common}
     inside = {signal.name for pdo in first.inside for signal in pdo.signals}
     _check_tolerances(first, tolerances, units)
     texts = (*first.remarks, *second.remarks)
@@ -93,14 +84,14 @@ def compare(
     wanting = _only_in(first, second) + _only_in(second, first)
     if bool(first.inside) != bool(second.inside):
         lengths = [*lengths, f"only {(first if first.inside else second).path} has what the host told of itself"]
-    differences, pairs = [], {}
-    for name in common:
-        pair, labels, whole = _pair(first.signals[name], second.signals[name], spans)
+    tallies = _tallies(first, second, common, spans)
+    differences = []
+    for name, tally in tallies.items():
         tolerance = _tolerance(name, "" if name in inside else units[name], tolerances)
-        pairs[name] = pair
+        whole = tally.whole
         if tolerances:  # runs of different length are compared over the shorter one
-            whole = bool(len(pair.t_s)) or not len(first.signals[name]) + len(second.signals[name])
-        differences.append(_difference(name, units[name], pair, labels, tolerance, whole))
+            whole = bool(tally.samples) or not first.samples(name) + second.samples(name)
+        differences.append(_difference(name, units[name], tally, tolerance, whole))
     equal = same or (
         all(difference.equal for difference in differences)
         and not phase_remarks
@@ -108,7 +99,7 @@ def compare(
         and not (lengths and not tolerances)
     )
     remarks = (*texts, *_different(first, second), *wanting, *phase_remarks, *lengths)
-    return Comparison(str(a), str(b), same, equal, tuple(differences), remarks, MappingProxyType(pairs))
+    return Comparison(str(a), str(b), same, equal, tuple(differences), remarks, _Pairs(first, second, common, spans))
 
 
 def _check_types(tolerances: Mapping[str, float]) -> None:
@@ -165,7 +156,7 @@ def _different(first: Recording, second: Recording) -> list[str]:
         remarks.append(f"recordings of different rigs: {first.rig.name} and {second.rig.name}")
     elif first.rig.effective() != second.rig.effective():
         remarks.append(f"the rig {first.rig.name} has other values in the second recording")
-    modes = [recording.capture.attachments.get("mode", b"").decode(errors="replace") for recording in (first, second)]
+    modes = [recording.attachments.get("mode", b"").decode(errors="replace") for recording in (first, second)]
     if modes[0] != modes[1] and all(modes):
         remarks.append(f"recordings of different modes: {modes[0]} and {modes[1]}")
     return remarks
@@ -180,18 +171,18 @@ def _phases(recording: Recording) -> list[tuple[float, str]]:
     ]
 
 
-def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_Span], list[str], list[str]]:
+def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[CommonSpan], list[str], list[str]]:
     """Return the common stretches, and sentences on differing phases and lengths."""
     marks = _phases(first), _phases(second)
-    ends = [float(r.t_s.max(initial=0.0)) + 1.5e-9 for r in (first, second)]
-    starts = [float(r.t_s.min(initial=np.inf)) for r in (first, second)]
-    if not all(map(len, ends_of := [r.frames for r in (first, second)])):
-        empty = [r.path for r, frames in zip((first, second), ends_of, strict=True) if not len(frames)]
+    empty = [r.path for r in (first, second) if not r.count]
+    if empty:
         return [], [f"{path}: it has no frame" for path in empty], []
+    times = [r.ends_s or (0.0, 0.0) for r in (first, second)]
+    starts, ends = [begin for begin, _ in times], [max(end, 0.0) + 1.5e-9 for _, end in times]
     if not marks[0] or not marks[1]:
         lengths = [end - start for end, start in zip(ends, starts, strict=True)]
         remarks = [] if marks[0] == marks[1] else ["only one of the recordings has phases"]
-        return [_Span("whole", (starts[0], starts[1]), 0.0, min(lengths))], remarks, []
+        return [CommonSpan("whole", (starts[0], starts[1]), 0.0, min(lengths))], remarks, []
     names = [[text for _, text in phases] for phases in marks]
     count = next((k for k, (x, y) in enumerate(zip(*names, strict=False)) if x != y), min(map(len, names)))
     remarks = []
@@ -203,7 +194,7 @@ def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_S
     spans, length_remarks = [], []
     if exact:
         zeros = marks[0][0][0], marks[1][0][0]
-        spans.append(_Span("before", zeros, -min(z - s for z, s in zip(zeros, starts, strict=True)), 0.0))
+        spans.append(CommonSpan("before", zeros, -min(z - s for z, s in zip(zeros, starts, strict=True)), 0.0))
     for k in range(count):
         zeros, name = (marks[0][k][0], marks[1][k][0]), marks[0][k][1].replace("phase ", "")
         after = [phases[k + 1][0] if k + 1 < len(phases) else end for phases, end in zip(marks, ends, strict=True)]
@@ -211,50 +202,57 @@ def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_S
         if abs(lengths[0] - lengths[1]) > 0.5 * first.rig.axes[0].bus.period_s:
             length_remarks.append(f"phase {name}: {lengths[0]:.4f} s and {lengths[1]:.4f} s")
         if exact or name != "end":
-            spans.append(_Span(name, zeros, 0.0, min(lengths)))
+            spans.append(CommonSpan(name, zeros, 0.0, min(lengths)))
     return spans, remarks, length_remarks
 
 
-def _pair(a: Series, b: Series, spans: list[_Span]) -> tuple[Pair, list[tuple[int, str]], bool]:
-    """Return both signals at the first one's times, the beginning of each span in them, and whether
-    both have the same number of samples in each span.
-    """
-    parts, labels, whole, at = [], [], True, 0
+def _tallies(first: Recording, second: Recording, names: Sequence[str], spans: list[CommonSpan]) -> dict[str, Tally]:
+    """Return what the differences of each signal come to, in one pass through both recordings."""
+    is_long = isinstance(first, LongRecording) or isinstance(second, LongRecording)
+    cursors = Cursor(first, names), Cursor(second, names)
+    tallies = {name: Tally() for name in names}
     for span in spans:
-        # in whole ns, so that the same sample has the same time in both
-        times = [np.rint((signal.t_s - zero) * 1e9) for signal, zero in zip((a, b), span.zero, strict=True)]
-        begin, end = np.rint((span.begin_s * 1e9, span.end_s * 1e9))
-        inside = [(t >= begin) & (t < end) for t in times]
-        whole = whole and int(inside[0].sum()) == int(inside[1].sum())
-        t_s, t_ns = a.t_s[inside[0]], times[0][inside[0]]
-        if not len(t_s) or not inside[1].any():
-            continue
-        values = b.values.astype(np.float64)
-        if b.unit:
-            other = np.interp(t_ns, times[1], values)
-        else:
-            other = values[np.maximum(np.searchsorted(times[1], t_ns, "right") - 1, 0)]
-        parts.append((t_s, a.values[inside[0]].astype(np.float64), other))
-        labels.append((at, span.name))
-        at += len(t_s)
-    t_s, mine, theirs = (
-        (np.concatenate([np.zeros(0), *columns]) for columns in zip(*parts, strict=True))
-        if parts
-        else (np.zeros(0),) * 3
-    )
-    return Pair(t_s, mine, theirs), labels, whole
+        for ends_ns in pieces(span, is_long=is_long):
+            begin_s, end_s = (time_ns / 1e9 for time_ns in ends_ns)
+            a, b = (
+                cursor.around(zero + begin_s, zero + end_s) for cursor, zero in zip(cursors, span.zero, strict=True)
+            )
+            for name, tally in tallies.items():
+                tally.add(*pair_in(a[name], b[name], span.zero, ends_ns), span.name)
+        for tally in tallies.values():
+            tally.end()
+    return tallies
 
 
-def _difference(
-    name: str, unit: str, pair: Pair, labels: list[tuple[int, str]], tolerance: float | None, whole: bool
-) -> Difference:
-    apart = np.abs(pair.difference)
-    if not len(apart):
+class _Pairs(Mapping[str, Pair]):
+    """Each signal of both recordings at the same times, made when it is asked for."""
+
+    def __init__(self, first: Recording, second: Recording, names: Sequence[str], spans: list[CommonSpan]) -> None:
+        self._first, self._second, self._names, self._spans = first, second, names, spans
+
+    def __getitem__(self, name: str) -> Pair:
+        if name not in self._names:
+            raise KeyError(name)
+        a, b = self._first[name], self._second[name]
+        parts = [pair for span in self._spans for pair, others in [pair_in(a, b, span.zero, span.ends_ns)] if others]
+        columns = [np.concatenate([np.zeros(0), *(getattr(part, key) for part in parts)]) for key in ("t_s", "a", "b")]
+        return Pair(*columns)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def _difference(name: str, unit: str, tally: Tally, tolerance: float | None, whole: bool) -> Difference:
+    if not tally.samples:
         return Difference(name, unit, 0, 0.0, 0.0, None, "", tolerance, tolerance is None or whole)
-    apart = np.where(np.isnan(apart), np.inf, apart)
-    at = int(np.argmax(apart))
-    largest, rms = float(apart[at]), float(np.sqrt(np.mean(apart**2)))
-    phase = next(label for begin, label in reversed(labels) if begin <= at)
+    largest = tally.largest
     equal = tolerance is None or (largest <= tolerance and whole)
-    when = float(pair.t_s[at]) if largest else None
-    return Difference(name, unit, len(apart), largest, rms, when, phase if largest else "", tolerance, equal)
+    when = tally.at_s if largest else None
+    phase = tally.phase if largest else ""
+    return Difference(name, unit, tally.samples, largest, tally.rms, when, phase, tolerance, equal)

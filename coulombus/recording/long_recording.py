@@ -30,6 +30,7 @@ class LongRecording(Recording):
         attachments: dict[str, bytes] = {}
         malformed: dict[str, int] = {}
         samples: dict[str, int] = {}
+        last_s: dict[str, float] = {}
         markers: list[tuple[float, str]] = []
         ends: list[float] = []
         epoch_ns, before, turns, count = 0, None, dict[str, Turns](), 0
@@ -37,6 +38,8 @@ class LongRecording(Recording):
             attachments |= {name: data for name, data in block.attachments.items() if not name.startswith(HOST)}
             for table in block.tables:
                 samples[table.name] = samples.get(table.name, 0) + len(table.t_ns)
+                if len(table.t_ns):
+                    last_s[table.name] = float((table.t_ns[-1] - block.epoch_ns) / 1e9)
             for name, number in block.malformed.items():
                 malformed[name] = malformed.get(name, 0) + number
             markers += block.markers
@@ -52,7 +55,7 @@ class LongRecording(Recording):
             path=source.path,
             known_rig=source.known_rig,
             epoch_ns=epoch_ns,
-            signals=_SignalsOfFile(source, samples),
+            signals=(signals := _SignalsOfFile(source, samples)),
             markers=markers,
             malformed=MappingProxyType(malformed),
             before=before or {},
@@ -60,7 +63,7 @@ class LongRecording(Recording):
             bare=source.bare,
         )
         vars(self).update(_source=source, _attachments=attachments, _count=count, _ends=ends, _turns=turns)
-        vars(self).update(_remarks=source.remarks)
+        vars(self).update(_remarks=source.remarks, _last_s=last_s, _of_file=signals)
 
     _source: Blocks
     _attachments: Mapping[str, bytes]
@@ -68,6 +71,8 @@ class LongRecording(Recording):
     _ends: Sequence[float]
     _turns: Mapping[str, Turns]
     _remarks: tuple[str, ...]
+    _last_s: Mapping[str, float]
+    _of_file: _SignalsOfFile
 
     def __iter__(self) -> Iterator[Recording]:
         """Yield the blocks."""
@@ -101,6 +106,14 @@ class LongRecording(Recording):
     def count(self) -> int:
         """Number of frames."""
         return self._count
+
+    def samples(self, name: str) -> int:
+        """Return the number of samples of a signal."""
+        return self._of_file.samples(name)
+
+    def last_s(self, name: str) -> float | None:
+        """Return the time of a signal's last sample [s]; None without a sample."""
+        return self._last_s.get(self._of_file.table(name))
 
     @property
     def duration_s(self) -> float:
@@ -148,11 +161,22 @@ class _SignalsOfFile(Mapping[str, Series]):
             self._read((name,))
         return self._kept[name]
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._tables
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._tables)
 
     def __len__(self) -> int:
         return len(self._tables)
+
+    def table(self, name: str) -> str:
+        """Return the name of a signal's PDO."""
+        return self._tables[name]
+
+    def samples(self, name: str) -> int:
+        """Return the number of samples of a signal."""
+        return self._samples.get(self._tables[name], 0)
 
     def items(self) -> ItemsView[str, Series]:
         """Return the names and signals."""

@@ -54,6 +54,9 @@ class SignalsOfTables(Mapping[str, Series]):
             self._series[name] = Series(self._times[table.name], table.column(signal), signal.unit)
         return self._series[name]
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
 

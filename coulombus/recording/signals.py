@@ -211,6 +211,19 @@ class Recording(Source):
         """Number of frames."""
         return len(self.frames)
 
+    def samples(self, name: str) -> int:
+        """Return the number of samples of a signal."""
+        return len(self.signals[name])
+
+    def last_s(self, name: str) -> float | None:
+        """Return the time of a signal's last sample [s]; None without a sample."""
+        return float(self.signals[name].t_s[-1]) if self.samples(name) else None
+
+    @property
+    def ends_s(self) -> tuple[float, float] | None:
+        """Least and largest time of a frame [s]; None without a frame."""
+        return (float(self.t_s.min()), float(self.t_s.max())) if self.count else None
+
     @property
     def duration_s(self) -> float:
         """Time from the first to the last frame [s]."""
