@@ -21,6 +21,7 @@ from coulombus.host.setup.law_demand import check_demand
 from coulombus.lab.plane_figures import plane_figures
 from coulombus.lab.set_up import give_back, ready_world, set_up
 from coulombus.lab.virtual_bringup import switch_on
+from coulombus.lab.virtual_world import VirtualWorld, WorldFunction, with_world
 from coulombus.recording.measures import Measures, measure
 from coulombus.recording.memory_recording import MeasuredFrames
 from coulombus.recording.output_file import check as check_output
@@ -85,7 +86,9 @@ class _VirtualRun(Course):
             self.recorder = Recorder(order.record, rig, mode, seed, about=about, force=order.force)
             self.world.on_host = self._write_host
             self.world.keep_told()
+            self.world.models.keeps = order.outside is not None
         self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)
+        self.outside = order.outside
         self.injection: Injection | None = None
         self.ended_ns = 0
         """Time of the host's end, after its safe state."""
@@ -100,6 +103,9 @@ class _VirtualRun(Course):
         self.record(lambda recorder: recorder.write(frames))
 
     def _write_host(self, had: Records, events: Records, sent: Records) -> None:
+        models = self.world.models.take_rows()
+        if models:
+            self.record(lambda recorder: recorder.keep_models(models))
         self.record(lambda recorder: recorder.trace(~had, events, sent))
 
     @property
@@ -144,6 +150,8 @@ class _VirtualRun(Course):
             self.losses = (set_up if self.only_figures else switch_on)(world)
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
+        if self.outside is not None:
+            self.outside.begin(world)
         self.display(seconds)
         self.make_safe()
         world.stop_host()
@@ -216,6 +224,8 @@ def simulate(
     force: bool = False,
     simulated: Rig | None = None,
     measured: bool | None = None,
+    world: WorldFunction | None = None,
+    world_every: int = 1,
 ) -> RunResult:
     """Run the rig in virtual time and return the result.
 
@@ -237,6 +247,9 @@ def simulate(
     measured : compute the display's figures from the frames in memory, 48 bytes per cycle of an
         axis; a recorded file then has no checksum (`RunResult.recording_sha256`). None: only if
         nothing is recorded. False without a recording: no figures
+    world : called with the `coulombus.host.world.state.State` of each axis between two cycles of
+        the display; returns what the handle meets from the next cycle on (docs/worlds.md), or None
+    world_every : number of cycles between two calls of `world`
 
     Raises
     ------
@@ -252,12 +265,15 @@ def simulate(
     coulombus.rigs.arguments.WrongCall
         an argument has the wrong type
     """
+    outside = None if world is None else VirtualWorld(world, world_every)
     for name, given in (("record", record), ("truth", truth)):
         if given is not None:
             path_text(given, name, f'simulate({name}="run.{"npz" if name == "truth" else "pcapng"}")')
     wrong = faults if faults is None or isinstance(faults, FaultPlan) else read_faults(_fault_file(faults))
     overrides = texts(overrides, "overrides", "mode.active.F_s_Nm=1.0")
     chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
+    if outside is not None:
+        chosen = with_world(chosen)
     if mode not in chosen.modes:
         raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.modes)}")
     a_number(seconds, "seconds", "13.0")
@@ -294,7 +310,8 @@ def simulate(
         progress=progress,
         force=force,
         measured=record is None if measured is None else measured,
-        only_figures=bool(measured) and all(option is None for option in (record, truth, script, faults)),
+        only_figures=bool(measured) and all(option is None for option in (record, truth, script, faults, world)),
+        outside=outside,
     )
     return _simulate_bus(order) if len(chosen.channels) == 1 else _simulate_buses(order)
 
@@ -319,6 +336,7 @@ class _Order:
     progress: Callable[[float], None] | None
     force: bool
     measured: bool
+    outside: VirtualWorld | None
     only_figures: bool
     """Whether only the run's figures are needed: then the set-up may be an earlier run's, and the
     part after the host's end is skipped.

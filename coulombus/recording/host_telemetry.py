@@ -10,8 +10,11 @@ separate interface, `HOST_INTERFACE`, with extended identifiers that no bus of a
                          + 2  velocity_rad_s (real32)     x_stuck_rad (real32)
                          + 3  and further: two values (real32) each of the law's state;
                               for an odd number the last frame has one value, and 4 bytes
+                         + 11 world_Nm (real32)           world_brake_Nm (real32)
+                         + 12 world_share   law_share     world_model
+                              (1 count: 0.0001)           (number of the model in use)
 
-The names of the law's state are attached (`NAME`): a JSON list of strings. The recording is thus
+The last two are there if the rig file has [world]. The names of the law's state are attached (`NAME`): a JSON list of strings. The recording is thus
 self-contained, and `read` has the values as signals: ``host.phase``, ``host.law_Nm``.
 """
 
@@ -36,6 +39,7 @@ __all__ = [
     "MOST_FRAMES",
     "NAME",
     "NODE",
+    "OF_WORLD",
     "PER_AXIS",
     "PHASE_RUN",
     "SOURCE_INSIDE",
@@ -53,8 +57,10 @@ FIRST = CAN_EFF_FLAG | 0x1FC00000
 """Identifier of the first axis' first frame."""
 PER_AXIS = 16
 """Identifiers of each axis."""
-MOST_FRAMES = 3 + 8
-"""Maximum frames of an axis per cycle: a law has at most 16 state numbers."""
+OF_WORLD = 3 + 8
+"""First frame of the world (`host.world`), after the law's: a law has at most 16 state numbers."""
+MOST_FRAMES = OF_WORLD + 2
+"""Maximum frames of an axis per cycle."""
 GAIN = 1e-4
 """Value of one count of the gain."""
 PHASE_RUN = 5
@@ -72,6 +78,7 @@ class Limit(IntEnum):
     COMPENSATION_WITHHELD = 32  # the observer let the motor give less than its compensation
     TPDO_MISSED = 64  # a cyclic TPDO was missing
     DEADMAN_OPEN = 128
+    WORLD_CLIPPED = 256  # a limit changed what the world asked for
 
 
 class _Field(NamedTuple):
@@ -98,6 +105,10 @@ HEAD: tuple[tuple[_Field, ...], ...] = (
     (_real("law_Nm"), _real("law_brake_Nm")),
     (_real("velocity_rad_s"), _real("x_stuck_rad")),
 )
+WORLD: tuple[tuple[_Field, ...], ...] = (
+    (_real("world_Nm"), _real("world_brake_Nm")),
+    (_Field("world_share", 16, "", GAIN), _Field("law_share", 16, "", GAIN), _Field("world_model", 32)),
+)
 
 
 def inside_attachment(law_state: Sequence[tuple[str, int]]) -> dict[str, bytes]:
@@ -118,14 +129,14 @@ def inside_pdos(rig: Rig, attached: bytes | None) -> tuple[RigPdo, ...]:
         return ()
     try:
         names = json.loads(attached)
-        kept = [_real(f"law.{name}") for name in names if isinstance(name, str)][: 2 * (MOST_FRAMES - len(HEAD))]
+        kept = [_real(f"law.{name}") for name in names if isinstance(name, str)][: 2 * (OF_WORLD - len(HEAD))]
     except (ValueError, TypeError):
         return ()
     pairs = tuple(tuple(kept[k : k + 2]) for k in range(0, len(kept), 2))
     return tuple(
         _pdo(rig, axis.prefix, FIRST + PER_AXIS * number, k, fields)
         for number, axis in enumerate(rig.axes)
-        for k, fields in enumerate(HEAD + pairs)
+        for k, fields in (*enumerate(HEAD + pairs), *(enumerate(WORLD, OF_WORLD) if axis.world is not None else ()))
     )
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from coulombus.recording.host_telemetry import HOST_INTERFACE, SOURCE_INSIDE, inside_attachment
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
-from coulombus.recording.trace import NAME, SENT, pack, pack_sent
+from coulombus.recording.trace import MODELS, NAME, SENT, pack, pack_models, pack_sent
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records
 
@@ -125,7 +125,8 @@ class Recorder:
         self._interface = rig.channels[0] or "can0" if len(rig.channels) == 1 else "can0"
         self._open(path, force=force)
         self._markers = Markers()
-        self._traces = self._sents = 0
+        self._traces = self._sents = self._model_parts = 0
+        self._models: list[bytes] = []
         self._own: list[Records] = []
         self._rows: list[Records] = []
         self._sent: list[Records] = []
@@ -173,6 +174,10 @@ class Recorder:
         if sum(map(len, (*self._own, *self._rows, *self._sent))) >= TRACE_BATCH:
             self._write_trace()
 
+    def keep_models(self, rows: bytes) -> None:
+        """Keep models that a world has sent (`host.world.recorded`), for the next attachment."""
+        self._models.append(rows)
+
     def _write_trace(self) -> None:
         own, rows, sent = np.concatenate(self._own), np.concatenate(self._rows), self._sent
         self._own, self._rows, self._sent = [], [], []
@@ -181,6 +186,10 @@ class Recorder:
         if sent:
             self._writer.attach(f"{SENT}{self._sents}", pack_sent(np.concatenate(sent)))
             self._sents += 1
+        if self._models:
+            self._writer.attach(f"{MODELS}{self._model_parts}", pack_models(b"".join(self._models)))
+            self._models = []
+            self._model_parts += 1
 
     def _flush_trace(self) -> None:
         """Write the rest of the trace."""

@@ -12,12 +12,14 @@ In virtual time frames and stamps give the times of the host's actions. They do 
 received frames: it may be in bus-off or behind a cut cable, or a fault may have dropped a frame for
 it alone. Nor do they give its clock drift or a stop request. The same attachments store these, with
 rows of EVENT. With a fault file even the sent frames are unknown: a frame may be lost or doubled.
-Then the send requests are stored, too (``host.sent.0`` ...; `pack_sent`).
+Then the send requests are stored, too (``host.sent.0`` ...; `pack_sent`). The models that a world
+outside has sent are attachments in both (``host.models.0`` ...; `pack_models`).
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Mapping
 from enum import IntEnum
 from typing import Annotated, Any
@@ -28,13 +30,31 @@ import numpy.typing as npt
 from coulombus.kernels.records import Record, dtype_of
 from coulombus.wire.frame import FRAME, Records
 
-__all__ = ["EVENT", "NAME", "SENT", "TRACE", "Event", "Moment", "pack", "pack_sent", "unpack", "unpack_sent"]
+__all__ = [
+    "EVENT",
+    "MODELS",
+    "NAME",
+    "SENT",
+    "TRACE",
+    "Event",
+    "Moment",
+    "pack",
+    "pack_models",
+    "pack_sent",
+    "unpack",
+    "unpack_models",
+    "unpack_sent",
+]
 
 NAME = "host.trace."
 """Prefix of the attachments' names; a number follows."""
 
 SENT = "host.sent."
 """Prefix of the attachments with the host's send requests."""
+
+MODELS = "host.models."
+"""Prefix of the attachments with the models of a world (`host.world`)."""
+MOST_MODEL_BYTES = 1 << 31
 
 _HEAD = struct.Struct("<II")
 
@@ -48,6 +68,7 @@ class Moment(IntEnum):
     WINDOW = 3  # window over or nothing pending: `finish` for all waiting axes; `value` as before
     END = 4  # the cycle is over, the safe set-points follow
     SET = 5  # the parameters of order `value` apply from the next cycle (marker "set")
+    MODEL = 6  # the world's model `value` applies from the next cycle (`MODELS`)
 
 
 class TraceRow(Record):
@@ -71,6 +92,7 @@ class Event(IntEnum):
     CLOCK = 1  # from `t_ns` of the bus the host's clock runs fast by `value` 1e-9
     STOP = 2  # stop request; `value`: reason (`host.cycle.records.Trip`)
     SET = 3  # the parameters of order `value` apply from the next cycle (marker "set")
+    MODEL = 4  # the world's model `value` applies from the next cycle (`MODELS`)
 
 
 EVENT = np.dtype(
@@ -122,6 +144,24 @@ def unpack_sent(attachments: Mapping[str, bytes]) -> Records | None:
     for name in _SENT.names or ():
         frames[name] = rows[name]
     return frames
+
+
+def pack_models(rows: bytes) -> bytes:
+    """Return the content of an attachment: rows of `host.world.recorded`, compressed by zlib."""
+    return zlib.compress(rows, 1)
+
+
+def unpack_models(attachments: Mapping[str, bytes]) -> bytes:
+    """Return the rows of all attachments with models; those after a damaged one are omitted."""
+    rows = bytearray()
+    count = 0
+    while (content := attachments.get(f"{MODELS}{count}")) is not None:
+        try:
+            rows += zlib.decompressobj().decompress(content, MOST_MODEL_BYTES - len(rows))
+        except zlib.error:
+            break
+        count += 1
+    return bytes(rows)
 
 
 def unpack(

@@ -24,6 +24,7 @@ from coulombus.rigs.plant import Operator, Phase, Plant
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override
 from coulombus.rigs.toml_lines import Key, read_toml
+from coulombus.rigs.world_section import WorldSection
 
 __all__ = ["NO_DEVICES", "Axis", "Origin", "Sections", "Simulation"]
 
@@ -47,6 +48,7 @@ class Sections(Section):
     law: Law = Field(description="the friction law")
     mode: Modes = Field(description="the modes, each with its parameters")
     limits: Limits = Field(description="what trips, and the safe state")
+    world: WorldSection | None = Field(None, description="another program may say what the hand meets")
     plant: Plant | None = Field(None, description="the rig as it truly is, for the simulation")
     operator: Operator | None = Field(None, description="the simulated hand")
     phases: tuple[Phase, ...] = Field(

@@ -29,6 +29,7 @@ CoulombusError
 |   |   +-- NotTaken             2   host.cycle.parameter_changes
 |   +-- DeviceMismatch           3   host.errors
 |   +-- LssRefused               6   host.devices.lss
+|   +-- ModelRefused             2   host.cycle.models
 |   +-- NoHost                   4   host.run.control_socket
 |   +-- NodeMissing              5   host.errors
 |   |   +-- SdoSilent            5   host.sdo.transfers

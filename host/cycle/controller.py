@@ -29,6 +29,7 @@ from coulombus.host.laws.law import Declaration, LawRecord, Parameters
 from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, load_declared, load_law
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.host.laws.plane.plane_laws import PlaneLaw
+from coulombus.host.world.model_set_up import set_up_model
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.deadman_object import deadman_mask
 from coulombus.rigs.emergency import emcy_identifier
@@ -138,6 +139,7 @@ class Controller:
         self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
         self.tpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
         self.control[:] = self._new_control(pdos)
+        set_up_model(self._parts["world"][0], axis, mode, self.control[0])
         for name in ("enabled_ns", "armed_ns", "full_gain_ns", "heard_ns", "foreign_id"):
             self.host[name] = -1
         self.host["deadman_ok"] = 1

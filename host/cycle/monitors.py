@@ -67,6 +67,19 @@ def _pushes_unasked(c: ControlRecord, h: HostRecord) -> bool:
 
 
 @kernel
+def _stored_J(h: HostRecord, way: float) -> float:
+    """Return the energy that the hand stores in the world's wall, spring and field by this motion [J].
+
+    What they return must have been stored before. So a spring that another program moves does net work,
+    and a spring that stands still does none. Nothing is kept beyond what they can return.
+    """
+    stored_J = max(h.world_J + h.world_elastic_Nm * way, 0.0)
+    gained_J = stored_J - h.world_J
+    h.world_J = min(stored_J, h.world_most_J)
+    return gained_J
+
+
+@kernel
 def watch_motion(c: ControlRecord, h: HostRecord) -> int:
     """Check speed, travel, the motor's net work and torque, the coil's heat and the handle torque."""
     v = h.v_counts * c.rad_count * 1e9 / c.period_ns
@@ -80,10 +93,13 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
     torque = h.image[Image.TORQUE] * c.torque_Nm_raw + c.torque_commanded * h.torque_Nm
     way = h.moved_counts * c.rad_count if h.fresh else 0.0
     work = torque * way
+    if h.world_elastic_Nm != 0.0 or h.world_J != 0.0:
+        work += _stored_J(h, way)
     if c.stores:
-        work += h.pushed_Nm * way
-        h.contact_J -= h.pushed_Nm * way
-        if h.pushed_Nm == 0.0:
+        law_Nm = h.pushed_Nm - h.world_Nm
+        work += law_Nm * way
+        h.contact_J -= law_Nm * way
+        if law_Nm == 0.0:
             work += h.contact_J
             h.contact_J = 0.0
         elif h.contact_J > c.net_work_J:

@@ -57,11 +57,11 @@ def motor_limit_Nm(axis: Axis, mode: str) -> float:
     """Return the largest motor torque at the handle [Nm] in a mode; the drive's limit 6072h is set to it.
 
     In `hybrid` the motor only compensates friction, so the limit is at most 1.2 times the identified
-    friction. For a law that pushes, and for a joint in the plane, whose motor gives what the brakes cannot, the
-    rig file's limit holds.
+    friction. For a law or a world that pushes, and for a joint in the plane, whose motor gives what the brakes
+    cannot, the rig file's limit holds.
     """
     limit = axis.mode[mode].motor_limit_Nm
-    if mode != "hybrid" or axis.joint or law_pushes(axis):
+    if mode != "hybrid" or axis.joint or law_pushes(axis) or axis.world is not None:
         return limit
     return min(limit, HYBRID_MARGIN * axis.mechanics.friction_Nm)
 

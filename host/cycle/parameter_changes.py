@@ -248,6 +248,25 @@ class LiveParameters:
         """Return the parameters of each axis as plain values."""
         return [axis.rows() for axis in self._axes]
 
+    def slots(self) -> tuple[dict[str, int], ...]:
+        """Return the slot of each parameter by its name, for each axis."""
+        return tuple({name: parameter.slot for name, parameter in axis.table.items()} for axis in self._axes)
+
+    def targets(self, index: int, values: Mapping[str, float]) -> Floats:
+        """Return the values of all parameters of axis `index`, with `values`; nothing is changed.
+
+        Raises
+        ------
+        ChangeRefused
+            a value is out of its bounds, or does not fit the others
+        """
+        axis = self._axes[index]
+        reasons = (axis.table[name].why_not(value) for name, value in values.items())
+        reason = next(filter(None, reasons), None) or _pairs(axis, {**axis.value, **values}, values)
+        if reason is not None:
+            raise ChangeRefused(reason)
+        return axis.order(values)
+
     def change(self, values: Mapping[str, float], axis: str = "", over_s: float = OVER_S) -> Change:
         """Write the order that brings an axis to other values within `over_s`.
 

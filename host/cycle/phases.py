@@ -28,6 +28,7 @@ from coulombus.host.cycle.records import (
 from coulombus.host.cycle.slow_velocity import slide_velocity
 from coulombus.host.cycle.study_delay import forget, hold_back
 from coulombus.host.cycle.transitions import BRAKE_CONTROLWORDS, CONTROLWORDS
+from coulombus.host.world.local_model import add_model, follow_model
 from coulombus.kernels.decorator import kernel
 
 __all__ = [
@@ -248,7 +249,10 @@ def split_law(axis: AxisRecord) -> float:
         pushed_Nm = axis.state.psi_Nm
     elif c.is_hybrid:
         pushed_Nm = axis.state.motor_Nm
-    sense, pushed_Nm, setpoint = hold_back(c, h, sense, pushed_Nm, axis.state.brake_Nm)
+    setpoint = axis.state.brake_Nm
+    if axis.world.on:
+        pushed_Nm, setpoint = add_model(axis.world, axis.motion, c.compensation_Nm, pushed_Nm, setpoint)
+    sense, pushed_Nm, setpoint = hold_back(c, h, sense, pushed_Nm, setpoint)
     if sense != 0.0:
         given_Nm = h.share * c.compensation_Nm
         withheld_Nm = c.compensation_Nm - given_Nm
@@ -257,6 +261,9 @@ def split_law(axis: AxisRecord) -> float:
             h.withheld_compensation += 1
     torque_Nm -= pushed_Nm
     h.pushed_Nm = h.gain * pushed_Nm
+    if axis.world.on:
+        h.world_Nm, h.world_elastic_Nm = h.gain * axis.world.world_Nm, h.gain * axis.world.elastic_Nm
+        h.world_most_J = axis.world.most_J
     if c.brake_active:
         if not setpoint >= 0.0:  # negative or NaN
             h.negative_setpoints += 1
@@ -314,7 +321,11 @@ def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, 
     motion.v_counts = h.slide_counts * (1.0 if c.rad_count > 0.0 else -1.0)
     motion.v_rad_s = h.slide_counts * c.rad_count * 1e9 / c.period_ns
     motion.handle_Nm = h.handle_Nm
-    psi_Nm = law_function(motion, axis.law, state)
+    law = axis.law
+    if axis.world.on:
+        follow_model(axis.world, motion, axis.law, state)
+        law = axis.world.law
+    psi_Nm = law_function(motion, law, state)
     if not math.isfinite(psi_Nm):
         h.law_Nm = psi_Nm
         return _refuse(h, Trip.LAW)

@@ -13,6 +13,7 @@ from coulombus.eds.codec import PdoRecord
 from coulombus.host.laws.law import LawFunction, LawRecord, LawStateRecord, MotionRecord
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.plane.plane_step import PlaneFunctions
+from coulombus.host.world.records import LocalModelRecord
 from coulombus.kernels.records import FloatField, IntegerField, Record, RecordArray, dtype_of
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.hysteresis import MOST_PLAYS
@@ -339,6 +340,10 @@ class HostRecord(Record):
     work_row: int  # next row of the window of the net work
     work: Annotated[FloatField, WORK_WINDOW_CYCLES]  # work of the motor in each cycle of the window [J]
     contact_J: float  # work of a storing law's push since the contact began
+    world_Nm: float  # the world's part of pushed_Nm (`host.world.local_model`)
+    world_elastic_Nm: float  # what of that the world's wall, spring and field exert
+    world_J: float  # energy that the hand has stored in them
+    world_most_J: float  # largest energy that they can return
     # counters
     clipped: int  # 1: a limit changes the law's output in this cycle
     clipped_balance: int  # clipped minus unclipped cycles, at least 0
@@ -357,7 +362,7 @@ class HostRecord(Record):
     withheld_compensation: int  # the passivity observer reduced the motor's compensation
     # telemetry (`host.cycle.telemetry`)
     told_cycle: int  # last reported cycle
-    last_counters: Annotated[IntegerField, 6]  # counters in the last report
+    last_counters: Annotated[IntegerField, 7]  # counters in the last report
 
 
 HOST = dtype_of(HostRecord)
@@ -407,6 +412,7 @@ class AxisRecord(Record):
     state: LawStateRecord  # the law's state and output
     live: LiveRecord  # changes of the law's parameters
     plane: PlaneHostRecord  # two joints of one arm: that of the first axis is used
+    world: LocalModelRecord  # the model that another program says
 
 
 AXIS = dtype_of(AxisRecord)

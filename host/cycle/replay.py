@@ -10,6 +10,8 @@ times at which a cycle was due and ended   the same; skipped periods add to the 
                                            velocity
 stop requests, the dead man's switch       the trace; in virtual time also the changes of the host's clock, which sets
                                            its deadlines
+models of a world outside                  the attachments "host.models" (`host.world.recorded`); the trace has the cycle
+                                           in which each was taken
 changed parameters                         the markers "set" (`host.cycle.parameter_changes`); the trace has the cycle
                                            in which each was taken
 rig, mode, law                             attached (a user's law: its file in the folder of the recording)
@@ -32,6 +34,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.live_parameters import offer
 from coulombus.host.cycle.parameter_changes import ParameterOrder
 from coulombus.host.cycle.records import Trip
+from coulombus.host.world.recorded import place
 from coulombus.recording.trace import EVENT, Event, Moment
 from coulombus.wire.clock import Clock, bus_ns, own_ns, set_clock
 from coulombus.wire.frame import CAN_ERR_FLAG, Records, new_queue, new_records
@@ -76,11 +79,13 @@ class Inputs:
     trace : rows of `recording.trace.TRACE`, or of EVENT for virtual time, in which a frame is handled
     at its stamp and the host at its deadline
     orders : changed parameters, by their numbers in the trace
+    models : models of a world outside (`host.world.recorded`), by their numbers in the trace
     """
 
     frames: Records
     trace: npt.NDArray[Any]
     orders: Mapping[int, ParameterOrder] = field(default_factory=dict)
+    models: Mapping[int, Any] = field(default_factory=dict)
 
     @property
     def virtual(self) -> bool:
@@ -103,7 +108,7 @@ class _Replay:
         self.out = new_queue()
         self.axes, self.host = controllers.axes, controllers.host
         self.law_function, self.arm = controllers.law_function, controllers.arm
-        self.orders = inputs.orders
+        self.orders, self.models = inputs.orders, inputs.models
         self.frames = inputs.frames[["t_ns", "can_id", "length", "word"]]
         self.row = self.first = 0
         self.ahead: list[tuple[int, ...]] = []
@@ -138,6 +143,11 @@ class _Replay:
         offer(live, number, order.values, order.cycles)
         live["wanted"] = number
 
+    def _render(self, key: int) -> None:
+        """Publish a model of the world, which the step takes in the next cycle."""
+        row = self.models[key]
+        place(self.axes["world"], row["model"], int(row["number"]))
+
     def by_trace(self, trace: npt.NDArray[Any]) -> Iterator[HostFrame]:
         """Repeat the loop of `host.realtime.loop`."""
         period_ns = int(self.k.control["period_ns"][0])
@@ -154,6 +164,9 @@ class _Replay:
                 self._feed()
             if kind == Moment.SET:
                 self._want(value)
+                continue
+            if kind == Moment.MODEL:
+                self._render(value)
                 continue
             if kind == Moment.BEGIN:
                 cycle += 1
@@ -197,6 +210,8 @@ class _Replay:
                 self.k.stop(Trip(value))
             elif kind == Event.SET:
                 self._want(value)
+            elif kind == Event.MODEL:
+                self._render(value)
 
 
 def _rows(trace: npt.NDArray[Any]) -> Iterator[tuple[int, ...]]:

@@ -13,7 +13,7 @@ import numpy as np
 from coulombus.host.cycle.records import AxisRecord, AxisRecords, HostRecord
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import RecordArray
-from coulombus.recording.host_telemetry import FIRST, GAIN, PER_AXIS, SOURCE_INSIDE, Limit
+from coulombus.recording.host_telemetry import FIRST, GAIN, OF_WORLD, PER_AXIS, SOURCE_INSIDE, Limit
 from coulombus.wire.frame import Frame, Records
 
 __all__ = ["tell", "tell_all"]
@@ -75,7 +75,10 @@ def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> i
     h.told_cycle = h.cycle
     first = FIRST + PER_AXIS * number
     gain = min(max(round(h.gain / GAIN), 0), MOST_GAIN)
-    word = h.phase | h.trip << 8 | _limits(h) << 16 | gain << 32
+    limits = _limits(h)
+    if axis.world.on:
+        limits |= _grown(h.last_counters, 6, axis.world.clipped) * Limit.WORLD_CLIPPED
+    word = h.phase | h.trip << 8 | limits << 16 | gain << 32
     word |= (1 if state.stuck else 0) << 48 | min(max(h.position_age, 0), MOST_AGE) << 56
     _put(rows, row, t_ns, first, word)
     _put(rows, row + 1, t_ns, first + 1, _two(state.psi_Nm, state.brake_Nm))
@@ -86,6 +89,12 @@ def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> i
         word = _two(state.user[k], state.user[k + 1] if another else 0.0)
         _put(rows, row, t_ns, first + 3 + k // 2, word, 8 if another else 4)
         row += 1
+    if axis.world.on:
+        w = axis.world
+        word = round(w.share / GAIN) | round(w.law_share / GAIN) << 16 | (w.taken & 0xFFFFFFFF) << 32
+        _put(rows, row, t_ns, first + OF_WORLD, _two(0.0 - w.world_Nm, w.world_brake_Nm))
+        _put(rows, row + 1, t_ns, first + OF_WORLD + 1, word)
+        row += 2
     return row
 
 

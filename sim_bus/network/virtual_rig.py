@@ -15,6 +15,7 @@ import numpy as np
 
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.models import Models
 from coulombus.host.cycle.parameter_changes import OVER_S, Change, LiveParameters
 from coulombus.host.cycle.records import Trip
 from coulombus.kernels.records import RecordArray
@@ -101,6 +102,7 @@ class VirtualRig(VirtualNetwork):
         `recording.trace.EVENT`, frames that the host requested.
         """
         self.parameters = LiveParameters(self.controllers)
+        self.models = Models(self.controllers, self.parameters)
         self.on_change: Callable[[Change], None] | None = None
         """Called with each change of a parameter."""
         self._waiting: list[Planned] = []
@@ -394,6 +396,17 @@ class VirtualRig(VirtualNetwork):
         if self.on_change is not None:
             self.on_change(change)
         return change
+
+    def render(self, model: Any) -> None:
+        """Let the host render a `ModelRecord` from its next cycle on, like a program outside.
+
+        Raises
+        ------
+        coulombus.host.cycle.models.ModelRefused
+            the host never sees it; the text says why
+        """
+        axis = int(model["axis"])
+        self._note(Event.MODEL, self.t_ns, self.models.publish_now(axis, self.models.write(model)))
 
     def set_host_clock(self, ppb: int) -> None:
         """Let the host's clock run fast by `ppb` (1e-9) from now on."""

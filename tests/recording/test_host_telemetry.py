@@ -17,8 +17,8 @@ from coulombus.recording.export.export import export
 from coulombus.recording.host_telemetry import (
     FIRST,
     HOST_INTERFACE,
-    MOST_FRAMES,
     NAME,
+    OF_WORLD,
     PER_AXIS,
     PHASE_RUN,
     SOURCE_INSIDE,
@@ -45,7 +45,7 @@ def test_a_damaged_attachment_tells_of_nothing():
     assert inside_pdos(rig, None) == ()
     assert inside_pdos(rig, b"\xff{") == ()
     assert inside_pdos(rig, b"7") == ()
-    assert len(inside_pdos(rig, json.dumps(["a"] * 99).encode())) == MOST_FRAMES
+    assert len(inside_pdos(rig, json.dumps(["a"] * 99).encode())) == OF_WORLD
 
 
 def test_an_axis_sees_its_own():

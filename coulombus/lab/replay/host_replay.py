@@ -23,10 +23,11 @@ from coulombus.host.cycle.parameter_changes import ParameterOrder, orders_of
 from coulombus.host.cycle.replay import HostFrame, Inputs, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
 from coulombus.host.laws.plane.plane_laws import builtin_laws
+from coulombus.host.world.recorded import models_of
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording
-from coulombus.recording.trace import EVENT, TRACE, Event, Moment, unpack, unpack_sent
+from coulombus.recording.trace import EVENT, TRACE, Event, Moment, unpack, unpack_models, unpack_sent
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.errors import CoulombusError
@@ -117,7 +118,10 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
         raise ReplayError(f"{path}: the overrides change the PDOs, whose recorded words would mean something else")
     controllers = Controllers(chosen, mode)
     known = _known(recording, controllers)
-    known = known._replace(inputs=replace(known.inputs, orders=_orders(recording, controllers, known.inputs)))
+    models = _models(recording, controllers, known.inputs)
+    known = known._replace(
+        inputs=replace(known.inputs, orders=_orders(recording, controllers, known.inputs), models=models)
+    )
     law_remarks, same_law = _compare_laws(recording, chosen)
     others = [text for text in overrides if text.partition("=")[0].strip() != "law.function"]
     check = _Check(recording, controllers, known, keep=bool(overrides))
@@ -155,6 +159,18 @@ def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> d
             f"{recording.path}: parameters were changed (order {min(missing)}), and the marker 'set' that tells which is not in it"
         )
     return orders
+
+
+def _models(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, Any]:
+    """Return the models of a world outside from the attachments; every model in the trace must be there."""
+    models = models_of(unpack_models(recording.capture.attachments), len(controllers.each))
+    kinds = inputs.trace["kind"] == (Event.MODEL if inputs.virtual else Moment.MODEL)
+    missing = set(inputs.trace["value"][kinds].tolist()) - set(models)
+    if missing:
+        raise ReplayError(
+            f"{recording.path}: a world said what the handle met (model {min(missing)}), and the attachment 'host.models' that tells it is not in it"
+        )
+    return models
 
 
 class _Known(NamedTuple):

@@ -1,0 +1,1 @@
+"""A world outside: another program says what the hand meets, and the cycle renders it."""

@@ -1,0 +1,60 @@
+"""Check of a model that comes from outside: what is not plausible never reaches the cycle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from coulombus.host.world.records import MOST_SAMPLES, ModelParts
+
+__all__ = ["RANGES", "why_not"]
+
+RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "law": (0.0, 1.0),
+        "wall_x_rad": (-1e6, 1e6),
+        "wall_K_Nm_rad": (0.0, 1e7),
+        "wall_B_Nms_rad": (0.0, 1e6),
+        "spring_x_rad": (-1e6, 1e6),
+        "spring_K_Nm_rad": (0.0, 1e7),
+        "spring_B_Nms_rad": (0.0, 1e6),
+        "spring_most_Nm": (0.0, 1e4),
+        "field_Nm": (-1e4, 1e4),
+        "field_Nm_rad": (-1e7, 1e7),
+        "field_Nms_rad": (-1e6, 1e6),
+    }
+)
+"""Smallest and largest value of each number, whether its part is used or not."""
+LONGEST_SAMPLE_NS = 1_000_000_000
+ALL_PARTS = sum(ModelParts)
+
+
+def why_not(model: Any, axes: int, longest_life_ns: int) -> str | None:
+    """Return the reason why a `ModelRecord` is refused; None if it is plausible.
+
+    The law's parameters are not checked here: their bounds are the law's.
+    """
+    if not 0 <= model["axis"] < axes:
+        return f"axis is {model['axis']}: expected from 0 to {axes - 1}"
+    if not 0 < model["life_ns"] <= longest_life_ns:
+        return f"life_ns is {model['life_ns']}: expected from 1 to {longest_life_ns} (world.longest_life_s)"
+    if model["parts"] & ~ALL_PARTS:
+        return f"parts is {model['parts']}: expected bits of {ALL_PARTS}"
+    for name, (low, high) in RANGES.items():
+        if not low <= model[name] <= high:  # NaN, too
+            return f"{name} is {model[name]:g}: expected from {low:g} to {high:g}"
+    if model["parts"] & ModelParts.WALL and abs(model["wall_side"]) != 1:
+        return f"wall_side is {model['wall_side']}: expected 1 or -1"
+    return _why_no_profile(model) if model["parts"] & ModelParts.PROFILE else None
+
+
+def _why_no_profile(model: Any) -> str | None:
+    if not 1 <= model["samples"] <= MOST_SAMPLES:
+        return f"samples is {model['samples']}: expected from 1 to {MOST_SAMPLES}"
+    if not 0 < model["sample_ns"] <= LONGEST_SAMPLE_NS:
+        return f"sample_ns is {model['sample_ns']}: expected from 1 to {LONGEST_SAMPLE_NS}"
+    if not all(math.isfinite(value) and abs(value) <= 1e4 for value in model["sample_Nm"].tolist()):
+        return "sample_Nm: expected numbers from -10000 to 10000"
+    return None
