@@ -185,7 +185,8 @@ def add_model(
     room_Nm = max(w.motor_limit_Nm - compensation_Nm, 0.0)
     wanted_Nm = base_Nm + own_Nm
     torque_Nm = min(max(wanted_Nm, min(-room_Nm, base_Nm)), max(room_Nm, base_Nm))
-    if w.share > 0.0:
+    limited = w.share > 0.0 or w.apart != 0
+    if limited:
         torque_Nm = min(max(torque_Nm, w.pushed_Nm - w.motor_rate_Nm), w.pushed_Nm + w.motor_rate_Nm)
     w.world_Nm = torque_Nm - base_Nm
     moving_Nm = drive_Nm + damping_Nm if w.mode == ACTIVE else drive_Nm
@@ -195,7 +196,7 @@ def add_model(
     resisting_Nm = 0.0 if w.mode == ACTIVE else max(_sense(w, motion) * (left_Nm + damping_Nm), 0.0)
     wanted_brake_Nm = base_brake_Nm + resisting_Nm
     brake_Nm = min(wanted_brake_Nm, max(w.brake_limit_Nm, base_brake_Nm))
-    if w.share > 0.0:
+    if limited:
         brake_Nm = max(brake_Nm, min(w.brake_Nm - w.brake_fall_Nm, w.brake_limit_Nm))
         short_Nm = abs(wanted_Nm - torque_Nm)
         if w.mode == HYBRID:  # the brake shows what the motor cannot
@@ -203,5 +204,6 @@ def add_model(
         if short_Nm > ROUNDING_NM or abs(wanted_brake_Nm - brake_Nm) > ROUNDING_NM:
             w.clipped += 1
     w.world_brake_Nm = brake_Nm - base_brake_Nm
+    w.apart = 1 if w.share > 0.0 or w.world_Nm != 0.0 or w.world_brake_Nm != 0.0 else 0
     w.pushed_Nm, w.brake_Nm = torque_Nm, brake_Nm
     return torque_Nm, brake_Nm

@@ -130,6 +130,7 @@ class LocalModelRecord(Record):
     profile: int  # number of the last profile
     profile_ns: int  # time since it began
     field_from_rad: float  # position at which the field began
+    apart: int  # 1: the model's part has not come to 0 yet, because the rates hold it
     pushed_Nm: float  # motor's part of law and model in the last cycle, with the sign of psi
     brake_Nm: float  # brake's part of law and model in the last cycle
     # output of the last cycle

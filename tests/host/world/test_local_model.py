@@ -11,8 +11,9 @@ from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
 from coulombus.host.world.local_model import ACTIVE, HYBRID, PASSIVE, add_model, follow_model
 from coulombus.host.world.model_check import RANGES, why_not
 from coulombus.host.world.model_parts import LinearField, Model, Spring, TorqueProfile, Wall
-from coulombus.host.world.records import OFFERS, PARAMETERS, LocalModelRecord
+from coulombus.host.world.records import MODEL, OFFERS, PARAMETERS, LocalModelRecord
 from coulombus.kernels.records import new_records
+from plain_records import record_for_kernels
 
 BOTH = pytest.mark.parametrize("sign", [1, -1])
 SLOT_NAMES = {"K_p_Nm_rad": 0, "F_s_Nm": 1, "F_d_Nm": 2}
@@ -34,8 +35,14 @@ class Cycle:
 
     def render(self, model, profile=0):
         """Let the next cycle take a model."""
+        self.place(model.record(SLOT_NAMES, profile=profile))
+
+    def place(self, record):
+        """Let the next cycle take a record."""
         self.number += 1
-        self.w.offered[self.number % OFFERS] = model.record(SLOT_NAMES, profile=profile)
+        row = self.w.offered[self.number % OFFERS]
+        for name, value in zip(MODEL.names, record.tolist(), strict=True):
+            row[name] = value
         self.w.wanted = self.number
 
     def at(self, x_rad, v_rad_s=0.0, handle_Nm=0.0):
@@ -47,8 +54,8 @@ class Cycle:
 
 
 def cycle_of(mode, *, rest=1.0, motor_Nm=10.0, brake_Nm=20.0, rate_Nm=1e3, fall_Nm=1e3, **values):
-    w, motion = new_records(LocalModelRecord)[0], new_records(MotionRecord)[0]
-    law, state = new_records(LawRecord)[0], new_records(LawStateRecord)[0]
+    kinds = LocalModelRecord, MotionRecord, LawRecord, LawStateRecord
+    w, motion, law, state = (record_for_kernels(new_records(kind)[0]) for kind in kinds)
     w.on, w.mode, w.rest, w.law_share, w.period_ns, w.ramp_step, w.K_p_ratio = 1, mode, rest, rest, MS, 0.25, 1.0
     w.motor_limit_Nm, w.brake_limit_Nm, w.motor_rate_Nm, w.brake_fall_Nm = motor_Nm, brake_Nm, rate_Nm, fall_Nm
     law.K_p, law.F_s, law.F_d, law.velocity_band_counts = 100.0, 3.0, 2.0, 2.0
@@ -250,8 +257,7 @@ def test_no_plausible_model_exceeds_a_limit_or_a_rate(mode, values, parts, side,
     record["samples"], record["sample_ns"] = 4, 1_500_000
     record["sample_Nm"][:4] = samples
     assert why_not(record, 1, 10**9) is None
-    c.w.offered[1] = record
-    c.w.wanted = 1
+    c.place(record)
     torque_Nm = brake_Nm = 0.0
     for place in path:
         before = torque_Nm, brake_Nm
