@@ -20,6 +20,8 @@ from coulombus.system.lazy_names import lazy_names
 if TYPE_CHECKING:
     from coulombus.host.laws.along import given_law
     from coulombus.host.laws.law import friction_law
+    from coulombus.host.world.client import connect
+    from coulombus.host.world.model_parts import LinearField, Model, Spring, TorqueProfile, Wall
     from coulombus.lab.commissioning import commission
     from coulombus.lab.simulate import simulate
     from coulombus.lab.sweep.sweep import run_sweep
@@ -36,8 +38,14 @@ if TYPE_CHECKING:
 __all__ = [
     "CoulombusError",
     "Device",
+    "LinearField",
+    "Model",
+    "Spring",
+    "TorqueProfile",
     "VirtualNetwork",
+    "Wall",
     "commission",
+    "connect",
     "experiment",
     "friction_law",
     "given_law",
@@ -53,8 +61,14 @@ __all__ = [
 _PLACES = {
     "CoulombusError": "coulombus.system.errors",
     "Device": "coulombus.sim_bus.server.own_device",
+    "LinearField": "coulombus.host.world.model_parts",
+    "Model": "coulombus.host.world.model_parts",
+    "Spring": "coulombus.host.world.model_parts",
+    "TorqueProfile": "coulombus.host.world.model_parts",
     "VirtualNetwork": "coulombus.sim_bus.network.network",
+    "Wall": "coulombus.host.world.model_parts",
     "commission": "coulombus.lab.commissioning",
+    "connect": "coulombus.host.world.client",
     "experiment": "coulombus.lab.virtual_experiment",
     "friction_law": "coulombus.host.laws.law",
     "given_law": "coulombus.host.laws.along",

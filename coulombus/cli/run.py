@@ -45,6 +45,7 @@ __all__ = ["run_command"]
     default=None,
     help="CPU for the cycle's process.  [default: the last isolated one, else the last]",
 )
+@click.option("--world", is_flag=True, help="Let another program say what the hand meets (docs/worlds.md).")
 @page_options
 @json_option
 def run_command(
@@ -54,6 +55,7 @@ def run_command(
     outputs: OutputOptions,
     shared_machine: bool,
     cpu: int | None,
+    world: bool,
     page: PageOptions,
     as_json: bool,
 ) -> None:
@@ -97,6 +99,7 @@ def run_command(
             words += repeated("--set", chosen.overrides)
             words += ["--shared-machine"] if shared_machine else []
             words += [] if cpu is None else ["--cpu", str(cpu)]
+            words += ["--world"] if world else []
             for path in (path_on(path, channel) for path in outputs.refusable() for channel in addresses):
                 check_output(path, force=outputs.overwrite)  # for all buses before the first one starts
             _run_buses([*words, *outputs.words()], addresses, outputs.files, mode, as_json)
@@ -113,6 +116,7 @@ def run_command(
                 signals=signals,
                 progress=lambda t, axes: report(mode, t, seconds, _state(axes)),
                 cpu=cpu,
+                world=world,
             )
         with verdict(result.exit_status, f"trip: {printable(result.trip)}" if result.trip else ""):
             _say_what_to_do(result.trip, anchor, shared_machine)

@@ -86,7 +86,6 @@ class _VirtualRun(Course):
             self.recorder = Recorder(order.record, rig, mode, seed, about=about, force=order.force)
             self.world.on_host = self._write_host
             self.world.keep_told()
-            self.world.models.keeps = order.outside is not None
         self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)
         self.outside = order.outside
         self.injection: Injection | None = None
@@ -104,8 +103,7 @@ class _VirtualRun(Course):
 
     def _write_host(self, had: Records, events: Records, sent: Records) -> None:
         models = self.world.models.take_rows()
-        if models:
-            self.record(lambda recorder: recorder.keep_models(models))
+        self.record(lambda recorder: recorder.keep_models(models))
         self.record(lambda recorder: recorder.trace(~had, events, sent))
 
     @property
@@ -134,6 +132,8 @@ class _VirtualRun(Course):
             world.run_until(int(bus_ns(world.host_clock, window_ns)) + 1)
         self.mark_course(world.t_ns + (world.t_ns < until_ns))  # an event at the display's end is excluded
         world.flush()
+        if self.recorder is None:
+            world.models.take_rows()  # nobody keeps them
         enabled = self.enabled_ns
         if self.progress is not None and enabled is not None:
             self.progress((world.t_ns - enabled) * 1e-9)

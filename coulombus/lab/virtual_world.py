@@ -22,7 +22,7 @@ WorldFunction: TypeAlias = Callable[[State], Any]
 
 
 def with_world(rig: Rig) -> Rig:
-    """Return the rig with [world]; unchanged if it has one.
+    """Return the rig with [world] (`Rig.with_world`).
 
     Raises
     ------
@@ -34,7 +34,7 @@ def with_world(rig: Rig) -> Rig:
         raise WrongCall(
             f"the rig {rig.name} has the buses {buses}: a world is of one bus, so take the rig's part: rig.on(...)"
         )
-    return rig if all(axis.world is not None for axis in rig.axes) else rig.variant('world.rest="law"')
+    return rig.with_world()
 
 
 class _Said:

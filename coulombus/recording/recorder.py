@@ -176,7 +176,8 @@ class Recorder:
 
     def keep_models(self, rows: bytes) -> None:
         """Keep models that a world has sent (`host.world.recorded`), for the next attachment."""
-        self._models.append(rows)
+        if rows:
+            self._models.append(rows)
 
     def _write_trace(self) -> None:
         own, rows, sent = np.concatenate(self._own), np.concatenate(self._rows), self._sent

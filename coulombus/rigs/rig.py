@@ -280,6 +280,10 @@ class Rig:
         named = [axis for axis, values in own.items() if "function" in values.get("law", ())]
         return self.variant(f'law.function="{name}"', *(f'axis.{axis}.law.function="{name}"' for axis in named))
 
+    def with_world(self) -> Rig:
+        """Return the rig with [world]; unchanged if all its axes have it."""
+        return self if all(axis.world is not None for axis in self.axes) else self.variant('world.rest="law"')
+
     def _identity(self) -> tuple[str, tuple[tuple[str, str], ...]]:
         return self.effective(), tuple(sorted(self.eds_texts.items()))
 

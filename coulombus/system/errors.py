@@ -29,8 +29,9 @@ CoulombusError
 |   |   +-- NotTaken             2   host.cycle.parameter_changes
 |   +-- DeviceMismatch           3   host.errors
 |   +-- LssRefused               6   host.devices.lss
-|   +-- ModelRefused             2   host.cycle.models
+|   +-- ModelRefused             2   host.world.model_check
 |   +-- NoHost                   4   host.run.control_socket
+|   +-- NoWorld                  4   host.world.client
 |   +-- NodeMissing              5   host.errors
 |   |   +-- SdoSilent            5   host.sdo.transfers
 |   +-- NotChanged               2   host.run.control_socket

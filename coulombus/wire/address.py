@@ -22,6 +22,7 @@ from coulombus.system.quoting import INTERFACE
 
 __all__ = [
     "HOST_SUFFIX",
+    "WORLD_SUFFIX",
     "AddressError",
     "BusAddress",
     "BusUnavailable",
@@ -38,6 +39,7 @@ Kind: TypeAlias = Literal["coulombus", "socketcan"]
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _SUN_PATH = 107  # bytes of a socket's path, without the closing zero byte: unix(7)
 HOST_SUFFIX = ".host"  # the control socket of the host on bus NAME is NAME.host
+WORLD_SUFFIX = ".world"  # the socket of the host on bus NAME for a world outside is NAME.world
 
 
 class AddressError(CoulombusError, ValueError):
@@ -107,7 +109,8 @@ def default_address(rig_name: str) -> BusAddress:
     """Return the virtual bus of a rig: ``coulombus:RIG``, with ``-`` for each character that a name
     cannot have.
     """
-    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.").removesuffix(HOST_SUFFIX) or "bus"
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.")
+    name = name.removesuffix(HOST_SUFFIX).removesuffix(WORLD_SUFFIX) or "bus"
     return BusAddress("coulombus", name)
 
 
@@ -140,8 +143,9 @@ def parse_address(text: str) -> BusAddress:
             )
         return BusAddress("socketcan", name)
     _check_name(name)
-    if name.endswith(HOST_SUFFIX):
-        raise AddressError(f"bus {text!r}: names that end in {HOST_SUFFIX} are kept for the host's control socket")
+    for suffix in (HOST_SUFFIX, WORLD_SUFFIX):
+        if name.endswith(suffix):
+            raise AddressError(f"bus {text!r}: names that end in {suffix} are kept for the host's control socket")
     return BusAddress("coulombus", name)
 
 
@@ -186,7 +190,7 @@ def socket_names() -> list[str]:
 
 def bus_names() -> list[str]:
     """Return the names of the virtual buses that have a socket, including stale sockets of killed processes."""
-    return [name for name in socket_names() if _NAME.fullmatch(name) and not name.endswith(HOST_SUFFIX)]
+    return [name for name in socket_names() if _NAME.fullmatch(name) and not name.endswith((HOST_SUFFIX, WORLD_SUFFIX))]
 
 
 def live_bus_names() -> list[str]:

@@ -6,26 +6,20 @@ the cycle has not taken: a world that sends more between two cycles is refused, 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import ChangeRefused, LiveParameters
 from coulombus.host.cycle.records import SLOTS, Slot
-from coulombus.host.errors import HostError
-from coulombus.host.world.model_check import why_not
+from coulombus.host.world.model_check import ModelRefused, why_not
 from coulombus.host.world.recorded import key_of, row_of
 from coulombus.host.world.records import OFFERS, PARAMETERS, ModelParts
 
-__all__ = ["ModelRefused", "Models"]
+__all__ = ["Models"]
 
 assert SLOTS == PARAMETERS
-
-
-class ModelRefused(HostError):
-    """A model of a world was refused; the text gives the reason."""
-
-    exit_status = 2
 
 
 class Models:
@@ -33,7 +27,6 @@ class Models:
 
     Attributes
     ----------
-    keeps : whether accepted models are kept for a recording (`take_rows`)
     accepted, refused : numbers of models
     """
 
@@ -47,8 +40,7 @@ class Models:
             {name: slot for name, slot in table.items() if slot != Slot.COMPENSATION} for table in parameters.slots()
         )
         """Slots of the parameters that a world may set, by name, for each axis."""
-        self.keeps = False
-        self._rows: list[bytes] = []
+        self._rows: deque[bytes] = deque()
         self.accepted = self.refused = 0
 
     def write(self, model: Any) -> int:
@@ -78,12 +70,11 @@ class Models:
             self._fill_parameters(model, axis)
         number = self._number[axis] + 1
         if number - int(self._worlds["taken"][axis]) >= OFFERS:
-            raise ModelRefused(f"more than {OFFERS - 1} models in a cycle")
+            raise ModelRefused(f"more than {OFFERS - 1} models in a cycle", again=True)
         self._worlds["offered"][axis, number % OFFERS] = model
         self._number[axis] = number
         self.accepted += 1
-        if self.keeps:
-            self._rows.append(row_of(model, number))
+        self._rows.append(row_of(model, number))
         return number
 
     def publish_now(self, axis: int, number: int) -> int:
@@ -97,8 +88,7 @@ class Models:
 
     def take_rows(self) -> bytes:
         """Return the accepted models since the last call, as rows of `host.world.recorded`."""
-        rows, self._rows = self._rows, []
-        return b"".join(rows)
+        return b"".join(self._rows.popleft() for _ in range(len(self._rows)))
 
     def _fill_parameters(self, model: Any, axis: int) -> None:
         """Check the parameters that the model sets, and complete them with the others' present targets, so

@@ -32,6 +32,8 @@ __all__ = ["DataPlane", "PlaneError", "Spread", "rig_filters"]
 
 START_TIMEOUT_S = 180.0  # the very first start compiles the loop
 BATCH_FRAMES = 1 << 14
+STATES_BYTES = 1 << 18
+"""Size of the queue of states: some hundreds; the kernel may allow less."""
 CAN_SFF_EXACT = 0x7FF | 0xC0000000  # the whole identifier, no extended and no remote frames
 PRIORITY = 80
 PARENT_NS = 2_000_000_000
@@ -130,15 +132,23 @@ class DataPlane:
         self._batch = frames(BATCH_FRAMES)
         self._rows = new_records(TraceRow, TRACE_ROWS)
         self.real_time: list[dict[str, Any]] = []
+        self.states: socket.socket | None = None
+        """Socket with a `host.world.records.StateRecord` of each axis after each cycle, for a rig with [world]."""
         self._process = self._start(priority, cpu)
 
     def _start(self, priority: int | None, cpu: int | None) -> subprocess.Popen[str]:
         rig = self._controllers.rig
+        sender: socket.socket | None = None
+        if any(axis.world is not None for axis in rig.axes):
+            self.states, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+            sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, STATES_BYTES)
+        fds = [self._client.fileno(), self.shared.fd, *([] if sender is None else [sender.fileno()])]
         settings = {
             "parent": os.getpid(),
             "bus_fd": self._client.fileno(),
             "memory_fd": self.shared.fd,
             "axes": self.shared.axis_count,
+            "world_fd": -1 if sender is None else sender.fileno(),
             "law": rig.law_function,
             "law_directory": str(rig.law_directory.absolute()),
             "kinematics": None if rig.kinematics is None else rig.kinematics.model_dump(),
@@ -147,15 +157,18 @@ class DataPlane:
         }
         root = str(Path(__file__).parents[__name__.count(".")])
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-P", "-m", self.MODULE, json.dumps(settings)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             text=True,
-            pass_fds=(self._client.fileno(), self.shared.fd),
+            pass_fds=fds,
             start_new_session=True,  # Ctrl-C of the terminal goes to the parent only
             env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )
+        if sender is not None:
+            sender.close()
+        return process
 
     @property
     def pid(self) -> int:
@@ -275,6 +288,8 @@ class DataPlane:
         self._process.wait()
         self._process.stdout.close()
         self._client.close()
+        if self.states is not None:
+            self.states.close()
         self.shared.close()
 
     # figures

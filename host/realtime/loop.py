@@ -36,6 +36,8 @@ from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.cycle.telemetry import tell
 from coulombus.host.realtime.log_rings import log_frame, log_moment
 from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus, field_offset
+from coulombus.host.realtime.world_link import take_models, tell_world
+from coulombus.host.world.records import StateRecord
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import (
     CLOCK_REALTIME,
@@ -89,6 +91,8 @@ class Buffers(NamedTuple):
     poll: Integers
     out: Queue
     told: RecordArray[Frame]  # telemetry frames of one axis (`host.cycle.telemetry`)
+    world_fd: int  # socket for the states of each cycle (`host.world.server`); -1: none
+    world_state: RecordArray[StateRecord]  # the state that is sent, one record
 
 
 AT_COMMAND, AT_STATUS, AT_STOP = field_offset("command"), field_offset("status"), field_offset("stop")
@@ -285,9 +289,7 @@ def _drain(b: Buffers) -> int:
 
 @kernel
 def _obey(b: Buffers) -> None:
-    """Execute the parent's requests (safe state, dead man's switch, changed parameters), and check that
-    the parent runs.
-    """
+    """Execute the parent's requests (safe state, dead man's switch, parameters, models), and check that it runs."""
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
     _stop(p, axes, load_acquire(base + AT_STOP))
     _look_after_parent(p, base, axes)
@@ -300,6 +302,7 @@ def _obey(b: Buffers) -> None:
         p.ordered = order
         axes[p.order_axis].live.wanted = order
         log_moment(b.plane, b.trace, Moment.SET, now_ns(), order)
+    take_models(b.plane, b.trace, b.axes)
 
 
 @kernel
@@ -387,6 +390,7 @@ def _cycle(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None) ->
         if _collect(b, law_function, arm, sync + c.window_ns) != 0:
             return 1
         done = now_ns()
+        tell_world(b.world_fd, b.world_state, b.axes, done)
         _tell(b, done)
         if displays:
             _count(b.latency_bins, done - sync)

@@ -27,6 +27,7 @@ from coulombus.host.laws.plane.plane_laws import load_plane_law
 from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.host.realtime.loop import MESSAGE_FRAMES, Buffers, run_plane
 from coulombus.host.realtime.shared_memory import PlaneCommand, SharedPlane
+from coulombus.host.world.records import StateRecord
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
 from coulombus.rigs.kinematics.load_mechanism import load_mechanism
@@ -38,13 +39,24 @@ from coulombus.wire.recvmsg import new_mailbox
 __all__ = ["main", "new_buffers", "warm_up"]
 
 
-def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
-    """Return the loop's buffers for a socket and a shared memory."""
+def new_buffers(fd: int, shared: SharedPlane, world_fd: int = -1) -> Buffers:
+    """Return the loop's buffers for a socket, a shared memory, and a socket for the states."""
     s = shared
     box, words = new_mailbox(MESSAGE_FRAMES)
     tx, poll = np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)
     parts = (s.plane, s.ring, s.trace, s.wakeup_bins, s.latency_bins, s.axes, s.owner)
-    return Buffers(fd, *parts, box, words, tx, poll, new_queue(), new_records(Frame, MOST_FRAMES))
+    return Buffers(
+        fd,
+        *parts,
+        box,
+        words,
+        tx,
+        poll,
+        new_queue(),
+        new_records(Frame, MOST_FRAMES),
+        world_fd,
+        new_records(StateRecord),
+    )
 
 
 def load_functions(settings: dict[str, Any]) -> tuple[LawFunction, PlaneFunctions | None]:
@@ -79,7 +91,7 @@ def main(settings: dict[str, Any]) -> int:
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     shared = SharedPlane(settings["memory_fd"], settings["axes"])
     law_function, arm = load_functions(settings)
-    buffers = new_buffers(settings["bus_fd"], shared)
+    buffers = new_buffers(settings["bus_fd"], shared, settings["world_fd"])
     warm_up(shared, buffers, law_function, arm)
     report = ask_for_real_time(settings["priority"], settings["cpu"])
     shared.plane["parent"] = settings["parent"]

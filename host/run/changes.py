@@ -70,6 +70,10 @@ class Changes:
         fields = {} if change is None else change.as_dict()
         return {**fields, "parameters": self.rows(), "arm_key": bool(self.arm_key)}
 
+    def key_why_not(self, key: str, now_ns: int) -> str | None:
+        """Return the reason why the arm key is refused; None if it is right, or none is needed."""
+        return self._key.why_not(key, now_ns)
+
     def _change(self, order: Mapping[str, Any], now_ns: int) -> Change:
         reason = self._why_not() or self._key.why_not(order["key"], now_ns)
         if reason is not None:

@@ -31,6 +31,7 @@ def real_run(
     signals: Signals | None = None,
     progress: Progress | None = None,
     cpu: int | None = None,
+    world: bool = False,
 ) -> RunResult:
     """Run the host on a bus and return the result.
 
@@ -43,6 +44,7 @@ def real_run(
     signals : entered by the caller; a signal then ends the run safely
     progress : called with the display's time in s and each axis' state (`run_state.axis_state`)
     cpu : CPU of the data plane; default is the last CPU that this process may use
+    world : let a world outside in (docs/worlds.md); a rig without [world] gets the section
 
     Raises
     ------
@@ -55,6 +57,7 @@ def real_run(
         the recording cannot be created, or exists
     """
     address = bus or default_address(rig.name)
+    rig = rig.with_world() if world else rig
     with refusing():
         check_no_rehearsal(rig, address)
         check_no_guess(rig, address)
@@ -69,6 +72,7 @@ def real_run(
             signals=signals or Signals(),
             progress=progress,
             cpu=default_cpu() if cpu is None else cpu,
+            world=world,
         )
     try:
         try:

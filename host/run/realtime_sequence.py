@@ -37,6 +37,7 @@ from coulombus.host.run.result import RunResult
 from coulombus.host.run.run_recording import StampOrder, begin_recording
 from coulombus.host.run.run_sequence import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.run_state import Progress, with_states
+from coulombus.host.run.world_display import WorldDisplay
 from coulombus.host.setup.bringup import bring_up, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.recording.measures import Measures
@@ -72,6 +73,7 @@ class RealCourse(Course):
         signals: Signals,
         progress: Progress | None,
         cpu: int | None,
+        world: bool = False,
     ) -> None:
         self.rig, self.address, self.signals = rig, address, signals
         self.deadman = deadman_of(rig, mode, address)
@@ -97,6 +99,8 @@ class RealCourse(Course):
             self._stack.callback(self.plane.close)
             parameters = LiveParameters(self.k)  # the controllers are in shared memory by now
             self.changes = Changes(parameters, new_arm_key(address), self._apply, self._why_no_change)
+            self.world = WorldDisplay(self.k, self.plane, parameters, self.changes, address if world else None)
+            self._stack.callback(self.world.close)
             self.answers = Answers(self, self.plane, self.changes, address, outputs)
             self._stack.callback(self.answers.close)
             self.door.status, self.door.mark = self.answers.state, self.answers.mark
@@ -121,6 +125,8 @@ class RealCourse(Course):
     def _why_no_change(self) -> str | None:
         if self.plane.status is not PlaneStatus.CYCLING:
             return "the host is not in its cycle yet: it is starting, or it has stopped"
+        if self.world.controlled:
+            return "a program outside has control (coulombus run --world): its models set the parameters"
         return "the host ends: it is in its safe state" if self.k.ending else None
 
     def _apply(self, change: Change) -> None:
@@ -140,9 +146,10 @@ class RealCourse(Course):
         With `seen_ns`, later frames wait for the next batch. All markers up to `seen_ns` are set by then:
         a frame that could still get a marker is not written.
         """
-        rows, frames = self.plane.take_trace(), self.plane.take()
+        rows, frames, models = self.plane.take_trace(), self.plane.take(), self.world.models.take_rows()
         if self.recorder is None or self.failure is not None:
             return
+        self.record(lambda recorder: recorder.keep_models(models))
         batch = self._order.batch(frames, rows, seen_ns)
         self.record(lambda recorder: batch.write(recorder, self._bits))
 
@@ -346,6 +353,7 @@ class RealCourse(Course):
         if self._touched:
             self._attempt(lambda: shut_down(self.control), BusUnavailable)
         self._attempt(self.drain)
+        self._attempt(self.world.close)
         self._give_up_recording()
         self._attempt(self.plane.close)
 

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from coulombus.host.errors import HostError
 from coulombus.host.world.records import MOST_SAMPLES, ModelParts
 
-__all__ = ["RANGES", "why_not"]
+__all__ = ["RANGES", "ModelRefused", "why_not"]
 
 RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
@@ -29,6 +30,19 @@ RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
 """Smallest and largest value of each number, whether its part is used or not."""
 LONGEST_SAMPLE_NS = 1_000_000_000
 ALL_PARTS = sum(ModelParts)
+
+
+class ModelRefused(HostError):
+    """A model of a world was refused; the text gives the reason.
+
+    `again`: the model itself is right, and may be sent again.
+    """
+
+    exit_status = 2
+
+    def __init__(self, reason: str, *, again: bool = False) -> None:
+        super().__init__(reason)
+        self.again = again
 
 
 def why_not(model: Any, axes: int, longest_life_ns: int) -> str | None:

@@ -22,8 +22,8 @@ __all__ = ["LIFE_S", "LinearField", "Model", "Part", "Spring", "TorqueProfile", 
 
 LIFE_S = 0.1
 """Default time to live of a model [s]."""
-KIND_MODEL = 2
-"""Kind of the record on the socket (`host.world.protocol`)."""
+HEAD = 2 | MODEL.itemsize << 16
+"""Kind and size of the record (`host.world.protocol`)."""
 
 
 def _check(part: object, *at_least_zero: str) -> None:
@@ -172,7 +172,7 @@ class Model:
             the law has no parameter of such a name
         """
         record = np.zeros(1, MODEL)[0]
-        record["head"] = KIND_MODEL | MODEL.itemsize << 16
+        record["head"] = HEAD
         record["life_ns"], record["law"], record["wall_side"] = round(self.life_s * 1e9), self.law, 1
         parts = ModelParts(0)
         if self.wall is not None:

@@ -7,7 +7,7 @@ Torques have the sign of the torque that acts on the handle. K and B of wall and
 from __future__ import annotations
 
 from enum import IntFlag
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -24,6 +24,7 @@ __all__ = [
     "ModelParts",
     "ModelRecord",
     "StateRecord",
+    "offset_of",
 ]
 
 MOST_SAMPLES = 64
@@ -32,6 +33,16 @@ PARAMETERS = 4 + USER
 """Number of the law's parameters in a model, by `host.cycle.records.Slot`."""
 OFFERS = 8
 """Size of the ring of models; the writer keeps the model in use and those not yet taken."""
+
+
+def offset_of(dtype: np.dtype[Any], *names: str) -> int:
+    """Return the offset of a field, or of a field within a field, in bytes."""
+    offset = 0
+    for name in names:
+        assert dtype.fields is not None
+        dtype, place = dtype.fields[name][:2]
+        offset += int(place)
+    return offset
 
 
 class ModelParts(IntFlag):

@@ -402,7 +402,7 @@ class VirtualRig(VirtualNetwork):
 
         Raises
         ------
-        coulombus.host.cycle.models.ModelRefused
+        coulombus.host.world.model_check.ModelRefused
             the host never sees it; the text says why
         """
         axis = int(model["axis"])

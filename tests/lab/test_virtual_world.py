@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from coulombus.host.cycle.models import ModelRefused
+from coulombus.host.world.model_check import ModelRefused
 from coulombus.host.world.model_parts import LinearField, Model, Spring, Wall
 from coulombus.host.world.recorded import ROW
 from coulombus.host.world.state import RUN
@@ -153,7 +153,9 @@ def test_a_value_out_of_the_laws_bounds_ends_the_run_with_the_reason():
         simulate("bench", "passive", 1, world=lambda state: Model(life_s=2.0))
 
 
-@pytest.mark.parametrize("wrong", [{"world": 7}, {"world": print, "world_every": 0}, {"world": print, "world_every": 1.5}])
+@pytest.mark.parametrize(
+    "wrong", [{"world": 7}, {"world": print, "world_every": 0}, {"world": print, "world_every": 1.5}]
+)
 def test_a_world_that_is_no_function_is_refused(wrong):
     with pytest.raises(WrongCall):
         simulate("bench", "passive", 1, **wrong)
@@ -161,5 +163,5 @@ def test_a_world_that_is_no_function_is_refused(wrong):
 
 def test_a_rig_on_several_buses_is_refused():
     rig = load_rig("two_axes", ('axis.right.bus.channel="b"', 'axis.left.bus.channel="a"'))
-    with pytest.raises(WrongCall, match="several|buses"):
+    with pytest.raises(WrongCall, match="buses"):
         simulate(rig, "passive", 1, world=lambda state: None)
