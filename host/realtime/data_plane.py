@@ -106,6 +106,8 @@ class DataPlane:
         the bus does not exist
     """
 
+    states: socket.socket | None = None
+    """Socket with a `host.world.records.StateRecord` of each axis after each cycle, for a rig with [world]."""
     MODULE = "coulombus.host.realtime.process"
     """Module that the process runs."""
 
@@ -132,8 +134,6 @@ class DataPlane:
         self._batch = frames(BATCH_FRAMES)
         self._rows = new_records(TraceRow, TRACE_ROWS)
         self.real_time: list[dict[str, Any]] = []
-        self.states: socket.socket | None = None
-        """Socket with a `host.world.records.StateRecord` of each axis after each cycle, for a rig with [world]."""
         self._process = self._start(priority, cpu)
 
     def _start(self, priority: int | None, cpu: int | None) -> subprocess.Popen[str]:

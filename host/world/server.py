@@ -44,7 +44,7 @@ from coulombus.system.exit import say
 
 __all__ = ["Display", "WorldServer", "WorldSocketError"]
 
-CLIENTS, BACKLOG = 16, 8
+CLIENTS, BACKLOG = 16, 64
 SILENT_NS = 1_000_000_000
 """Longest time from the connection to HELLO."""
 MOST_BACKLOG = 2000 * SIZES[Kind.STATE]
