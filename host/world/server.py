@@ -204,6 +204,11 @@ class WorldServer:
         """Whether a program has control: it has sent models, and is connected."""
         return self._controller is not None
 
+    @property
+    def readers(self) -> int:
+        """Number of programs that read states."""
+        return sum(program.states for program in self._programs)
+
     # the thread
 
     def _run(self) -> None:
