@@ -20,7 +20,7 @@ from coulombus.system.lazy_names import lazy_names
 if TYPE_CHECKING:
     from coulombus.host.laws.along import given_law
     from coulombus.host.laws.law import friction_law
-    from coulombus.host.world.client import connect
+    from coulombus.host.world.hand import connect
     from coulombus.host.world.model_parts import LinearField, Model, Spring, TorqueProfile, Wall
     from coulombus.lab.commissioning import commission
     from coulombus.lab.simulate import simulate
@@ -68,7 +68,7 @@ _PLACES = {
     "VirtualNetwork": "coulombus.sim_bus.network.network",
     "Wall": "coulombus.host.world.model_parts",
     "commission": "coulombus.lab.commissioning",
-    "connect": "coulombus.host.world.client",
+    "connect": "coulombus.host.world.hand",
     "experiment": "coulombus.lab.virtual_experiment",
     "friction_law": "coulombus.host.laws.law",
     "given_law": "coulombus.host.laws.along",

@@ -31,7 +31,7 @@ CoulombusError
 |   +-- LssRefused               6   host.devices.lss
 |   +-- ModelRefused             2   host.world.model_check
 |   +-- NoHost                   4   host.run.control_socket
-|   +-- NoWorld                  4   host.world.client
+|   +-- NoWorld                  4   host.world.hand
 |   +-- NodeMissing              5   host.errors
 |   |   +-- SdoSilent            5   host.sdo.transfers
 |   +-- NotChanged               2   host.run.control_socket
@@ -44,6 +44,7 @@ CoulombusError
 |   +-- SimDied                  4   lab.demo.real_demo
 |   +-- StatusError              2   host.run.status_socket
 |   +-- ValueRefused             2   host.devices.device
+|   +-- WorldSocketError         4   host.world.server
 +-- IdentifierError              2   wire.identifiers             ValueError
 +-- IdentifyError                1   recording.friction.sliding   ValueError
 +-- LatencyError                 1   host.doctor.latency          RuntimeError

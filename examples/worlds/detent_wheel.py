@@ -1,7 +1,7 @@
 """A wheel with detents: a spring to the nearest of them, ten on a turn.
 
-    python examples/worlds/detent_wheel.py           in virtual time: prints which detents were met
-    python examples/worlds/detent_wheel.py --live    on the display of `coulombus run --world --mode active`
+python examples/worlds/detent_wheel.py           in virtual time: prints which detents were met
+python examples/worlds/detent_wheel.py live    on the display of `coulombus run --world --mode active`
 """
 
 import math
@@ -43,7 +43,7 @@ def live():
 
 
 if __name__ == "__main__":
-    if "--live" in sys.argv:
+    if "live" in sys.argv:
         live()
     else:
         print("detents", *in_virtual_time())

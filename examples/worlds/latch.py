@@ -1,7 +1,7 @@
 """A latch: a spring holds the handle until it is pulled out, with a click; back at 0 it catches again.
 
-    python examples/worlds/latch.py           in virtual time: prints when the latch opened and closed
-    python examples/worlds/latch.py --live    on the display of `coulombus run --world --mode active`
+python examples/worlds/latch.py           in virtual time: prints when the latch opened and closed
+python examples/worlds/latch.py live    on the display of `coulombus run --world --mode active`
 """
 
 import sys
@@ -46,7 +46,7 @@ def live():
 
 
 if __name__ == "__main__":
-    if "--live" in sys.argv:
+    if "live" in sys.argv:
         live()
     else:
         print("latch", *in_virtual_time())

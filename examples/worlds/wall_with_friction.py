@@ -1,7 +1,7 @@
 """A wall at 0.3 rad, and less friction on this side of it than the rig's law has.
 
-    python examples/worlds/wall_with_friction.py           in virtual time: prints the largest depth
-    python examples/worlds/wall_with_friction.py --live    on the display of `coulombus run --world`
+python examples/worlds/wall_with_friction.py           in virtual time: prints the largest depth
+python examples/worlds/wall_with_friction.py live    on the display of `coulombus run --world`
 """
 
 import sys
@@ -38,7 +38,7 @@ def live():
 
 
 if __name__ == "__main__":
-    if "--live" in sys.argv:
+    if "live" in sys.argv:
         live()
     else:
         print("depth, brake torque", *in_virtual_time())

@@ -13,7 +13,7 @@ from coulombus.host.cycle.parameter_changes import LiveParameters
 from coulombus.host.cycle.records import Phase
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.run.changes import Changes
-from coulombus.host.world.client import world_path
+from coulombus.host.world.hand import world_path
 from coulombus.host.world.model_check import ModelRefused
 from coulombus.host.world.protocol import VERSION, Named, Welcome
 from coulombus.host.world.server import WorldServer

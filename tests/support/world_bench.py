@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from coulombus.host.world.client import world_path
+from coulombus.host.world.hand import world_path
 from coulombus.host.world.model_check import ModelRefused, why_not
 from coulombus.host.world.protocol import Named, Welcome
 from coulombus.host.world.records import STATE

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from coulombus.host.world.client import Hand, NoWorld, connect, world_path
+from coulombus.host.world.hand import Hand, NoWorld, connect, world_path
 from coulombus.host.world.model_check import ModelRefused, why_not
 from coulombus.host.world.model_parts import Model, Spring, TorqueProfile, Wall
 from coulombus.host.world.protocol import (

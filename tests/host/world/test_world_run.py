@@ -11,7 +11,7 @@ import time
 import pytest
 
 from coulombus.host.run.control_socket import NotChanged, ask_change
-from coulombus.host.world.client import NoWorld, connect
+from coulombus.host.world.hand import NoWorld, connect
 from coulombus.host.world.model_parts import Wall
 from coulombus.host.world.state import RUN
 from coulombus.kernels.decorator import JIT_DISABLED

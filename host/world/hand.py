@@ -344,12 +344,9 @@ class Hand:
 
 
 def connect(bus: str = "bench", *, key: str = "", timeout_s: float = WAIT_S) -> Hand:
-    """Connect to the host that displays on a bus (``coulombus run --world``)::
+    """Connect to the host that displays on a bus (``coulombus run --world``).
 
-        with connect("coulombus:bench") as hand:
-            hand.render(Wall(x_rad=0.0, K_Nm_rad=2.0, B_Nms_rad=0.05))
-            for state in hand:
-                print(state.x_rad, state.world_Nm)
+    docs/worlds.md has an example. Leave the host by ``with`` or `Hand.close`.
 
     Parameters
     ----------
