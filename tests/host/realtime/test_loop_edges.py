@@ -51,6 +51,7 @@ class Bench:
                 control=SimpleNamespace(deadman_key=1),
                 host=SimpleNamespace(deadman_ok=7, phase=int(Phase.RUN), trip=0, trip_ns=0, position_age=k),
                 live=SimpleNamespace(wanted=0),
+                world=SimpleNamespace(on=0),
             )
             for k in range(2)
         )
@@ -59,6 +60,7 @@ class Bench:
         self.poll = type("Poll", (), {"ctypes": poll.ctypes, "__setitem__": lambda _, k, v: arrays.update({k: v})})()
         self.polled = arrays
         self.b = SimpleNamespace(fd=5, plane=Shared([self.p]), axes=self.axes, trace=None, out=out, poll=self.poll)
+        self.b.world_fd, self.b.world_state = -1, None
         self.ramps = False
         for name in OWN:
             monkeypatch.setattr(loop, name, plain(getattr(loop, name)))
