@@ -90,6 +90,7 @@ def course_of(monkeypatch, rig="bench"):
     found.notifier = SimpleNamespace(
         tell=lambda **what: log.append(("tell", what)), alive=lambda cycles: log.append(("alive", cycles))
     )
+    found.world = SimpleNamespace(models=SimpleNamespace(take_rows=bytes), controlled=False, close=lambda: None)
     found.answers = SimpleNamespace(tell=lambda ns: log.append(("answer", ns)))
     found.control = SimpleNamespace(check_alone=lambda at: log.append(("alone until", at)), wait_ns=lambda ns: None)
     found.changes = SimpleNamespace(arm_key="")

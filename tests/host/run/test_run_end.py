@@ -167,6 +167,7 @@ def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", en
     """
     rig = load_rig(rig)
     run = object.__new__(realtime_sequence.RealCourse)
+    run.world = SimpleNamespace(models=SimpleNamespace(take_rows=bytes), controlled=False, close=lambda: None)
     k = Controllers(rig, "hybrid")
     plane = Plane(k, trip, enabled_s)
     plane.clock, plane.slow_batch = PlaneClock(plane), slow_batch
@@ -233,6 +234,7 @@ def test_the_phases_of_each_axis_count_from_its_own_start(tmp_path, monkeypatch,
 
 def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monkeypatch):
     run = object.__new__(realtime_sequence.RealCourse)
+    run.world = SimpleNamespace(models=SimpleNamespace(take_rows=bytes), controlled=False, close=lambda: None)
     rig = load_rig("bench")
     run.plane = Plane(Controllers(rig, "hybrid"))
     run.plane.slow_batch = 0
