@@ -100,7 +100,9 @@ def course_of(monkeypatch, rig="bench"):
 
 
 def recording(run, close=lambda: None):
-    run.recorder = SimpleNamespace(mark=lambda t_ns, text: run.log.append(("mark", t_ns, text)), close=close)
+    run.recorder = SimpleNamespace(
+        keep_models=lambda rows: None, mark=lambda t_ns, text: run.log.append(("mark", t_ns, text)), close=close
+    )
     return run.recorder
 
 
