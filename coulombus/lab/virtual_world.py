@@ -28,6 +28,8 @@ def with_world(rig: Rig) -> Rig:
     ------
     coulombus.rigs.arguments.WrongCall
         the rig has several buses
+    coulombus.rigs.rig.RigError
+        the rig is an arm in the plane
     """
     if len(rig.channels) > 1:
         buses = ", ".join(rig.channels)

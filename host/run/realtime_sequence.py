@@ -1,6 +1,4 @@
-"""Sequence of a real-time run on a bus.
-
-The nodes on the bus may be real or simulated.
+"""Sequence of a real-time run on a bus with real or simulated nodes.
 
 This process is the parent of the data plane (`host.realtime.data_plane`). It brings the nodes up over
 SDO, starts the cycle, records the data plane's log, supervises the run, and ends it safely: when the

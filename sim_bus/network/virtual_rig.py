@@ -68,11 +68,9 @@ class VirtualRig(VirtualNetwork):
 
     Parameters
     ----------
-    believed : rig file of the host, if different: same bus, same nodes, other assumed values;
-        default is `rig`
+    believed : rig file of the host, if different from `rig`: same bus and nodes, other assumed values
     seed : starts the transducer's noise
-    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) after they were
-        sent
+    on_frames : called with each batch of sent frames (FRAME records, end-of-frame stamps)
     truth : store the plant's true course (`truth()` returns it)
     tip : store the true course of an arm's tip (`tip_course()` returns it), a row for each millisecond
     numbered : the devices have the rig's node ids; otherwise none, and wait for an LSS master
