@@ -14,7 +14,8 @@ from pathlib import Path
 
 from benchmarks import contestants as c
 from benchmarks.contestants import Bus, quantile
-from benchmarks.realtime import compiled, ratio, show, skipped, take_turns
+from benchmarks.realtime import compiled, ratio, skipped, take_turns
+from benchmarks.report import show
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.fault_file import read_faults
 from coulombus.sim_bus.faults.injection import Injection

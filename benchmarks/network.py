@@ -88,11 +88,15 @@ def network(show: Callable[..., None]) -> None:
     for count in SIZES:
         rate = frames[count] / simulated_s / count
         what = f"{count} nodes, {rate:.0f} frames/s of each, its share of SYNC with them"
-        show(what, f"{simulated_s / cpu_s[count]:.0f} x", "faster than real time")
+        show(what, f"{simulated_s / cpu_s[count]:.0f} x", "at least 1 x")
         ratio = f"{cpu_s[count] / count / least_node:.2f} x the least"
         show("... CPU time for a node in a second", f"{cpu_s[count] / simulated_s / count * 1e6:.1f} us", ratio)
-        ratio = f"{a_frame[count] / least:.2f} x the least; at most 1.2 x"
-        show("... for a frame, its sender's and its receivers' share with it", f"{a_frame[count] * 1e9:.0f} ns", ratio)
+        what = f"... for a frame, its sender's and its receivers' share with it, {count} nodes: of the least"
+        show(what, f"{a_frame[count] / least:.2f} x", "at most 1.2 x")
     records, python = memory_bytes()
     show("memory of a node: its compiled records", f"{records / 1e6:.2f} MB")
-    show("... and Python's objects, its dictionary with them", f"{python / 1e6:.2f} MB", "3 MiB beyond the dictionary")
+    show(
+        "... and Python's objects, its dictionary with them",
+        f"{python / 1e6:.2f} MB",
+        "at most 3 MB beyond the dictionary",
+    )

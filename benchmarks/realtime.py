@@ -18,6 +18,7 @@ from typing import Any
 
 from benchmarks import contestants as c
 from benchmarks.contestants import Bus, Run, quantile, together
+from benchmarks.report import show
 from benchmarks.size import size
 
 RATES = (
@@ -30,10 +31,6 @@ CROWD_ROUNDS = size(2000, 50)
 CYCLICTEST, TWIN, PLANE, CLASSIC = "cyclictest", "the loop's twin in C", "the compiled loop", "canopen, Notifier"
 LOADED = ", disturbed"
 COLOURS = {CYCLICTEST: "0.7", TWIN: "#009E73", PLANE: "#0072B2", "canopen": "#D55E00"}
-
-
-def show(what: str, figure: str, target: str = "") -> None:
-    print(f"{what:<84} {figure:>14}   {target}", flush=True)
 
 
 def skipped(what: str, reason: str) -> None:
