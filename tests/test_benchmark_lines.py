@@ -90,7 +90,9 @@ def test_folders_are_compared_file_by_file_the_worst_first(tmp_path, capsys):
         result(tmp_path / folder / "one.json", ("steady", [100], SPEED), ("sinking", [speed], SPEED))
     assert compare(tmp_path / "a", tmp_path / "b") == 1
     lines = capsys.readouterr().out.splitlines()
-    assert "sinking" in lines[0] and "-50.0%" in lines[0] and lines[0].endswith("slower")
+    assert "sinking" in lines[0]
+    assert "-50.0%" in lines[0]
+    assert lines[0].endswith("slower")
     assert lines[-1] == "1 of 2 figures became slower beyond the noise"
 
 
