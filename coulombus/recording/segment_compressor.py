@@ -130,8 +130,7 @@ def _give_way() -> None:
 def main(folder: str) -> None:
     """Compress the segments whose paths arrive on stdin, until its end; `folder` has the runs."""
     _give_way()
-    for number in ENDING:
-        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     tidy(Path(folder))
     for line in sys.stdin:
         segment = Path(json.loads(line))
