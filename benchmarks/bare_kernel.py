@@ -25,8 +25,8 @@ POSITION, TARGET, TORQUE, BRAKE = map(int, (Image.POSITION, Image.TARGET_TORQUE,
 
 
 @kernel
-def _cycles(axis, plant, course, law_function, out, image, forces, count):
-    c, h = axis.control, axis.host
+def _cycles(axis, plants, course, law_function, out, image, forces, count):
+    c, h, plant = axis.control, axis.host, plants[0]
     f_h, truth, per_knot = forces
     steps, t_ns = c.period_ns // plant.step_ns, h.sync_ns
     zero = image[POSITION] - round(plant.x / c.rad_count)
@@ -34,7 +34,7 @@ def _cycles(axis, plant, course, law_function, out, image, forces, count):
         t_ns += c.period_ns
         step.begin(axis, t_ns, out)
         out.count = 0
-        course(plant, f_h, per_knot, 0, steps, truth, -1)
+        course(plants, 0, f_h, per_knot, 0, steps, truth, -1)
         image[POSITION], image[TORQUE] = zero + round(plant.x / c.rad_count), image[TARGET]
         for k in range(c.tpdos):
             pdo = axis.tpdos[k]
@@ -48,14 +48,14 @@ def _cycles(axis, plant, course, law_function, out, image, forces, count):
 
 def bare_cycles(world: VirtualRig) -> Callable[[int], None]:
     """Return a function that computes so many cycles with copies of the records of `world`, which displays."""
-    full, _, law_function, course = world.arguments
+    full, _, law_function, course, _ = world.arguments
     axes, plants, out = world.controllers.axes.copy(), full.plant.copy(), new_queue()
     axes["control"]["heartbeat_timeout_ns"] = 0  # no node sends one
     image = np.array(axes[0]["host"]["image"])
-    forces = full.f_h[0].copy(), full.truth[0].copy(), int(full.axes[0]["steps_per_knot"])
+    forces = full.f_h.copy(), full.truth.copy(), int(full.axes[0]["steps_per_knot"])
 
     def run(count: int) -> None:
-        _cycles(axes[0], plants[0], course, law_function, out, image, forces, count)
+        _cycles(axes[0], plants, course, law_function, out, image, forces, count)
         if axes[0]["host"]["trip"]:
             sys.exit(f"benchmarks: the bare co-simulation tripped: {int(axes[0]['host']['trip'])}")
 
