@@ -205,8 +205,7 @@ class _VirtualRun(Course):
         figures = self.k.plane_figures()
         if model is None or figures is None or enabled is None or not (self.measured or self.recorder):
             return figures
-        course = self.world.tip_course()
-        return figures | plane_figures(self.world.rig, model.law, course, (self.world.enabled_ns or 0) * 1e-9)
+        return figures | plane_figures(self.world.rig, model.law, self.world.tip_course(), enabled * 1e-9)
 
 
 def simulate(

@@ -16,6 +16,7 @@ torque is continuous, and deviates from a 9 Hz tremor by less than 0.05 % of its
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
@@ -24,7 +25,7 @@ import numpy.typing as npt
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.plant import Operator as Hand
 
-__all__ = ["KNOT_S", "LET_GO_S", "Floats", "Operator", "drawn", "paper_force_N", "subject_draws"]
+__all__ = ["KNOT_S", "LET_GO_S", "Floats", "Operator", "drawn", "paper_force_N", "scheduled", "subject_draws"]
 
 KNOT_S = 1e-3
 LET_GO_S = 2.0
@@ -65,6 +66,17 @@ def subject_draws(seed: int, what: int = 0) -> np.random.Generator:
     return np.random.default_rng((SUBJECT, what, seed & 0xFFFFFFFFFFFFFFFF))
 
 
+def scheduled(schedule: Callable[[Floats], Floats], t: Floats, start_s: float, end_s: float | None) -> Floats:
+    """Return a schedule that began at `start_s` at the absolute times `t` [s]; ended early at `end_s`, its last
+    value fades within `LET_GO_S`.
+    """
+    if end_s is None:
+        return schedule(t - start_s)
+    last = schedule(np.array([end_s - start_s]))
+    fading: Floats = last * 0.5 * (1 + np.cos(np.pi * np.clip((t - end_s) / LET_GO_S, 0, 1)))
+    return fading
+
+
 class Operator:
     """Muscle torque of the operator of `axis`, as the subject `seed`; the mode `mode` sets the size of
     a push (share of F_s).
@@ -92,14 +104,9 @@ class Operator:
 
         .. math:: f_h(t) = f_h(t_e)\,\tfrac{1}{2}\left(1 + \cos\frac{\pi (t - t_e)}{T}\right), \quad t_e < t < t_e + T
         """
-        tremor = self.tremor_Nm(t)
-        if start_s is None:
-            return tremor
-        if end_s is None:
-            return tremor + self.schedule_Nm(t - start_s)
-        last = self.schedule_Nm(np.array([end_s - start_s]))
-        fading: Floats = last * 0.5 * (1 + np.cos(np.pi * np.clip((t - end_s) / LET_GO_S, 0, 1)))
-        return tremor + fading
+        return (
+            self.tremor_Nm(t) if start_s is None else self.tremor_Nm(t) + scheduled(self.schedule_Nm, t, start_s, end_s)
+        )
 
     def tremor_Nm(self, t: Floats) -> Floats:
         """Return the tremor [Nm] at the absolute times `t` [s]."""

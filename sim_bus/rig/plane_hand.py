@@ -17,7 +17,7 @@ import numpy as np
 from coulombus.rigs.kinematics.kinematics_section import PlanePlant
 from coulombus.rigs.plant import Phase
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.rig.operator import LET_GO_S, Floats, subject_draws
+from coulombus.sim_bus.rig.operator import Floats, scheduled, subject_draws
 
 __all__ = ["PlaneHand", "drawn_hand"]
 
@@ -69,13 +69,7 @@ class PlaneHand:
     def torque_Nm(self, t: Floats, start_s: float | None, end_s: float | None = None) -> Floats:
         """Return the force [N] at the absolute times `t` [s], like `sim_bus.rig.operator.Operator.torque_Nm`."""
         tremor: Floats = self._hand.hand_tremor_N * np.sin(2 * np.pi * self._hand.hand_tremor_Hz * t + self._tremor_rad)
-        if start_s is None:
-            return tremor
-        if end_s is None:
-            return tremor + self.schedule_N(t - start_s)
-        last = self.schedule_N(np.array([end_s - start_s]))
-        fading: Floats = last * 0.5 * (1 + np.cos(np.pi * np.clip((t - end_s) / LET_GO_S, 0, 1)))
-        return tremor + fading
+        return tremor if start_s is None else tremor + scheduled(self.schedule_N, t, start_s, end_s)
 
     def schedule_N(self, t: Floats) -> Floats:
         """Return the schedule's force [N] at the rising times `t` [s] since its start; before it 0, and after
