@@ -24,7 +24,7 @@ from coulombus.host.cycle.phases import advance
 from coulombus.host.cycle.records import AxisRecords, Phase, Trip
 from coulombus.host.plane.brake_split import expect_brakes, observe, release
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
-from coulombus.host.plane.plane_step import PlaneFunctions, display, measure_plane
+from coulombus.host.plane.plane_step import PlaneFunctions, display, in_workspace, measure_plane
 from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS
 from coulombus.wire.frame import Queue
@@ -93,10 +93,8 @@ def _doubt_tip(axes: AxisRecords, measured: bool) -> None:
         return
     if not plane.condition >= plane.least_condition:
         first.doubt = Trip.SINGULAR
-        return
-    for i in range(2):
-        if not plane.low_m[i] <= plane.pose.x_m[i] <= plane.high_m[i]:
-            first.doubt = Trip.WORKSPACE
+    elif not in_workspace(plane):
+        first.doubt = Trip.WORKSPACE
 
 
 @kernel

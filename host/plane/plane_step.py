@@ -15,7 +15,7 @@ from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismFunction
 from coulombus.rigs.kinematics.pose_kernels import condition, locate
 
-__all__ = ["PlaneFunctions", "display", "may_display", "measure_plane", "plane_step"]
+__all__ = ["PlaneFunctions", "display", "in_workspace", "may_display", "measure_plane", "plane_step"]
 
 
 class PlaneFunctions(NamedTuple):
@@ -39,9 +39,14 @@ def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHost
 @kernel
 def may_display(h: PlaneHostRecord) -> bool:
     """Return whether the pose is far enough from singular, and the tip in the workspace."""
+    return in_workspace(h) and h.condition >= h.least_condition
+
+
+@kernel
+def in_workspace(h: PlaneHostRecord) -> bool:
+    """Return whether the tip is in the rig file's workspace."""
     x, y = h.pose.x_m[0], h.pose.x_m[1]
-    inside = h.low_m[0] <= x <= h.high_m[0] and h.low_m[1] <= y <= h.high_m[1]
-    return inside and h.condition >= h.least_condition
+    return h.low_m[0] <= x <= h.high_m[0] and h.low_m[1] <= y <= h.high_m[1]
 
 
 @kernel

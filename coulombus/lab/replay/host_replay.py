@@ -149,11 +149,16 @@ def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], b
     return (text,), False
 
 
+def _traced(inputs: Inputs, event: Event, moment: Moment) -> set[int]:
+    """Return the values of a kind in the trace: an `event` in virtual time, else a `moment`."""
+    kind = event if inputs.virtual else moment
+    return set(inputs.trace["value"][inputs.trace["kind"] == kind].tolist())
+
+
 def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, ParameterOrder]:
     """Return the changed parameters from the markers; every change in the trace must have a marker."""
     orders = orders_of((text for _, text in recording.markers), controllers)
-    kinds = inputs.trace["kind"] == (Event.SET if inputs.virtual else Moment.SET)
-    missing = set(inputs.trace["value"][kinds].tolist()) - set(orders)
+    missing = _traced(inputs, Event.SET, Moment.SET) - set(orders)
     if missing:
         raise ReplayError(
             f"{recording.path}: parameters were changed (order {min(missing)}), and the marker 'set' that tells which is not in it"
@@ -164,8 +169,7 @@ def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> d
 def _models(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, Any]:
     """Return the models of a world outside from the attachments; every model in the trace must be there."""
     models = models_of(unpack_models(recording.capture.attachments), len(controllers.each))
-    kinds = inputs.trace["kind"] == (Event.MODEL if inputs.virtual else Moment.MODEL)
-    missing = set(inputs.trace["value"][kinds].tolist()) - set(models)
+    missing = _traced(inputs, Event.MODEL, Moment.MODEL) - set(models)
     if missing:
         raise ReplayError(
             f"{recording.path}: a world said what the handle met (model {min(missing)}), and the attachment 'host.models' that tells it is not in it"
