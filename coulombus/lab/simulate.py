@@ -279,12 +279,12 @@ def simulate(
     a_number(seed, "seed", "7", whole=True)
     if not (math.isfinite(seconds) and seconds > 0):
         raise ValueError(f"seconds {seconds!r}: expected a number above 0")
-    if record is not None or truth is not None or len(chosen.channels) > 1:
+    if record is not None or truth is not None or not chosen.one_cycle:
         check_plan(chosen)  # before a file is created; bring-up refuses it, too
     check_demand(chosen, mode)
     for path in (Path(given) for given in (record, truth) if given is not None):
-        for channel in chosen.channels:  # known before the first bus is run
-            check_output(path_on(path, channel) if len(chosen.channels) > 1 else path, force=force)
+        for file in [path] if chosen.one_cycle else [path_on(path, channel) for channel in chosen.channels]:
+            check_output(file, force=force)  # known before the first bus is run
     if truth is not None:
         axes = (simulated or chosen).axes
         size = sum(
@@ -312,7 +312,7 @@ def simulate(
         only_figures=bool(measured) and all(option is None for option in (record, truth, script, faults, world)),
         outside=outside,
     )
-    return _simulate_bus(order) if len(chosen.channels) == 1 else _simulate_buses(order)
+    return _simulate_bus(order) if chosen.one_cycle else _simulate_buses(order)
 
 
 def _fault_file(faults: str | os.PathLike[str]) -> Path:

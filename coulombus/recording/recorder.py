@@ -1,6 +1,6 @@
 """Record a run: frames as received; rig, EDS files and law attached; markers as comments of the next frames.
 
-The host's telemetry (`recording.host_telemetry`) goes to a second interface of the file.
+Each bus has an interface of the file. The host's telemetry (`recording.host_telemetry`) goes to the last one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from coulombus.recording.host_telemetry import HOST_INTERFACE, SOURCE_INSIDE, in
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.trace import MODELS, NAME, SENT, pack, pack_models, pack_sent
 from coulombus.rigs.rig import Rig
-from coulombus.wire.frame import Records
+from coulombus.wire.frame import Records, buses_of
 
 __all__ = ["PACED", "About", "Markers", "Recorder", "project_version"]
 
@@ -122,7 +122,7 @@ class Recorder:
             attachments |= inside_attachment(about.law_state)
         self._attachments, self._texts = {**attachments, **about.more}, SectionTexts(about.comment)
         self._started_ns = about.started_ns
-        self._interface = rig.channels[0] or "can0" if len(rig.channels) == 1 else "can0"
+        self._interfaces = tuple(channel or "can0" for channel in rig.channels) if rig.one_cycle else ("can0",)
         self._open(path, force=force)
         self._markers = Markers()
         self._traces = self._sents = self._model_parts = 0
@@ -133,15 +133,20 @@ class Recorder:
 
     def _open(self, path: Path, *, force: bool = False) -> None:
         """Begin a file with all attachments, so that it is self-contained."""
+        several = len(self._interfaces) > 1
+        inside = HOST_INTERFACE if self._inside else ""
         self._writer = PcapngWriter(
             path,
             attachments=self._attachments,
             texts=self._texts,
             started_ns=self._started_ns,
             force=force,
-            interface=self._interface,
-            second=HOST_INTERFACE if self._inside else "",
+            interface=None if several else self._interfaces[0],
+            second="" if several else inside,
         )
+        for name in (*self._interfaces, inside) if several else ():
+            if name:
+                self._writer.add_interface(name)
 
     def attach(self, name: str, content: bytes) -> None:
         """Add an attachment that is known only now."""
@@ -152,15 +157,15 @@ class Recorder:
         self._markers.add(t_ns, text)
 
     def write(self, frames: Records) -> None:
-        """Append a batch of frames with rising stamps; those of `SOURCE_INSIDE` to the second
-        interface.
+        """Append a batch of frames with rising stamps, each to the interface of its bus, and those of
+        `SOURCE_INSIDE` to the last interface.
         """
-        if not self._inside:
-            self._writer.write(frames, self._markers.on(frames["t_ns"]))
-            return
-        of_bus = np.flatnonzero(frames["source"] != SOURCE_INSIDE)
+        of_bus = np.flatnonzero(frames["source"] != SOURCE_INSIDE) if self._inside else np.arange(len(frames))
         comments = self._markers.on(frames["t_ns"][of_bus])
         places = of_bus[list(comments)].tolist()
+        if len(self._interfaces) > 1:
+            buses, frames = buses_of(frames), frames.copy()
+            frames["source"] = np.where(buses < 0, len(self._interfaces), buses)
         self._writer.write(frames, dict(zip(places, comments.values(), strict=True)))
 
     def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:

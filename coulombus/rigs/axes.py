@@ -89,8 +89,11 @@ def _get(values: Table, key: Key) -> Any:
     return value
 
 
-def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source]) -> None:
-    """Note shared keys that differ between axes, and duplicate node ids on one bus."""
+def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source], *, one_cycle: bool = False) -> None:
+    """Note shared keys that differ between axes, and duplicate node ids on one bus.
+
+    With `one_cycle` the buses of all axes count as one bus: one host serves them in one cycle.
+    """
     for first, second in combinations(axes, 2):
         earlier, later, source = axes[first], axes[second], sources[second]
         names = {first: second, second: first}
@@ -102,12 +105,11 @@ def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source]) -> None
         modes = [set(_get(axis, ("mode",)) or ()) for axis in (earlier, later)]
         if modes[0] != modes[1]:
             source.say(("mode",), f"the modes are not those of axis {first}; expected {', '.join(sorted(modes[0]))}")
-        if same_bus:
+        if same_bus or one_cycle:
+            where = "on the same bus" if same_bus else "whose bus the same host serves in the same cycle"
             for key, device in _ids(earlier, later):
                 if not source.is_wrong(key):
-                    source.stands(
-                        key, _get(later, key), f"another id than the {device}'s of axis {first}, on the same bus"
-                    )
+                    source.stands(key, _get(later, key), f"another id than the {device}'s of axis {first}, {where}")
 
 
 def _ids(earlier: Table, later: Table) -> Iterator[tuple[Key, str]]:

@@ -124,16 +124,22 @@ class Rig:
 
     @property
     def bus(self) -> Bus:
-        """The bus of a rig with a single bus.
+        """The bus of a rig that one host serves (`one_cycle`): the first one, where there are several; their
+        cycle is the same.
 
         Raises
         ------
         TypeError
-            the rig has several buses: use one of `buses`, or the rig's part on one of them (`on`)
+            each of the rig's buses has a host: use one of `buses`, or the rig's part on one of them (`on`)
         """
-        if len(self.channels) > 1:
+        if not self.one_cycle:
             raise TypeError(f"the rig {self.name} has the buses {', '.join(self.channels)}; take it on one with Rig.on")
         return self.axes[0].bus
+
+    @property
+    def one_cycle(self) -> bool:
+        """Whether one host serves the whole rig in one cycle: it has one bus, or its axes are the joints of one arm."""
+        return len(self.channels) == 1 or self.in_plane is not None
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -422,7 +428,7 @@ def _load(
         for name, own in own_values.items()
     ]
     if named is not None:
-        check_axes(named, sources)
+        check_axes(named, sources, one_cycle="kinematics" in values)
         for part_source in sources.values():
             source.found += part_source.found
             source.lacking += part_source.lacking

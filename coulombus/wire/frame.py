@@ -10,12 +10,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
+
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import Record, RecordArray, Records, dtype_of, new_records
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes, data_word
 
 __all__ = [
+    "BUS_SHIFT",
     "CAN_EFF_FLAG",
     "CAN_ERR_FLAG",
     "CAN_RTR_FLAG",
@@ -26,6 +30,7 @@ __all__ = [
     "Record",
     "Records",
     "arbitration_key",
+    "buses_of",
     "data_bytes",
     "data_word",
     "frames",
@@ -42,10 +47,13 @@ class Frame(Record):
     can_id: int  # identifier with Linux's flags
     length: int  # data bytes, 0-8
     word: int  # little-endian word of the eight data bytes, zero-padded
-    source: int  # number of the sending station
+    source: int  # number of the sending station; in a log of several buses also of the bus (`buses_of`)
 
 
 FRAME = dtype_of(Frame)
+
+BUS_SHIFT = 8
+"""In a log of several buses, the `source` of bus k is larger by ``k << BUS_SHIFT``."""
 
 QUEUE_CAPACITY = 1024
 
@@ -62,6 +70,12 @@ class Queue(Record):
 def frames(capacity: int) -> RecordArray[Frame]:
     """Return `capacity` empty frames."""
     return new_records(Frame, capacity)
+
+
+def buses_of(log: Records) -> npt.NDArray[np.int64]:
+    """Return the number of the bus of each frame of a log; station numbers begin with the host's, -1."""
+    numbers: npt.NDArray[np.int64] = (log["source"] + 1) >> BUS_SHIFT
+    return numbers
 
 
 def new_queue() -> Queue:

@@ -1,4 +1,4 @@
-"""The controllers of all axes on one bus, on one array of AXIS records.
+"""The controllers of all axes of one cycle, on one array of AXIS records.
 
 `host.cycle.axes` and the data plane work on this array.
 """
@@ -19,7 +19,10 @@ from coulombus.host.plane.plane_host import load_plane, new_plane_host
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records, new_records
 
-__all__ = ["Controllers", "unused_law"]
+__all__ = ["EVERY_BUS", "Controllers", "unused_law"]
+
+EVERY_BUS = -1
+"""Bus of an identifier that the host sends on each of its buses."""
 
 
 def unused_law() -> LawFunction:
@@ -28,7 +31,7 @@ def unused_law() -> LawFunction:
 
 
 class Controllers:
-    """One `Controller` for each axis of `rig`; all axes are on one bus (`Rig.on`).
+    """One `Controller` for each axis of `rig`, which one host serves in one cycle (`Rig.one_cycle`).
 
     Attributes
     ----------
@@ -37,6 +40,8 @@ class Controllers:
     axes : array of AXIS; `control`, `host` and `rpdos` are views of its parts, whose first index is
         the axis
     owner : int64 array of 2048, the axis of each identifier
+    bus_of : int64 array of 2048, the bus of each identifier, in the order of `Rig.channels`; `EVERY_BUS` for what the
+        host sends on all of them: SYNC, NMT commands, its heartbeat
     law_function : the compiled law, one for all axes
     plane_model, arm : law and mechanism of a rig whose axes are the joints of one arm, and their compiled
         functions; else None
@@ -48,7 +53,7 @@ class Controllers:
     """
 
     def __init__(self, rig: Rig, mode: str) -> None:
-        if len(rig.channels) > 1:
+        if not rig.one_cycle:
             raise ValueError(f"the axes hang on the buses {', '.join(rig.channels)}; take those of one with Rig.on")
         self.rig, self.mode = rig, mode
         self.plane_model = model = load_plane(rig, mode)
@@ -60,8 +65,11 @@ class Controllers:
             controller.control["sync_cob_id"] = -1
             controller.control["heartbeat_ns"] = 0
         self.owner = np.zeros(2048, np.int64)
+        self.bus_of = np.full(2048, EVERY_BUS, np.int64)
         for k, controller in enumerate(self.each):
-            self.owner[list(controller.can_ids())] = k
+            identifiers = list(controller.can_ids())
+            self.owner[identifiers] = k
+            self.bus_of[identifiers] = rig.channels.index(rig.axes[k].bus.channel)
         if model is not None:
             self.each[0].records["plane"] = new_plane_host(rig, mode, model)
         self.adopt(new_records(AxisRecord, len(self.each)))

@@ -13,6 +13,7 @@ from __future__ import annotations
 from coulombus.kernels.decorator import inlined
 from coulombus.kernels.records import RecordArray
 from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, Delivered, Stage
+from coulombus.sim_bus.can_bus.cable_cut import SEVERAL
 from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, first_ns, first_order, hold, win
 from coulombus.wire.bits import data_frame_bits
@@ -21,12 +22,14 @@ from coulombus.wire.frame import Queue, Records, new_records
 __all__ = ["FAR_NS", "INTER_FRAME_BITS", "end_frame", "new_bus", "receives", "start_frame", "start_ns"]
 
 
-def new_bus(bitrate_bit_s: int) -> RecordArray[BusRecord]:
-    """Return an idle bus: its record, and the record of the second half for a cut cable
-    (`sim_bus.can_bus.cable_cut`).
+def new_bus(*bitrates_bit_s: int) -> RecordArray[BusRecord]:
+    """Return an idle bus: its record, and the record of the second half for a cut cable; for several
+    rates, the records of several buses (`sim_bus.can_bus.cable_cut`).
     """
-    bus = new_records(BusRecord, 2)
-    bus["bit_rate"] = bitrate_bit_s
+    bus = new_records(BusRecord, max(2, len(bitrates_bit_s)))
+    bus["bit_rate"] = bitrates_bit_s
+    if len(bitrates_bit_s) > 1:
+        bus["half"], bus["cut"] = range(len(bitrates_bit_s)), SEVERAL
     bus["alarm_ns"] = bus["stuck"]["from_ns"] = bus["stuck"]["until_ns"] = FAR_NS
     bus["noise"]["next_ns"], bus["partial_row"] = FAR_NS, -1
     bus["stations"]["restart_at_ns"] = FAR_NS

@@ -1,8 +1,12 @@
-"""A cable cut into two halves, each with its own time, pending frames and acknowledgement.
+"""A cable cut into two halves, or several buses, each with its own time, pending frames and acknowledgement.
 
 A bus is an array of two records `sim_bus.can_bus.records.BusRecord`. The first is the whole cable,
 or the first half of the cut cable; the second is in use only while the cable is cut. `half` of a
 station's controller is its half; the controller is in the record of that half.
+
+Several buses (`SEVERAL`) are parts of a cable that never were one: a record for each, and a station
+is on one of them. Only the host is on all. What it sends goes to the bus of the identifier, and to
+each bus if it is for all nodes. Such buses have no faults.
 
 A cut and its repair act between two frames: a frame on the wire ends first. Before the repair, the
 half that is idle first starts no new frame until the other half is idle too, so no frame is torn.
@@ -12,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coulombus.kernels.decorator import kernel
+from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import RecordArray
 from coulombus.sim_bus.can_bus.bus_state import Stage
 from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
@@ -22,24 +26,47 @@ from coulombus.sim_bus.can_bus.stations import number, refresh
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, accept, first_ns, hold, withdraw
 from coulombus.wire.frame import Queue, Records
 
-__all__ = ["APART", "MENDING", "WHOLE", "choose", "divide", "join", "merged_faults", "split", "wire_of"]
+__all__ = [
+    "APART",
+    "MENDING",
+    "SEVERAL",
+    "WHOLE",
+    "choose",
+    "divide",
+    "join",
+    "merged_faults",
+    "on_its_bus",
+    "split",
+    "wire_of",
+]
 
-WHOLE, APART, MENDING = 0, 1, 2
-"""`BusRecord.cut` of the first record."""
+WHOLE, APART, MENDING, SEVERAL = 0, 1, 2, 3
+"""`BusRecord.cut` of the first record; `SEVERAL` in all of them."""
+HOST = STATION_MASK
+"""Row of the host."""
 
 
 @kernel
 def divide(bus: RecordArray[BusRecord], out: Queue) -> None:
-    """Move the frames requested since the last call to the queue of their sender's half.
+    """Move the frames requested since the last call to the queue of their sender's half or bus.
 
     The common queue is empty then.
     """
+    near = bus[0]
     for i in range(out.count):
         frame = out.frames[i]
-        if not accept(bus[bus[0].stations[frame.source & STATION_MASK].half], frame):
-            out.dropped += 1
-    out.count = 0
-    out.waiting = bus[0].held + bus[1].held
+        row = frame.source & STATION_MASK
+        first = last = near.stations[row].half
+        if near.cut == SEVERAL and row == HOST:
+            first = last = near.host_bus[frame.can_id & 0x7FF]
+            if first < 0:
+                first, last = 0, bus.shape[0] - 1
+        for half in range(first, last + 1):
+            if not accept(bus[half], frame):
+                out.dropped += 1
+    out.count = out.waiting = 0
+    for half in range(bus.shape[0]):
+        out.waiting += bus[half].held
 
 
 @kernel
@@ -51,14 +78,33 @@ def _next_ns(bus: BusRecord, out: Queue) -> int:
 
 
 @kernel
+def _soonest(bus: RecordArray[BusRecord], out: Queue) -> int:
+    """Return the bus with the next event, as `choose` does."""
+    soonest, soonest_ns, starts = 0, FAR_NS, 1
+    for k in range(bus.shape[0]):
+        t_ns, free = _next_ns(bus[k], out), 1 if bus[k].stage == Stage.FREE else 0
+        if t_ns < soonest_ns or (t_ns == soonest_ns and free < starts):
+            soonest, soonest_ns, starts = k, t_ns, free
+    return soonest
+
+
+@inlined
+def on_its_bus(bus: BusRecord, station: int) -> bool:
+    """Tell whether the bus of the frame that has just ended is a station's bus, where there are several."""
+    return bool(bus.cut != SEVERAL or bus.stations[station].half == bus.half)
+
+
+@kernel
 def choose(bus: RecordArray[BusRecord], out: Queue) -> int:
-    """Return the half with the next event.
+    """Return the half or the bus with the next event.
 
     At equal times an end goes before a start, then the first half.
     """
     near, far = bus[0], bus[1]
     if out.count > 0:
         divide(bus, out)
+    if near.cut == SEVERAL:
+        return _soonest(bus, out)
     near.fault_calls |= far.fault_calls
     far.fault_calls = 0
     if near.cut == MENDING:
@@ -72,7 +118,7 @@ def choose(bus: RecordArray[BusRecord], out: Queue) -> int:
 
 
 def wire_of(bus: RecordArray[BusRecord], station: int) -> BusRecord:
-    """Return the record of a station's half."""
+    """Return the record of a station's half or bus."""
     return bus[int(bus[0].stations[station & STATION_MASK].half)]
 
 

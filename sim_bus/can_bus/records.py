@@ -74,7 +74,7 @@ class ControllerRecord(Record):
     restarts: int  # recoveries
     errors: Annotated[IntegerField, len(ErrorKind)]  # by kind
     # the frame on the wire
-    half: int  # its half of the cut cable
+    half: int  # its half of the cut cable, or the number of its bus
     hears: int  # 1: it receives the frame on the wire
     confinement: int  # event for its node, a `Confinement`
     contends_ns: int  # time of its last arbitration
@@ -217,9 +217,10 @@ class BusRecord(Record):
     source: int  # number of the sending station
     frames: int  # frames sent
     bits: int  # bits sent, stuff bits included
-    # the cable in two halves (`cable_cut`)
-    half: int  # half of the cut cable of this record, 0 or 1 (sim_bus.can_bus.cable_cut)
-    cut: int  # first record only: 1: the cable is cut
+    # the cable in two halves, or several buses (`cable_cut`)
+    half: int  # half of the cut cable of this record, 0 or 1; or number of the bus
+    cut: int  # WHOLE, APART or MENDING, in the first record; or SEVERAL
+    host_bus: Annotated[IntegerField, 0x800, np.int8]  # first of several: bus of the host's identifiers; -1: all
     cut_row: int  # row of the cut in the faults
     mend_ns: int  # time of the repair
     # pending frames (`tx_queue`)

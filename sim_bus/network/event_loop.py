@@ -40,7 +40,7 @@ from coulombus.node.record import NodeRecord
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
 from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
-from coulombus.sim_bus.can_bus.cable_cut import choose
+from coulombus.sim_bus.can_bus.cable_cut import SEVERAL, choose, on_its_bus
 from coulombus.sim_bus.can_bus.error_path import attempt
 from coulombus.sim_bus.can_bus.frame_result import MOST_ROWS, end_attempt
 from coulombus.sim_bus.can_bus.records import BusRecord
@@ -50,7 +50,7 @@ from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 from coulombus.wire.clock import Clock, bus_ns, own_ns, to_bus
-from coulombus.wire.frame import QUEUE_CAPACITY, Frame, Queue
+from coulombus.wire.frame import BUS_SHIFT, QUEUE_CAPACITY, Frame, Queue
 
 __all__ = [
     "BRAKE",
@@ -244,11 +244,17 @@ def end_closely(world: World, course: CourseFunction, b: BusRecord) -> None:
     Report the states of the controllers to their devices.
     """
     w, nodes, t = world.state, world.nodes, world.state.t_ns
+    first = w.log_count
     if b.stage == Stage.FRAME:
         end_frame(b, world.log, w.log_count)
         w.log_count += 1
+        if b.cut == SEVERAL:
+            world.log[first].source += b.half << BUS_SHIFT
         return
     w.log_count += end_attempt(b, world.out, world.log, w.log_count)
+    if b.cut == SEVERAL:
+        for row in range(first, w.log_count):
+            world.log[row].source += b.half << BUS_SHIFT
     if b.confinements == 0:
         return
     b.confinements = 0
@@ -391,7 +397,7 @@ def run(
             plain = b.can_id <= 0x7FF
             for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
                 i = wants[b.can_id, k + 1] if plain else k
-                if nodes[i].powered and receives(b, i):
+                if nodes[i].powered and receives(b, i) and (closely is None or on_its_bus(b, i)):
                     if closely is None or nodes[i].clock_on == 0:
                         request = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     else:

@@ -33,7 +33,7 @@ is refused raises `eds.reader.EdsError`.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -155,7 +155,8 @@ class VirtualNetwork:
 
     Parameters
     ----------
-    bitrate_bit_s : any number; 0: a frame takes no time
+    bitrate_bit_s : any number; 0: a frame takes no time; several: that of each of several buses, of which
+        a device is on the first unless `VirtualNetwork.place` says otherwise
     capacity : largest number of devices, at most 127
     on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) after they
     were sent
@@ -163,15 +164,17 @@ class VirtualNetwork:
 
     def __init__(
         self,
-        bitrate_bit_s: int = 1_000_000,
+        bitrate_bit_s: int | Sequence[int] = 1_000_000,
         *,
         capacity: int = CAPACITY,
         on_frames: Callable[[Records], None] | None = None,
         mechanics: AttachedAxes | None = None,
     ) -> None:
-        a_number(bitrate_bit_s, "bitrate_bit_s", "500_000", whole=True)
-        if bitrate_bit_s < 0:
-            raise ValueError(f"bitrate_bit_s {bitrate_bit_s}; expected bit/s, as in 500_000, or 0: frames take no time")
+        rates = tuple(bitrate_bit_s) if isinstance(bitrate_bit_s, tuple | list) else (bitrate_bit_s,)
+        for rate in rates:
+            a_number(rate, "bitrate_bit_s", "500_000", whole=True)
+            if rate < 0:
+                raise ValueError(f"bitrate_bit_s {rate}; expected bit/s, as in 500_000, or 0: frames take no time")
         if not 0 <= capacity <= MOST_DEVICES:
             raise ValueError(f"capacity {capacity}; expected 0 to {MOST_DEVICES} devices")
         self.exits = dict.fromkeys(Exit, 0)
@@ -185,7 +188,7 @@ class VirtualNetwork:
         self._planned = 0
 
         self.nodes = new_nodes(capacity)
-        self.bus = new_bus(bitrate_bit_s)
+        self.bus = new_bus(*rates)
         self._out = new_queue()
         self._log = frames(LOG_FRAMES)
         self._listening = np.zeros(IDENTIFIERS, np.int8)
@@ -211,9 +214,10 @@ class VirtualNetwork:
             m.truth,
         )
         self._arguments = (world, m.host, m.law_function, course_of(m.plant), m.arm)
-        attach(self.bus[0], TAP)
-        if mechanics is not None:
-            attach(self.bus[0], SOURCE_HOST)
+        for wire in self.bus[: len(rates)]:
+            attach(wire, TAP)
+            if mechanics is not None:
+                attach(wire, SOURCE_HOST)
         self._closely: int | None = None
         self._run = Entry(run)
 
@@ -253,6 +257,10 @@ class VirtualNetwork:
         description = eds if isinstance(eds, Description) else read_eds(Path(path_text(eds, "eds", 'add("my.eds", 5)')))
         self.devices.append(Device(description, node_id, profile, self.nodes[row], **options))
         return self.devices[row]
+
+    def place(self, device: int, bus: int) -> None:
+        """Put the device of a row, which is off, on another of several buses."""
+        self.bus["stations"]["half"][:, device] = bus
 
     def station(
         self, can_ids: Collection[int] | None = None, on_frame: Callable[[Heard], None] | None = None
@@ -375,7 +383,7 @@ class VirtualNetwork:
         self.serve(w["service"][: int(w["services"])].tolist(), t_ns, can_id, length, data)
         if w["control_plane"]:
             self._control_plane(t_ns, can_id, data_bytes(data, length))
-        if w["heard"] and not wire_of(self.bus, source).half:  # Python's stations are in the first half of a cut cable
+        if w["heard"] and not wire_of(self.bus, source).half:  # Python's stations are in the first half, on the first bus
             heard = Heard(t_ns, can_id, length, data_bytes(data, length), source)
             for station in self._stations:
                 if station.number != source and (station.can_ids is None or can_id in station.can_ids):

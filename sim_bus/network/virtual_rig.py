@@ -130,7 +130,7 @@ class VirtualRig(VirtualNetwork):
         }  # axes may share a device
         axis_of = np.array([*(np.arange(2 * n) // 2), *(a for a, _ in sensors.values())], np.int64)
         super().__init__(
-            rig.bus.bitrate_bit_s,
+            tuple(bus.bitrate_bit_s for bus in rig.buses),
             capacity=len(axis_of),
             on_frames=on_frames,
             mechanics=AttachedAxes(
@@ -155,6 +155,10 @@ class VirtualRig(VirtualNetwork):
             for node, (row, _) in by_node.items()
         }
         """Row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with several axes)."""
+        if len(rig.buses) > 1:
+            self.bus[0].host_bus[:] = k.bus_of
+            for row, a in enumerate(axis_of):
+                self.place(row, rig.channels.index(rig.axes[a].bus.channel))
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         self._couple()
 

@@ -166,23 +166,24 @@ def hand_out(
     for row in range(p.handed_out, w.log_count):
         f = log[row]
         head = f.can_id | f.length << 32
+        sender = f.source & STATION_MASK
         error = f.can_id & CAN_ERR_FLAG != 0
         for i in range(slots.shape[0]):
             s = slots[i]
             b = bus[0]
-            if b.cut != 0:  # clients in the other half hear nothing of it
+            if b.cut != 0:  # clients in the other half, or on another bus, hear nothing of it
                 half = b.stations[STATION + i].half
-                if half != b.stations[f.source & STATION_MASK].half:
+                if half != b.stations[sender].half:
                     continue
                 b = bus[half]
             if s.state in (SlotState.SOCKETCAN, SlotState.JOINED):
-                if f.source < STATION:
+                if sender < STATION:
                     batches[i, 0], batches[i, 1] = head, f.word
                     if _to_interface(s, batches[i]) != 0:
                         p.slot = i
                         return Need.GONE
             elif s.state == SlotState.OPEN:
-                own = f.source == STATION + i
+                own = sender == STATION + i
                 word = f.word
                 if error:  # of the bus, with the counters of the client's own controller; or of its own state
                     if not own and f.can_id & BUS_ERROR == 0:

@@ -44,7 +44,8 @@ class PacedRig(VirtualRig):
         super().__init__(rig, mode, seed=seed, on_frames=on_frames, numbered=numbered)
         self.bus["bit_rate"] = bit_rate
         self._world["host_elsewhere"] = 1
-        detach(self.bus[0], SOURCE_HOST)
+        for wire in self.bus:
+            detach(wire, SOURCE_HOST)
 
     def ask(self, t_ns: int, can_id: int, length: int, word: int) -> None:
         """Let a frame of a client take part in the arbitration from `t_ns` on, as when it was recorded."""

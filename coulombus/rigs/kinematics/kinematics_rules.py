@@ -56,24 +56,11 @@ def read_plane(values: Table, axes: tuple[str, ...], source: Source, *, attached
     if len(axes) != JOINTS:
         has = f"has the axes {', '.join(axes)}" if axes else "has one axis without a name"
         source.say(("kinematics",), f"the rig {has}; expected {JOINTS} joints: [axis.NAME], once for each")
-    channels = {name: _channel(values, name) for name in axes}
-    if len(set(channels.values())) > 1:
-        places = ", ".join(f"{name} on {channel or 'the shared bus'}" for name, channel in channels.items())
-        source.say(("kinematics",), f"the joints are on different buses ({places}); expected one bus for both")
     if isinstance(file.get("kinematics"), dict):
         _check_lengths(file["kinematics"], source)
     if sections is not None:
         check_kinematics(sections.kinematics, source, attached=attached)
     return sections
-
-
-def _channel(values: Table, axis: str) -> str:
-    """Return the channel of an axis' own bus, else of the shared bus; "" without one."""
-    own, shared = values.get("axis", {}).get(axis, {}), values.get("bus", {})
-    for section in (own.get("bus") if isinstance(own, dict) else None, shared):
-        if isinstance(section, dict) and isinstance(section.get("channel"), str):
-            return str(section["channel"])
-    return ""
 
 
 def check_phases(values: Table, source: Source, *, in_plane: bool) -> None:
