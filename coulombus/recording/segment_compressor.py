@@ -120,7 +120,10 @@ class SegmentCompressor:
 
 
 def _give_way() -> None:
-    """Take the lowest priority: SCHED_IDLE, and nice 19 where there is none."""
+    """Take the lowest priority, SCHED_IDLE, and nice 19 where there is none; the signals that end the host do not
+    end this process.
+    """
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     with suppress(OSError):
@@ -129,8 +132,6 @@ def _give_way() -> None:
 
 def main(folder: str) -> None:
     """Compress the segments whose paths arrive on stdin, until its end; `folder` has the runs."""
-    _give_way()
-    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     tidy(Path(folder))
     for line in sys.stdin:
         segment = Path(json.loads(line))
@@ -145,4 +146,5 @@ def main(folder: str) -> None:
 
 
 if __name__ == "__main__":
+    _give_way()
     main(sys.argv[1])

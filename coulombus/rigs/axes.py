@@ -40,7 +40,7 @@ SHARED: tuple[tuple[Key, str], ...] = (
 )
 """Keys that must be equal on all axes, with the reason."""
 
-ON_ONE_BUS: tuple[tuple[Key, str], ...] = ((("bus", "bitrate_bit_s"), "both hang on one bus"),)
+BIT_RATE: Key = ("bus", "bitrate_bit_s")
 
 
 def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, Any]] | None:
@@ -92,20 +92,22 @@ def _get(values: Table, key: Key) -> Any:
 def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source], *, one_cycle: bool = False) -> None:
     """Note shared keys that differ between axes, and duplicate node ids on one bus.
 
-    With `one_cycle` the buses of all axes count as one bus: one host serves them in one cycle.
+    With `one_cycle` one host serves the buses of all axes, and they count as one bus.
     """
     for first, second in combinations(axes, 2):
         earlier, later, source = axes[first], axes[second], sources[second]
         names = {first: second, second: first}
         same_bus = _get(earlier, ("bus", "channel")) == _get(later, ("bus", "channel"))
-        for key, why in SHARED + (ON_ONE_BUS if same_bus else ()):
+        as_one = same_bus or one_cycle
+        together = "both hang on one bus" if same_bus else "one host serves both buses in one cycle"
+        for key, why in (*SHARED, *([(BIT_RATE, together)] if as_one else [])):
             if _get(earlier, key) != _get(later, key) and not source.is_wrong(key):
                 odd = next((name for name in (second, first) if sources[name].full(key) != key), second)
                 sources[odd].say(key, f"differs from that of axis {names[odd]}; expected the same, because {why}")
         modes = [set(_get(axis, ("mode",)) or ()) for axis in (earlier, later)]
         if modes[0] != modes[1]:
             source.say(("mode",), f"the modes are not those of axis {first}; expected {', '.join(sorted(modes[0]))}")
-        if same_bus or one_cycle:
+        if as_one:
             where = "on the same bus" if same_bus else "whose bus the same host serves in the same cycle"
             for key, device in _ids(earlier, later):
                 if not source.is_wrong(key):

@@ -383,7 +383,9 @@ class VirtualNetwork:
         self.serve(w["service"][: int(w["services"])].tolist(), t_ns, can_id, length, data)
         if w["control_plane"]:
             self._control_plane(t_ns, can_id, data_bytes(data, length))
-        if w["heard"] and not wire_of(self.bus, source).half:  # Python's stations are in the first half, on the first bus
+        if (
+            w["heard"] and not wire_of(self.bus, source).half
+        ):  # Python's stations are in the first half, on the first bus
             heard = Heard(t_ns, can_id, length, data_bytes(data, length), source)
             for station in self._stations:
                 if station.number != source and (station.can_ids is None or can_id in station.can_ids):

@@ -47,9 +47,9 @@ class PacedRig(VirtualRig):
         for wire in self.bus:
             detach(wire, SOURCE_HOST)
 
-    def ask(self, t_ns: int, can_id: int, length: int, word: int) -> None:
-        """Let a frame of a client take part in the arbitration from `t_ns` on, as when it was recorded."""
-        push(self._out, STATION, t_ns, can_id, length, word)
+    def ask(self, bus: int, t_ns: int, can_id: int, length: int, word: int) -> None:
+        """Let a frame of a client take part in the arbitration on a bus from `t_ns` on, as when it was recorded."""
+        push(self._out, STATION + bus, t_ns, can_id, length, word)
 
     def rest(self) -> None:
         """End the schedule of each axis whose drive has left Operation Enabled; `sim_bus.server.realtime_loop` checks

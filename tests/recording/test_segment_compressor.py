@@ -130,10 +130,10 @@ def test_a_full_disk_leaves_the_segment_plain(tmp_path, monkeypatch, capsys):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(module.os, "fsync", full)
-    monkeypatch.setattr(module, "_give_way", lambda: None)
-    monkeypatch.setattr(module.signal, "signal", lambda *given: None)
     monkeypatch.setattr(module.sys, "stdin", [json.dumps(str(first)), json.dumps(str(run / "000099.pcapng"))])
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     main(str(tmp_path))
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before  # a later child of this process would inherit it
     assert len(list(run.iterdir())) == count
     assert events(run)[-1] == {
         "event": "not compressed",
@@ -181,6 +181,7 @@ def test_the_process_gives_way_to_all_others_and_outlives_the_signals_of_the_hos
         "import os, signal, sys\n"
         "from coulombus.recording import segment_compressor as module\n"
         "module.tidy = lambda folder: [os.kill(os.getpid(), number) for number in module.ENDING]\n"
+        "module._give_way()\n"
         "module.main(sys.argv[1])\n"
         "print(os.sched_getscheduler(0) == os.SCHED_IDLE, os.nice(0))\n"
     )

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId
-from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.controllers import EVERY_BUS, Controllers
 from coulombus.host.cycle.parameter_changes import ParameterOrder, orders_of
 from coulombus.host.cycle.replay import HostFrame, Inputs, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
@@ -202,6 +203,7 @@ def _known(recording: Recording, controllers: Controllers) -> _Known:
     if in_virtual_time and not np.any(trace["kind"] == Event.START):
         raise ReplayError(f"{recording.path}: the host's cycle does not begin in it")
     of_the_host = np.isin(recording.frames["can_id"], controllers.own_identifiers)
+    once = ~_copies(recording, controllers)
     frames = recording.frames[: len(known)] if in_virtual_time else recording.frames
     if not len(frames):
         raise ReplayError(
@@ -210,14 +212,25 @@ def _known(recording: Recording, controllers: Controllers) -> _Known:
     last_ns = int(frames["t_ns"][-1])
     if in_virtual_time:
         sent = unpack_sent(attachments)
-        own = of_the_host[: len(frames)]
+        own = (of_the_host & once)[: len(frames)]
         inputs = Inputs(frames[~known[: len(frames)]], trace)
-        return _Known(inputs, frames[own] if sent is None else sent, last_ns, int(np.sum(of_the_host[len(known) :])))
+        behind = int(np.sum((of_the_host & once)[len(known) :]))
+        return _Known(inputs, frames[own] if sent is None else sent, last_ns, behind)
     own = of_the_host.copy()
     own[: len(known)] = known[: len(own)]
     if len(trace) and trace["dropped"].any():
         trace = trace[: int(np.argmax(trace["dropped"] > 0))]  # the log was full: later frames are missing
-    return _Known(Inputs(recording.frames[~own], trace), recording.frames[own], last_ns)
+    return _Known(Inputs(recording.frames[~own], trace), recording.frames[own & once], last_ns)
+
+
+def _copies(recording: Recording, controllers: Controllers) -> npt.NDArray[np.bool_]:
+    """Return which frames are copies on a further bus: the host sends SYNC and its heartbeat once for all buses."""
+    frames, channels = recording.frames, recording.capture.channels
+    if not channels:
+        return np.zeros(len(frames), np.bool_)
+    further = np.array([channel != recording.rig.channels[0] for channel in channels])
+    on_all: npt.NDArray[np.bool_] = controllers.bus_of[frames["can_id"] & 0x7FF] == EVERY_BUS
+    return on_all & further[frames["source"]]
 
 
 class _Check:

@@ -11,15 +11,18 @@ times instead, so it is refused here; `--host` checks it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.laws.plane.plane_laws import builtin_laws
 from coulombus.lab.replay.host_replay import ReplayError
@@ -122,13 +125,31 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
     sent = senders(frames["can_id"], recording.rig) <= 0
     compared = _Comparison(frames)
     with suppress(_DifferentError):
-        _compute(recording, mode, int(seed), sent, compared.go_on)
+        _compute(recording, mode, int(seed), sent & ~_copies(recording), compared.go_on)
     result = VirtualReplay(recording.path, len(frames), int(sent.sum()), compared.same, remarks=recording.remarks)
     if compared.same < len(frames) or len(compared.other):
         rows = frames[compared.same : compared.same + 1], compared.other
         result.t_s = min(int(row["t_ns"][0]) for row in rows if len(row)) / 1e9
         result.recorded, result.computed = (_text(row) for row in rows)
     return result
+
+
+def _copies(recording: Recording) -> npt.NDArray[np.bool_]:
+    """Return which frames the host had sent on another bus before: it requests SYNC, NMT commands and its heartbeat
+    once for all its buses, and a bus that was busy then has them later.
+    """
+    frames, copies = recording.frames, np.zeros(len(recording.frames), np.bool_)
+    if not recording.capture.channels or "bus" in recording.capture.attachments:
+        return copies
+    own = np.isin(frames["can_id"], [CobId.NMT, CobId.SYNC, CobId.HEARTBEAT + recording.rig.host.node_id])
+    sent: Counter[int] = Counter()  # by identifier: requests so far
+    on_bus: Counter[tuple[int, int]] = Counter()  # of them, those that the bus has had
+    for row in np.flatnonzero(own).tolist():
+        can_id, bus = int(frames["can_id"][row]), int(frames["source"][row])
+        on_bus[can_id, bus] += 1
+        copies[row] = on_bus[can_id, bus] <= sent[can_id]
+        sent[can_id] = max(sent[can_id], on_bus[can_id, bus])
+    return copies
 
 
 class _DifferentError(Exception):
@@ -160,12 +181,12 @@ class _Nodes(VirtualRig):
 
     def ask(self, frames: Records) -> None:
         """Enter frames of the host into arbitration from their start times."""
-        requests = frames.tolist()
-        starts = [_start_ns(frame, self.rig.bus.bitrate_bit_s) for frame in requests]
+        requests = [(_start_ns(frame, self.rig.bus.bitrate_bit_s), *frame[1:4]) for frame in frames.tolist()]
+        requests.sort(key=itemgetter(0))  # on several buses a frame that ends later may have begun earlier
         for begin in range(0, len(requests), BATCH):
-            self.run_until(max(self.t_ns, starts[begin] - 1))
-            for start, frame in zip(starts[begin : begin + BATCH], requests[begin : begin + BATCH], strict=True):
-                push(self._out, SOURCE_HOST, start, *frame[1:4])
+            self.run_until(max(self.t_ns, requests[begin][0] - 1))
+            for request in requests[begin : begin + BATCH]:
+                push(self._out, SOURCE_HOST, *request)
 
 
 def _compute(
@@ -199,7 +220,7 @@ def _compute_paced(
     world.power_on()
     for frame, of_a_client in zip(recording.frames.tolist(), sent.tolist(), strict=True):
         if of_a_client:
-            world.ask(_start_ns(frame, rate), *frame[1:4])
+            world.ask(frame[4], _start_ns(frame, rate), *frame[1:4])
         world.run_until(frame[0])
         world.rest()
     world.flush()
