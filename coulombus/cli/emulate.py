@@ -51,6 +51,8 @@ class Simulated:
         faults = None if self.faults is None else read_faults(self.faults)
         common = {"mode": self.mode or rig.modes[-1], "seed": self.seed, "script": script, "unpaced": self.unpaced}
         common |= {"numbered": not self.no_node_ids}
+        if rig.one_cycle:
+            return {rig.channels[0]: {**common, "faults": None if faults is None else faults.on_one(rig.channels)}}
         plans = {name: None if faults is None else faults.on(name, rig.channels) for name in rig.channels}
         return {name: {**common, "faults": plan} for name, plan in plans.items()}
 
@@ -142,22 +144,26 @@ def emulate(
         addresses = chosen.addresses(rig)
         settings = simulated.of(rig)
         virtual = next(iter(addresses.values())).is_virtual
-        if record is not None and (simulated.unpaced or len(addresses) > 1 or not virtual):
+        if chosen.channel is not None:
+            if rig.one_cycle and len(rig.channels) > 1:
+                raise click.UsageError(f"--channel {chosen.channel}: the joints of an arm are simulated together")
+            rig = rig.on(chosen.channel)
+        if record is not None and (simulated.unpaced or not rig.one_cycle or not virtual):
             raise click.UsageError(
                 "--record is of one virtual bus on which frames take their time; choose one with --channel"
             )
-        if len(addresses) > 1:
+        if not rig.one_cycle:
             page.refuse_several()
             words = ["emulate", "--rig", chosen.rig_name, *realtime.words(), *simulated.words()]
             words += [] if seconds is None else ["--seconds", str(seconds)]
             words += repeated("--set", chosen.overrides)
             sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
-        if chosen.channel is not None:
-            rig = rig.on(chosen.channel)
-        (address,) = addresses.values()
+        address = next(iter(addresses.values()))
 
         def make() -> SimServer:
-            return SimServer(rig, address, record=record, force=overwrite, **settings[rig.channels[0]])
+            return SimServer(
+                rig, tuple(addresses.values()), record=record, force=overwrite, **settings[rig.channels[0]]
+            )
 
         with page.beside(chosen, address):
             run_sim(make, seconds, priority=realtime.priority or None, cpu=realtime.cpu, as_json=as_json)

@@ -91,8 +91,12 @@ def run_command(
         check_mode(rig, chosen.rig_name, mode)
         out = outputs.outputs(rig)
         if chosen.channel is not None:
+            if rig.one_cycle and len(rig.channels) > 1:
+                raise click.UsageError(
+                    f"--channel {chosen.channel}: one host serves both joints of an arm, on all its buses"
+                )
             rig = rig.on(chosen.channel)
-        if len(rig.channels) > 1:
+        if not rig.one_cycle:
             page.refuse_several()
             words = ["run", "--rig", chosen.rig_name, "--mode", mode, "--json"]
             words += [] if seconds is None else ["--seconds", str(seconds)]
@@ -103,7 +107,7 @@ def run_command(
             for path in (path_on(path, channel) for path in outputs.refusable() for channel in addresses):
                 check_output(path, force=outputs.overwrite)  # for all buses before the first one starts
             _run_buses([*words, *outputs.words()], addresses, outputs.files, mode, as_json)
-        (address,) = addresses.values()
+        address = next(iter(addresses.values()))
         if not as_json and in_foreground():
             say("q or Escape stops safely; 1 to 9 mark the recording")
         with page.beside(chosen, address), Signals() as signals, progress(not as_json, width=10) as report:
@@ -111,7 +115,7 @@ def run_command(
                 rig,
                 mode,
                 seconds,
-                bus=address,
+                bus=tuple(addresses.values()),
                 outputs=out,
                 signals=signals,
                 progress=lambda t, axes: report(mode, t, seconds, _state(axes)),

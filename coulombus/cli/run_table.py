@@ -59,6 +59,8 @@ def print_runs(results: dict[str, RunResult]) -> None:
         ("CPU a cycle", "cpu_us_per_cycle", "us"),
         ("dead man's switch", "deadman", ""),
     )
+    if any(result.sync_skew_us for result in results.values()):
+        rows += (("SYNC on all buses within p50 / p99 / max", "sync_skew_us", "us"),)
     remarks = {title: result.remarks for title, result in results.items()}
     arms = [_arm(title, result.plane) for title, result in results.items() if result.plane]
     results = dict(_columns(results))

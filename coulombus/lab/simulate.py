@@ -294,8 +294,8 @@ def simulate(
             raise TruthError(
                 f"{truth}: {size / 1e9:.0f} GB of truth; show less than {seconds:g} s, or raise plant.step_s"
             )
-    if wrong is not None and len(chosen.channels) == 1:
-        wrong = wrong.on(chosen.channels[0], chosen.channels)
+    if wrong is not None and chosen.one_cycle:
+        wrong = wrong.on_one(chosen.channels)
     order = _Order(
         rig=chosen,
         simulated=simulated or chosen,

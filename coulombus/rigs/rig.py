@@ -49,6 +49,8 @@ class RigNode:
     device: Node
     part: DeviceSection
     description: Description
+    channel: str = ""
+    """The name of its bus."""
 
     @property
     def node_id(self) -> int:
@@ -251,7 +253,7 @@ class Rig:
     def nodes(self) -> tuple[RigNode, ...]:
         """The devices of all axes: motor, brake and sensors of the first, of the second ..."""
         return tuple(
-            RigNode(axis.prefix + node, node, axis.part(node), axis.description(node))
+            RigNode(axis.prefix + node, node, axis.part(node), axis.description(node), axis.bus.channel)
             for axis in self.axes
             for node in axis.devices
         )

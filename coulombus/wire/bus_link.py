@@ -98,6 +98,10 @@ class BusLink:
         """Leave the bus."""
         self._client.close()
 
+    def fileno(self) -> int:
+        """Return the socket, for `select`."""
+        return self._client.fileno()
+
     def set_filters(self, filters: Sequence[tuple[int, int]]) -> None:
         """Receive other frames from now on; frames already under way may still come."""
         self._client.ask(Hello(Flags.ERRORS, tuple(filters)))

@@ -37,6 +37,7 @@ __all__ = [
     "new_queue",
     "new_records",
     "push",
+    "stations_of",
 ]
 
 
@@ -75,6 +76,12 @@ def frames(capacity: int) -> RecordArray[Frame]:
 def buses_of(log: Records) -> npt.NDArray[np.int64]:
     """Return the number of the bus of each frame of a log; station numbers begin with the host's, -1."""
     numbers: npt.NDArray[np.int64] = (log["source"] + 1) >> BUS_SHIFT
+    return numbers
+
+
+def stations_of(log: Records) -> npt.NDArray[np.int64]:
+    """Return the number of the sending station of each frame of a log."""
+    numbers: npt.NDArray[np.int64] = (log["source"] + 1 & (1 << BUS_SHIFT) - 1) - 1
     return numbers
 
 

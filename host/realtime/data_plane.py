@@ -76,29 +76,30 @@ class Spread:
         return {"p50": self.p50, "p99": self.p99, "max": self.max}
 
 
-def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
-    """Return the receive filters of the data plane: the CANopen objects of host, motors and brakes, and no
-    other identifier.
+def rig_filters(controllers: Controllers, bus: int = 0) -> tuple[tuple[int, int], ...]:
+    """Return the receive filters of the data plane on one of its buses: the CANopen objects of the host, and of the
+    motors and brakes there, and no other identifier.
 
     So the bus (or Linux's CAN core) drops foreign frames, and a flood of them costs the cycle nothing.
     """
     c = controllers.control[0]
     identifiers = {int(CobId.NMT), int(c["sync_cob_id"]), CobId.HEARTBEAT + int(c["host_id"])}
     for controller in controllers:
-        identifiers |= controller.can_ids()
+        identifiers |= {can_id for can_id in controller.can_ids() if controllers.bus_of[can_id] == bus}
     return tuple((can_id, CAN_SFF_EXACT) for can_id in sorted(identifiers))
 
 
 class DataPlane:
-    """The process that runs the cycle of `controllers` on the bus at `address`.
+    """The process that runs the cycle of `controllers` on the buses at `addresses`.
 
     The controllers work on the shared records from then on.
 
     Parameters
     ----------
+    addresses : one for each bus, in the order of `rigs.rig.Rig.channels`
     priority : SCHED_FIFO priority; None requests no real-time right
     cpu : CPU to which the process is pinned; None leaves it free
-    line : socket of a simulated bus, used instead of the bus at `address`; closed with the data plane
+    line : socket of a simulated bus, used instead of a bus at an address; closed with the data plane
 
     Raises
     ------
@@ -114,22 +115,24 @@ class DataPlane:
     def __init__(
         self,
         controllers: Controllers,
-        address: BusAddress,
-        *,
+        *addresses: BusAddress,
         priority: int | None = PRIORITY,
         cpu: int | None = None,
         line: socket.socket | None = None,
     ) -> None:
-        self._client: Client | socket.socket
-        if line is not None:
-            self._client, self.bitrate_bit_s = line, 0
-        else:
-            client = self._client = Client(address, Hello(Flags.ERRORS, rig_filters(controllers)))
-            self.bitrate_bit_s = client.bitrate_bit_s
+        self._clients: list[Client | socket.socket] = [] if line is None else [line]
+        self._addresses = addresses
+        try:
+            for k, address in enumerate(addresses if line is None else ()):
+                self._clients.append(Client(address, Hello(Flags.ERRORS, rig_filters(controllers, k))))
+        except BaseException:
+            self._close_clients()
+            raise
         self.shared = SharedPlane.create(len(controllers.each))
         controllers.adopt(self.shared.axes)
         self.shared.owner[:] = controllers.owner
-        self.shared.plane["packed"] = address.packs_frames
+        self.shared.bus_of[:] = controllers.bus_of
+        self.shared.plane["packed"] = sum(address.packs_frames << k for k, address in enumerate(addresses))
         self._controllers = controllers
         self._batch = frames(BATCH_FRAMES)
         self._rows = new_records(TraceRow, TRACE_ROWS)
@@ -142,10 +145,11 @@ class DataPlane:
         if any(axis.world is not None for axis in rig.axes):
             self.states, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
             sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, STATES_BYTES)
-        fds = [self._client.fileno(), self.shared.fd, *([] if sender is None else [sender.fileno()])]
+        bus_fds = [client.fileno() for client in self._clients]
+        fds = [*bus_fds, self.shared.fd, *([] if sender is None else [sender.fileno()])]
         settings = {
             "parent": os.getpid(),
-            "bus_fd": self._client.fileno(),
+            "bus_fds": bus_fds,
             "memory_fd": self.shared.fd,
             "axes": self.shared.axis_count,
             "world_fd": -1 if sender is None else sender.fileno(),
@@ -216,8 +220,9 @@ class DataPlane:
     @property
     def lost_text(self) -> str:
         """Text of the reason why the bus is lost."""
-        number = int(self.shared.plane["error"][0])
-        return "its process ended" if number == 0 else os.strerror(number)
+        number, bus = int(self.shared.plane["error"][0]), int(self.shared.plane["lost_bus"][0]) - 1
+        text = "its process ended" if number == 0 else os.strerror(number)
+        return f"{self._addresses[bus]}: {text}" if len(self._addresses) > 1 and bus >= 0 else text
 
     # commands
 
@@ -287,10 +292,14 @@ class DataPlane:
             self._process.kill()
         self._process.wait()
         self._process.stdout.close()
-        self._client.close()
+        self._close_clients()
         if self.states is not None:
             self.states.close()
         self.shared.close()
+
+    def _close_clients(self) -> None:
+        for client in self._clients:
+            client.close()
 
     # figures
 
@@ -301,6 +310,10 @@ class DataPlane:
     def latency(self) -> Spread | None:
         """Time from SYNC sent to the last RPDO sent."""
         return Spread.of(self.shared.latency_bins, int(self.shared.plane["latency_max_ns"][0]))
+
+    def skew(self) -> Spread | None:
+        """Time from the first bus' SYNC to the last bus' SYNC of a cycle, as sent; None on one bus."""
+        return Spread.of(self.shared.skew_bins, int(self.shared.plane["skew_max_ns"][0]))
 
     def cpu_us_per_cycle(self) -> float | None:
         """CPU time of the loop for one cycle."""

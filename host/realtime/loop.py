@@ -11,103 +11,58 @@ The loop also monitors its parent. A parent that has ended, or has not reported 
 (`PLANE.parent_ns`), is a reason for the safe state (HOST). After the parent's end the loop ends when all
 axes are done.
 
-Results of system calls:
-
-- EINTR: the call is repeated.
-- EAGAIN or ENOBUFS on sending: the frame is lost and counted. It is not repeated, because a delayed frame
-  would be a wrong set-point. Too many such cycles trip.
-- Every other error, or the other side's close: the bus is lost.
-
-Only the safe set-points after the last cycle are repeated until they are accepted, for up to
+Several buses (`host.realtime.bus_sockets`) share the cycle: SYNC goes to all of them at once, and the step waits
+for the TPDOs of all. Only the safe set-points after the last cycle are repeated until they are accepted, for up to
 `END_ATTEMPTS` ms, because nothing follows them.
 
     b : the Buffers        p : the `PlaneRecord`        c, h : the `ControlRecord` and the `HostRecord` of an axis
-    f : a frame
+    f : a frame            k : the number of an axis, or of a bus
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from coulombus.eds.cia301 import CobId
-from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramps_a_brake, safe_setpoints
+from coulombus.host.cycle.axes import begin, finish, ramps_a_brake, safe_setpoints
 from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, PlaneFunctions, Trip
-from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.cycle.telemetry import tell
+from coulombus.host.realtime.bus_sockets import (
+    COMPLETE,
+    DRAIN_MESSAGES,
+    EMPTY,
+    GONE,
+    Buffers,
+    drain,
+    failed,
+    stop,
+    take,
+    transmit,
+    watch,
+)
 from coulombus.host.realtime.log_rings import log_frame, log_moment
 from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus, field_offset
 from coulombus.host.realtime.world_link import take_models, tell_world
-from coulombus.host.world.records import StateRecord
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import (
-    CLOCK_REALTIME,
     CLOCK_THREAD_CPUTIME_ID,
-    EAGAIN,
     EINTR,
-    ENOBUFS,
-    MSG_DONTWAIT,
-    MSG_NOSIGNAL,
-    POLLIN,
     clock_ns,
-    errno,
     getppid,
     load_acquire,
     now_ns,
     ppoll_ns,
-    send,
     sleep_until,
     store_release,
 )
-from coulombus.kernels.records import Integers, RecordArray
-from coulombus.recording.trace import Moment, TraceRow
-from coulombus.wire.frame import CAN_ERR_FLAG, Frame, Queue
-from coulombus.wire.recvmsg import Mailbox, receive
+from coulombus.kernels.records import Integers
+from coulombus.recording.trace import Moment
 
-__all__ = ["MESSAGE_FRAMES", "Buffers", "run_plane"]
-
-MESSAGE_FRAMES = 64
-"""Largest number of frames in a message."""
-
-SOURCE_BUS = 0
-"""Station number of received frames in the log."""
-
-
-class Buffers(NamedTuple):
-    """Buffers of the loop: its socket, the memory shared with the parent (`SharedPlane`), and the receive
-    and send buffers.
-    """
-
-    fd: int
-    plane: RecordArray[PlaneRecord]
-    ring: RecordArray[Frame]
-    trace: RecordArray[TraceRow]
-    wakeup_bins: Integers
-    latency_bins: Integers
-    axes: AxisRecords
-    owner: Integers
-    box: RecordArray[Mailbox]
-    words: Integers
-    tx: Integers
-    poll: Integers
-    out: Queue
-    told: RecordArray[Frame]  # telemetry frames of one axis (`host.cycle.telemetry`)
-    world_fd: int  # socket for the states of each cycle (`host.world.server`); -1: none
-    world_state: RecordArray[StateRecord]  # the state that is sent, one record
-
+__all__ = ["run_plane"]
 
 AT_COMMAND, AT_STATUS, AT_STOP = field_offset("command"), field_offset("status"), field_offset("stop")
 AT_CYCLES, AT_PARENT, AT_ORDER = field_offset("cycles"), field_offset("parent_ns"), field_offset("order")
 AT_DEADMAN = field_offset("deadman_ns")
 
 LISTEN_NS = 5_000_000  # period of the check for commands while listening
-DRAIN_MESSAGES = 512  # largest number of messages that a cycle reads from a flooded bus
-END_ATTEMPTS, END_PAUSE_NS = 20, 1_000_000  # for the last set-points, which no cycle repeats
-STAMP_AGE_NS = 1_000_000_000  # an older stamp means that the clock was set
-CAN_ERR_BUSOFF = 0x40
-CLOSED = -1
-
-# results of `_take`
-EMPTY, TOOK, COMPLETE, GONE = 0, 1, 2, 3
+END_ATTEMPTS = 20  # for the last set-points, which no cycle repeats
 
 
 @kernel
@@ -117,17 +72,6 @@ def _tell(b: Buffers, t_ns: int) -> None:
         for i in range(tell(b.axes[k], k, t_ns, b.told, 0)):
             f = b.told[i]
             log_frame(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, f.source)
-
-
-@kernel
-def _stop(p: PlaneRecord, axes: AxisRecords, trip: int) -> None:
-    """Request the safe state of all axes with the reason `trip`, or without a reason (1).
-
-    The first reason counts.
-    """
-    if p.asked < trip and p.asked <= 1:
-        p.asked = trip
-    ask_to_stop(axes, trip)
 
 
 @kernel
@@ -142,99 +86,6 @@ def _skip(p: PlaneRecord, axes: AxisRecords, periods: int) -> int:
 
 
 @kernel
-def _take(b: Buffers, live: int) -> int:
-    """Receive one message if there is one; `live`: pass its frames to the cycle."""
-    p, c, words = b.plane[0], b.axes[0].control, b.words
-    n = receive(b.fd, b.box, MSG_DONTWAIT)
-    if n <= 0:
-        error = 0 if n == 0 else errno()
-        if error == EAGAIN:
-            return EMPTY
-        if error == EINTR:
-            p.interrupted += 1
-            return TOOK
-        p.error = error
-        return GONE
-    m = b.box[0]
-    p.rx_overflow = m.overflow
-    if n % 16 != 0 or m.truncated:
-        p.rx_malformed += 1
-        return TOOK
-    t_ns = now_ns()
-    if m.stamp_ns > 0:  # the stamp is of CLOCK_REALTIME: convert it by its age
-        age = clock_ns(CLOCK_REALTIME) - m.stamp_ns
-        if 0 < age < STAMP_AGE_NS:
-            t_ns -= age
-    t_ns = max(t_ns, p.rx_ns)  # keeps the queue's order, which the difference of two clocks may break
-    p.rx_ns = t_ns
-    result = TOOK
-    for i in range(n // 16):
-        can_id = words[2 * i] & 0xFFFFFFFF
-        length = (words[2 * i] >> 32) & 0xFF
-        word = words[2 * i + 1]
-        if length > 8:
-            p.rx_malformed += 1
-            continue
-        if length < 8:
-            word &= (1 << 8 * length) - 1
-        p.rx_frames += 1
-        log_frame(b.plane, b.ring, t_ns, can_id, length, word, SOURCE_BUS)
-        if can_id & CAN_ERR_FLAG:
-            p.error_frames += 1
-            if live and can_id & CAN_ERR_BUSOFF:
-                _stop(p, b.axes, Trip.BUS_LOST)
-            continue
-        if not live:
-            continue
-        if can_id == c.sync_cob_id or can_id == CobId.HEARTBEAT + c.host_id:
-            p.foreign_sync += 1
-            _stop(p, b.axes, Trip.SECOND_HOST)
-        if on_frame(b.axes, b.owner, t_ns, can_id, length, word) == 1:
-            result = COMPLETE
-    return result
-
-
-@kernel
-def _transmit(b: Buffers, patience: int) -> int:
-    """Send the queue's frames; return 0, or the error number of a lost bus.
-
-    A frame that the bus does not accept is lost. With `patience`, frames are offered again, up to
-    `patience` times in total, with pauses of `END_PAUSE_NS`.
-    """
-    p, tx, out = b.plane[0], b.tx, b.out
-    count = out.count
-    out.count = 0
-    for i in range(count):
-        f = out.frames[i]
-        tx[2 * i] = f.can_id | f.length << 32
-        tx[2 * i + 1] = f.word
-    done = 0
-    while done < count:
-        frames = count - done if p.packed else 1
-        n = send(b.fd, tx.ctypes.data + 16 * done, 16 * frames, MSG_DONTWAIT | MSG_NOSIGNAL)
-        if n < 0:
-            error = errno()
-            if error == EINTR:
-                p.interrupted += 1
-                continue
-            if patience > 0:
-                patience -= 1
-                sleep_until(now_ns() + END_PAUSE_NS)
-                continue
-            if error != EAGAIN and error != ENOBUFS:
-                p.error = error
-                return error
-            p.tx_full += frames
-        else:
-            t_ns = now_ns()
-            for i in range(done, done + frames):
-                f = out.frames[i]
-                log_frame(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, SOURCE_HOST)
-        done += frames
-    return 0
-
-
-@kernel
 def _look_after_parent(p: PlaneRecord, base: int, axes: AxisRecords) -> None:
     """Request the safe state if the parent has ended or hangs.
 
@@ -243,7 +94,7 @@ def _look_after_parent(p: PlaneRecord, base: int, axes: AxisRecords) -> None:
     until = load_acquire(base + AT_PARENT)
     orphan = p.parent != 0 and getppid() != p.parent
     if orphan or 0 < until < now_ns():
-        _stop(p, axes, Trip.HOST)
+        stop(p, axes, Trip.HOST)
     if orphan and _all_done(axes):
         store_release(base + AT_COMMAND, PlaneCommand.QUIT)
 
@@ -258,40 +109,15 @@ def _all_done(axes: AxisRecords) -> bool:
 
 
 @kernel
-def _failed(p: PlaneRecord) -> bool:
-    """Return whether a call that returned -1 has a permanent error: a failing wait would return at once,
-    without end.
-    """
-    error = errno()
-    if error in (EINTR, EAGAIN):
-        return False
-    p.error = error
-    return True
-
-
-@kernel
 def _count(bins: Integers, t_ns: int) -> None:
     bins[min(max(t_ns, 0) // 1000, BINS - 1)] += 1
-
-
-@kernel
-def _drain(b: Buffers) -> int:
-    """Receive the frames since the last cycle; return 1 if the bus is lost."""
-    result = TOOK
-    messages = 0
-    while result != EMPTY and messages < DRAIN_MESSAGES:
-        result = _take(b, 1)
-        messages += 1
-        if result == GONE:
-            return 1
-    return 0
 
 
 @kernel
 def _obey(b: Buffers) -> None:
     """Execute the parent's requests (safe state, dead man's switch, parameters, models), and check that it runs."""
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
-    _stop(p, axes, load_acquire(base + AT_STOP))
+    stop(p, axes, load_acquire(base + AT_STOP))
     _look_after_parent(p, base, axes)
     if axes[0].control.deadman_key:
         held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
@@ -317,26 +143,31 @@ def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, 
         left = end_ns - now_ns()
         if left <= 0:
             break
-        ready = ppoll_ns(b.poll.ctypes.data, 1, left)
-        if ready < 0 and _failed(p):
+        ready = ppoll_ns(b.poll.ctypes.data, len(b.fds), left)
+        if ready < 0 and failed(p):
             return 1
         if ready <= 0:  # the window is over, or a signal interrupted the wait
             continue
-        result = _take(b, 1)
-        messages += 1
-        if result == GONE:
-            return 1
-        if result == COMPLETE:
-            now = now_ns()
-            log_moment(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
-            if finish(axes, law_function, now, 0, b.out, arm) == 0:
-                break
-            if _transmit(b, 0) != 0:
+        waiting = 1
+        for k in range(len(b.fds)):
+            if b.poll[k] >> 48 == 0:
+                continue
+            result = take(b, k, 1)
+            messages += 1
+            if result == GONE:
                 return 1
+            if result == COMPLETE:
+                now = now_ns()
+                log_moment(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
+                waiting = finish(axes, law_function, now, 0, b.out, arm)
+                if waiting != 0 and transmit(b, 0) != 0:
+                    return 1
+        if waiting == 0:
+            break
     now = now_ns()
     log_moment(b.plane, b.trace, Moment.WINDOW, now, p.asked)
     finish(axes, law_function, now, 1, b.out, arm)
-    return 1 if _transmit(b, 0) != 0 else 0
+    return 1 if transmit(b, 0) != 0 else 0
 
 
 @kernel
@@ -349,7 +180,7 @@ def _goes_on(p: PlaneRecord, axes: AxisRecords, command: int) -> bool:
         return True
     if not ramps_a_brake(axes):
         return False
-    _stop(p, axes, 1)
+    stop(p, axes, 1)
     return True
 
 
@@ -378,14 +209,18 @@ def _cycle(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None) ->
         p.wakeup_max_ns = max(p.wakeup_max_ns, wake - t)
         t += c.period_ns * _skip(p, axes, (wake - t) // c.period_ns)
         full = p.tx_full
-        if _drain(b) != 0:
+        if drain(b) != 0:
             return 1
         _obey(b)
         log_moment(b.plane, b.trace, Moment.BEGIN, t, axes[0].host.deadman_ok)
         displays = not _all_done(axes)
         begin(axes, t, b.out)
-        if _transmit(b, 0) != 0:
+        if transmit(b, 0) != 0:
             return 1
+        if len(b.fds) > 1 and p.lost_bus == 0:
+            skew = b.sent_ns.max() - b.sent_ns.min()
+            _count(b.skew_bins, skew)
+            p.skew_max_ns = max(p.skew_max_ns, skew)
         sync = now_ns()
         if _collect(b, law_function, arm, sync + c.window_ns) != 0:
             return 1
@@ -397,7 +232,7 @@ def _cycle(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None) ->
             p.latency_max_ns = max(p.latency_max_ns, done - sync)
         p.full_in_a_row = p.full_in_a_row + 1 if p.tx_full > full else 0
         if p.full_in_a_row >= missed_cycles:
-            _stop(p, axes, Trip.TRANSMIT)
+            stop(p, axes, Trip.TRANSMIT)
         t += c.period_ns
         t += c.period_ns * _skip(p, axes, (done - t + c.period_ns - 1) // c.period_ns)
         store_release(base + AT_CYCLES, p.cycles + 1)
@@ -409,7 +244,7 @@ def run_plane(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None 
     """Execute the parent's commands until QUIT or the loss of the bus; return the `PlaneStatus`."""
     p, axes = b.plane[0], b.axes
     base = b.plane.ctypes.data
-    b.poll[0] = b.fd | POLLIN << 32
+    watch(b)
     while True:
         command = load_acquire(base + AT_COMMAND)
         if command == PlaneCommand.CYCLE:
@@ -427,7 +262,7 @@ def run_plane(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None 
             log_moment(b.plane, b.trace, Moment.END, now, 0)
             b.out.count = 0
             safe_setpoints(axes, now, b.out)
-            _transmit(b, END_ATTEMPTS)
+            transmit(b, END_ATTEMPTS)
             p.error = error
             for k in range(axes.shape[0]):
                 axes[k].host.phase = Phase.DONE
@@ -436,10 +271,12 @@ def run_plane(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None 
                 return PlaneStatus.LOST
         elif command == PlaneCommand.LISTEN:
             store_release(base + AT_STATUS, PlaneStatus.LISTENING)
-            result = _take(b, 0)
-            lost = result == GONE
-            if result == EMPTY and ppoll_ns(b.poll.ctypes.data, 1, LISTEN_NS) < 0:
-                lost = _failed(p)
+            empty = 1
+            for k in range(len(b.fds)):
+                empty = empty if take(b, k, 0) == EMPTY else 0
+            lost = p.lost_bus != 0  # before anything is armed, one bus is enough
+            if empty and ppoll_ns(b.poll.ctypes.data, len(b.fds), LISTEN_NS) < 0:
+                lost = failed(p)
             if lost:
                 store_release(base + AT_STATUS, PlaneStatus.LOST)
                 return PlaneStatus.LOST

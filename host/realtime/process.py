@@ -16,6 +16,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
 from coulombus.host.laws.plane.plane_laws import load_plane_law
 from coulombus.host.plane.plane_step import PlaneFunctions
-from coulombus.host.realtime.loop import MESSAGE_FRAMES, Buffers, run_plane
+from coulombus.host.realtime.bus_sockets import MESSAGE_FRAMES, Buffers
+from coulombus.host.realtime.loop import run_plane
 from coulombus.host.realtime.shared_memory import PlaneCommand, SharedPlane
 from coulombus.host.world.records import StateRecord
 from coulombus.recording.host_telemetry import MOST_FRAMES
@@ -39,18 +41,22 @@ from coulombus.wire.recvmsg import new_mailbox
 __all__ = ["main", "new_buffers", "warm_up"]
 
 
-def new_buffers(fd: int, shared: SharedPlane, world_fd: int = -1) -> Buffers:
-    """Return the loop's buffers for a socket, a shared memory, and a socket for the states."""
+def new_buffers(fds: Sequence[int], shared: SharedPlane, world_fd: int = -1) -> Buffers:
+    """Return the loop's buffers for the sockets of its buses, a shared memory, and a socket for the states."""
     s = shared
     box, words = new_mailbox(MESSAGE_FRAMES)
-    tx, poll = np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)
-    parts = (s.plane, s.ring, s.trace, s.wakeup_bins, s.latency_bins, s.axes, s.owner)
+    tx = np.zeros(2 * QUEUE_CAPACITY, np.int64)
+    sent_ns, overflows, poll = (np.zeros(len(fds), np.int64) for _ in range(3))
+    parts = (s.plane, s.ring, s.trace, s.wakeup_bins, s.latency_bins, s.skew_bins, s.axes, s.owner)
     return Buffers(
-        fd,
+        np.array(fds, np.int64),
+        s.bus_of,
         *parts,
         box,
         words,
         tx,
+        sent_ns,
+        overflows,
         poll,
         new_queue(),
         new_records(Frame, MOST_FRAMES),
@@ -83,6 +89,7 @@ def warm_up(
     shared.trace["kind"] = 0
     shared.wakeup_bins[:] = 0
     shared.latency_bins[:] = 0
+    shared.skew_bins[:] = 0
 
 
 def main(settings: dict[str, Any]) -> int:
@@ -91,7 +98,7 @@ def main(settings: dict[str, Any]) -> int:
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     shared = SharedPlane(settings["memory_fd"], settings["axes"])
     law_function, arm = load_functions(settings)
-    buffers = new_buffers(settings["bus_fd"], shared, settings["world_fd"])
+    buffers = new_buffers(settings["bus_fds"], shared, settings["world_fd"])
     warm_up(shared, buffers, law_function, arm)
     report = ask_for_real_time(settings["priority"], settings["cpu"])
     shared.plane["parent"] = settings["parent"]

@@ -67,12 +67,13 @@ class PlaneRecord(Record):
     parent_ns: int  # CLOCK_MONOTONIC until which the parent counts as running; 0: not monitored
     log_tail: int  # number of frames that the parent has read from the ring
     trace_tail: int  # number of rows that the parent has read from the trace
-    packed: int  # 1: a message may carry several frames
+    packed: int  # bit k: a message on bus k may carry several frames
     order: int  # number of the newest order of parameters (`host.cycle.live_parameters`)
     order_axis: int  # axis of the newest order
     # written by the data plane
     status: int  # a `PlaneStatus`
     error: int  # errno of a lost bus
+    lost_bus: int  # number of the lost bus, from 1; 0: none
     log_head: int  # number of frames written to the ring
     trace_head: int  # number of rows written to the trace
     rx_ns: int  # stamp of the last received frame
@@ -84,11 +85,12 @@ class PlaneRecord(Record):
     cpu_ns: int  # CPU time of this thread in cycles
     wakeup_max_ns: int  # largest wake-up delay
     latency_max_ns: int  # largest time from SYNC to the last RPDO
+    skew_max_ns: int  # largest time between the SYNCs of a cycle on several buses
     interrupted: int  # number of waits interrupted by a signal
     tx_full: int  # frames that the bus did not accept: EAGAIN, ENOBUFS
     rx_frames: int  # received frames
     rx_malformed: int  # received messages that are not valid frames
-    rx_overflow: int  # frames dropped by this socket's queue
+    rx_overflow: int  # frames dropped by the sockets' queues
     error_frames: int  # received error frames
     foreign_sync: int  # SYNC or the host's heartbeat from another station
     log_dropped: int  # frames and rows dropped for lack of room
@@ -110,8 +112,10 @@ def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ..
         ("plane", PLANE, (1,)),
         ("axes", AXIS, (axes,)),
         ("owner", np.dtype(np.int64), (2048,)),
+        ("bus_of", np.dtype(np.int64), (2048,)),
         ("wakeup_bins", np.dtype(np.int64), (BINS,)),
         ("latency_bins", np.dtype(np.int64), (BINS,)),
+        ("skew_bins", np.dtype(np.int64), (BINS,)),
         ("ring", FRAME, (RING_FRAMES,)),
         ("trace", TRACE, (TRACE_ROWS,)),
     )
@@ -137,8 +141,10 @@ class SharedPlane:
     ring: RecordArray[Frame]
     trace: RecordArray[TraceRow]
     owner: np.ndarray[Any, np.dtype[np.int64]]
+    bus_of: np.ndarray[Any, np.dtype[np.int64]]
     wakeup_bins: np.ndarray[Any, np.dtype[np.int64]]
     latency_bins: np.ndarray[Any, np.dtype[np.int64]]
+    skew_bins: np.ndarray[Any, np.dtype[np.int64]]
 
     def __init__(self, fd: int, axes: int = 1) -> None:
         self.fd, self.axis_count = fd, axes

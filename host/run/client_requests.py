@@ -17,13 +17,12 @@ from coulombus.host.run.run_state import axis_state, plane_state
 from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.recording.wall_clock import utc
 from coulombus.system.exit import say
-from coulombus.wire.address import BusAddress
 
 __all__ = ["Answers"]
 
 
 class Answers:
-    """Answers for a run on the bus `address`.
+    """Answers for a run on the bus named `buses`, or on several.
 
     Raises
     ------
@@ -31,9 +30,9 @@ class Answers:
         the socket at ``outputs.status`` cannot be created
     """
 
-    def __init__(self, run: Course, plane: DataPlane, changes: Changes, address: BusAddress, outputs: Outputs) -> None:
+    def __init__(self, run: Course, plane: DataPlane, changes: Changes, buses: str, outputs: Outputs) -> None:
         self._run, self._plane, self._changes = run, plane, changes
-        self._address, self._meta = address, dict(outputs.meta)
+        self._buses, self._meta = buses, dict(outputs.meta)
         self._teller = None if outputs.status is None else StatusSocket(outputs.status, self.status)
 
     def status(self) -> dict[str, Any]:
@@ -45,7 +44,7 @@ class Answers:
         enabled = run.enabled_ns
         return {
             "rig": rig.name,
-            "bus": str(self._address),
+            "bus": self._buses,
             "mode": run.k.mode,
             "utc": utc(time.time_ns()),
             "display_s": None if enabled is None else (run.now_ns - enabled) * 1e-9,

@@ -157,7 +157,7 @@ class _Client:
 
 
 class HostSocket:
-    """Claims the bus at `address` for this process, and serves the control socket.
+    """Claims the buses at `addresses` for this process, and serves a control socket of each.
 
     Three functions return the answers, and may be set later: `status` for the state, `mark` for a marker
     with a text, `change` for a change of parameters from a JSON text.
@@ -165,31 +165,37 @@ class HostSocket:
     Raises
     ------
     SafetyTrip
-        another host of this machine has the bus
+        another host of this machine has one of the buses
     """
 
-    def __init__(self, address: BusAddress) -> None:
-        self._path = control_path(address)
+    def __init__(self, *addresses: BusAddress) -> None:
+        self._listeners: dict[Path, socket.socket] = {}
         self._askers: list[_Client] = []
         self.status: Callable[[], bytes] = lambda: b"{}"
         self.mark: Callable[[str], bytes] = lambda text: b"{}"
         self.change: Callable[[str], bytes] = lambda text: b"{}"
-        heard = _probe(self._path)
+        try:
+            for address in addresses:
+                self._claim(address)
+        except BaseException:
+            self.close()
+            raise
+
+    def _claim(self, address: BusAddress) -> None:
+        path = control_path(address)
+        heard = _probe(path)
         if heard:
             raise SafetyTrip(_occupied(address))
         if heard is False:  # without a socket before, a socket found by bind belongs to a host that starts
-            self._path.unlink(missing_ok=True)
-        self._listener = _new()
+            path.unlink(missing_ok=True)
+        listener = _new()
         try:
-            self._listener.bind(str(self._path))
+            listener.bind(str(path))
         except OSError:
-            self._listener.close()
+            listener.close()
             raise SafetyTrip(f"another host starts on bus {address}") from None
-        try:
-            self._listener.listen(BACKLOG)
-        except OSError:
-            self.close()
-            raise
+        self._listeners[path] = listener
+        listener.listen(BACKLOG)
 
     def stop_wanted(self) -> bool:
         """Serve all clients; return whether one has requested a stop since the last call.
@@ -206,9 +212,13 @@ class HostSocket:
         return stop
 
     def _let_in(self) -> None:
+        for listener in self._listeners.values():
+            self._let_in_at(listener)
+
+    def _let_in_at(self, listener: socket.socket) -> None:
         for _ in range(ASKERS):  # a bound: a client that reconnects repeatedly must not block the run
             try:
-                connection, _ = self._listener.accept()
+                connection, _ = listener.accept()
             except BlockingIOError:
                 return
             except ConnectionAbortedError:
@@ -226,17 +236,18 @@ class HostSocket:
         asker.connection.close()
 
     def close(self, result: dict[str, Any] | None = None) -> None:
-        """Send the result to the clients that requested a stop, and release the bus.
+        """Send the result to the clients that requested a stop, and release the buses.
 
         May be called again; never raises.
         """
-        if self._listener.fileno() < 0:
-            return
-        with suppress(Exception):  # accepts requests of the last moment
-            self.stop_wanted()
-        with suppress(OSError):
-            self._path.unlink()
-        self._listener.close()
+        if self._listeners:
+            with suppress(Exception):  # accepts requests of the last moment
+                self.stop_wanted()
+        for path, listener in self._listeners.items():
+            with suppress(OSError):
+                path.unlink()
+            listener.close()
+        self._listeners.clear()
         for asker in self._askers:
             if result is not None and asker.accepted:
                 asker.tell(json.dumps(result).encode())

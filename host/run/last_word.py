@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -40,8 +40,8 @@ def _path(address: BusAddress) -> Path:
     return host.with_name(host.name + SUFFIX)
 
 
-def leave_word(address: BusAddress, outcome: Mapping[str, Any] | None) -> None:
-    """Write the report of a run, with the present time; does nothing for None. Never raises.
+def leave_word(addresses: Iterable[BusAddress], outcome: Mapping[str, Any] | None) -> None:
+    """Write the report of a run for each of its buses, with the present time; does nothing for None. Never raises.
 
     Parameters
     ----------
@@ -49,20 +49,22 @@ def leave_word(address: BusAddress, outcome: Mapping[str, Any] | None) -> None:
     """
     if outcome is None:
         return
-    with suppress(Exception):  # an error here must not change the run's result
-        path = _path(address)
-        new = path.with_name(f"{path.name}.{os.getpid()}")
-        try:
-            new.write_text(json.dumps({**outcome, "ended": utc(time.time_ns())}), encoding="utf-8")
-            new.replace(path)
-        finally:
-            new.unlink(missing_ok=True)
+    for address in addresses:
+        with suppress(Exception):  # an error here must not change the run's result
+            path = _path(address)
+            new = path.with_name(f"{path.name}.{os.getpid()}")
+            try:
+                new.write_text(json.dumps({**outcome, "ended": utc(time.time_ns())}), encoding="utf-8")
+                new.replace(path)
+            finally:
+                new.unlink(missing_ok=True)
 
 
-def forget_word(address: BusAddress) -> None:
-    """Remove the report of an earlier host. Never raises."""
-    with suppress(Exception):
-        _path(address).unlink(missing_ok=True)
+def forget_word(addresses: Iterable[BusAddress]) -> None:
+    """Remove the reports of earlier hosts. Never raises."""
+    for address in addresses:
+        with suppress(Exception):
+            _path(address).unlink(missing_ok=True)
 
 
 def last_word(address: BusAddress) -> dict[str, Any] | None:

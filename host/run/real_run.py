@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import check_no_delay, check_no_guess, check_no_rehearsal, refusing
 from coulombus.host.run.realtime_sequence import RealCourse
@@ -10,11 +12,12 @@ from coulombus.host.run.run_state import Progress
 from coulombus.host.setup.bringup import check_plan
 from coulombus.host.setup.law_demand import check_demand
 from coulombus.recording.output_file import new_file
+from coulombus.rigs.buses import bus_addresses
 from coulombus.rigs.rig import Rig
 from coulombus.system.exit import say
 from coulombus.system.realtime import default_cpu
 from coulombus.system.stop_signals import Signals
-from coulombus.wire.address import BusAddress, default_address
+from coulombus.wire.address import BusAddress
 
 __all__ = ["real_run"]
 
@@ -26,7 +29,7 @@ def real_run(
     mode: str,
     seconds: float | None,
     *,
-    bus: BusAddress | None = None,
+    bus: BusAddress | Sequence[BusAddress] | None = None,
     outputs: Outputs = NOTHING,
     signals: Signals | None = None,
     progress: Progress | None = None,
@@ -39,7 +42,8 @@ def real_run(
     ----------
     mode : ``active``, ``passive`` or ``hybrid``
     seconds : length of the display, from Operation Enabled on; None: until it is stopped
-    bus : the bus; default is the virtual bus with the rig's name
+    bus : the bus, or a bus for each of `Rig.channels`; default is the virtual bus with the rig's name, or
+        those of its buses (`rigs.buses`)
     outputs : output files; the display's figures are computed from the recording
     signals : entered by the caller; a signal then ends the run safely
     progress : called with the display's time in s and each axis' state (`run_state.axis_state`)
@@ -56,18 +60,21 @@ def real_run(
     coulombus.recording.pcapng_blocks.RecordingError
         the recording cannot be created, or exists
     """
-    address = bus or default_address(rig.name)
+    addresses = (
+        tuple(bus_addresses(rig).values()) if bus is None else (bus,) if isinstance(bus, BusAddress) else tuple(bus)
+    )
     rig = rig.with_world() if world else rig
     with refusing():
-        check_no_rehearsal(rig, address)
-        check_no_guess(rig, address)
-        check_no_delay(rig, address)
+        for address in addresses:
+            check_no_rehearsal(rig, address)
+            check_no_guess(rig, address)
+            check_no_delay(rig, address)
         check_plan(rig)
         check_demand(rig, mode)
         run = RealCourse(
             rig,
             mode,
-            address,
+            addresses,
             outputs,
             signals=signals or Signals(),
             progress=progress,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import signal
 import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -65,7 +65,7 @@ class RealCourse(Course):
         self,
         rig: Rig,
         mode: str,
-        address: BusAddress,
+        addresses: Sequence[BusAddress],
         outputs: Outputs,
         *,
         signals: Signals,
@@ -73,8 +73,9 @@ class RealCourse(Course):
         cpu: int | None,
         world: bool = False,
     ) -> None:
-        self.rig, self.address, self.signals = rig, address, signals
-        self.deadman = deadman_of(rig, mode, address)
+        self.rig, self.signals = rig, signals
+        self.buses, self.address = ", ".join(map(str, addresses)), max(addresses, key=lambda bus: bus.moves_hardware)
+        self.deadman = deadman_of(rig, mode, self.address)
         self.zero_ns = time.monotonic_ns()
         controllers = Controllers(rig, mode)
         super().__init__(controllers, outputs.record, with_states(progress, controllers))
@@ -89,21 +90,21 @@ class RealCourse(Course):
         self._stack = ExitStack()
         self.notifier = Notifier()  # before any process starts that would inherit its variables
         try:
-            self.door = HostSocket(address)
+            self.door = HostSocket(*addresses)
             self._stack.callback(lambda: self.door.close(self._outcome))
-            forget_word(address)
-            self._stack.callback(lambda: leave_word(address, self._outcome))
-            self.plane = DataPlane(self.k, address, cpu=cpu)
+            forget_word(addresses)
+            self._stack.callback(lambda: leave_word(addresses, self._outcome))
+            self.plane = DataPlane(self.k, *addresses, cpu=cpu)
             self._stack.callback(self.plane.close)
             parameters = LiveParameters(self.k)  # the controllers are in shared memory by now
-            self.changes = Changes(parameters, new_arm_key(address), self._apply, self._why_no_change)
-            self.world = WorldDisplay(self.k, self.plane, parameters, self.changes, address if world else None)
+            self.changes = Changes(parameters, new_arm_key(self.address), self._apply, self._why_no_change)
+            self.world = WorldDisplay(self.k, self.plane, parameters, self.changes, self.address if world else None)
             self._stack.callback(self.world.close)
-            self.answers = Answers(self, self.plane, self.changes, address, outputs)
+            self.answers = Answers(self, self.plane, self.changes, self.buses, outputs)
             self._stack.callback(self.answers.close)
             self.door.status, self.door.mark = self.answers.state, self.answers.mark
             self.door.change = self.answers.change
-            self.control = RealControlPlane(rig, address)
+            self.control = RealControlPlane(rig, *addresses)
             self._stack.callback(self.control.close)
             self._bits = BitMarks(outputs.mark_on, rig)
             self.recorder = begin_recording(outputs, self.k, self.zero_ns)
@@ -218,13 +219,13 @@ class RealCourse(Course):
         self.signals.defer()
         self.signals.stop()
         if not self.plane.alive or self.plane.status in (PlaneStatus.LOST, PlaneStatus.ENDED):
-            raise BusUnavailable(f"bus {self.address}: lost before anything was armed: {self.plane.lost_text}")
+            raise BusUnavailable(f"bus {self.buses}: lost before anything was armed: {self.plane.lost_text}")
         period = int(self.k.control["period_ns"][0])
         self.plane.attend()
         self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
         self._seen = (0, time.monotonic())
         try:
-            self.notifier.tell(READY=1, STATUS=f"cycling on {self.address} in mode {self.k.mode}")
+            self.notifier.tell(READY=1, STATUS=f"cycling on {self.buses} in mode {self.k.mode}")
             self.display(seconds)
         except Exception as error:
             self._fail(error)
@@ -402,9 +403,8 @@ class RealCourse(Course):
 
     def result(self) -> RunResult:
         """Return the result of the run."""
-        k, plane = self.k, self.plane
-        figures = self.figures()
-        wakeup, latency = plane.wakeup(), plane.latency()
+        k, plane, figures = self.k, self.plane, self.figures()
+        wakeup, latency, skew = plane.wakeup(), plane.latency(), plane.skew()
         counters = k.counters() | plane.counters()
         cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()
         self._outcome = {"mode": k.mode, "cycles": cycles, "trip": self.trip, "exit_status": exit_status}
@@ -418,8 +418,9 @@ class RealCourse(Course):
             simulated_s=cycles * int(k.control["period_ns"][0]) * 1e-9,
             counters=counters,
             exit_status=exit_status,
-            bus=str(self.address),
+            bus=self.buses,
             sync_to_rpdo_us=latency.as_dict() if latency else None,
+            sync_skew_us=skew.as_dict() if skew else None,
             real_time=plane.real_time,
             deadman=self.deadman,
             stopped_by=self.stopped_by,

@@ -25,6 +25,8 @@ class Timing:
     lost_pdos: int
     wakeup_us: dict[str, float] | None = None
     sync_to_rpdo_us: dict[str, float] | None = None
+    sync_skew_us: dict[str, float] | None = None
+    """Time from the SYNC on the first bus to that on the last, as sent; None on one bus."""
     cpu_us_per_cycle: float | None = None
     real_time: list[dict[str, Any]] | None = None
     """Real-time rights that the data plane requested: name, granted, detail, remedy."""

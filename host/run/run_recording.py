@@ -15,7 +15,7 @@ from coulombus.recording.host_telemetry import SOURCE_INSIDE
 from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.segments import SegmentedRecorder
 from coulombus.recording.wall_clock import meta_attachment, wall_clock
-from coulombus.wire.frame import Records
+from coulombus.wire.frame import Records, stations_of
 
 __all__ = ["Batch", "StampOrder", "begin_recording"]
 
@@ -73,7 +73,7 @@ class Batch:
                 recorder.mark(t_ns, marker)
             recorder.write(self.frames)
         if len(self.frames) or len(self.rows):
-            recorder.trace(self.frames["source"][of_bus] == SOURCE_HOST, self.rows)
+            recorder.trace(stations_of(self.frames[of_bus]) == SOURCE_HOST, self.rows)
         if self.last:
             recorder.close()
 

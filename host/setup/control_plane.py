@@ -1,46 +1,67 @@
-"""The control plane of a bus in real time, on its own connection."""
+"""The control plane of a host in real time, on its own connection to each of its buses."""
 
 from __future__ import annotations
 
+import select
 import time
 from collections import deque
+from collections.abc import Callable
+from typing import TypeVar
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.errors import SafetyTrip
 from coulombus.rigs.rig import Rig
-from coulombus.wire.address import BusAddress
+from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.bus_link import BusFrame, BusLink
 
 __all__ = ["RealControlPlane"]
+
+T = TypeVar("T")
 
 KEPT = 256
 """Largest number of frames that wait for `receive`; beyond it, the oldest are dropped."""
 
 
 class RealControlPlane:
-    """The control plane of `rig` on the bus at `address`.
+    """The control plane of `rig` on the buses at `addresses`, in the order of `Rig.channels`.
 
     Implements `host.setup.bringup.ControlPlane`.
 
-    It receives only SDO responses, EMCY and heartbeats; the data plane receives the PDOs.
+    It receives only SDO responses, EMCY and heartbeats; the data plane receives the PDOs. What it sends to
+    a node goes to the node's bus, and all else to every bus.
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        the bus does not exist; later: it disappeared, or accepts no frame
+        a bus does not exist; later: it disappeared, or accepts no frame. The others serve further calls.
     """
 
-    def __init__(self, rig: Rig, address: BusAddress) -> None:
-        self._address = address
+    def __init__(self, rig: Rig, *addresses: BusAddress) -> None:
         self.sdo_timeout_s = rig.host.sdo_timeout_s
-        nodes = [node.node_id for node in rig.nodes]
-        self._own = {base + node for base in (CobId.SDO_TX, CobId.HEARTBEAT) for node in nodes}
-        self._own |= {node.emcy_id for node in rig.nodes}
+        self._links: list[BusLink] = []
+        self._link_of: dict[int, BusLink] = {}  # by the identifier of a frame to a node
         host_id = rig.host.node_id
         self._foreign = {CobId.SYNC: "SYNC", CobId.HEARTBEAT + host_id: f"the heartbeat of node {host_id}"}
         self._nmt: dict[int, int] = {}
         self._waiting: deque[BusFrame] = deque(maxlen=KEPT)
-        self._link = BusLink(address, _filters(self._own | set(self._foreign)))
+        self._own: dict[BusLink, set[int]] = {}
+        try:
+            for channel, address in zip(rig.channels, addresses, strict=True):
+                self._join(rig, channel, address)
+        except BaseException:
+            self.close()
+            raise
+
+    def _join(self, rig: Rig, channel: str, address: BusAddress) -> None:
+        there = [node for node in rig.nodes if node.channel == channel]
+        own = {base + node.node_id for base in (CobId.SDO_TX, CobId.HEARTBEAT) for node in there}
+        own |= {node.emcy_id for node in there}
+        link = BusLink(address, _filters(own | set(self._foreign)))
+        self._links.append(link)
+        self._own[link] = own
+        for node in there:
+            for base in (CobId.SDO_RX, CobId.HEARTBEAT):  # the latter for node guarding
+                self._link_of[base + node.node_id] = link
 
     def check_alone(self, until_s: float) -> None:
         """Listen for another host until `time.monotonic()` is `until_s`; then filter SYNC out, which this
@@ -51,14 +72,38 @@ class RealControlPlane:
         SafetyTrip
             another host is on the bus
         """
-        while (frame := self._link.receive(round(until_s * 1e9))) is not None:
+        while (heard := self._next(round(until_s * 1e9))) is not None:
+            link, frame = heard
             if frame.can_id in self._foreign:
                 raise SafetyTrip(
-                    f"another host is on bus {self._address}: {self._foreign[frame.can_id]} was heard; "
-                    f"end it first (coulombus stop --bus {self._address})"
+                    f"another host is on bus {link.address}: {self._foreign[frame.can_id]} was heard; "
+                    f"end it first (coulombus stop --bus {link.address})"
                 )
             self._note(frame)
-        self._link.set_filters(_filters(self._own))
+        for link in self._links:
+            link.set_filters(_filters(self._own[link]))
+
+    def _next(self, until_ns: int) -> tuple[BusLink, BusFrame] | None:
+        """Return the next frame of any bus, and its bus; None at `until_ns`."""
+        while True:
+            for link in self._links:
+                frame = self._tried(link, lambda link=link: link.receive(0))  # type: ignore[misc]
+                if frame is not None:
+                    return link, frame
+            left_ns = until_ns - self.now_ns()
+            if left_ns <= 0:
+                return None
+            select.select(self._links, [], [], left_ns / 1e9)
+
+    def _tried(self, link: BusLink, what: Callable[[], T]) -> T:
+        """Call `what`; a bus that fails is left out from then on, unless it is the only one."""
+        try:
+            return what()
+        except BusUnavailable:
+            if len(self._links) > 1:
+                self._links.remove(link)
+                link.close()
+            raise
 
     # a link, for the SDO client
 
@@ -68,16 +113,27 @@ class RealControlPlane:
 
     def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
         """Send a frame."""
-        self._link.send(can_id, data, length)
+        link = self._link_of.get(can_id & 0x7FF)
+        if link is not None and link not in self._links:
+            raise BusUnavailable(f"bus {link.address}: lost")
+        lost: BusUnavailable | None = None
+        for to in self._links[:] if link is None else [link]:
+            try:
+                self._tried(to, lambda to=to: to.send(can_id, data, length))  # type: ignore[misc]
+            except BusUnavailable as error:  # the others have it all the same
+                lost = error
+        if lost is not None:
+            raise lost
 
     def receive(self, until_ns: int) -> BusFrame | None:
         """Return the next frame, or None if none arrives until `until_ns`."""
         if self._waiting:
             return self._waiting.popleft()
-        frame = self._link.receive(until_ns)
-        if frame is not None:
-            self._note(frame)
-        return frame
+        heard = self._next(until_ns)
+        if heard is None:
+            return None
+        self._note(heard[1])
+        return heard[1]
 
     def wait_ns(self, duration_ns: int) -> None:
         """Wait; arriving frames are kept for `receive`.
@@ -88,9 +144,9 @@ class RealControlPlane:
             the bus disappeared
         """
         until_ns = self.now_ns() + duration_ns
-        while (frame := self._link.receive(until_ns)) is not None:
-            self._note(frame)
-            self._waiting.append(frame)
+        while (heard := self._next(until_ns)) is not None:
+            self._note(heard[1])
+            self._waiting.append(heard[1])
 
     def _note(self, frame: BusFrame) -> None:
         if frame.can_id & ~0x7F == CobId.HEARTBEAT and len(frame.data) == 1:
@@ -101,8 +157,9 @@ class RealControlPlane:
         return self._nmt.get(node_id)
 
     def close(self) -> None:
-        """Leave the bus."""
-        self._link.close()
+        """Leave the buses."""
+        for link in self._links:
+            link.close()
 
 
 def _filters(can_ids: set[int]) -> list[tuple[int, int]]:

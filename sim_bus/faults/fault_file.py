@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -349,6 +349,21 @@ class FaultPlan:
             faults=tuple(kept["fault"]),
             controllers=tuple(kept["controller"]),
         )
+
+    def on_one(self, channels: Sequence[str]) -> FaultPlan:
+        """Return the plan of the buses of one host.
+
+        Raises
+        ------
+        FaultError
+            the host has several buses, or as from `on`
+        """
+        if len(channels) > 1:
+            buses = ", ".join(channels)
+            raise FaultError(
+                f"{self.path}: faults strike a host's only bus, and the arm has the buses {buses}: put its joints on one"
+            )
+        return self.on(channels[0], channels)
 
     def mistake(self, key: Key, text: str) -> FaultError:
         """Return the error for a value, with its position."""

@@ -258,9 +258,9 @@ class VirtualNetwork:
         self.devices.append(Device(description, node_id, profile, self.nodes[row], **options))
         return self.devices[row]
 
-    def place(self, device: int, bus: int) -> None:
-        """Put the device of a row, which is off, on another of several buses."""
-        self.bus["stations"]["half"][:, device] = bus
+    def place(self, station: int, bus: int) -> None:
+        """Put a device, by its row, or another station, by its number, on one of several buses; it is off."""
+        self.bus["stations"]["half"][:, station] = bus
 
     def station(
         self, can_ids: Collection[int] | None = None, on_frame: Callable[[Heard], None] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import socket
 import struct
 import time
@@ -12,14 +13,14 @@ from contextlib import ExitStack, suppress
 import numpy as np
 
 from coulombus.kernels.records import RecordArray
-from coulombus.sim_bus.can_bus.cable_cut import wire_of
+from coulombus.sim_bus.can_bus.cable_cut import SEVERAL, wire_of
 from coulombus.sim_bus.can_bus.fault_confinement import state_of
 from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOTS, STATION, Clients, SlotState
 from coulombus.sim_bus.server.records import SLOT, PaceRecord, SlotRecord
 from coulombus.sim_bus.server.sim_result import SimResult
-from coulombus.wire.address import BusAddress, BusUnavailable
+from coulombus.wire.address import BusUnavailable
 from coulombus.wire.frame import new_records
 from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, BusStatus, Flags, Hello
 from coulombus.wire.recvmsg import Mailbox, ask_for_stamps, set_up
@@ -37,7 +38,8 @@ class Admission:
 
     Parameters
     ----------
-    address, bit_rate : of the bus; the answer to a greeting contains the rate
+    name : of the bus or the buses, for messages
+    bit_rate : of the bus; the answer to a greeting contains it
     world : network in which the clients are stations
     pace : the loop's record; its `listener` is -1 while no client can be accepted
     result : counts of the clients
@@ -45,14 +47,15 @@ class Admission:
 
     def __init__(
         self,
-        address: BusAddress,
+        name: str,
         bit_rate: int,
         world: VirtualNetwork,
         pace: RecordArray[PaceRecord],
         result: SimResult,
     ) -> None:
-        self._address, self._bit_rate, self._world, self._pace, self._result = address, bit_rate, world, pace, result
-        self.listener: socket.socket | None = None
+        self._name, self._bit_rate, self._world, self._pace, self._result = name, bit_rate, world, pace, result
+        self.listeners: tuple[socket.socket, ...] = ()
+        self._door: socket.socket | select.epoll | None = None  # readable if a client waits at a listener
         rows = SLOTS + 1  # the last row serves a client that gets the answer "bus full"
         self.slots = new_records(SlotRecord, rows)
         self.slots["fd"] = -1
@@ -70,28 +73,40 @@ class Admission:
         self._since: dict[int, float] = {}
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for a client when no other descriptor is left
 
-    def listen(self, listener: socket.socket) -> None:
-        """Accept clients from `listener`, which is closed together with the slots."""
-        self.listener = listener
-        self._pace["listener"] = listener.fileno()
+    def listen(self, *listeners: socket.socket) -> None:
+        """Accept clients from a listener for each bus; they are closed together with the slots."""
+        self.listeners = listeners
+        self._door = listeners[0]
+        if len(listeners) > 1:
+            self._door = select.epoll()
+            for listener in listeners:
+                self._door.register(listener, select.EPOLLIN)
+        self._pace["listener"] = self._door.fileno()
 
     def accept(self) -> None:
-        """Assign a slot to the client that waits at the listener."""
-        assert self.listener is not None
+        """Assign a slot to the client that waits at a listener."""
+        if not isinstance(self._door, select.epoll):
+            self._accept(0)
+            return
+        ready = {fd for fd, _ in self._door.poll(0)}
+        for bus, listener in enumerate(self.listeners):
+            if listener.fileno() in ready:
+                self._accept(bus)
+
+    def _accept(self, bus: int) -> None:
+        listener = self.listeners[bus]
         place = self._place()
         if place is None:  # no slot even for a refusal: let it wait
             self._pace["listener"] = -1
             return
         try:
-            client, _ = self.listener.accept()
+            client, _ = listener.accept()
         except (BlockingIOError, ConnectionAbortedError):  # the client has gone already
             return
         except OSError as error:
             if error.errno not in (errno.EMFILE, errno.ENFILE):
-                raise BusUnavailable(
-                    f"bus {self._address}: no further client can be accepted: {error.strerror}"
-                ) from None
-            self._turn_away()
+                raise BusUnavailable(f"bus {self._name}: no further client can be accepted: {error.strerror}") from None
+            self._turn_away(listener)
             return
         try:
             client.setblocking(False)
@@ -100,7 +115,7 @@ class Admission:
             except PermissionError:
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             ask_for_stamps(client)
-            self.admit(place, client, SlotState.GREETING)
+            self.admit(place, client, SlotState.GREETING, bus)
         except BaseException as error:
             with ExitStack() as left:
                 left.callback(client.close)
@@ -109,21 +124,20 @@ class Admission:
             if not isinstance(error, OSError):  # a socket that cannot be set up affects no other client
                 raise
 
-    def _turn_away(self) -> None:
+    def _turn_away(self, listener: socket.socket) -> None:
         """Out of descriptors: accept with the spare one and close.
 
         A pending client would wake poll() for ever.
         """
-        assert self.listener is not None
         os.close(self._spare)
         try:
-            client, _ = self.listener.accept()
+            client, _ = listener.accept()
             with client, suppress(OSError):
                 client.send(Answer(BusStatus.FULL).pack())
         except BlockingIOError:
             pass
         except OSError as error:
-            raise BusUnavailable(f"bus {self._address}: no further client can be accepted: {error.strerror}") from None
+            raise BusUnavailable(f"bus {self._name}: no further client can be accepted: {error.strerror}") from None
         finally:
             self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
@@ -143,8 +157,10 @@ class Admission:
         free = np.flatnonzero(self.slots["state"] == SlotState.FREE)
         return int(free[0]) if len(free) else None
 
-    def admit(self, i: int, client: socket.socket, state: SlotState) -> None:
-        """Assign the slot `i` to a client, with all counters at 0."""
+    def admit(self, i: int, client: socket.socket, state: SlotState, bus: int = 0) -> None:
+        """Assign the slot `i` to a client of a bus, with all counters at 0."""
+        if self._world.bus[0].cut == SEVERAL:
+            self._world.place(STATION + i, bus)
         self.sockets[i], self._since[i] = client, time.monotonic()
         self.slots[i : i + 1] = np.zeros(1, SLOT)
         self.slots[i]["fd"], self.slots[i]["state"] = client.fileno(), state
@@ -196,17 +212,17 @@ class Admission:
                 result.losers.append({"pid": pid, "lost": lost, "delivered": int(slot["delivered"])})
         detach(wire_of(self._world.bus, STATION + i), STATION + i)
         slot["state"], slot["fd"] = SlotState.FREE, -1
-        if self.listener is not None:
-            self._pace["listener"] = self.listener.fileno()
+        if self._door is not None:
+            self._pace["listener"] = self._door.fileno()
 
     def close(self) -> None:
-        """Close all clients' sockets and the listener, also after an error."""
+        """Close all clients' sockets and the listeners, also after an error."""
         with ExitStack() as left:
             if self._spare >= 0:
                 left.callback(os.close, self._spare)
                 self._spare = -1
-            if self.listener is not None:
-                left.callback(self.listener.close)
-                self.listener = None
+            for door in {*self.listeners, *((self._door,) if self._door is not None else ())}:
+                left.callback(door.close)
+            self._door = None
             for slot in self.sockets:
                 left.callback(self.part, slot)

@@ -104,7 +104,7 @@ class SimServer(BusServer):
     def __init__(
         self,
         rig: Rig,
-        address: BusAddress,
+        address: BusAddress | Sequence[BusAddress],
         *,
         mode: str = "hybrid",
         seed: int = 0,
@@ -115,7 +115,8 @@ class SimServer(BusServer):
         force: bool = False,
         numbered: bool = True,
     ) -> None:
-        if faults is not None and (unpaced or not address.is_virtual):
+        addresses = (address,) if isinstance(address, BusAddress) else tuple(address)
+        if faults is not None and (unpaced or not addresses[0].is_virtual):
             raise FaultError(f"{faults.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
         self._recorder: Recorder | None = None
         self._script, self._faults, self._seed = tuple(script), faults, seed
@@ -128,7 +129,7 @@ class SimServer(BusServer):
             return PacedRig(rig, mode, seed, bit_rate, None if trial or record is None else keep, trial or numbered)
 
         bit_rate = 0 if unpaced else rig.bus.bitrate_bit_s
-        super().__init__(make_world, address, bit_rate, beside=faults is None)
+        super().__init__(make_world, addresses, bit_rate, beside=faults is None)
         if record is not None:  # a refused bus creates and replaces no file
             try:
                 self._recorder = Recorder(record, rig, mode, seed, about=About(bus=PACED), force=force)

@@ -12,7 +12,7 @@ import errno
 import os
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -41,13 +41,14 @@ SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK = 101, 2, 0x1FFFFFFF
 
 
 class BusServer:
-    """A bus in real time with the devices of `world` on it.
+    """A bus, or several, in real time with the devices of `world` on it.
 
     If another process or the kernel (SocketCAN) serves the bus, this process is a station of it,
     and frames take their time there.
 
     Parameters
     ----------
+    address : of the bus, or of each of the world's buses: all virtual, or all interfaces
     make_world : returns a world for a bit rate; a trial world, which compiles all kernels, is
         discarded
     bit_rate : of the virtual bus; 0: frames take no time
@@ -64,40 +65,40 @@ class BusServer:
     def __init__(
         self,
         make_world: Callable[[int, bool], VirtualNetwork],
-        address: BusAddress,
+        address: BusAddress | Sequence[BusAddress],
         bit_rate: int,
         *,
         join: bool = False,
         beside: bool = False,
     ) -> None:
-        self.address = address
+        self.addresses = (address,) if isinstance(address, BusAddress) else tuple(address)
+        self.address = self.addresses[0]
+        self.name = ", ".join(map(str, self.addresses))
         self.real_time = RealTime()
-        self.result = SimResult(str(address))
+        self.result = SimResult(self.name)
         self.joined = False
         """Whether another process serves the bus."""
-        raw = None
-        if address.is_interface:  # first the immediate refusals: the first compilation takes half a minute
-            raw = can_socket(address.name)
-        elif not join:
+        # first the immediate refusals: the first compilation takes half a minute
+        raws = [can_socket(address.name) for address in self.addresses if address.is_interface]
+        for address in self.addresses if not raws and not join else ():
             refuse_live(socket_path(address.name), address)
-        self.bit_rate = bit_rate if raw is None else 0
-        self._on_virtual = raw is not None and is_virtual(address.name)
+        self.bit_rate = 0 if raws else bit_rate
+        self._on_virtual = bool(raws) and all(is_virtual(address.name) for address in self.addresses)
         self.world = make_world(self.bit_rate, False)
         self._pace = new_records(PaceRecord)
-        self._admission = Admission(address, self.bit_rate, self.world, self._pace, self.result)
+        self._admission = Admission(self.name, self.bit_rate, self.world, self._pace, self.result)
         self._run, self._drain_jobs = Entry(serve), Entry(drain_jobs)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         self._worker = Worker(self.world, self._wake, self.stop, on=beside)
-        self._path: Path | None = None
-        self._inode = 0
+        self._inodes: dict[Path, int] = {}
         self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
         self._load()
         warm_up(make_world(self.bit_rate, True))
         try:
-            if raw is not None:
-                self._open_interface(raw)
-            elif not (join and self._join(address)):
-                self._listen(address)
+            for bus, raw in enumerate(raws):
+                self._open_interface(bus, raw)
+            if not raws and not (join and self._join(self.addresses[0])):
+                self._admission.listen(*map(self._listener, self.addresses))
         except BaseException:
             self.close()
             raise
@@ -170,14 +171,14 @@ class BusServer:
             elif why == Need.CLOSED:
                 self._admission.part(int(pace["slot"][0]))
                 if self.joined:
-                    self.result.gone = f"bus {self.address} is gone: its process ended"
+                    self.result.gone = f"bus {self.name} is gone: its process ended"
                     break
             elif why == Serve.RECORD:
                 with self._worker.whole():
                     self._record()
             elif why == Serve.FAILED:
                 self.result.gone = (
-                    f"bus {self.address}: waiting for its clients failed: {os.strerror(int(pace['error'][0]))}"
+                    f"bus {self.name}: waiting for its clients failed: {os.strerror(int(pace['error'][0]))}"
                 )
                 break
             else:
@@ -191,7 +192,8 @@ class BusServer:
             number = int(pace["error"][0])
             lost = number not in (0, errno.ENODEV, errno.ENXIO)
             why_gone = f"cannot be read: {os.strerror(number)}" if lost else "does not exist any more"
-            self.result.gone = f"the interface {self.address.name} {why_gone}"
+            interface = self.addresses[int(pace["slot"][0])]
+            self.result.gone = f"the interface {interface.name} {why_gone}"
         self.result.cpu_s = (time.thread_time_ns() - cpu_begin) * 1e-9
         self.result.seconds = (time.monotonic_ns() - begin) * 1e-9
         return self._finish()
@@ -204,7 +206,8 @@ class BusServer:
         for slot in list(self._admission.sockets):
             if self._admission.slots[slot]["state"] == SlotState.SOCKETCAN:
                 names = ("sent", "delivered", "lost", "overflow", "no_buffer", "net_down", "error_frames")
-                result.socketcan = {name: int(self._admission.slots[slot][name]) for name in names}
+                counts = {name: int(self._admission.slots[slot][name]) for name in names}
+                result.socketcan = {name: counts[name] + (result.socketcan or {}).get(name, 0) for name in names}
             self._admission.part(slot)
         result.frames = int(bus["frames"].sum())
         result.unserved = int(self._worker.shared.state["dropped"])
@@ -219,9 +222,9 @@ class BusServer:
             if self._wake >= 0:
                 left.callback(os.close, self._wake)
                 self._wake = -1
-            if self._path is not None:
-                left.callback(unlink_own, self._path, self._inode)
-                self._path = None
+            for path, inode in self._inodes.items():
+                left.callback(unlink_own, path, inode)
+            self._inodes = {}
             left.callback(self._admission.close)
 
     def keep_frames(self) -> None:
@@ -258,7 +261,7 @@ class BusServer:
             self._admission.admit(0, connection.socket, SlotState.JOINED)
         return self.joined
 
-    def _listen(self, address: BusAddress) -> None:
+    def _listener(self, address: BusAddress) -> socket.socket:
         path = socket_path(address.name)
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
@@ -267,17 +270,16 @@ class BusServer:
                     path.unlink()
                 listener.bind(str(path))
                 listener.listen(16)
-            self._inode = path.stat().st_ino
+            self._inodes[path] = path.stat().st_ino
         except BaseException:
             listener.close()
             raise
-        self._path = path
-        self._admission.listen(listener)
+        return listener
 
     # SocketCAN
 
-    def _open_interface(self, raw: socket.socket) -> None:
+    def _open_interface(self, bus: int, raw: socket.socket) -> None:
         raw.setblocking(False)
         raw.setsockopt(SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK)
         ask_for_stamps(raw)
-        self._admission.admit(0, raw, SlotState.SOCKETCAN)
+        self._admission.admit(bus, raw, SlotState.SOCKETCAN, bus)

@@ -48,7 +48,7 @@ def run_sim(
     def ready() -> None:
         with printed():  # the bus is ready, even if nobody reads this
             (tell_ready or _tell_ready)(server, as_json)
-        notifier.tell(READY=1, STATUS=f"bus {server.address}")
+        notifier.tell(READY=1, STATUS=f"bus {server.name}")
 
     def course() -> None:
         try:
@@ -88,12 +88,12 @@ def _tell_ready(server: BusServer, as_json: bool) -> None:
     for text in server.world.opened:
         say(f"coulombus: {text}")
     if as_json:
-        line = {"event": "ready", "bus": str(server.address), "bitrate_bit_s": server.bit_rate}
+        line = {"event": "ready", "bus": server.name, "bitrate_bit_s": server.bit_rate}
         line |= {"opened": server.world.opened}
         show(json.dumps({**line, "real_time": server.real_time.as_dict()}))
     else:
         rate = f" at {server.bit_rate / 1e6:g} Mbit/s" if server.bit_rate else ""
-        show(f"bus {server.address} is ready{rate}; Ctrl-C ends it")
+        show(f"bus {server.name} is ready{rate}; Ctrl-C ends it")
 
 
 def _tell_end(result: SimResult, as_json: bool) -> None:

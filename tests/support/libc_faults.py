@@ -137,7 +137,7 @@ class Plane:
         self.plane["packed"] = 1
         self.mine, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.devices = Devices(self.k, self.other)
-        self.buffers = new_buffers(self.mine.fileno(), self.shared)
+        self.buffers = new_buffers([self.mine.fileno()], self.shared)
         self.status = None
         self.thread = threading.Thread(target=self._run)
         self.thread.start()

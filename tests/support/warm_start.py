@@ -285,7 +285,7 @@ def load_loops():
     shared.owner[:] = controllers.owner
     ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, its:
-        warm_up(shared, new_buffers(its.fileno(), shared), load_law(rig.law_function, Path(rig.law_directory)))
+        warm_up(shared, new_buffers([its.fileno()], shared), load_law(rig.law_function, Path(rig.law_directory)))
     shared.close()
 
 

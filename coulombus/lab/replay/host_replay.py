@@ -229,8 +229,9 @@ def _copies(recording: Recording, controllers: Controllers) -> npt.NDArray[np.bo
     if not channels:
         return np.zeros(len(frames), np.bool_)
     further = np.array([channel != recording.rig.channels[0] for channel in channels])
-    on_all: npt.NDArray[np.bool_] = controllers.bus_of[frames["can_id"] & 0x7FF] == EVERY_BUS
-    return on_all & further[frames["source"]]
+    copies: npt.NDArray[np.bool_] = further[frames["source"]]
+    copies &= controllers.bus_of[frames["can_id"] & 0x7FF] == EVERY_BUS
+    return copies
 
 
 class _Check:

@@ -61,7 +61,7 @@ class Plane:
         self.mine, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.other.setblocking(False)
         self.sent = []
-        buffers = new_buffers(self.mine.fileno(), self.shared)
+        buffers = new_buffers([self.mine.fileno()], self.shared)
         self.status = None
         self.thread = threading.Thread(target=lambda: setattr(self, "status", run_plane(buffers, self.k.law_function)))
 

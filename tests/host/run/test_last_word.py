@@ -32,14 +32,14 @@ def place():
 
 def test_it_is_read_after_the_end_and_forgotten_by_the_next_host():
     assert last_word(BUS) is None
-    leave_word(BUS, OUTCOME)
+    leave_word([BUS], OUTCOME)
     word = last_word(BUS)
     assert {**OUTCOME, "ended": word["ended"]} == word
     assert ending(word).endswith(", stopped by coulombus stop")
     assert [path.name for path in place().parent.iterdir()] == [place().name]
-    forget_word(BUS)
+    forget_word([BUS])
     assert last_word(BUS) is None
-    leave_word(BUS, None)  # nothing was armed
+    leave_word([BUS], None)  # nothing was armed
     assert last_word(BUS) is None
 
 
@@ -62,13 +62,13 @@ def test_what_is_no_word_is_none(text):
 
 def test_a_word_that_cannot_be_left_raises_nothing(monkeypatch):
     place().mkdir()
-    leave_word(BUS, OUTCOME)
-    forget_word(BUS)
+    leave_word([BUS], OUTCOME)
+    forget_word([BUS])
     assert last_word(BUS) is None
 
 
 def test_status_and_watch_tell_it():
-    leave_word(BUS, OUTCOME | {"trip": "SPEED: too fast"})
+    leave_word([BUS], OUTCOME | {"trip": "SPEED: too fast"})
     done = CliRunner().invoke(main, ["status", "--bus", str(BUS)])
     assert done.exit_code == 4
     for part in ("no host runs", "trip SPEED: too fast", "812 cycles", "95 PDOs lost", "431 deadlines missed"):

@@ -46,8 +46,8 @@ class Listener:
 def admission(monkeypatch):
     """Return the places of a bus whose loop never runs."""
     pace, result = new_records(PaceRecord), SimResult("coulombus:desk")
-    admission = Admission(ADDRESS, 500_000, VirtualNetwork(500_000, capacity=1), pace, result)
-    admission.listener, pace["listener"] = Listener(), 77
+    admission = Admission(str(ADDRESS), 500_000, VirtualNetwork(500_000, capacity=1), pace, result)
+    admission.listen(Listener())
     admission.clock = SimpleNamespace(s=100.0)
     admission.ends = []
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: admission.clock.s))
@@ -275,8 +275,7 @@ def test_twenty_losers_are_told(admission):
 
 
 def test_without_a_listener_none_is_waited_for(admission):
-    admission.listener = None
-    admission._pace["listener"] = -1
+    admission._door, admission._pace["listener"] = None, -1
     admitted(admission, 0)
     admission.part(0)
     assert admission._pace["listener"] == -1
@@ -292,7 +291,7 @@ def test_a_bus_that_ended_before_its_time_is_an_exit_status(gone, status):
 
 def test_a_connection_is_taken_and_waits_for_its_greeting(admission):
     mine, _ = pair(admission)
-    admission.listener.waiting = [mine]
+    admission.listeners[0].waiting = [mine]
     admission.accept()
     assert admission.sockets == {0: mine}
     assert admission.slots[0]["state"] == SlotState.GREETING
@@ -311,31 +310,31 @@ def test_a_connection_gets_a_long_queue_where_that_is_allowed_and_stamps(admissi
     client = SimpleNamespace(setblocking=lambda on: log.append(on), setsockopt=setsockopt)
     monkeypatch.setattr(module, "ask_for_stamps", lambda one: log.append(one))
     monkeypatch.setattr(admission, "admit", lambda *what: log.append(what))
-    admission.listener.waiting = [client]
+    admission.listeners[0].waiting = [client]
     admission.accept()
     sizes = [(socket.SOL_SOCKET, name, SEND_BUFFER) for name in (SO_SNDBUFFORCE, socket.SO_SNDBUF)]
-    assert log == [False, *sizes[: 1 if forced else 2], client, (0, client, SlotState.GREETING)]
+    assert log == [False, *sizes[: 1 if forced else 2], client, (0, client, SlotState.GREETING, 0)]
 
 
 def test_without_a_place_a_connection_waits(admission):
     full(admission)
     admitted(admission, SLOTS, SlotState.OPEN)
     admission._pace["listener"] = 77
-    admission.listener.waiting = ["a client"]
+    admission.listeners[0].waiting = ["a client"]
     admission.accept()
     assert admission._pace["listener"] == -1
-    assert admission.listener.waiting == ["a client"]
+    assert admission.listeners[0].waiting == ["a client"]
 
 
 @pytest.mark.parametrize("error", [BlockingIOError(), ConnectionAbortedError()])
 def test_a_connection_that_has_gone_already_is_nobody(admission, error):
-    admission.listener.waiting = [error]
+    admission.listeners[0].waiting = [error]
     admission.accept()
     assert admission.sockets == {}
 
 
 def test_a_connection_that_cannot_be_taken_ends_the_bus(admission):
-    admission.listener.waiting = [OSError(errno.ENOMEM, "no memory")]
+    admission.listeners[0].waiting = [OSError(errno.ENOMEM, "no memory")]
     text = "^bus coulombus:desk: no further client can be accepted: no memory$"
     with pytest.raises(BusUnavailable, match=text):
         admission.accept()
@@ -344,16 +343,16 @@ def test_a_connection_that_cannot_be_taken_ends_the_bus(admission):
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE])
 def test_without_a_descriptor_a_client_is_let_in_and_out_again(admission, number):
     mine, theirs = pair(admission)
-    admission.listener.waiting = [OSError(number, "too many"), mine]
+    admission.listeners[0].waiting = [OSError(number, "too many"), mine]
     admission.accept()
     assert answer(theirs).status is BusStatus.FULL
     assert theirs.recv(1) == b""
     assert admission.sockets == {}
     os.fstat(admission._spare)  # there is one to spare again
-    admission.listener.waiting = [OSError(number, "too many")]
+    admission.listeners[0].waiting = [OSError(number, "too many")]
     admission.accept()  # it has gone
     os.fstat(admission._spare)
-    admission.listener.waiting = [OSError(number, "too many"), OSError(number, "too many")]
+    admission.listeners[0].waiting = [OSError(number, "too many"), OSError(number, "too many")]
     with pytest.raises(BusUnavailable, match="no further client can be accepted: too many"):
         admission.accept()
     os.fstat(admission._spare)
@@ -365,8 +364,8 @@ def test_the_spare_descriptor_is_free_while_a_client_is_turned_away(admission):
             os.fstat(admission._spare)
         raise BlockingIOError
 
-    admission.listener.accept = accept
-    admission._turn_away()
+    admission.listeners[0].accept = accept
+    admission._turn_away(admission.listeners[0])
     os.fstat(admission._spare)
 
 
@@ -374,7 +373,7 @@ def test_the_spare_descriptor_is_free_while_a_client_is_turned_away(admission):
 @pytest.mark.parametrize("late", [True, False])
 def test_one_connection_that_cannot_be_set_up_costs_nobody_else_the_bus(admission, monkeypatch, error, late):
     mine, theirs = pair(admission)
-    admission.listener.waiting = [mine]
+    admission.listeners[0].waiting = [mine]
     admit = admission.admit
 
     def failing(*what):
