@@ -254,9 +254,9 @@ def transmit(b: Buffers, patience: int) -> int:
     A frame that a bus does not accept is lost. With `patience`, frames are offered again, up to
     `patience` times in total, with pauses of `END_PAUSE_NS`. A bus that was lost comes last.
     """
-    p, result = b.plane[0], 0
+    first, result = b.plane[0].lost_bus, 0
     for turn in range(len(b.fds)):
-        k = (p.lost_bus + turn) % len(b.fds)
+        k = (first + turn) % len(b.fds)
         if b.fds[k] >= 0 and _send(b, k, patience) == GONE:
             result = 1
     b.out.count = 0

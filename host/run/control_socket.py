@@ -169,7 +169,7 @@ class HostSocket:
     """
 
     def __init__(self, *addresses: BusAddress) -> None:
-        self._listeners: dict[Path, socket.socket] = {}
+        self._listeners: list[tuple[Path, socket.socket]] = []
         self._askers: list[_Client] = []
         self.status: Callable[[], bytes] = lambda: b"{}"
         self.mark: Callable[[str], bytes] = lambda text: b"{}"
@@ -194,7 +194,7 @@ class HostSocket:
         except OSError:
             listener.close()
             raise SafetyTrip(f"another host starts on bus {address}") from None
-        self._listeners[path] = listener
+        self._listeners.append((path, listener))
         listener.listen(BACKLOG)
 
     def stop_wanted(self) -> bool:
@@ -212,7 +212,7 @@ class HostSocket:
         return stop
 
     def _let_in(self) -> None:
-        for listener in self._listeners.values():
+        for _, listener in self._listeners:
             self._let_in_at(listener)
 
     def _let_in_at(self, listener: socket.socket) -> None:
@@ -243,11 +243,11 @@ class HostSocket:
         if self._listeners:
             with suppress(Exception):  # accepts requests of the last moment
                 self.stop_wanted()
-        for path, listener in self._listeners.items():
+        for path, listener in self._listeners:
             with suppress(OSError):
                 path.unlink()
             listener.close()
-        self._listeners.clear()
+        self._listeners = []
         for asker in self._askers:
             if result is not None and asker.accepted:
                 asker.tell(json.dumps(result).encode())

@@ -28,6 +28,7 @@ from coulombus.host.realtime.data_plane import (
 from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus
 from coulombus.recording.trace import TraceRow
 from coulombus.rigs.rig import load_rig
+from coulombus.wire.address import BusAddress
 from coulombus.wire.frame import frames, new_records
 
 ENDING_S, STEP_S = 0.25, 2.0**-9
@@ -95,13 +96,14 @@ def handle(monkeypatch):
     monkeypatch.setattr(data_plane, "time", found.clock)
     found._process = Process(found.clock)
     found.closed = []
-    found._client = SimpleNamespace(close=lambda: found.closed.append("client"))
+    found._clients, found._addresses = [SimpleNamespace(close=lambda: found.closed.append("client"))], ()
     found.started = []
     found._controllers = SimpleNamespace(ending_s=ENDING_S, start=found.started.append)
     found.shared = SimpleNamespace(
         plane=new_records(PlaneRecord, 1),
         wakeup_bins=np.zeros(BINS, np.int64),
         latency_bins=np.zeros(BINS, np.int64),
+        skew_bins=np.zeros(BINS, np.int64),
         ring=frames(8),
         trace=new_records(TraceRow, 8),
         close=lambda: found.closed.append("shared"),
@@ -303,6 +305,19 @@ def test_what_became_of_a_process_is_told(handle, monkeypatch, status, stopped, 
 def test_why_a_bus_is_lost_is_told(handle, error, text):
     handle.shared.plane["error"] = error
     assert handle.lost_text == text
+
+
+@pytest.mark.parametrize(("lost", "text"), [(1, "coulombus:a: "), (2, "coulombus:b: "), (0, "")])
+def test_which_of_several_buses_is_lost_is_told(handle, lost, text):
+    handle._addresses = (BusAddress("coulombus", "a"), BusAddress("coulombus", "b"))
+    handle.shared.plane["lost_bus"] = lost
+    assert handle.lost_text == f"{text}its process ended"
+
+
+def test_the_skew_of_sync_is_that_of_several_buses(handle):
+    assert handle.skew() is None
+    handle.shared.skew_bins[2], handle.shared.plane["skew_max_ns"] = 3, 2_400
+    assert handle.skew().as_dict() == {"p50": 2.4, "p99": 2.4, "max": 2.4}
 
 
 def test_what_is_logged_is_taken_once_and_as_a_copy(handle):

@@ -91,7 +91,11 @@ class PlayedPlane(DataPlane):
     def __init__(self, controllers, address, *, priority=None, cpu=None):
         self.shared = SharedPlane.create(len(controllers.each))
         controllers.adopt(self.shared.axes)
-        self._controllers, self._client = controllers, SimpleNamespace(close=lambda: None)
+        self._controllers, self._clients, self._addresses = (
+            controllers,
+            [SimpleNamespace(close=lambda: None)],
+            (address,),
+        )
         self._batch, self._rows, self.real_time = frames(1 << 10), new_records(TraceRow, TRACE_ROWS), []
         self._process, self.armed, self.unsafe_end = Process(), False, False
         self.clock.plane = self

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from coulombus.host.cycle.records import Phase, Trip
-from coulombus.host.realtime import loop
+from coulombus.host.realtime import bus_sockets, loop
 from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneStatus
 from coulombus.kernels.libc import EAGAIN, EINTR
 from coulombus.recording.trace import Moment
@@ -18,7 +18,18 @@ SHARED = 1 << 20
 """The address of the shared memory."""
 NOW_NS = 5_000_000_000
 EBADF = 9
-OWN = ("_stop", "_skip", "_look_after_parent", "_all_done", "_failed", "_count", "_obey", "_goes_on", "run_plane")
+OWN = (
+    "stop",
+    "_skip",
+    "_look_after_parent",
+    "_all_done",
+    "failed",
+    "_count",
+    "_obey",
+    "_goes_on",
+    "watch",
+    "run_plane",
+)
 
 
 def plain(kernel):
@@ -45,7 +56,9 @@ class Bench:
     def __init__(self, monkeypatch):
         self.now_ns, self.parent, self.error = NOW_NS, 100, 0
         self.memory, self.asked, self.traced, self.said = {}, [], [], []
-        self.p = SimpleNamespace(asked=0, ordered=0, order_axis=0, parent=100, error=0, cpu_ns=1000, missed_deadlines=3)
+        self.p = SimpleNamespace(
+            lost_bus=0, asked=0, ordered=0, order_axis=0, parent=100, error=0, cpu_ns=1000, missed_deadlines=3
+        )
         self.axes = Axes(
             SimpleNamespace(
                 control=SimpleNamespace(deadman_key=1),
@@ -59,7 +72,7 @@ class Bench:
         poll, arrays = SimpleNamespace(ctypes=SimpleNamespace(data=77)), {}
         self.poll = type("Poll", (), {"ctypes": poll.ctypes, "__setitem__": lambda _, k, v: arrays.update({k: v})})()
         self.polled = arrays
-        self.b = SimpleNamespace(fd=5, plane=Shared([self.p]), axes=self.axes, trace=None, out=out, poll=self.poll)
+        self.b = SimpleNamespace(fds=[5], plane=Shared([self.p]), axes=self.axes, trace=None, out=out, poll=self.poll)
         self.b.world_fd, self.b.world_state = -1, None
         self.ramps = False
         for name in OWN:
@@ -76,7 +89,8 @@ class Bench:
             "ramps_a_brake": lambda axes: self.ramps,
             "log_moment": lambda plane, trace, *row: self.traced.append(row),
         }.items():
-            monkeypatch.setattr(loop, name, double)
+            for module in (loop, bus_sockets):
+                monkeypatch.setattr(module, name, double, raising=False)
         self.patch = monkeypatch.setattr
 
     def store(self, at, value):
@@ -134,7 +148,7 @@ def test_an_order_is_taken_once_by_its_axis(bench, axis):
 )
 def test_the_first_reason_to_stop_counts(bench, asked, trip, stays):
     bench.p.asked = asked
-    loop._stop(bench.p, bench.axes, trip)
+    loop.stop(bench.p, bench.axes, trip)
     assert bench.p.asked == stays
     assert bench.asked == [trip]
 
@@ -194,7 +208,7 @@ def test_periods_that_have_passed_are_skipped_and_counted(bench, periods, skippe
 @pytest.mark.parametrize(("error", "failed"), [(EINTR, False), (EAGAIN, False), (EBADF, True)])
 def test_a_wait_that_fails_for_good_is_told_from_a_signal(bench, error, failed):
     bench.error = error
-    assert loop._failed(bench.p) is failed
+    assert loop.failed(bench.p) is failed
     assert bench.p.error == (error if failed else 0)
 
 
@@ -226,18 +240,20 @@ class Commanded(Bench):
         self.patch(loop, "load_acquire", lambda at: self.next_command() if at - SHARED == loop.AT_COMMAND else 0)
         self.patch(loop, "clock_ns", lambda clock: self.cpu.pop(0))
         self.patch(loop, "_cycle", lambda b, law, arm: self.gone)
-        self.patch(loop, "_take", self.take)
+        self.patch(loop, "take", self.take)
         self.patch(loop, "ppoll_ns", self.wait)
         self.patch(loop, "safe_setpoints", lambda axes, t_ns, out: self.safe.append((t_ns, out.count)))
-        self.patch(loop, "_transmit", self.transmit)
+        self.patch(loop, "transmit", self.transmit)
 
     def next_command(self):
         told = self.memory.get(loop.AT_COMMAND)
         return told if told is not None else int(self.commands.pop(0))
 
-    def take(self, b, live):
-        assert live == 0
-        return self.found.pop(0)
+    def take(self, b, k, live):
+        assert (k, live) == (0, 0)
+        found = self.found.pop(0)
+        self.p.lost_bus = int(found == loop.GONE)
+        return found
 
     def wait(self, *given):
         self.waited.append(given)
@@ -282,7 +298,7 @@ def test_a_cycle_that_ends_as_commanded_trips_nothing_and_obeys_on(monkeypatch):
     ("found", "ready", "error", "lost"),
     [
         (loop.GONE, 0, 0, True),
-        (loop.TOOK, -1, EBADF, False),
+        (bus_sockets.TOOK, -1, EBADF, False),
         (loop.EMPTY, -1, EBADF, True),
         (loop.EMPTY, -1, EINTR, False),
         (loop.EMPTY, 0, EBADF, False),
@@ -301,7 +317,7 @@ def test_a_bus_that_is_lost_while_listening_is_told(monkeypatch, found, ready, e
 @pytest.mark.parametrize(("known", "parent", "ends"), [(100, 100, False), (100, 1, True), (0, 1, False)])
 def test_a_loop_that_listens_ends_behind_its_parent(monkeypatch, known, parent, ends):
     bench = Commanded(monkeypatch, PlaneCommand.LISTEN, PlaneCommand.LISTEN, PlaneCommand.QUIT)
-    bench.found, bench.p.parent, bench.parent = [loop.TOOK, loop.TOOK], known, parent
+    bench.found, bench.p.parent, bench.parent = [bus_sockets.TOOK, bus_sockets.TOOK], known, parent
     assert bench.run() == PlaneStatus.ENDED
     assert bench.states == [PlaneStatus.LISTENING] * (1 if ends else 2) + [PlaneStatus.ENDED]
     assert ((loop.AT_COMMAND, int(PlaneCommand.QUIT)) in bench.said) is ends
