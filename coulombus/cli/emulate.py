@@ -152,8 +152,9 @@ def emulate(
             raise click.UsageError(
                 "--record is of one virtual bus on which frames take their time; choose one with --channel"
             )
-        if not rig.one_cycle:
+        if len(rig.channels) > 1:
             page.refuse_several()
+        if not rig.one_cycle:
             words = ["emulate", "--rig", chosen.rig_name, *realtime.words(), *simulated.words()]
             words += [] if seconds is None else ["--seconds", str(seconds)]
             words += repeated("--set", chosen.overrides)

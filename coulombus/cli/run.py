@@ -96,8 +96,9 @@ def run_command(
                     f"--channel {chosen.channel}: one host serves both joints of an arm, on all its buses"
                 )
             rig = rig.on(chosen.channel)
-        if not rig.one_cycle:
+        if len(rig.channels) > 1:
             page.refuse_several()
+        if not rig.one_cycle:
             words = ["run", "--rig", chosen.rig_name, "--mode", mode, "--json"]
             words += [] if seconds is None else ["--seconds", str(seconds)]
             words += repeated("--set", chosen.overrides)

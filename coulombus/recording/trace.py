@@ -78,7 +78,7 @@ class TraceRow(Record):
     received: int  # frames received by the loop so far
     kind: Annotated[int, np.int32]  # `Moment`
     value: Annotated[int, np.int32]  # by `kind`
-    refused: int  # frames refused by the bus so far
+    refused: int  # frames so far that a bus refused, or that were for a lost bus
     dropped: int  # frames dropped from the log so far
 
 

@@ -220,6 +220,9 @@ def _send(b: Buffers, k: int, patience: int) -> int:
             tx[2 * count] = f.can_id | f.length << 32
             tx[2 * count + 1] = f.word
             count += 1
+    if b.fds[k] < 0:
+        p.unsent += count
+        return TOOK
     done = 0
     while done < count:
         frames = count - done if p.packed >> k & 1 else 1
@@ -234,6 +237,7 @@ def _send(b: Buffers, k: int, patience: int) -> int:
                 sleep_until(now_ns() + END_PAUSE_NS)
                 continue
             if error != EAGAIN and error != ENOBUFS:
+                p.unsent += count - done
                 return lose(b, k, error)
             p.tx_full += frames
         else:
@@ -257,7 +261,7 @@ def transmit(b: Buffers, patience: int) -> int:
     first, result = b.plane[0].lost_bus, 0
     for turn in range(len(b.fds)):
         k = (first + turn) % len(b.fds)
-        if b.fds[k] >= 0 and _send(b, k, patience) == GONE:
+        if _send(b, k, patience) == GONE:
             result = 1
     b.out.count = 0
     return result

@@ -60,7 +60,7 @@ def log_moment(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], ki
     r.received = p.rx_frames
     r.kind = kind
     r.value = value
-    r.refused = p.tx_full
+    r.refused = p.tx_full + p.unsent
     r.dropped = p.log_dropped
     store_release(plane.ctypes.data + AT_TRACE_HEAD, head + 1)
 

@@ -88,6 +88,7 @@ class PlaneRecord(Record):
     skew_max_ns: int  # largest time between the SYNCs of a cycle on several buses
     interrupted: int  # number of waits interrupted by a signal
     tx_full: int  # frames that the bus did not accept: EAGAIN, ENOBUFS
+    unsent: int  # frames for a lost bus
     rx_frames: int  # received frames
     rx_malformed: int  # received messages that are not valid frames
     rx_overflow: int  # frames dropped by the sockets' queues

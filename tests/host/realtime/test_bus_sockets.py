@@ -21,7 +21,7 @@ from coulombus.host.realtime.process import new_buffers
 from coulombus.host.realtime.shared_memory import SharedPlane
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import buses_of, frames, push, stations_of
-from tests.support.plane_buses import ONE_CYCLE
+from plane_buses import ONE_CYCLE
 
 FRAME = struct.Struct("=IB3xq")
 SYNC, T_NS = int(CobId.SYNC), 1_000_000_000

@@ -64,7 +64,7 @@ def test_one_host_a_bus_and_a_dead_one_does_not_count():
     with pytest.raises(SafetyTrip, match="another host runs"):
         HostSocket(BUS)
     HostSocket(parse_address("socketcan:x")).close()  # another bus
-    door._listener.close()  # as a killed process leaves it
+    door._listeners[0][1].close()  # as a killed process leaves it
     assert control_path(BUS).exists()
     again = HostSocket(BUS)
     again.close()

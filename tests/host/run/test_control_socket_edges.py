@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from coulombus.host.errors import SafetyTrip
 from coulombus.host.run import control_socket
 from coulombus.host.run.control_socket import (
     ASKERS,
@@ -346,12 +347,33 @@ def test_a_path_that_a_dead_host_left_may_be_gone_meanwhile(monkeypatch):
 
 
 def test_a_host_whose_standard_input_was_closed_lets_go_of_its_bus_too(host):
-    real, closed = host._listener, []
-    host._listener = SimpleNamespace(fileno=lambda: 0, close=lambda: closed.append(True))
+    ((path, real),), closed = host._listeners, []
+    host._listeners = [(path, SimpleNamespace(fileno=lambda: 0, close=lambda: closed.append(True)))]
     host.close()
     assert closed
     assert not control_path(BUS).exists()
-    host._listener = real
+    real.close()
+
+
+def test_a_host_of_two_buses_claims_and_leaves_both():
+    other = parse_address("coulombus:other")
+    both = HostSocket(BUS, other)
+    with pytest.raises(SafetyTrip, match="another host runs on bus coulombus:other"):
+        HostSocket(other)
+    with connected() as asker:
+        asker.send(control_socket.STOP)
+        assert both.stop_wanted()
+    both.close()
+    assert not any(control_path(bus).exists() for bus in (BUS, other))
+
+
+def test_a_host_whose_second_bus_has_another_host_takes_none():
+    other = parse_address("coulombus:other")
+    there = HostSocket(other)
+    with pytest.raises(SafetyTrip, match="another host runs on bus coulombus:other"):
+        HostSocket(BUS, other)
+    assert not control_path(BUS).exists()
+    there.close()
 
 
 @pytest.mark.parametrize(

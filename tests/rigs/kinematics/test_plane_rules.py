@@ -6,6 +6,7 @@ import pytest
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.rigs.rig import RigError, load_rig
+from plane_buses import ONE_CYCLE
 
 HOLD = '{kind = "hold", duration_s = 1.0, push_F_s = 0.5, frequency_Hz = 1.0}'
 
@@ -25,11 +26,22 @@ def test_an_axis_has_no_tip():
         )
 
 
-def test_both_joints_are_on_one_bus():
-    with pytest.raises(
-        RigError, match=r"kinematics: the joints are on different buses \(shoulder on the shared bus, elbow on b\)"
-    ):
-        load_rig("plane", ('axis.elbow.bus.channel="b"',))
+def test_one_host_serves_the_buses_of_an_arm():
+    rig = load_rig("plane", ONE_CYCLE)
+    assert (rig.channels, rig.one_cycle, rig.bus.period_s) == (("a", "b"), True, 0.001)
+    assert [node.channel for node in rig.nodes] == ["a", "a", "b", "b"]
+    assert Controllers(rig, "hybrid").bus_of[[0x080, 0x000, 0x201, 0x603, 0x184]].tolist() == [-1, -1, 0, 1, 1]
+    assert not load_rig("two_axes", ("axis.left.bus.channel=a", "axis.right.bus.channel=b")).one_cycle
+    alone = rig.on("b")
+    assert (alone.in_plane, [axis.name for axis in alone.axes], alone.bus.channel) == (None, ["elbow"], "b")
+
+
+def test_the_buses_of_an_arm_have_different_node_ids_and_one_bit_rate():
+    where = "another id than the motor's of axis shoulder, whose bus the same host serves in the same cycle"
+    with pytest.raises(RigError, match=rf"axis\.elbow\.motor\.node_id: got '1', expected {where}"):
+        load_rig("plane", (*ONE_CYCLE, "axis.elbow.motor.node_id=1"))
+    with pytest.raises(RigError, match="expected the same, because one host serves both buses in one cycle"):
+        load_rig("plane", (*ONE_CYCLE, "axis.elbow.bus.bitrate_bit_s=500_000"))
 
 
 def test_the_law_fits_the_rig():
