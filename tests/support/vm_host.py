@@ -24,12 +24,17 @@ STEADY = pytest.mark.skipif(
 )
 
 
+def on_buses(interface, buses=()):
+    """Return the options for one interface, or for a rig of several buses: ``a=socketcan:vcan0``."""
+    return [word for bus in buses or [f"socketcan:{interface}"] for word in ("--bus", bus)]
+
+
 @contextmanager
-def host(interface, *arguments, mode="passive", seconds=2.0):
-    """Run the host on `interface`; kill it if it is still there at the end."""
+def host(interface, *arguments, mode="passive", seconds=2.0, buses=()):
+    """Run the host on `interface`, or on the buses of an arm; kill it if it is still there at the end."""
     process = Warm(
         [
-            *("run", "--bus", f"socketcan:{interface}", "--mode", mode, "--json"),
+            *("run", *on_buses(interface, buses), "--mode", mode, "--json"),
             *("--seconds", str(seconds), *map(str, arguments)),
         ],
         cwd=ROOT,

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from places import ROOT
+from vm_host import on_buses
 from vm_interfaces import INTERFACES, MISSING
 from warm_start import Warm
 
@@ -39,10 +40,10 @@ def interface():
 class Sim:
     """``coulombus emulate`` on an interface; `end` ends it and returns what it told."""
 
-    def __init__(self, interface, *options):
+    def __init__(self, interface, *options, buses=()):
         self.interface = interface
         self.process = Warm(
-            ["emulate", "--bus", f"socketcan:{interface}", "--json", *options],
+            ["emulate", *on_buses(interface, buses), "--json", *options],
             cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -71,8 +72,8 @@ def start_sim():
     """
     with contextlib.ExitStack() as stack:
 
-        def start(*options, interface=None):
-            sim = Sim(interface or INTERFACES[-1], *options)
+        def start(*options, interface=None, buses=()):
+            sim = Sim(interface or INTERFACES[-1], *options, buses=buses)
             stack.callback(lambda: (sim.process.kill(), sim.process.communicate()))
             return sim
 
