@@ -77,8 +77,9 @@ class Bench:
         self.ramps = False
         for name in OWN:
             monkeypatch.setattr(loop, name, plain(getattr(loop, name)))
-        for name in ("take_models", "tell_world"):  # there is no world
-            monkeypatch.setattr(loop, name, lambda *_: None)
+        self.world = []
+        for name in ("take_models", "tell_world"):
+            monkeypatch.setattr(loop, name, lambda *_, name=name: self.world.append(name))
         for name, double in {
             "now_ns": lambda: self.now_ns,
             "load_acquire": lambda at: self.memory.get(at - SHARED, 0),
@@ -115,6 +116,11 @@ def test_the_key_is_held_before_its_time_and_of_all_axes(bench, until_ns, held):
     bench.memory[loop.AT_DEADMAN] = until_ns
     loop._obey(bench.b)
     assert [host.deadman_ok for host in bench.hosts] == [held, held]
+
+
+def test_the_models_of_a_world_are_taken_in_each_cycle(bench):
+    loop._obey(bench.b)
+    assert bench.world == ["take_models"]
 
 
 def test_a_switch_that_is_an_object_is_none_of_the_key(bench):
