@@ -81,7 +81,7 @@ def course_of(monkeypatch, rig="bench"):
     monkeypatch.setattr(realtime_sequence, "say", found.said.append)
     rig = load_rig(rig)
     Course.__init__(found, Controllers(rig, "hybrid"), None, None)
-    found.rig, found.address = rig, SimpleNamespace(moves_hardware=False, __str__=lambda self: "x")
+    found.rig, found.address, found.buses = rig, SimpleNamespace(moves_hardware=False), "x"
     found.plane, found.zero_ns, found.deadman = Plane(log), ZERO_NS, "key"
     found.error, found._fate, found.stopped_by, found._touched = None, "", None, False
     found._seen, found._outcome, found._stack, found._bits = (7, clock.monotonic()), None, ExitStack(), "bits"
@@ -307,7 +307,7 @@ def coursing(run, monkeypatch, switch=None):
         number=0, defer=lambda: run.log.append("defer"), stop=lambda: run.log.append("signals")
     )
     logged(run, "_watch_keys", "_await_hand", "display", "make_safe")
-    run.address = "can0"
+    run.buses = "can0"
 
 
 @pytest.mark.parametrize("deadman", ["key", "none"])

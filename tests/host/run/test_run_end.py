@@ -174,7 +174,7 @@ def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", en
     monkeypatch.setattr(realtime_sequence, "time", plane.clock)
     Course.__init__(run, k, tmp_path / "r.pcapng", None)
     run.rig, run.plane, run.zero_ns = rig, plane, 0
-    run.notifier, run.address = Notifier({}), "coulombus:bench"
+    run.notifier, run.buses = Notifier({}), "coulombus:bench"
     run.answers = SimpleNamespace(tell=lambda now_ns: None)
     run.control = SimpleNamespace(wait_ns=lambda ns: None)
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
@@ -240,7 +240,7 @@ def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monke
     run.plane.slow_batch = 0
     Course.__init__(run, run.plane.k, None, None)
     run.zero_ns, run._order, run.deadman = 0, StampOrder(0), "key"
-    run.address = parse_address("coulombus:x")
+    run.address, run.buses = parse_address("coulombus:x"), "coulombus:x"
     run.control = SimpleNamespace(check_alone=lambda at: None, wait_ns=lambda ns: None)
     seen = []
     monkeypatch.setattr(realtime_sequence, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
