@@ -14,7 +14,10 @@ half that is idle first starts no new frame until the other half is idle too, so
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import RecordArray
@@ -31,6 +34,7 @@ __all__ = [
     "MENDING",
     "SEVERAL",
     "WHOLE",
+    "assign",
     "choose",
     "divide",
     "join",
@@ -115,6 +119,12 @@ def choose(bus: RecordArray[BusRecord], out: Queue) -> int:
     t_near, t_far = _next_ns(near, out), _next_ns(far, out)
     ends_sooner = near.stage == Stage.FREE and far.stage != Stage.FREE
     return 1 if t_far < t_near or (t_far == t_near and ends_sooner) else 0
+
+
+def assign(bus: RecordArray[BusRecord], host_bus: npt.ArrayLike, devices: Sequence[int]) -> None:
+    """Put each device, by its row, on one of several buses; `host_bus` is that of the host's identifiers."""
+    bus[0].host_bus[:] = host_bus
+    bus["stations"]["half"][:, : len(devices)] = devices
 
 
 def wire_of(bus: RecordArray[BusRecord], station: int) -> BusRecord:

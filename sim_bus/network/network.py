@@ -155,8 +155,7 @@ class VirtualNetwork:
 
     Parameters
     ----------
-    bitrate_bit_s : any number; 0: a frame takes no time; several: that of each of several buses, of which
-        a device is on the first unless `VirtualNetwork.place` says otherwise
+    bitrate_bit_s : any number; 0: a frame takes no time; several: a bus each (`VirtualNetwork.place`)
     capacity : largest number of devices, at most 127
     on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) after they
     were sent
@@ -215,9 +214,8 @@ class VirtualNetwork:
         )
         self._arguments = (world, m.host, m.law_function, course_of(m.plant), m.arm)
         for wire in self.bus[: len(rates)]:
-            attach(wire, TAP)
-            if mechanics is not None:
-                attach(wire, SOURCE_HOST)
+            for station in (TAP, *([] if mechanics is None else [SOURCE_HOST])):
+                attach(wire, station)
         self._closely: int | None = None
         self._run = Entry(run)
 

@@ -23,6 +23,7 @@ from coulombus.node.device import Device
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
+from coulombus.sim_bus.can_bus.cable_cut import assign
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
 from coulombus.sim_bus.network.network import AttachedAxes, VirtualNetwork
 from coulombus.sim_bus.rig.arm_plant import PLANE_COLUMNS, new_plane_plant
@@ -125,9 +126,8 @@ class VirtualRig(VirtualNetwork):
         k = self.controllers
         self._told = new_records(Frame, TOLD_FRAMES)
         devices = [stand_ins(axis) for axis in rig.axes]
-        sensors = {
-            sensor.node_id: (a, sensor) for a, group in enumerate(devices) for sensor in group[2:]
-        }  # axes may share a device
+        # axes may share a sensor
+        sensors = {sensor.node_id: (a, sensor) for a, group in enumerate(devices) for sensor in group[2:]}
         axis_of = np.array([*(np.arange(2 * n) // 2), *(a for a, _ in sensors.values())], np.int64)
         super().__init__(
             tuple(bus.bitrate_bit_s for bus in rig.buses),
@@ -141,10 +141,8 @@ class VirtualRig(VirtualNetwork):
         self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # plain arrays, like `_axes`
         self.nodes["coil_A_Nm"][self._axes["brake"]] = [axis.brake.coil_A_Nm for axis in rig.axes]
         rows: dict[int, tuple[int, Device]] = {}
-        for device in (
-            *(stand_in for group in devices for stand_in in group[:2]),
-            *(stand_in for _, stand_in in sensors.values()),
-        ):
+        actuators = [stand_in for group in devices for stand_in in group[:2]]
+        for device in (*actuators, *(stand_in for _, stand_in in sensors.values())):
             added = self.add(device.served.description, device.node_id if numbered else UNCONFIGURED, device.profile)
             rows[device.node_id] = (len(rows), added)
             self.opened = (*self.opened, *(text for text in device.served.remarks if text not in self.opened))
@@ -156,9 +154,7 @@ class VirtualRig(VirtualNetwork):
         }
         """Row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with several axes)."""
         if len(rig.buses) > 1:
-            self.bus[0].host_bus[:] = k.bus_of
-            for row, a in enumerate(axis_of):
-                self.place(row, rig.channels.index(rig.axes[a].bus.channel))
+            assign(self.bus, k.bus_of, [rig.channels.index(rig.axes[a].bus.channel) for a in axis_of])
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         self._couple()
 
