@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from coulombus.cli.common import display_s, json_option, load, rig_option, say, seed_option, set_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import OutputDirectory
-from coulombus.cli.run_table import print_runs, print_verdict
+from coulombus.cli.run_table import print_arms, print_runs, print_verdict
 from coulombus.cli.tables import echo, progress
 from coulombus.system.quoting import shell
 
@@ -37,8 +38,14 @@ __all__ = ["demo", "next_steps"]
     is_flag=True,
     help="In virtual time: some seconds instead of half a minute, and the same bytes every time.",
 )
+@click.option(
+    "--plane",
+    is_flag=True,
+    help="Friction in the plane, on an arm (the rig plane, or --rig), in virtual time.",
+)
 @json_option
-def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtual: bool, as_json: bool) -> None:
+@click.pass_context
+def demo(context: click.Context, /, **options: Any) -> None:
     """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds
     still.
 
@@ -46,14 +53,22 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
     simulated rig in one process, the host in others, PDOs at 1 kHz between them. Writes
     active.pcapng, hybrid.pcapng, demo.json and the figure demo.png. Exits with 1 unless active
     oscillates and hybrid holds still. --virtual adds hybrid at the active display's friction, and
-    the brake alone.
+    the brake alone. --plane shows a hand that holds the tip of an arm and draws a circle, with
+    motors, brakes, and both.
 
     \b
     Examples:
       coulombus demo
       coulombus demo --virtual
+      coulombus demo --plane
       coulombus demo --seed 3 --out out/third
     """
+    rig_name, overrides = options["rig_name"], options["overrides"]
+    seed, out, as_json = options["seed"], options["out"], options["as_json"]
+    if options["plane"]:
+        default = context.get_parameter_source("rig_name") is ParameterSource.DEFAULT
+        _plane("plane" if default else rig_name, overrides, seed, out, as_json)
+        return
     with errors():
         from coulombus.lab.demo.demo import DEMO_MODES, as_dict, displays, run_demo
         from coulombus.lab.demo.traces import figure_14
@@ -64,7 +79,7 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
         if missing:
             raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
         total = display_s(rig, None)
-        if virtual:
+        if options["virtual"]:
             with progress(not as_json) as report:
                 result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
         else:
@@ -86,6 +101,46 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
                 echo("\ntry next:")
                 for command, why in next_steps(rig_name, out, span_of_interest(blocks(out / "active.pcapng"))):
                     echo(f"  {command}\n      {why}")
+
+
+def _plane(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, as_json: bool) -> None:
+    """Run the demo in the plane."""
+    with errors():
+        from coulombus.analysis.figures.plane_runs import draw_plane_demo
+        from coulombus.lab.demo.plane_demo import run_plane_demo
+        from coulombus.recording.pictures.plot import save_picture
+
+        rig = load(rig_name, overrides)
+        total = display_s(rig, None)
+        with progress(not as_json) as report:
+            result = run_plane_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
+        save_picture(draw_plane_demo(result), out / "demo.png")
+        with verdict(0 if result.passed else 1):
+            if as_json:
+                print_json(result.as_dict())
+                return
+            print_arms(result.runs)
+            echo()
+            for criterion in result.criteria:
+                print_verdict(criterion.holds, f"{criterion.text}: {criterion.found}")
+            files = ", ".join(f"{mode}.pcapng" for mode in result.runs)
+            echo(f"\nfigure and recordings: {out}/ (demo.png, demo.json, {files})")
+            echo("\ntry next:")
+            for command, reason in plane_steps(rig_name):
+                echo(f"  {command}\n      {reason}")
+
+
+def plane_steps(rig_name: str) -> tuple[tuple[str, str], ...]:
+    """Return the commands suggested at the end of the demo in the plane, each with its purpose."""
+    rig = f"--rig {shell(rig_name)}"
+    return (
+        (f"coulombus analyse plane {rig}", "what the rig can display in each place"),
+        (f"coulombus simulate {rig} --law plane_viscous --record viscous.pcapng", "another law in the plane"),
+        (
+            f"coulombus emulate {rig} --web",
+            f"the arm in a browser; then, in another terminal, `coulombus run {rig} --shared-machine`",
+        ),
+    )
 
 
 def span_of_interest(recording: Source) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from coulombus.cli.tables import echo, table_console
@@ -11,8 +11,9 @@ from coulombus.system.wrap_text import folded
 
 if TYPE_CHECKING:
     from coulombus.host.run.result import RunResult
+    from coulombus.lab.demo.plane_demo import TipRun
 
-__all__ = ["print_remark", "print_runs", "print_verdict"]
+__all__ = ["print_arms", "print_remark", "print_runs", "print_verdict"]
 
 WIDTH = 80
 """Width of the table in a file or a pipe."""
@@ -103,6 +104,41 @@ def _arm(title: str, plane: dict[str, Any]) -> str:
         angle = f"{off['median']:.2g} deg from the law's direction (95 %: {off['p95']:.2g})"
         text = f"{angle}, {plane['force_ratio']:.3g} times its size; {text}"
     return f"tip, {title}: {text}"
+
+
+def print_arms(runs: Mapping[str, TipRun]) -> None:
+    """Print a column for each mode of an arm in the plane."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    for mode in runs:
+        table.add_column(mode, justify="right", overflow="fold")
+
+    def row(title: str, cell: Callable[[TipRun], str]) -> None:
+        table.add_row(title, *(cell(run) for run in runs.values()))
+
+    for joint in next(iter(runs.values())).hold_counts:
+        row(f"hold: {joint} peak to peak", lambda run, joint=joint: f"{run.hold_counts[joint]} counts")  # type: ignore[misc]
+    row("hold: speed of the tip, RMS", lambda run: f"{1e3 * run.hold_rms_m_s:.3g} mm/s")
+    row("hold: largest push", lambda run: f"{run.hold_push_N:.3g} N")
+    row("motion: off the law's direction", lambda run: _angle(run, "median"))
+    row("    95th percentile", lambda run: _angle(run, "p95"))
+    row("motion: size over the law's", lambda run: _figure(run, "force_ratio"))
+    row("net work of the motors", lambda run: f"{sum((run.result.plane or {})['motor_work_J'].values()):.3f} J")
+    row("absorbed by all", lambda run: f"{(run.result.plane or {})['absorbed_J']:.3f} J")
+    row("trip", lambda run: run.result.trip or "-")
+    table_console(WIDTH).print(table)
+
+
+def _angle(run: TipRun, name: str) -> str:
+    value = (run.result.plane or {}).get("angle_error_deg", {}).get(name)
+    return "-" if value is None else f"{value:.1f} deg"
+
+
+def _figure(run: TipRun, name: str) -> str:
+    value = (run.result.plane or {}).get(name)
+    return "-" if value is None else f"{value:.3f}"
 
 
 def print_remark(text: str) -> None:

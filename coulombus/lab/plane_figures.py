@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from coulombus.host.laws.plane.plane_laws import PlaneLaw
 from coulombus.rigs.rig import Rig
 
-__all__ = ["LEAST_M_S", "plane_figures"]
+__all__ = ["LEAST_M_S", "TipSamples", "plane_figures", "tip_samples"]
 
 LEAST_M_S = 0.05
 """Speed above which the displayed force is compared with the law's."""
@@ -19,11 +20,57 @@ LEAST_M_S = 0.05
 Floats = npt.NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class TipSamples:
+    """Samples of a tip's true course, shape (n, 2) without the times.
+
+    Attributes
+    ----------
+    t_s : from the start of the schedule
+    x_m, v_m_s : position and velocity of the tip
+    shown_N : force of motors, brakes and joints' friction on the hand
+    wanted_N : the law's force on the hand along the true motion
+    hand_N : force of the hand
+    compared : shape (n,), whether displayed and desired force are compared: the schedule moves the tip along a line,
+        a circle (without its approach) or a figure of eight, faster than `LEAST_M_S`
+    """
+
+    t_s: Floats
+    x_m: Floats
+    v_m_s: Floats
+    shown_N: Floats
+    wanted_N: Floats
+    hand_N: Floats
+    compared: npt.NDArray[np.bool_]
+
+    @property
+    def off_deg(self) -> Floats:
+        """Return the angle between displayed and desired force of each sample [deg]."""
+        cross = self.shown_N[:, 0] * self.wanted_N[:, 1] - self.shown_N[:, 1] * self.wanted_N[:, 0]
+        off: Floats = np.degrees(np.arctan2(np.abs(cross), (self.shown_N * self.wanted_N).sum(axis=1)))
+        return off
+
+
+def tip_samples(rig: Rig, law: PlaneLaw, course: Mapping[str, Any], begin_s: float) -> TipSamples:
+    """Return the samples of a tip's true course, with the law's force along it.
+
+    Parameters
+    ----------
+    course : the tip's true course (`sim_bus.network.virtual_rig.VirtualRig.tip_course`)
+    begin_s : start of the schedule, in the time of the course
+    """
+    t_s = np.asarray(course["t_s"], np.float64) - begin_s
+    names = ("tip_{}_m", "tip_v{}_m_s", "shown_{}_N", "hand_{}_N")
+    x_m, v_m_s, shown_N, hand_N = (_pair(course, name) for name in names)
+    compared = (np.hypot(*v_m_s.T) > LEAST_M_S) & _moving(rig, t_s)
+    wanted_N = -law.along(t_s, x_m, v_m_s) if len(t_s) > 1 else np.zeros_like(x_m)
+    return TipSamples(t_s, x_m, v_m_s, shown_N, wanted_N, hand_N, compared)
+
+
 def plane_figures(rig: Rig, law: PlaneLaw, course: Mapping[str, Any], begin_s: float) -> dict[str, Any]:
     """Return how the displayed force differs from the law's while the schedule moves the tip.
 
-    The law is evaluated along the true motion of the tip. Compared are the samples of lines, circles and
-    figures of eight, without a circle's approach, where the tip is faster than `LEAST_M_S`.
+    The law is evaluated along the true motion of the tip, and the samples of `TipSamples.compared` count.
 
     Parameters
     ----------
@@ -36,21 +83,17 @@ def plane_figures(rig: Rig, law: PlaneLaw, course: Mapping[str, Any], begin_s: f
         ``angle_error_deg`` (``median``, ``p95``), ``force_ratio`` (median of displayed over wanted) and
         ``force_ratio_p95`` (95th percentile of its deviation from 1); None without such samples
     """
-    t_s = np.asarray(course["t_s"]) - begin_s
-    x_m, v_m_s, shown_N = (_pair(course, name) for name in ("tip_{}_m", "tip_v{}_m_s", "shown_{}_N"))
-    kept = np.hypot(*v_m_s.T) > LEAST_M_S
-    kept &= _moving(rig, t_s)
+    samples = tip_samples(rig, law, course, begin_s)
+    kept = samples.compared
     if not kept.any():
         return {
             "angle_error_deg": {"median": None, "p95": None},
             "force_ratio": None,
             "force_ratio_p95": None,
         }
-    wanted_N = -law.along(t_s, x_m, v_m_s)[kept]
-    shown_N = shown_N[kept]
-    cross = shown_N[:, 0] * wanted_N[:, 1] - shown_N[:, 1] * wanted_N[:, 0]
-    off_deg = np.degrees(np.arctan2(np.abs(cross), (shown_N * wanted_N).sum(axis=1)))
-    ratio = np.hypot(*shown_N.T) / np.maximum(np.hypot(*wanted_N.T), np.finfo(float).tiny)
+    off_deg = samples.off_deg[kept]
+    wanted = np.maximum(np.hypot(*samples.wanted_N[kept].T), np.finfo(float).tiny)
+    ratio = np.hypot(*samples.shown_N[kept].T) / wanted
     return {
         "angle_error_deg": {"median": float(np.median(off_deg)), "p95": float(np.percentile(off_deg, 95))},
         "force_ratio": float(np.median(ratio)),

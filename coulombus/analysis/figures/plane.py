@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.analysis.rig.plane_display import PlaneDisplay
 from coulombus.recording.pictures.style import BLACK, BLUE, GREEN, GREY, VERMILION, figure, label
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
     from coulombus.analysis.rig.plane_display import PosedDisplay
     from coulombus.analysis.theory.plane_friction import Directions
 
-__all__ = ["draw_plane"]
+__all__ = ["draw_plane", "ellipse_points", "passive_sectors"]
+
+Floats = npt.NDArray[np.float64]
 
 CURVES = (("active", VERMILION, "--"), ("passive", BLUE, "-"), ("hybrid", GREEN, ":"))
 
@@ -61,14 +64,26 @@ def _draw_off(axes: Axes, data: Directions) -> None:
     label(axes, "direction of motion [deg]", "off the wanted force [deg]", "angle error")
 
 
-def _draw_ellipse(axes: Axes, pose: PosedDisplay) -> None:
-    angle = np.linspace(0, 2 * math.pi, 1441)
+def ellipse_points(jacobian: Floats, count: int = 1441) -> Floats:
+    """Return points of the force ellipse of 1 Nm at the joints [N], shape (2, count)."""
+    angle = np.linspace(0, 2 * math.pi, count)
     unit = np.stack((np.cos(angle), np.sin(angle)))
-    ellipse = unit / np.sqrt(((pose.jacobian.T @ unit) ** 2).sum(axis=0))
-    right = ((pose.jacobian.T @ unit) * np.linalg.solve(pose.jacobian, unit) >= 0.0).all(axis=0)
-    for first, last in _runs(right):
-        x, y = ellipse[:, first:last]
-        axes.fill(np.concatenate(([0.0], x)), np.concatenate(([0.0], y)), color=BLUE, alpha=0.25, lw=0)
+    points: Floats = unit / np.sqrt(((jacobian.T @ unit) ** 2).sum(axis=0))
+    return points
+
+
+def passive_sectors(jacobian: Floats) -> list[Floats]:
+    """Return the sectors of the force ellipse in which brakes alone are correct, each a polygon from 0, shape (2, n)."""
+    ellipse = ellipse_points(jacobian)
+    right = np.all((jacobian.T @ ellipse) * np.linalg.solve(jacobian, ellipse) >= 0.0, axis=0)
+    centre = np.zeros((2, 1))
+    return [np.hstack((centre, ellipse[:, first:last])) for first, last in _runs(right)]
+
+
+def _draw_ellipse(axes: Axes, pose: PosedDisplay) -> None:
+    ellipse = ellipse_points(pose.jacobian)
+    for sector in passive_sectors(pose.jacobian):
+        axes.fill(*sector, color=BLUE, alpha=0.25, lw=0)
     axes.plot(*ellipse, color=GREY)
     axes.plot([], [], color=GREY, label="1 Nm at the joints")
     axes.fill([], [], color=BLUE, alpha=0.25, label="brakes alone can")

@@ -16,7 +16,7 @@ from coulombus.host.run.result import RunResult
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import Rig
 
-__all__ = ["DEMO_MODES", "Criterion", "Demo", "Display", "displays", "judge", "run_demo"]
+__all__ = ["DEMO_MODES", "Criterion", "Demo", "Display", "criteria_as_dicts", "displays", "judge", "run_demo"]
 
 DEMO_MODES = ("active", "hybrid")
 """The paper's comparison."""
@@ -172,5 +172,10 @@ def as_dict(demo: Demo) -> dict[str, Any]:
     return {
         **{mode: result.as_dict() for mode, result in demo.results.items()},
         "passed": demo.passed,
-        "criteria": [{"text": c.text, "found": c.found, "holds": c.holds} for c in demo.criteria],
+        "criteria": criteria_as_dicts(demo.criteria),
     }
+
+
+def criteria_as_dicts(criteria: tuple[Criterion, ...]) -> list[dict[str, Any]]:
+    """Return criteria as plain values for JSON."""
+    return [{"text": c.text, "found": c.found, "holds": c.holds} for c in criteria]
