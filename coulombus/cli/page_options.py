@@ -128,6 +128,7 @@ def serve_page(
     from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
     from coulombus.host.run.last_word import last_word
     from coulombus.host.run.law_curve import law_curve
+    from coulombus.host.run.law_ring import law_ring
     from coulombus.host.run.runbook import anchor, entry
     from coulombus.wire.address import socket_path
 
@@ -144,6 +145,7 @@ def serve_page(
         change=lambda order: ask_change(address, order, 1.0),
         mark=lambda text: ask_mark(address, text, 1.0),
         curve=law_curve,
+        ring=law_ring,
         last=lambda: last_word(address),
         entry=entry,
         start=shlex.join(["coulombus", "run", "--bus", str(address), "--rig", rig_name]),

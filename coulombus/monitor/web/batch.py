@@ -6,6 +6,8 @@ float32. The JSON's ``parts`` describe the numbers in order::
     {"k": "envelope", "s": NAME, "first": BIN, "n": N}    N minima, N maxima
     {"k": "raw", "s": NAME, "n": N}                       N times before `now` [s], N values
     {"k": "friction", "n": N}                             N velocities, N torques, oldest first
+    {"k": "tip", "n": N}                                  N times x, N times y of an arm's tip [m], oldest first;
+                                                          likewise "tip_velocity" [m/s], "tip_force" [N]
 
 A page that does not acknowledge, such as a sleeping tab, is sent nothing, so nothing accumulates.
 When it wakes it gets the bins since its last batch, at most ten seconds.
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -52,12 +55,15 @@ class Flow:
         return True
 
 
-def batch(capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any]) -> bytes:
+def batch(
+    capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any], tip: Sequence[tuple[str, np.ndarray]] = ()
+) -> bytes:
     """Return the next batch of a page, and note its content in `flow`.
 
     Parameters
     ----------
     more : further keys of the JSON
+    tip : parts of an arm, shape (2, n) each
     """
     flow.sent += 1
     parts: list[dict[str, Any]] = []
@@ -82,6 +88,9 @@ def batch(capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any]) ->
     if friction is not None:
         parts.append({"k": "friction", "n": len(friction[0])})
         numbers += [*friction]
+    for kind, pair in tip:
+        parts.append({"k": kind, "n": pair.shape[1]})
+        numbers += [*pair]
     head = {"n": flow.sent, "now_bin": capture.newest_ns / BIN_NS, "parts": parts, **more}
     text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)  # the numbers begin at a multiple of four

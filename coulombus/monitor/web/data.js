@@ -3,7 +3,7 @@
 
 const BINS_PER_S = 50, BINS = 500;
 
-const fresh = () => ({envelopes: new Map(), raw: new Map(), friction: null, law: null, nowBin: 0});
+const fresh = () => ({envelopes: new Map(), raw: new Map(), friction: null, law: null, tip: null, arm: [], ring: null, nowBin: 0});
 let known = fresh();  // what came; envelopes: name -> {low, high, newest}, rings over the bin's number
 let frozen = null;    // what is drawn instead, while the plots stand still
 
@@ -30,10 +30,11 @@ function take(buffer) {
     start += 2 * part.n;
     if (part.k === "envelope") takeEnvelope(part.s, part.first, a, b);
     else if (part.k === "raw") known.raw.set(part.s, [a, b]);
-    else known.friction = [a, b];
+    else known[part.k] = [a, b];  // friction, and an arm's tip, tip_velocity, tip_force
   }
   known.nowBin = head.now_bin;
-  if (head.state) known.law = head.law;
+  if (head.arm) known.arm = head.arm;
+  if (head.state) Object.assign(known, {law: head.law, ring: head.ring});
   return head;
 }
 

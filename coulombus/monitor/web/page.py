@@ -39,6 +39,7 @@ from coulombus.monitor.web.batch import Flow, batch, layout
 from coulombus.monitor.web.capture import Curve, LiveCapture
 from coulombus.monitor.web.guard import FORBIDDEN, Guarded, Handler, Nothing, Static
 from coulombus.monitor.web.page_state import HostDoor, HostView, document
+from coulombus.monitor.web.tip import tip_track
 from coulombus.rigs.axis import Axis
 
 __all__ = ["Page", "application", "order_of"]
@@ -79,6 +80,10 @@ class Page:
         """The incidents of the bus so far."""
         self.curves: Mapping[str, Curve | None] = {}
         """Curve of each axis' law, by the axis' name."""
+        self.tip = tip_track(capture)
+        """Tip of an arm; None for other rigs."""
+        self.ring: Callable[[], tuple[tuple[float, ...], tuple[float, ...]] | None] = lambda: None
+        """Force of an arm's law over the directions, x and y [N]."""
         self.control = ControlLock()
         self.sessions: set[Data] = set()
         self.sockets: WeakSet[IOStream] = WeakSet()
@@ -103,12 +108,16 @@ class Page:
             pause_s = 0.0 if self.stopping else STATE_S  # show a stop at once
             if now_ns * 1e-9 - self._told_s >= pause_s or now_ns * 1e-9 < self._told_s:
                 self._tell(now_ns)
+            if self.tip is not None and self.sessions:
+                self.tip.take()
             for session in self.sessions:
                 if session.flow.free:
                     session.send(self._state, self._version)
 
     def _tell(self, now_ns: int) -> None:
         self._told_s = now_ns * 1e-9
+        if self.tip is not None:
+            self.tip.align(self.host.positions())
         snapshot: Snapshot = self.capture.snapshot(now_ns)
         state = document(self.capture, snapshot, self.facts(), self.host, self.incidents())
         self._state = {**state, "start": self.door.start}
@@ -189,7 +198,7 @@ class _Layout(Handler):
 
     async def get(self, _: str) -> None:
         axis = self.page.axis(self.get_query_argument("axis", ""))
-        self.finish({"rows": layout(self.page.capture, axis)})
+        self.finish({"rows": layout(self.page.capture, axis), "arm": self.page.tip is not None})
 
 
 class _Stop(Handler):
@@ -266,17 +275,23 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
     def send(self, state: dict[str, Any] | None, version: int) -> asyncio.Future[None] | None:
         """Send the next batch, with the state if it is new to the page; return after sending, None if the page closed."""
         more: dict[str, Any] = {}
+        tip = self.page.tip
         if version != self.version:
             self.version = version
             controls = self.page.control.holder == self.number
             more = {"state": state, "controls": controls, "refused": self.refused and not controls}
             more |= {
                 "law": self._law(),
+                "ring": None if tip is None else self.page.ring(),
                 "axis": self.axis.name,
                 "answer": self.answers.popleft() if self.answers else "",
             }
+        if tip is not None:
+            more["arm"] = tip.arm()
         try:
-            sent = self.write_message(batch(self.page.capture, self.axis, self.flow, more), binary=True)
+            sent = self.write_message(
+                batch(self.page.capture, self.axis, self.flow, more, () if tip is None else tip.parts()), binary=True
+            )
             sent.add_done_callback(lambda done: done.exception())  # a closed page: on_close follows
         except tornado.websocket.WebSocketClosedError:
             return None

@@ -13,6 +13,7 @@ from coulombus.monitor.snapshot import NodeRow, PdoRow, Snapshot, Value
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
 
 __all__ = ["HostDoor", "HostView", "arm_state", "document", "incident_dict"]
 
@@ -43,6 +44,8 @@ class HostDoor:
     Attributes
     ----------
     advice : the runbook's place for a trip's text
+    ring : force of the law of an arm over the directions, x and y, in a mode with the present live
+        parameters; called in the same thread
     curve : friction of an axis' law over velocities, in a mode with the present live parameters;
         called in a separate thread
     last : the final report of the ended host, or None
@@ -59,6 +62,9 @@ class HostDoor:
     last: Callable[[], Mapping[str, Any] | None] = lambda: None
     entry: Callable[[str], str | None] = lambda trip: None
     start: str = "coulombus run"
+    ring: Callable[[Rig, str, Mapping[str, float]], tuple[tuple[float, ...], tuple[float, ...]] | None] = (
+        lambda rig, mode, live: None
+    )
 
 
 KILLED = "it left no word: its process was killed, or its machine stopped"
@@ -131,6 +137,12 @@ class HostView:
     def live(self, axis: str) -> dict[str, float]:
         """Return the present live parameters of an axis, by name."""
         return {row["name"]: row["now"] for row in self._parameters() if row["axis"] == axis}
+
+    def positions(self) -> dict[str, float]:
+        """Return the positions since the running host's start, by axis, of those that are known [rad]."""
+        rows = self._axes() if self._runs else []
+        known = ((text(row.get("axis")), _number(row.get("position_rad"))) for row in rows)
+        return {name: position for name, position in known if position is not None}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the host's part of the document."""

@@ -102,7 +102,7 @@ class Plot {
   }
 
   grid(ctx, a) {
-    const across = ticks(a.x[0], a.x[1], Math.max(2, (a.right - a.left) / 90)), up = enough(a.y[0], a.y[1], Math.min(7, Math.max(2, (a.bottom - a.top) / 22)));
+    const across = enough(a.x[0], a.x[1], Math.max(2, (a.right - a.left) / 90)), up = enough(a.y[0], a.y[1], Math.min(7, Math.max(2, (a.bottom - a.top) / 22)));
     ctx.font = "11px system-ui, 'DejaVu Sans', sans-serif";
     ctx.strokeStyle = colours.line;
     ctx.fillStyle = colours.text;
@@ -227,7 +227,7 @@ function envelopeLine(data, name) {
 async function makeLivePlots() {
   const answer = await fetch(`layout${location.search}`);
   if (!answer.ok) return;
-  const {rows} = await answer.json(), made = [];
+  const {rows, arm} = await answer.json(), made = [];
   readColours();
   rows.forEach((row, i) => {
     const names = row.signals.map((name, k) => [label(name, row.unit, row.title), `series-${k}`, name]), last = i === rows.length - 1;
@@ -237,7 +237,8 @@ async function makeLivePlots() {
       if (place) made.push(new Plot(place, kind, {...row, title, across, last, legend: shown, high: names.length > 1}));
     }
   });
-  made.push(new Plot(document.getElementById("friction-plot"), "friction", {title: "friction [Nm], 2 s", unit: "Nm",
+  if (arm) made.push(...tipPlots());
+  else made.push(new Plot(document.getElementById("friction-plot"), "friction", {title: "friction [Nm], 2 s", unit: "Nm",
     across: "velocity [rad/s]", last: true, signals: [], legend: [["measured", "series-0"], ["law", "series-law"]]}));
   plots = made;
   draw();

@@ -136,6 +136,8 @@ class CurveReader(_Worker):
     def __init__(self, door: HostDoor, view: HostView, rig: Rig, lock: threading.Lock) -> None:
         super().__init__("curve reader")
         self.curves: dict[str, Curve | None] = {}
+        self.ring: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+        """Force of an arm's law over the directions: x and y [N]; None without such a law."""
         self._made: dict[str, object] = {}
         self._door, self._view, self._rig, self._lock = door, view, rig, lock
 
@@ -157,3 +159,12 @@ class CurveReader(_Worker):
         except Exception:  # a user-defined law: the host reports its errors
             curve = None
         self.curves[axis.name] = None if curve is None else Curve(*curve)
+        if self._rig.in_plane is not None and axis is self._rig.axes[0]:
+            self._make_ring(mode, live)
+
+    def _make_ring(self, mode: str, live: dict[str, float]) -> None:
+        """Recompute the force of an arm's law over the directions."""
+        try:
+            self.ring = self._door.ring(self._rig, mode, live)
+        except Exception:  # a user-defined law: the host reports its errors
+            self.ring = None

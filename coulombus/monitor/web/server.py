@@ -181,6 +181,7 @@ async def _serve(
         server = Server(page)
         curves = CurveReader(shown.door, page.host, shown.rig, lock)
         page.curves = curves.curves
+        page.ring = lambda: curves.ring
         page.incidents = lambda: incidents.rows
         with reader, incidents, HostReader(shown.door, page.host, lock), curves:
             server.add_sockets(sockets)
