@@ -13,7 +13,13 @@ from reader import Reader, missing
 TUTORIALS = ROOT / "docs" / "tutorials"
 NOT_RUN = ("dask ", "coulombus sweep still.toml -o out --dask")
 """Commands of a cluster: tests/lab runs a sweep on one."""
-NOTEBOOKS = ("own-law.ipynb", "recording.ipynb", "limit-cycle.ipynb", "commission-a-rig.ipynb")
+NOTEBOOKS = (
+    "own-law.ipynb",
+    "recording.ipynb",
+    "limit-cycle.ipynb",
+    "commission-a-rig.ipynb",
+    "friction-in-the-plane.ipynb",
+)
 pytestmark = pytest.mark.slow
 
 
@@ -52,7 +58,7 @@ def follow(page, folder):
 
 
 @pytest.mark.parametrize(
-    "page", ["first-experiment.md", "first-rig.md", "my-machine-stopped.md", "sweep.md", "study.md"]
+    "page", ["first-experiment.md", "first-rig.md", "my-machine-stopped.md", "plane.md", "sweep.md", "study.md"]
 )
 def test_a_tutorial_in_virtual_time(page, tmp_path):
     follow(page, tmp_path)

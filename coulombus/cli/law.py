@@ -62,13 +62,15 @@ def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **opti
     """List the friction laws, describe one, or drive it along a motion.
 
     Without NAME the laws are listed. NAME is one of them, FILE.py:FUNCTION or MODULE:FUNCTION;
-    without --motion its parameters are listed. The torque is positive against a positive speed;
+    without --motion its parameters are listed. Laws in the plane, of a rig with [kinematics], are
+    listed and described, too; docs/plane.md drives them along a motion. The torque is positive against a positive speed;
     the speed of a sample is the slope of the interval that ends there, 0 at the first.
 
     \b
     Examples:
       coulombus law
       coulombus law lugre
+      coulombus law plane_karnopp
       coulombus law dahl --motion sine --amplitude 0.05 --plot loop.png
       coulombus law lugre --motion my-motion.csv --set F_s_Nm=1.5 --csv torque.csv
     """
@@ -79,11 +81,21 @@ def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **opti
             _list(as_json)
             return
         from coulombus.host.laws.along import given_law
+        from coulombus.host.laws.plane.plane_laws import PLANE_LAWS
         from coulombus.rigs.errors import nearest
 
+        if name in PLANE_LAWS:
+            if motion is not None or overrides:
+                raise click.BadParameter(
+                    f"{name} is a law in the plane, and --motion and --set are of one axis: `coulombus simulate --rig "
+                    f"plane --law {name}`, or in Python as in docs/plane.md#laws",
+                    param_hint="NAME",
+                )
+            _describe(name, PLANE_LAWS[name], as_json)
+            return
         given = given_law(name, overrides)
         if motion is None:
-            _describe(given, as_json)
+            _describe(given.name, given.declaration, as_json)
             return
         if motion in ("sine", "ramp") or Path(motion).exists() or "." in motion or "/" in motion:
             path = _path(motion, options)
@@ -170,31 +182,41 @@ def _as_dict(name: str, declared: Declaration | None) -> dict[str, Any]:
 
 def _list(as_json: bool) -> None:
     from coulombus.host.laws.laws import BUILTIN_LAWS
+    from coulombus.host.laws.plane.plane_laws import PLANE_LAWS
 
-    laws = [_as_dict(name, declared) for name, declared in BUILTIN_LAWS.items()]
+    laws, plane_laws = (
+        [_as_dict(name, declared) for name, declared in listed.items()] for listed in (BUILTIN_LAWS, PLANE_LAWS)
+    )
     with printed():
         if as_json:
-            print_json({"laws": laws})
+            print_json({"laws": laws, "plane_laws": plane_laws})
             return
-        width = max(len(entry["law"]) for entry in laws)
+        width = max(len(entry["law"]) for entry in (*laws, *plane_laws))
         for entry in laws:
             echo(on_terminal(f"{entry['law']:<{width}}  {entry['title']}", width + 2))
+        echo("\nin the plane, of a rig with [kinematics] (docs/plane.md):")
+        for entry in plane_laws:
+            echo(on_terminal(f"{entry['law']:<{width}}  {entry['title']}", width + 2))
+        echo()
         echo("`coulombus law NAME` lists a law's parameters; docs/laws.md#equations has the equations")
 
 
-def _describe(given: GivenLaw, as_json: bool) -> None:
+def _describe(name: str, declared: Declaration | None, as_json: bool) -> None:
     from coulombus.host.laws.laws import BUILTIN_LAWS
+    from coulombus.host.laws.plane.plane_laws import PLANE_LAWS
 
-    entry = _as_dict(given.name, given.declaration)
+    entry = _as_dict(name, declared)
     with printed():
         if as_json:
             print_json(entry)
             return
-        echo(f"{given.name}: {entry.get('title') or 'a law without named parameters'}")
+        echo(f"{name}: {entry.get('title') or 'a law without named parameters'}")
         for doi in entry.get("doi", ()):
             echo(f"doi:{doi}")
-        if given.name in BUILTIN_LAWS:
-            echo(f"equation: docs/laws.md#{given.name}")
+        if name in BUILTIN_LAWS:
+            echo(f"equation: docs/laws.md#{name}")
+        elif name in PLANE_LAWS:
+            echo("docs/plane.md#laws; what a rig can display: `coulombus analyse plane`")
         if entry.get("parameters"):
             _print_parameters(entry["parameters"])
 

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.host.laws.laws import BUILTIN_LAWS
+from coulombus.host.laws.plane.plane_laws import PLANE_LAWS
 
 
 def run(*words):
@@ -26,8 +27,11 @@ def rows(path):
 def test_the_laws_are_listed():
     done = run()
     assert done.exit_code == 0
-    assert [line.split()[0] for line in done.stdout.splitlines()[:-1]] == list(BUILTIN_LAWS)
+    of_one_axis, in_the_plane, _ = done.stdout.split("\n\n")
+    assert [line.split()[0] for line in of_one_axis.splitlines()] == list(BUILTIN_LAWS)
+    assert [line.split()[0] for line in in_the_plane.splitlines()[1:]] == list(PLANE_LAWS)
     assert max(map(len, done.stdout.splitlines())) <= 100
+    assert [one["law"] for one in json.loads(run("--json").stdout)["plane_laws"]] == list(PLANE_LAWS)
     listed = json.loads(run("--json").stdout)["laws"]
     assert [one["law"] for one in listed] == list(BUILTIN_LAWS)
     assert {one["section"] for one in listed} >= {"law.lugre", "law.dahl", "mode.NAME and law"}
@@ -39,6 +43,24 @@ def test_a_law_tells_of_its_parameters():
     assert "doi:10.1109/9.376053" in done.stdout
     (F_s,) = [line for line in done.stdout.splitlines() if line.startswith("F_s_Nm")]
     assert F_s.split()[:3] == ["F_s_Nm", "1.2", "Nm"]
+
+
+@pytest.mark.parametrize("name", PLANE_LAWS)
+def test_a_law_in_the_plane_tells_of_its_parameters(name):
+    done = run(name)
+    assert done.exit_code == 0
+    assert "docs/plane.md" in done.stdout
+    parameters = [line.split()[0] for line in done.stdout.splitlines()]
+    assert set(PLANE_LAWS[name].names) < set(parameters)
+
+
+@pytest.mark.parametrize("words", [("--motion", "sine"), ("--set", "F_s_N=3")])
+def test_a_law_in_the_plane_names_what_drives_it(words):
+    done = run("plane_karnopp", *words)
+    assert done.exit_code == 2
+    text = " ".join(done.stderr.split())
+    assert "is a law in the plane" in text
+    assert "coulombus simulate --rig plane --law plane_karnopp" in text
 
 
 def test_a_law_is_driven_along_a_file(tmp_path):
