@@ -46,7 +46,17 @@ def test_without_a_pose_the_start_is_analysed():
 def test_a_singular_pose_has_no_bound_of_the_motors():
     (pose,) = poses("--pose", "20,0")
     assert (pose["share_wrong"], pose["worst_angle_deg"], pose["allowed"]) == (1.0, 90.0, False)
+    assert pose["stuck"] is None
     assert pose["motor_power_per_cv"] is None
+
+
+def test_hands_that_get_stuck_are_counted():
+    (pose,) = poses("--pose", "0,60")
+    assert pose["stuck"]["wall_share"] == pytest.approx(0.5 + (2 / 3) ** 2 / 4)
+    assert pose["stuck"]["wall_one_way"] == pytest.approx(2 / 3)
+    assert pose["stuck"]["friction_most"] == pytest.approx(1 / math.sin(math.radians(15)))
+    text = " ".join(analyse("--rig", "plane", "--pose", "0,60", "--grid", "2").stdout.split())
+    assert "is stuck in 61 % of its pushes; constant levels at rest hold up to 3.86 F_s" in text
 
 
 def test_the_map_has_the_allowed_poses_alone():

@@ -21,6 +21,7 @@ from coulombus.analysis.theory.plane_friction import (
     largest_friction_N,
     passive_display,
 )
+from coulombus.analysis.theory.plane_stuck import StuckHands, stuck_hands
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
@@ -46,6 +47,7 @@ class PosedDisplay:
     jacobian : shape (2, 2) [m/rad]
     passive : errors of brakes alone
     ellipse : the force manipulability ellipse; None in a singular pose
+    stuck : hands that get stuck with brakes alone; None in a singular pose
     largest_N : the largest isotropic friction, by mode
     resolution_m : the tip's displacement per count of each encoder
     """
@@ -57,6 +59,7 @@ class PosedDisplay:
     jacobian: npt.NDArray[np.float64]
     passive: PassiveDisplay
     ellipse: ForceEllipse | None
+    stuck: StuckHands | None
     largest_N: dict[str, float]
     resolution_m: tuple[float, float]
 
@@ -73,6 +76,7 @@ class PosedDisplay:
             "columns_angle_deg": math.degrees(self.passive.columns_angle_rad),
             "largest_friction_N": self.largest_N,
             "force_ellipse": None if self.ellipse is None else vars(self.ellipse),
+            "stuck": None if self.stuck is None else vars(self.stuck),
             "resolution_m": list(self.resolution_m),
         }
 
@@ -94,6 +98,12 @@ class PosedDisplay:
             text.append(
                 f"  force ellipse: {longer:.3g} by {shorter:.3g} N for 1 Nm; {100 * self.ellipse.passive_area:.0f} % of "
                 "its area is passive"
+            )
+        if self.stuck is not None:
+            stuck = self.stuck
+            text.append(
+                f"  brakes alone: a hand that should slide along a wall is stuck in {100 * stuck.wall_share:.0f} % of its "
+                f"pushes; constant levels at rest hold up to {stuck.friction_most:.2f} F_s"
             )
         return text
 
@@ -255,6 +265,7 @@ def plane_display(
             jacobian,
             passive,
             None if singular else force_ellipse(jacobian),
+            stuck_hands(jacobian),
             largest_friction_N(jacobian, levels),
             (float(lengths[0] * counts[0]), float(lengths[1] * counts[1])),
         )
