@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,6 +12,11 @@ from coulombus.cli.analyse_output import tell
 from coulombus.cli.common import force_option, json_option, rig_option, say, set_option
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import PICTURE
+
+if TYPE_CHECKING:
+    from coulombus.analysis.rig.plane_display import PlaneDisplay
+    from coulombus.analysis.rig.plane_motors import MotorsAlone
+    from coulombus.rigs.rig import Rig
 
 __all__ = ["plane"]
 
@@ -56,7 +61,7 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
     "friction_N",
     type=click.FloatRange(0.0, 1e4, min_open=True),
     metavar="N",
-    help="Friction of picture and circle.  [default: the largest of hybrid; 3 N]",
+    help="Friction of picture; of circle and motors alone.  [default: the largest of hybrid; 3 N]",
 )
 @click.option(
     "--circle",
@@ -69,8 +74,8 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
 @force_option
 @json_option
 def plane(**options: Any) -> None:
-    """Analyse friction in the plane: where brakes alone are wrong, what the motors must give, and the
-    largest friction, in poses and over the workspace.
+    """Analyse friction in the plane: where brakes alone are wrong, what the motors must give, the
+    largest friction, and the limit cycle of motors alone, in poses and over the workspace.
 
     \b
     Examples:
@@ -92,11 +97,30 @@ def plane(**options: Any) -> None:
             from coulombus.analysis.rig.plane_circle import circle_study
 
             drawn = circle_study(rig, options["circle_Hz"], options["friction_N"] or 3.0)
+        motors = _motors_alone(rig, result, options["friction_N"] or 3.0)
         tell(
             options["as_json"],
-            lambda: result.as_dict() | {"circle": drawn},
-            lambda: result.lines() + ([] if drawn is None else drawn.lines()),
+            lambda: result.as_dict() | {"motors_alone": [row and row.as_dict() for row in motors], "circle": drawn},
+            lambda: (
+                result.lines()
+                + [line for row in motors if row is not None for line in row.lines()]
+                + ([] if drawn is None else drawn.lines())
+            ),
         )
+
+
+def _motors_alone(rig: Rig, result: PlaneDisplay, friction_N: float) -> list[MotorsAlone | None]:
+    """Return the limit cycle of motors alone in each pose; None where the arm cannot be simulated or armed."""
+    from coulombus.analysis.rig.plane_motors import motors_alone
+    from coulombus.rigs.errors import RigError
+
+    rows: list[MotorsAlone | None] = []
+    for pose in result.poses:
+        try:
+            rows.append(motors_alone(rig, pose.q_rad, friction_N) if pose.allowed else None)
+        except RigError:
+            rows.append(None)
+    return rows
 
 
 def _draw(result: Any, friction_N: float | None, picture: Path, *, overwrite: bool) -> None:

@@ -59,6 +59,19 @@ def test_hands_that_get_stuck_are_counted():
     assert "is stuck in 61 % of its pushes; constant levels at rest hold up to 3.86 F_s" in text
 
 
+def test_motors_alone_have_a_limit_cycle_in_each_pose():
+    found = json.loads(analyse("--rig", "plane", "--grid", "2", "--pose", "0,90", "--pose", "0,5", "--json").stdout)
+    first, second = found["motors_alone"]
+    assert second is None  # the arm is not armed there
+    assert first["friction_N"] == 3.0
+    assert 20 < first["predicted"]["frequency_Hz"] < 60
+    double = json.loads(analyse("--rig", "plane", "--grid", "2", "--pose", "0,90", "--friction", "6", "--json").stdout)
+    ratio = double["motors_alone"][0]["predicted"]["velocity_m_s"][0] / first["predicted"]["velocity_m_s"][0]
+    assert ratio == pytest.approx(2.0)
+    text = " ".join(analyse("--rig", "plane", "--pose", "0,90", "--grid", "2").stdout.split())
+    assert f"describing function {first['predicted']['frequency_Hz']:.1f} Hz" in text
+
+
 def test_the_map_has_the_allowed_poses_alone():
     found = json.loads(
         analyse("--rig", "plane", "--grid", "12", "--set", "kinematics.x_m=[0.0, 0.3]", "--json").stdout
