@@ -192,6 +192,8 @@ class Declaration:
 
     BASES: ClassVar[tuple[np.dtype[Any], np.dtype[Any]]] = (LAW, LAW_STATE)
     """The records of parameters and of state, without a law's own names."""
+    BUILT_IN: ClassVar[dict[str, Declaration]] = {}
+    """Built-in laws of a kind other than one axis, by their names: their tables may stand beside this law's."""
 
     function: Callable[..., Any]
     parameters: type[Parameters]

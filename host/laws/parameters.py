@@ -13,7 +13,6 @@ from pydantic import Field, ValidationError, create_model
 
 from coulombus.host.laws.law import Declaration, Parameters
 from coulombus.host.laws.laws import BUILTIN_LAWS
-from coulombus.host.laws.plane.plane_law import PlaneDeclaration
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.errors import Source, nearest, shown
 from coulombus.rigs.field_help import explain
@@ -62,10 +61,8 @@ def law_parameters(
     declared = {name: builtin for name, builtin in BUILTIN_LAWS.items() if not builtin.uses_mode_keys}
     if law is not None and (not law.uses_mode_keys or law is not BUILTIN_LAWS.get(law.name)):
         declared[law.name] = law
-    if isinstance(law, PlaneDeclaration):
-        from coulombus.host.laws.plane.plane_laws import PLANE_LAWS  # it imports this module
-
-        declared = {**PLANE_LAWS, **declared}
+    if law is not None:
+        declared = {**law.BUILT_IN, **declared}
     known: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
         if name in declared:

@@ -14,6 +14,7 @@ import numpy as np
 
 from coulombus.monitor.tracks import Floats, Integers, Samples, Track
 from coulombus.monitor.web.capture import FADE_NS, HANDLE, POSITION, LiveCapture
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.kinematics.load_mechanism import Mechanism, load_mechanism
 from coulombus.rigs.rig import Rig
 
@@ -42,9 +43,8 @@ class TipTrack:
         self._start_rad = np.array(rig.kinematics.start_rad)
         self._zero_rad = np.zeros(2)
         self._angles = [capture.track(axis.prefix + POSITION) for axis in rig.axes]
-        handles = [axis.prefix + HANDLE for axis in rig.axes]
-        known = {name for axis in rig.axes for names in capture.names(axis).values() for name in names}
-        self._handles = [capture.track(name) for name in handles] if known.issuperset(handles) else None
+        measured = all(HANDLE in _keys(capture, axis) for axis in rig.axes)
+        self._handles = [capture.track(axis.prefix + HANDLE) for axis in rig.axes] if measured else None
         self._points = Samples(FADE_NS // STEP_NS, 6)
         self._next_ns = 0
         self.q_rad: Floats | None = None
@@ -124,8 +124,15 @@ def arm_points(rig: Rig, q_rad: Floats) -> list[list[float]]:
     return [[0.0, 0.0], [kinematics.l1_m * math.cos(first), kinematics.l1_m * math.sin(first)]]
 
 
+def _keys(capture: LiveCapture, axis: Axis) -> set[str]:
+    """Return the keys of the signals of an axis that the page draws."""
+    return {name.removeprefix(axis.prefix) for names in capture.names(axis).values() for name in names}
+
+
 def tip_track(capture: LiveCapture) -> TipTrack | None:
-    """Return the tip's track of a rig in the plane; None for other rigs, and for a mechanism that only a recording names.
+    """Return the tip's track of a rig in the plane.
+
+    None for other rigs, without the positions of both joints, and for a mechanism that only a recording names.
 
     Raises
     ------
@@ -133,7 +140,7 @@ def tip_track(capture: LiveCapture) -> TipTrack | None:
         the mechanism is user-defined, and wrong
     """
     rig = capture.rig
-    if rig.kinematics is None or len(rig.axes) != 2:
+    if rig.kinematics is None or any(POSITION not in _keys(capture, axis) for axis in rig.axes):
         return None
     if rig.origin.attached and rig.kinematics.function is not None:
         return None

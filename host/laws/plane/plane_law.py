@@ -77,6 +77,7 @@ class PlaneDeclaration(Declaration):
     """A law in the plane: its function, its named parameters, and its state."""
 
     BASES: ClassVar[tuple[np.dtype[Any], np.dtype[Any]]] = (dtype_of(PlaneLawRecord), dtype_of(PlaneStateRecord))
+    BUILT_IN: ClassVar[dict[str, Declaration]] = {}
 
 
 F = TypeVar("F", bound=Callable[..., tuple[float, float]])

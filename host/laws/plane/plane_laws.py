@@ -52,6 +52,7 @@ PLANE_LAWS: Mapping[str, Declaration] = MappingProxyType(
     }
 )
 """The built-in laws in the plane by their names."""
+PlaneDeclaration.BUILT_IN.update(PLANE_LAWS)
 
 
 def builtin_laws(rig: Rig) -> Mapping[str, Declaration]:
