@@ -31,6 +31,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "stop": "Stop a running host safely",
         "mark": "Mark the recording of a running host",
         "set": "Change the law's parameters of a running host",
+        "world": "Let WebSocket clients use the display of a running host",
     },
     "Bus and devices": {
         "watch": "Show a bus live, in SI units",

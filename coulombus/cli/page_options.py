@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
-__all__ = ["LOOPBACK", "PORT", "PageOptions", "page_options", "serve_page", "serve_recording_page"]
+__all__ = ["LOOPBACK", "PORT", "PageOptions", "page_options", "serve_page", "serve_recording_page", "tornado_needed"]
 
 LOOPBACK = "127.0.0.1"
 PORT = 8642
@@ -132,7 +132,7 @@ def serve_page(
     from coulombus.host.run.runbook import anchor, entry
     from coulombus.wire.address import socket_path
 
-    with _tornado():
+    with tornado_needed():
         from coulombus.monitor.web.access import kept_token
         from coulombus.monitor.web.page_state import HostDoor
         from coulombus.monitor.web.server import Shown, serve
@@ -179,7 +179,7 @@ def serve_recording_page(
     from coulombus.explain.explained import explain
     from coulombus.recording.reading import read
 
-    with _tornado():
+    with tornado_needed():
         from coulombus.monitor.web.access import new_token
         from coulombus.monitor.web.recording_page import serve_recording
 
@@ -200,7 +200,7 @@ def _ready(url: str, as_json: bool) -> None:
 
 
 @contextmanager
-def _tornado() -> Iterator[None]:
+def tornado_needed() -> Iterator[None]:
     """Explain how to install Tornado if its import fails."""
     from coulombus.monitor.web import WebError
 

@@ -29,6 +29,7 @@ CoulombusError
 |   |   +-- NotTaken             2   host.cycle.parameter_changes
 |   +-- DeviceMismatch           3   host.errors
 |   +-- LssRefused               6   host.devices.lss
+|   +-- MalformedMessage         2   host.world.relay
 |   +-- ModelRefused             2   host.world.model_check
 |   +-- NoHost                   4   host.run.control_socket
 |   +-- NoWorld                  4   host.world.hand

@@ -40,6 +40,7 @@ BASE = {
     "status": "status --bus coulombus:none",
     "mark": "mark grasp --bus coulombus:none",
     "set": "set F_s=2.0 --bus coulombus:none",
+    "world": "world --seconds 0.01 --web-port 0 --bus coulombus:none",
     "watch": "watch --bus coulombus:none",
     "explain": "explain RECORDING",
     "explain --bus": "explain --bus coulombus:none",

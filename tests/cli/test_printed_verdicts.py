@@ -36,6 +36,7 @@ ENDS = {
     "stop": ("stop --bus coulombus:none", 4),
     "status": ("status --bus coulombus:none", 4),
     "watch": ("watch --bus coulombus:none", 4),
+    "world": ("world --bus coulombus:none/", 2),
     "mark": ("mark grasp --bus coulombus:none", 4),
     "set": ("set F_s=2.0 --bus coulombus:none", 4),
     "replay": ("replay RECORDING --bus coulombus:none", 4),

@@ -56,6 +56,7 @@ RULES = (
         r": coulombus (node|bridge)|own_device\.(py|eds) .*coulombus:|--bus coulombus:bench --eds",
         LIVE + "tests/sim_bus",
     ),
+    (r": coulombus world", LIVE + "tests/monitor/web/test_world_gateway.py"),
     (r": coulombus commission", "minutes of virtual time: tests/cli/test_commission_command.py"),
     (r": coulombus sweep", "64 runs: tests/cli/test_sweep_command.py runs smaller ones"),
     (r": coulombus experiment", "a study of many trials: tests/cli/test_experiment_command.py runs shorter ones"),
