@@ -62,6 +62,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "doctor": "Check whether this PC is fit for a rig",
         "systemd": "Write systemd units for host, simulation and bridge",
         "eds": "Check EDS and DCF files",
+        "warm-up": "Compile in advance what all commands need",
     },
     "Theory, tools, help": {
         "pdo": "Draw the rig's PDOs bit by bit",
@@ -87,7 +88,7 @@ class Commands(Mapping[str, click.Command]):
     def __getitem__(self, name: str) -> click.Command:
         name = FORMER.get(name, name)
         text = TEXTS[name]
-        things = vars(import_module(f"{__package__}.{name}")).values()
+        things = vars(import_module(f"{__package__}.{name.replace('-', '_')}")).values()
         verb = next(thing for thing in things if isinstance(thing, click.Command) and thing.name == name)
         verb.short_help = text
         return verb

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["compiling", "on_compiling"]
+__all__ = ["compiled", "compiling", "count", "on_compiling"]
 
 _waiting: list[Callable[[], None]] = []
+_compiled = [0]
 
 
 def on_compiling(tell: Callable[[], None]) -> None:
@@ -18,3 +19,13 @@ def compiling() -> None:
     """Run the registered callbacks: a kernel is being compiled."""
     while _waiting:
         _waiting.pop(0)()
+
+
+def count() -> None:
+    """Count a function that this process compiles."""
+    _compiled[0] += 1
+
+
+def compiled() -> int:
+    """Return the number of functions that this process has compiled, those of numba with them."""
+    return _compiled[0]

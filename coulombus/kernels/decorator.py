@@ -31,9 +31,9 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from coulombus.kernels.kernel_cache import alone, choose, kept
-from coulombus.kernels.sources import source_key
+from coulombus.kernels.sources import source_key, source_stamp
 
-__all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "cacheable", "constant", "inlined", "is_kept", "kernel"]
+__all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "cacheable", "constant", "inlined", "is_warm", "kernel", "warming"]
 
 
 @contextmanager
@@ -104,9 +104,19 @@ def _name(function: Callable[..., Any]) -> str:
     return f"{function.__module__}.{function.__qualname__}"
 
 
-def is_kept(function: Callable[..., Any]) -> bool:
-    """Tell whether the entry `function` needs no compilation now, or cannot be cached."""
-    return JIT_DISABLED or CACHE_DIR is None or kept(CACHE_DIR, _name(function))
+def is_warm() -> bool:
+    """Tell whether `warming` has ended for these sources, so that no start compiles."""
+    return JIT_DISABLED or kept(CACHE_DIR, f"warm-{source_stamp()}")
+
+
+@contextmanager
+def warming() -> Iterator[None]:
+    """Compile all kernels in this context, by processes of `kernels.kernel_cache.leave_lock_to_parent`.
+
+    Every other process that needs a kernel waits for its end.
+    """
+    with alone(CACHE_DIR, f"warm-{source_stamp()}"):
+        yield
 
 
 class Entry:

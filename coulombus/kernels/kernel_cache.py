@@ -32,7 +32,7 @@ from coulombus.kernels.compile_notice import compiling
 from coulombus.system.file_lock import lock_file
 from coulombus.system.private_folder import make_private, reason_against, reason_against_above
 
-__all__ = ["KEPT", "MARKER", "alone", "choose", "damaged", "empty", "kept", "say"]
+__all__ = ["KEPT", "MARKER", "alone", "choose", "damaged", "empty", "kept", "leave_lock_to_parent", "say"]
 
 OURS = "coulombus"
 MARKER = "coulombus-kernels"
@@ -44,6 +44,7 @@ _NAME = re.compile(r"kernels-[0-9a-f]{16}")
 _FILES = re.compile(rf".+\.(nbi|nbc)(\.tmp\.[0-9a-f]+)?|{ENTRIES}")
 _TRIES = 8
 _locks: list[int] = []  # descriptors of the markers that this process has locked
+_parent_locks = [False]  # whether the parent holds the lock of the compilation
 
 
 def say(text: str) -> None:
@@ -86,6 +87,8 @@ def alone(directory: Path | None, name: str) -> Iterator[None]:
 
     So no two processes cache the same kernel for different types of arguments at the same time:
     numba would give both files the same name.
+
+    A process of `leave_lock_to_parent` does not wait.
     """
     if directory is None or kept(directory, name):
         yield
@@ -94,11 +97,12 @@ def alone(directory: Path | None, name: str) -> Iterator[None]:
     with suppress(OSError):  # no space left, or a file system without locks
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         lock = os.open(directory / ENTRIES, flags, 0o600)
-        try:
-            lock_file(lock)
-        except BlockingIOError:
-            compiling()  # another process compiles
-            lock_file(lock, wait=True)
+        if not _parent_locks[0]:
+            try:
+                lock_file(lock)
+            except BlockingIOError:
+                compiling()  # another process compiles
+                lock_file(lock, wait=True)
     try:
         yield
         if lock is not None:
@@ -107,6 +111,11 @@ def alone(directory: Path | None, name: str) -> Iterator[None]:
     finally:
         if lock is not None:
             os.close(lock)
+
+
+def leave_lock_to_parent() -> None:
+    """Compile without a lock from now on: the parent holds it, and its other children compile other kernels."""
+    _parent_locks[0] = True
 
 
 def _base() -> Path:

@@ -21,7 +21,7 @@ from numba.core import event, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from coulombus.kernels.compile_notice import compiling
+from coulombus.kernels.compile_notice import compiling, count
 
 __all__ = ["Compilations", "borrowed", "listen"]
 
@@ -81,6 +81,7 @@ class Compilations(event.Listener):  # type: ignore[misc]
     def on_start(self, event: Any) -> None:
         """A compilation begins, perhaps nested in another."""
         compiling()
+        count()
         if threading.current_thread() is not threading.main_thread():
             return  # handlers run in the main thread only
         if self._depth == 0:

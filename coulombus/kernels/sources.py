@@ -8,11 +8,12 @@ sources that may hold a kernel, or feed one.
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 from importlib.metadata import version
 from pathlib import Path
 
-__all__ = ["KERNEL_PACKAGES", "ROOT", "source_key"]
+__all__ = ["KERNEL_PACKAGES", "ROOT", "source_key", "source_stamp"]
 
 KERNEL_PACKAGES = (
     "kernels",
@@ -43,4 +44,17 @@ def source_key(root: Path = ROOT) -> str:
         for path in sorted(folder.rglob("*.py")):
             content = path.read_bytes()
             digest.update(f"{path.relative_to(folder)}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()[:16]
+
+
+def source_stamp(root: Path = ROOT) -> str:
+    """Hash of the places and times of the same sources, and of the processor that is named.
+
+    Numba compiles a function again if its file was written again or is in another place, or for another
+    processor, even if no source has changed.
+    """
+    digest = hashlib.sha256(os.environ.get("NUMBA_CPU_NAME", "").encode())
+    for package in KERNEL_PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(f"{path}\0{path.stat().st_mtime_ns}\0".encode())
     return digest.hexdigest()[:16]

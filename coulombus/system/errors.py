@@ -75,6 +75,7 @@ CoulombusError
 +-- TruthError                   2   lab.simulate
 +-- UnknownCase                  2   conformance.runner           ValueError
 +-- UnknownSignal                2   recording.signal_names       KeyError
++-- WarmUpError                  2   lab.warm_up
 +-- WebError                     2   monitor.web
 +-- WrongCall                    2   rigs.arguments               TypeError
 +-- WrongDevice                  3   conformance.runner

@@ -13,9 +13,10 @@ from pathlib import Path
 
 from coulombus.host.doctor.finding import Check, Outcome
 
-__all__ = ["NAME", "checks", "requirement_met"]
+__all__ = ["NAME", "checks", "compiled", "requirement_met"]
 
 NAME = "coulombus"
+_PLACE = "name a directory that this user can write: export NUMBA_CACHE_DIR=DIRECTORY"
 _REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*(\[[^]]*\])?\s*\(?([^;)]*)\)?\s*(;.*)?$")
 _BOUND = re.compile(r"\s*(>=|<=|==|!=|~=|>|<)\s*([0-9][0-9a-zA-Z.*+!]*)\s*$")
 
@@ -37,6 +38,7 @@ def checks(
         ("software.versions", versions),
         ("software.import_name", partial(import_name, modules, here)),
         ("software.script_name", partial(script_name, folders, Path(sys.prefix))),
+        ("software.compiled", compiled),
     ]
 
 
@@ -128,3 +130,14 @@ def script_name(folders: Sequence[str], prefix: Path) -> Outcome:
         return Outcome(True, str(scripts[0]))
     fix = f". {prefix}/bin/activate  # in each terminal, or: hash -r; export PATH={prefix}/bin:$PATH"
     return Outcome(False, f"the shell takes {scripts[0]}, not {own}", fix)
+
+
+def compiled() -> Outcome:
+    """Check that the host's code is compiled: otherwise the first start takes a minute."""
+    from coulombus.kernels.decorator import CACHE_DIR, is_warm
+
+    if is_warm():
+        return Outcome(True, f"kept in {CACHE_DIR}")
+    if CACHE_DIR is None:
+        return Outcome(False, "every start compiles: no directory for compiled code can be written", f"# {_PLACE}")
+    return Outcome(False, f"not all code is in {CACHE_DIR}: the first start compiles", f"{NAME} warm-up")

@@ -21,7 +21,7 @@ for the TPDOs of all. Only the safe set-points after the last cycle are repeated
 
 from __future__ import annotations
 
-from coulombus.host.cycle.axes import begin, finish, ramps_a_brake, safe_setpoints
+from coulombus.host.cycle.axes import WINDOW_OPEN, WINDOW_OVER, begin, finish, ramps_a_brake, safe_setpoints
 from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, PlaneFunctions, Trip
 from coulombus.host.cycle.telemetry import tell
 from coulombus.host.realtime.bus_sockets import (
@@ -159,14 +159,14 @@ def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, 
             if result == COMPLETE:
                 now = now_ns()
                 log_moment(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
-                waiting = finish(axes, law_function, now, 0, b.out, arm)
+                waiting = finish(axes, law_function, now, WINDOW_OPEN, b.out, arm)
                 if waiting != 0 and transmit(b, 0) != 0:
                     return 1
         if waiting == 0:
             break
     now = now_ns()
     log_moment(b.plane, b.trace, Moment.WINDOW, now, p.asked)
-    finish(axes, law_function, now, 1, b.out, arm)
+    finish(axes, law_function, now, WINDOW_OVER, b.out, arm)
     return 1 if transmit(b, 0) != 0 else 0
 
 

@@ -30,6 +30,7 @@ from coulombus.host.realtime.bus_sockets import MESSAGE_FRAMES, Buffers
 from coulombus.host.realtime.loop import run_plane
 from coulombus.host.realtime.shared_memory import PlaneCommand, SharedPlane
 from coulombus.host.world.records import StateRecord
+from coulombus.kernels.decorator import Entry
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
 from coulombus.rigs.kinematics.load_mechanism import load_mechanism
@@ -83,6 +84,7 @@ def warm_up(
     """
     command = int(shared.plane["command"][0])
     shared.plane["command"] = PlaneCommand.QUIT
+    Entry(run_plane).load(buffers, law_function, arm)  # one process compiles it, and the others wait
     run_plane(buffers, law_function, arm)
     shared.plane["command"] = command
     shared.ring["source"] = 0

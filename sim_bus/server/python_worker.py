@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.kernels.decorator import kernel
+from coulombus.kernels.decorator import constant, kernel
 from coulombus.kernels.libc import POLLIN, ppoll_ns, read, write
 from coulombus.kernels.records import Integers, Records
 from coulombus.node.constants import FAR_FUTURE_NS
@@ -46,7 +46,7 @@ __all__ = ["FRAME", "RECORD", "Beside", "Worker", "drain_jobs", "drained", "enqu
 
 NODE_WORDS = NODE.itemsize // 8
 PATIENCE_NS = 100_000_000
-FRAME, RECORD = -1, -2
+FRAME, RECORD = constant(-1), constant(-2)
 """Axis of jobs that belong to no axis."""
 
 

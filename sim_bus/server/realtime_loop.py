@@ -20,7 +20,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 from coulombus.eds.cia402 import PowerState
-from coulombus.kernels.decorator import kernel
+from coulombus.kernels.decorator import constant, kernel
 from coulombus.kernels.libc import (
     CLOCK_REALTIME,
     EAGAIN,
@@ -65,6 +65,9 @@ class Serve(IntEnum):
     RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule ends
     RECORD = 34  # `PaceRecord.keep` frames wait in the log for the recorder, or the oldest for KEPT_NS
     FAILED = 35  # an essential system call failed; `PaceRecord.error`
+
+
+_RECORD, _RESTED, _FORCE = constant(Serve.RECORD), constant(Serve.RESTED), constant(Exit.FORCE)
 
 
 @kernel
@@ -188,7 +191,7 @@ def serve(
                 if p.keep == 0:
                     p.handed_out = w.log_count = 0
                 elif reason == Exit.LOG or (
-                    w.log_count >= p.keep and not enqueue(beside, world, course, p, Serve.RECORD, RECORD)
+                    w.log_count >= p.keep and not enqueue(beside, world, course, p, _RECORD, RECORD)
                 ):
                     why = Serve.RECORD
                 for a in range(world.axes.shape[0]):
@@ -196,10 +199,10 @@ def serve(
                     state = world.nodes[axis.motor].power_state
                     if axis.operator_start_ns >= 0 and state != PowerState.OPERATION_ENABLED:
                         w.axis = a
-                        if not enqueue(beside, world, course, p, Serve.RESTED, a):
+                        if not enqueue(beside, world, course, p, _RESTED, a):
                             why = Serve.RESTED
                     elif axis.force_end_ns - t_ns < AHEAD_NS:
-                        enqueue(beside, world, course, p, Exit.FORCE, a)
+                        enqueue(beside, world, course, p, _FORCE, a)
             if why != 0:
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
@@ -212,11 +215,7 @@ def serve(
         if need != 0:
             return need
         waits = p.keep != 0 and 0 < w.log_count <= p.handed_out
-        if (
-            waits
-            and t_ns - world.log[0].t_ns >= KEPT_NS
-            and not enqueue(beside, world, course, p, Serve.RECORD, RECORD)
-        ):
+        if waits and t_ns - world.log[0].t_ns >= KEPT_NS and not enqueue(beside, world, course, p, _RECORD, RECORD):
             return Serve.RECORD
         if load_acquire(flag) != 0:
             return Serve.STOP

@@ -60,6 +60,7 @@ BASE = {
     "check": "check",
     "measure": "measure --bus coulombus:none",
     "doctor": "doctor",
+    "warm-up": "warm-up",
     "systemd": "systemd -o DIR/units",
     "plan": "plan",
     "commission": "commission --rig RIG --virtual --yes --step friction",

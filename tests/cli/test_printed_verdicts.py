@@ -46,6 +46,7 @@ ENDS = {
     "lss": ("lss --bus coulombus:none", 4),
     "sdo": ("sdo get 1 1000h --bus coulombus:none", 4),
     "nmt": ("nmt start 1 --bus coulombus:none", 4),
+    "warm-up": ("warm-up", 0),
     "eds": ("eds check OTHER", 3),
     "eds ok": (f"eds check {EDS}", 0),
     "init": (f"init --drive {EDS} --brake bench", 0),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -13,16 +12,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
-from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.errors import HostError
-from coulombus.host.realtime.data_plane import DataPlane
-from coulombus.host.realtime.loop import run_plane
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.real_run import real_run
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
-from coulombus.kernels.decorator import is_kept
 from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge
+from coulombus.lab.warm_up import warm_up
 from coulombus.rigs.rig import Rig
 from coulombus.system.realtime import die_with_parent
 from coulombus.system.stop_signals import Signals, Stopped
@@ -87,22 +83,6 @@ class SimProcess:
             self.process.communicate()
 
 
-def compile_host(rig: Rig) -> None:
-    """Compile the host's cycle with a data plane without a bus, while the simulations start.
-
-    Does nothing if the host's code is cached.
-    """
-    if is_kept(run_plane):
-        return
-    line, nobody = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with nobody:
-        plane = DataPlane(Controllers(rig, DEMO_MODES[0]), BusAddress("coulombus", "demo"), priority=None, line=line)
-        try:
-            plane.wait_ready()
-        finally:
-            plane.close()
-
-
 def run_real_demo(
     rig: Rig,
     rig_name: str,
@@ -126,12 +106,12 @@ def run_real_demo(
     directory.mkdir(parents=True, exist_ok=True)
     seconds = rig.schedule_s
     results: dict[str, RunResult] = {}
+    warm_up()
     with ExitStack() as stack:
         sims = {}
         for mode in DEMO_MODES:  # all at once: the second is ready when the first run is over
             address = BusAddress("coulombus", f"demo-{os.getpid()}-{mode}")
             sims[mode] = stack.enter_context(SimProcess(rig_name, address, mode, seed, overrides))
-        compile_host(rig)
         for sim in sims.values():
             sim.wait_ready()
         for mode, sim in sims.items():

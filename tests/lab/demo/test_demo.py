@@ -7,7 +7,6 @@ import re
 import numpy as np
 import pytest
 
-from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.lab.demo import real_demo
 from coulombus.lab.demo.demo import DEMO_MODES, SAME, displays, run_demo
 from coulombus.lab.demo.traces import BINS, Traces, draw_traces, share_labels, traces
@@ -87,24 +86,14 @@ def test_the_mean_is_drawn_over_the_band_of_a_limit_cycle():
     assert legend == ["motor, commanded", "hand, not measured", "band: smallest to largest; line: mean"]
 
 
-@pytest.mark.real_time
-@pytest.mark.patient
-def test_the_host_is_compiled_without_a_bus_while_the_simulations_start(monkeypatch):
-    planes = []
+def test_all_is_compiled_before_a_simulation_starts(monkeypatch, tmp_path):
+    class Compiles(Exception):
+        pass
 
-    class Plane(DataPlane):
-        def __init__(self, *words, **options):
-            planes.append(self)
-            super().__init__(*words, **options)
+    def warm_up():
+        raise Compiles
 
-    monkeypatch.setattr(real_demo, "DataPlane", Plane)
-    monkeypatch.setattr(real_demo, "is_kept", lambda kernel: False)
-    real_demo.compile_host(load_rig("bench"))
-    (plane,) = planes
-    assert not plane.alive
-
-
-def test_where_the_hosts_code_is_kept_nothing_is_started(monkeypatch):
-    monkeypatch.setattr(real_demo, "DataPlane", None)
-    monkeypatch.setattr(real_demo, "is_kept", lambda kernel: True)
-    real_demo.compile_host(load_rig("bench"))
+    monkeypatch.setattr(real_demo, "warm_up", warm_up)
+    monkeypatch.setattr(real_demo, "SimProcess", None)
+    with pytest.raises(Compiles):
+        real_demo.run_real_demo(load_rig("bench"), "bench", tmp_path)

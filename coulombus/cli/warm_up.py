@@ -1,0 +1,66 @@
+"""``coulombus warm-up``: compile in advance what every other verb needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import click
+
+from coulombus.cli.common import json_option, say
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.tables import echo, running
+
+__all__ = ["warm_up_command"]
+
+
+@click.command("warm-up", epilog=EXIT_STATUS)
+@json_option
+def warm_up_command(as_json: bool) -> None:
+    """Compile the code of run, emulate, simulate and sweep in advance, with two processes.
+
+    It is kept, for every rig, mode and law of the project, until the program or Numba is updated. A
+    second call compiles nothing. Verbs that start meanwhile wait for its end.
+
+    \b
+    Examples:
+      coulombus warm-up
+      coulombus warm-up --json
+    """
+    with errors():
+        from coulombus.lab.warm_up import warm_up
+
+        with _progress() as report:
+            result = warm_up(report)
+        if as_json:
+            print_json(result.as_dict())
+        elif result.directory is None:
+            echo("NUMBA_DISABLE_JIT=1: nothing is compiled")
+        elif result.compiled:
+            echo(f"{result.compiled} functions compiled in {result.seconds:.0f} s, kept in {result.directory}")
+        else:
+            echo(f"nothing to compile: all is kept in {result.directory}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """Show a bar on stderr, or print a line for each step if that is not a terminal."""
+    from coulombus.system.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
+    if not console.is_terminal:
+        yield lambda done, of: say(f"compiling: step {done} of {of}")
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bars = Progress(
+        TextColumn("compiling, once"), BarColumn(40), MofNCompleteColumn(), TimeElapsedColumn(), console=console
+    )
+    task = bars.add_task("", total=None)
+    with running(bars) as shown:
+
+        def report(done: int, of: int) -> None:
+            with shown:
+                bars.update(task, completed=done, total=of)
+
+        yield report

@@ -1,0 +1,130 @@
+"""``coulombus warm-up``: compile all that `run`, `emulate`, `simulate` and `sweep` need, before it is needed.
+
+Independent kernels are compiled by two processes at the same time (`coulombus.lab.warm_up_steps`), and
+the loops that call them after that. A rig's size, mode and law change no kernel.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from coulombus.kernels.compile_notice import compiling
+from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED, is_warm, warming
+from coulombus.system.errors import CoulombusError
+
+__all__ = ["PHASES", "WarmUp", "WarmUpError", "warm_up"]
+
+MODULE = "coulombus.lab.warm_up_steps"
+PHASES: Sequence[Mapping[str, int]] = ({"cycle": 3, "bus": 4}, {"loops": 3})
+"""Groups of kernels by phase, with their number of steps; the groups of a phase run at the same time."""
+
+
+class WarmUpError(CoulombusError):
+    """The kernels could not be compiled, or cannot be kept; the text has the reason."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True)
+class WarmUp:
+    """Result of a warm-up.
+
+    Attributes
+    ----------
+    compiled : number of functions compiled now; 0 if all were in the cache
+    seconds : wall time [s]
+    directory : directory of the compiled code; None with NUMBA_DISABLE_JIT=1, which compiles nothing
+    """
+
+    compiled: int
+    seconds: float
+    directory: Path | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "compiled": self.compiled,
+            "seconds": round(self.seconds, 3),
+            "directory": None if self.directory is None else str(self.directory),
+        }
+
+
+def warm_up(progress: Callable[[int, int], None] | None = None) -> WarmUp:
+    """Compile every kernel that is not in the cache; another process that needs one waits for the end.
+
+    Parameters
+    ----------
+    progress : called with the number of finished steps, and of all
+
+    Raises
+    ------
+    WarmUpError
+        no directory for compiled code can be written, or a compiling process ended
+    """
+    begin, compiled = time.monotonic(), 0
+    if not is_warm():
+        if CACHE_DIR is None:
+            raise WarmUpError("compiled code cannot be kept: no directory can be written; name one by NUMBA_CACHE_DIR")
+        with warming():
+            if not is_warm():  # another process may have compiled all while this one waited
+                compiling()
+                compiled = _compile(progress or (lambda done, of: None))
+    return WarmUp(compiled, time.monotonic() - begin, None if JIT_DISABLED else CACHE_DIR)
+
+
+def _compile(progress: Callable[[int, int], None]) -> int:
+    """Run all groups; return the number of functions compiled."""
+    done, of, compiled = 0, sum(sum(groups.values()) for groups in PHASES), 0
+    for groups in PHASES:
+        processes = {group: _start(group) for group in groups}
+        counts = dict.fromkeys(groups, 0)
+        try:
+            lines = {_output(process): group for group, process in processes.items()}
+            while lines:
+                for line in select.select(list(lines), [], [])[0]:
+                    text = line.readline()
+                    if text:
+                        counts[lines[line]], done = int(text), done + 1
+                        progress(done, of)
+                    else:
+                        _check(lines[line], processes[lines.pop(line)].wait())
+        finally:
+            for process in processes.values():
+                process.kill()
+                process.wait()
+                _output(process).close()
+        compiled += sum(counts.values())
+    return compiled
+
+
+def _start(group: str) -> subprocess.Popen[bytes]:
+    root = str(Path(__file__).parents[__name__.count(".")])
+    path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", MODULE, group, str(os.getpid())],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        bufsize=0,  # select(2) sees no line that a buffer holds
+        start_new_session=True,  # the terminal's Ctrl-C is the parent's
+        env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
+    )
+
+
+def _output(process: subprocess.Popen[bytes]) -> IO[bytes]:
+    assert process.stdout is not None
+    return process.stdout
+
+
+def _check(group: str, status: int) -> None:
+    if status:
+        how = f"by {signal.Signals(-status).name}" if status < 0 else f"with exit status {status}"
+        raise WarmUpError(f"compiling was cut short: the process of the group {group!r} ended {how}")

@@ -1,0 +1,136 @@
+"""Process of `coulombus.lab.warm_up`: ``python -m coulombus.lab.warm_up_steps GROUP PARENT``.
+
+It compiles the kernels of one group in steps, and prints the number of functions compiled so far
+after each step.
+
+The groups `cycle` and `bus` run at the same time: they have no kernel in common, except one law, with
+the same types (`tests/lab/test_warm_up.py`). `loops` runs after them: its kernels call all others.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.laws.laws import BUILTIN_LAWS, load_law
+from coulombus.host.realtime.log_rings import take_log, take_trace
+from coulombus.host.realtime.process import new_buffers
+from coulombus.host.realtime.process import warm_up as load_plane
+from coulombus.host.realtime.shared_memory import SharedPlane
+from coulombus.kernels.compile_notice import compiled
+from coulombus.kernels.decorator import CACHE_DIR, Entry
+from coulombus.kernels.kernel_cache import damaged, empty, leave_lock_to_parent
+from coulombus.kernels.records import new_records
+from coulombus.lab.virtual_bringup import switch_on
+from coulombus.node import core, own_time
+from coulombus.node.device import Device
+from coulombus.node.record import new_nodes
+from coulombus.recording.pcapng_reader import read_pcapng
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.trace import TraceRow
+from coulombus.rigs.rig import load_rig
+from coulombus.sim_bus.can_bus.arbiter import new_bus, start_frame
+from coulombus.sim_bus.can_bus.error_path import attempt
+from coulombus.sim_bus.can_bus.frame_result import end_attempt
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.sim_bus.rig.plant_step import course_of
+from coulombus.sim_bus.rig.records import PlantRecord
+from coulombus.sim_bus.rig.stand_ins import stand_ins
+from coulombus.sim_bus.server.rig_server import SimServer
+from coulombus.system.realtime import die_with_parent
+from coulombus.system.stop_signals import ignore
+from coulombus.wire.address import BusAddress
+from coulombus.wire.frame import frames, new_queue
+
+__all__ = ["GROUPS", "main"]
+
+RIG, MODE = "bench", "hybrid"
+
+
+def _cycle() -> Iterator[None]:
+    """Compile the nodes' kernels, then the host's data plane."""
+    rig = load_rig(RIG)
+    out = new_queue()
+    for stand_in in stand_ins(rig.one_axis()):
+        device = Device(stand_in.served.description, stand_in.node_id, stand_in.profile, new_nodes(1)[0])
+        device.power_on(0, out)
+    yield
+    for part in (core, own_time):
+        Entry(part.on_time).load(device.record, 0, out)
+        Entry(part.on_frame).load(device.record, 0, 0, 0, 0, out)
+        Entry(part.confinement_changed).load(device.record, 0, 0, out)
+    yield
+    controllers = Controllers(rig, MODE)
+    shared = SharedPlane.create(len(controllers.each))
+    controllers.adopt(shared.axes)
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, its:
+        load_plane(shared, new_buffers(its.fileno(), shared), controllers.law_function)
+    take_log(shared.plane, shared.ring, frames(1))
+    take_trace(shared.plane, shared.trace, new_records(TraceRow))
+    shared.close()
+
+
+def _bus() -> Iterator[None]:
+    """Compile the laws, the reader of recordings, the plants, and the bus bit by bit."""
+    for name in BUILTIN_LAWS:
+        load_law(name)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "empty.pcapng"
+        PcapngWriter(path, attachments={}).close()
+        read_pcapng(path)
+    yield
+    plants = new_records(PlantRecord)
+    for detailed in (0, 1):
+        plants["detail"]["on"] = detailed
+        course_of(plants)
+    yield
+    bus, out = new_bus(1_000_000), new_queue()
+    Entry(attempt).load(bus[0], out, 0)
+    yield
+    Entry(end_attempt).load(bus[0], out, frames(1), 0)
+    Entry(start_frame).load(bus[0], out, 0)
+
+
+def _loops() -> Iterator[None]:
+    """Compile the loop in real time, and both forms of the loop in virtual time."""
+    rig = load_rig(RIG)
+    SimServer(rig, BusAddress("coulombus", f"warm-up-{os.getpid()}")).close()
+    yield
+    world = VirtualRig(rig, MODE)
+    switch_on(world)
+    world.start_host()
+    world.wait_ns(1)
+    yield
+    world.look_closely()
+    world.wait_ns(1)
+
+
+GROUPS: Mapping[str, Callable[[], Iterator[None]]] = MappingProxyType({"cycle": _cycle, "bus": _bus, "loops": _loops})
+"""The groups' functions, which yield between their steps."""
+
+
+def main(group: str, parent: int) -> None:
+    """Run the steps of a group."""
+    ignore()
+    die_with_parent(parent)
+    leave_lock_to_parent()
+    try:
+        for _ in GROUPS[group]():
+            print(compiled(), flush=True)
+        print(compiled(), flush=True)
+    except Exception as error:
+        if CACHE_DIR is None or not damaged(error):
+            raise
+        empty(CACHE_DIR)
+        sys.exit(f"coulombus: the compiled code in {CACHE_DIR} was damaged and is removed; start again")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))

@@ -1,0 +1,183 @@
+"""`coulombus warm-up`: what it compiles, once, and what it says."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from coulombus.kernels.decorator import JIT_DISABLED
+from coulombus.kernels.sources import source_stamp
+from coulombus.lab import warm_up as module
+from coulombus.lab.warm_up import PHASES, WarmUp, WarmUpError, warm_up
+from coulombus.lab.warm_up_steps import GROUPS
+from places import ROOT
+
+COMPILED = pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+FAULTS = str(ROOT / "examples" / "faults.toml")
+CYCLE = """
+import os
+from coulombus.host.laws.laws import load_law
+from coulombus.kernels.compile_notice import compiled
+from coulombus.lab.warm_up_steps import GROUPS
+
+list(GROUPS["cycle"]())
+print(compiled())
+"""
+
+
+def python(*words, **variables):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+    done = subprocess.run(
+        [sys.executable, *map(str, words)],
+        cwd=ROOT,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=900,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def coulombus(*words, **variables):
+    return python("-m", "coulombus", *words, **variables)
+
+
+def kernels(folder):
+    """Return the files of machine code, without the version that the compiler appends."""
+    return {path.relative_to(folder).as_posix() for path in Path(folder).rglob("*.nbc")}
+
+
+def test_the_phases_list_every_group_once_with_its_steps():
+    names = [name for groups in PHASES for name in groups]
+    assert sorted(names) == sorted(GROUPS)
+
+
+def test_without_a_compiler_nothing_is_compiled():
+    told = coulombus("warm-up", NUMBA_DISABLE_JIT="1")
+    assert told == "NUMBA_DISABLE_JIT=1: nothing is compiled\n"
+    assert json.loads(coulombus("warm-up", "--json", NUMBA_DISABLE_JIT="1"))["directory"] is None
+
+
+def test_what_is_warm_is_compiled_no_more(monkeypatch):
+    monkeypatch.setattr(module, "is_warm", lambda: True)
+    monkeypatch.setattr(module, "_start", None)
+    assert warm_up().compiled == 0
+
+
+def test_what_another_process_compiled_meanwhile_is_compiled_no_more(monkeypatch, tmp_path):
+    answers = iter((False, True))
+    monkeypatch.setattr(module, "is_warm", lambda: next(answers))
+    monkeypatch.setattr(module, "CACHE_DIR", tmp_path)
+    monkeypatch.setattr(module, "_start", None)
+    assert warm_up().compiled == 0
+
+
+def test_without_a_place_for_the_code_the_remedy_is_named(monkeypatch):
+    monkeypatch.setattr(module, "is_warm", lambda: False)
+    monkeypatch.setattr(module, "CACHE_DIR", None)
+    with pytest.raises(WarmUpError, match="name one by NUMBA_CACHE_DIR") as error:
+        warm_up()
+    assert error.value.exit_status == 2
+
+
+def started(monkeypatch, text):
+    """Let each group be a process that runs `text`."""
+
+    def start(group):
+        return subprocess.Popen([sys.executable, "-c", text, group], stdout=subprocess.PIPE, bufsize=0)
+
+    monkeypatch.setattr(module, "is_warm", lambda: False)
+    monkeypatch.setattr(module, "CACHE_DIR", Path())
+    monkeypatch.setattr(module, "_start", start)
+
+
+def test_steps_are_reported_and_functions_counted(monkeypatch):
+    started(monkeypatch, "import sys; n = len(sys.argv[1]); print(n); print(2 * n)")
+    steps = []
+    result = warm_up(lambda done, of: steps.append((done, of)))
+    of = sum(sum(groups.values()) for groups in PHASES)
+    assert steps == [(done, of) for done in range(1, 2 * len(GROUPS) + 1)]
+    assert result.compiled == sum(2 * len(group) for group in GROUPS)
+
+
+@pytest.mark.parametrize(("end", "how"), [("exit(3)", "with exit status 3"), ("kill", "by SIGKILL")])
+def test_a_group_that_ends_early_is_an_error(monkeypatch, end, how):
+    kill = "import os; print(1, flush=True); os.kill(os.getpid(), 9)"
+    started(monkeypatch, kill if end == "kill" else "print(1, flush=True); raise SystemExit(3)")
+    with pytest.raises(WarmUpError, match=how):
+        warm_up()
+
+
+def test_the_result_for_json_is_plain():
+    assert WarmUp(3, 1.23456, Path("/cache")).as_dict() == {"compiled": 3, "seconds": 1.235, "directory": "/cache"}
+
+
+def test_the_stamp_of_the_sources_changes_with_their_place_and_time(tmp_path, monkeypatch):
+    stamps = set()
+    for name in ("a", "b"):
+        (tmp_path / name / "node").mkdir(parents=True)
+        (tmp_path / name / "node" / "core.py").write_text("")
+        os.utime(tmp_path / name / "node" / "core.py", (1, 1))
+        stamps.add(source_stamp(tmp_path / name))
+    os.utime(tmp_path / "a" / "node" / "core.py", (2, 2))
+    stamps.add(source_stamp(tmp_path / "a"))
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    stamps.add(source_stamp(tmp_path / "a"))
+    assert len(stamps) == 4
+
+
+@COMPILED
+@pytest.mark.slow
+def test_the_groups_of_a_phase_compile_no_kernel_in_common(tmp_path):
+    files = []
+    for group in PHASES[0]:
+        folder = tmp_path / group
+        text = f"from coulombus.lab.warm_up_steps import GROUPS; list(GROUPS[{group!r}]())"
+        python("-c", text, NUMBA_CACHE_DIR=str(folder))
+        files.append({re.sub(r"kernels-[0-9a-f]+", "", path).partition(".py3")[0] for path in kernels(folder)})
+    common = files[0] & files[1]
+    assert {path.rpartition("/")[2].rpartition("-")[0] for path in common} == {"karnopp.karnopp"}
+
+
+@COMPILED
+@pytest.mark.slow
+@pytest.mark.real_time
+@pytest.mark.patient
+def test_after_a_warm_up_no_verb_compiles(tmp_path):
+    variables = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    first = json.loads(coulombus("warm-up", "--json", **variables))
+    assert first["compiled"] > 300
+    before = kernels(tmp_path)
+    assert re.fullmatch("nothing to compile: all is kept in .*\n", coulombus("warm-up", **variables))
+    quiet = ("--seconds", "0.2")
+    coulombus("simulate", *quiet, "--record", tmp_path / "run.pcapng", **variables)
+    coulombus("simulate", *quiet, "--faults", FAULTS, **variables)
+    coulombus("simulate", *quiet, "--rig", "two_axes", "--set", "axis.left.plant.stribeck_Nm=0.03", **variables)
+    emulation = subprocess.Popen(
+        [sys.executable, "-m", "coulombus", "emulate", "--bus", f"coulombus:warm-{os.getpid()}", "--json"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **variables},
+        stdout=subprocess.PIPE,
+    )
+    with emulation:
+        assert json.loads(emulation.stdout.readline())["event"] == "ready"
+        run = (
+            "run",
+            "--bus",
+            f"coulombus:warm-{os.getpid()}",
+            *quiet,
+            "--shared-machine",
+            "--set",
+            'host.deadman="none"',
+        )
+        coulombus(*run, **variables)
+        emulation.terminate()
+    assert kernels(tmp_path) == before
