@@ -20,7 +20,7 @@ help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 18
 
 demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
-	@$(BIN)/coulombus warm-up && $(BIN)/coulombus demo
+	@$(BIN)/coulombus warm-up --without-arm && $(BIN)/coulombus demo
 
 test: $(VENV)/.dev  ## all tests: those against the wall clock, and beside them those in virtual time
 	@PYTHON=$(BIN)/python scripts/test
@@ -82,7 +82,7 @@ $(VENV)/.run: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made  # what 
 	wanted = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
 	print(*(one for one in wanted if not one.startswith(("cantools", "matplotlib", "scipy"))), sep="\n")' >$(VENV)/first.txt
 	@$(call install,--no-compile --requirement $(VENV)/first.txt)
-	@$(BIN)/python -m coulombus warm-up >/dev/null 2>&1 </dev/null & \
+	@$(BIN)/python -m coulombus warm-up --without-arm >/dev/null 2>&1 </dev/null & \
 	$(call install,--no-compile --editable '.[web]')
 	@touch $@
 

@@ -19,13 +19,14 @@ from benchmarks.node_download import block_download
 from benchmarks.size import size
 from coulombus.eds.codec import PDO
 from coulombus.eds.reader import parse_eds, read_eds
-from coulombus.kernels.decorator import Entry
+from coulombus.kernels.decorator import Entry, kernel
+from coulombus.kernels.records import new_records
 from coulombus.node import core
 from coulombus.node.constants import MAX_PDOS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.record import NODE, new_nodes
-from coulombus.wire.frame import data_word, new_queue
+from coulombus.wire.frame import Queue, data_word, new_queue
 
 __all__ = ["expedited_us", "fuzz", "nodes"]
 
@@ -39,27 +40,42 @@ class _Deaf(canopen.Network):  # type: ignore[misc]  # canopen has no types
         """Take the answer and do nothing with it."""
 
 
+@kernel
+def _upload(nodes: Any, word: int, calls: int, out: Any) -> int:
+    """Let the node answer the request `calls` times, and return the number of responses."""
+    answers = 0
+    for k in range(calls):
+        core.on_frame(nodes[0], 1000 + k, 0x601, 8, word, out[0])
+        answers += out[0].count
+        out[0].count = 0
+    return answers
+
+
 def expedited_us() -> tuple[float, float]:
     """Time of an expedited upload from the request to its response, in us: ours, LocalNode's.
 
-    They take turns.
+    They take turns, each called as its bus calls it: ours by compiled code, LocalNode by Python. A call of
+    ours by Python costs much more than the upload, for any identifier: NumPy writes the type of the
+    node's record as text for each call that takes the record.
     """
     nodes = new_nodes(1)
-    out = new_queue()
-    Device(read_eds(MOTOR), 1, DRIVE402, nodes[0]).power_on(0, out)
-    handle = Entry(core.handle)
-    arguments = (nodes[0], 1000, 0x601, 8, data_word(REQUEST), out)
+    out = new_records(Queue)
+    Device(read_eds(MOTOR), 1, DRIVE402, nodes[0]).power_on(0, out[0])
+    out["count"] = 0
+    upload = Entry(_upload)
 
     def ours() -> None:
-        handle(*arguments)
-        out["count"] = 0
+        answers = upload(nodes, data_word(REQUEST), CALLS, out)
+        if answers != CALLS:
+            raise RuntimeError(f"{answers} responses to {CALLS} requests")
 
     local, network = canopen.LocalNode(1, str(MOTOR)), _Deaf()
     network.add_node(local)
     request = bytearray(REQUEST)
 
     def theirs() -> None:
-        local.sdo.on_request(0x601, request, 0.0)
+        for _ in range(CALLS):
+            local.sdo.on_request(0x601, request, 0.0)
 
     ours()
     times: tuple[list[float], list[float]] = ([], [])
@@ -71,8 +87,7 @@ def expedited_us() -> tuple[float, float]:
 
 def _seconds(function: Callable[[], None]) -> float:
     begin = time.perf_counter()
-    for _ in range(CALLS):
-        function()
+    function()
     return time.perf_counter() - begin
 
 
@@ -134,7 +149,7 @@ def nodes(show: Callable[..., None]) -> None:
     ours, theirs = expedited_us()
     show(
         "expedited SDO upload, request to response: ours against LocalNode's time",
-        f"{ours / theirs:.2f}",
+        f"{ours / theirs:.3f}",
         "at most 0.5",
     )
     bus = NodeBus()

@@ -21,7 +21,7 @@ import math
 
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.own_devices import PRODUCTS
-from coulombus.kernels.decorator import kernel
+from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import coil404, emcy, slots, slots404
 from coulombus.node.profile import BY_ITSELF, BY_RESET, Behaviour, Objects, Profile
 from coulombus.node.record import BrakeFields, NodeRecord
@@ -30,6 +30,8 @@ from coulombus.node.sdo_abort import SdoAbort
 from coulombus.wire.frame import Queue
 
 __all__ = ["BRAKE404", "actuate", "connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start"]
+
+_NO, _YES = constant(0), constant(1)
 
 
 @kernel
@@ -107,7 +109,7 @@ def host_lost(n: NodeRecord, t_ns: int) -> None:
     is set.
     """
     if n.setpoint_armed == 0 or n.values[slots.SETPOINT_AGE_US] <= 0:
-        connection_lost(n, t_ns, 0)
+        connection_lost(n, t_ns, _NO)
 
 
 @kernel
@@ -212,7 +214,7 @@ def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
         if cause == emcy.COIL_SHORT:
             cut(n)
         else:
-            connection_lost(n, t_ns, 1)
+            connection_lost(n, t_ns, _YES)
 
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:

@@ -14,7 +14,7 @@ from dataclasses import replace
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.drive_scale import SCALE_OBJECTS, position_scale
 from coulombus.eds.own_devices import PRODUCTS
-from coulombus.kernels.decorator import kernel
+from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import emcy, slots402, states402
 from coulombus.node.profile import (
     BY_RESET,
@@ -40,6 +40,7 @@ _HOST_LOST = 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING | 1 << emcy.BUS_OFF
 """Causes of CiA 402's connection loss, for which 6007h applies."""
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _SCALED = frozenset((0x2010, 0x607D, 0x6080, *(index for index, _ in SCALE_OBJECTS)))
+_NO, _YES = constant(0), constant(1)
 _COUNTS_REV = 8192.0
 """Counts in one turn of the motor, for a drive that does not state them."""
 
@@ -47,9 +48,9 @@ _COUNTS_REV = 8192.0
 @kernel
 def _apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) -> None:
     if carries & slots402.ACTS_TORQUE:
-        states402.new_setpoint(n, received_ns, False)
+        states402.new_setpoint(n, received_ns, _NO)
     if carries & slots402.ACTS_SPEED:
-        states402.new_setpoint(n, received_ns, True)
+        states402.new_setpoint(n, received_ns, _YES)
     if carries & slots402.ACTS_CONTROLWORD:
         states402.new_controlword(n, t_ns, out)
 
@@ -64,15 +65,15 @@ def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
     if n.abort_by_option and _HOST_LOST >> cause & 1:
         _abort_connection(n, t_ns, cause)
     elif emcy.FAULT_MASK >> cause & 1:
-        states402.fault(n, t_ns, bool(emcy.AT_ONCE_MASK >> cause & 1))
+        states402.fault(n, t_ns, emcy.AT_ONCE_MASK >> cause & 1)
 
 
 @kernel
 def _abort_connection(n: NodeRecord, t_ns: int, cause: int) -> None:
     """Follow 6007h; only a fault by 6007h stays latched until the fault reset."""
-    if states402.connection_lost(n, t_ns, 0):
+    if states402.connection_lost(n, t_ns, _NO):
         n.held |= 1 << cause
-        states402.fault(n, t_ns, False)
+        states402.fault(n, t_ns, _NO)
     else:
         n.held &= ~(1 << cause)
 

@@ -52,12 +52,12 @@ _SPEED_MODES = (_VELOCITY, _CSV)
 MODES = (0, _VELOCITY, _TORQUE, _CSV, _CST)
 """Allowed values of 6060h."""
 
-SLOW, QUICK, _TO_ZERO = 1, 2, 3
+SLOW, QUICK, _TO_ZERO = constant(1), constant(2), constant(3)
 """Ramps: the slow-down ramp (6087h, 6084h), the quick stop ramp (at once, 6085h), and torque by 6087h in
 every mode.
 """
 
-_ENABLED = int(cia402.PowerState.OPERATION_ENABLED)
+_ENABLED = constant(cia402.PowerState.OPERATION_ENABLED)
 _HALT = 0x0100
 _TARGET_REACHED, _SPEED_ZERO, _SLIPPAGE = 0x0400, 0x1000, 0x2000
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF

@@ -28,7 +28,7 @@ from coulombus.eds import cia402
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, Command, PowerState
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
-from coulombus.kernels.decorator import kernel
+from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import emcy, motion402, slots, slots402
 from coulombus.node.motion402 import MODES
 from coulombus.node.record import NodeRecord
@@ -72,6 +72,7 @@ _NO_ACTION, _FAULT_SIGNAL, _QUICK_STOP_COMMAND = (
     3,
 )  # 6007h; 2 is "disable voltage", and so are values that are not allowed
 _STAYS = 5  # 605Ah: from here on the drive stays in Quick Stop Active
+_FAULT, _OFF = constant(PowerState.FAULT), constant(PowerState.SWITCH_ON_DISABLED)
 _RAMP = np.array([0, motion402.SLOW, motion402.QUICK, 0, 0, motion402.SLOW, motion402.QUICK, 0, 0], np.int64)
 """Ramp by option code; 0: at once."""
 
@@ -113,7 +114,7 @@ def _driven(n: NodeRecord) -> bool:
 
 
 @kernel
-def fault(n: NodeRecord, t_ns: int, at_once: bool) -> None:
+def fault(n: NodeRecord, t_ns: int, at_once: int) -> None:
     """Transitions 13 and 14: the fault reaction and FAULT.
 
     Earlier commands have no effect any more.
@@ -121,10 +122,10 @@ def fault(n: NodeRecord, t_ns: int, at_once: bool) -> None:
     n.setpoint_stale = 1
     ramp = _ramp(n.values[slots402.FAULT_OPTION])
     if at_once or ramp == 0 or not _driven(n):
-        _leave_enabled(n, PowerState.FAULT)
+        _leave_enabled(n, _FAULT)
     elif n.power_state != PowerState.FAULT_REACTION_ACTIVE:
         n.power_state = PowerState.FAULT_REACTION_ACTIVE
-        motion402.begin(n, t_ns, ramp, PowerState.FAULT)
+        motion402.begin(n, t_ns, ramp, _FAULT)
 
 
 @kernel
@@ -166,7 +167,7 @@ def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> int:
             if n.power_state == PowerState.OPERATION_ENABLED:
                 _quick_stop(n, t_ns)
             return 0
-    _leave_enabled(n, PowerState.SWITCH_ON_DISABLED)
+    _leave_enabled(n, _OFF)
     return 0
 
 
@@ -229,7 +230,7 @@ def _leave(n: NodeRecord, t_ns: int, following: int) -> None:
 
 
 @kernel
-def new_setpoint(n: NodeRecord, t_ns: int, speed: bool) -> None:
+def new_setpoint(n: NodeRecord, t_ns: int, speed: int) -> None:
     """Apply the set-point in 6071h, or in 60FFh (`speed`), received at `t_ns`, if the mode uses it."""
     if speed != motion402.is_speed_mode(n.mode):
         return

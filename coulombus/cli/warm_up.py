@@ -15,8 +15,9 @@ __all__ = ["warm_up_command"]
 
 
 @click.command("warm-up", epilog=EXIT_STATUS)
+@click.option("--without-arm", is_flag=True, help="Leave out what only an arm in the plane needs.")
 @json_option
-def warm_up_command(as_json: bool) -> None:
+def warm_up_command(as_json: bool, without_arm: bool) -> None:
     """Compile the code of run, emulate, simulate and sweep in advance, with two processes.
 
     It is kept, for every rig, mode and law of the project, until the program or Numba is updated. A
@@ -25,13 +26,13 @@ def warm_up_command(as_json: bool) -> None:
     \b
     Examples:
       coulombus warm-up
-      coulombus warm-up --json
+      coulombus warm-up --without-arm --json
     """
     with errors():
         from coulombus.lab.warm_up import warm_up
 
         with _progress() as report:
-            result = warm_up(report)
+            result = warm_up(report, arm=not without_arm)
         if as_json:
             print_json(result.as_dict())
         elif result.directory is None:

@@ -104,18 +104,26 @@ def _name(function: Callable[..., Any]) -> str:
     return f"{function.__module__}.{function.__qualname__}"
 
 
-def is_warm() -> bool:
-    """Tell whether `warming` has ended for these sources, so that no start compiles."""
-    return JIT_DISABLED or kept(CACHE_DIR, f"warm-{source_stamp()}")
+def _warmed(arm: bool) -> str:
+    return f"warm{'-arm' if arm else ''}-{source_stamp()}"
+
+
+def is_warm(arm: bool = True) -> bool:
+    """Tell whether `warming` has ended for these sources, so that no start compiles.
+
+    Without `arm`, a start with an arm in the plane may still compile.
+    """
+    return JIT_DISABLED or any(kept(CACHE_DIR, _warmed(with_arm)) for with_arm in {True, arm})
 
 
 @contextmanager
-def warming() -> Iterator[None]:
+def warming(arm: bool = True) -> Iterator[None]:
     """Compile all kernels in this context, by processes of `kernels.kernel_cache.leave_lock_to_parent`.
 
-    Every other process that needs a kernel waits for its end.
+    Every other process that needs a kernel waits for its end. Without `arm`, those of an arm in the plane
+    are left out.
     """
-    with alone(CACHE_DIR, f"warm-{source_stamp()}"):
+    with alone(CACHE_DIR, _warmed(arm)):
         yield
 
 

@@ -1,7 +1,8 @@
 """``coulombus warm-up``: compile all that `run`, `emulate`, `simulate` and `sweep` need, before it is needed.
 
 Independent kernels are compiled by two processes at the same time (`coulombus.lab.warm_up_steps`), and
-the loops that call them after that. A rig's size, mode and law change no kernel.
+the loops that call them after that. A rig's size, mode and law change no kernel; an arm in the plane has
+kernels of its own.
 """
 
 from __future__ import annotations
@@ -21,11 +22,17 @@ from coulombus.kernels.compile_notice import compiling
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED, is_warm, warming
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["PHASES", "WarmUp", "WarmUpError", "warm_up"]
+__all__ = ["ARM", "PHASES", "WarmUp", "WarmUpError", "warm_up"]
 
 MODULE = "coulombus.lab.warm_up_steps"
-PHASES: Sequence[Mapping[str, int]] = ({"cycle": 3, "bus": 4}, {"loops": 3})
+PHASES: Sequence[Mapping[str, int]] = (
+    {"cycle": 3, "bus": 4},
+    {"loops": 3, "arm": 3},
+    {"arm_loops": 2},
+)
 """Groups of kernels by phase, with their number of steps; the groups of a phase run at the same time."""
+ARM = frozenset({"arm", "arm_loops"})
+"""Groups that only an arm in the plane needs."""
 
 
 class WarmUpError(CoulombusError):
@@ -58,12 +65,13 @@ class WarmUp:
         }
 
 
-def warm_up(progress: Callable[[int, int], None] | None = None) -> WarmUp:
+def warm_up(progress: Callable[[int, int], None] | None = None, *, arm: bool = True) -> WarmUp:
     """Compile every kernel that is not in the cache; another process that needs one waits for the end.
 
     Parameters
     ----------
     progress : called with the number of finished steps, and of all
+    arm : also compile what only an arm in the plane needs
 
     Raises
     ------
@@ -71,20 +79,21 @@ def warm_up(progress: Callable[[int, int], None] | None = None) -> WarmUp:
         no directory for compiled code can be written, or a compiling process ended
     """
     begin, compiled = time.monotonic(), 0
-    if not is_warm():
+    if not is_warm(arm):
         if CACHE_DIR is None:
             raise WarmUpError("compiled code cannot be kept: no directory can be written; name one by NUMBA_CACHE_DIR")
-        with warming():
-            if not is_warm():  # another process may have compiled all while this one waited
+        with warming(arm):
+            if not is_warm(arm):  # another process may have compiled all while this one waited
                 compiling()
-                compiled = _compile(progress or (lambda done, of: None))
+                compiled = _compile(arm, progress or (lambda done, of: None))
     return WarmUp(compiled, time.monotonic() - begin, None if JIT_DISABLED else CACHE_DIR)
 
 
-def _compile(progress: Callable[[int, int], None]) -> int:
+def _compile(arm: bool, progress: Callable[[int, int], None]) -> int:
     """Run all groups; return the number of functions compiled."""
-    done, of, compiled = 0, sum(sum(groups.values()) for groups in PHASES), 0
-    for groups in PHASES:
+    phases = [{group: steps for group, steps in groups.items() if arm or group not in ARM} for groups in PHASES]
+    done, of, compiled = 0, sum(sum(groups.values()) for groups in phases), 0
+    for groups in phases:
         processes = {group: _start(group) for group in groups}
         counts = dict.fromkeys(groups, 0)
         try:

@@ -4,7 +4,8 @@ It compiles the kernels of one group in steps, and prints the number of function
 after each step.
 
 The groups `cycle` and `bus` run at the same time: they have no kernel in common, except one law, with
-the same types (`tests/lab/test_warm_up.py`). `loops` runs after them: its kernels call all others.
+the same types (`tests/lab/test_warm_up.py`). `loops` and `arm` run after them, at the same time: their
+kernels call those of the first two, and `arm_loops` calls those of all.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from types import MappingProxyType
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.laws.laws import BUILTIN_LAWS, load_law
+from coulombus.host.laws.plane.plane_laws import PLANE_LAWS, load_plane_law
 from coulombus.host.realtime.log_rings import take_log, take_trace
 from coulombus.host.realtime.process import new_buffers
 from coulombus.host.realtime.process import warm_up as load_plane
@@ -34,7 +36,9 @@ from coulombus.node.record import new_nodes
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.trace import TraceRow
-from coulombus.rigs.rig import load_rig
+from coulombus.rigs.kinematics.load_mechanism import compile_mechanism
+from coulombus.rigs.kinematics.mechanisms import MECHANISMS
+from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.can_bus.arbiter import new_bus, start_frame
 from coulombus.sim_bus.can_bus.error_path import attempt
 from coulombus.sim_bus.can_bus.frame_result import end_attempt
@@ -50,7 +54,20 @@ from coulombus.wire.frame import frames, new_queue
 
 __all__ = ["GROUPS", "main"]
 
-RIG, MODE = "bench", "hybrid"
+RIG, ARM_RIG, MODE = "bench", "plane", "hybrid"
+
+
+def _load_plane(rig: Rig) -> None:
+    """Compile the host's data plane, and what reads its logs."""
+    controllers = Controllers(rig, MODE)
+    shared = SharedPlane.create(len(controllers.each))
+    controllers.adopt(shared.axes)
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, its:
+        load_plane(shared, new_buffers([its.fileno()], shared), controllers.law_function, controllers.arm)
+    take_log(shared.plane, shared.ring, frames(1))
+    take_trace(shared.plane, shared.trace, new_records(TraceRow))
+    shared.close()
 
 
 def _cycle() -> Iterator[None]:
@@ -66,15 +83,7 @@ def _cycle() -> Iterator[None]:
         Entry(part.on_frame).load(device.record, 0, 0, 0, 0, out)
         Entry(part.confinement_changed).load(device.record, 0, 0, out)
     yield
-    controllers = Controllers(rig, MODE)
-    shared = SharedPlane.create(len(controllers.each))
-    controllers.adopt(shared.axes)
-    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with ours, its:
-        load_plane(shared, new_buffers(its.fileno(), shared), controllers.law_function)
-    take_log(shared.plane, shared.ring, frames(1))
-    take_trace(shared.plane, shared.trace, new_records(TraceRow))
-    shared.close()
+    _load_plane(rig)
 
 
 def _bus() -> Iterator[None]:
@@ -103,6 +112,11 @@ def _loops() -> Iterator[None]:
     rig = load_rig(RIG)
     SimServer(rig, BusAddress("coulombus", f"warm-up-{os.getpid()}")).close()
     yield
+    yield from _virtual(rig)
+
+
+def _virtual(rig: Rig) -> Iterator[None]:
+    """Compile both forms of the loop in virtual time for a rig of this kind."""
     world = VirtualRig(rig, MODE)
     switch_on(world)
     world.start_host()
@@ -112,7 +126,28 @@ def _loops() -> Iterator[None]:
     world.wait_ns(1)
 
 
-GROUPS: Mapping[str, Callable[[], Iterator[None]]] = MappingProxyType({"cycle": _cycle, "bus": _bus, "loops": _loops})
+def _arm() -> Iterator[None]:
+    """Compile laws, mechanisms, plant and data plane of an arm in the plane."""
+    for name in PLANE_LAWS:
+        load_plane_law(name)
+    yield
+    for mechanism in MECHANISMS.values():
+        compile_mechanism(mechanism, guarded=False)
+    plants = new_records(PlantRecord)
+    plants["plane"]["on"] = 1
+    course_of(plants)
+    yield
+    _load_plane(load_rig(ARM_RIG))
+
+
+def _arm_loops() -> Iterator[None]:
+    """Compile both forms of the loop in virtual time for an arm in the plane."""
+    yield from _virtual(load_rig(ARM_RIG))
+
+
+GROUPS: Mapping[str, Callable[[], Iterator[None]]] = MappingProxyType(
+    {"cycle": _cycle, "bus": _bus, "loops": _loops, "arm": _arm, "arm_loops": _arm_loops}
+)
 """The groups' functions, which yield between their steps."""
 
 

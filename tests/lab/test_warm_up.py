@@ -5,29 +5,35 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from coulombus.kernels.decorator import JIT_DISABLED
+from coulombus.kernels import decorator
+from coulombus.kernels.decorator import JIT_DISABLED, is_warm, warming
 from coulombus.kernels.sources import source_stamp
 from coulombus.lab import warm_up as module
-from coulombus.lab.warm_up import PHASES, WarmUp, WarmUpError, warm_up
+from coulombus.lab.warm_up import ARM, PHASES, WarmUp, WarmUpError, warm_up
 from coulombus.lab.warm_up_steps import GROUPS
 from places import ROOT
 
 COMPILED = pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 FAULTS = str(ROOT / "examples" / "faults.toml")
-CYCLE = """
-import os
-from coulombus.host.laws.laws import load_law
-from coulombus.kernels.compile_notice import compiled
-from coulombus.lab.warm_up_steps import GROUPS
+WORLD = """
+from coulombus import simulate
+from coulombus.host.world.model_parts import Wall
 
-list(GROUPS["cycle"]())
-print(compiled())
+simulate("bench", "hybrid", 0.2, world=lambda state: Wall(0.0, 2.0))
+"""
+
+
+NOISE = """
+[[fault]]
+kind = "noise"
+rate = 1e-4
 """
 
 
@@ -67,21 +73,21 @@ def test_without_a_compiler_nothing_is_compiled():
 
 
 def test_what_is_warm_is_compiled_no_more(monkeypatch):
-    monkeypatch.setattr(module, "is_warm", lambda: True)
+    monkeypatch.setattr(module, "is_warm", lambda arm: True)
     monkeypatch.setattr(module, "_start", None)
     assert warm_up().compiled == 0
 
 
 def test_what_another_process_compiled_meanwhile_is_compiled_no_more(monkeypatch, tmp_path):
     answers = iter((False, True))
-    monkeypatch.setattr(module, "is_warm", lambda: next(answers))
+    monkeypatch.setattr(module, "is_warm", lambda arm: next(answers))
     monkeypatch.setattr(module, "CACHE_DIR", tmp_path)
     monkeypatch.setattr(module, "_start", None)
     assert warm_up().compiled == 0
 
 
 def test_without_a_place_for_the_code_the_remedy_is_named(monkeypatch):
-    monkeypatch.setattr(module, "is_warm", lambda: False)
+    monkeypatch.setattr(module, "is_warm", lambda arm: False)
     monkeypatch.setattr(module, "CACHE_DIR", None)
     with pytest.raises(WarmUpError, match="name one by NUMBA_CACHE_DIR") as error:
         warm_up()
@@ -94,7 +100,7 @@ def started(monkeypatch, text):
     def start(group):
         return subprocess.Popen([sys.executable, "-c", text, group], stdout=subprocess.PIPE, bufsize=0)
 
-    monkeypatch.setattr(module, "is_warm", lambda: False)
+    monkeypatch.setattr(module, "is_warm", lambda arm: False)
     monkeypatch.setattr(module, "CACHE_DIR", Path())
     monkeypatch.setattr(module, "_start", start)
 
@@ -114,6 +120,22 @@ def test_a_group_that_ends_early_is_an_error(monkeypatch, end, how):
     started(monkeypatch, kill if end == "kill" else "print(1, flush=True); raise SystemExit(3)")
     with pytest.raises(WarmUpError, match=how):
         warm_up()
+
+
+def test_without_an_arm_its_groups_are_left_out(monkeypatch):
+    started(monkeypatch, "print(1)")
+    assert warm_up(arm=False).compiled == len(GROUPS) - len(ARM)
+
+
+@COMPILED
+def test_what_is_warm_for_an_arm_is_warm_for_all(monkeypatch, tmp_path):
+    monkeypatch.setattr(decorator, "CACHE_DIR", tmp_path)
+    warm = []
+    for arm in (False, True):
+        with warming(arm):
+            pass
+        warm += [is_warm(arm=False), is_warm()]
+    assert warm == [True, False, True, True]
 
 
 def test_the_result_for_json_is_plain():
@@ -137,14 +159,20 @@ def test_the_stamp_of_the_sources_changes_with_their_place_and_time(tmp_path, mo
 @COMPILED
 @pytest.mark.slow
 def test_the_groups_of_a_phase_compile_no_kernel_in_common(tmp_path):
-    files = []
-    for group in PHASES[0]:
-        folder = tmp_path / group
-        text = f"from coulombus.lab.warm_up_steps import GROUPS; list(GROUPS[{group!r}]())"
-        python("-c", text, NUMBA_CACHE_DIR=str(folder))
-        files.append({re.sub(r"kernels-[0-9a-f]+", "", path).partition(".py3")[0] for path in kernels(folder)})
-    common = files[0] & files[1]
-    assert {path.rpartition("/")[2].rpartition("-")[0] for path in common} == {"karnopp.karnopp"}
+    base = tmp_path / "base"
+    base.mkdir()
+    for groups in PHASES:
+        before, files = kernels(base), []
+        for group in groups:
+            folder = tmp_path / group
+            shutil.copytree(base, folder)
+            text = f"from coulombus.lab.warm_up_steps import GROUPS; list(GROUPS[{group!r}]())"
+            python("-c", text, NUMBA_CACHE_DIR=str(folder))
+            files.append({path.partition(".py3")[0] for path in kernels(folder) - before})
+        common = set.intersection(*files) if len(files) > 1 else set()
+        assert {path.rpartition("/")[2].rpartition("-")[0] for path in common} <= {"karnopp.karnopp"}
+        for group in groups:
+            shutil.copytree(tmp_path / group, base, dirs_exist_ok=True)
 
 
 @COMPILED
@@ -156,11 +184,16 @@ def test_after_a_warm_up_no_verb_compiles(tmp_path):
     first = json.loads(coulombus("warm-up", "--json", **variables))
     assert first["compiled"] > 300
     before = kernels(tmp_path)
+    noise = tmp_path / "noise.toml"
+    noise.write_text(NOISE)
     assert re.fullmatch("nothing to compile: all is kept in .*\n", coulombus("warm-up", **variables))
     quiet = ("--seconds", "0.2")
     coulombus("simulate", *quiet, "--record", tmp_path / "run.pcapng", **variables)
     coulombus("simulate", *quiet, "--faults", FAULTS, **variables)
     coulombus("simulate", *quiet, "--rig", "two_axes", "--set", "axis.left.plant.stribeck_Nm=0.03", **variables)
+    coulombus("simulate", *quiet, "--rig", "plane", "--truth", tmp_path / "truth.npz", **variables)
+    coulombus("simulate", *quiet, "--rig", "plane", "--faults", noise, **variables)
+    python("-c", WORLD, **variables)
     emulation = subprocess.Popen(
         [sys.executable, "-m", "coulombus", "emulate", "--bus", f"coulombus:warm-{os.getpid()}", "--json"],
         cwd=ROOT,
@@ -179,5 +212,6 @@ def test_after_a_warm_up_no_verb_compiles(tmp_path):
             'host.deadman="none"',
         )
         coulombus(*run, **variables)
+        coulombus(*run, "--world", **variables)
         emulation.terminate()
     assert kernels(tmp_path) == before

@@ -106,7 +106,7 @@ def run_real_demo(
     directory.mkdir(parents=True, exist_ok=True)
     seconds = rig.schedule_s
     results: dict[str, RunResult] = {}
-    warm_up()
+    warm_up(arm=rig.kinematics is not None)
     with ExitStack() as stack:
         sims = {}
         for mode in DEMO_MODES:  # all at once: the second is ready when the first run is over

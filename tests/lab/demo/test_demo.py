@@ -90,7 +90,8 @@ def test_all_is_compiled_before_a_simulation_starts(monkeypatch, tmp_path):
     class Compiles(Exception):
         pass
 
-    def warm_up():
+    def warm_up(arm):
+        assert not arm
         raise Compiles
 
     monkeypatch.setattr(real_demo, "warm_up", warm_up)
