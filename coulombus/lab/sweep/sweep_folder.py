@@ -45,6 +45,8 @@ PART_RUNS = 64
 ROW_GROUP = 1024
 PART_S = 800.0
 """Maximum rows and display time [s] of a part: the loss by a power cut."""
+LEAST_PART_S = 100.0
+"""Display time [s] that a part has if its rows allow it: to sync a part takes as long as 13 s of display."""
 
 
 class SweepFolderError(CoulombusError):
@@ -90,7 +92,8 @@ class Folder:
         """
         library("pyarrow.parquet", "a table of runs")
         seconds = sweep.seconds or sweep.rig.schedule_s
-        rows = max(1, min(PART_RUNS, math.ceil(sweep.runs / PART_RUNS), int(PART_S / seconds)))
+        least = max(math.ceil(sweep.runs / PART_RUNS), int(LEAST_PART_S / seconds))
+        rows = max(1, min(PART_RUNS, least, int(PART_S / seconds)))
         with _held(path):
             folder = cls(path, sweep, rows)
             folder._begin(force=force)
@@ -162,7 +165,9 @@ class Folder:
         for place in sorted((self.path / "parts").glob("[0-9]*.parquet")):
             rows = {row["run"]: row for row in parquet.read_table(place).to_pylist()}
             number = int(place.stem)
-            if len(rows) == len(self._runs_of(number)):
+            if not rows.keys() <= set(self._runs_of(number)):
+                place.unlink()  # of parts of another size: its runs are repeated
+            elif len(rows) == len(self._runs_of(number)):
                 self._complete.add(number)
             else:
                 self._parts[number] = rows

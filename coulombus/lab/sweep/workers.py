@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
@@ -26,6 +27,8 @@ MODULE = "coulombus.lab.sweep.worker"
 WAITING = 256
 """Runs submitted to a cluster at a time."""
 CONNECT_S = 10
+AHEAD = 2
+"""Runs that a local process has at a time: it goes on while this process writes the table."""
 MOST_STARTS = 3
 """Failures before the first run after which a worker counts as unable to start."""
 
@@ -37,7 +40,7 @@ class ClusterError(CoulombusError):
 
 
 class _Worker:
-    """A process, and its present run."""
+    """A process, and its runs: the present one, and the next."""
 
     def __init__(self, job: Job) -> None:
         ours, its = socket.socketpair()
@@ -54,13 +57,13 @@ class _Worker:
             )
         self.line = Connection(ours.detach())
         self.ready = False
-        self.order: RunRequest | None = None
+        self.orders = deque[RunRequest]()
         with suppress(OSError):  # it has ended: the waiting reader notices
             self.line.send(job)
 
     def take(self, order: RunRequest) -> None:
         """Send it a run."""
-        self.order = order
+        self.orders.append(order)
         with suppress(OSError):
             self.line.send(order)
 
@@ -103,18 +106,21 @@ def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator
                     stillborn += not worker.ready
                     if stillborn >= MOST_STARTS:
                         raise RuntimeError(f"the processes of the sweep end {how} before their first run") from None
-                    if worker.order is not None:
-                        yield FinishedRun(failed_row(job, worker.order, f"the process of the run ended {how}"))
+                    order = worker.orders.popleft() if worker.orders else None
+                    waiting.extend(reversed(worker.orders))
                     if waiting:
                         workers.append(_Worker(job))
+                    if order is not None:
+                        yield FinishedRun(failed_row(job, order, f"the process of the run ended {how}"))
                     continue
                 worker.ready = True
                 if isinstance(answer, OSError):
                     raise answer
-                worker.order = None
-                if waiting:
+                if answer is not None:
+                    worker.orders.popleft()
+                while waiting and len(worker.orders) < (AHEAD if len(waiting) > len(workers) else 1):
                     worker.take(waiting.pop())
-                else:
+                if not worker.orders:
                     worker.end()
                     workers.remove(worker)
                 if answer is not None:

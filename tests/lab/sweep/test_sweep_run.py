@@ -306,6 +306,22 @@ def test_a_killed_process_costs_one_run(sweep_file, monkeypatch):
     assert all(worker.process.poll() is not None for worker in started)
 
 
+def test_a_process_has_its_next_run_before_the_present_is_done(sweep_file, monkeypatch):
+    sweep = read_sweep(sweep_file())
+    orders = [order_of(sweep, run) for run in range(sweep.runs)]
+    held, own = [], workers._Worker.take
+
+    def take(worker, order):
+        own(worker, order)
+        held.append(len(worker.orders))
+
+    monkeypatch.setattr(workers._Worker, "take", take)
+    assert sorted(done.row["run"] for done in on_processes(Job.of(sweep), orders, 1)) == list(range(6))
+    assert held[:2] == [1, 2]
+    assert held[-1] == 1
+    assert max(held) == 2
+
+
 def test_processes_that_cannot_start_end_the_sweep(sweep_file, monkeypatch):
     sweep = read_sweep(sweep_file())
     monkeypatch.setattr(workers, "MODULE", "coulombus.lab.sweep.none")
@@ -422,6 +438,7 @@ def test_maps_are_pictures_and_the_same_each_time(sweep_file, tmp_path, at_once,
 
 def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, tmp_path, monkeypatch, at_once):
     sweep = read_sweep(sweep_file())
+    monkeypatch.setattr("coulombus.lab.sweep.sweep_folder.LEAST_PART_S", 0.0)
     own, written = workers, []
     from coulombus.lab.sweep import sweep_folder
 
@@ -446,8 +463,9 @@ def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, 
     assert own is workers
 
 
-def test_a_torn_part_is_none(sweep_file, tmp_path, at_once):
+def test_a_torn_part_is_none(sweep_file, tmp_path, at_once, monkeypatch):
     """A power cut leaves files under their first names, never a torn one under its last."""
+    monkeypatch.setattr("coulombus.lab.sweep.sweep_folder.LEAST_PART_S", 0.0)
     sweep = read_sweep(sweep_file())
     (tmp_path / "out" / "parts").mkdir(parents=True)
     with Folder.open(tmp_path / "out", sweep) as kept:
@@ -456,6 +474,26 @@ def test_a_torn_part_is_none(sweep_file, tmp_path, at_once):
     with Folder.open(tmp_path / "out", sweep) as kept:
         assert kept.left == [1, 2, 3, 4, 5]
     assert not list((tmp_path / "out" / "parts").glob(".*"))
+
+
+def test_parts_of_another_size_are_carried_out_again(sweep_file, tmp_path, at_once, monkeypatch):
+    sweep, out = read_sweep(sweep_file()), tmp_path / "out"
+    monkeypatch.setattr("coulombus.lab.sweep.sweep_folder.PART_RUNS", 2)
+    with Folder.open(out, sweep) as kept:
+        for run in range(4):
+            kept.add(carry_out(Job.of(sweep), order_of(sweep, run)).row)
+    monkeypatch.setattr("coulombus.lab.sweep.sweep_folder.PART_RUNS", 3)
+    with Folder.open(out, sweep) as kept:
+        assert kept.left == [2, 3, 4, 5]
+    run_sweep(sweep, out)
+    run_sweep(sweep, tmp_path / "whole")
+    assert table(out) == table(tmp_path / "whole")
+
+
+def test_a_short_sweep_is_written_as_one_part(sweep_file, tmp_path):
+    sweep = read_sweep(sweep_file())
+    with Folder.open(tmp_path / "out", sweep) as kept:
+        assert kept.rows_of_part > sweep.runs
 
 
 def test_the_result_is_what_the_verb_prints(sweep_file, tmp_path, at_once):
