@@ -78,6 +78,8 @@ def trip_text(axis: Axis, control: Records, host: Records) -> str | None:
             f"; {int(host['lost_pdos'][0])} cycles lacked a TPDO within bus.tpdo_window_s, and a handle whose position does not "
             "come does not count as still"
         )
+    if trip is Trip.NET_WORK and axis.world is not None:
+        text += ", and whether the world outside gives more energy than it takes"
     if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.EMCY_SENSOR):
         text += f" (error code {int(host['emcy_code'][0]):04X}h)"
     return axis.said(text)

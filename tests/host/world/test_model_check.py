@@ -2,10 +2,13 @@ import math
 
 import pytest
 
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.records import Trip
 from coulombus.host.world.model_check import RANGES, why_not
 from coulombus.host.world.model_parts import LinearField, Model, Spring, TorqueProfile, Wall, model_of
 from coulombus.host.world.records import MODEL
 from coulombus.rigs.arguments import WrongCall
+from coulombus.rigs.rig import load_rig
 
 WHOLE = Model(
     wall=Wall(0.5, 4.0, 0.25, side="below"),
@@ -118,3 +121,11 @@ def test_what_a_function_returns_is_a_model_or_its_parts():
     assert model_of(WHOLE) is WHOLE
     assert model_of(wall) == Model(wall=wall)
     assert model_of([spring, wall]) == Model(wall=wall, spring=spring)
+
+
+@pytest.mark.parametrize("outside", [False, True])
+def test_a_trip_by_the_motors_energy_names_the_world_where_there_is_one(outside):
+    rig = load_rig("bench")
+    controller = Controllers(rig.with_world() if outside else rig, "hybrid").each[0]
+    controller.host["trip"] = Trip.NET_WORK
+    assert ("whether the world outside gives more energy than it takes" in controller.trip) is outside
