@@ -35,6 +35,13 @@ def test_the_latch_opens():
     assert events[0][1] == "open"
 
 
+def test_a_local_model_is_still_where_a_stream_of_torques_shakes():
+    example = runpy.run_path(str(FOLDER / "stability_map.py"))
+    maps = example["in_virtual_time"](rates_Hz=(30, 1000), delays_ms=(0, 20))
+    assert (maps["local model"] < example["STILL_RAD_S"]).all()
+    assert (maps["torque stream"] < example["STILL_RAD_S"]).tolist() == [[False, False], [True, False]]
+
+
 @pytest.mark.parametrize("dtype", [MODEL, STATE])
 def test_the_page_has_each_byte_of_the_record(dtype):
     kinds = {"i8": "i64", "f8": "f64", "f4": "f32"}
