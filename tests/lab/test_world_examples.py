@@ -1,10 +1,13 @@
 """The worlds of examples/worlds, in virtual time."""
 
 import runpy
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from coulombus import Model, Spring, Wall
 from coulombus.host.world.records import MODEL, STATE
 from places import ROOT
 
@@ -40,6 +43,118 @@ def test_a_local_model_is_still_where_a_stream_of_torques_shakes():
     maps = example["in_virtual_time"](rates_Hz=(30, 1000), delays_ms=(0, 20))
     assert (maps["local model"] < example["STILL_RAD_S"]).all()
     assert (maps["torque stream"] < example["STILL_RAD_S"]).tolist() == [[False, False], [True, False]]
+
+
+class FakeHand:
+    """A display whose handle turns by 0.01 rad in each state."""
+
+    def __init__(self):
+        self.rendered, self.levels, self.x_rad = [], [], 0.0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    @property
+    def state(self):
+        return SimpleNamespace(x_rad=self.x_rad, v_rad_s=10.0, handle_Nm=-0.5)
+
+    def next(self):
+        self.x_rad += 0.01
+        return self.state
+
+    def render(self, model):
+        self.rendered.append(model)
+
+    def set(self, **parameters):
+        self.levels.append(parameters)
+
+
+def test_a_ros_topic_holds_for_its_time_and_no_longer():
+    example = runpy.run_path(str(FOLDER / "ros2_node.py"))
+    commands = example["Commands"]()
+    assert commands.model(0.0) == Model(life_s=0.2)
+    assert commands.take("wall", [0.5, 8.0, 0.1], 1.0) is None
+    assert commands.take("spring", [0.1, 2.0, 0.0], 1.1) is None
+    assert commands.take("friction", [2.0, 1.5], 1.1) is None
+    assert commands.take("wall", [0.5, 8.0], 1.15) == "wall: expected 3 numbers, got 2"
+    model = commands.model(1.15)
+    assert (model.wall, model.spring) == (Wall(0.5, 8.0, 0.1), Spring(0.1, 2.0))
+    assert model.parameters == {"F_s_Nm": 2.0, "F_d_Nm": 1.5}
+    assert commands.model(1.25).wall is None
+    assert commands.model(1.35) == Model(life_s=0.2)
+
+
+def test_a_ros_node_publishes_states_and_renders_what_its_topics_say(monkeypatch):
+    hand, published, topics = FakeHand(), [], {}
+
+    class Node:
+        def create_publisher(self, kind, topic, depth):
+            assert topic == "handle/joint_states"
+            return SimpleNamespace(publish=published.append)
+
+        def create_subscription(self, kind, topic, take, depth):
+            topics[topic] = take
+
+        def create_timer(self, period_s, tick):
+            self.tick = tick
+
+        def get_clock(self):
+            return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: "now"))
+
+    def spin(node):
+        topics["handle/wall"](SimpleNamespace(data=[0.3, 4.0, 0.0]))
+        node.tick()
+
+    def message(**fields):
+        return SimpleNamespace(header=SimpleNamespace(stamp=None), **fields)
+
+    ros = {
+        "rclpy": SimpleNamespace(init=lambda: None, create_node=lambda name: Node(), spin=spin),
+        "sensor_msgs.msg": SimpleNamespace(JointState=message),
+        "std_msgs.msg": SimpleNamespace(Float64MultiArray=None),
+    }
+    for name, module in {**ros, "sensor_msgs": None, "std_msgs": None}.items():
+        monkeypatch.setitem(sys.modules, name, module or SimpleNamespace())
+    monkeypatch.setattr("coulombus.connect", lambda bus: hand)
+    runpy.run_path(str(FOLDER / "ros2_node.py"))["main"]()
+    assert set(topics) == {"handle/wall", "handle/spring", "handle/friction"}
+    assert vars(published[0]) == {
+        "header": SimpleNamespace(stamp="now"),
+        "name": ["handle"],
+        "position": [0.0],
+        "velocity": [10.0],
+        "effort": [-0.5],
+    }
+    assert [model.wall for model in hand.rendered] == [Wall(0.3, 4.0)]
+
+
+def test_the_trials_of_psychopy_display_both_levels_and_judge_the_answer(monkeypatch, capsys):
+    hand = FakeHand()
+    clock = SimpleNamespace(reset=lambda: setattr(hand, "x_rad", 0.0), getTime=lambda: 10.0 * hand.x_rad)
+    psychopy = SimpleNamespace(
+        core=SimpleNamespace(Clock=lambda: clock),
+        event=SimpleNamespace(waitKeys=lambda keyList: ["1"]),
+        visual=SimpleNamespace(
+            Window=lambda fullscr: SimpleNamespace(flip=lambda: None),
+            TextStim=lambda window: SimpleNamespace(draw=lambda: None, text=""),
+        ),
+    )
+    monkeypatch.setitem(sys.modules, "psychopy", psychopy)
+    monkeypatch.setattr("coulombus.connect", lambda bus: hand)
+    example = runpy.run_path(str(FOLDER / "psychopy_trials.py"))
+    example["main"](trials=4)
+    head, *rows = capsys.readouterr().out.splitlines()
+    assert head == "trial,first_Nm,second_Nm,answer,right,way_1_rad,way_2_rad"
+    levels = [pair for trial in range(4) for pair in example["levels_of"](trial)[0]]
+    assert [parameters["F_d_Nm"] for parameters in hand.levels] == levels
+    for trial, row in enumerate(rows):
+        _, first, second, answer, right, *ways = row.split(",")
+        assert (answer, right) == ("1", str(int(float(first) > float(second))))
+        assert ways == ["0.300", "0.300"]
+        assert [float(first), float(second)] == example["levels_of"](trial)[0]
 
 
 @pytest.mark.parametrize("dtype", [MODEL, STATE])
