@@ -7,5 +7,5 @@ ONE_CYCLE = (
     'axis.elbow.bus.channel="b"',
     "bus.period_s=0.001",
     "bus.tpdo_window_s=800e-6",
-    "law.velocity_window_cycles=6",
+    "law.velocity_window_cycles=8",
 )
