@@ -18,6 +18,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.laws.laws import BUILTIN_LAWS, load_law
 from coulombus.host.laws.plane.plane_laws import PLANE_LAWS, load_plane_law
@@ -129,7 +131,7 @@ def _virtual(rig: Rig) -> Iterator[None]:
 def _arm() -> Iterator[None]:
     """Compile laws, mechanisms, plant and data plane of an arm in the plane."""
     for name in PLANE_LAWS:
-        load_plane_law(name)
+        load_plane_law(name).along((0.0, 1e-3), np.zeros((2, 2)))
     yield
     for mechanism in MECHANISMS.values():
         compile_mechanism(mechanism, guarded=False)
