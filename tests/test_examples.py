@@ -90,8 +90,8 @@ def test_every_study_file_can_be_read():
 
 
 def test_every_sweep_file_can_be_read():
-    found = [read_sweep(path) for path in EXAMPLES.glob("sweep_*.toml")]
-    assert [sweep.runs for sweep in found] == [128]
+    found = [read_sweep(path) for path in sorted(EXAMPLES.glob("sweep_*.toml"))]
+    assert [sweep.runs for sweep in found] == [128, 400]
 
 
 def test_on_the_elastic_rig_hybrid_holds_still_with_damping_alone():

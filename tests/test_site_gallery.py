@@ -41,7 +41,7 @@ def test_each_picture_of_the_page_is_written_by_a_command_above_it():
 def test_each_section_with_a_figure_has_a_command_and_a_picture():
     sections = re.split(r"^(?=## )", TEXT, flags=re.M)[1:-1]
     for section in sections:
-        assert re.search(r"^    coulombus ", section, re.M), section
+        assert re.search(r"^    (coulombus|python) ", section, re.M), section
         assert gallery.DRAWN.search(section) or re.search(r"^!\[.+\]\(\w+\.png\)$", section, re.M), section
 
 

@@ -62,13 +62,13 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "doctor": "Check whether this PC is fit for a rig",
         "systemd": "Write systemd units for host, simulation and bridge",
         "eds": "Check EDS and DCF files",
-        "warm-up": "Compile in advance what all commands need",
     },
     "Theory, tools, help": {
         "pdo": "Draw the rig's PDOs bit by bit",
         "dbc": "Write a DBC file of the rig's PDOs",
         "tools": "Write files for Wireshark, cantools, PlotJuggler, Foxglove",
         "analyse": "Compute the theory of the paper, with figures",
+        "warm-up": "Compile in advance what all commands need",
         "help": "Explain a command, list them all, or the exit statuses",
     },
 }
