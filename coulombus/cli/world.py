@@ -39,7 +39,7 @@ PORT = 8643
 @click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after this many seconds.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object: ready, with the URL.")
 def world(bus_text: str, page: Path | None, web_port: int, web_host: str, seconds: float | None, as_json: bool) -> None:
-    """Let WebSocket clients use the display of `coulombus run --world`: browsers, Unity, MATLAB.
+    """Let WebSocket clients use the display of `coulombus run --world`: browsers, game engines.
 
     Prints the address, which has the token. A client connects to ws://.../TOKEN/world.
 

@@ -234,6 +234,8 @@ class WorldServer:
             by_fd[program.connection.fileno()] = program
         ready = dict(poll.poll(LOOK_S * 1000))
         if self._stop.fileno() in ready:
+            if not self._states_over:
+                self._pass_on_states()  # the last ones
             return False
         if self._states.fileno() in ready:
             self._pass_on_states()
