@@ -12,7 +12,6 @@ All URLs begin with the token, as on the live page::
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+import tornado.httpserver
 import tornado.web
 
 from coulombus.explain.explained import Explanation
@@ -29,7 +29,7 @@ from coulombus.monitor.live_incidents import incident_rows
 from coulombus.monitor.web.capture import ROWS
 from coulombus.monitor.web.guard import Handler, Nothing, Static
 from coulombus.monitor.web.page_state import incident_dict
-from coulombus.monitor.web.server import end_on_signal, listening, named
+from coulombus.monitor.web.server import listening, named, serve_until
 from coulombus.recording.signals import Recording, Series
 
 __all__ = ["PIECES", "RecordingPage", "recording_application", "serve_recording"]
@@ -197,18 +197,5 @@ def serve_recording(
     """
     sockets = listening(host, port)
     page = RecordingPage(recording, explanation, token, named(host))
-
-    async def run() -> None:
-        async with end_on_signal(seconds) as over:
-            server = tornado.httpserver.HTTPServer(recording_application(page))
-            server.add_sockets(sockets)
-            ready(f"http://{page.name}:{sockets[0].getsockname()[1]}/{token}/")
-            await over.wait()
-            server.stop()
-            await server.close_all_connections()
-
-    try:
-        asyncio.run(run())
-    finally:
-        for socket_ in sockets:
-            socket_.close()
+    server = tornado.httpserver.HTTPServer(recording_application(page))
+    serve_until(server, sockets, lambda at: ready(f"http://{page.name}:{at}/{token}/"), seconds)

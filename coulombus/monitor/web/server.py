@@ -30,7 +30,7 @@ from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.client import Client
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve"]
+__all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve", "serve_until"]
 
 CONNECTIONS = 128
 """Maximum open connections besides the pages' sockets: another one replaces the oldest."""
@@ -236,6 +236,37 @@ async def end_on_signal(seconds: float | None) -> AsyncIterator[asyncio.Event]:
             yield over
         finally:
             loop.remove_reader(stop.fileno())
+
+
+def serve_until(
+    server: tornado.httpserver.HTTPServer,
+    sockets: list[socket.socket],
+    ready: Callable[[int], None],
+    seconds: float | None,
+    leave: Callable[[], None] = lambda: None,
+) -> None:
+    """Serve at listening sockets until a signal, or for `seconds`, and close them.
+
+    Parameters
+    ----------
+    ready : called with the port when it is served
+    leave : called at the end, to close WebSockets
+    """
+
+    async def run() -> None:
+        async with end_on_signal(seconds) as over:
+            server.add_sockets(sockets)
+            ready(sockets[0].getsockname()[1])
+            await over.wait()
+            server.stop()
+            leave()
+            await server.close_all_connections()
+
+    try:
+        asyncio.run(run())
+    finally:
+        for listener in sockets:
+            listener.close()
 
 
 async def _pause(over: asyncio.Event, seconds: float) -> None:

@@ -26,7 +26,7 @@ import tornado.websocket
 
 from coulombus.monitor.web.access import same_origin
 from coulombus.monitor.web.guard import FORBIDDEN, Guarded, Handler, Nothing
-from coulombus.monitor.web.server import end_on_signal, listening, named
+from coulombus.monitor.web.server import listening, named, serve_until
 from coulombus.system.errors import CoulombusError
 
 __all__ = ["ClientRelay", "Gateway", "gateway_application", "serve_gateway"]
@@ -229,21 +229,11 @@ def serve_gateway(
     """
     sockets = listening(host, port)
     gateway.name = named(host)
+    limits = {"max_header_size": 16384, "max_body_size": 4096, "idle_connection_timeout": IDLE_S}
+    server = tornado.httpserver.HTTPServer(gateway_application(gateway), **limits)
 
-    async def run() -> None:
-        async with end_on_signal(seconds) as over:
-            limits = {"max_header_size": 16384, "max_body_size": 4096, "idle_connection_timeout": IDLE_S}
-            server = tornado.httpserver.HTTPServer(gateway_application(gateway), **limits)
-            server.add_sockets(sockets)
-            ready(f"http://{gateway.name}:{sockets[0].getsockname()[1]}/{gateway.token}/")
-            await over.wait()
-            server.stop()
-            for client in list(gateway.clients):
-                client.close(GOING_AWAY, "the gateway ends")
-            await server.close_all_connections()
+    def leave() -> None:
+        for client in list(gateway.clients):
+            client.close(GOING_AWAY, "the gateway ends")
 
-    try:
-        asyncio.run(run())
-    finally:
-        for socket_ in sockets:
-            socket_.close()
+    serve_until(server, sockets, lambda at: ready(f"http://{gateway.name}:{at}/{gateway.token}/"), seconds, leave)
