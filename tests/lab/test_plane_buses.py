@@ -75,9 +75,9 @@ def test_a_wrong_set_point_on_the_second_bus_is_found_by_the_replay(shown, tmp_p
     assert len(packets) == np.count_nonzero(read(shown[1]).frames["can_id"] == 0x203)
     data[packets[6000] + 2] ^= 1  # 6071h
     broken.write_bytes(data)
-    found = host_replay(broken)
-    assert found.difference is not None
-    assert found.difference.name == "elbow.motor.RPDO1"
+    difference = host_replay(broken).difference
+    assert difference is not None
+    assert difference.name == "elbow.motor.RPDO1"
 
 
 def test_faults_strike_an_arm_of_one_bus_only(tmp_path):

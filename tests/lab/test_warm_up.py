@@ -67,8 +67,8 @@ def test_the_phases_list_every_group_once_with_its_steps():
 
 
 def test_without_a_compiler_nothing_is_compiled():
-    told = coulombus("warm-up", NUMBA_DISABLE_JIT="1")
-    assert told == "NUMBA_DISABLE_JIT=1: nothing is compiled\n"
+    output = coulombus("warm-up", NUMBA_DISABLE_JIT="1")
+    assert output == "NUMBA_DISABLE_JIT=1: nothing is compiled\n"
     assert json.loads(coulombus("warm-up", "--json", NUMBA_DISABLE_JIT="1"))["directory"] is None
 
 

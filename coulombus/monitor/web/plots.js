@@ -48,6 +48,13 @@ class Plot {
     const points = this.kind === "friction" ? null : this.lines(data);
     if (points) this.fit(points);
     else this.fitFriction(data);
+    const {ctx, a} = this.within(1, (ctx, a) => points ? this.curves(ctx, a, points) : this.phase(ctx, a, data));
+    if (data.marks) data.marks(ctx, a);
+    this.pointer(ctx, a);
+  }
+
+  // Draw the grid, and what `paint` draws within it: no further than `margin` pixels above and below.
+  within(margin, paint) {
     const a = this.area(), ctx = this.canvas.getContext("2d");
     const sx = (a.right - a.left) / (a.x[1] - a.x[0]), sy = (a.bottom - a.top) / (a.y[1] - a.y[0]);
     Object.assign(a, {px: (x) => a.left + (x - a.x[0]) * sx, py: (y) => a.bottom - (y - a.y[0]) * sy, sx, sy});
@@ -57,13 +64,11 @@ class Plot {
     this.grid(ctx, a);
     ctx.save();
     ctx.beginPath();
-    ctx.rect(a.left, a.top - 1, a.right - a.left, a.bottom - a.top + 2);
+    ctx.rect(a.left, a.top - margin, a.right - a.left, a.bottom - a.top + 2 * margin);
     ctx.clip();
-    if (points) this.curves(ctx, a, points);
-    else this.phase(ctx, a, data);
+    paint(ctx, a);
     ctx.restore();
-    if (data.marks) data.marks(ctx, a);
-    this.pointer(ctx, a);
+    return {ctx, a};
   }
 
   curves(ctx, a, points) {

@@ -20,19 +20,7 @@ class EqualPlot extends Plot {
   draw(data) {
     if (!this.place.clientWidth) return;
     this.fitPoints(data);
-    const a = this.area(), ctx = this.canvas.getContext("2d");
-    const sx = (a.right - a.left) / (a.x[1] - a.x[0]), sy = (a.bottom - a.top) / (a.y[1] - a.y[0]);
-    Object.assign(a, {px: (x) => a.left + (x - a.x[0]) * sx, py: (y) => a.bottom - (y - a.y[0]) * sy, sx, sy});
-    this.drawn = a;
-    ctx.setTransform(a.scale, 0, 0, a.scale, 0, 0);
-    ctx.clearRect(0, 0, a.width, a.height);
-    this.grid(ctx, a);
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(a.left, a.top, a.right - a.left, a.bottom - a.top);
-    ctx.clip();
-    this.points(ctx, a, data);
-    ctx.restore();
+    const {ctx, a} = this.within(0, (ctx, a) => this.points(ctx, a, data));
     this.pointer(ctx, a);
   }
 

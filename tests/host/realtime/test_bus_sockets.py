@@ -215,10 +215,10 @@ def test_a_controller_in_bus_off_is_a_lost_bus(buses, flags, live, lost):
 
 
 def test_a_flooded_bus_leaves_time_for_the_other(buses, monkeypatch):
-    taken = []
-    monkeypatch.setattr(bus_sockets, "take", lambda b, k, live: taken.append((k, live)) or (TOOK if k == 0 else EMPTY))
+    reads = []
+    monkeypatch.setattr(bus_sockets, "take", lambda b, k, live: reads.append((k, live)) or (TOOK if k == 0 else EMPTY))
     assert plain(bus_sockets.drain)(buses.b) == 0
-    assert taken == [(0, 1)] * DRAIN_MESSAGES + [(1, 1)]
+    assert reads == [(0, 1)] * DRAIN_MESSAGES + [(1, 1)]
 
 
 def test_a_message_is_heard_of_every_bus_and_logged_as_its_own(buses):
