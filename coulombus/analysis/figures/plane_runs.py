@@ -100,13 +100,13 @@ def _draw_path(axes: Axes, mode: str, run: TipRun, extent: tuple[Floats, float],
     kept = samples.compared
     path = np.where(kept[:, None], samples.x_m, np.nan) * CM
     axes.plot(*path.T, color="0.75", lw=1.0)
-    found = arrows(samples)
-    largest = float(np.hypot(*found.wanted_N.T).max()) if len(found.wanted_N) else 1.0
+    shown = arrows(samples)
+    largest = float(np.hypot(*shown.wanted_N.T).max()) if len(shown.wanted_N) else 1.0
     per_cm = largest / (0.55 * reach * CM)
     options: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": per_cm, "zorder": 3}
-    axes.quiver(*(found.x_m * CM).T, *found.wanted_N.T, color="0.55", width=0.011, **options)
-    axes.quiver(*(found.x_m * CM).T, *found.shown_N.T, color=colour, width=0.007, **options)
-    axes.plot(*(found.x_m * CM).T, ".", color=BLACK, ms=3, zorder=4)
+    axes.quiver(*(shown.x_m * CM).T, *shown.wanted_N.T, color="0.55", width=0.011, **options)
+    axes.quiver(*(shown.x_m * CM).T, *shown.shown_N.T, color=colour, width=0.007, **options)
+    axes.plot(*(shown.x_m * CM).T, ".", color=BLACK, ms=3, zorder=4)
     half = 1.62 * reach * CM
     axes.set_xlim(centre[0] * CM - half, centre[0] * CM + half)
     axes.set_ylim(centre[1] * CM - half, centre[1] * CM + half)
