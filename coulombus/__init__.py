@@ -21,7 +21,17 @@ if TYPE_CHECKING:
     from coulombus.host.laws.along import given_law
     from coulombus.host.laws.law import friction_law
     from coulombus.host.world.hand import connect
-    from coulombus.host.world.model_parts import LinearField, Model, Spring, TorqueProfile, Wall
+    from coulombus.host.world.model_parts import (
+        LinearField,
+        Model,
+        PlaneField,
+        PlaneProfile,
+        PlaneSpring,
+        PlaneWall,
+        Spring,
+        TorqueProfile,
+        Wall,
+    )
     from coulombus.lab.commissioning import commission
     from coulombus.lab.simulate import simulate
     from coulombus.lab.sweep.sweep import run_sweep
@@ -40,6 +50,10 @@ __all__ = [
     "Device",
     "LinearField",
     "Model",
+    "PlaneField",
+    "PlaneProfile",
+    "PlaneSpring",
+    "PlaneWall",
     "Spring",
     "TorqueProfile",
     "VirtualNetwork",
@@ -63,6 +77,10 @@ _PLACES = {
     "Device": "coulombus.sim_bus.server.own_device",
     "LinearField": "coulombus.host.world.model_parts",
     "Model": "coulombus.host.world.model_parts",
+    "PlaneField": "coulombus.host.world.model_parts",
+    "PlaneProfile": "coulombus.host.world.model_parts",
+    "PlaneSpring": "coulombus.host.world.model_parts",
+    "PlaneWall": "coulombus.host.world.model_parts",
     "Spring": "coulombus.host.world.model_parts",
     "TorqueProfile": "coulombus.host.world.model_parts",
     "VirtualNetwork": "coulombus.sim_bus.network.network",

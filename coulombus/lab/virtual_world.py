@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from coulombus.host.cycle.display_state import describe
-from coulombus.host.world.model_parts import Model, TorqueProfile, model_of
+from coulombus.host.world.model_parts import Model, PlaneProfile, TorqueProfile, model_of
 from coulombus.host.world.records import StateRecord
 from coulombus.host.world.state import RUN, State, state_of
 from coulombus.kernels.records import new_records
@@ -28,8 +28,6 @@ def with_world(rig: Rig) -> Rig:
     ------
     coulombus.rigs.arguments.WrongCall
         the rig has several buses
-    coulombus.rigs.rig.RigError
-        the rig is an arm in the plane
     """
     if len(rig.channels) > 1:
         buses = ", ".join(rig.channels)
@@ -44,7 +42,7 @@ class _Said:
 
     def __init__(self) -> None:
         self.sequence = self.profiles = 0
-        self.profile: TorqueProfile | None = None
+        self.profile: TorqueProfile | PlaneProfile | None = None
 
     def record(self, model: Model, axis: int, slots: Any) -> Any:
         """Return the model as the next message."""
@@ -61,7 +59,7 @@ class VirtualWorld:
 
     Parameters
     ----------
-    function : called with the state of each axis
+    function : called with the state of each axis, of an arm with that of its first joint
     every : number of cycles between two calls
     """
 
@@ -80,7 +78,7 @@ class VirtualWorld:
 
     def begin(self, world: VirtualRig) -> None:
         """Follow the host's cycles from its first one on."""
-        self._said = [_Said() for _ in world.controllers]
+        self._said = [_Said() for _ in world.controllers][: 1 if world.rig.in_plane else None]
         self._due_ns = int(world.controllers.host["next_ns"].min())
         self._wait(world)
 
@@ -94,14 +92,15 @@ class VirtualWorld:
             return
         self._due_ns += int(k.control["period_ns"][0])
         cycle = int(k.host["cycle"][0])
+        joints = len(k.each) if world.rig.in_plane else 1  # an arm displays when all its joints do
         for number, said in enumerate(self._said):
             finished = int(k.host["waiting"][number]) == 0  # else its window is longer than the period
-            if finished and int(k.host["phase"][number]) == RUN and cycle % self._every == 0:
+            if finished and (k.host["phase"][number : number + joints] == RUN).all() and cycle % self._every == 0:
                 self._ask(world, number, said)
         self._wait(world)
 
     def _ask(self, world: VirtualRig, number: int, said: _Said) -> None:
-        describe(world.controllers.axes[number], number, 0, self._record)
+        describe(world.controllers.axes, number, 0, self._record)
         model = model_of(self._function(state_of(self._record)))
         if model is not None:
             world.render(said.record(model, number, world.models.slots[number]))

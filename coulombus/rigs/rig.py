@@ -289,15 +289,7 @@ class Rig:
         return self.variant(f'law.function="{name}"', *(f'axis.{axis}.law.function="{name}"' for axis in named))
 
     def with_world(self) -> Rig:
-        """Return the rig with [world]; unchanged if all its axes have it.
-
-        Raises
-        ------
-        RigError
-            the rig is an arm in the plane: a world's parts act on one axis
-        """
-        if self.in_plane is not None:
-            raise RigError([f"{self.path}: kinematics: a world outside is of independent axes, and not of an arm"])
+        """Return the rig with [world]; unchanged if all its axes have it."""
         return self if all(axis.world is not None for axis in self.axes) else self.variant('world.rest="law"')
 
     def _identity(self) -> tuple[str, tuple[tuple[str, str], ...]]:

@@ -26,7 +26,8 @@
 #include <unistd.h>
 
 enum { COULOMBUS_HELLO = 1, COULOMBUS_MODEL, COULOMBUS_WELCOME, COULOMBUS_PARAMETER, COULOMBUS_STATE, COULOMBUS_REFUSED };
-enum { COULOMBUS_WALL = 1, COULOMBUS_SPRING = 2, COULOMBUS_FIELD = 4, COULOMBUS_PROFILE = 8, COULOMBUS_PARAMETERS = 16 };
+enum { COULOMBUS_WALL = 1, COULOMBUS_SPRING = 2, COULOMBUS_FIELD = 4, COULOMBUS_PROFILE = 8, COULOMBUS_PARAMETERS = 16,
+       COULOMBUS_PLANE = 32 /* the parts are those of the plane */ };
 enum { COULOMBUS_RUN = 5 }; /* coulombus_state.phase while the display runs */
 
 struct coulombus_head {
@@ -51,10 +52,16 @@ struct coulombus_model { /* SI at the handle; field and samples: torque on the h
     double wall_K_Nm_rad, wall_B_Nms_rad;
     double spring_x_rad, spring_K_Nm_rad, spring_B_Nms_rad, spring_most_Nm;
     double field_Nm, field_Nm_rad, field_Nms_rad;
+    /* in the plane, of an arm's tip: m and N */
+    double plane_wall_point_m[2], plane_wall_normal[2]; /* the normal points out of the wall, and has length 1 */
+    double plane_wall_K_N_m, plane_wall_B_Ns_m;
+    double plane_spring_point_m[2], plane_spring_K_N_m, plane_spring_B_Ns_m, plane_spring_most_N;
+    double plane_field_N[2], plane_field_N_m[4], plane_field_Ns_m[4]; /* matrices by rows */
+    double profile_direction[2]; /* length 1 */
     int64_t profile, samples, sample_ns;
     int64_t parameters; /* bits of the slots that are set */
     double parameter[20]; /* by slot, as the PARAMETER records tell */
-    float sample_Nm[64];
+    float sample[64];
 };
 
 struct coulombus_welcome {
@@ -72,7 +79,9 @@ struct coulombus_parameter {
 struct coulombus_state {
     struct coulombus_head head;
     int64_t sequence, t_ns, axis, phase, trip;
-    double x_rad, v_rad_s, handle_Nm, motor_Nm, brake_Nm, law_Nm, world_Nm, world_brake_Nm, share;
+    double x_rad, v_rad_s, handle_Nm, motor_Nm, brake_Nm, law_Nm, world_Nm, world_brake_Nm;
+    double tip_x_m, tip_y_m, tip_vx_m_s, tip_vy_m_s, hand_x_N, hand_y_N, world_x_N, world_y_N; /* of an arm */
+    double share;
     int64_t model, clipped, lost, sent_ns;
 };
 
@@ -96,10 +105,10 @@ union coulombus_record {
 #define COULOMBUS_SIZE(type, size) _Static_assert(sizeof(struct type) == size, #type)
 #endif
 COULOMBUS_SIZE(coulombus_hello, 64);
-COULOMBUS_SIZE(coulombus_model, 592);
+COULOMBUS_SIZE(coulombus_model, 776);
 COULOMBUS_SIZE(coulombus_welcome, 64);
 COULOMBUS_SIZE(coulombus_parameter, 88);
-COULOMBUS_SIZE(coulombus_state, 152);
+COULOMBUS_SIZE(coulombus_state, 216);
 COULOMBUS_SIZE(coulombus_refused, 256);
 
 struct coulombus_world {

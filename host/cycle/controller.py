@@ -285,7 +285,7 @@ class Controller:
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
-        c["stores"] = int(law_pushes(axis))
+        c["stores"], c["is_joint"] = int(law_pushes(axis)), int(axis.joint)
         c["travel_rad"] = math.inf if limits.travel_rad == "unlimited" else float(limits.travel_rad)
         handle = axis.allocation.bound.get("handle_torque") is not None
         observed = handle and self.mode in ("active", "hybrid")

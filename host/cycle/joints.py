@@ -24,7 +24,14 @@ from coulombus.host.cycle.phases import advance
 from coulombus.host.cycle.records import AxisRecords, Phase, Trip
 from coulombus.host.plane.brake_split import expect_brakes, observe, release
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
-from coulombus.host.plane.plane_step import PlaneFunctions, display, in_workspace, measure_plane
+from coulombus.host.plane.plane_step import PlaneFunctions, evaluate, in_workspace, measure_plane, share_out
+from coulombus.host.world.plane_model import (
+    add_plane_model,
+    end_plane_model,
+    follow_plane_model,
+    resist_at_rest,
+    unpaid,
+)
 from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS
 from coulombus.wire.frame import Queue
@@ -49,11 +56,14 @@ def finish_joints(axes: AxisRecords, arm: PlaneFunctions, t_ns: int, window_over
         axes[k].host.doubt = step.observe(axes[k], t_ns)
     measured = _measure(axes, arm)
     _doubt_tip(axes, measured)
+    end_plane_model(axes[0].world)
     if _displays(axes):
         _display(axes, arm)
     else:
         release(axes[0].plane.split)
     _share(axes)
+    if axes[0].world.on:
+        _share_model(axes)
     _share_doubt(axes)
     _hold_back(axes)
     for k in range(JOINTS):
@@ -80,6 +90,8 @@ def _measure(axes: AxisRecords, arm: PlaneFunctions) -> bool:
     for k in range(plane.law.user.shape[0]):
         plane.law.user[k] = axes[0].law.user[k]
     measure_plane(arm.mechanism, plane)
+    if axes[0].world.on:
+        axes[0].host.unpaid_J = unpaid(axes[0].world, plane)
     observe(plane.control, plane.split, plane.v_rad_s)
     expect_brakes(plane.control, plane.split)
     return known
@@ -114,12 +126,19 @@ def _displays(axes: AxisRecords) -> bool:
 
 @kernel
 def _display(axes: AxisRecords, arm: PlaneFunctions) -> None:
-    """Evaluate the law; a force that is not finite is a doubt."""
-    plane, first = axes[0].plane, axes[0].host
+    """Evaluate the law, add the world's model; a force that is not finite is a doubt."""
+    plane, first, world = axes[0].plane, axes[0].host, axes[0].world
     if plane.display_cycles == 0:
         _forget(plane)
     plane.display_cycles += 1
-    if display(arm.law, plane):
+    if world.on:
+        follow_plane_model(world, plane, axes[0].law)
+    if evaluate(arm.law, plane):
+        if world.on:
+            add_plane_model(world, plane)
+        share_out(plane)
+        if world.on:
+            resist_at_rest(world, plane)
         return
     first.doubt = Trip.LAW
     first.law_Nm, first.law_part = plane.state.psi_N[0], 0
@@ -161,6 +180,20 @@ def _share(axes: AxisRecords) -> None:
         motion.handle_Nm = axis.host.handle_Nm
     for k in range(plane.state.user.shape[0]):
         axes[0].state.user[k] = plane.state.user[k]
+
+
+@kernel
+def _share_model(axes: AxisRecords) -> None:
+    """Give each joint its share of the model's force, with the sign of psi, and the model's state."""
+    plane, first = axes[0].plane, axes[0].world
+    for i in range(JOINTS):
+        a, b = plane.pose.jacobian[0, i], plane.pose.jacobian[1, i]
+        h, w = axes[i].host, axes[i].world
+        w.world_Nm = h.world_Nm = a * first.push_N[0] + b * first.push_N[1]
+        h.world_elastic_Nm = a * first.elastic_N[0] + b * first.elastic_N[1]
+        resisting_Nm = abs(a * first.psi_N[0] + b * first.psi_N[1] - w.world_Nm)
+        w.world_brake_Nm = min(resisting_Nm, plane.split.brake_Nm[i])
+        w.share, w.law_share, w.taken, w.clipped = first.share, first.law_share, first.taken, first.clipped
 
 
 @kernel

@@ -33,6 +33,7 @@ class Models:
     def __init__(self, controllers: Controllers, parameters: LiveParameters) -> None:
         self._worlds, self._parameters = controllers.axes["world"], parameters
         self._number = [0] * len(controllers.each)
+        self._is_arm = controllers.rig.in_plane is not None
         sections = [axis.world for axis in controllers.rig.axes]
         self.is_on = all(section is not None for section in sections)
         self.longest_life_ns = min((round(s.longest_life_s * 1e9) for s in sections if s is not None), default=0)
@@ -62,7 +63,7 @@ class Models:
     def _write(self, model: Any) -> int:
         if not self.is_on:
             raise ModelRefused("the rig file has no [world]: start with --world")
-        reason = why_not(model, len(self._number), self.longest_life_ns)
+        reason = why_not(model, len(self._number), self.longest_life_ns, arm=self._is_arm)
         if reason is not None:
             raise ModelRefused(reason)
         axis = int(model["axis"])

@@ -208,6 +208,7 @@ class ControlRecord(Record):
     jump_counts: int  # largest plausible motion in a cycle
     net_work_J: float  # largest net work of the motor within the window
     net_work_cycles: int  # length of the window of the net work
+    is_joint: int  # 1: the axis is a joint of an arm
     stores: int  # 1: the law returns energy to the hand, as a spring does
     travel_rad: float  # largest travel from the start; inf: unlimited
     motor_mismatch_Nm: float  # largest measured torque beyond the command; inf: not measured
@@ -344,6 +345,7 @@ class HostRecord(Record):
     world_elastic_Nm: float  # what of that the world's wall, spring and field exert
     world_J: float  # energy that the hand has stored in them
     world_most_J: float  # largest energy that they can return
+    unpaid_J: float  # energy that they gave at an arm's tip in the last cycle, and the hand had not stored
     # counters
     clipped: int  # 1: a limit changes the law's output in this cycle
     clipped_balance: int  # clipped minus unclipped cycles, at least 0

@@ -78,4 +78,5 @@ class PlaneHostRecord(Record):
     gain: float  # gain of the law, 0 to 1
     psi_N: Annotated[FloatField, 2]  # the law's force, times the gain
     push_N: Annotated[FloatField, 2]  # the part of it that pushes back, times the gain
+    hold_N: float  # force that the brakes hold at rest, times the gain; 0: none, or the tip does not stick
     outside: int  # cycles in a pose without force

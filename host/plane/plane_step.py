@@ -15,7 +15,7 @@ from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismFunction
 from coulombus.rigs.kinematics.pose_kernels import condition, locate
 
-__all__ = ["PlaneFunctions", "display", "in_workspace", "may_display", "measure_plane", "plane_step"]
+__all__ = ["PlaneFunctions", "evaluate", "in_workspace", "may_display", "measure_plane", "plane_step", "share_out"]
 
 
 class PlaneFunctions(NamedTuple):
@@ -31,7 +31,9 @@ def plane_step(mechanism: MechanismFunction, law: PlaneLawFunction, h: PlaneHost
     measure_plane(mechanism, h)
     observe(h.control, h.split, h.v_rad_s)
     expect_brakes(h.control, h.split)
-    if not (may_display(h) and display(law, h)):
+    if may_display(h) and evaluate(law, h):
+        share_out(h)
+    else:
         h.outside += 1
         release(h.split)
 
@@ -50,8 +52,8 @@ def in_workspace(h: PlaneHostRecord) -> bool:
 
 
 @kernel
-def display(law: PlaneLawFunction, h: PlaneHostRecord) -> bool:
-    """Evaluate the law and split its force; return False, without commands, if it is not finite."""
+def evaluate(law: PlaneLawFunction, h: PlaneHostRecord) -> bool:
+    """Evaluate the law; return whether its force is finite."""
     h.smallest_condition = min(h.smallest_condition, h.condition)
     fx, fy = law(h.motion, h.law, h.state)
     h.state.psi_N[0], h.state.psi_N[1] = fx, fy
@@ -59,11 +61,18 @@ def display(law: PlaneLawFunction, h: PlaneHostRecord) -> bool:
         return False
     for i in range(2):
         h.psi_N[i], h.push_N[i] = h.gain * h.state.psi_N[i], h.gain * h.state.motor_N[i]
-    if h.mode != ACTIVE and h.state.stuck == 1 and h.state.hold_N > 0.0:
-        hold(h.control, h.split, h.pose, h.gain * h.state.hold_N, h.hand_Nm)
+    holds = h.mode != ACTIVE and h.state.stuck == 1 and h.state.hold_N > 0.0
+    h.hold_N = h.gain * h.state.hold_N if holds else 0.0
+    return True
+
+
+@kernel
+def share_out(h: PlaneHostRecord) -> None:
+    """Set the commands of brakes and motors for the force."""
+    if h.hold_N > 0.0:
+        hold(h.control, h.split, h.pose, h.hold_N, h.hand_Nm)
     else:
         slip(h.control, h.split, h.pose, h.psi_N, h.push_N, h.v_rad_s, h.rate_rad_s2)
-    return True
 
 
 @kernel

@@ -29,7 +29,7 @@ def tell_world(fd: int, state: RecordArray[StateRecord], axes: AxisRecords, done
     `state` is one record for the states, one after the other.
     """
     for k in range(axes.shape[0] if fd >= 0 else 0):
-        describe(axes[k], k, done_ns, state[0])
+        describe(axes, k, done_ns, state[0])
         send(fd, state.ctypes.data, state.itemsize, MSG_DONTWAIT | MSG_NOSIGNAL)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from coulombus.host.errors import HostError
 from coulombus.host.world.model_check import ModelRefused
-from coulombus.host.world.model_parts import LIFE_S, Model, Part, TorqueProfile
+from coulombus.host.world.model_parts import LIFE_S, Model, Part, PlaneProfile, TorqueProfile
 from coulombus.host.world.protocol import (
     SIZES,
     Greeting,
@@ -86,7 +86,7 @@ class Hand:
         self._numbers: dict[int, int] = {}
         self.missed = 0
         self._sequence = self._profiles = 0
-        self._profile: TorqueProfile | None = None
+        self._profile: TorqueProfile | PlaneProfile | None = None
         self.welcome: Welcome
         self.parameters: tuple[Named, ...] = ()
         connection.setblocking(False)
@@ -250,8 +250,9 @@ class Hand:
 
         Parameters
         ----------
-        parts : a `Model`, or its parts: at most one each of Wall, Spring, LinearField, TorqueProfile.
-            Other parts of the last model end; its law's share and parameters stay.
+        parts : a `Model`, or its parts: at most one each of Wall, Spring, LinearField, TorqueProfile; for an
+            arm of PlaneWall, PlaneSpring, PlaneField, PlaneProfile. Other parts of the last model end; its law's
+            share and parameters stay.
         axis : axis of the rig, from 0
         values : `law`, `life_s`, `parameters` of the `Model`
 

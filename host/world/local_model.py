@@ -28,7 +28,7 @@ from coulombus.host.laws.law import USER, LawRecord, LawStateRecord, MotionRecor
 from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts, ModelRecord
 from coulombus.kernels.decorator import kernel
 
-__all__ = ["ACTIVE", "HYBRID", "PASSIVE", "add_model", "follow_model"]
+__all__ = ["ACTIVE", "HYBRID", "PASSIVE", "add_model", "advance_model", "follow_model", "parameter_of", "sampled"]
 
 PASSIVE, HYBRID, ACTIVE = 0, 1, 2
 """Values of `LocalModelRecord.mode`."""
@@ -43,22 +43,49 @@ def _clip(value: float, most: float) -> float:
 
 
 @kernel
-def _take(w: LocalModelRecord, motion: MotionRecord) -> None:
-    """Change to the newest model."""
+def _take(w: LocalModelRecord) -> bool:
+    """Change to the newest model; return whether its field begins."""
     before = w.offered[w.taken % OFFERS].parts if w.share > 0.0 else 0
     w.taken = w.wanted
     m = w.offered[w.taken % OFFERS]
     w.left_ns = m.life_ns
     w.share = 1.0
-    if m.parts & FIELD and not before & FIELD:
-        w.field_from_rad = motion.x_rad
     if m.parts & PROFILE and m.profile != w.profile:
         w.profile = m.profile
         w.profile_ns = -w.period_ns
+    return bool(m.parts & FIELD and not before & FIELD)
 
 
 @kernel
-def _parameter(m: ModelRecord, slot: int, present: float, share: float) -> float:
+def advance_model(w: LocalModelRecord) -> bool:
+    """Begin a cycle: take the newest model, count its time to live, and fade; return whether a field begins."""
+    begins = False
+    if w.wanted != w.taken:
+        begins = _take(w)
+    elif w.left_ns > 0:
+        w.left_ns -= w.period_ns
+    if w.left_ns <= 0 and w.share > 0.0:
+        w.share = max(w.share - w.ramp_step, 0.0)
+        if w.share == 0.0:
+            w.fades += 1
+    w.law_share = w.rest + (w.offered[w.taken % OFFERS].law - w.rest) * w.share
+    w.profile_ns += w.period_ns
+    return begins
+
+
+@kernel
+def sampled(w: LocalModelRecord) -> float:
+    """Return the present sample of the profile, 0 before its begin and after its end."""
+    m = w.offered[w.taken % OFFERS]
+    if m.parts & PROFILE and m.sample_ns > 0:
+        row = w.profile_ns // m.sample_ns
+        if 0 <= row < m.samples:
+            return float(m.sample[row])
+    return 0.0
+
+
+@kernel
+def parameter_of(m: ModelRecord, slot: int, present: float, share: float) -> float:
     """Return a parameter between its value in the rig and its value in the model."""
     if m.parameters >> slot & 1:
         return present + (m.parameter[slot] - present) * share
@@ -79,11 +106,11 @@ def _set_law(w: LocalModelRecord, law: LawRecord, state: LawStateRecord, x_rad: 
     for k in range(USER):
         mixed.user[k] = law.user[k]
     if share > 0.0:
-        mixed.K_p = _parameter(m, 0, law.K_p, share)
-        mixed.F_s = _parameter(m, 1, law.F_s, share)
-        mixed.F_d = _parameter(m, 2, law.F_d, share)
+        mixed.K_p = parameter_of(m, 0, law.K_p, share)
+        mixed.F_s = parameter_of(m, 1, law.F_s, share)
+        mixed.F_d = parameter_of(m, 2, law.F_d, share)
         for k in range(USER):
-            mixed.user[k] = _parameter(m, 4 + k, law.user[k], share)
+            mixed.user[k] = parameter_of(m, 4 + k, law.user[k], share)
     ratio = mixed.K_p / law.K_p if law.K_p > 0.0 else 1.0
     if state.stuck != 0 and ratio != w.K_p_ratio:
         state.x_stuck = x_rad - (x_rad - state.x_stuck) * (w.K_p_ratio / ratio)
@@ -92,17 +119,9 @@ def _set_law(w: LocalModelRecord, law: LawRecord, state: LawStateRecord, x_rad: 
 
 @kernel
 def follow_model(w: LocalModelRecord, motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> None:
-    """Begin a cycle: take the newest model, count its time to live, fade, and set the law's parameters."""
-    if w.wanted != w.taken:
-        _take(w, motion)
-    elif w.left_ns > 0:
-        w.left_ns -= w.period_ns
-    if w.left_ns <= 0 and w.share > 0.0:
-        w.share = max(w.share - w.ramp_step, 0.0)
-        if w.share == 0.0:
-            w.fades += 1
-    w.law_share = w.rest + (w.offered[w.taken % OFFERS].law - w.rest) * w.share
-    w.profile_ns += w.period_ns
+    """Begin a cycle of an axis: advance the model, and set the law's parameters."""
+    if advance_model(w):
+        w.field_from_rad = motion.x_rad
     _set_law(w, law, state, motion.x_rad)
 
 
@@ -147,11 +166,7 @@ def _damping(w: LocalModelRecord, motion: MotionRecord) -> float:
 @kernel
 def _drive(w: LocalModelRecord, v: float) -> float:
     """Return what neither resists nor returns energy [Nm]: the profile, and a field that drives."""
-    m, drive_Nm = w.offered[w.taken % OFFERS], 0.0
-    if m.parts & PROFILE and m.sample_ns > 0:
-        row = w.profile_ns // m.sample_ns
-        if 0 <= row < m.samples:
-            drive_Nm -= float(m.sample_Nm[row])
+    m, drive_Nm = w.offered[w.taken % OFFERS], -sampled(w)
     if m.parts & FIELD and m.field_Nms_rad > 0.0:
         drive_Nm -= m.field_Nms_rad * v
     return w.share * drive_Nm

@@ -1,7 +1,8 @@
 """What a program outside says: wall, spring, field, torque profile, and values of the law's parameters.
 
 A program makes these objects. They become a `ModelRecord`, which is the message of the socket and the
-record that the cycle uses. Values are SI at the handle. Torques are those that act on the handle.
+record that the cycle uses. Values are SI at the handle. Torques are those that act on the handle, and forces
+those that act on the tip of an arm in the plane.
 """
 
 from __future__ import annotations
@@ -18,10 +19,25 @@ import numpy as np
 from coulombus.host.world.records import MODEL, MOST_SAMPLES, ModelParts
 from coulombus.rigs.arguments import WrongCall
 
-__all__ = ["LIFE_S", "LinearField", "Model", "Part", "Spring", "TorqueProfile", "Wall", "model_of"]
+__all__ = [
+    "LIFE_S",
+    "LinearField",
+    "Model",
+    "Part",
+    "PlaneField",
+    "PlaneProfile",
+    "PlaneSpring",
+    "PlaneWall",
+    "Spring",
+    "TorqueProfile",
+    "Wall",
+    "model_of",
+]
 
 LIFE_S = 0.1
 """Default time to live of a model [s]."""
+VECTORS = ("point_m", "normal", "N", "N_m", "Ns_m", "direction", "force_N")
+"""Fields of parts in the plane that are no plain numbers."""
 HEAD = 2 | MODEL.itemsize << 16
 """Kind and size of the record (`host.world.protocol`)."""
 
@@ -31,7 +47,7 @@ def _check(part: object, *at_least_zero: str) -> None:
     kind = type(part).__name__
     for name in (item.name for item in fields(part)):  # type: ignore[arg-type]
         value = getattr(part, name)
-        if name in ("side", "torque_Nm"):
+        if name in ("side", "torque_Nm", *VECTORS):
             continue
         if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
             raise WrongCall(f"{kind}({name}={value!r}): expected a finite number")
@@ -96,6 +112,18 @@ class LinearField:
         _check(self)
 
 
+def _samples(part: Any, values: tuple[float, ...]) -> tuple[float, ...]:
+    """Return a profile's samples as floats, and check its `sample_s`."""
+    samples, kind = tuple(float(value) for value in values), type(part).__name__
+    _check(part)
+    if not 1 <= len(samples) <= MOST_SAMPLES or not all(map(math.isfinite, samples)):
+        name = "torque_Nm" if kind == "TorqueProfile" else "force_N"
+        raise WrongCall(f"{kind}({name}): expected 1 to {MOST_SAMPLES} finite numbers, got {len(samples)}")
+    if not 0 < part.sample_s <= 1:
+        raise WrongCall(f"{kind}(sample_s={part.sample_s!r}): expected more than 0 and at most 1 s")
+    return samples
+
+
 @dataclass(frozen=True, eq=False)
 class TorqueProfile:
     """A short course of the torque on the handle, as for a click; an object is played once.
@@ -110,22 +138,130 @@ class TorqueProfile:
     sample_s: float = 0.001
 
     def __post_init__(self) -> None:
-        samples = tuple(float(value) for value in self.torque_Nm)
-        object.__setattr__(self, "torque_Nm", samples)
-        _check(self)
-        if not 1 <= len(samples) <= MOST_SAMPLES or not all(map(math.isfinite, samples)):
-            raise WrongCall(
-                f"TorqueProfile(torque_Nm): expected 1 to {MOST_SAMPLES} finite numbers, got {len(samples)}"
-            )
-        if not 0 < self.sample_s <= 1:
-            raise WrongCall(f"TorqueProfile(sample_s={self.sample_s!r}): expected more than 0 and at most 1 s")
+        object.__setattr__(self, "torque_Nm", _samples(self, self.torque_Nm))
 
 
-Part: TypeAlias = Wall | Spring | LinearField | TorqueProfile
+def _set_vectors(part: object, *units: str, shape: tuple[int, ...] = (2,), names: tuple[str, ...] = ()) -> None:
+    """Convert vectors to tuples of floats; those of `units` get the length 1.
+
+    Raises
+    ------
+    WrongCall
+        not `shape` finite numbers, or a unit vector of length 0
+    """
+    for name in (*names, *units):
+        try:
+            numbers = np.asarray(getattr(part, name), dtype=object).astype(float)
+        except (TypeError, ValueError):
+            numbers = np.full(1, math.nan)
+        if numbers.shape != shape or not np.isfinite(numbers).all():
+            size = " x ".join(map(str, shape))
+            raise WrongCall(f"{type(part).__name__}({name}={getattr(part, name)!r}): expected {size} finite numbers")
+        if name in units:
+            length = float(np.hypot(*numbers))
+            if not 0 < length < math.inf:
+                raise WrongCall(f"{type(part).__name__}({name}={getattr(part, name)!r}): expected a direction")
+            numbers = numbers / length
+        value = tuple(numbers.tolist()) if numbers.ndim == 1 else tuple(map(tuple, numbers.tolist()))
+        object.__setattr__(part, name, value)
+
+
+@dataclass(frozen=True)
+class PlaneWall:
+    """A unilateral wall in the plane: it resists motion into it, and never pulls.
+
+    Attributes
+    ----------
+    point_m : a point of its face
+    normal : direction out of the wall, at right angles to its face; any length but 0
+    K_N_m, B_Ns_m : stiffness and damping, 0 or more
+    """
+
+    point_m: tuple[float, float]
+    normal: tuple[float, float]
+    K_N_m: float
+    B_Ns_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self, "K_N_m", "B_Ns_m")
+        _set_vectors(self, "normal", names=("point_m",))
+
+
+@dataclass(frozen=True)
+class PlaneSpring:
+    """A spring from the tip to a point, as to a proxy.
+
+    Attributes
+    ----------
+    point_m : the point
+    K_N_m, B_Ns_m : stiffness and damping, 0 or more
+    most_N : largest force of each of the two
+    """
+
+    point_m: tuple[float, float]
+    K_N_m: float
+    B_Ns_m: float = 0.0
+    most_N: float = 1e4
+
+    def __post_init__(self) -> None:
+        _check(self, "K_N_m", "B_Ns_m", "most_N")
+        _set_vectors(self, names=("point_m",))
+
+
+@dataclass(frozen=True)
+class PlaneField:
+    """A force on the tip, linear in position and velocity: ``N + N_m @ x + Ns_m @ v``.
+
+    `N_m` and `Ns_m` are matrices, by rows. A negative definite `N_m` pulls towards (0, 0); a negative definite
+    `Ns_m` damps. A matrix `N_m` that is not symmetric gives energy on a closed path.
+    """
+
+    N: tuple[float, float] = (0.0, 0.0)
+    N_m: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    Ns_m: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        _set_vectors(self, names=("N",))
+        _set_vectors(self, names=("N_m", "Ns_m"), shape=(2, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneProfile:
+    """A short course of the force on the tip, as for a click; an object is played once.
+
+    Attributes
+    ----------
+    force_N : 1 to 64 samples, each held for `sample_s`
+    direction : of the force; any length but 0
+    sample_s : time of a sample [s]
+    """
+
+    force_N: tuple[float, ...]
+    direction: tuple[float, float]
+    sample_s: float = 0.001
+
+    def __post_init__(self) -> None:
+        _set_vectors(self, "direction")
+        object.__setattr__(self, "force_N", _samples(self, self.force_N))
+
+
+Part: TypeAlias = Wall | Spring | LinearField | TorqueProfile | PlaneWall | PlaneSpring | PlaneField | PlaneProfile
 """A part of a model."""
 
 NAMES: Mapping[type, str] = MappingProxyType(
     {Wall: "wall", Spring: "spring", LinearField: "field", TorqueProfile: "profile"}
+)
+PLANE_NAMES: Mapping[type, str] = MappingProxyType(
+    {PlaneWall: "wall", PlaneSpring: "spring", PlaneField: "field", PlaneProfile: "profile"}
+)
+"""Name of each part in `Model`, on one axis and in the plane."""
+BITS = MappingProxyType(
+    {
+        "wall": ModelParts.WALL,
+        "spring": ModelParts.SPRING,
+        "field": ModelParts.FIELD,
+        "profile": ModelParts.PROFILE,
+    }
 )
 
 
@@ -135,16 +271,16 @@ class Model:
 
     Attributes
     ----------
-    wall, spring, field, profile : the parts; None: without
+    wall, spring, field, profile : the parts, all on one axis or all in the plane; None: without
     law : share of the rig's law that is displayed beside them, 0 to 1
     parameters : name -> value of the law's parameters, within the bounds of `coulombus set`
     life_s : time to live [s]
     """
 
-    wall: Wall | None = None
-    spring: Spring | None = None
-    field: LinearField | None = None
-    profile: TorqueProfile | None = None
+    wall: Wall | PlaneWall | None = None
+    spring: Spring | PlaneSpring | None = None
+    field: LinearField | PlaneField | None = None
+    profile: TorqueProfile | PlaneProfile | None = None
     law: float = 1.0
     parameters: Mapping[str, float] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
     life_s: float = LIFE_S
@@ -157,6 +293,13 @@ class Model:
         for name, value in self.parameters.items():
             if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
                 raise WrongCall(f"Model(parameters): {name} is {value!r}, expected a finite number")
+        kinds = [type(part) for part in self._parts().values()]
+        if any(kind in NAMES for kind in kinds) and any(kind in PLANE_NAMES for kind in kinds):
+            raise WrongCall(f"Model: {', '.join(kind.__name__ for kind in kinds)}: some are in the plane, and some not")
+
+    def _parts(self) -> dict[str, Part]:
+        """Return the parts that there are, by their names."""
+        return {name: getattr(self, name) for name in BITS if getattr(self, name) is not None}
 
     def record(self, slots: Mapping[str, int], *, profile: int = 0) -> Any:
         """Return the model as a `ModelRecord`, without number, time and axis.
@@ -175,21 +318,13 @@ class Model:
         record["head"] = HEAD
         record["life_ns"], record["law"], record["wall_side"] = round(self.life_s * 1e9), self.law, 1
         parts = ModelParts(0)
-        if self.wall is not None:
-            parts |= ModelParts.WALL
-            record["wall_side"] = 1 if self.wall.side == "above" else -1
-            _fill(record, "wall_", self.wall)
-        if self.spring is not None:
-            parts |= ModelParts.SPRING
-            _fill(record, "spring_", self.spring)
-        if self.field is not None:
-            parts |= ModelParts.FIELD
-            _fill(record, "field_", self.field)
-        if self.profile is not None:
-            parts |= ModelParts.PROFILE
-            record["profile"], record["samples"] = profile, len(self.profile.torque_Nm)
-            record["sample_ns"] = round(self.profile.sample_s * 1e9)
-            record["sample_Nm"][: len(self.profile.torque_Nm)] = self.profile.torque_Nm
+        for name, part in self._parts().items():
+            parts |= BITS[name] | (ModelParts.PLANE if type(part) in PLANE_NAMES else 0)
+            if isinstance(part, TorqueProfile | PlaneProfile):
+                record["profile"] = profile
+                _fill_profile(record, part)
+            else:
+                _fill(record, f"plane_{name}_" if type(part) in PLANE_NAMES else f"{name}_", part)
         if self.parameters:
             parts |= ModelParts.PARAMETERS
         for name, value in self.parameters.items():
@@ -203,20 +338,30 @@ class Model:
         """Return the model with these parts and no other."""
         given: dict[str, Any] = dict.fromkeys(NAMES.values())
         for part in parts:
-            name = NAMES.get(type(part))
+            name = NAMES.get(type(part)) or PLANE_NAMES.get(type(part))
             if name is None or given[name] is not None:
                 reason = "is given twice" if name else "is no part of a model"
-                raise WrongCall(
-                    f"{part!r} {reason}: expected at most one each of Wall, Spring, LinearField, TorqueProfile"
-                )
+                kinds = ", ".join(kind.__name__ for kind in (PLANE_NAMES if type(part) in PLANE_NAMES else NAMES))
+                raise WrongCall(f"{part!r} {reason}: expected at most one each of {kinds}")
             given[name] = part
         return replace(self, **given)
 
 
 def _fill(record: Any, prefix: str, part: Part) -> None:
     for item in fields(part):
-        if item.name != "side":
-            record[prefix + item.name] = getattr(part, item.name)
+        value = getattr(part, item.name)
+        if item.name == "side":
+            record["wall_side"] = 1 if value == "above" else -1
+        else:
+            record[prefix + item.name] = np.ravel(value) if item.name in VECTORS else value
+
+
+def _fill_profile(record: Any, part: TorqueProfile | PlaneProfile) -> None:
+    samples = part.torque_Nm if isinstance(part, TorqueProfile) else part.force_N
+    if isinstance(part, PlaneProfile):
+        record["profile_direction"] = part.direction
+    record["samples"], record["sample_ns"] = len(samples), round(part.sample_s * 1e9)
+    record["sample"][: len(samples)] = samples
 
 
 def _slot(name: str, slots: Mapping[str, int]) -> int:

@@ -7,10 +7,10 @@ four zero bytes. All further fields have eight bytes, except for texts and the s
 kind       size  from                  meaning
 =========  ====  ====================  ==========================================================
 HELLO        64  program               first record of a connection
-MODEL       592  program               `host.world.records.ModelRecord`
+MODEL       776  program               `host.world.records.ModelRecord`
 WELCOME      64  host                  answer to HELLO; `parameters` records follow it
 PARAMETER    88  host                  a parameter of a law, or a limit
-STATE       152  host                  `host.world.records.StateRecord`, of each axis after each cycle
+STATE       216  host                  `host.world.records.StateRecord`, of each axis after each cycle
 REFUSED     256  host                  a model, or the connection, was refused
 =========  ====  ====================  ==========================================================
 """

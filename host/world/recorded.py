@@ -46,8 +46,11 @@ def row_of(model: Any, number: int) -> bytes:
     return row.tobytes()
 
 
-def models_of(rows: bytes, axes: int) -> dict[int, Any]:
-    """Return the rows of a recording by their keys; rows that no host would have accepted are omitted."""
+def models_of(rows: bytes, axes: int, *, arm: bool = False) -> dict[int, Any]:
+    """Return the rows of a recording by their keys; rows that no host would have accepted are omitted.
+
+    `arm`: the axes are the joints of an arm.
+    """
     table = np.frombuffer(rows, ROW, len(rows) // ROW.itemsize)
-    kept = (row for row in table if row["number"] > 0 and why_not(row["model"], axes, LONGEST_LIFE_NS) is None)
+    kept = (row for row in table if row["number"] > 0 and why_not(row["model"], axes, LONGEST_LIFE_NS, arm=arm) is None)
     return {key_of(int(row["number"]), int(row["model"]["axis"])): row for row in kept}

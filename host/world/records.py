@@ -1,7 +1,9 @@
 """Records of a local model: what a world outside says, and its state in the cycle.
 
 `ModelRecord` is also the message of the socket (`host.world.protocol`): the same bytes, little-endian.
-Torques have the sign of the torque that acts on the handle. K and B of wall and spring resist.
+Torques have the sign of the torque that acts on the handle. K and B of wall and spring resist. A model is
+of one axis, or with `ModelParts.PLANE` of the tip of an arm: then its forces have the sign of the force that
+acts on the tip.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ class ModelParts(IntFlag):
     FIELD = 4
     PROFILE = 8
     PARAMETERS = 16  # values of the law's parameters
+    PLANE = 32  # the parts are those of the plane
 
 
 class ModelRecord(Record):
@@ -76,12 +79,24 @@ class ModelRecord(Record):
     field_Nm: float  # the field: torque on the handle field_Nm + field_Nm_rad x + field_Nms_rad v
     field_Nm_rad: float
     field_Nms_rad: float
+    plane_wall_point_m: Annotated[FloatField, 2]  # a point of the wall's face
+    plane_wall_normal: Annotated[FloatField, 2]  # unit vector out of the wall, at right angles to its face
+    plane_wall_K_N_m: float
+    plane_wall_B_Ns_m: float
+    plane_spring_point_m: Annotated[FloatField, 2]  # the point (proxy) that the spring pulls to
+    plane_spring_K_N_m: float
+    plane_spring_B_Ns_m: float
+    plane_spring_most_N: float  # largest force of the spring
+    plane_field_N: Annotated[FloatField, 2]  # the field: force on the tip N + N_m x + Ns_m v
+    plane_field_N_m: Annotated[FloatField, 4]  # a matrix by rows: xx, xy, yx, yy
+    plane_field_Ns_m: Annotated[FloatField, 4]
+    profile_direction: Annotated[FloatField, 2]  # unit vector of the profile's force in the plane
     profile: int  # number of the profile; another number than the last one plays it
     samples: int  # number of samples of the profile
     sample_ns: int  # time of each sample
     parameters: int  # bits of the parameters that the model sets, by slot
     parameter: Annotated[FloatField, PARAMETERS]  # values by slot
-    sample_Nm: Annotated[FloatField, MOST_SAMPLES, np.float32]  # torque on the handle
+    sample: Annotated[FloatField, MOST_SAMPLES, np.float32]  # torque on the handle; in the plane force on the tip
 
 
 MODEL = dtype_of(ModelRecord)
@@ -104,6 +119,14 @@ class StateRecord(Record):
     law_Nm: float  # output of the rig's law, with the sign of psi
     world_Nm: float  # what of motor_Nm the model gives
     world_brake_Nm: float  # what of brake_Nm the model gives
+    tip_x_m: float  # position of an arm's tip; 0 without an arm, as all of the tip
+    tip_y_m: float
+    tip_vx_m_s: float  # its velocity
+    tip_vy_m_s: float
+    hand_x_N: float  # the hand's force on the tip
+    hand_y_N: float
+    world_x_N: float  # the model's force on the tip
+    world_y_N: float
     share: float  # share of the model: 1, less while it fades, 0 without
     model: int  # `sequence` of the model in use; 0: none yet
     clipped: int  # cycles so far in which a limit changed the model's output
@@ -141,6 +164,7 @@ class LocalModelRecord(Record):
     profile: int  # number of the last profile
     profile_ns: int  # time since it began
     field_from_rad: float  # position at which the field began
+    field_from_m: Annotated[FloatField, 2]  # the tip's
     apart: int  # 1: the model's part has not come to 0 yet, because the rates hold it
     pushed_Nm: float  # motor's part of law and model in the last cycle, with the sign of psi
     brake_Nm: float  # brake's part of law and model in the last cycle
@@ -149,6 +173,12 @@ class LocalModelRecord(Record):
     elastic_Nm: float  # what of that wall, spring and field return
     most_J: float  # largest energy that these can return
     world_brake_Nm: float  # the model's part for the brake
+    # output of the last cycle of an arm, with the first joint
+    psi_N: Annotated[FloatField, 2]  # the model's force, with the sign of psi
+    push_N: Annotated[FloatField, 2]  # the part of it for the motors
+    elastic_N: Annotated[FloatField, 2]  # what of that wall, spring and field return
+    tip_m: Annotated[FloatField, 2]  # the tip's position
+    stored_J: float  # energy that the hand has stored in wall, spring and field
     # counters
     clipped: int  # cycles in which a limit changed the model's output
     fades: int  # models that faded to the end

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.host.errors import HostError
-from coulombus.host.world.model_parts import NAMES, Model
+from coulombus.host.world.model_parts import NAMES, PLANE_NAMES, Model
 from coulombus.host.world.protocol import (
     SIZES,
     WITH_STATES,
@@ -39,6 +39,8 @@ MOST_STATES = 2000
 MOST_REFUSALS = 64
 AT_ONCE = 1 << 16
 HELLO_KEYS = {"type", "states", "key"}
+IN_PLANE = {"point_m", "normal", "K_N_m", "N", "N_m", "Ns_m", "force_N", "direction"}
+"""Fields by which a part is one of the plane."""
 MODEL_KEYS = {"type", "sequence", "t_ns", "axis", "profile", "parameters", *NAMES.values(), "law", "life_s"}
 
 
@@ -121,10 +123,10 @@ class Relay:
         values: dict[str, Any] = {key: fields[key] for key in ("law", "life_s", "parameters") if key in fields}
         profile = dict(fields.get("profile") or {})
         number = profile.pop("number", 0)
-        for kind, name in NAMES.items():
+        for (kind, name), of_plane in zip(NAMES.items(), PLANE_NAMES, strict=True):
             part = profile if name == "profile" else fields.get(name)
             if part is not None and (part or name != "profile"):
-                values[name] = kind(**part)
+                values[name] = (of_plane if IN_PLANE & {**part}.keys() else kind)(**part)
         axis, sequence, t_ns = (fields.get(key, 0) for key in ("axis", "sequence", "t_ns"))
         if not all(type(value) is int for value in (axis, sequence, t_ns, number)):
             raise MalformedMessage("axis, sequence, t_ns and number of the profile: expected whole numbers")

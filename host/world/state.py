@@ -44,6 +44,22 @@ class State(NamedTuple):
     """What of `motor_Nm` the model gives."""
     world_brake_Nm: float
     """What of `brake_Nm` the model gives."""
+    tip_x_m: float
+    """Position of an arm's tip, x; 0 without an arm, as all of the tip."""
+    tip_y_m: float
+    """Position of the tip, y."""
+    tip_vx_m_s: float
+    """Velocity of the tip, x, as the law sees it."""
+    tip_vy_m_s: float
+    """Velocity of the tip, y."""
+    hand_x_N: float
+    """The hand's force on the tip, x."""
+    hand_y_N: float
+    """The hand's force on the tip, y."""
+    world_x_N: float
+    """The model's force on the tip, x; of brakes and motors together."""
+    world_y_N: float
+    """The model's force on the tip, y."""
     share: float
     """Share of the model: 1, less while it fades, 0 without a model."""
     model: int

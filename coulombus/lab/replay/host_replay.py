@@ -169,7 +169,8 @@ def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> d
 
 def _models(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, Any]:
     """Return the models of a world outside from the attachments; every model in the trace must be there."""
-    models = models_of(unpack_models(recording.capture.attachments), len(controllers.each))
+    arm = controllers.rig.in_plane is not None
+    models = models_of(unpack_models(recording.capture.attachments), len(controllers.each), arm=arm)
     missing = _traced(inputs, Event.MODEL, Moment.MODEL) - set(models)
     if missing:
         raise ReplayError(

@@ -46,7 +46,7 @@ def test_the_kinds_are_those_of_the_protocol():
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler `c++` here")
 def test_the_header_compiles_as_c_plus_plus(tmp_path):
     source = tmp_path / "world.cpp"
-    source.write_text(f'#include "{HEADER}"\nint main() {{ return coulombus_model(0.1).head.size == 592 ? 0 : 1; }}\n')
+    source.write_text(f'#include "{HEADER}"\nint main() {{ return coulombus_model(0.1).head.size == 776 ? 0 : 1; }}\n')
     options = "-std=c++17", "-Wno-unused-function", "-Wall", "-Werror"
     subprocess.run(["c++", *options, "-o", tmp_path / "world", source], check=True, timeout=120)
     subprocess.run([tmp_path / "world"], check=True, timeout=60)

@@ -255,7 +255,7 @@ def test_no_plausible_model_exceeds_a_limit_or_a_rate(mode, values, parts, side,
         record[name] = value
     record["parts"], record["wall_side"], record["profile"] = parts, side, 1
     record["samples"], record["sample_ns"] = 4, 1_500_000
-    record["sample_Nm"][:4] = samples
+    record["sample"][:4] = samples
     assert why_not(record, 1, 10**9) is None
     c.place(record)
     torque_Nm = brake_Nm = 0.0

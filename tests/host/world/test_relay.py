@@ -71,7 +71,7 @@ def test_all_parts_of_a_json_model_reach_the_record():
     )
     assert record["parts"] == ModelParts.SPRING | ModelParts.FIELD | ModelParts.PROFILE
     assert (record["spring_K_Nm_rad"], record["field_Nms_rad"], record["profile"]) == (3.0, -0.1, 7)
-    assert (record["samples"], record["sample_ns"], record["sample_Nm"][:2].tolist()) == (2, 2_000_000, [0.5, -0.5])
+    assert (record["samples"], record["sample_ns"], record["sample"][:2].tolist()) == (2, 2_000_000, [0.5, -0.5])
 
 
 @pytest.mark.parametrize(
@@ -110,8 +110,8 @@ def test_binary_messages_are_whole_records_of_the_socket():
     relay = opened(Greeting().record())
     data = Model(wall=Wall(0.0, 2.0)).record({}).tobytes()
     assert relay.take(data * 3) == data * 3
-    for wrong in (data[:-1], data + b"\0", Greeting().record(), b"", b"\xff" * 592):
-        with pytest.raises(MalformedMessage, match="whole MODEL records of 592 bytes"):
+    for wrong in (data[:-1], data + b"\0", Greeting().record(), b"", b"\xff" * 776):
+        with pytest.raises(MalformedMessage, match="whole MODEL records of 776 bytes"):
             relay.take(wrong)
     refusals = [read_refusal(record) for record in relay.batch()]
     assert [refusal.sequence for refusal in refusals] == [0] * 5

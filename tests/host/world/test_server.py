@@ -383,10 +383,10 @@ def test_a_host_that_refuses_the_connection_is_told_with_its_reason():
 def test_the_records_have_the_documented_sizes():
     assert {kind.name: SIZES[kind] for kind in Kind} == {
         "HELLO": 64,
-        "MODEL": 592,
+        "MODEL": 776,
         "WELCOME": 64,
         "PARAMETER": 88,
-        "STATE": 152,
+        "STATE": 216,
         "REFUSED": 256,
     }
-    assert MODEL.itemsize == 592
+    assert MODEL.itemsize == 776
