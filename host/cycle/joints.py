@@ -25,10 +25,10 @@ from coulombus.host.cycle.records import AxisRecords, Phase, Trip
 from coulombus.host.plane.brake_split import expect_brakes, observe, release
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.plane.plane_step import PlaneFunctions, evaluate, in_workspace, measure_plane, share_out
-from coulombus.host.world.plane_model import (
-    add_plane_model,
-    end_plane_model,
-    follow_plane_model,
+from coulombus.host.plane.tip_model import (
+    add_tip_model,
+    end_tip_model,
+    follow_tip_model,
     resist_at_rest,
     unpaid,
 )
@@ -56,7 +56,7 @@ def finish_joints(axes: AxisRecords, arm: PlaneFunctions, t_ns: int, window_over
         axes[k].host.doubt = step.observe(axes[k], t_ns)
     measured = _measure(axes, arm)
     _doubt_tip(axes, measured)
-    end_plane_model(axes[0].world)
+    end_tip_model(axes[0].world)
     if _displays(axes):
         _display(axes, arm)
     else:
@@ -132,10 +132,10 @@ def _display(axes: AxisRecords, arm: PlaneFunctions) -> None:
         _forget(plane)
     plane.display_cycles += 1
     if world.on:
-        follow_plane_model(world, plane, axes[0].law)
+        follow_tip_model(world, plane, axes[0].law)
     if evaluate(arm.law, plane):
         if world.on:
-            add_plane_model(world, plane)
+            add_tip_model(world, plane)
         share_out(plane)
         if world.on:
             resist_at_rest(world, plane)

@@ -93,7 +93,7 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
     torque = h.image[Image.TORQUE] * c.torque_Nm_raw + c.torque_commanded * h.torque_Nm
     way = h.moved_counts * c.rad_count if h.fresh else 0.0
     work = torque * way
-    if c.is_joint:  # what the tip stores is weighed at the tip (`host.world.plane_model`)
+    if c.is_joint:  # what the tip stores is weighed at the tip (`host.plane.tip_model`)
         work += h.world_elastic_Nm * way + h.unpaid_J
     elif h.world_elastic_Nm != 0.0 or h.world_J != 0.0:
         work += _stored_J(h, way)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from coulombus.host.laws.law import LawRecord
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.plane.plane_step import share_out
+from coulombus.host.plane.tip_model import add_tip_model, follow_tip_model, resist_at_rest, unpaid
 from coulombus.host.world.local_model import ACTIVE, HYBRID, PASSIVE
 from coulombus.host.world.model_check import PLANE_RANGES, why_not
 from coulombus.host.world.model_parts import (
@@ -24,7 +25,6 @@ from coulombus.host.world.model_parts import (
     Wall,
     model_of,
 )
-from coulombus.host.world.plane_model import add_plane_model, follow_plane_model, resist_at_rest, unpaid
 from coulombus.host.world.records import MODEL, OFFERS, LocalModelRecord
 from coulombus.kernels.records import new_records
 from coulombus.rigs.arguments import WrongCall
@@ -66,8 +66,8 @@ class Cycle:
         for k in range(len(self.law.user)):
             plane.law.user[k] = self.law.user[k]
         self.unpaid_J = unpaid(self.w, plane)
-        follow_plane_model(self.w, plane, self.law)
-        add_plane_model(self.w, plane)
+        follow_tip_model(self.w, plane, self.law)
+        add_tip_model(self.w, plane)
         share_out(plane)
         resist_at_rest(self.w, plane)
         return plane.psi_N.tolist(), plane.push_N.tolist()

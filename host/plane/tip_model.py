@@ -28,14 +28,14 @@ from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts
 from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS
 
-__all__ = ["add_plane_model", "end_plane_model", "follow_plane_model", "resist_at_rest", "unpaid"]
+__all__ = ["add_tip_model", "end_tip_model", "follow_tip_model", "resist_at_rest", "unpaid"]
 
 WALL, SPRING, FIELD = int(ModelParts.WALL), int(ModelParts.SPRING), int(ModelParts.FIELD)
 PARAMETERS = int(ModelParts.PARAMETERS)
 
 
 @kernel
-def follow_plane_model(w: LocalModelRecord, plane: PlaneHostRecord, law: LawRecord) -> None:
+def follow_tip_model(w: LocalModelRecord, plane: PlaneHostRecord, law: LawRecord) -> None:
     """Begin a cycle: advance the model, and set the parameters of the law in the plane from those of the rig."""
     if advance_model(w):
         w.field_from_m[0], w.field_from_m[1] = plane.motion.x_m[0], plane.motion.x_m[1]
@@ -140,7 +140,7 @@ def _kept(plane: PlaneHostRecord, x: float, y: float) -> float:
 
 
 @kernel
-def add_plane_model(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
+def add_tip_model(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
     """Weigh the law's force, and add the model's to it."""
     for i in range(2):
         plane.psi_N[i] *= w.law_share
@@ -178,7 +178,7 @@ def resist_at_rest(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
 
 
 @kernel
-def end_plane_model(w: LocalModelRecord) -> None:
+def end_tip_model(w: LocalModelRecord) -> None:
     """Exert nothing: the arm does not display."""
     for i in range(2):
         w.psi_N[i] = w.push_N[i] = w.elastic_N[i] = 0.0
