@@ -9,7 +9,7 @@ CoulombusError
 |   +-- BusDown                  4   wire.client
 |   +-- BusGone                  4   wire.client
 +-- ChannelError                 2   recording.bus_match
-+-- ClusterError                 2   lab.sweep.workers
++-- ClusterError                 2   lab.sweep.cluster
 +-- CommissionError              1   host.commission.step
 +-- ConditionError               3   lab.sweep.expressions        ValueError
 +-- ConformanceRefused           7   conformance.runner

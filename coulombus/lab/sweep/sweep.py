@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from coulombus.lab.sweep.cluster import on_cluster
 from coulombus.lab.sweep.one_run import Job, Keep, RunRequest, order_of
 from coulombus.lab.sweep.picture import MapPoint, map_of
 from coulombus.lab.sweep.rates import Rate
 from coulombus.lab.sweep.sweep_file import Sweep
 from coulombus.lab.sweep.sweep_folder import Folder, SweepFolderError
-from coulombus.lab.sweep.workers import on_cluster, on_processes
+from coulombus.lab.sweep.workers import on_processes
 from coulombus.lab.sweep.worst import nearest_failing, rig_files, shrunk
 from coulombus.system.realtime import usable_cpus
 
@@ -84,8 +85,8 @@ def run_sweep(
     ------
     coulombus.lab.sweep.sweep_folder.SweepFolderError
         the folder holds another sweep, or cannot be written
-    coulombus.lab.sweep.workers.ClusterError
-        no cluster is reachable
+    coulombus.lab.sweep.cluster.ClusterError
+        no cluster is reachable, or a worker has other versions
     """
     job = Job.of(sweep, keep)
     with Folder.open(Path(folder), sweep, force=force) as kept:
@@ -101,7 +102,7 @@ def _carry_out(kept: Folder, job: Job, left: list[int], processes: int, dask: st
     sweep = kept.sweep
     done, failed = sweep.runs - len(left), 0
     progress("runs", done, sweep.runs, failed)
-    orders = [order_of(sweep, run) for run in left]
+    orders = (order_of(sweep, run) for run in left)
     source = on_cluster(job, orders, dask) if dask else on_processes(job, orders, processes)
     try:
         with closing(source):  # type: ignore[type-var]

@@ -1,42 +1,31 @@
-"""Workers of a sweep: local processes, or a cluster of dask.distributed.
+"""Workers of a sweep: local processes.
 
-Both yield the result of each run on completion, in any order; the numbers do not depend on the worker.
+They yield the result of each run on completion, in any order; the numbers do not depend on the worker.
 """
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
 import socket
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from itertools import islice
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
 
-from coulombus.lab.sweep.one_run import FinishedRun, Job, RunRequest, carry_out, failed_row
-from coulombus.system.errors import CoulombusError
+from coulombus.lab.sweep.one_run import FinishedRun, Job, RunRequest, failed_row
 
-__all__ = ["ClusterError", "on_cluster", "on_processes"]
+__all__ = ["on_processes"]
 
 MODULE = "coulombus.lab.sweep.worker"
-WAITING = 256
-"""Runs submitted to a cluster at a time."""
-CONNECT_S = 10
 AHEAD = 2
 """Runs that a local process has at a time: it goes on while this process writes the table."""
 MOST_STARTS = 3
 """Failures before the first run after which a worker counts as unable to start."""
-
-
-class ClusterError(CoulombusError):
-    """A cluster cannot be used; the text has the reason and the remedy."""
-
-    exit_status = 2
 
 
 class _Worker:
@@ -78,7 +67,7 @@ class _Worker:
         return f"by {signal.Signals(-status).name}" if status < 0 else f"with exit status {status}"
 
 
-def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator[FinishedRun]:
+def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator[FinishedRun]:
     """Yield the results of the runs, by `count` local processes.
 
     If a process ends during a run (killed, out of memory), that run fails, and a new process continues.
@@ -90,8 +79,14 @@ def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator
     OSError
         a recording cannot be written
     """
-    waiting = list(reversed(orders))
-    workers = [_Worker(job) for _ in range(min(count, len(orders)))]
+    coming, waiting = iter(orders), deque[RunRequest]()
+
+    def left() -> int:
+        """Return the number of waiting runs; `count` + 1: perhaps more."""
+        waiting.extend(islice(coming, max(0, count + 1 - len(waiting))))
+        return len(waiting)
+
+    workers = [_Worker(job) for _ in range(min(count, left()))]
     stillborn = 0
     try:
         while workers:
@@ -107,8 +102,8 @@ def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator
                     if stillborn >= MOST_STARTS:
                         raise RuntimeError(f"the processes of the sweep end {how} before their first run") from None
                     order = worker.orders.popleft() if worker.orders else None
-                    waiting.extend(reversed(worker.orders))
-                    if waiting:
+                    waiting.extendleft(reversed(worker.orders))
+                    if left():
                         workers.append(_Worker(job))
                     if order is not None:
                         yield FinishedRun(failed_row(job, order, f"the process of the run ended {how}"))
@@ -118,8 +113,8 @@ def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator
                     raise answer
                 if answer is not None:
                     worker.orders.popleft()
-                while waiting and len(worker.orders) < (AHEAD if len(waiting) > len(workers) else 1):
-                    worker.take(waiting.pop())
+                while left() and len(worker.orders) < (AHEAD if len(waiting) > len(workers) else 1):
+                    worker.take(waiting.popleft())
                 if not worker.orders:
                     worker.end()
                     workers.remove(worker)
@@ -129,47 +124,3 @@ def on_processes(job: Job, orders: Sequence[RunRequest], count: int) -> Iterator
         for worker in workers:
             worker.process.kill()
             worker.end()
-
-
-def on_cluster(job: Job, orders: Sequence[RunRequest], address: str) -> Iterator[FinishedRun]:
-    """Yield the results of the runs, by the workers of the dask.distributed scheduler at `address`.
-
-    Its workers need this package, and the file of a user-defined law.
-
-    Raises
-    ------
-    ClusterError
-        dask.distributed is not installed, or no scheduler responds there
-    """
-    try:
-        cluster: Any = importlib.import_module("distributed")
-    except ImportError:
-        raise ClusterError("a dask cluster needs dask and distributed: pip install '.[cluster]' in the clone") from None
-    try:
-        client = cluster.Client(address, timeout=CONNECT_S)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise ClusterError(
-            f"--dask {address}: no scheduler answers ({error}); expected one such as tcp://HOST:8786"
-        ) from None
-    with client:
-        if not client.scheduler_info()["workers"]:
-            raise ClusterError(f"--dask {address}: the cluster has no worker; start one with dask worker {address}")
-        everywhere = client.scatter(job, broadcast=True)
-        waiting = list(reversed(orders))
-        at_work: dict[Any, RunRequest] = {}
-
-        def give() -> Any:
-            order = waiting.pop()
-            task = client.submit(carry_out, everywhere, order, pure=False)
-            at_work[task] = order
-            return task
-
-        coming = cluster.as_completed([give() for _ in range(min(WAITING, len(waiting)))], raise_errors=False)
-        for task in coming:
-            order = at_work.pop(task)
-            if waiting:
-                coming.add(give())
-            if task.status == "finished":
-                yield task.result()
-            else:
-                yield FinishedRun(failed_row(job, order, f"the cluster lost the run: {task.exception()}"))

@@ -20,7 +20,7 @@ from coulombus.lab.sweep.picture import map_of
 from coulombus.lab.sweep.sweep import run_sweep
 from coulombus.lab.sweep.sweep_file import read_sweep
 from coulombus.lab.sweep.sweep_folder import Folder, SweepFolderError
-from coulombus.lab.sweep.workers import ClusterError, on_processes
+from coulombus.lab.sweep.workers import on_processes
 from coulombus.lab.sweep.worst import shrunk
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig, load_rig_text, packaged_rig
@@ -77,28 +77,6 @@ def test_any_number_of_processes_comes_to_the_same_table(sweep_file, tmp_path, m
     assert found[0].simulated_s_per_core_s > 1
 
 
-def test_a_dask_cluster_comes_to_the_same_table(sweep_file, tmp_path, at_once):
-    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (extra [cluster])")
-    sweep = read_sweep(sweep_file())
-    run_sweep(sweep, tmp_path / "here")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, dashboard_address=None, silence_logs=False
-    ) as cluster:
-        run_sweep(sweep, tmp_path / "there", dask=cluster.scheduler_address)
-    assert (tmp_path / "there" / "runs.parquet").read_bytes() == (tmp_path / "here" / "runs.parquet").read_bytes()
-
-
-def test_without_dask_or_a_scheduler_that_is_told(sweep_file, tmp_path, monkeypatch):
-    sweep = read_sweep(sweep_file())
-    monkeypatch.setattr(workers, "CONNECT_S", 0.1)
-    pytest.importorskip("distributed")
-    with pytest.raises(ClusterError, match=r"tcp://127.0.0.1:1: no scheduler answers"):
-        run_sweep(sweep, tmp_path / "out", dask="tcp://127.0.0.1:1")
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(ClusterError, match=r"'\.\[cluster\]'"):
-        run_sweep(sweep, tmp_path / "out", dask="tcp://127.0.0.1:1")
-
-
 def test_a_row_is_what_simulate_comes_to(sweep_file, tmp_path, at_once):
     run_sweep(read_sweep(sweep_file()), tmp_path / "out")
     first, second, *_ = table(tmp_path / "out")
@@ -122,7 +100,7 @@ def test_a_sweep_that_was_interrupted_goes_on(sweep_file, tmp_path, monkeypatch,
     carried = []
 
     def interrupted(job, orders, count):
-        for order in reversed(orders[:4]):  # whatever comes first
+        for order in reversed(list(orders)[:4]):  # whatever comes first
             carried.append(order.run)
             yield known(job, order)
         raise KeyboardInterrupt
