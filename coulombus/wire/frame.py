@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import Record, RecordArray, Records, dtype_of, new_records
+from coulombus.wire import can_flags
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes, data_word
 
@@ -91,19 +92,7 @@ def new_queue() -> Queue:
     return queue
 
 
-@inlined
-def arbitration_key(can_id: int) -> int:
-    """Return the arbitration field as a number: the lower number wins the bus.
-
-    The bits of the field in their order on the wire, 32 of them: base identifier
-    (11), RTR or SRR, IDE, identifier extension (18), RTR (ISO 11898-1).
-    """
-    if can_id & CAN_EFF_FLAG:
-        base = (can_id >> 18) & 0x7FF
-        remote = 1 if can_id & CAN_RTR_FLAG else 0
-        return (base << 21) | (0b11 << 19) | ((can_id & 0x3FFFF) << 1) | remote
-    remote = 1 if can_id & CAN_RTR_FLAG else 0
-    return ((can_id & 0x7FF) << 21) | (remote << 20)
+arbitration_key = inlined(can_flags.arbitration_key)
 
 
 @kernel

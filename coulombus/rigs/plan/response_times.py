@@ -32,8 +32,7 @@ from typing import Literal
 import numpy as np
 
 from coulombus.wire.bits import worst_case_bits
-from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_RTR_FLAG
-from coulombus.wire.frame import arbitration_key
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_RTR_FLAG, arbitration_key
 
 __all__ = ["NO_ERRORS", "Errors", "Message", "Response", "Stage", "bit_ns", "response_times", "utilisation"]
 
