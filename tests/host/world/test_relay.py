@@ -74,6 +74,17 @@ def test_all_parts_of_a_json_model_reach_the_record():
     assert (record["samples"], record["sample_ns"], record["sample"][:2].tolist()) == (2, 2_000_000, [0.5, -0.5])
 
 
+def test_parts_with_vectors_are_those_of_the_plane():
+    wall = {"point_m": [0.25, 0], "normal": [-2, 0], "K_N_m": 300}
+    field = {"Ns_m": [[-1, 0], [0, -2]]}
+    profile = {"force_N": [0.5], "direction": [0, 1], "number": 7}
+    record = model(opened(), wall=wall, field=field, profile=profile)
+    assert record["parts"] == ModelParts.WALL | ModelParts.FIELD | ModelParts.PROFILE | ModelParts.PLANE
+    assert (record["plane_wall_point_m"].tolist(), record["plane_wall_normal"].tolist()) == ([0.25, 0.0], [-1.0, 0.0])
+    assert record["plane_field_Ns_m"].tolist() == [-1.0, 0.0, 0.0, -2.0]
+    assert (record["profile_direction"].tolist(), record["profile"]) == ([0.0, 1.0], 7)
+
+
 @pytest.mark.parametrize(
     ("message", "reason"),
     [
