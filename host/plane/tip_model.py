@@ -40,7 +40,7 @@ def follow_tip_model(w: LocalModelRecord, plane: PlaneHostRecord, law: LawRecord
     if advance_model(w):
         w.field_from_m[0], w.field_from_m[1] = plane.motion.x_m[0], plane.motion.x_m[1]
     m = w.offered[w.taken % OFFERS]
-    if m.parts & PARAMETERS and w.share > 0.0:
+    if m.parts & PARAMETERS:
         for k in range(plane.law.user.shape[0]):
             plane.law.user[k] = parameter_of(m, 4 + k, law.user[k], w.share)
 

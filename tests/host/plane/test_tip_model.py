@@ -112,6 +112,28 @@ def test_a_spring_pulls_to_its_point_with_its_most_and_a_profile_along_its_direc
     assert [c.at((0.0, 0.0))[1][1] for _ in range(5)] == [-2.0, -2.0, 1.0, 1.0, 0.0]
 
 
+def test_a_spring_damps_along_the_motion_with_its_most():
+    c = cycle_of(HYBRID)
+    c.render(Model(spring=PlaneSpring((0.0, 0.0), 0.0, B_Ns_m=10.0, most_N=4.0)))
+    assert c.at((0.1, 0.1), (0.06, -0.08)) == (pytest.approx([0.6, -0.8]), [0.0, 0.0])
+    assert c.at((0.1, 0.1), (0.6, -0.8))[0] == pytest.approx([2.4, -3.2])
+
+
+def test_a_slanted_wall_damps_within_its_face_alone():
+    c = cycle_of(HYBRID)
+    c.render(Model(wall=PlaneWall((0.1, 0.3), (-0.6, 0.8), K_N_m=400.0, B_Ns_m=10.0)))
+    assert c.at((0.1, 0.31), (0.6, -0.8))[0] == [0.0, 0.0]
+    psi, push = c.at((0.1, 0.2), (0.6, -0.8))  # 0.08 m deep, straight in with 1 m/s
+    assert push == pytest.approx([0.6 * 32.0, -0.8 * 32.0])
+    assert psi == pytest.approx([0.6 * 42.0, -0.8 * 42.0])
+
+
+def test_a_profile_acts_along_its_direction():
+    c = cycle_of(ACTIVE)
+    c.render(Model(profile=PlaneProfile((5.0,), (0.6, -0.8))))
+    assert c.at((0.0, 0.0))[1] == pytest.approx([-3.0, 4.0])
+
+
 def test_a_field_damps_by_the_brakes_and_drives_by_the_motors():
     c = cycle_of(HYBRID)
     c.render(Model(field=PlaneField(N=(1.0, 0.0), N_m=((0.0, 2.0), (-2.0, 0.0)), Ns_m=((-3.0, 0.0), (0.0, -3.0)))))
