@@ -120,6 +120,10 @@ def run_real_time(what: str, options: argparse.Namespace) -> None:
         from benchmarks.faulty import faulty
 
         faulty(options.seconds, options.rounds)
+    elif what == "world":
+        from benchmarks.world import world
+
+        world(show, options.seconds, options.rounds, options.minutes)
     elif what == "realtime":
         from benchmarks.realtime import realtime
 

@@ -21,6 +21,8 @@ SENTENCES: Mapping[str, str] = {
     "exports": "Export of a recording against its length, and against python-can's writers of the same formats.",
     "clients": "Processor time of each client at 10,000 frames/s, against python-can's recv of the same frames.",
     "page": "Processor time of the page's server, against python-can's recv of the same bus.",
+    "world": "A program's states and models at a running display, in turns with a bare socket, and the cycle "
+    "with four programs in turns with none.",
     "faulty": "Delivery of frames while 1 % are destroyed, in turns with cyclictest at the same priority.",
     "realtime": "The cycle's wake-up and processor time, in turns with cyclictest and with the same loop in C.",
     "coverage": "How often the intervals of commissioning contain the true values of random rigs, against their 95 %.",

@@ -47,6 +47,8 @@ OVER_S, LEAST_S, MOST_S = 0.5, 0.1, 60.0
 """Default, shortest and longest duration of a change."""
 MARKER = "set "
 ORDER_TEXT = re.compile(r"set .* \[(\d+): (.+) in (\d+)\]")
+LEAST_POSITIVE = 1e-9
+"""Smallest value of a parameter that must be more than 0: a law may divide by it, and the quotient stays finite."""
 OF_MODE = {"K_p_Nm_rad": Slot.K_P, "F_s_Nm": Slot.F_S, "F_d_Nm": Slot.F_D}
 """Keys of [mode.NAME] that are parameters of a law."""
 TORQUES = ("F_s_Nm", "F_d_Nm")
@@ -104,10 +106,12 @@ class Parameter:
 
     def why_not(self, value: float) -> str | None:
         """Return the reason why `value` is refused; None if it is allowed."""
-        right = self.low < value if self.above_low else self.low <= value
-        if math.isfinite(value) and right and value <= self.high:
+        lowest = self.low + LEAST_POSITIVE if self.above_low else self.low
+        if lowest <= value <= self.high:  # no NaN
             return None
         begin = f"more than {self.low:g}" if self.above_low else f"from {self.low:g}"
+        if self.low < value < lowest:
+            begin = f"from {lowest:g}"
         ends = f" ({self.whose} ends there)" if value > self.high else ""
         return f"{self.name}={value:g}: expected {begin} to {self.high:g} {self.unit}".rstrip() + ends
 

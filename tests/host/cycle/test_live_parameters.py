@@ -158,6 +158,7 @@ def test_the_numbers_of_a_law_of_ones_own_stay():
         ("active", "F_s_Nm", float("nan"), "F_s_Nm=nan"),
         ("active", "F_s_Nm", float("inf"), "F_s_Nm=inf"),
         ("active", "K_p_Nm_rad", 0.0, "K_p_Nm_rad=0: expected more than 0 to 1e+07 Nm/rad"),
+        ("active", "K_p_Nm_rad", 5e-324, "K_p_Nm_rad=4.94066e-324: expected from 1e-09 to 1e+07 Nm/rad"),
         ("active", "K_p_Nm_rad", 2e7, "the rig file's range ends there"),
         ("active", "compensation", 0.98, "expected from 0 to 0.97 (the rig file's range ends there)"),
         ("hybrid", "F_s_Nm", 400.0, "(limits.brake_torque_Nm ends there)"),
