@@ -179,13 +179,13 @@ def none_lost(show: Callable[..., None], seconds: float) -> None:
     with ExitStack() as stack:
         process = host(stack, seconds + 2.0)
         with connected() as hand:
-            states = [(state.sequence, state.lost) for state in hand]
+            states = [(state.sequence, state.lost, state.t_ns) for state in hand]
         figures = finished(process)
-    sent, lost = states[-1][0] - states[0][0] + 1, states[-1][1]
-    cycles = figures["cycles"] / figures["simulated_s"]
+    (first, _, begin_ns), (last, lost, end_ns) = states[0], states[-1]
+    share = 100 * len(states) / (last - first + 1)
     remark = f"{lost} lost; {figures['missed_deadlines']} periods missed by the host"
-    show(f"states that a program has read, of {sent}", f"{100 * len(states) / sent:.4f} %", f"at least 100 %; {remark}")
-    show("... states a second", f"{cycles:.1f}")
+    show(f"states that a program has read, of {last - first + 1}", f"{share:.4f} %", f"at least 100 %; {remark}")
+    show("... states a second", f"{(len(states) - 1) / (end_ns - begin_ns) * 1e9:.1f}")
 
 
 def first_effect(show: Callable[..., None]) -> None:
