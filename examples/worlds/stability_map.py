@@ -51,10 +51,22 @@ def shaking(say, rate_Hz, delay_ms, seed=1):
 
 
 def in_virtual_time(rates_Hz=RATES_HZ, delays_ms=DELAYS_MS):
-    """Return the velocities of both kinds [rad/s], by rate and delay."""
-    kinds = (local_model, torque_stream)
-    cells = [[[shaking(say, rate, delay)[0] for delay in delays_ms] for rate in rates_Hz] for say in kinds]
-    return dict(zip(("local model", "torque stream"), np.array(cells), strict=True))
+    """Return the velocities of both kinds [rad/s], by rate and delay; and in which runs the host tripped."""
+    velocities, tripped = {}, {}
+    for kind, say in (("local model", local_model), ("torque stream", torque_stream)):
+        runs = [[shaking(say, rate, delay) for delay in delays_ms] for rate in rates_Hz]
+        velocities[kind] = np.array([[velocity for velocity, _ in row] for row in runs])
+        tripped[kind] = np.array([[trip is not None for _, trip in row] for row in runs])
+    return velocities, tripped
+
+
+def table(velocities, tripped, rates_Hz=RATES_HZ, delays_ms=DELAYS_MS):
+    """Return the lines of a table: in each cell first the local model, then the torque stream."""
+    shown = [np.where(tripped[kind], "trips", np.char.mod("%.3f", cells)) for kind, cells in velocities.items()]
+    yield "| messages a second | " + " | ".join(f"{delay} ms" for delay in delays_ms) + " |"
+    yield "|---" * (len(delays_ms) + 1) + "|"
+    for rate, *row in zip(rates_Hz, *shown, strict=True):
+        yield f"| {rate} | " + " | ".join(" / ".join(cell) for cell in zip(*row, strict=True)) + " |"
 
 
 def draw(maps, path="world-stability.png"):
@@ -76,7 +88,6 @@ def draw(maps, path="world-stability.png"):
 
 
 if __name__ == "__main__":
-    maps = in_virtual_time()
-    for title, cells in maps.items():
-        print(title, cells.round(2).tolist())
-    draw(maps)
+    velocities, tripped = in_virtual_time()
+    print("\n".join(table(velocities, tripped)))
+    draw(velocities)

@@ -40,9 +40,14 @@ def test_the_latch_opens():
 
 def test_a_local_model_is_still_where_a_stream_of_torques_shakes():
     example = runpy.run_path(str(FOLDER / "stability_map.py"))
-    maps = example["in_virtual_time"](rates_Hz=(30, 1000), delays_ms=(0, 20))
+    maps, tripped = example["in_virtual_time"](rates_Hz=(30, 1000), delays_ms=(0, 20))
     assert (maps["local model"] < example["STILL_RAD_S"]).all()
     assert (maps["torque stream"] < example["STILL_RAD_S"]).tolist() == [[False, False], [True, False]]
+    assert not tripped["local model"].any()
+    assert tripped["torque stream"].tolist() == [[True, True], [False, True]]
+    *_, slow, fast = example["table"](maps, tripped, (30, 1000), (0, 20))
+    assert slow == "| 30 | 0.015 / trips | 0.015 / trips |"
+    assert fast.endswith(" / trips |")
 
 
 class FakeHand:

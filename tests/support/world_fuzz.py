@@ -36,9 +36,7 @@ class Fuzz:
         record["t_ns"] = rng.choice((0, time.monotonic_ns(), rng.getrandbits(63))) if rng.random() < 0.1 else 0
         record["life_ns"] = rng.randrange(1, self._longest_life_ns) if rng.random() < 0.98 else -1
         record["axis"] = rng.choice((-1, 1, 1 << 40)) if rng.random() < 0.02 else 0
-        record["parts"] = (
-            rng.randrange(2 * sum(ModelParts)) if rng.random() < 0.1 else rng.randrange(sum(ModelParts) + 1)
-        )
+        record["parts"] = rng.randrange(ModelParts.PLANE if rng.random() < 0.9 else 2 * sum(ModelParts))
         record["wall_side"] = rng.choice((1, -1, 1, -1, 1, -1, 0, 7))
         for name, (low, high) in RANGES.items():
             record[name] = number(rng, low, high) if rng.random() < 0.8 else 0.0
@@ -65,7 +63,7 @@ class Fuzz:
             return rng.randbytes(rng.randrange(1, 2 * MODEL.itemsize))
         data = bytearray(Greeting(flags=0).record()) + self._other_bytes(self.model(sequence), 0)
         if rng.random() < 0.3:
-            del data[rng.randrange(len(data)) :]
+            del data[rng.randrange(1, len(data)) :]
         return data if rng.random() < 0.8 else self._other_bytes(data, 0)
 
     def _other_bytes(self, data, first):
