@@ -50,6 +50,38 @@ def test_a_local_model_is_still_where_a_stream_of_torques_shakes():
     assert fast.endswith(" / trips |")
 
 
+def test_the_numbers_of_mujoco_become_a_wall_a_spring_and_friction():
+    door = runpy.run_path(str(FOLDER / "door_mujoco.py"))
+    model_of, stop, catch = door["model_of"], door["Stop"], door["Catch"]
+    free = model_of(0.2, 0.3, 0.01)
+    assert (free.wall, free.spring, free.field.Nms_rad) == (None, None, -0.01)
+    assert free.parameters == {"F_s_Nm": 0.3, "F_d_Nm": 0.3}
+    closed = model_of(-0.02, 0.3, 0.01, stop(-0.002, 0.1, 8.0, 0.1)).wall
+    assert (closed.x_rad, closed.K_Nm_rad, closed.B_Nms_rad, closed.side) == (0.0, 8.0, 0.1, "below")
+    assert model_of(0.5, 0.3, 0.01, stop(0.01, -0.1, 8.0, 0.1)).wall == Wall(0.6, 8.0, 0.1, "above")
+    for slope_m_rad in (-0.1, 0.1, 0.001):
+        spring = model_of(0.2, 0.3, 0.01, None, catch(5.0, 500.0, slope_m_rad)).spring
+        assert spring.K_Nm_rad == pytest.approx(max(500.0 * slope_m_rad**2, 0.5))
+        assert spring.K_Nm_rad * (spring.x_rad - 0.2) == pytest.approx(5.0 * slope_m_rad)
+
+
+def test_the_door_of_mujoco_holds_opens_and_falls_shut():
+    pytest.importorskip("mujoco", reason="mujoco is not installed: pip install '.[worlds]'")
+    events, trip = outcome("door_mujoco")
+    assert trip is None
+    assert [event for _, event in events[:2]] == ["open", "closed"]
+    door = runpy.run_path(str(FOLDER / "door_mujoco.py"))["Door"]()
+    models = [
+        door.world(SimpleNamespace(t_s=0.001 * step, x_rad=0.001 * step - 0.05, v_rad_s=1.0)) for step in range(751)
+    ]
+    at = dict(zip(range(-50, 701), models, strict=True))
+    torque_Nm = {x: at[x].spring.K_Nm_rad * (at[x].spring.x_rad - 0.001 * x) for x in (200, 500)}
+    assert torque_Nm[200] < -0.3
+    assert torque_Nm[500] > 0.3
+    assert (at[-40].wall.side, at[-40].wall.x_rad) == ("below", pytest.approx(0.0, abs=0.005))
+    assert (at[700].wall, at[700].spring) == (None, None)
+
+
 class FakeHand:
     """A display whose handle turns by 0.01 rad in each state."""
 

@@ -61,12 +61,13 @@ class Bench:
         self.states.close()
         self.sender.close()
 
-    def cycle(self, count=1, skipped=0):
+    def cycle(self, count=1, skipped=0, v_rad_s=0.0):
         """Let the data plane finish cycles."""
         for _ in range(count):
             self.sequence += 1 + skipped
             record = np.zeros(1, STATE)
             record["sequence"], record["x_rad"], record["phase"] = self.sequence, 0.5 * self.sequence, 5
+            record["v_rad_s"] = v_rad_s
             self.sender.send(record.tobytes())
 
     def until(self, condition):

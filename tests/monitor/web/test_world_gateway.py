@@ -17,7 +17,7 @@ from tornado.websocket import websocket_connect
 from chromium import CHROMIUM, Browser
 from coulombus.host.world.hand import world_path
 from coulombus.host.world.model_parts import Model, Wall
-from coulombus.host.world.protocol import Greeting, read_refusal, read_welcome
+from coulombus.host.world.protocol import Greeting, Named, read_refusal, read_welcome
 from coulombus.host.world.records import STATE
 from coulombus.host.world.relay import Relay
 from coulombus.monitor.web.server import listening
@@ -265,5 +265,37 @@ def test_the_browser_example_renders_its_wall_and_draws_the_handle(tmp_path):
                 assert {address.partition("/t")[0] for address in browser.requested} <= {
                     f"{scheme}://127.0.0.1:{at.port}" for scheme in ("http", "ws")
                 }
+
+    asyncio.run(run())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_the_block_of_the_browser_sets_the_levels_and_shows_whether_it_slides(tmp_path):
+    levels = (
+        Named(0, 0, 0.0, 4.5, 3.5, "F_s_Nm"),
+        Named(0, 1, 0.0, 4.0, 3.0, "F_d_Nm"),
+        Named(0, -1, 1.5, 1.5, 1.5, "x"),
+    )
+    moved = "slider('F_s_Nm').value = 1.5, slider('F_s_Nm').dispatchEvent(new Event('input', { bubbles: true }))"
+
+    async def run():
+        with Bench() as bench:
+            bench.display.parameters = lambda: levels
+            async with (
+                served(ROOT / "examples/worlds/stick_slip_block.html") as at,
+                Browser(at.url("", scheme="http"), str(tmp_path)) as browser,
+            ):
+                await until(lambda: len(bench.display.models) > 2)
+                model = bench.display.models[-1]
+                assert (model["spring_K_Nm_rad"], model["law"], model["parameters"]) == (1.0, 1.0, 0b11)
+                assert model["parameter"][:2].tolist() == [3.5, 3.0]
+                await browser.evaluate(moved)
+                await until(lambda: bench.display.models[-1]["parameter"][:2].tolist() == [1.5, 1.5])
+                bench.cycle(20)
+                await browser.until("shown.states === 20 && shown.x_rad === 10 && !shown.slides")
+                bench.cycle(v_rad_s=-0.5)
+                await browser.until("shown.slides")
+                assert browser.errors == []
 
     asyncio.run(run())
