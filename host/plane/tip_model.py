@@ -164,17 +164,16 @@ def resist_at_rest(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
 
     There the direction of the hand's torque decides what resists.
     """
-    c, s = plane.control, plane.split
+    s = plane.split
     holds = plane.hold_N > 0.0
     for i in range(JOINTS):
         a, b = plane.pose.jacobian[0, i], plane.pose.jacobian[1, i]
         push_Nm = a * w.push_N[0] + b * w.push_N[1]
         if holds:
-            s.motor_Nm[i] = s.push_Nm[i] = min(max(-push_Nm, -c.motor_limit_Nm[i]), c.motor_limit_Nm[i])
-        if holds or plane.v_rad_s[i] == 0.0:
-            sense = 1.0 if plane.hand_Nm[i] > 0.0 else -1.0 if plane.hand_Nm[i] < 0.0 else 0.0
-            level_Nm = s.brake_Nm[i] + max(sense * (a * w.psi_N[0] + b * w.psi_N[1] - push_Nm), 0.0)
-            s.brake_Nm[i] = min(level_Nm, c.brake_limit_Nm[i])
+            s.motor_Nm[i] = s.push_Nm[i] = -push_Nm
+        left_Nm = a * w.psi_N[0] + b * w.psi_N[1] - push_Nm
+        if (holds or plane.v_rad_s[i] == 0.0) and left_Nm * plane.hand_Nm[i] > 0.0:
+            s.brake_Nm[i] = min(s.brake_Nm[i] + abs(left_Nm), plane.control.brake_limit_Nm[i])
 
 
 @kernel

@@ -204,8 +204,8 @@ def add_model(
     if limited:
         torque_Nm = min(max(torque_Nm, w.pushed_Nm - w.motor_rate_Nm), w.pushed_Nm + w.motor_rate_Nm)
     w.world_Nm = torque_Nm - base_Nm
-    moving_Nm = drive_Nm + damping_Nm if w.mode == ACTIVE else drive_Nm
-    w.elastic_Nm = min(max(w.world_Nm - moving_Nm, min(elastic_Nm, 0.0)), max(elastic_Nm, 0.0))
+    # by the position alone: else what a limited motor returns on the way out is not what the hand has put in
+    w.elastic_Nm = 0.0 if w.mode == PASSIVE else _clip(elastic_Nm, room_Nm)
 
     left_Nm = push_Nm - w.world_Nm if w.mode == HYBRID else push_Nm if w.mode == PASSIVE else 0.0
     resisting_Nm = 0.0 if w.mode == ACTIVE else max(_sense(w, motion) * (left_Nm + damping_Nm), 0.0)

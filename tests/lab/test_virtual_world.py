@@ -92,6 +92,11 @@ def test_a_spring_that_stands_does_no_net_work_and_one_that_moves_trips(mode):
     assert trip.startswith("NET_WORK")
 
 
+def test_a_wall_that_damps_and_is_too_stiff_for_the_motor_does_no_net_work():
+    wall = Model(wall=Wall(0.2, 2.0, 0.1), law=0.0)
+    assert simulate("bench", "active", 9, world=lambda state: wall).trip is None
+
+
 def test_a_torque_that_drives_the_handle_trips():
     trip = simulate("bench", "active", 6, world=lambda state: Model(field=LinearField(1.0), law=0.0)).trip
     assert trip is not None

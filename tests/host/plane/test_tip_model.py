@@ -57,12 +57,12 @@ class Cycle:
             row[name] = record[name].tolist()
         self.w.wanted = self.number
 
-    def at(self, x_m, v_m_s=(0.0, 0.0), *, hand_Nm=(0.0, 0.0), psi_N=(0.0, 0.0), hold_N=0.0):
+    def at(self, x_m, v_m_s=(0.0, 0.0), *, hand_Nm=(0.0, 0.0), psi_N=(0.0, 0.0), push_N=(0.0, 0.0), hold_N=0.0):
         """Run a cycle at a place of the tip; return psi and push [N]."""
         plane = self.plane
         plane.motion.x_m[:], plane.motion.v_m_s[:] = x_m, v_m_s
         plane.v_rad_s[:] = np.linalg.solve(SQUARE, v_m_s)
-        plane.hand_Nm[:], plane.psi_N[:], plane.push_N[:], plane.hold_N = hand_Nm, psi_N, 0.0, hold_N
+        plane.hand_Nm[:], plane.psi_N[:], plane.push_N[:], plane.hold_N = hand_Nm, psi_N, push_N, hold_N
         for k in range(len(self.law.user)):
             plane.law.user[k] = self.law.user[k]
         self.unpaid_J = unpaid(self.w, plane)
@@ -143,6 +143,94 @@ def test_a_field_damps_by_the_brakes_and_drives_by_the_motors():
     c.render(Model(field=PlaneField(Ns_m=((0.0, -4.0), (4.0, 0.0)))))  # across the motion: no work, and no brake
     psi, push = c.at((0.0, 0.0), (0.5, 0.0))
     assert psi == push == pytest.approx([0.0, -2.0])
+
+
+def test_each_number_of_a_field_has_its_place():
+    c = cycle_of(HYBRID)
+    c.render(Model(field=PlaneField((1.0, 2.0), ((3.0, 5.0), (7.0, 11.0)), ((-13.0, 17.0), (19.0, -23.0)))))
+    x, v = (0.2, 0.3), (0.5, 0.4)
+    still = [1.0 + 0.6 + 1.5, 2.0 + 1.4 + 3.3]
+    fx, fy = -13.0 * 0.5 + 17.0 * 0.4, 19.0 * 0.5 - 23.0 * 0.4
+    psi, push = c.at(x, v)
+    assert psi == pytest.approx([-still[0] - fx, -still[1] - fy])
+    assert push == psi  # along the motion it drives
+    psi, push = c.at(x, (-0.5, 0.5))
+    fx, fy = 13.0 * 0.5 + 17.0 * 0.5, -19.0 * 0.5 - 23.0 * 0.5
+    along = (fx * -0.5 + fy * 0.5) / 0.5
+    assert along < 0.0
+    assert psi == pytest.approx([-still[0] - fx, -still[1] - fy])
+    assert push == pytest.approx([psi[0] + along * -0.5, psi[1] + along * 0.5])
+
+
+@pytest.mark.parametrize(
+    ("law", "place", "kept"),
+    [
+        ((0.0, 0.0), (0.1, 0.0), 0.5),  # 2 Nm on the first joint alone
+        ((0.0, 0.0), (-0.1, 0.0), 0.5),
+        ((0.0, 0.0), (0.0, 0.1), 0.5),  # and on both
+        ((0.0, 0.0), (0.04, -0.1), 1.0 / 2.8),  # 2.8 Nm on the first, 2 Nm on the second
+        ((3.0, 0.0), (0.1, 0.0), 0.2),  # the law's 0.6 Nm leave 0.4 Nm
+        ((-3.0, 0.0), (0.1, 0.0), 0.2),
+        ((0.0, -2.0), (0.0, 0.1), 0.3),
+        ((1.0, 3.0), (0.0, 0.1), 0.2),  # 0.4 Nm on the first, 0.6 Nm on the second
+        ((0.0, 9.0), (0.0, 0.1), 0.0),  # it leaves nothing
+        ((0.0, 0.0), (0.0, 0.05), 1.0),  # as much as there is
+        ((0.0, 0.0), (0.0, 0.04), 1.0),
+    ],
+)
+@pytest.mark.parametrize("gain", [1.0, 0.5])
+def test_the_motors_have_one_share_of_the_models_push_beside_the_laws(law, place, kept, gain):
+    c = cycle_of(HYBRID, motor_Nm=gain)
+    c.plane.gain = gain
+    c.render(Model(spring=PlaneSpring((0.0, 0.0), 100.0)))
+    psi, push = c.at(place, psi_N=[gain * n for n in law], push_N=[gain * n for n in law])
+    wanted = [gain * 100.0 * n for n in place]
+    assert push == pytest.approx([gain * one + kept * n for one, n in zip(law, wanted, strict=True)])
+    assert psi == pytest.approx([gain * one + n for one, n in zip(law, wanted, strict=True)])
+    assert list(c.w.push_N) == pytest.approx([kept * n for n in wanted])
+    assert c.w.clipped == (kept < 1.0)
+
+
+def test_a_display_without_motors_clips_nothing_and_a_driving_field_counts_as_push():
+    c = cycle_of(PASSIVE)
+    c.render(Model(spring=PlaneSpring((0.0, 0.0), 1e4), law=0.5))
+    assert c.at((0.1, 0.1), psi_N=(2.0, 0.0), push_N=(2.0, 4.0))[1] == [1.0, 2.0]
+    assert c.w.clipped == 0
+    c = cycle_of(HYBRID, motor_Nm=1.0)
+    c.render(Model(spring=PlaneSpring((0.0, 0.0), 100.0), profile=PlaneProfile((10.0,), (1.0, -1.0))))
+    drive = 10.0 / math.sqrt(2.0)
+    psi, push = c.at((0.1, 0.05))
+    assert psi == pytest.approx([10.0 - drive, 5.0 + drive])
+    torques = SQUARE.T @ psi
+    assert push == pytest.approx([n / np.abs(torques).max() for n in psi])
+
+
+@pytest.mark.parametrize("hold_N", [0.5, 2.0])
+def test_a_held_joint_that_still_turns_gets_the_rest_of_the_model_too(hold_N):
+    c = cycle_of(HYBRID, motor_Nm=0.5)
+    c.render(Model(spring=PlaneSpring((0.0, 0.0), 100.0)))
+    place = (0.02, 0.06)
+    c.at(place, (0.001, 0.002), hold_N=hold_N)
+    bare = np.array(c.commands[1])
+    into = 0.001 * SQUARE.T @ place
+    c.at(place, (0.001, 0.002), hold_N=hold_N, hand_Nm=into)
+    psi, push = (SQUARE.T @ [getattr(c.w, name)[k] for k in range(2)] for name in ("psi_N", "push_N"))
+    assert c.commands[0] == pytest.approx((-push).tolist())
+    assert c.commands[1] == pytest.approx((bare + np.abs(psi - push)).tolist(), abs=1e-3)
+    c.at(place, (0.001, 0.002), hold_N=hold_N, hand_Nm=-into)
+    assert c.commands[1] == pytest.approx(bare.tolist(), abs=1e-3)
+
+
+def test_a_moving_joint_has_the_splits_level_and_one_at_rest_resists_the_hand():
+    c = cycle_of(PASSIVE)
+    c.render(Model(spring=PlaneSpring((0.0, 0.0), 100.0)))
+    c.at((0.02, 0.06), (0.0, 0.2), hand_Nm=(1.0, 1.0))  # the second joint turns, away from the point
+    torques = SQUARE.T @ (2.0, 6.0)
+    assert c.commands[1] == pytest.approx([torques[0], torques[1]])
+    c.at((0.02, 0.06), (0.0, 0.2), hand_Nm=(-1.0, -1.0))
+    assert c.commands[1] == pytest.approx([0.0, torques[1]])
+    c.at((0.02, 0.06), (0.0, 0.0), hand_Nm=(0.0, 1e-9))
+    assert c.commands[1] == pytest.approx([0.0, torques[1]])
 
 
 def test_the_laws_force_and_hold_have_their_share_and_its_parameters_are_the_models():

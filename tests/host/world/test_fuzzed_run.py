@@ -108,8 +108,14 @@ def displayed(hand):
 
 
 def setpoints(log, can_id):
-    """Return the last two bytes of each RPDO: the motor's torque, or the brake's."""
-    return [struct.unpack_from("<h", data, len(data) - 2)[0] for _, sent, data in log if sent == can_id]
+    """Return stamp and last two bytes of each RPDO: the motor's torque, or the brake's."""
+    return [(stamp, struct.unpack_from("<h", data, len(data) - 2)[0]) for stamp, sent, data in log if sent == can_id]
+
+
+def changes(points):
+    """Return the values of two cycles in a row; the observer may have lost frames between others."""
+    within_s = 1.5 * PERIOD_S
+    return [(before, after) for (t1, before), (t2, after) in pairwise(points) if t2 - t1 < within_s]
 
 
 def test_random_messages_leave_the_bus_within_the_limits_and_the_server_alive():
@@ -140,9 +146,10 @@ def test_random_messages_leave_the_bus_within_the_limits_and_the_server_alive():
 
     motor, brake = setpoints(bus.log, 0x201), setpoints(bus.log, 0x202)
     most, rate = int(MOTOR_NM / motor_Nm_raw), RATE_NM_S * PERIOD_S / motor_Nm_raw + 1
-    assert (min(motor), max(motor)) == (-most, most)
+    assert {min(value for _, value in motor), max(value for _, value in motor)} == {-most, most}
+    assert len(changes(motor)) > 10_000
     # without a new position the motor has no torque
-    assert all(after == 0 or abs(after - before) <= rate for before, after in pairwise(motor))
+    assert all(after == 0 or abs(after - before) <= rate for before, after in changes(motor))
     most, fall = round(BRAKE_NM / BRAKE_NM_RAW), FALL_NM_S * PERIOD_S / BRAKE_NM_RAW + 1
-    assert (min(brake), max(brake)) == (0, most)
-    assert all(before - after <= fall for before, after in pairwise(brake))
+    assert {min(value for _, value in brake), max(value for _, value in brake)} == {0, most}
+    assert all(before - after <= fall for before, after in changes(brake))

@@ -267,3 +267,21 @@ def test_no_plausible_model_exceeds_a_limit_or_a_rate(mode, values, parts, side,
         assert abs(torque_Nm - before[0]) <= 0.75
         assert 0.0 <= brake_Nm <= 4.0
         assert before[1] - brake_Nm <= 0.5 + 1e-12
+
+
+@BOTH
+def test_what_a_limited_wall_returns_is_decided_by_the_place_alone(sign):
+    c = cycle_of(ACTIVE, motor_Nm=1.5, compensation_Nm=0.25)
+    c.render(Model(wall=Wall(0.0, 2.0, 0.1, side="above" if sign > 0 else "below"), life_s=1.0))
+    returned = []
+    for speed in (2.0, 0.0, -2.0):
+        c.at(0.5 * sign, speed * sign)
+        returned.append(c.w.elastic_Nm)
+    assert returned == [sign * 1.0] * 3
+    for speed in (2.0, 0.0, -2.0):
+        c.at(0.75 * sign, speed * sign)
+        assert c.w.elastic_Nm == sign * 1.25  # the motor has no more
+    c = cycle_of(PASSIVE)
+    c.render(Model(wall=Wall(0.0, 2.0, 0.1, side="above" if sign > 0 else "below"), life_s=1.0))
+    c.at(0.5 * sign, 1.0 * sign)
+    assert c.w.elastic_Nm == 0.0
