@@ -85,7 +85,7 @@ TARGETS = {
         left_out="counted_and_told or nowhere or displays_its or begins_before or run_is_refused",
     ),
     "host/cycle/live_parameters.py": Target(("test_live_parameters",)),
-    "host/world/local_model.py": Target(("test_local_model",)),
+    "host/world/local_model.py": Target(("test_local_model", "test_local_model_edges")),
     "host/plane/tip_model.py": Target(("test_tip_model",)),
     "host/run/run_sequence.py": Target(("test_run_sequence_edges",)),
     "host/run/control_socket.py": Target(("test_control_socket_edges", "test_control_socket")),

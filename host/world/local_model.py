@@ -79,7 +79,7 @@ def sampled(w: LocalModelRecord) -> float:
     m = w.offered[w.taken % OFFERS]
     if m.parts & PROFILE and m.sample_ns > 0:
         row = w.profile_ns // m.sample_ns
-        if 0 <= row < m.samples:
+        if row < m.samples:
             return float(m.sample[row])
     return 0.0
 
@@ -102,15 +102,11 @@ def _set_law(w: LocalModelRecord, law: LawRecord, state: LawStateRecord, x_rad: 
     share = w.share if m.parts & PARAMETERS else 0.0
     mixed.velocity_band_counts = law.velocity_band_counts
     mixed.paper_entry, mixed.brake_spring = law.paper_entry, law.brake_spring
-    mixed.K_p, mixed.F_s, mixed.F_d = law.K_p, law.F_s, law.F_d
+    mixed.K_p = parameter_of(m, 0, law.K_p, share)
+    mixed.F_s = parameter_of(m, 1, law.F_s, share)
+    mixed.F_d = parameter_of(m, 2, law.F_d, share)
     for k in range(USER):
-        mixed.user[k] = law.user[k]
-    if share > 0.0:
-        mixed.K_p = parameter_of(m, 0, law.K_p, share)
-        mixed.F_s = parameter_of(m, 1, law.F_s, share)
-        mixed.F_d = parameter_of(m, 2, law.F_d, share)
-        for k in range(USER):
-            mixed.user[k] = parameter_of(m, 4 + k, law.user[k], share)
+        mixed.user[k] = parameter_of(m, 4 + k, law.user[k], share)
     ratio = mixed.K_p / law.K_p if law.K_p > 0.0 else 1.0
     if state.stuck != 0 and ratio != w.K_p_ratio:
         state.x_stuck = x_rad - (x_rad - state.x_stuck) * (w.K_p_ratio / ratio)
@@ -207,15 +203,13 @@ def add_model(
     # by the position alone: else what a limited motor returns on the way out is not what the hand has put in
     w.elastic_Nm = 0.0 if w.mode == PASSIVE else _clip(elastic_Nm, room_Nm)
 
-    left_Nm = push_Nm - w.world_Nm if w.mode == HYBRID else push_Nm if w.mode == PASSIVE else 0.0
+    left_Nm = push_Nm - w.world_Nm  # what the motor does not show
     resisting_Nm = 0.0 if w.mode == ACTIVE else max(_sense(w, motion) * (left_Nm + damping_Nm), 0.0)
     wanted_brake_Nm = base_brake_Nm + resisting_Nm
     brake_Nm = min(wanted_brake_Nm, max(w.brake_limit_Nm, base_brake_Nm))
     if limited:
         brake_Nm = max(brake_Nm, min(w.brake_Nm - w.brake_fall_Nm, w.brake_limit_Nm))
-        short_Nm = abs(wanted_Nm - torque_Nm)
-        if w.mode == HYBRID:  # the brake shows what the motor cannot
-            short_Nm -= resisting_Nm
+        short_Nm = abs(wanted_Nm - torque_Nm) - resisting_Nm  # the brake shows what the motor cannot
         if short_Nm > ROUNDING_NM or abs(wanted_brake_Nm - brake_Nm) > ROUNDING_NM:
             w.clipped += 1
     w.world_brake_Nm = brake_Nm - base_brake_Nm

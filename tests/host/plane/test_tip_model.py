@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from coulombus.host.laws.law import LawRecord
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.plane.plane_step import share_out
-from coulombus.host.plane.tip_model import add_tip_model, follow_tip_model, resist_at_rest, unpaid
+from coulombus.host.plane.tip_model import add_tip_model, end_tip_model, follow_tip_model, resist_at_rest, unpaid
 from coulombus.host.world.local_model import ACTIVE, HYBRID, PASSIVE
 from coulombus.host.world.model_check import PLANE_RANGES, why_not
 from coulombus.host.world.model_parts import (
@@ -174,6 +174,7 @@ def test_each_number_of_a_field_has_its_place():
         ((0.0, -2.0), (0.0, 0.1), 0.3),
         ((1.0, 3.0), (0.0, 0.1), 0.2),  # 0.4 Nm on the first, 0.6 Nm on the second
         ((0.0, 9.0), (0.0, 0.1), 0.0),  # it leaves nothing
+        ((0.0, 9.0), (0.0, 0.0), 1.0),  # and nothing is asked for
         ((0.0, 0.0), (0.0, 0.05), 1.0),  # as much as there is
         ((0.0, 0.0), (0.0, 0.04), 1.0),
     ],
@@ -338,6 +339,17 @@ def test_what_is_given_beyond_what_was_stored_is_unpaid():
     assert c.w.stored_J == pytest.approx(0.09)
     c.at((0.06, 0.06))
     assert c.w.stored_J == pytest.approx(0.03 * 0.03)
+
+
+def test_motors_alone_damp_too_and_at_the_end_nothing_is_left():
+    c = cycle_of(ACTIVE)
+    c.render(Model(wall=WALL))
+    psi, push = c.at((0.11, 0.0), (0.1, 0.1))
+    assert c.commands[0] == pytest.approx((-SQUARE.T @ psi).tolist())
+    assert psi != push
+    c.w.elastic_N[1] = c.w.push_N[1] = c.w.psi_N[1] = 1.0
+    end_tip_model(c.w)
+    assert [*c.w.psi_N, *c.w.push_N, *c.w.elastic_N] == [0.0] * 6
 
 
 def energy_of(c, places):
