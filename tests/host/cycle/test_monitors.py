@@ -508,3 +508,53 @@ def test_one_cycle_that_fits_begins_the_count_anew():
 
 def test_a_motor_whose_torque_is_not_measured_is_not_watched():
     assert pushing([0.0] * 9, 3.0, motor_mismatch_Nm=FAR)[-1] is QUIET
+
+
+# what a world outside gives and takes
+
+
+@pytest.mark.parametrize(
+    ("elastic_Nm", "stored_J", "most_J", "work_J", "kept_J"),
+    [
+        (2.0, 0.0, 10.0, 2.0, 2.0),  # the hand puts in
+        (2.0, 9.5, 10.0, 2.0, 10.0),  # no more is kept than can be returned
+        (-2.0, 5.0, 10.0, -2.0, 3.0),  # it gets back
+        (-2.0, 0.5, 10.0, -0.5, 0.0),  # but not more than it has put in
+        (-2.0, 0.0, 10.0, 0.0, 0.0),
+        (0.0, 5.0, 1.0, 0.0, 1.0),
+        (1.0, 0.0, 10.0, 1.0, 1.0),
+        (0.0, 1.0, 0.5, 0.0, 0.5),
+    ],
+)
+@BOTH
+def test_what_a_worlds_springs_return_was_stored_before(elastic_Nm, stored_J, most_J, work_J, kept_J, sign):
+    bench = binary()
+    h = bench.h
+    h.moved_counts, h.world_elastic_Nm, h.world_J, h.world_most_J = 64 * sign, elastic_Nm * sign, stored_J, most_J
+    assert watch_motion(bench.c, h) == Trip.NONE
+    assert (h.work[0], h.work_sum, h.world_J) == (work_J, work_J, kept_J)
+
+
+def test_the_account_of_a_worlds_springs_needs_a_new_position():
+    bench = binary()
+    h = bench.h
+    h.fresh, h.moved_counts, h.world_elastic_Nm, h.world_J, h.world_most_J = 0, 64, 2.0, 3.0, 10.0
+    watch_motion(bench.c, h)
+    assert (h.work[0], h.world_J) == (0.0, 3.0)
+
+
+@BOTH
+def test_what_a_joint_stores_is_weighed_at_the_tip(sign):
+    bench = binary(is_joint=1)
+    h = bench.h
+    h.moved_counts, h.world_elastic_Nm, h.unpaid_J, h.world_most_J = 32 * sign, 2.0, 0.25, 10.0
+    watch_motion(bench.c, h)
+    assert (h.work[0], h.world_J) == (sign * 1.0 + 0.25, 0.0)
+
+
+def test_the_push_of_a_storing_law_is_without_the_worlds_part():
+    bench = binary(stores=1)
+    h = bench.h
+    h.moved_counts, h.pushed_Nm, h.world_Nm = 32, 3.0, 1.0
+    watch_motion(bench.c, h)
+    assert (h.work[0], h.contact_J) == (1.0, -1.0)
