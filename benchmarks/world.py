@@ -120,7 +120,7 @@ def p(values: list[int], share: float) -> float:
 
 @contextmanager
 def pings() -> Iterator[socket.socket]:
-    """The end of a stream at which each byte that is sent brings the pings of a turn."""
+    """Start a process that sends pings; yield the stream on which a byte orders those of a turn."""
     ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
     words = [sys.executable, "-c", PING, str(its.fileno())]
     with ours, subprocess.Popen(words, pass_fds=[its.fileno()]) as process:
@@ -227,8 +227,8 @@ def beside_programs(show: Callable[..., None], seconds: float, rounds: int) -> N
     wakeups, times = [], []
     for number in range(rounds):
         order = [{}, PROGRAMS] if number % 2 == 0 else [PROGRAMS, {}]
-        found = {len(programs): cycle_figures(seconds, programs) for programs in order}
-        (wakeup, cpu), (wakeup_beside, cpu_beside) = found[0], found[len(PROGRAMS)]
+        by_programs = {len(programs): cycle_figures(seconds, programs) for programs in order}
+        (wakeup, cpu), (wakeup_beside, cpu_beside) = by_programs[0], by_programs[len(PROGRAMS)]
         wakeups.append(wakeup_beside / wakeup)
         times.append(cpu_beside / cpu)
     show("the cycle's wake-up p99 beside four programs", f"{median(wakeups):.2f} x", "at most 1.05 x", wakeups)

@@ -13,7 +13,7 @@ NO_NUMBERS = (math.nan, math.inf, -math.inf, -0.0, 1e308, 5e-324)
 
 
 def number(rng, low, high):
-    """Return a number whose size has any order of magnitude; one of 50 is out of range, or no number."""
+    """Return a number from low to high of any magnitude; one of 50 is out of range or not finite."""
     if rng.random() < 0.02:
         return rng.choice((*NO_NUMBERS, 2 * high, 2 * low - 1.0))
     end = high if low == 0.0 or rng.random() < 0.5 else low
@@ -53,11 +53,11 @@ class Fuzz:
         return bytearray(record.tobytes())
 
     def garbled(self, sequence):
-        """Return a model of which some bytes behind the sequence are others: still a record."""
+        """Return a model record with random bytes behind its sequence number."""
         return self._other_bytes(self.model(sequence), AFTER_SEQUENCE)
 
     def rubbish(self, sequence):
-        """Return a connection's bytes: random ones, or a greeting and a record of any length with wrong bytes."""
+        """Return the bytes of a connection: random, or a greeting with a garbled record that may be cut."""
         rng = self._rng
         if rng.random() < 0.2:
             return rng.randbytes(rng.randrange(1, 2 * MODEL.itemsize))

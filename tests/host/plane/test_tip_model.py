@@ -185,10 +185,10 @@ def test_the_motors_have_one_share_of_the_models_push_beside_the_laws(law, place
     c.plane.gain = gain
     c.render(Model(spring=PlaneSpring((0.0, 0.0), 100.0)))
     psi, push = c.at(place, psi_N=[gain * n for n in law], push_N=[gain * n for n in law])
-    wanted = [gain * 100.0 * n for n in place]
-    assert push == pytest.approx([gain * one + kept * n for one, n in zip(law, wanted, strict=True)])
-    assert psi == pytest.approx([gain * one + n for one, n in zip(law, wanted, strict=True)])
-    assert list(c.w.push_N) == pytest.approx([kept * n for n in wanted])
+    spring_N = [gain * 100.0 * n for n in place]
+    assert push == pytest.approx([gain * law_N + kept * n for law_N, n in zip(law, spring_N, strict=True)])
+    assert psi == pytest.approx([gain * law_N + n for law_N, n in zip(law, spring_N, strict=True)])
+    assert list(c.w.push_N) == pytest.approx([kept * n for n in spring_N])
     assert c.w.clipped == (kept < 1.0)
 
 
