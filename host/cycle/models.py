@@ -69,6 +69,8 @@ class Models:
         axis = int(model["axis"])
         if model["parts"] & ModelParts.PARAMETERS:
             self._fill_parameters(model, axis)
+        else:  # unchecked: 0 times an infinite one is no number
+            model["parameters"], model["parameter"] = 0, 0.0
         number = self._number[axis] + 1
         if number - int(self._worlds["taken"][axis]) >= OFFERS:
             raise ModelRefused(f"more than {OFFERS - 1} models in a cycle", again=True)

@@ -133,7 +133,7 @@ def test_random_messages_leave_the_bus_within_the_limits_and_the_server_alive():
                 sender.send(sequence)
                 if sequence % 20 == 0:
                     bus.look()
-                    assert hand.state.phase == RUN
+                    assert hand.state.phase == RUN, result(run)
         except (OSError, NoWorld) as error:
             raise AssertionError(f"message {sequence}: {result(run)}") from error
         sender.close()
