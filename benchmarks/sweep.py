@@ -28,8 +28,8 @@ __all__ = ["sweep"]
 
 DISPLAY_S = size(13.0, 1.0)
 ROUNDS = size(7, 1)
-SCALED_RUNS = size(120, 4)
-TURNS = size(3, 1)
+SCALED_RUNS = size(1000, 4)
+TURNS = 1
 CYCLED_S = size(1000.0, 2.0)
 ROOT = Path(__file__).resolve().parents[1]
 FILE = f"""

@@ -116,6 +116,7 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
                 while left() and len(worker.orders) < (AHEAD if len(waiting) > len(workers) else 1):
                     worker.take(waiting.popleft())
                 if not worker.orders:
+                    worker.process.kill()  # its runs are over; the others' results do not wait for its end
                     worker.end()
                     workers.remove(worker)
                 if answer is not None:
