@@ -115,7 +115,7 @@ def _count(bins: Integers, t_ns: int) -> None:
 
 @kernel
 def _obey(b: Buffers) -> None:
-    """Execute the parent's requests (safe state, dead man's switch, parameters, models), and check that it runs."""
+    """Execute the parent's requests (safe state, dead man's switch, parameters), and check that it runs."""
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
     stop(p, axes, load_acquire(base + AT_STOP))
     _look_after_parent(p, base, axes)
@@ -128,7 +128,6 @@ def _obey(b: Buffers) -> None:
         p.ordered = order
         axes[p.order_axis].live.wanted = order
         log_moment(b.plane, b.trace, Moment.SET, now_ns(), order)
-    take_models(b.plane, b.trace, b.axes)
 
 
 @kernel
@@ -157,6 +156,7 @@ def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, 
             if result == GONE:
                 return 1
             if result == COMPLETE:
+                take_models(b.plane, b.trace, axes)
                 now = now_ns()
                 log_moment(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
                 waiting = finish(axes, law_function, now, WINDOW_OPEN, b.out, arm)
@@ -164,6 +164,7 @@ def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, 
                     return 1
         if waiting == 0:
             break
+    take_models(b.plane, b.trace, axes)
     now = now_ns()
     log_moment(b.plane, b.trace, Moment.WINDOW, now, p.asked)
     finish(axes, law_function, now, WINDOW_OVER, b.out, arm)

@@ -35,7 +35,7 @@ def tell_world(fd: int, state: RecordArray[StateRecord], axes: AxisRecords, done
 
 @kernel
 def take_models(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], axes: AxisRecords) -> None:
-    """Let the step take the newest model of each axis in the next cycle."""
+    """Let the law take the newest model of each axis: also one that came after the cycle had begun."""
     for k in range(axes.shape[0]):
         w = axes[k].world
         if w.on == 0:

@@ -25,6 +25,7 @@ OWN = (
     "_all_done",
     "failed",
     "_count",
+    "_collect",
     "_obey",
     "_goes_on",
     "watch",
@@ -116,11 +117,6 @@ def test_the_key_is_held_before_its_time_and_of_all_axes(bench, until_ns, held):
     bench.memory[loop.AT_DEADMAN] = until_ns
     loop._obey(bench.b)
     assert [host.deadman_ok for host in bench.hosts] == [held, held]
-
-
-def test_the_models_of_a_world_are_taken_in_each_cycle(bench):
-    loop._obey(bench.b)
-    assert bench.world == ["take_models"]
 
 
 def test_a_switch_that_is_an_object_is_none_of_the_key(bench):
@@ -231,6 +227,22 @@ def test_another_cycle_begins_as_commanded_or_while_a_brake_is_ramped(bench, com
     bench.ramps = ramps
     assert loop._goes_on(bench.p, bench.axes, command if command else PlaneCommand.QUIT) is goes_on
     assert bench.asked == asked
+
+
+# the window for TPDOs
+
+
+def test_each_axis_takes_the_newest_models_when_its_tpdos_are_there(bench):
+    found, left = [bus_sockets.COMPLETE, bus_sockets.TOOK, bus_sockets.COMPLETE], [1, 0, 0]
+    bench.b.poll = type("Poll", (dict,), {"ctypes": SimpleNamespace(data=77)})({0: 1 << 48})
+    bench.patch(loop, "ppoll_ns", lambda *_: 1)
+    bench.patch(loop, "take", lambda b, k, live: found.pop(0))
+    bench.patch(loop, "transmit", lambda b, patience: 0)
+    bench.patch(loop, "log_moment", lambda plane, trace, kind, *row: bench.world.append(Moment(kind).name))
+    bench.patch(loop, "finish", lambda *_: bench.world.append("finish") or left.pop(0))
+    assert loop._collect(bench.b, None, None, NOW_NS + 1) == 0
+    cycle = ["take_models", "ARRIVED", "finish"]
+    assert bench.world == [*cycle, *cycle, "take_models", "WINDOW", "finish"]
 
 
 # commands
