@@ -7,8 +7,10 @@ a shifted torque is a wrong torque. Internal times are nanoseconds; 1800h:3 coun
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, MAX_FIELDS, predefined
@@ -43,6 +45,7 @@ EVENT_UNIT_NS = 1_000_000
 COMMUNICATION = {"rpdo": 0x1400, "tpdo": 0x1800}
 MAPPING = {"rpdo": 0x1600, "tpdo": 0x1A00}
 PDO_COUNT = 512
+REALS = {32: "<f", 64: "<d"}
 DIAGRAM_COLUMNS = 110
 NAME_COLUMNS = 34
 
@@ -65,6 +68,14 @@ class Entry:
         """Whether the entry is a gap: bits that carry no object."""
         return self.index in DUMMY_TYPES
 
+    def number(self, word: int, start: int) -> int | float:
+        """Return the field at bit `start` of a data word: an integer, or an IEEE 754 number."""
+        raw = word >> start & (1 << self.bits) - 1
+        if self.kind == "real":
+            value: float = struct.unpack(REALS[self.bits], raw.to_bytes(self.bits // 8, "little"))[0]
+            return value
+        return raw - (1 << self.bits) if self.signed and raw >> (self.bits - 1) else raw
+
 
 @dataclass(frozen=True)
 class PdoLayout:
@@ -80,12 +91,12 @@ class PdoLayout:
     rtr_allowed: bool
     entries: tuple[Entry, ...]
 
-    @property
+    @cached_property
     def length(self) -> int:
         """Number of data bytes; a partly used last byte counts."""
         return (sum(entry.bits for entry in self.entries) + 7) // 8
 
-    @property
+    @cached_property
     def starts(self) -> tuple[int, ...]:
         """First bit of each entry."""
         return tuple(sum(entry.bits for entry in self.entries[:i]) for i in range(len(self.entries)))

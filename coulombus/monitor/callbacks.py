@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from coulombus.monitor.live import values_of
 from coulombus.recording.signal_names import signal_of
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.buses import one_bus
@@ -46,10 +45,11 @@ class Callback:
         """Stop calling the function."""
         self._ended = True
 
-    def _take(self, t_s: float, values: dict[str, float]) -> None:
-        own = {name: values[name] for name in self.names if name in values}
-        self._newest.update(own)
-        if self._ended or not own or len(self._newest) < len(set(self.names)):
+    def _take(self, t_s: float, pdo: RigPdo, places: tuple[int, ...], word: int) -> None:
+        for place in places:
+            value = pdo.value(place, word)
+            self._newest[pdo.signals[place].name] = value if math.isfinite(value) else math.nan
+        if self._ended or len(self._newest) < len(set(self.names)):
             return
         self.calls += 1
         try:
@@ -72,10 +72,11 @@ class LiveBus:
         self.rig = rig
         self._client = client
         self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
-        self._carried = {can_id: {signal.name for signal in pdo.signals} for can_id, pdo in self._pdos.items()}
         self.malformed: dict[str, int] = {}
         self._told_lost = False
         self._callbacks: tuple[Callback, ...] = ()
+        self._wanting: dict[int, list[tuple[Callback, tuple[int, ...]]]] = {}
+        """By identifier: who wants signals of this PDO, and their places in it."""
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._failure: OSError | None = None
@@ -112,7 +113,12 @@ class LiveBus:
         callback = Callback(names, function)
         with self._lock:
             self._callbacks = (*(other for other in self._callbacks if not other._ended), callback)
+            self._wanting = {can_id: self._wanting_of(pdo) for can_id, pdo in self._pdos.items()}
         return callback
+
+    def _wanting_of(self, pdo: RigPdo) -> list[tuple[Callback, tuple[int, ...]]]:
+        each = [(one, tuple(k for k, s in enumerate(pdo.signals) if s.name in one.names)) for one in self._callbacks]
+        return [(callback, places) for callback, places in each if places]
 
     @property
     def lost(self) -> int:
@@ -181,13 +187,11 @@ class LiveBus:
         if pdo.layout.length != length:
             self._tell_malformed(pdo, length)
             return
-        wanting = [candidate for candidate in self._callbacks if not self._carried[can_id].isdisjoint(candidate.names)]
-        newest = values_of(pdo, data) if wanting else {}
-        values = {name: math.nan if value is None else value for name, value in newest.items()}
-        for callback in wanting:
+        word = int.from_bytes(data, "little")
+        for callback, places in self._wanting.get(can_id, ()):
             if self._stop.is_set():
                 return
-            callback._take(t_ns / 1e9, values)
+            callback._take(t_ns / 1e9, pdo, places, word)
 
 
 def live(bus: str = "bench", rig: str | os.PathLike[str] = "bench", channel: str | None = None) -> LiveBus:

@@ -24,7 +24,6 @@ from coulombus.eds.sdo_frames import where
 from coulombus.monitor.learned_pdos import LearnedPdos
 from coulombus.monitor.services import STATES, emcy, lss, nmt
 from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
-from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
@@ -405,15 +404,11 @@ class Live:
         )
 
 
-def values_of(pdo: RigPdo, data: bytes) -> dict[str, int | float | None]:
+def values_of(pdo: RigPdo, data: bytes) -> dict[str, float | None]:
     """Return the signals of a frame's 8 bytes: name -> value in SI, bit fields raw, None if not finite."""
-    layout, word = pdo.layout, np.frombuffer(data, "<i8").astype(np.int64)
-    value_of: dict[str, int | float | None] = {}
-    for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):
-        raw = decode_field(word, start, entry)[0].item()
-        value = raw if not signal.unit and signal.scale == 1 else signal.si(raw)
-        value_of[signal.name] = value if math.isfinite(value) else None
-    return value_of
+    word = int.from_bytes(data, "little")
+    values = ((signal.name, pdo.value(place, word)) for place, signal in enumerate(pdo.signals))
+    return {name: value if math.isfinite(value) else None for name, value in values}
 
 
 def _node_row(node: _Node, t_ns: int, frames: int, rate_per_s: float) -> NodeRow:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,8 @@ from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS, Envelope
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.recording.signal_names import signal_of
 from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.frame_batches import Block
 
 __all__ = ["Trace", "Traces"]
 
@@ -47,21 +49,20 @@ class Traces:
             pdo.layout.cob_id: pdo for pdo in rig.pdos() if any(signal.name in self.names for signal in pdo.signals)
         }
         self._units = {signal.name: signal.unit for pdo in self._pdos.values() for signal in pdo.signals}
-        self._waiting: dict[int, list[tuple[int, bytes]]] = {can_id: [] for can_id in self._pdos}
+        self._waiting: list[Block] = []
 
-    def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
-        """Add frames: (stamp, identifier, length, eight data bytes) each."""
-        waiting = self._waiting
-        for t_ns, can_id, length, data in received:
-            if can_id in waiting and length == self._pdos[can_id].layout.length:
-                waiting[can_id].append((t_ns, data))
+    def take(self, block: Block) -> None:
+        """Add frames; they are decoded at the next look."""
+        if self.names:
+            self._waiting.append(block)
 
     def look(self, t_ns: int) -> tuple[Trace, ...]:
         """Return the envelopes of the ten seconds before `t_ns`."""
-        for can_id, frames in self._waiting.items():
-            if frames:
-                self._decode(can_id, frames)
-                self._waiting[can_id] = []
+        block, self._waiting = Block.joined(self._waiting), []
+        for can_id, pdo in self._pdos.items():
+            rows = np.flatnonzero((block.can_ids == can_id) & (block.lengths == pdo.layout.length))
+            if len(rows):
+                self._decode(pdo, block, rows)
         newest = t_ns // BIN_NS
         traces = []
         for name, envelope in self._envelopes.items():
@@ -73,11 +74,8 @@ class Traces:
             traces.append(Trace(name, self._units[name], low, high))
         return tuple(traces)
 
-    def _decode(self, can_id: int, frames: list[tuple[int, bytes]]) -> None:
-        pdo = self._pdos[can_id]
-        t_ns = np.array([t for t, _ in frames], np.int64)
-        words = np.frombuffer(b"".join(data for _, data in frames), "<i8").astype(np.int64)
+    def _decode(self, pdo: RigPdo, block: Block, rows: npt.NDArray[np.int64]) -> None:
         for signal, entry, start in zip(pdo.signals, pdo.layout.entries, pdo.layout.starts, strict=True):
             if signal.name in self._envelopes:
-                raw = decode_field(words, start, entry)
-                self._envelopes[signal.name].add(t_ns, raw * np.float64(signal.scale) + signal.offset)
+                raw = decode_field(block.words[rows], start, entry)
+                self._envelopes[signal.name].add(block.t_ns[rows], raw * np.float64(signal.scale) + signal.offset)

@@ -37,6 +37,7 @@ from coulombus.system.printable_console import PrintableConsole
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import BusDown, BusFull, BusGone, Client
+from coulombus.wire.frame_batches import BlockReader
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["LiveView", "ViewKeys", "look_once", "watch"]
@@ -45,7 +46,8 @@ DRAW_S = 0.1
 LINE_S = 1.0
 WAIT_S = 0.1
 ASK_NS = 1_000_000_000
-COLLECT_S = 0.002  # frames of this time are processed together: it saves most of the wake-ups
+COLLECT_S = 0.01
+"""Frames of this time are processed together; the buffer of a SocketCAN socket holds some 270."""
 EVENTS = 200
 HOST_S = 0.5
 PAUSE_KEYS, RAW_KEYS, WORD_KEYS, END_KEYS, INCIDENT_KEYS = b"p ", b"b", b"w", b"q", b"123456789"
@@ -222,6 +224,7 @@ class _Reader:
         self.lock = threading.Lock()
         self.failure: OSError | None = None
         self._client, self._live, self._traces, self._incidents = client, live, traces, incidents
+        self._frames = BlockReader(client)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bus reader", daemon=True)
 
@@ -238,13 +241,13 @@ class _Reader:
         while not self._stop.is_set():
             try:
                 self._client.wait(WAIT_S)
-                while frames := self._client.receive():
+                if len(block := self._frames.receive()):
                     with self.lock:
-                        self._live.take(frames)
-                        if self._traces is not None and self._traces.names:
-                            self._traces.take(frames)
+                        self._live.take(block)
+                        if self._traces is not None:
+                            self._traces.take(block)
                     if self._incidents is not None:
-                        self._incidents.take(frames)
+                        self._incidents.take(block)
                 if time.monotonic_ns() - asked_ns > ASK_NS:
                     asked_ns = time.monotonic_ns()
                     self._client.ask()

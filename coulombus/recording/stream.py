@@ -1,7 +1,7 @@
 """``coulombus watch --pcapng F``: a bus as a pcapng stream while it runs, for ``wireshark -k -i -`` or a named pipe.
 
-Every batch of frames is written with one system call on arrival. Nothing is ever sent. A slow
-reader delays only this client; the bus counts its lost frames.
+The frames of `COLLECT_S` are written with one system call. Nothing is ever sent. A slow reader
+delays only this client; the bus counts its lost frames.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import select
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from coulombus.recording.pcapng_blocks import RecordingError
@@ -17,13 +18,15 @@ from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress
-from coulombus.wire.client import BusDown, BusFull, Client, Received
-from coulombus.wire.frame import Frame, Records, data_word, new_records
+from coulombus.wire.client import BusDown, BusFull, Client
+from coulombus.wire.frame_batches import BlockReader
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["stream"]
 
 ASK_S = 1.0
+COLLECT_S = 0.01
+"""The buffer of a SocketCAN socket holds some 270 frames."""
 STDOUT = "/dev/stdout"
 
 
@@ -75,7 +78,9 @@ def stream(
 
 def _copy(client: Client, writer: PcapngWriter, stop: StopSignals, end: float | None) -> None:
     last_question_s = time.monotonic()
-    poll = select.poll()
+    frames = BlockReader(client)
+    ends, poll = select.poll(), select.poll()
+    ends.register(stop, select.POLLIN)
     poll.register(stop, select.POLLIN)
     poll.register(client, select.POLLIN)
     while not stop.number:
@@ -83,21 +88,10 @@ def _copy(client: Client, writer: PcapngWriter, stop: StopSignals, end: float | 
         if end is not None and now >= end:
             return
         poll.poll(1e3 * min(ASK_S, ASK_S if end is None else end - now))
-        frames: list[Received] = []
-        try:
-            while part := client.receive():
-                frames += part
+        ends.poll(1e3 * COLLECT_S)
+        with suppress(BusDown, BusFull):
+            if len(block := frames.receive()):
+                writer.write(block.records)
             if now - last_question_s > ASK_S:
                 last_question_s = now
                 client.ask()
-        except (BusDown, BusFull):
-            pass
-        finally:  # also if the bus closed after the last frames
-            if frames:
-                writer.write(_records(frames))
-
-
-def _records(received: list[Received]) -> Records:
-    frames = new_records(Frame, len(received))
-    frames[:] = [(t_ns, can_id, length, data_word(data[:length]), 0) for t_ns, can_id, length, data in received]
-    return frames

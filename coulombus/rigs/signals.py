@@ -93,6 +93,11 @@ class RigPdo:
         """Its name within the node, as "TPDO1"."""
         return f"{self.layout.direction.upper()}{self.layout.number}"
 
+    def value(self, place: int, word: int) -> float:
+        """Return the value of the signal at `place` in a frame's data word: in SI, of a word of bits raw."""
+        signal, raw = self.signals[place], self.layout.entries[place].number(word, self.layout.starts[place])
+        return raw if not signal.unit and signal.scale == 1 else signal.si(raw)
+
     @property
     def every_cycle(self) -> bool:
         """Whether the device sends it after each SYNC.

@@ -47,6 +47,8 @@ HEADER = np.dtype(
         ("size", np.int64),  # an unsigned int and its padding
     ]
 )
+USED = np.array([(1 << 8 * length) - 1 for length in range(8)] + [-1])
+"""Bits of a word that a frame of this length has."""
 _libc = c_library()
 
 
@@ -59,7 +61,7 @@ class Block:
     t_ns : stamps [ns since 1970]
     can_ids : identifiers with flags
     lengths : 0 to 8
-    words : the eight data bytes as a little-endian integer
+    words : the data bytes as a little-endian integer; those beyond the length are 0
     """
 
     t_ns: Integers
@@ -157,7 +159,12 @@ class BlockReader:
         """
         blocks: list[Block] = []
         for _ in range(ROUNDS):  # bounded, so that a flood does not block the caller
-            count = self._call()
+            try:
+                count = self._call()
+            except OSError:
+                if not blocks:
+                    raise
+                break  # what was received counts; the next call fails, too
             if count:
                 blocks.append(self._block(count))
             if count < MESSAGES or self._ended:
@@ -195,9 +202,8 @@ class BlockReader:
         first = np.repeat(rows * (MESSAGE_BYTES // FRAME_BYTES) - np.cumsum(counts) + counts, counts)
         frames = self._frames[first + np.arange(len(first))]
         lengths = frames["length"].astype(np.int64)
-        block = Block(
-            np.repeat(stamps[rows], counts), frames["can_id"].astype(np.int64), lengths, frames["word"].astype(np.int64)
-        )
+        words = frames["word"].astype(np.int64) & USED[np.minimum(lengths, CAN_LENGTH)]
+        block = Block(np.repeat(stamps[rows], counts), frames["can_id"].astype(np.int64), lengths, words)
         wrong = lengths > CAN_LENGTH
         if wrong.any():
             self._client.malformed += int(wrong.sum())

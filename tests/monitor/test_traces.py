@@ -17,6 +17,7 @@ from coulombus.monitor.traces import Traces
 from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS
 from coulombus.recording.signals import UnknownSignal
 from coulombus.rigs.rig import load_rig
+from coulombus.wire.frame_batches import Block
 
 NAME = "motor.position_rad"
 NOW = 1_700_000_000 * 10**9
@@ -55,12 +56,12 @@ def test_what_was_not_seen_is_blank_and_the_newest_is_at_the_right() -> None:
     assert drawn(values[:0], values[:0], 3, 1) == (["   "], 0.0, 0.0)
 
 
-def frames(positions: list[int], step_ns: int) -> list[tuple[int, int, int, bytes]]:
+def frames(positions: list[int], step_ns: int) -> Block:
     """Return TPDO1s of the bench's motor, the last of them at NOW."""
     first = NOW - (len(positions) - 1) * step_ns
-    return [
-        (first + k * step_ns, 0x181, 8, struct.pack("<Hih", 0x0237, counts, 0)) for k, counts in enumerate(positions)
-    ]
+    return Block.of(
+        [(first + k * step_ns, 0x181, 8, struct.pack("<Hih", 0x0237, counts, 0)) for k, counts in enumerate(positions)]
+    )
 
 
 def test_the_envelope_has_what_came_in_the_last_ten_seconds() -> None:
@@ -68,7 +69,7 @@ def test_the_envelope_has_what_came_in_the_last_ten_seconds() -> None:
     traces = Traces(rig, [NAME])
     scale = next(s.scale for pdo in rig.pdos() for s in pdo.signals if s.name == NAME)
     traces.take(frames([100, -50, 7], BIN_NS // 4))
-    traces.take([(NOW, 0x181, 3, bytes(8)), (NOW, 0x999, 8, bytes(8))])  # of another length, another frame
+    traces.take(Block.of([(NOW, 0x181, 3, bytes(8)), (NOW, 0x999, 8, bytes(8))]))  # of another length, another frame
     (trace,) = traces.look(NOW)
     assert len(trace.low) == ENVELOPE_BINS
     assert trace.unit == "rad"

@@ -16,8 +16,10 @@ import pytest
 from coulombus.recording.reading import read
 from coulombus.recording.stream import stream
 from coulombus.rigs.rig import load_rig
+from coulombus.wire import frame_batches
 from coulombus.wire.address import parse_address
-from coulombus.wire.client import BusGone, Client
+from coulombus.wire.client import BusGone
+from coulombus.wire.frame_batches import BlockReader
 from places import ROOT
 
 pytestmark = [pytest.mark.real_time, pytest.mark.patient, pytest.mark.usefixtures("private_sockets")]
@@ -143,16 +145,18 @@ def test_what_came_just_before_the_bus_went_is_kept(bus, tmp_path, monkeypatch):
     """The frames and the end of the bus in one look: the frames are written, then the end
     is told.
     """
-    received = Client.receive
+    received = BlockReader._call
     came = []
 
-    def receive(client):
+    def receive(reader):
         if came:
             raise BusGone("it went")
-        came.extend(part := received(client))
-        return part
+        if count := received(reader):
+            came.append(count)
+        return count
 
-    monkeypatch.setattr(Client, "receive", receive)
+    monkeypatch.setattr(frame_batches, "MESSAGES", 1)
+    monkeypatch.setattr(BlockReader, "_call", receive)
     path = tmp_path / "a.pcapng"
     deliverer = threading.Thread(target=lambda: (greeted(bus), bus.deliver(*SENT)))
     deliverer.start()

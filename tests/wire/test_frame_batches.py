@@ -102,6 +102,33 @@ def test_what_came_before_the_end_counts(monkeypatch):
                 reader.receive()
 
 
+def test_what_came_before_a_failure_counts(monkeypatch):
+    with two_clients(monkeypatch) as (ends, (_, client)):
+        monkeypatch.setattr(blocks, "MESSAGES", 2)
+        reader = BlockReader(client)
+        for can_id in (0x80, 0x81):
+            ends[1].send(pack_frame(can_id))
+        once, calls = reader._call, []
+
+        def fails_later():
+            if calls:
+                raise client.failure(OSError(100, "Network is down"))
+            calls.append(once())
+            return calls[0]
+
+        monkeypatch.setattr(reader, "_call", fails_later)
+        assert reader.receive().can_ids.tolist() == [0x80, 0x81]
+        with pytest.raises(OSError, match="interface is down"):
+            reader.receive()
+
+
+def test_bytes_beyond_the_length_are_none_of_the_frame(monkeypatch):
+    with two_clients(monkeypatch) as (ends, (_, client)):
+        ends[1].send(b"".join(struct.pack("=IB3x8s", 0x181, length, b"\xff" * 8) for length in range(9)))
+        words = BlockReader(client).receive().words.view(np.uint64)
+        assert words.tolist() == [(1 << 8 * length) - 1 for length in range(9)]
+
+
 def test_a_closed_client_raises_what_the_system_says(monkeypatch):
     with two_clients(monkeypatch) as (_, (_, client)):
         reader = BlockReader(client)
