@@ -88,7 +88,7 @@ def simulation() -> None:
     bare(1)
     cyclic, least = turns(lambda: world.wait_ns(20_000_000_000), lambda: bare(20_000), count=5)
     speeds = rates(20.0, cyclic)
-    what = "cyclic kernel alone: five PDOs, SYNC, heartbeats, law, plant at 50 us"
+    what = "cyclic kernel alone: four PDOs, SYNC, heartbeats, law, plant at 50 us"
     show(what, f"{statistics.median(speeds):.0f} x", "at least 1,000 x", speeds)
     show("... CPU time of one cycle", f"{statistics.median(cyclic) / 20_000 * 1e9:.0f} ns")
     shares = [bare_s / cyclic_s for cyclic_s, bare_s in zip(cyclic, least, strict=True)]
