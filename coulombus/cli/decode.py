@@ -52,6 +52,7 @@ def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tup
             recording.inside = ()  # frames of the host's telemetry were on no bus
         files = eds_files(eds)
         remark(files.refused)
+        remarks: list[str] = []
         out = sys.stdout
         width = columns_of(out)
 
@@ -62,7 +63,7 @@ def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tup
             for lines in text_lines(recording):
                 out.writelines(map(written, lines))
         else:
-            for row in bare_rows(file, channels, files) if recording is None else rows(recording):
+            for row in bare_rows(file, channels, files, remarks) if recording is None else rows(recording):
                 out.write(written(as_json_line(row) if as_json else printable(as_text(row))))
         out.flush()
-        remark(() if recording is None else recording.remarks)
+        remark(remarks if recording is None else recording.remarks)

@@ -75,7 +75,7 @@ def export_command(
     mcap, hdf5, mat), or whole frames (candump, asc, blf).
 
     The file is written whole or not at all, in a memory that does not grow with the recording.
-    parquet, mf4 and hdf5 need libraries: pip install '.[export]' in the clone.
+    parquet, mf4 and hdf5 need libraries: pip install -e '.[export]' in the clone.
 
     \b
     Examples:

@@ -61,7 +61,9 @@ def hz(
                 by_bus = {channel: (rig.on(channel), stamps) for channel, stamps in recorded(recording).items()}
                 remark(recording.remarks)
             else:
-                by_bus = {"": (None, recorded_bare(file, chosen.channel))}
+                remarks: list[str] = []
+                by_bus = {"": (None, recorded_bare(file, chosen.channel, remarks))}
+                remark(remarks)
         else:
             rig, address = chosen.found()
             if sys.stderr.isatty():

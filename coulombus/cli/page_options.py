@@ -209,4 +209,4 @@ def tornado_needed() -> Iterator[None]:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "tornado":
             raise
-        raise WebError("the page needs Tornado: pip install '.[web]' in the clone") from None
+        raise WebError("the page needs Tornado: pip install -e '.[web]' in the clone") from None

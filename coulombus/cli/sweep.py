@@ -62,8 +62,8 @@ def sweep_command(
     Rates have intervals of 95 % confidence (Clopper-Pearson). For each rate the mildest failing rig
     is searched for and kept as a rig file, and a map is drawn.
 
-    The same command, given again, continues where it was interrupted. The table needs pyarrow: pip
-    install '.[export]' in the clone. A cluster needs dask: pip install '.[cluster]'.
+    The same command, given again, continues where it was interrupted. The table needs
+    pyarrow, a cluster needs dask: pip install -e '.[export,cluster]' in the clone.
 
     \b
     Examples:

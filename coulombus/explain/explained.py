@@ -24,11 +24,12 @@ from coulombus.explain.nodes import STATES
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.periods import Timing
 from coulombus.explain.rare import RareFrames
-from coulombus.recording.bus_match import Channel, channel_texts, one_bus
+from coulombus.recording.block_source import captures_of_bus
+from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.seen_maps import maps_of_rig
-from coulombus.recording.reading import HOST, RIG, captures
+from coulombus.recording.reading import HOST, RIG
 from coulombus.rigs.rig import Rig, RigError, load_rig_text
 from coulombus.wire.frame import Records, data_bytes
 
@@ -265,22 +266,19 @@ def explain(
     Raises
     ------
     coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
-        The file is damaged, or is of another kind.
+        The file is damaged, is of another kind, or has no frame.
     coulombus.recording.bus_match.ChannelError
         The file has several buses, and `channel` names none of them.
     """
-    warnings: list[str] = []
+    remarks: list[str] = []
     explainer: Explainer | None = None
-    texts, left_out = channel_texts(channel), tuple[str, ...]()
-    for stretch in captures(Path(path)):
-        capture, left_out = one_bus(stretch, texts)
+    for capture in captures_of_bus(Path(path), channel, remarks):
         if explainer is None:
-            explainer = Explainer(rig or attached_rig(capture, warnings), eds, span)
+            explainer = Explainer(rig or attached_rig(capture, remarks), eds, span)
         explainer.take(capture.frames, capture.comments, capture.inside)
-        warnings += capture.warnings
     explainer = explainer or Explainer(rig, eds, span)
     explainer.end()
-    return explainer.explanation([*warnings, *left_out])
+    return explainer.explanation(remarks)
 
 
 def attached_rig(capture: Capture, remarks: list[str]) -> Rig | None:

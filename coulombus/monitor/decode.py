@@ -24,11 +24,11 @@ from coulombus.eds.reader import Description
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync
-from coulombus.recording.bus_match import Channel, channel_texts, one_bus
+from coulombus.recording.block_source import captures_of_bus
+from coulombus.recording.bus_match import Channel
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pdo_columns import PdoTable, decode_field
-from coulombus.recording.reading import captures
 from coulombus.recording.signals import Recording, Source, epoch_of
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
@@ -174,8 +174,8 @@ def _row_template(row: Row, table: PdoTable) -> str:
     return "%14.6f" + _head(row)[len(_time_text(0.0)) :].replace("%", "%%") + " " + "  ".join(items)
 
 
-def bare_rows(path: Path, channel: Channel, eds: EdsFiles) -> Iterator[Row]:
-    """Yield one dict for each frame of a log without a rig, in the file's order.
+def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -> Iterator[Row]:
+    """Yield one dict for each frame of a log without a rig, in the file's order; then add what was left out to `remarks`.
 
     Nodes are numbers. A PDO has its mapped objects by index where the log or an EDS file shows its
     map (`recording.maps.log_maps`); a map of CiA 402's defaults is called assumed.
@@ -184,11 +184,12 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles) -> Iterator[Row]:
     ------
     coulombus.recording.bus_match.ChannelError
         The file has several buses, and `channel` names none of them.
+    coulombus.recording.log_files.LogError
+        It has no frame.
     """
     services, maps, pdos = _Services(None), LogMaps(eds), dict[int, RigPdo]()
-    texts, epoch_ns = channel_texts(channel), None
-    for stretch in captures(path):
-        capture, _ = one_bus(stretch, texts)
+    epoch_ns = None
+    for capture in captures_of_bus(path, channel, remarks):
         comments = dict(capture.comments)
         epoch_ns = epoch_of(capture.frames) if epoch_ns is None and len(capture.frames) else epoch_ns
         for start in range(0, len(capture.frames), LEARNED):

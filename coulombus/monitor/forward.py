@@ -86,7 +86,7 @@ class Foxglove:
         try:
             import foxglove
         except ModuleNotFoundError:
-            text = "Foxglove's SDK is not installed: pip install '.[foxglove]' in the clone"
+            text = "Foxglove's SDK is not installed: pip install -e '.[foxglove]' in the clone"
             raise PortError(text) from None
         foxglove.set_log_level("ERROR")
         self._context = context = foxglove.Context()  # kept: without it the channels are closed

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId
 from coulombus.monitor.time_counts import TimeCounts
-from coulombus.recording.bus_match import Channel, channel_texts, one_bus
-from coulombus.recording.reading import captures
+from coulombus.recording.block_source import captures_of_bus
+from coulombus.recording.bus_match import Channel
 from coulombus.recording.signals import Source
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
@@ -164,17 +164,19 @@ def recorded(source: Source) -> dict[str, Stamps]:
     return stamps
 
 
-def recorded_bare(path: Path, channel: Channel) -> Stamps:
-    """Return the stamps of one bus of a log without a rig.
+def recorded_bare(path: Path, channel: Channel, remarks: list[str]) -> Stamps:
+    """Return the stamps of one bus of a log without a rig; add what was left out to `remarks`.
 
     Raises
     ------
     coulombus.recording.bus_match.ChannelError
         The file has several buses, and `channel` names none of them.
+    coulombus.recording.log_files.LogError
+        It has no frame.
     """
-    stamps, texts = Stamps(), channel_texts(channel)
-    for stretch in captures(path):
-        frames = one_bus(stretch, texts)[0].frames
+    stamps = Stamps()
+    for capture in captures_of_bus(path, channel, remarks):
+        frames = capture.frames
         stamps.take_all(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
     return stamps
 

@@ -11,10 +11,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from coulombus.recording.bus_match import BusMatch
+from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, one_bus
 from coulombus.recording.file_content import Capture
 from coulombus.recording.host_telemetry import of_axis
-from coulombus.recording.log_files import is_log, read_log
+from coulombus.recording.log_files import LogError, is_log, read_log
 from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.recording.pcapng_reader import iter_pcapng
 from coulombus.recording.remarks import remarks_on
@@ -24,7 +24,7 @@ from coulombus.recording.unwrap import POSITION, Turns
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 
-__all__ = ["HOST", "WHOLE", "Blocks", "Span", "bus_match", "captures", "first_rows", "remaps"]
+__all__ = ["HOST", "WHOLE", "Blocks", "Span", "bus_match", "captures", "captures_of_bus", "first_rows", "remaps"]
 
 Span: TypeAlias = tuple[float | None, float | None]
 WHOLE: Span = (None, None)
@@ -181,6 +181,35 @@ def captures(path: str | Path, window: Window = ALL) -> Iterator[Capture]:
             ]
         )
     return iter_pcapng(path) if window == ALL else iter_pcapng(path, window)
+
+
+def captures_of_bus(path: str | Path, channel: Channel, remarks: list[str]) -> Iterator[Capture]:
+    """Yield the stretches of one bus of a log, for readers without a rig; then add what was left out to `remarks`.
+
+    Raises
+    ------
+    coulombus.recording.bus_match.ChannelError
+        The file has several buses, and `channel` names none of them.
+    coulombus.recording.log_files.LogError
+        It has no frame; raised at its end.
+    """
+    texts, warnings, of_bus, left_out, frames = (
+        channel_texts(channel),
+        list[str](),
+        tuple[str, ...](),
+        Counter[str](),
+        0,
+    )
+    for stretch in captures(path):
+        capture, of_bus = one_bus(stretch, texts)
+        frames += len(capture.frames)
+        warnings += capture.warnings
+        left_out.update(torn=capture.torn, skipped=capture.skipped)
+        yield capture
+    found = remarks_on(str(path), (*warnings, *of_bus), left_out)
+    if not frames:
+        raise LogError("; ".join((f"{path}: it has no frame", *(text.removeprefix(f"{path}: ") for text in found))))
+    remarks += found
 
 
 def bus_match(path: str, rig: Rig | None, channel: tuple[str, ...], recorded: str) -> BusMatch:

@@ -9,7 +9,7 @@ from coulombus.system.errors import CoulombusError
 
 __all__ = ["EXTRA", "MissingExtra", "library"]
 
-EXTRA = "pip install '.[export]' in the clone"
+EXTRA = "pip install -e '.[export]' in the clone"
 
 
 class MissingExtra(CoulombusError, ImportError):

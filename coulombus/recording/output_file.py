@@ -101,8 +101,12 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
     remove_unfinished(path.absolute().parent)
     beside = unfinished(path)
     try:
-        with naming(path):
+        try:
             yield beside
+        except OSError as error:
+            if error.filename is None or str(error.filename) == str(beside):
+                error.filename = str(path)
+            raise
         if not beside.exists():
             return
         if force:

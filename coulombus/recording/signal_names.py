@@ -33,7 +33,7 @@ def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
         near = difflib.get_close_matches(name, signals, 3, 0.4)
         some = near or list(signals)[:MOST_NAMED]
         more = 0 if near else len(signals) - len(some)
-        others = f" and {more} others, which coulombus pdo lists" if more else ""
+        others = f" and {more} others; coulombus pdo lists those of a bus" if more else ""
         raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(some)}{others}")
     return signals[name]
 

@@ -1,4 +1,4 @@
-"""A door with a ball catch, simulated by MuJoCo: `pip install '.[worlds]'` or `pip install mujoco`.
+"""A door with a ball catch, simulated by MuJoCo: `pip install -e '.[worlds]'` or `pip install mujoco`.
 
 python examples/worlds/door_mujoco.py           in virtual time: prints when the door opened and closed
 python examples/worlds/door_mujoco.py live    on the display of `coulombus run --world --mode active`

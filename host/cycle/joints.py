@@ -69,6 +69,8 @@ def finish_joints(axes: AxisRecords, arm: PlaneFunctions, t_ns: int, window_over
     for k in range(JOINTS):
         torque_Nm = advance(axes[k], None, axes[k].host.doubt, t_ns)
         axes[k].host.torque_Nm = step.limit_torque(axes[k].control, axes[k].host, torque_Nm)
+    if axes[0].world.on:
+        _count_limits(axes)
     _start_together(axes, t_ns)
     _release_together(axes)
     for k in range(JOINTS):
@@ -193,7 +195,21 @@ def _share_model(axes: AxisRecords) -> None:
         h.world_elastic_Nm = a * first.elastic_N[0] + b * first.elastic_N[1]
         resisting_Nm = abs(a * first.psi_N[0] + b * first.psi_N[1] - w.world_Nm)
         w.world_brake_Nm = min(resisting_Nm, plane.split.brake_Nm[i])
-        w.share, w.law_share, w.taken, w.clipped = first.share, first.law_share, first.taken, first.clipped
+        w.share, w.law_share, w.taken = first.share, first.law_share, first.taken
+
+
+@kernel
+def _count_limits(axes: AxisRecords) -> None:
+    """Count the cycles in which a limit acts on the model: those of the law are not these while it exerts a force."""
+    first, limited = axes[0].world, 0
+    if first.psi_N[0] != 0.0 or first.psi_N[1] != 0.0:
+        for k in range(JOINTS):
+            limited |= axes[k].host.clipped
+            axes[k].host.clipped = 0
+    if limited != 0 and first.clipped == axes[1].world.clipped:  # not counted yet in this cycle
+        first.clipped += 1
+    for k in range(1, JOINTS):
+        axes[k].world.clipped = first.clipped
 
 
 @kernel

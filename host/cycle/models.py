@@ -101,7 +101,8 @@ class Models:
         slots = [slot for slot in range(64) if int(model["parameters"]) >> slot & 1]
         strange = [slot for slot in slots if slot not in names]
         if strange or not slots:
-            raise ModelRefused(f"parameters: slot {strange[0] if strange else 'none'}: expected one of {sorted(names)}")
+            expected = ", ".join(f"{int(slot)} ({name})" for slot, name in sorted(names.items())) or "none of this law"
+            raise ModelRefused(f"parameters: slot {strange[0] if strange else 'none'}: expected one of {expected}")
         try:
             values = self._parameters.targets(axis, {names[slot]: float(model["parameter"][slot]) for slot in slots})
         except ChangeRefused as error:

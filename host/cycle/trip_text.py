@@ -70,7 +70,8 @@ def trip_text(axis: Axis, control: Records, host: Records) -> str | None:
         sign_moved=int(host["sign_moved"][0]),
         sign_counts=int(control["sign_counts"][0]),
         still_because=_still_because(host),
-        clipped=", ".join(f"{name} {int(host[name][0])}" for name in CLIPPING if host[name][0]),
+        clipped=", ".join(f"{name} {int(host[name][0])}" for name in CLIPPING if host[name][0])
+        or "the joint's motor or brake cannot give its share of the force",
     )
     text = f"{trip.name}: {reason}"
     if trip is Trip.NOT_STILL and _starved(control, host):

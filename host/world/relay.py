@@ -84,8 +84,9 @@ class Relay:
             return self._records(message)
         except (MalformedMessage, WrongCall, ValueError, TypeError, OverflowError, RecursionError) as error:
             self.malformed += 1
-            reason = f"malformed message {self.malformed}: {error}"
-            self._refusals.append(Refusal(0, 1, reason))
+            what = "it is nested too deeply" if isinstance(error, RecursionError) else error
+            reason = f"malformed message {self.malformed}: {what}"
+            self._refusals.append(Refusal(0, 0, reason))
             raise MalformedMessage(reason) from None
 
     def _records(self, message: str | bytes) -> bytes:
@@ -121,6 +122,10 @@ class Relay:
     def _model(self, fields: Mapping[str, Any]) -> bytes:
         """Return the record of a JSON model."""
         values: dict[str, Any] = {key: fields[key] for key in ("law", "life_s", "parameters") if key in fields}
+        for name in (*NAMES.values(), "parameters"):
+            left_out = name not in fields or (fields[name] is None and name != "parameters")
+            if not left_out and not isinstance(fields[name], dict):
+                raise MalformedMessage(f"{name}: expected an object")
         profile = dict(fields.get("profile") or {})
         number = profile.pop("number", 0)
         for (kind, name), of_plane in zip(NAMES.items(), PLANE_NAMES, strict=True):
@@ -128,10 +133,8 @@ class Relay:
             if part is not None and (part or name != "profile"):
                 values[name] = (of_plane if IN_PLANE & {**part}.keys() else kind)(**part)
         axis, sequence, t_ns = (fields.get(key, 0) for key in ("axis", "sequence", "t_ns"))
-        if not all(type(value) is int for value in (axis, sequence, t_ns, number)):
-            raise MalformedMessage("axis, sequence, t_ns and number of the profile: expected whole numbers")
-        if not isinstance(values.get("parameters", {}), dict):
-            raise MalformedMessage("parameters: expected an object")
+        if not all(type(value) is int and abs(value) < 1 << 63 for value in (axis, sequence, t_ns, number)):
+            raise MalformedMessage("axis, sequence, t_ns and number of the profile: expected whole numbers of 64 bits")
         record = Model(**values).record(self._slots.get(axis, {}), profile=number)
         record["axis"], record["t_ns"] = axis, t_ns
         record["sequence"] = sequence or self._sequence + 1

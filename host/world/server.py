@@ -304,7 +304,8 @@ class WorldServer:
         elif kind == Kind.MODEL:
             self._take_model(program, record)
         else:
-            program.refuse(f"{kind.name} is no record of a program")
+            twice = kind == Kind.HELLO
+            program.refuse("HELLO came twice" if twice else f"{kind.name} is no record of a program")
 
     def _greet(self, program: _Program, kind: Kind, record: bytes) -> None:
         greeting = read_greeting(record) if kind == Kind.HELLO else None

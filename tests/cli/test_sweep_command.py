@@ -105,7 +105,7 @@ def test_without_pyarrow_it_is_said_before_anything_is_run(call, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     result = call()
     assert result.exit_code == 2
-    assert "pip install '.[export]'" in result.output
+    assert "pip install -e '.[export]'" in result.output
 
 
 @pytest.mark.slow

@@ -110,3 +110,22 @@ def test_a_part_of_one_axis_is_refused_with_the_reason():
         simulate("plane", "hybrid", 8, world=lambda state: Wall(0.0, 1.0))
     with pytest.raises(ModelRefused, match="of single axes: expected parts of one axis"):
         simulate("bench", "hybrid", 3, world=lambda state: WALL)
+
+
+@pytest.mark.parametrize(
+    ("mode", "model"),
+    [
+        ("active", Model(law=0.0, field=PlaneField((0.0, 0.0), Ns_m=((-300.0, 0.0), (0.0, -300.0))))),
+        ("hybrid", Model(law=0.0, wall=PlaneWall((0.0, 0.0), (-1.0, 0.0), 300.0, 1000.0))),
+    ],
+)
+def test_a_limit_that_acts_on_a_model_is_counted_and_is_none_of_the_law(mode, model):
+    counts = []
+
+    def world(state):
+        counts.append(state.clipped)
+        return model
+
+    assert simulate("plane", mode, 3, world=world, measured=False).trip is None
+    assert np.isin(np.diff(counts), (0, 1)).all()
+    assert 100 < counts[-1] < len(counts)

@@ -66,7 +66,7 @@ def test_the_numbers_of_mujoco_become_a_wall_a_spring_and_friction():
 
 
 def test_the_door_of_mujoco_holds_opens_and_falls_shut():
-    pytest.importorskip("mujoco", reason="mujoco is not installed: pip install '.[worlds]'")
+    pytest.importorskip("mujoco", reason="mujoco is not installed: pip install -e '.[worlds]'")
     events, trip = outcome("door_mujoco")
     assert trip is None
     assert [event for _, event in events[:2]] == ["open", "closed"]

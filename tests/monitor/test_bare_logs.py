@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.wire.frame import FRAME
 from explain_log import machine
 from places import EDS
 
@@ -91,3 +94,30 @@ def test_one_bus_of_several_must_be_named(log, tmp_path):
         file.write("(9.000000) can1 705#05\n")
     assert CliRunner().invoke(main, ["decode", str(both)]).exit_code == 2
     assert [row["node"] for row in rows(str(both), "--channel", "can1")] == ["5"]
+
+
+def packed(log, path, **kept):
+    """Write a log as a pcapng file."""
+    with PcapngWriter(path, attachments={}, **kept) as writer:
+        writer.write(np.array([tuple(frame)[:5] for frame in log.frames], FRAME).view(np.recarray))
+    return path
+
+
+@pytest.mark.parametrize("verb", ["decode", "hz", "explain"])
+def test_a_torn_end_is_told_and_what_stands_before_it_is_shown(log, tmp_path, verb):
+    path = packed(log, tmp_path / "a.pcapng")
+    path.write_bytes(path.read_bytes()[:-10])
+    result = call(verb, str(path))
+    assert "the last block is unfinished: 38 bytes were left out" in " ".join(result.output.split())
+    assert "083" in result.stdout or verb == "explain"
+
+
+@pytest.mark.parametrize("kept", [20, 60, 100, None])
+@pytest.mark.parametrize("verb", ["decode", "hz", "explain"])
+def test_a_recording_without_a_frame_is_refused(tmp_path, verb, kept):
+    path = tmp_path / "a.pcapng"
+    PcapngWriter(path, attachments={"notes.txt": bytes(100)}).close()
+    path.write_bytes(path.read_bytes()[:kept])
+    result = CliRunner().invoke(main, [verb, str(path)])
+    assert result.exit_code == 2
+    assert "it has no frame" in result.output or (kept == 20 and "incomplete" in result.output)

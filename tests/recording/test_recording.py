@@ -97,7 +97,9 @@ def test_scale_and_signal(tmp_path: Path, rig: Rig):
     assert (recording.signal("brake.setpoint_Nm").index, recording.signal("brake.setpoint_Nm").unit) == (0x7300, "Nm")
     with pytest.raises(KeyError, match=r"no signal 'motor\.positon_rad'.*motor\.position_rad"):
         recording["motor.positon_rad"]
-    with pytest.raises(KeyError, match=r"there is motor\.controlword, .* and \d+ others, which coulombus pdo lists"):
+    with pytest.raises(
+        KeyError, match=r"there is motor\.controlword, .* and \d+ others; coulombus pdo lists those of a bus"
+    ):
         recording.scale("zzzzzz")
 
 

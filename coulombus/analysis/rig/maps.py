@@ -307,7 +307,9 @@ def _on_cluster(chunks: Sequence[Array], address: str) -> Iterator[tuple[int, Ar
     try:
         cluster: Any = importlib.import_module("distributed")
     except ImportError as error:
-        raise ImportError("a dask cluster needs dask and distributed: pip install '.[cluster]' in the clone") from error
+        raise ImportError(
+            "a dask cluster needs dask and distributed: pip install -e '.[cluster]' in the clone"
+        ) from error
     with cluster.Client(address, timeout=10) as client:
         tasks = {task: i for i, task in enumerate(client.map(run_chunk, chunks, pure=False))}
         for task, result in cluster.as_completed(list(tasks), with_results=True):

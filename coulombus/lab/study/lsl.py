@@ -38,7 +38,7 @@ def _library() -> Any:
     try:
         return importlib.import_module("pylsl")
     except (ImportError, RuntimeError, OSError) as error:
-        raise LslMissing(f"LSL needs pylsl and its liblsl ({error}): pip install '.[lsl]' in the clone") from None
+        raise LslMissing(f"LSL needs pylsl and its liblsl ({error}): pip install -e '.[lsl]' in the clone") from None
 
 
 def _described(info: Any, folder: SubjectFolder) -> Any:

@@ -110,7 +110,9 @@ def _connected(address: str) -> tuple[Any, Any]:
     try:
         cluster: Any = importlib.import_module("distributed")
     except ImportError:
-        raise ClusterError("a dask cluster needs dask and distributed: pip install '.[cluster]' in the clone") from None
+        raise ClusterError(
+            "a dask cluster needs dask and distributed: pip install -e '.[cluster]' in the clone"
+        ) from None
     try:
         return cluster, cluster.Client(address, timeout=CONNECT_S)
     except (OSError, TimeoutError, ValueError) as error:

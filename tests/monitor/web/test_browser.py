@@ -6,7 +6,7 @@ import pytest
 
 from coulombus.wire.frame import Frame
 
-pytest.importorskip("tornado", reason="the page needs Tornado: pip install '.[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from chromium import CHROMIUM, Browser
 from coulombus.monitor.web.reader import CurveReader

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-pytest.importorskip("tornado", reason="the page needs Tornado: pip install '.[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from chromium import CHROMIUM, Browser
 from web_bench import BEGIN_NS, MS, Door, cycles, page, served

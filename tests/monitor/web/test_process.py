@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-pytest.importorskip("tornado", reason="the page needs Tornado: pip install '.[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import websocket_connect

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-pytest.importorskip("tornado", reason="the page needs Tornado: pip install '.[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 import tornado.httpserver
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError

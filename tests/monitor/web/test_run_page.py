@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-pytest.importorskip("tornado", reason="the page needs Tornado: pip install '.[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import websocket_connect

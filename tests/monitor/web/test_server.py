@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-pytest.importorskip("tornado", reason="the page needs Tornado: pip install '.[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError, websocket_connect

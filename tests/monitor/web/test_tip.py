@@ -9,7 +9,7 @@ import struct
 import numpy as np
 import pytest
 
-pytest.importorskip("tornado", reason="the page needs Tornado: pip install '.[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from chromium import CHROMIUM, Browser
 from coulombus.host.run.law_ring import DIRECTIONS, law_ring

@@ -251,7 +251,7 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
     try:
         models: Any = importlib.import_module("statsmodels.regression.mixed_linear_model")
     except ImportError:
-        return None, "a mixed model needs statsmodels: pip install '.[study]' in the clone"
+        return None, "a mixed model needs statsmodels: pip install -e '.[study]' in the clone"
     design = np.array([[1.0, *(float(name == other) for other in names[1:])] for _, name, _ in rows])
     try:
         with warnings.catch_warnings():
