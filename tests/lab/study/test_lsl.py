@@ -55,5 +55,5 @@ def test_markers_come_to_another_program_in_their_order(tmp_path):
 
 def test_without_pylsl_it_is_said_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "pylsl", None)
-    with pytest.raises(LslMissing, match=r"pip install '\.\[lsl\]'"):
+    with pytest.raises(LslMissing, match=r"pip install -e '\.\[lsl\]'"):
         LslMarkers(None)
