@@ -29,7 +29,6 @@ __all__ = ["sweep"]
 DISPLAY_S = size(13.0, 1.0)
 ROUNDS = size(7, 1)
 SCALED_RUNS = size(1000, 4)
-TURNS = 1
 CYCLED_S = size(1000.0, 2.0)
 ROOT = Path(__file__).resolve().parents[1]
 FILE = f"""
@@ -71,8 +70,7 @@ def sweep(show: Callable[..., None]) -> None:
         [DISPLAY_S / s for s in runs],
     )
     show("... as a multiple of its cycles alone", f"{run_s / cycles_s:.1f} x")
-    scaled = [(_cycling(1), _lasting(job, orders, 1), _cycling(2), _lasting(job, orders, 2)) for _ in range(TURNS)]
-    alone, one, alone_two, two = (min(times) for times in zip(*scaled, strict=True))
+    alone, one, alone_two, two = _cycling(1), _lasting(job, orders, 1), _cycling(2), _lasting(job, orders, 2)
     show(f"{SCALED_RUNS} runs by two processes against one", f"{one / two:.2f} x", "at least 1.9 x on two idle cores")
     show("... the same cycles by each of two processes", f"{2 * alone / alone_two:.2f} x", "what the processors give")
 

@@ -276,7 +276,7 @@ def explain(
         if explainer is None:
             explainer = Explainer(rig or attached_rig(capture, remarks), eds, span)
         explainer.take(capture.frames, capture.comments, capture.inside)
-    explainer = explainer or Explainer(rig, eds, span)
+    assert explainer is not None  # a log without a frame is refused
     explainer.end()
     return explainer.explanation(remarks)
 

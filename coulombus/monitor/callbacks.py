@@ -117,8 +117,12 @@ class LiveBus:
         return callback
 
     def _wanting_of(self, pdo: RigPdo) -> list[tuple[Callback, tuple[int, ...]]]:
-        each = [(one, tuple(k for k, s in enumerate(pdo.signals) if s.name in one.names)) for one in self._callbacks]
-        return [(callback, places) for callback, places in each if places]
+        wanting = []
+        for callback in self._callbacks:
+            places = tuple(place for place, signal in enumerate(pdo.signals) if signal.name in callback.names)
+            if places:
+                wanting.append((callback, places))
+        return wanting
 
     @property
     def lost(self) -> int:

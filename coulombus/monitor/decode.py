@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from coulombus.eds.cia301 import CobId
-from coulombus.eds.codec import get_field
 from coulombus.eds.reader import Description
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
@@ -28,7 +27,7 @@ from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
-from coulombus.recording.pdo_columns import PdoTable, decode_field
+from coulombus.recording.pdo_columns import PdoTable
 from coulombus.recording.signals import Recording, Source, epoch_of
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
@@ -217,11 +216,7 @@ def _objects(pdo: RigPdo, word: int, length: int) -> Row:
     for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True):
         if start + entry.bits > 8 * length or entry.dummy:
             continue
-        if entry.kind == "real":
-            value = decode_field(np.array([word]), start, entry)[0].item()
-        else:
-            value = int(get_field(word, start, entry.bits, int(entry.signed)))
-        values[where(entry.index, entry.subindex)] = value
+        values[where(entry.index, entry.subindex)] = entry.number(word, start)
     return values
 
 

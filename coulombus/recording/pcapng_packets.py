@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.recording.pcapng_blocks import LINKTYPE_CAN_SOCKETCAN
-from coulombus.wire.frame import CAN_RTR_FLAG, FRAME, Records
+from coulombus.wire.frame import CAN_RTR_FLAG, FRAME, LENGTH_MASKS, Records
 
 __all__ = ["BadPacketError", "Integers", "Interface", "Packets", "Words", "column", "decode_packets"]
 
@@ -99,8 +99,9 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     frames["length"] = length[good]
     frames["source"] = interface[good] + earlier
     low, high = words[np.minimum(at + 9, last)], words[np.minimum(at + 10, last)]
-    masks = np.array([(1 << (8 * n)) - 1 for n in range(8)] + [-1])
-    frames["word"] = (low.astype(np.uint64) | high.astype(np.uint64) << np.uint64(32)).view(np.int64) & masks[sent]
+    frames["word"] = (low.astype(np.uint64) | high.astype(np.uint64) << np.uint64(32)).view(np.int64) & LENGTH_MASKS[
+        sent
+    ]
     stamped = np.ones(len(frames), bool)
     for number, description in enumerate(interfaces):
         rows = np.flatnonzero(interface[good] == number)

@@ -158,7 +158,8 @@ def decode_field(words: Integers, start: int, entry: Entry) -> Array:
     left, right = 64 - start - entry.bits, 64 - entry.bits
     if entry.kind == "real":
         pattern = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)
-        return pattern.astype(f"u{entry.bits // 8}").view(f"f{entry.bits // 8}").astype(np.float64)
+        with np.errstate(invalid="ignore"):  # of a signalling NaN
+            return pattern.astype(f"u{entry.bits // 8}").view(f"f{entry.bits // 8}").astype(np.float64)
     if entry.signed:
         return words << left >> right
     field = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)

@@ -25,6 +25,7 @@ __all__ = [
     "CAN_ERR_FLAG",
     "CAN_RTR_FLAG",
     "FRAME",
+    "LENGTH_MASKS",
     "QUEUE_CAPACITY",
     "Frame",
     "Queue",
@@ -53,6 +54,9 @@ class Frame(Record):
 
 
 FRAME = dtype_of(Frame)
+
+LENGTH_MASKS = np.array([(1 << 8 * length) - 1 for length in range(8)] + [-1])
+"""Bits of `word` that the data of a frame have, by its length."""
 
 BUS_SHIFT = 8
 """In a log of several buses, the `source` of bus k is larger by ``k << BUS_SHIFT``."""

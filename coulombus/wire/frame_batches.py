@@ -21,7 +21,7 @@ import numpy.typing as npt
 from coulombus.system.c_library import c_library
 from coulombus.wire.ancillary import CONTROL_WORDS, OVERFLOW, SECOND_NS, STAMP
 from coulombus.wire.client import CAN_LENGTH, MESSAGE_BYTES, Client, Received
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.frame import LENGTH_MASKS, Frame, Records, new_records
 
 __all__ = ["Block", "BlockReader"]
 
@@ -47,8 +47,6 @@ HEADER = np.dtype(
         ("size", np.int64),  # an unsigned int and its padding
     ]
 )
-USED = np.array([(1 << 8 * length) - 1 for length in range(8)] + [-1])
-"""Bits of a word that a frame of this length has."""
 _libc = c_library()
 
 
@@ -202,7 +200,7 @@ class BlockReader:
         first = np.repeat(rows * (MESSAGE_BYTES // FRAME_BYTES) - np.cumsum(counts) + counts, counts)
         frames = self._frames[first + np.arange(len(first))]
         lengths = frames["length"].astype(np.int64)
-        words = frames["word"].astype(np.int64) & USED[np.minimum(lengths, CAN_LENGTH)]
+        words = frames["word"].astype(np.int64) & LENGTH_MASKS[np.minimum(lengths, CAN_LENGTH)]
         block = Block(np.repeat(stamps[rows], counts), frames["can_id"].astype(np.int64), lengths, words)
         wrong = lengths > CAN_LENGTH
         if wrong.any():

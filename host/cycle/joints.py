@@ -200,7 +200,7 @@ def _share_model(axes: AxisRecords) -> None:
 
 @kernel
 def _count_limits(axes: AxisRecords) -> None:
-    """Count the cycles in which a limit acts on the model: those of the law are not these while it exerts a force."""
+    """While the model exerts a force, count a cycle in which a limit acts as the model's, and not against the law."""
     first, limited = axes[0].world, 0
     if first.psi_N[0] != 0.0 or first.psi_N[1] != 0.0:
         for k in range(JOINTS):

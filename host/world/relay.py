@@ -123,8 +123,8 @@ class Relay:
         """Return the record of a JSON model."""
         values: dict[str, Any] = {key: fields[key] for key in ("law", "life_s", "parameters") if key in fields}
         for name in (*NAMES.values(), "parameters"):
-            left_out = name not in fields or (fields[name] is None and name != "parameters")
-            if not left_out and not isinstance(fields[name], dict):
+            value = fields.get(name, {})
+            if not isinstance(value, dict) and (value is not None or name == "parameters"):
                 raise MalformedMessage(f"{name}: expected an object")
         profile = dict(fields.get("profile") or {})
         number = profile.pop("number", 0)

@@ -345,9 +345,4 @@ def _text(frame: tuple[int, int] | None) -> str | None:
 def _values(pdo: RigPdo | None, frame: tuple[int, int] | None) -> dict[str, float]:
     if pdo is None or frame is None or frame[0] != pdo.layout.length:
         return {}
-    word = np.array([frame[1]], np.int64)
-    layout = pdo.layout
-    return {
-        signal.name: float(decode_field(word, start, entry)[0]) * signal.scale + signal.offset
-        for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True)
-    }
+    return {signal.name: float(pdo.value(place, frame[1])) for place, signal in enumerate(pdo.signals)}
