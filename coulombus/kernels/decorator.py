@@ -127,6 +127,23 @@ def warming(arm: bool = True) -> Iterator[None]:
         yield
 
 
+_loaded: dict[tuple[Any, ...], Callable[..., Any]] = {}
+"""Compiled functions, by kernel and kinds of arguments: `numba.typeof` takes milliseconds for a world's records."""
+
+
+def _kind_of(argument: Any) -> Any:
+    """Return what decides the type of an argument."""
+    if isinstance(argument, tuple):
+        return type(argument), *map(_kind_of, argument)
+    if isinstance(argument, np.ndarray):
+        flags = argument.flags
+        layout = flags.c_contiguous, flags.f_contiguous, flags.writeable, flags.aligned
+        return type(argument), argument.dtype, argument.ndim, *layout
+    if isinstance(argument, np.generic):
+        return type(argument), argument.dtype
+    return type(argument) if isinstance(argument, bool | int | float | None) else argument
+
+
 class Entry:
     """A kernel that Python calls often, always with arguments of the same types.
 
@@ -146,8 +163,11 @@ class Entry:
         """
         if self._entry is None:
             dispatcher: Any = self._function
-            with alone(CACHE_DIR, _name(self._function)):
-                self._entry = dispatcher.compile(tuple(map(numba.typeof, arguments)))
+            key = dispatcher, *map(_kind_of, arguments)
+            if key not in _loaded:
+                with alone(CACHE_DIR, _name(self._function)):
+                    _loaded[key] = dispatcher.compile(tuple(map(numba.typeof, arguments)))
+            self._entry = _loaded[key]
         assert self._entry is not None
         return self._entry
 

@@ -98,7 +98,7 @@ class _VirtualRun(Course):
         messages = self.world.take_told()
         if len(messages):  # at equal times, bus frames first
             frames = np.concatenate((frames, messages))
-            frames = frames[np.argsort(frames["t_ns"], kind="stable")].view(np.recarray)
+            frames = frames.take(np.argsort(frames["t_ns"], kind="stable"))
         self.record(lambda recorder: recorder.write(frames))
 
     def _write_host(self, had: Records, events: Records, sent: Records) -> None:

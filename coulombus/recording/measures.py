@@ -4,8 +4,8 @@ Velocity is the backward difference of the decoded 6064h at the handle, unfilter
 markers give the windows: the hold from 0.8 s after its beginning to 0.02 s before its end, and each
 dwell of the stroke from 0.35 s to 0.95 s.
 
-A recording is read twice, for its phases and for its figures, block by block
-(`recording.reading.blocks`), so the memory is bounded. Counts, flips and peaks do not depend on the
+A recording is read once, block by block (`recording.reading.blocks`), so the memory is bounded: a
+block is measured when its phases are known. Counts, flips and peaks do not depend on the
 blocks, bit for bit. An RMS is the root of a sum of the blocks' sums, and the spectrum a mean of
 their means: compared with one sum over everything, rounding differs by less than 1e-12 of their
 value.
@@ -13,13 +13,15 @@ value.
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.signals import Source
+from coulombus.recording.signals import Recording, Source
 
 __all__ = [
     "HOLDS",
@@ -74,19 +76,33 @@ class Measures:
     """Largest handle torque of the transducer in the hold window; None without a transducer."""
 
 
+@dataclass
+class _Phases:
+    """The phases of the schedule in the blocks so far; the last one ends with them."""
+
+    begins: list[tuple[float, str]] = field(default_factory=list)
+    end_s: float = 0.0
+
+    def add(self, block: Recording) -> None:
+        texts = [(t, text) for t, text in block.markers if text.startswith("phase ")]
+        self.begins += [(t, text.removeprefix("phase ")) for t, text in texts]
+        self.end_s = max([self.end_s, *block["motor.position_rad"].t_s[-1:].tolist()])
+
+    def spans(self) -> list[PhaseSpan]:
+        ends = ([t for t, _ in self.begins[1:]] + [self.end_s])[: len(self.begins)]  # empty if nothing was displayed
+        spans = zip(range(len(self.begins)), self.begins, ends, strict=True)
+        return [PhaseSpan(i, kind, t, min(after, self.end_s)) for i, (t, kind), after in spans if kind != "end"]
+
+
 def phases(recording: Source) -> list[PhaseSpan]:
     """Return the phases of the schedule from the markers ``phase KIND``.
 
     The last one ends at ``phase end`` or with the recording.
     """
-    begins: list[tuple[float, str]] = []
-    end = 0.0
+    found = _Phases()
     for block in recording:
-        begins += [(t, text.removeprefix("phase ")) for t, text in block.markers if text.startswith("phase ")]
-        end = max([end, *block["motor.position_rad"].t_s[-1:].tolist()])
-    ends = ([t for t, _ in begins[1:]] + [end])[: len(begins)]  # empty if nothing was displayed
-    spans = zip(range(len(begins)), begins, ends, strict=True)
-    return [PhaseSpan(i, kind, t, min(after, end)) for i, (t, kind), after in spans if kind != "end"]
+        found.add(block)
+    return found.spans()
 
 
 def velocity(t_s: Floats, angle_rad: Floats, period_s: float) -> tuple[Floats, Floats]:
@@ -110,6 +126,20 @@ def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], l
     return holds, sticks
 
 
+def _with_windows(recording: Source) -> Iterator[tuple[Recording, list[Window], list[Window]]]:
+    """Yield the blocks, each with the windows so far, as soon as no later marker changes them within the block."""
+    found, waiting = _Phases(), deque[Recording]()
+    for block in recording:
+        found.add(block)
+        waiting.append(block)
+        windows = _windows(recording, found.spans())
+        while waiting and np.all(waiting[0]["motor.position_rad"].t_s[-1:] < found.end_s - HOLD_TAIL_S):
+            yield waiting.popleft(), *windows
+    windows = _windows(recording, found.spans())
+    for block in waiting:
+        yield block, *windows
+
+
 def _inside(t: Floats, windows: list[Window]) -> npt.NDArray[np.bool_]:
     """Return which times are in one of the successive windows.
 
@@ -122,13 +152,13 @@ def _inside(t: Floats, windows: list[Window]) -> npt.NDArray[np.bool_]:
 
 def measure(recording: Source) -> Measures:
     """Return the figures of `recording`, over all holds and all dwells."""
-    holds, sticks = _windows(recording, phases(recording))
     period = recording.rig.bus.period_s
     hold, stick, spectrum, flips = _MeanSquare(), _MeanSquare(), _Spectrum(period), _Flips()
-    counts = [(np.inf, -np.inf)] * len(holds)
+    counts: list[tuple[float, float]] = []
     push, pushed = 0.0, any(s.key == "brake.handle_torque_Nm" for pdo in recording.rig.pdos() for s in pdo.signals)
     last_t, last_angle = np.zeros((2, 0))
-    for block in recording:
+    for block, holds, sticks in _with_windows(recording):
+        counts += [(np.inf, -np.inf)] * (len(holds) - len(counts))
         angle, target = block["motor.position_rad"], block["motor.target_torque_Nm"]
         t, v = velocity(np.append(last_t, angle.t_s), np.append(last_angle, angle.values), period)
         last_t, last_angle = (np.append(a, b)[-1:] for a, b in ((last_t, angle.t_s), (last_angle, angle.values)))

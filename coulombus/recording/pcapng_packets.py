@@ -1,25 +1,25 @@
-"""Decode the packets of a pcapng file as columns: stamps of any resolution, frames of link type 227."""
+"""Decode the packets of a pcapng file, compiled: stamps of any resolution, frames of link type 227."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from coulombus.kernels.decorator import Entry, inlined, kernel
 from coulombus.recording.pcapng_blocks import LINKTYPE_CAN_SOCKETCAN
-from coulombus.wire.frame import CAN_RTR_FLAG, FRAME, LENGTH_MASKS, Records
+from coulombus.recording.pcapng_walk import Integers, Words, swapped
+from coulombus.wire.frame import CAN_RTR_FLAG, LENGTH_MASKS, Frame, Records, new_records
 
-__all__ = ["BadPacketError", "Integers", "Interface", "Packets", "Words", "column", "decode_packets"]
-
-Words: TypeAlias = npt.NDArray[np.uint32]
-Integers: TypeAlias = npt.NDArray[np.int64]
+__all__ = ["BadPacketError", "Interface", "Packets", "column", "decode_packets"]
 
 HEAD = 28  # bytes of an enhanced packet block before the packet
 CANFD_FDF = 0x04
 NS = 1_000_000_000
+OTHER, BUS, INSIDE, TORN = range(4)
+"""What a packet is, as its interface says (one of the first three) or its lengths."""
 
 
 class BadPacketError(Exception):
@@ -43,23 +43,101 @@ class Interface:
     """Whether its frames were on no bus."""
     name: str = ""
 
+    @property
+    def role(self) -> int:
+        """What its packets are."""
+        if self.linktype != LINKTYPE_CAN_SOCKETCAN:
+            return OTHER
+        return INSIDE if self.inside else BUS
+
 
 @dataclass(frozen=True)
 class Packets:
-    """The classical CAN frames of packets.
-
-    `options`: (row of `frames`, first byte, end) in the file. `damaged`: (offset, problem) of undecodable packets.
-    """
+    """The classical CAN frames of packets, in the file's order."""
 
     frames: Records
+    inside: Records
+    """Those that were on no bus."""
     options: list[tuple[int, int, int]]
+    """(number of `frames` before the packet, first byte, end) in the file; also of a packet with an invalid stamp."""
     damaged: list[tuple[int, str]]
+    """(offset, problem) of undecodable packets."""
+
+    @property
+    def stamps_ns(self) -> Integers:
+        """The stamps of all these frames."""
+        return np.concatenate((self.frames["t_ns"], self.inside["t_ns"]))
 
 
 def column(words: Words, at: Integers, order: str) -> Integers:
     """Return the words at `at`, in the section's byte order ("<" or ">")."""
     chosen = words[at]
     return (chosen.byteswap() if order == ">" else chosen).astype(np.int64)
+
+
+@inlined
+def _word(words: Words, at: int, swap: int) -> int:
+    word: Any = np.int64(words[at])
+    return swapped(word) if swap else word
+
+
+@kernel
+def _unpack(
+    words: Words,
+    at: Integers,
+    swap: int,
+    roles: Integers,
+    kinds: Integers,
+    frames: Records,
+    inside: Records,
+    options: Integers,
+) -> tuple[int, int, int]:
+    """Decode the packets at `at`; their stamps are left in units of their interfaces.
+
+    Return the number of frames, of frames inside, and of packets with options. `kinds` gets what each
+    packet is, `options` the row of the next frame, the options' first word and their end.
+    """
+    count = count_inside = count_options = 0
+    for packet in range(at.shape[0]):
+        begin = at[packet]
+        total, captured = _word(words, begin + 1, swap), _word(words, begin + 5, swap)
+        interface = _word(words, begin + 2, swap)
+        if captured + HEAD + 4 > total or interface >= roles.shape[0]:
+            kinds[packet] = TORN
+            continue
+        if roles[interface] == OTHER or captured < 8:
+            continue
+        head: Any = np.int64(words[begin + 7])
+        can_id = swapped(head)
+        flags: Any = np.int64(words[begin + 8])  # bytes: length, FD flags, two reserved
+        length = flags & 0xFF
+        sent = 0 if can_id & CAN_RTR_FLAG else length
+        if length > 8 or captured < 8 + sent or flags & (CANFD_FDF << 8):
+            continue
+        word: Any = np.int64(words[begin + 9]) if sent > 0 else 0
+        if sent > 4:
+            word |= np.int64(words[begin + 10]) << 32
+        if roles[interface] == BUS:
+            frame = frames[count]
+            count += 1
+        else:
+            frame = inside[count_inside]
+            count_inside += 1
+        kinds[packet] = roles[interface]
+        frame.t_ns = _word(words, begin + 3, swap) << 32 | _word(words, begin + 4, swap)
+        frame.can_id = can_id
+        frame.length = length
+        frame.word = word & LENGTH_MASKS[sent]
+        frame.source = interface
+        first = (HEAD + captured + 3) // 4
+        if first < total // 4 - 1:
+            option = options[count_options]
+            option[0], option[1], option[2] = count - (roles[interface] == BUS), begin + first, begin + total // 4 - 1
+            count_options += 1
+    return count, count_inside, count_options
+
+
+_ENTRY = Entry(_unpack)
 
 
 def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[Interface], earlier: int) -> Packets:
@@ -75,60 +153,56 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     BadPacketError
         No interface is described.
     """
-    total, interface, captured = (column(words, at + i, order) for i in (1, 2, 5))
     described = len(interfaces)
     if not described:
-        raise BadPacketError(4 * int(at[0]), f"a packet on interface {interface[0]} where 0 are described")
-    torn = (captured + HEAD + 4 > total) | (interface >= described)
+        number = column(words, at[:1] + 2, order)[0]
+        raise BadPacketError(4 * int(at[0]), f"a packet on interface {number} where 0 are described")
+    roles = np.array([description.role for description in interfaces])
+    kinds, options = np.zeros(len(at), np.int64), np.zeros((len(at), 3), np.int64)
+    decoded = new_records(Frame, len(at)), new_records(Frame, len(at) if INSIDE in roles else 0)
+    counts = _ENTRY(words, at, int(order == ">"), roles, kinds, *decoded, options)
+    frames, inside = (rows[:count].view(np.ndarray) for rows, count in zip(decoded, counts[:2], strict=True))
+    options = options[: counts[2]]
     damaged = []
-    for bad in np.flatnonzero(torn).tolist():
-        size = f"a packet of {captured[bad]} bytes in a block of {total[bad]}"
-        damaged.append((4 * int(at[bad]), f"{size}, on interface {interface[bad]} where {described} are described"))
-    at, total, interface, captured = at[~torn], total[~torn], interface[~torn], captured[~torn]
-    last = len(words) - 1
-    can_id = words[np.minimum(at + 7, last)].byteswap().astype(np.int64)
-    flags = words[np.minimum(at + 8, last)].astype(np.int64)  # bytes: length, FD flags, two reserved
-    length = flags & 0xFF
-    sent = np.where(can_id & CAN_RTR_FLAG, 0, length)
-    good = np.array([description.linktype == LINKTYPE_CAN_SOCKETCAN for description in interfaces])[interface]
-    good &= (captured >= 8 + sent) & (length <= 8) & (flags & (CANFD_FDF << 8) == 0)
+    for torn in at.compress(kinds == TORN).tolist():
+        total, interface, captured = column(words, torn + np.array([1, 2, 5]), order).tolist()
+        size = f"a packet of {captured} bytes in a block of {total}"
+        damaged.append((4 * torn, f"{size}, on interface {interface} where {described} are described"))
+    late, late_inside = _stamp(frames, interfaces), _stamp(inside, interfaces)
+    for kind, problems in ((BUS, late), (INSIDE, late_inside)):
+        places = at.compress(kinds == kind) if problems else at
+        damaged += [(4 * int(places[row]), what) for row, what in problems.items()]
+    if late or late_inside:
+        options[:, 0] -= np.searchsorted(list(late), options[:, 0])
+        frames, inside = np.delete(frames, list(late)), np.delete(inside, list(late_inside))
+    frames["source"] += earlier
+    inside["source"] += earlier
+    return Packets(frames, inside, [(row, 4 * begin, 4 * end) for row, begin, end in options.tolist()], sorted(damaged))
 
-    frames = np.zeros(int(good.sum()), FRAME)
-    at, sent = at[good], sent[good]
-    frames["can_id"] = can_id[good]
-    frames["length"] = length[good]
-    frames["source"] = interface[good] + earlier
-    low, high = words[np.minimum(at + 9, last)], words[np.minimum(at + 10, last)]
-    frames["word"] = (low.astype(np.uint64) | high.astype(np.uint64) << np.uint64(32)).view(np.int64) & LENGTH_MASKS[
-        sent
-    ]
-    stamped = np.ones(len(frames), bool)
+
+def _stamp(frames: Records, interfaces: Sequence[Interface]) -> dict[int, str]:
+    """Convert the frames' stamps to ns; return rows, rising, and problems of the invalid ones."""
+    usual = all(description.resolution == 9 and not description.offset_s for description in interfaces)
+    if not len(frames) or (usual and frames["t_ns"].min() >= 0):
+        return {}
+    late = {}
     for number, description in enumerate(interfaces):
-        rows = np.flatnonzero(interface[good] == number)
-        if len(rows):
-            frames["t_ns"][rows], late = _stamps_ns(words, at[rows], order, description)
-            stamped[rows[list(late)]] = False
-            damaged += [(4 * int(at[rows[row]]), what) for row, what in late.items()]
-    frames, at, captured, total = frames[stamped], at[stamped], captured[good][stamped], total[good][stamped]
-
-    options = HEAD + captured + (-captured % 4)
-    ends = total - 4
-    rows = np.flatnonzero(ends > options)
-    begin, end = 4 * at[rows] + options[rows], 4 * at[rows] + ends[rows]
-    return Packets(frames, list(zip(rows.tolist(), begin.tolist(), end.tolist(), strict=True)), sorted(damaged))
+        rows = np.flatnonzero(frames["source"] == number)
+        frames["t_ns"][rows], problems = _stamps_ns(frames["t_ns"][rows], description)
+        late.update({int(rows[row]): what for row, what in problems.items()})
+    return dict(sorted(late.items()))
 
 
-def _stamps_ns(words: Words, at: Integers, order: str, description: Interface) -> tuple[Integers, dict[int, str]]:
-    """Return the stamps, and row and problem of the invalid ones."""
-    high, low = column(words, at + 3, order), column(words, at + 4, order)
+def _stamps_ns(ticks: Integers, description: Interface) -> tuple[Integers, dict[int, str]]:
+    """Return the stamps, and row and problem of the invalid ones; `ticks` has their 64 bits."""
     base_ns = description.offset_s * NS
     scale = {9: 1, 6: 1000, 3: 1_000_000}.get(description.resolution)
-    if scale is not None and abs(base_ns) < 1 << 62 and (int(high.max()) + 1) << 32 < (1 << 62) // scale:
-        return (high << 32 | low) * scale + base_ns, {}
+    if scale is not None and abs(base_ns) < 1 << 62 and np.all(ticks.view(np.uint64) < (1 << 62) // scale):
+        return ticks * scale + base_ns, {}
     ticks_s = 2 ** (description.resolution & 0x7F) if description.resolution & 0x80 else int(10**description.resolution)
-    stamps, late = np.zeros(len(at), np.int64), {}
-    for row, (upper, lower) in enumerate(zip(high.tolist(), low.tolist(), strict=True)):
-        stamp = (upper << 32 | lower) * NS // ticks_s + base_ns
+    stamps, late = np.zeros(len(ticks), np.int64), {}
+    for row, tick in enumerate(ticks.view(np.uint64).tolist()):
+        stamp = tick * NS // ticks_s + base_ns
         if -(1 << 63) <= stamp < 1 << 63:
             stamps[row] = stamp
         else:

@@ -2,7 +2,7 @@
 
 A file is read `CHUNK` bytes at a time, so that memory does not depend on its length
 (`iter_pcapng`). A file compressed with gzip or zstd is unpacked while it is read; offsets in texts
-are those of its content. A kernel walks from block to block, and packets are decoded as whole columns.
+are those of its content. One kernel walks from block to block, another decodes the packets.
 Sections may have either byte order and any time resolution; captured packets may be 16 bytes (as
 the kernel gives them) or 8 + length.
 """
@@ -10,7 +10,7 @@ the kernel gives them) or 8 + length.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -45,8 +45,8 @@ from coulombus.recording.pcapng_blocks import (
     next_block,
     read_attachment,
 )
-from coulombus.recording.pcapng_packets import BadPacketError, Integers, Interface, Words, column, decode_packets
-from coulombus.recording.pcapng_walk import BAD, END, FULL, SECTION, walk
+from coulombus.recording.pcapng_packets import BadPacketError, Interface, column, decode_packets
+from coulombus.recording.pcapng_walk import BAD, END, FULL, SECTION, Integers, Words, walk
 from coulombus.recording.time_search import ALL, Window, offset_before
 from coulombus.wire.frame import FRAME, Records
 
@@ -121,14 +121,14 @@ class _Reader:
         """Return whether this packet, the last of some, is before the window of a recording of this project."""
         if not self.own or self.window.begin_ns is None or not self.begun:
             return False
-        frames = decode_packets(self.words, packet, self.order, self.interfaces, 0).frames
-        return len(frames) == 1 and self.window.is_behind(int(frames["t_ns"][0]))
+        stamps_ns = decode_packets(self.words, packet, self.order, self.interfaces, 0).stamps_ns
+        return len(stamps_ns) == 1 and self.window.is_behind(int(stamps_ns[0]))
 
     def take(self, torn: int = 0) -> Capture:
         """Return the stretch just read, and begin the next."""
         capture = Capture(
             path=self.path,
-            frames=np.concatenate(self.parts) if self.parts else np.zeros(0, FRAME),
+            frames=_joined(self.parts),
             comments=self.comments,
             attachments=self.attachments,
             comment=self.texts.get(OPT_COMMENT, ""),
@@ -138,13 +138,19 @@ class _Reader:
             torn=torn,
             skipped=self.skipped,
             warnings=tuple(self.warnings),
-            inside=np.concatenate([np.zeros(0, FRAME), *self.inside]),
+            inside=_joined(self.inside),
             buses=tuple(self.buses),
         )
         self.begun = self.begun or len(capture.frames) > 0
         self.inside = []
         self.parts, self.comments, self.attachments, self.warnings, self.skipped = [], [], {}, [], 0
         return capture
+
+
+def _joined(parts: Sequence[Records]) -> Records:
+    if len(parts) == 1:  # as usual: not copied
+        return parts[0]
+    return np.concatenate([np.zeros(0, FRAME), *parts])
 
 
 def iter_pcapng(path: str | Path, window: Window = ALL) -> Iterator[Capture]:
@@ -373,15 +379,12 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         packets_ = "1 packet was" if count == 1 else f"{count} packets were"
         reader.warnings.append(f"{reader.path}: offset {reader.base + offset}: {what}: {packets_} left out")
     done = sum(len(part) for part in reader.parts)
-    frames, rows = decoded.frames, np.arange(len(decoded.frames) + 1)
-    if any(interface.inside for interface in reader.interfaces):
-        inside = np.array([interface.inside for interface in reader.interfaces])[frames["source"] - reader.earlier]
-        frames, rows = frames[~inside], np.concatenate(([0], np.cumsum(~inside)))
-        reader.inside.append(decoded.frames[inside])
+    frames, inside = decoded.frames, decoded.inside
     reader.parts.append(frames)
-    reader.skipped += len(packets) - len(decoded.frames) - len(decoded.damaged)
-    for number, begin, end in decoded.options:
-        row = min(int(rows[number]), len(frames) - 1)  # a comment on telemetry moves to the next frame
+    reader.inside.append(inside)
+    reader.skipped += len(packets) - len(frames) - len(inside) - len(decoded.damaged)
+    for before, begin, end in decoded.options:
+        row = min(before, len(frames) - 1)  # a comment on telemetry moves to the next frame
         if row < 0:
             continue
         for code, value in iter_options(reader.data[begin:end], reader.order):

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
-from coulombus.kernels.decorator import kernel
-from coulombus.recording.pcapng_packets import Integers, Words
+from coulombus.kernels.decorator import inlined, kernel
 
-__all__ = ["BAD", "END", "FULL", "SECTION", "walk"]
+__all__ = ["BAD", "END", "FULL", "SECTION", "Integers", "Words", "swapped", "walk"]
+
+Words: TypeAlias = npt.NDArray[np.uint32]
+Integers: TypeAlias = npt.NDArray[np.int64]
 
 END, FULL, SECTION, BAD = range(4)
 """Why a walk stops: the words end, `offsets` is full, a section header, no block."""
 
 
-@kernel
-def _swapped(word: int) -> int:
+@inlined
+def swapped(word: int) -> int:
+    """Return a word of 32 bits with its bytes in the other order."""
     return (word & 0xFF) << 24 | (word & 0xFF00) << 8 | (word >> 8) & 0xFF00 | word >> 24
 
 
@@ -37,7 +41,7 @@ def walk(words: Words, at: int, swap: int, offsets: Integers) -> tuple[int, int,
             return count, at, FULL
         length: Any = np.int64(words[at + 1])
         if swap:
-            length = _swapped(length)
+            length = swapped(length)
         if length < 12 or length % 4 != 0 or length > 0x1000000:
             return count, at, BAD
         after = at + length // 4

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from coulombus.recording.pcapng_blocks import ENHANCED_PACKET, next_block
-from coulombus.recording.pcapng_packets import Integers, Interface, decode_packets
+from coulombus.recording.pcapng_packets import Interface, decode_packets
+from coulombus.recording.pcapng_walk import Integers
 
 __all__ = ["ALL", "Window", "offset_before"]
 
@@ -89,9 +90,9 @@ def _packet(data: bytes, order: str, interfaces: Sequence[Interface]) -> tuple[i
             return None
         if kind == ENHANCED_PACKET:
             words = np.frombuffer(data, "<u4", length // 4, place)
-            frames = decode_packets(words, np.zeros(1, np.int64), order, interfaces, 0).frames
-            if len(frames):
-                return place, int(frames["t_ns"][0])
+            stamps_ns = decode_packets(words, np.zeros(1, np.int64), order, interfaces, 0).stamps_ns
+            if len(stamps_ns):
+                return place, int(stamps_ns[0])
         place += length
     return None
 

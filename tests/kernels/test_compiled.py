@@ -11,9 +11,11 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
+
 from coulombus.kernels import numba_inside
 from coulombus.kernels.compile_notice import compiling, on_compiling
-from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED
+from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED, Entry, kernel
 from coulombus.kernels.kernel_cache import KEPT, MARKER, alone, kept
 from coulombus.kernels.sources import source_key
 from places import ROOT
@@ -301,6 +303,35 @@ def test_a_damaged_cache_is_told_and_removed(own_kernels, tmp_path, spoil, endin
     assert list((tmp_path / "cache").rglob("*.nb?")) == []
     assert own_kernels() == ("2 -1 0", "")
     assert own_kernels() == ("2 -1 1", "")
+
+
+@kernel
+def _first(numbers):
+    return numbers[0]
+
+
+@kernel
+def _applied(function, numbers):
+    return 10 * function(numbers)
+
+
+@kernel
+def _second(numbers):
+    return numbers[1]
+
+
+def test_each_kind_of_argument_has_a_machine_code_of_its_own():
+    """What is loaded for one kind is not called with another one."""
+    whole, fraction = np.array([3, 4, 5]), np.array([1.5, 2.5, 3.5])
+    record = np.array([(7.5, 2)], [("force", float), ("count", int)])
+    fixed = whole.copy()
+    fixed.flags.writeable = False
+    for numbers in (whole, fraction, whole[::2], fixed, fraction, record["force"]):
+        assert Entry(_first)(numbers) == numbers[0]
+        assert Entry(_applied)(_first, numbers) == 10 * numbers[0]
+    assert Entry(_applied)(_second, whole) == 40
+    assert Entry(_first)((1, 2.5)) == 1
+    assert Entry(_first)((1.5, 2)) == 1.5
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")

@@ -117,6 +117,19 @@ def test_figures_are_those_of_the_whole(recorded):
     assert vars(measure(read(recorded))) == whole_figures(read(recorded))
 
 
+def test_blocks_shorter_than_the_end_of_a_hold_are_measured_alike(recorded, monkeypatch):
+    """A phase's end is known only some blocks later."""
+    monkeypatch.setattr(coulombus.recording.pcapng_reader, "CHUNK", 1 << 11)
+    durations = [
+        block["motor.position_rad"].t_s[-1:] - block["motor.position_rad"].t_s[:1] for block in blocks(recorded)
+    ]
+    assert np.median(np.concatenate(durations)) < measures.HOLD_TAIL_S
+    figures, expected = vars(measure(blocks(recorded))), vars(measure(read(recorded)))
+    for name in ("hold_velocity_rms_rad_s", "stick_velocity_rms_rad_s"):
+        assert figures.pop(name) == pytest.approx(expected.pop(name), rel=1e-12)
+    assert figures == expected
+
+
 @pytest.mark.slow
 def test_identified_friction_is_that_of_the_whole(tmp_path):
     recorded = long_recording(tmp_path / "long.pcapng", 8, driven=False)

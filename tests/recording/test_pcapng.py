@@ -385,6 +385,17 @@ def test_a_packet_that_cannot_be_is_left_out_and_told(tmp_path: Path, damaged: b
     assert re.fullmatch(rf"{re.escape(str(path))}: offset {offset}: .*{text}", capture.warnings[0])
 
 
+def test_the_comment_of_a_packet_with_an_invalid_stamp_moves_to_the_next_frame(tmp_path: Path):
+    path = tmp_path / "a.pcapng"
+    notes = [struct.pack("<HH4sI", 1, 4, text, 0) for text in (b"good", b"late", b"last")]
+    stamps = [1, 1 << 63, 2]
+    packets = [packet(stamp, can(1, b""), options=note) for stamp, note in zip(stamps, notes, strict=True)]
+    path.write_bytes(section() + interface() + b"".join(packets))
+    capture = read_pcapng(path)
+    assert capture.frames["t_ns"].tolist() == [1000, 2000]
+    assert capture.comments == [(0, "good"), (1, "late"), (1, "last")]
+
+
 @pytest.mark.parametrize(
     ("content", "text"),
     [
