@@ -25,9 +25,8 @@ SENTENCES: Mapping[str, str] = {
     "with four programs in turns with none.",
     "faulty": "Delivery of frames while 1 % are destroyed, in turns with cyclictest at the same priority.",
     "realtime": "The cycle's wake-up and processor time, in turns with cyclictest and with the same loop in C.",
-    "coverage": "How often the intervals of commissioning contain the true values of random rigs, against their 95 %.",
 }
 """The benchmarks of ``make bench``, in their order: figures of the processor first, the long ones last."""
 
-BESIDE = ("bits", "loss", "lost", "disturbed", "observers")
+BESIDE = ("bits", "coverage", "loss", "lost", "disturbed", "observers")
 """Those that run only when named: they take up to an hour."""

@@ -47,6 +47,7 @@ class BusLoad:
         self._full = 0
         self._usual: dict[int, float] = {}  # frames of an identifier in a window that is not full
         self._windows = 0
+        _bits_of(*[np.zeros(0, np.int64)] * 4)  # loads the machine code, while no frame of a live bus waits
 
     def take(self, block: Block) -> None:
         """Process a block."""

@@ -393,7 +393,8 @@ class Timing:
         if key > 0x7FF or SDO_TX <= key < 0x680 or len(group) < 2:
             self._rapid.pop(key, None)
             return
-        rapid = np.diff(group.t_ns) < BABBLE_NS
+        gaps = np.diff(group.t_ns)
+        rapid = gaps < BABBLE_NS
         number = int(rapid.sum())
         if number < 0.7 * len(rapid):
             self._rapid.pop(key, None)
@@ -403,8 +404,9 @@ class Timing:
         self._rapid[key] = before + number, since_ns, row
         if before + number >= BABBLE:
             node = self.bus.sender(key) if key not in (NMT, EMCY) else None
-            rate = 1e9 / float(np.median(np.diff(group.t_ns)[rapid]))
-            text = f"identifier {key:03X}h comes {rate:.0f} times a second"
+            usual_ns = float(np.median(gaps[rapid]))
+            often = f"{1e9 / usual_ns:.0f} times a second" if usual_ns > 0 else "several times with one stamp"
+            text = f"identifier {key:03X}h comes {often}"
             clue = self.clues.note("babble", node, since_ns, text, row=row, subject=key)
             clue.count = before + number
             clue.last_ns = clue.end_ns = int(group.t_ns[np.flatnonzero(rapid)[-1] + 1])

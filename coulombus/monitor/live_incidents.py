@@ -15,6 +15,7 @@ from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.explanation_text import cause, checks, course, title
 from coulombus.explain.incidents import Incident
 from coulombus.explain.live_bus import LATE_NS, same_incident
+from coulombus.monitor.worker import Worker
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.wire.client import Received
@@ -94,7 +95,7 @@ def _row(explanation: Explanation, incident: Incident) -> IncidentRow:
     )
 
 
-class IncidentReader:
+class IncidentReader(Worker):
     """Detects incidents in a separate thread, within a ``with`` block.
 
     Attributes
@@ -103,6 +104,7 @@ class IncidentReader:
     """
 
     def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
+        super().__init__("incident reader")
         self.rows: tuple[IncidentRow, ...] = ()
         self.failure = ""
         """Reason why it stopped; empty while it runs."""
@@ -110,16 +112,6 @@ class IncidentReader:
         self._lock = threading.Lock()
         self._waiting: list[Block] = []
         self._frames = 0
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="incident reader", daemon=True)
-
-    def __enter__(self) -> IncidentReader:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join(timeout=5)
 
     def take(self, received: Block | Sequence[Received]) -> None:
         """Store frames for the next look."""
@@ -137,7 +129,7 @@ class IncidentReader:
         self.rows = self._incidents.look(now_ns)
 
     def _run(self) -> None:
-        while not self._stop.wait(LOOK_S):
+        while not self.stop.wait(LOOK_S):
             try:
                 self.look(time.time_ns())
             except Exception as error:  # an unknown bus may have unforeseen content: the view goes on

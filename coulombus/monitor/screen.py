@@ -82,6 +82,8 @@ def as_lines(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int, all_nodes
     for event in snapshot.events:
         yield f"{(event.t_ns - begin_ns) / 1e9:10.3f}  {'!' if event.grave else '*'} {event.text}"
     at = f"{(snapshot.t_ns - begin_ns) / 1e9:10.3f}"
+    if failure := facts.get("incidents_end"):
+        yield f"{at}  ! {failure}"
     for row in _pdos(snapshot, all_nodes):
         content = "  ".join(f"{_short(value)}={_number(value)}{_unit(value)}" for value in row.values)
         yield f"{at}  {row.name:<11} {row.rate_per_s:7.1f}/s  {_age(row.age_s):>8}  {content}"

@@ -22,6 +22,7 @@ from typing import Any, TypeAlias
 from rich.console import Console
 from rich.live import Live as Display
 
+from coulombus.monitor.bus_reader import BusReader
 from coulombus.monitor.incident_lines import OpenedIncident, news
 from coulombus.monitor.learned_pdos import LearnedPdos
 from coulombus.monitor.live import Live
@@ -29,6 +30,7 @@ from coulombus.monitor.live_incidents import IncidentReader, IncidentRow
 from coulombus.monitor.screen import Screen, as_dict, as_lines
 from coulombus.monitor.snapshot import Event, HostLine, Snapshot
 from coulombus.monitor.traces import Trace, Traces
+from coulombus.monitor.worker import Worker
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.system.foreign_text import printable
@@ -36,18 +38,15 @@ from coulombus.system.keyboard import Keys, in_foreground
 from coulombus.system.printable_console import PrintableConsole
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress
-from coulombus.wire.client import BusDown, BusFull, BusGone, Client
-from coulombus.wire.frame_batches import BlockReader
+from coulombus.wire.client import Client
+from coulombus.wire.frame_batches import Block
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["LiveView", "ViewKeys", "look_once", "watch"]
 
 DRAW_S = 0.1
 LINE_S = 1.0
-WAIT_S = 0.1
-ASK_NS = 1_000_000_000
-COLLECT_S = 0.01
-"""Frames of this time are processed together; the buffer of a SocketCAN socket holds some 270."""
+BATCH_S = 0.1
 EVENTS = 200
 HOST_S = 0.5
 PAUSE_KEYS, RAW_KEYS, WORD_KEYS, END_KEYS, INCIDENT_KEYS = b"p ", b"b", b"w", b"q", b"123456789"
@@ -102,24 +101,26 @@ def watch(
     console = console or PrintableConsole()
     live = Live(rig, LearnedPdos(view.eds) if rig is None or view.assumed else None)
     traces = None if rig is None else Traces(rig, view.scope)
+    incidents = IncidentReader(rig, view.eds)
     begin_ns = time.time_ns()
     live.snapshot(begin_ns)  # rates count from here
-    hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
+    hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
     with (
         Client(address, hello) as client,
         StopSignals() as stop,
-        IncidentReader(rig, view.eds) as incidents,
-        _Reader(client, live, traces, incidents) as reader,
+        incidents,
+        BusReader(client, _View(live, traces), lock, incidents, BATCH_S) as reader,
     ):
 
         def look() -> tuple[Snapshot, dict[str, Any]]:
-            with reader.lock:
+            with lock:
+                reader.hand_over()
                 snapshot = live.snapshot(time.time_ns())
                 seen = traces.look(snapshot.t_ns) if terminal and traces is not None else ()
             facts = {"bus": str(address), "bitrate_bit_s": client.bitrate_bit_s}
-            return snapshot, facts | {"lost": client.lost, "malformed": client.malformed} | (
-                {"traces": seen} if terminal else {}
-            )
+            facts |= {"lost": client.lost, "malformed": client.malformed}
+            facts |= {"incidents_end": incidents.failure} if incidents.failure else {}
+            return snapshot, facts | ({"traces": seen} if terminal else {})
 
         terminal = console.is_terminal and not view.as_json
         pause_s = view.interval_s or (DRAW_S if terminal else LINE_S)
@@ -127,7 +128,7 @@ def watch(
         keys = ViewKeys()
         with (
             Keys(keys.struck) if terminal and in_foreground() else nullcontext(),
-            _Asker(host if terminal else None) as asker,
+            _Asker(host) if terminal and host is not None else nullcontext() as asker,
             show(console, view, begin_ns) as draw,
         ):
             end = None if seconds is None else time.monotonic() + seconds
@@ -141,9 +142,10 @@ def watch(
                     "paused": keys.paused,
                     "raw": keys.raw,
                     "words": keys.words,
-                    "host": asker.answer,
+                    "host": None if asker is None else asker.answer,
+                    "number": keys.number,
+                    "strokes": keys.strokes,
                 }
-                options = options | {"number": keys.number, "strokes": keys.strokes, "incidents_end": incidents.failure}
                 draw(snapshot, facts | options if terminal else facts, incidents.rows)
         if reader.failure is not None:
             raise reader.failure
@@ -159,12 +161,13 @@ def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
     """
     live = Live(rig)
     live.snapshot(time.time_ns())
-    hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
-    with Client(address, hello) as client, StopSignals() as stop, _Reader(client, live) as reader:
+    hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
+    with Client(address, hello) as client, StopSignals() as stop, BusReader(client, live, lock) as reader:
         stop.wait(seconds)
         if reader.failure is not None:
             raise reader.failure
-        with reader.lock:
+        with lock:
+            reader.hand_over()
             return live.snapshot(time.time_ns())
 
 
@@ -187,82 +190,36 @@ class ViewKeys:
                 self.number, self.strokes = key - ord("0"), self.strokes + 1
 
 
-class _Asker:
+class _Asker(Worker):
     """Calls a function repeatedly in a separate thread; `answer` is the last result."""
 
-    def __init__(self, ask: Callable[[], HostLine | None] | None) -> None:
+    def __init__(self, ask: Callable[[], HostLine | None]) -> None:
+        super().__init__("host asker")
         self.answer: HostLine | None = None
         self._ask = ask
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="host asker", daemon=True)
-
-    def __enter__(self) -> _Asker:
-        if self._ask is not None:
-            self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        if self._ask is not None:
-            self._thread.join()
 
     def _run(self) -> None:
-        while self._ask is not None and not self._stop.is_set():
+        while not self.stop.is_set():
             try:
                 self.answer = self._ask()
             except Exception as error:  # whatever is wrong with the host's answer, the view goes on
                 self.answer = HostLine(f"host: {error}")
-            self._stop.wait(HOST_S)
+            self.stop.wait(HOST_S)
 
 
-class _Reader:
-    """Reads frames from the bus in a separate thread; `failure` is the reason of its own end."""
+class _View:
+    """The table of a bus, and the signals that are plotted over time."""
 
-    def __init__(
-        self, client: Client, live: Live, traces: Traces | None = None, incidents: IncidentReader | None = None
-    ) -> None:
-        self.lock = threading.Lock()
-        self.failure: OSError | None = None
-        self._client, self._live, self._traces, self._incidents = client, live, traces, incidents
-        self._frames = BlockReader(client)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="bus reader", daemon=True)
+    def __init__(self, live: Live, traces: Traces | None) -> None:
+        self._live, self._traces = live, traces
 
-    def __enter__(self) -> _Reader:
-        self._thread.start()
-        return self
+    def take(self, block: Block) -> None:
+        self._live.take(block)
+        if self._traces is not None:
+            self._traces.take(block)
 
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        asked_ns = time.monotonic_ns()
-        while not self._stop.is_set():
-            try:
-                self._client.wait(WAIT_S)
-                if len(block := self._frames.receive()):
-                    with self.lock:
-                        self._live.take(block)
-                        if self._traces is not None:
-                            self._traces.take(block)
-                    if self._incidents is not None:
-                        self._incidents.take(block)
-                if time.monotonic_ns() - asked_ns > ASK_NS:
-                    asked_ns = time.monotonic_ns()
-                    self._client.ask()
-            except BusDown as error:
-                with self.lock:
-                    self._live.tell(time.time_ns(), str(error), grave=True)
-            except BusFull:
-                pass  # a failure to read shows as silence of all nodes
-            except BusGone as error:
-                self.failure = error
-                return
-            except OSError as error:
-                self.failure = error
-                return
-            self._stop.wait(COLLECT_S)
+    def tell(self, t_ns: int, text: str, *, grave: bool) -> None:
+        self._live.tell(t_ns, text, grave)
 
 
 _Draw: TypeAlias = Callable[[Snapshot, Any, Sequence[IncidentRow]], None]

@@ -8,7 +8,7 @@ from rich.console import Console
 from coulombus.monitor.incident_lines import OpenedIncident, incident_dict, news
 from coulombus.monitor.live import Live
 from coulombus.monitor.live_incidents import IncidentReader, LiveIncidents
-from coulombus.monitor.screen import Screen, as_dict
+from coulombus.monitor.screen import Screen, as_dict, as_lines
 from coulombus.monitor.watch import ViewKeys
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame_batches import Block
@@ -122,6 +122,21 @@ def shown(rows, opened="", height=50, width=100):
     facts = {**FACTS, "keys": "q end"}
     console.print(Screen(live.snapshot(T0 + S), facts, (), T0, True, (), rows, opened))
     return console.file.getvalue()
+
+
+def test_the_end_of_the_search_is_told():
+    snapshot, ended = Live(RIG).snapshot(T0 + S), FACTS | {"incidents_end": "the search for incidents has ended: why"}
+    assert any("! the search for incidents has ended: why" in line for line in as_lines(snapshot, ended, T0))
+    assert as_dict(snapshot, ended, T0)["incidents_end"] == "the search for incidents has ended: why"
+    assert not any("search" in line for line in as_lines(snapshot, FACTS, T0))
+
+
+def test_frames_that_come_with_one_stamp_are_searched():
+    """A bus without time packs some frames into a message, which has one stamp."""
+    burst = [frame(1 + k / 1000, 0x181, bytes(8)) for k in range(200) for _ in range(10)]
+    (found,) = followed(([*beats(0, 1.3, 1, 2), *burst], 1.3))[0]
+    assert found.title.startswith("motor (node 1): ")
+    assert "several times with one stamp" in " ".join(text for _, _, text in found.course)
 
 
 def test_the_screen_lists_incidents_and_opens_one():

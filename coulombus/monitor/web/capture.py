@@ -144,12 +144,9 @@ class LiveCapture:
         """Return the signals of each plot of an axis, by the plot's title."""
         return self._names[axis.name]
 
-    def take(self, frames: Sequence[Received]) -> None:
+    def take(self, received: Block | Sequence[Received]) -> None:
         """Process the frames of some milliseconds."""
-        self.take_block(Block.of(frames))
-
-    def take_block(self, block: Block) -> None:
-        """Process the frames of some milliseconds."""
+        block = received if isinstance(received, Block) else Block.of(received)
         if not len(block):
             return
         self.live.take(block)

@@ -1,110 +1,23 @@
-"""Threads of the page's server: one reads the bus in batches, one queries the host, one computes the law's curve.
-
-Nothing is ever sent to the bus.
-"""
+"""Threads of the page's server besides `monitor.bus_reader`: one queries the host, one computes the law's curve."""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Mapping
 from typing import Any
 
-from coulombus.monitor.live_incidents import IncidentReader
-from coulombus.monitor.web.capture import Curve, LiveCapture
+from coulombus.monitor.web.capture import Curve
 from coulombus.monitor.web.page_state import HostDoor, HostView
+from coulombus.monitor.worker import Worker
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
-from coulombus.wire.client import BusDown, BusFull, Client
-from coulombus.wire.frame_batches import Block, BlockReader
 
-__all__ = ["BATCH_S", "BusReader", "CurveReader", "HostReader"]
+__all__ = ["CurveReader", "HostReader"]
 
-BATCH_S = 0.033
-COLLECT_S = 0.01
-"""Interval of reading a SocketCAN socket, whose buffer holds some 270 frames."""
-ASK_S = 1.0
 HOST_S = 0.2
 
 
-class _Worker:
-    """A thread that ends with its ``with`` block."""
-
-    def __init__(self, name: str) -> None:
-        self.stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
-    def __enter__(self) -> _Worker:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop.set()
-        self._thread.join(timeout=5)
-
-    def _run(self) -> None:
-        raise NotImplementedError
-
-
-class BusReader(_Worker):
-    """Reads frames from the bus into `capture`; `failure` is the reason of its own end.
-
-    Parameters
-    ----------
-    lock : held while `capture` changes
-    incidents : gets the frames, too
-    """
-
-    def __init__(
-        self, client: Client, capture: LiveCapture, lock: threading.Lock, incidents: IncidentReader | None = None
-    ) -> None:
-        super().__init__("bus reader")
-        self._incidents = incidents
-        self.failure: OSError | None = None
-        self.until_ns = time.time_ns()
-        """All frames up to this time are in `capture`."""
-        self._client, self._capture, self._lock = client, capture, lock
-        self._reader = BlockReader(client)
-
-    def facts(self) -> dict[str, Any]:
-        """Return facts on the bus besides its frames."""
-        c = self._client
-        return {"bus": c.address, "bitrate_bit_s": c.bitrate_bit_s, "lost": c.lost, "malformed": c.malformed}
-
-    def _run(self) -> None:
-        last_question_s = last_batch_s = time.monotonic()
-        blocks: list[Block] = []
-        pause_s = BATCH_S if self._client.address.packs_frames else COLLECT_S
-        while not self.stop.wait(pause_s):
-            now, now_ns = time.monotonic(), time.time_ns()
-            try:
-                if len(block := self._reader.receive()):
-                    blocks.append(block)
-                if now - last_question_s > ASK_S:
-                    last_question_s = now
-                    self._client.ask()
-            except BusDown as error:
-                with self._lock:
-                    self._capture.tell(time.time_ns(), str(error), grave=True)
-                self.stop.wait(ASK_S)
-            except BusFull:
-                pass  # a failure to read shows as silence of all nodes
-            except OSError as error:
-                self.failure = error
-            if now - last_batch_s >= BATCH_S or self.failure is not None:
-                last_batch_s = max(last_batch_s + BATCH_S, now - pause_s)  # so that batches are of BATCH_S on average
-                block = Block.joined(blocks)
-                with self._lock:
-                    self._capture.take_block(block)
-                    self.until_ns = now_ns
-                if self._incidents is not None:
-                    self._incidents.take(block)
-                blocks = []
-            if self.failure is not None:
-                return
-
-
-class HostReader(_Worker):
+class HostReader(Worker):
     """Queries the host's status five times a second, and passes it to `view`."""
 
     def __init__(self, door: HostDoor, view: HostView, lock: threading.Lock) -> None:
@@ -127,7 +40,7 @@ class HostReader(_Worker):
             return None
 
 
-class CurveReader(_Worker):
+class CurveReader(Worker):
     """Recomputes the curve of each axis' law when the mode or a parameter changes.
 
     The curves are in `curves`, by the axis' name; None for a law without a curve or a failing law.

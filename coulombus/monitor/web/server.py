@@ -18,12 +18,13 @@ from typing import Any
 import tornado.httpserver
 from tornado.iostream import IOStream
 
+from coulombus.monitor.bus_reader import BATCH_S, BusReader
 from coulombus.monitor.live_incidents import IncidentReader
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page import SESSIONS, Page, application
 from coulombus.monitor.web.page_state import HostDoor
-from coulombus.monitor.web.reader import BATCH_S, BusReader, CurveReader, HostReader
+from coulombus.monitor.web.reader import CurveReader, HostReader
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import BusAddress, BusUnavailable
@@ -167,6 +168,7 @@ async def _serve(
         loop.add_reader(parent, lambda: None if os.read(parent, 64) else over.set())
     if seconds is not None:
         loop.call_later(seconds, over.set)
+    incidents = IncidentReader(shown.rig)
     client = await _client(shown.address, patient=parent is not None, over=over)
     if client is None:
         return
@@ -174,7 +176,6 @@ async def _serve(
     capture.snapshot(time.time_ns())  # rates count from here
     with client:
         lock = threading.Lock()
-        incidents = IncidentReader(shown.rig)
         reader = BusReader(client, capture, lock, incidents)
         page = Page(capture, shown.door, shown.token, reader.facts, lock)
         page.name = name

@@ -1,0 +1,99 @@
+"""Read a bus in a separate thread, in batches, for a view. Nothing is ever sent to the bus."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Protocol
+
+from coulombus.monitor.live_incidents import IncidentReader
+from coulombus.monitor.worker import Worker
+from coulombus.wire.client import BusDown, BusFull, Client
+from coulombus.wire.frame_batches import Block, BlockReader
+
+__all__ = ["BATCH_S", "BusReader", "BusView"]
+
+BATCH_S = 0.033
+COLLECT_S = 0.01
+"""Interval of reading a SocketCAN socket, whose buffer holds some 270 frames."""
+ASK_S = 1.0
+
+
+class BusView(Protocol):
+    """What gets the frames."""
+
+    def take(self, block: Block) -> None:
+        """Process received frames."""
+
+    def tell(self, t_ns: int, text: str, *, grave: bool) -> None:
+        """Note an event of the bus."""
+
+
+class BusReader(Worker):
+    """Reads frames from the bus into `view`; `failure` is the reason of its own end.
+
+    Parameters
+    ----------
+    lock : held while `view` changes
+    incidents : gets the frames, too
+    batch_s : frames of this time are processed together
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        view: BusView,
+        lock: threading.Lock,
+        incidents: IncidentReader | None = None,
+        batch_s: float = BATCH_S,
+    ) -> None:
+        super().__init__("bus reader")
+        self.failure: OSError | None = None
+        self.until_ns = time.time_ns()
+        """All frames up to this time are in `view`."""
+        self._client, self._view, self._lock, self._incidents = client, view, lock, incidents
+        self._batch_s = batch_s
+        self._reader = BlockReader(client)
+        self._waiting: list[Block] = []
+
+    def facts(self) -> dict[str, Any]:
+        """Return facts on the bus besides its frames."""
+        c = self._client
+        return {"bus": c.address, "bitrate_bit_s": c.bitrate_bit_s, "lost": c.lost, "malformed": c.malformed}
+
+    def hand_over(self) -> None:
+        """Pass the frames received so far to the view; the caller holds the lock."""
+        block = Block.joined(self._waiting)
+        self._waiting = []
+        self._view.take(block)
+        if self._incidents is not None:
+            self._incidents.take(block)
+
+    def _run(self) -> None:
+        last_question_s = last_batch_s = time.monotonic()
+        pause_s = BATCH_S if self._client.address.packs_frames else COLLECT_S
+        while not self.stop.wait(pause_s):
+            now, now_ns = time.monotonic(), time.time_ns()
+            try:
+                if len(block := self._reader.receive()):
+                    with self._lock:
+                        self._waiting.append(block)
+                if now - last_question_s > ASK_S:
+                    last_question_s = now
+                    self._client.ask()
+            except BusDown as error:
+                with self._lock:
+                    self._view.tell(time.time_ns(), str(error), grave=True)
+                self.stop.wait(ASK_S)
+            except BusFull:
+                pass  # a failure to read shows as silence of all nodes
+            except OSError as error:
+                self.failure = error
+            if now - last_batch_s >= self._batch_s or self.failure is not None:
+                # so that batches are of that time on average
+                last_batch_s = max(last_batch_s + self._batch_s, now - pause_s)
+                with self._lock:
+                    self.hand_over()
+                    self.until_ns = now_ns
+            if self.failure is not None:
+                return
