@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import resource
 import statistics
@@ -67,13 +68,13 @@ def simulation() -> None:
 
     seconds = size(60.0, 1.0)
     with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / "run.pcapng"
+        paths = (Path(directory, f"{number}.pcapng") for number in itertools.count())
 
         def plain() -> None:
             untripped(simulate("bench", "hybrid", seconds, measured=False))
 
         def recorded() -> None:
-            untripped(simulate("bench", "hybrid", seconds, record=path, force=True))
+            untripped(simulate("bench", "hybrid", seconds, record=next(paths)))  # a new file, as a user's
 
         plain()
         recorded()

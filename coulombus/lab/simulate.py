@@ -96,6 +96,7 @@ class _VirtualRun(Course):
         if self.measured is not None:
             self.measured.write(frames)
         messages = self.world.take_told()
+        frames = frames.view(np.ndarray)  # a recarray looks each field up in Python
         if len(messages):  # at equal times, bus frames first
             frames = np.concatenate((frames, messages))
             frames = frames.take(np.argsort(frames["t_ns"], kind="stable"))

@@ -286,10 +286,10 @@ class VirtualRig(VirtualNetwork):
         self._world["tells"] = 1
 
     def take_told(self) -> Records:
-        """Return the host's telemetry since the last call."""
+        """Return the host's telemetry since the last call, valid until time passes."""
         count = int(self._world["told_count"][0])
         self._world["told_count"] = 0
-        return self._told[:count].copy()
+        return self._told[:count].view(np.ndarray)
 
     def _note(self, event: Event, t_ns: int, value: int = 0) -> None:
         w = self._world[0]
