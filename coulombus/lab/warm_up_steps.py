@@ -35,6 +35,7 @@ from coulombus.lab.virtual_bringup import switch_on
 from coulombus.node import core, own_time
 from coulombus.node.device import Device
 from coulombus.node.record import new_nodes
+from coulombus.recording.export.text_rows import TextRows, texts_of
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.trace import TraceRow
@@ -93,9 +94,13 @@ def _bus() -> Iterator[None]:
     for name in BUILTIN_LAWS:
         load_law(name)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "empty.pcapng"
-        PcapngWriter(path, attachments={}).close()
+        path = Path(folder) / "one.pcapng"
+        with PcapngWriter(path, attachments={}) as writer:
+            writer.write(frames(1))
         read_pcapng(path)
+    rows = TextRows()
+    rows.add("%s", [texts_of(np.zeros(1), False)])
+    rows.joined(np.zeros(1))
     yield
     plants = new_records(PlantRecord)
     for detailed in (0, 1):

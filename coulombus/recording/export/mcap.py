@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from zstandard import ZstdCompressor
 
-from coulombus.recording.export.text_table import texts_of
+from coulombus.recording.export.text_rows import TextRows, texts_of
 from coulombus.recording.sample_groups import Array, Column, Group, Stretch
 
 __all__ = ["McapWriter"]
@@ -106,43 +106,38 @@ class McapWriter:
 
     def add(self, stretch: Stretch) -> None:
         """Write a stretch as one chunk."""
-        messages: list[str] = []
-        places: list[Array] = []
+        messages = TextRows()
+        places: list[Array] = [rows.order for rows in stretch.rows]
         heads: list[Array] = []
         for number, (group, template, rows) in enumerate(
             zip(self._groups, self._templates, stretch.rows, strict=True), 1
         ):
             texts = [texts_of(v, c.word, "null") for c, v in zip(group.columns, rows.values, strict=True)]
-            messages += [template % row for row in zip(*texts, strict=True)]
-            places.append(rows.order)
-            heads.append(self._head(number, rows.t_ns))
+            sizes = messages.add(template, texts)
+            heads.append(self._head(number, rows.t_ns, sizes))
+            messages.put_before(heads[-1])
         if stretch.markers:
-            messages += [json.dumps({"text": text}) for _, _, text in stretch.markers]
-            places.append(np.array([row for row, _, _ in stretch.markers]) - 0.5)
+            texts_ = [json.dumps({"text": text}) for _, _, text in stretch.markers]
+            sizes = messages.add("%s", [(texts_, np.arange(len(texts_)))])
             stamps = np.array([round(t_s * 1e9) for _, t_s, _ in stretch.markers], np.int64)
-            heads.append(self._head(len(self._groups) + 1, stamps))
-        if messages:
-            self._chunk(np.concatenate(heads), [text.encode() for text in messages], np.concatenate(places))
+            heads.append(self._head(len(self._groups) + 1, stamps, sizes))
+            messages.put_before(heads[-1])
+            places.append(np.array([row for row, _, _ in stretch.markers]) - 0.5)
+        if sum(map(len, places)):
+            self._chunk(np.concatenate(heads), *messages.joined(np.concatenate(places)))
 
-    def _head(self, channel: int, t_ns: Any) -> Any:
+    def _head(self, channel: int, t_ns: Any, sizes: Any) -> Any:
         head = np.zeros(len(t_ns), MESSAGE_HEAD)
         head["op"], head["channel"] = MESSAGE, channel
+        head["length"] = sizes + MESSAGE_HEAD.itemsize - 9
         head["sequence"] = np.arange(self._count[channel - 1], self._count[channel - 1] + len(t_ns)) & 0xFFFFFFFF
         head["log"] = head["publish"] = t_ns + self._base_ns
         self._count[channel - 1] += len(t_ns)
         return head
 
-    def _chunk(self, heads: Any, texts: list[bytes], places: Any) -> None:
+    def _chunk(self, heads: Any, content: bytes, order: Any, begins: Any) -> None:
         """Write messages in order, then the message index of each channel."""
-        sizes = np.fromiter(map(len, texts), np.int64, len(texts))
-        heads["length"] = sizes + MESSAGE_HEAD.itemsize - 9
-        order = np.argsort(places, kind="stable")
-        raw, heads, sizes = heads[order].tobytes(), heads[order], sizes[order]
-        step = MESSAGE_HEAD.itemsize
-        content = b"".join(
-            [part for k, at in enumerate(order.tolist()) for part in (raw[step * k : step * k + step], texts[at])]
-        )
-        offsets = np.cumsum(sizes + step) - sizes - step
+        heads, offsets = heads.take(order), begins[order]
         begin, end = int(heads["log"].min()), int(heads["log"].max())
         packed = self._compress(content)
         chunk_at = self._at

@@ -13,47 +13,38 @@ from typing import Any
 
 import numpy as np
 
+from coulombus.recording.export.text_rows import TextRows, texts_of
 from coulombus.recording.sample_groups import Array, Column, Group, Stretch
 
-__all__ = ["CsvWriter", "texts_of"]
-
-
-def texts_of(values: Array, word: bool, absent: str = "") -> list[str]:
-    """Return numbers as strings; NaN becomes `absent`.
-
-    A signal has few distinct values, so each is formatted once.
-    """
-    distinct, inverse = np.unique(values, return_inverse=True)
-    texts = [absent if v != v else str(int(v)) if word else repr(v) for v in distinct.tolist()]
-    return np.array(texts, object)[inverse].tolist()  # type: ignore[no-any-return]
+__all__ = ["CsvWriter"]
 
 
 class CsvWriter:
     """Writes the rows of `groups`; `about` goes into the comments."""
 
     def __init__(self, path: Path, groups: tuple[Group, ...], about: Mapping[str, str]) -> None:
-        self._file = path.open("w", encoding="utf-8", newline="\n")
+        self._file = path.open("wb")
         self._groups = groups
         columns = [column for group in groups for column in group.columns]
         self._templates = [_template(group, columns) for group in groups]
         head = [f"# {key}: {text}" for key, text in about.items()]
         head += [f"# unit of {column.name}: {column.unit or '1, a word of bits'}" for column in columns]
-        self._file.write("\n".join([*head, ",".join(["t_s", *(column.name for column in columns)])]) + "\n")
+        lines = [*head, ",".join(["t_s", *(column.name for column in columns)]), ""]
+        self._file.write("\n".join(lines).encode())
 
     def add(self, stretch: Stretch) -> None:
         """Write a stretch."""
-        lines: list[str] = []
-        places: list[Array] = []
+        lines = TextRows()
+        places: list[Array] = [rows.order for rows in stretch.rows]
         for group, template, rows in zip(self._groups, self._templates, stretch.rows, strict=True):
-            texts = [texts_of(v, c.word) for c, v in zip(group.columns, rows.values, strict=True)]
-            lines += [template % row for row in zip(map(repr, rows.t_s.tolist()), *texts, strict=True)]
-            places.append(rows.order)
+            times = list(map(repr, rows.t_s.tolist())), np.arange(len(rows.t_ns))
+            values = [texts_of(v, c.word) for c, v in zip(group.columns, rows.values, strict=True)]
+            lines.add(template, [times, *values])
         if stretch.markers:
-            lines += [f"# {t_s!r} {text}\n" for _, t_s, text in stretch.markers]
+            remarks = [f"# {t_s!r} {text}\n" for _, t_s, text in stretch.markers]
+            lines.add("%s", [(remarks, np.arange(len(remarks)))])
             places.append(np.array([row for row, _, _ in stretch.markers]) - 0.5)
-        if lines:
-            order = np.argsort(np.concatenate(places), kind="stable")
-            self._file.write("".join([lines[k] for k in order.tolist()]))
+        self._file.write(lines.joined(np.concatenate(places))[0])
 
     def close(self) -> None:
         """Close the complete file."""

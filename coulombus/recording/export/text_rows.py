@@ -1,0 +1,99 @@
+"""Many rows of text, made of few distinct pieces and put together by a kernel.
+
+A signal has few distinct values, so each is formatted once; a row is a row of piece numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.kernels.decorator import kernel
+from coulombus.recording.sample_groups import Array, Integers
+
+__all__ = ["Cells", "TextRows", "texts_of"]
+
+Cells: TypeAlias = tuple[Sequence[str], Integers]
+"""A column: its distinct texts, and the number of its text in each row."""
+
+
+def texts_of(values: Array, word: bool, absent: str = "") -> Cells:
+    """Return numbers as texts; NaN becomes `absent`."""
+    distinct, numbers = np.unique(values, return_inverse=True)  # NaN is the last
+    known = distinct.tolist()
+    missing = known.pop() if known and known[-1] != known[-1] else None
+    texts = list(map(str, map(int, known))) if word else list(map(repr, known))
+    return texts if missing is None else [*texts, absent], numbers
+
+
+@kernel
+def _put_together(
+    pool: npt.NDArray[np.uint8], begins: Integers, rows: Integers, places: Integers, out: npt.NDArray[np.uint8]
+) -> None:
+    """Write the pieces of each row one after another, from its place on."""
+    for row in range(rows.shape[0]):
+        place = places[row]
+        for k in range(rows.shape[1]):
+            piece = rows[row, k]
+            for i in range(begins[piece], begins[piece + 1]):
+                out[place] = pool[i]
+                place += 1
+
+
+class TextRows:
+    """Rows of several tables, each with columns of its own."""
+
+    def __init__(self) -> None:
+        self._pool: list[bytes] = []
+        self._sizes: list[Integers] = []
+        self._count = 0
+        self._tables: list[Integers] = []
+        """Piece numbers, a row for each row of text."""
+
+    def pieces(self, texts: Sequence[str]) -> int:
+        """Keep pieces; return the number of the first."""
+        content = "".join(texts)
+        if not content.isascii():
+            return self._keep(content.encode(), np.array([len(text.encode()) for text in texts]))
+        return self._keep(content.encode(), np.fromiter(map(len, texts), np.int64, len(texts)))
+
+    def _keep(self, content: bytes, sizes: Integers) -> int:
+        first = self._count
+        self._pool.append(content)
+        self._sizes.append(sizes)
+        self._count += len(sizes)
+        return first
+
+    def add(self, template: str, columns: Sequence[Cells]) -> Integers:
+        """Add a table: `template` with the cells of a row in place of each ``%s``. Return the bytes of each row."""
+        literals = template.split("%s")
+        table = np.empty((len(columns[0][1]), len(literals) + len(columns)), np.int64)
+        table[:, ::2] = self.pieces(literals) + np.arange(len(literals))
+        for k, (texts, numbers) in enumerate(columns):
+            table[:, 2 * k + 1] = self.pieces(texts) + numbers
+        self._tables.append(table)
+        sizes: Integers = np.concatenate(self._sizes)[table].sum(axis=1)
+        return sizes
+
+    def put_before(self, heads: Array) -> None:
+        """Put the bytes of `heads` before the rows of the last table, one for each."""
+        first = self._keep(heads.tobytes(), np.full(len(heads), heads.itemsize))
+        self._tables[-1] = np.column_stack((first + np.arange(len(heads)), self._tables[-1]))
+
+    def joined(self, places: Array) -> tuple[bytes, Integers, Integers]:
+        """Return the rows of all tables in the order of `places`; which row comes when; and where each begins."""
+        lengths = np.concatenate(self._sizes)
+        sizes = np.concatenate([lengths[table].sum(axis=1) for table in self._tables])
+        order = np.argsort(places, kind="stable")
+        begins = np.empty(len(sizes), np.int64)
+        begins[order] = np.cumsum(sizes[order]) - sizes[order]
+        pool = np.frombuffer(b"".join(self._pool), np.uint8)
+        out = np.empty(int(sizes.sum()), np.uint8)
+        done = 0
+        for table in self._tables:
+            _put_together(pool, np.append(0, np.cumsum(lengths)), table, begins[done : done + len(table)], out)
+            done += len(table)
+        return out.tobytes(), order, begins
