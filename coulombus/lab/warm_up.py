@@ -1,7 +1,7 @@
 """``coulombus warm-up``: compile all that `run`, `emulate`, `simulate` and `sweep` need, before it is needed.
 
-Independent kernels are compiled by two processes at the same time (`coulombus.lab.warm_up_steps`), and
-the loops that call them after that. A rig's size, mode and law change no kernel; an arm in the plane has
+Two processes at a time compile groups of kernels (`coulombus.lab.warm_up_steps`), each group after
+those whose kernels it calls. A rig's size, mode and law change no kernel; an arm in the plane has
 kernels of its own.
 """
 
@@ -13,24 +13,42 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from types import MappingProxyType
+from typing import IO, Any, NamedTuple
 
 from coulombus.kernels.compile_notice import compiling
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED, is_warm, warming
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["ARM", "PHASES", "WarmUp", "WarmUpError", "warm_up"]
+__all__ = ["ARM", "GROUPS", "WarmUp", "WarmUpError", "warm_up"]
 
 MODULE = "coulombus.lab.warm_up_steps"
-PHASES: Sequence[Mapping[str, int]] = (
-    {"cycle": 3, "bus": 4},
-    {"loops": 3, "arm": 3},
-    {"arm_loops": 2},
+WORKERS = 2
+
+
+class Group(NamedTuple):
+    """Kernels that one process compiles."""
+
+    steps: int
+    after: tuple[str, ...] = ()
+    """Groups whose kernels it calls."""
+
+
+GROUPS: Mapping[str, Group] = MappingProxyType(
+    {
+        "bus": Group(4),
+        "nodes": Group(2),
+        "server": Group(1, ("bus", "nodes")),
+        "host": Group(1, ("nodes",)),
+        "loops": Group(2, ("host", "server")),
+        "arm": Group(3, ("bus", "host")),
+        "arm_loops": Group(2, ("arm", "loops")),
+    }
 )
-"""Groups of kernels by phase, with their number of steps; the groups of a phase run at the same time."""
+"""By name; of those that can begin, the first does."""
 ARM = frozenset({"arm", "arm_loops"})
 """Groups that only an arm in the plane needs."""
 
@@ -91,28 +109,31 @@ def warm_up(progress: Callable[[int, int], None] | None = None, *, arm: bool = T
 
 def _compile(arm: bool, progress: Callable[[int, int], None]) -> int:
     """Run all groups; return the number of functions compiled."""
-    phases = [{group: steps for group, steps in groups.items() if arm or group not in ARM} for groups in PHASES]
-    done, of, compiled = 0, sum(sum(groups.values()) for groups in phases), 0
-    for groups in phases:
-        processes = {group: _start(group) for group in groups}
-        counts = dict.fromkeys(groups, 0)
-        try:
-            lines = {_output(process): group for group, process in processes.items()}
-            while lines:
-                for line in select.select(list(lines), [], [])[0]:
-                    text = line.readline()
-                    if text:
-                        counts[lines[line]], done = int(text), done + 1
-                        progress(done, of)
-                    else:
-                        _check(lines[line], processes[lines.pop(line)].wait())
-        finally:
-            for process in processes.values():
-                process.kill()
-                process.wait()
-                _output(process).close()
-        compiled += sum(counts.values())
-    return compiled
+    waiting = {name: group for name, group in GROUPS.items() if arm or name not in ARM}
+    done, of, counts = 0, sum(group.steps for group in waiting.values()), dict.fromkeys(waiting, 0)
+    running: dict[str, subprocess.Popen[bytes]] = {}
+    try:
+        while waiting or running:
+            for name in [name for name, group in waiting.items() if not {*waiting, *running}.intersection(group.after)]:
+                if len(running) < WORKERS:
+                    del waiting[name]
+                    running[name] = _start(name)
+            lines = {_output(process): name for name, process in running.items()}
+            for line in select.select(list(lines), [], [])[0]:
+                name = lines[line]
+                if text := line.readline():
+                    counts[name], done = int(text), done + 1
+                    progress(done, of)
+                else:
+                    _check(name, running[name].wait())
+                    line.close()
+                    del running[name]
+    finally:
+        for process in running.values():
+            process.kill()
+            process.wait()
+            _output(process).close()
+    return sum(counts.values())
 
 
 def _start(group: str) -> subprocess.Popen[bytes]:

@@ -3,9 +3,8 @@
 It compiles the kernels of one group in steps, and prints the number of functions compiled so far
 after each step.
 
-The groups `cycle` and `bus` run at the same time: they have no kernel in common, except one law, with
-the same types (`tests/lab/test_warm_up.py`). `loops` and `arm` run after them, at the same time: their
-kernels call those of the first two, and `arm_loops` calls those of all.
+Two groups of which neither comes after the other have no kernel in common, except one law and
+`wire.recvmsg.receive`, with the same types (`tests/lab/test_warm_up.py`).
 """
 
 from __future__ import annotations
@@ -73,8 +72,8 @@ def _load_plane(rig: Rig) -> None:
     shared.close()
 
 
-def _cycle() -> Iterator[None]:
-    """Compile the nodes' kernels, then the host's data plane."""
+def _nodes() -> Iterator[None]:
+    """Compile the nodes' kernels."""
     rig = load_rig(RIG)
     out = new_queue()
     for stand_in in stand_ins(rig.one_axis()):
@@ -85,12 +84,16 @@ def _cycle() -> Iterator[None]:
         Entry(part.on_time).load(device.record, 0, out)
         Entry(part.on_frame).load(device.record, 0, 0, 0, 0, out)
         Entry(part.confinement_changed).load(device.record, 0, 0, out)
-    yield
-    _load_plane(rig)
+
+
+def _host() -> Iterator[None]:
+    """Compile the host's data plane."""
+    yield from ()
+    _load_plane(load_rig(RIG))
 
 
 def _bus() -> Iterator[None]:
-    """Compile the laws, the reader of recordings, the plants, and the bus bit by bit."""
+    """Compile the laws, the reader of recordings, the rows of an export, the plants, and the bus bit by bit."""
     for name in BUILTIN_LAWS:
         load_law(name)
     with tempfile.TemporaryDirectory() as folder:
@@ -114,12 +117,15 @@ def _bus() -> Iterator[None]:
     Entry(start_frame).load(bus[0], out, 0)
 
 
+def _server() -> Iterator[None]:
+    """Compile the emulation's loop in real time."""
+    yield from ()
+    SimServer(load_rig(RIG), BusAddress("coulombus", f"warm-up-{os.getpid()}")).close()
+
+
 def _loops() -> Iterator[None]:
-    """Compile the loop in real time, and both forms of the loop in virtual time."""
-    rig = load_rig(RIG)
-    SimServer(rig, BusAddress("coulombus", f"warm-up-{os.getpid()}")).close()
-    yield
-    yield from _virtual(rig)
+    """Compile both forms of the loop in virtual time."""
+    yield from _virtual(load_rig(RIG))
 
 
 def _virtual(rig: Rig) -> Iterator[None]:
@@ -153,7 +159,15 @@ def _arm_loops() -> Iterator[None]:
 
 
 GROUPS: Mapping[str, Callable[[], Iterator[None]]] = MappingProxyType(
-    {"cycle": _cycle, "bus": _bus, "loops": _loops, "arm": _arm, "arm_loops": _arm_loops}
+    {
+        "bus": _bus,
+        "nodes": _nodes,
+        "server": _server,
+        "host": _host,
+        "loops": _loops,
+        "arm": _arm,
+        "arm_loops": _arm_loops,
+    }
 )
 """The groups' functions, which yield between their steps."""
 

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -16,8 +17,8 @@ from coulombus.kernels import decorator
 from coulombus.kernels.decorator import JIT_DISABLED, is_warm, warming
 from coulombus.kernels.sources import source_stamp
 from coulombus.lab import warm_up as module
-from coulombus.lab.warm_up import ARM, PHASES, WarmUp, WarmUpError, warm_up
-from coulombus.lab.warm_up_steps import GROUPS
+from coulombus.lab import warm_up_steps
+from coulombus.lab.warm_up import ARM, GROUPS, WORKERS, WarmUp, WarmUpError, warm_up
 from places import ROOT
 
 COMPILED = pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
@@ -61,9 +62,8 @@ def kernels(folder):
     return {path.relative_to(folder).as_posix() for path in Path(folder).rglob("*.nbc")}
 
 
-def test_the_phases_list_every_group_once_with_its_steps():
-    names = [name for groups in PHASES for name in groups]
-    assert sorted(names) == sorted(GROUPS)
+def test_every_group_has_its_steps():
+    assert list(GROUPS) == list(warm_up_steps.GROUPS)
 
 
 def test_without_a_compiler_nothing_is_compiled():
@@ -109,9 +109,25 @@ def test_steps_are_reported_and_functions_counted(monkeypatch):
     started(monkeypatch, "import sys; n = len(sys.argv[1]); print(n); print(2 * n)")
     steps = []
     result = warm_up(lambda done, of: steps.append((done, of)))
-    of = sum(sum(groups.values()) for groups in PHASES)
+    of = sum(group.steps for group in GROUPS.values())
     assert steps == [(done, of) for done in range(1, 2 * len(GROUPS) + 1)]
     assert result.compiled == sum(2 * len(group) for group in GROUPS)
+
+
+def test_a_group_begins_after_those_that_it_needs_beside_one_other(monkeypatch):
+    started(monkeypatch, "print(1)")
+    begun, ended, start, check = [], [], module._start, module._check
+
+    def starts(name):
+        assert set(GROUPS[name].after) <= set(ended)
+        begun.append(name)
+        assert len(begun) - len(ended) <= WORKERS
+        return start(name)
+
+    monkeypatch.setattr(module, "_start", starts)
+    monkeypatch.setattr(module, "_check", lambda name, status: (check(name, status), ended.append(name)))
+    warm_up()
+    assert sorted(begun) == sorted(ended) == sorted(GROUPS)
 
 
 @pytest.mark.parametrize(("end", "how"), [("exit(3)", "with exit status 3"), ("kill", "by SIGKILL")])
@@ -158,21 +174,23 @@ def test_the_stamp_of_the_sources_changes_with_their_place_and_time(tmp_path, mo
 
 @COMPILED
 @pytest.mark.slow
-def test_the_groups_of_a_phase_compile_no_kernel_in_common(tmp_path):
-    base = tmp_path / "base"
-    base.mkdir()
-    for groups in PHASES:
-        before, files = kernels(base), []
-        for group in groups:
-            folder = tmp_path / group
-            shutil.copytree(base, folder)
-            text = f"from coulombus.lab.warm_up_steps import GROUPS; list(GROUPS[{group!r}]())"
-            python("-c", text, NUMBA_CACHE_DIR=str(folder))
-            files.append({path.partition(".py3")[0] for path in kernels(folder) - before})
-        common = set.intersection(*files) if len(files) > 1 else set()
-        assert {path.rpartition("/")[2].rpartition("-")[0] for path in common} <= {"karnopp.karnopp"}
-        for group in groups:
-            shutil.copytree(tmp_path / group, base, dirs_exist_ok=True)
+def test_groups_that_may_run_at_the_same_time_have_two_kernels_in_common_at_most(tmp_path):
+    before, compiled = {}, {}
+    for name in GROUPS:
+        folder = tmp_path / name
+        folder.mkdir()
+        for earlier in GROUPS[name].after:
+            shutil.copytree(tmp_path / earlier, folder, dirs_exist_ok=True)
+        known = kernels(folder)
+        text = f"from coulombus.lab.warm_up_steps import GROUPS; list(GROUPS[{name!r}]())"
+        python("-c", text, NUMBA_CACHE_DIR=str(folder))
+        compiled[name] = {path.partition(".py3")[0] for path in kernels(folder) - known}
+        before[name] = {name}.union(*(before[earlier] for earlier in GROUPS[name].after))
+    for one, other in combinations(GROUPS, 2):
+        if one not in before[other] and other not in before[one]:
+            common = compiled[one] & compiled[other]
+            names = {path.rpartition("/")[2].rpartition("-")[0] for path in common}
+            assert names <= {"karnopp.karnopp", "recvmsg.receive"}, (one, other)
 
 
 @COMPILED
