@@ -141,7 +141,7 @@ def _kind_of(argument: Any) -> Any:
         return type(argument), argument.dtype, argument.ndim, *layout
     if isinstance(argument, np.generic):
         return type(argument), argument.dtype
-    return type(argument) if isinstance(argument, bool | int | float | None) else argument
+    return type(argument) if isinstance(argument, bool | int | float | None) else numba.typeof(argument)
 
 
 class Entry:
