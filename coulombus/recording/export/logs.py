@@ -42,6 +42,7 @@ class _Lines:
 
     def decimal(self, values: Integers, digits: int, least: int = 1) -> None:
         """Add decimal numbers with at least `least` digits."""
+        digits = min(digits, max(least, len(str(values.max(initial=0)))))
         for place in range(digits - 1, -1, -1):
             rest = values // 10**place
             self._append((rest % 10 + ord("0")).astype(np.uint8), (rest > 0) | (place < least))
