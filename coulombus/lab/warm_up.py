@@ -29,7 +29,7 @@ MODULE = "coulombus.lab.warm_up_steps"
 WORKERS = 2
 
 
-class Group(NamedTuple):
+class KernelGroup(NamedTuple):
     """Kernels that one process compiles."""
 
     steps: int
@@ -37,15 +37,15 @@ class Group(NamedTuple):
     """Groups whose kernels it calls."""
 
 
-GROUPS: Mapping[str, Group] = MappingProxyType(
+GROUPS: Mapping[str, KernelGroup] = MappingProxyType(
     {
-        "bus": Group(4),
-        "nodes": Group(2),
-        "server": Group(1, ("bus", "nodes")),
-        "host": Group(1, ("nodes",)),
-        "loops": Group(2, ("host", "server")),
-        "arm": Group(3, ("bus", "host")),
-        "arm_loops": Group(2, ("arm", "loops")),
+        "bus": KernelGroup(4),
+        "nodes": KernelGroup(2),
+        "server": KernelGroup(1, ("bus", "nodes")),
+        "host": KernelGroup(1, ("nodes",)),
+        "loops": KernelGroup(2, ("host", "server")),
+        "arm": KernelGroup(3, ("bus", "host")),
+        "arm_loops": KernelGroup(2, ("arm", "loops")),
     }
 )
 """By name; of those that can begin, the first does."""

@@ -34,7 +34,7 @@ from coulombus.lab.virtual_bringup import switch_on
 from coulombus.node import core, own_time
 from coulombus.node.device import Device
 from coulombus.node.record import new_nodes
-from coulombus.recording.export.text_rows import TextRows, texts_of
+from coulombus.recording.export.text_rows import TextRows, texts_of, times_of
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.trace import TraceRow
@@ -102,7 +102,7 @@ def _bus() -> Iterator[None]:
             writer.write(frames(1))
         read_pcapng(path)
     rows = TextRows()
-    rows.add("%s", [texts_of(np.zeros(1), False)])
+    rows.add("%s %s", [times_of(np.full(1, 10**9)), texts_of(np.zeros(1), False)])
     rows.joined(np.zeros(1))
     yield
     plants = new_records(PlantRecord)

@@ -7,7 +7,7 @@ import time
 from typing import Any, Protocol
 
 from coulombus.monitor.live_incidents import IncidentReader
-from coulombus.monitor.worker import Worker
+from coulombus.monitor.view_thread import ViewThread
 from coulombus.wire.client import BusDown, BusFull, Client
 from coulombus.wire.frame_batches import Block, BlockReader
 
@@ -29,7 +29,7 @@ class BusView(Protocol):
         """Note an event of the bus."""
 
 
-class BusReader(Worker):
+class BusReader(ViewThread):
     """Reads frames from the bus into `view`; `failure` is the reason of its own end.
 
     Parameters
@@ -71,6 +71,7 @@ class BusReader(Worker):
 
     def _run(self) -> None:
         last_question_s = last_batch_s = time.monotonic()
+        quiet_until_s = last_batch_s
         pause_s = BATCH_S if self._client.address.packs_frames else COLLECT_S
         while not self.stop.wait(pause_s):
             now, now_ns = time.monotonic(), time.time_ns()
@@ -81,10 +82,11 @@ class BusReader(Worker):
                 if now - last_question_s > ASK_S:
                     last_question_s = now
                     self._client.ask()
-            except BusDown as error:
-                with self._lock:
-                    self._view.tell(time.time_ns(), str(error), grave=True)
-                self.stop.wait(ASK_S)
+            except BusDown as error:  # read on: frames may come again at once
+                if now >= quiet_until_s:
+                    quiet_until_s = now + ASK_S
+                    with self._lock:
+                        self._view.tell(time.time_ns(), str(error), grave=True)
             except BusFull:
                 pass  # a failure to read shows as silence of all nodes
             except OSError as error:

@@ -15,7 +15,7 @@ from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.explanation_text import cause, checks, course, title
 from coulombus.explain.incidents import Incident
 from coulombus.explain.live_bus import LATE_NS, same_incident
-from coulombus.monitor.worker import Worker
+from coulombus.monitor.view_thread import ViewThread
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.wire.client import Received
@@ -95,7 +95,7 @@ def _row(explanation: Explanation, incident: Incident) -> IncidentRow:
     )
 
 
-class IncidentReader(Worker):
+class IncidentReader(ViewThread):
     """Detects incidents in a separate thread, within a ``with`` block.
 
     Attributes

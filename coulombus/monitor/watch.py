@@ -30,7 +30,7 @@ from coulombus.monitor.live_incidents import IncidentReader, IncidentRow
 from coulombus.monitor.screen import Screen, as_dict, as_lines
 from coulombus.monitor.snapshot import Event, HostLine, Snapshot
 from coulombus.monitor.traces import Trace, Traces
-from coulombus.monitor.worker import Worker
+from coulombus.monitor.view_thread import ViewThread
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.system.foreign_text import printable
@@ -190,7 +190,7 @@ class ViewKeys:
                 self.number, self.strokes = key - ord("0"), self.strokes + 1
 
 
-class _Asker(Worker):
+class _Asker(ViewThread):
     """Calls a function repeatedly in a separate thread; `answer` is the last result."""
 
     def __init__(self, ask: Callable[[], HostLine | None]) -> None:

@@ -38,6 +38,7 @@ __all__ = ["Hand", "NoWorld", "connect", "world_path"]
 
 CHUNK = 1 << 16
 WAIT_S = 3.0
+RETRY_S = 0.01
 START_S = 120.0
 """Longest time to wait for the first state: the host may compile, bring the nodes up, and wait for a hand."""
 RENEW = 3.0
@@ -368,7 +369,7 @@ def connect(bus: str = "bench", *, key: str = "", timeout_s: float = WAIT_S) -> 
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         connection.settimeout(timeout_s)
-        connection.connect(str(world_path(address)))
+        _join(connection, str(world_path(address)), time.monotonic() + timeout_s)
         connection.sendall(Greeting(key=key).record(), socket.MSG_NOSIGNAL)
         return Hand(connection, timeout_s)
     except (FileNotFoundError, ConnectionRefusedError):
@@ -380,3 +381,13 @@ def connect(bus: str = "bench", *, key: str = "", timeout_s: float = WAIT_S) -> 
     except BaseException:
         connection.close()
         raise
+
+
+def _join(connection: socket.socket, path: str, ends_s: float) -> None:
+    while True:
+        try:
+            return connection.connect(path)
+        except BlockingIOError:  # too many programs wait for the host to let them in
+            if time.monotonic() >= ends_s:
+                raise TimeoutError("it lets nobody in: it hangs, or too many programs wait") from None
+            time.sleep(RETRY_S)

@@ -1,7 +1,9 @@
 """Answers to a study by keys of a terminal, without Enter."""
 
+import fcntl
 import os
 import pty
+import sys
 import termios
 import threading
 from types import SimpleNamespace
@@ -54,7 +56,9 @@ def test_a_key_answers_without_enter_and_other_keys_do_not(terminal, people, str
 
 
 def test_what_was_struck_before_the_question_is_no_answer(terminal, people):
-    os.write(terminal, b"1111")
+    os.write(terminal, b"1111\n")
+    while int.from_bytes(fcntl.ioctl(sys.stdin, termios.FIONREAD, bytes(4)), sys.byteorder) < 5:
+        os.sched_yield()  # the system passes strokes on later
     assert asked(terminal, people.ask, PAIR, b"2") == "2"
 
 

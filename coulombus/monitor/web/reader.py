@@ -6,9 +6,9 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
+from coulombus.monitor.view_thread import ViewThread
 from coulombus.monitor.web.capture import Curve
 from coulombus.monitor.web.page_state import HostDoor, HostView
-from coulombus.monitor.worker import Worker
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
@@ -17,7 +17,7 @@ __all__ = ["CurveReader", "HostReader"]
 HOST_S = 0.2
 
 
-class HostReader(Worker):
+class HostReader(ViewThread):
     """Queries the host's status five times a second, and passes it to `view`."""
 
     def __init__(self, door: HostDoor, view: HostView, lock: threading.Lock) -> None:
@@ -40,7 +40,7 @@ class HostReader(Worker):
             return None
 
 
-class CurveReader(Worker):
+class CurveReader(ViewThread):
     """Recomputes the curve of each axis' law when the mode or a parameter changes.
 
     The curves are in `curves`, by the axis' name; None for a law without a curve or a failing law.

@@ -14,7 +14,13 @@ import numpy.typing as npt
 from coulombus.kernels.decorator import kernel
 from coulombus.recording.sample_groups import Array, Integers
 
-__all__ = ["Cells", "TextRows", "texts_of"]
+__all__ = ["Cells", "TextRows", "texts_of", "times_of"]
+
+NS = 1_000_000_000
+EXPONENT_NS, EXACT_NS = 100_000, 10**15
+"""Python writes smaller times with an exponent; larger ones have more than the 15 digits that a float64 keeps."""
+TIME_BYTES = 17
+POINT, ZERO, LINE_END = b".0\n"
 
 Cells: TypeAlias = tuple[Sequence[str], Integers]
 """A column: its distinct texts, and the number of its text in each row."""
@@ -27,6 +33,37 @@ def texts_of(values: Array, word: bool, absent: str = "") -> Cells:
     missing = known.pop() if known and known[-1] != known[-1] else None
     texts = list(map(str, map(int, known))) if word else list(map(repr, known))
     return texts if missing is None else [*texts, absent], numbers
+
+
+@kernel
+def _write_times(t_ns: Integers, out: npt.NDArray[np.uint8]) -> int:
+    """Write each time in seconds, as its digits and a line's end; return the bytes written."""
+    place = 0
+    for i in range(t_ns.shape[0]):
+        whole, rest, unit = t_ns[i] // NS, t_ns[i] % NS, 1
+        while whole // unit >= 10:
+            unit *= 10
+        while unit:
+            out[place] = ZERO + whole // unit % 10
+            place, unit = place + 1, unit // 10
+        out[place] = POINT
+        place, unit = place + 1, NS
+        while unit == NS or rest:
+            unit //= 10
+            out[place] = ZERO + rest // unit
+            place, rest = place + 1, rest % unit
+        out[place] = LINE_END
+        place += 1
+    return place
+
+
+def times_of(t_ns: Integers) -> Cells:
+    """Return times in seconds, as Python writes the nearest number."""
+    numbers = np.arange(len(t_ns))
+    if len(t_ns) and (t_ns.min() < EXPONENT_NS or t_ns.max() >= EXACT_NS):
+        return list(map(repr, (t_ns / NS).tolist())), numbers
+    out = np.empty(len(t_ns) * TIME_BYTES, np.uint8)
+    return out[: _write_times(t_ns, out)].tobytes().decode().split(), numbers
 
 
 @kernel

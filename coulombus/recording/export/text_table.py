@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.recording.export.text_rows import TextRows, texts_of
+from coulombus.recording.export.text_rows import TextRows, texts_of, times_of
 from coulombus.recording.sample_groups import Array, Column, Group, Stretch
 
 __all__ = ["CsvWriter"]
@@ -37,9 +37,8 @@ class CsvWriter:
         lines = TextRows()
         places: list[Array] = [rows.order for rows in stretch.rows]
         for group, template, rows in zip(self._groups, self._templates, stretch.rows, strict=True):
-            times = list(map(repr, rows.t_s.tolist())), np.arange(len(rows.t_ns))
             values = [texts_of(v, c.word) for c, v in zip(group.columns, rows.values, strict=True)]
-            lines.add(template, [times, *values])
+            lines.add(template, [times_of(rows.t_ns), *values])
         if stretch.markers:
             remarks = [f"# {t_s!r} {text}\n" for _, t_s, text in stretch.markers]
             lines.add("%s", [(remarks, np.arange(len(remarks)))])

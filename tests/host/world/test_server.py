@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 
+from coulombus.host.world import hand as hand_module
 from coulombus.host.world.hand import Hand, NoWorld, connect, world_path
 from coulombus.host.world.model_check import ModelRefused, why_not
 from coulombus.host.world.model_parts import Model, Spring, TorqueProfile, Wall
@@ -24,6 +25,7 @@ from coulombus.host.world.protocol import (
 )
 from coulombus.host.world.records import MODEL, STATE
 from coulombus.host.world.server import CLIENTS, MOST_BACKLOG
+from coulombus.wire.address import parse_address
 from world_bench import BUS, LIFE_NS, PATIENCE_S, Bench
 
 pytestmark = pytest.mark.usefixtures("private_sockets")
@@ -34,8 +36,8 @@ class Raw:
 
     def __init__(self, greeting=None):
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.socket.connect(str(world_path(BUS)))  # without a timeout it waits while too many do
         self.socket.settimeout(PATIENCE_S)
-        self.socket.connect(str(world_path(BUS)))
         self.data = bytearray()
         if greeting is not None:
             self.socket.sendall(greeting.record())
@@ -378,6 +380,39 @@ def test_a_host_that_refuses_the_connection_is_told_with_its_reason():
         with pytest.raises(NoWorld, match="version 9"):
             Hand(raw, PATIENCE_S)
         raw.close()
+
+
+def full_listener():
+    """Return a socket at the world's path whose queue of programs is full, and those programs."""
+    path = world_path(parse_address("coulombus:full"))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    listener.bind(str(path))
+    listener.listen(0)
+    waiting = []
+    while True:
+        program = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        program.setblocking(False)
+        waiting.append(program)
+        try:
+            program.connect(str(path))
+        except BlockingIOError:
+            return listener, waiting
+
+
+def test_a_program_waits_while_too_many_wait_before_it(monkeypatch):
+    listener, waiting = full_listener()
+    accepted = []
+    monkeypatch.setattr(hand_module.time, "sleep", lambda pause_s: accepted.append(listener.accept()[0]))
+    with pytest.raises(NoWorld) as error:  # it was let in, and got no answer
+        connect("coulombus:full", timeout_s=0.2)
+    assert len(accepted) == 1
+    assert "too many programs" not in str(error.value)
+    monkeypatch.setattr(hand_module.time, "sleep", lambda pause_s: None)
+    with pytest.raises(NoWorld, match="full: it lets nobody in: it hangs, or too many programs wait"):
+        connect("coulombus:full", timeout_s=0.01)
+    for one in (listener, *waiting, *accepted):
+        one.close()
 
 
 def test_the_records_have_the_documented_sizes():

@@ -1,4 +1,4 @@
-"""A thread that runs within a ``with`` block."""
+"""A thread of a view, which runs within a ``with`` block."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import threading
 from abc import ABC, abstractmethod
 from typing import Self
 
-__all__ = ["Worker"]
+__all__ = ["ViewThread"]
 
 END_S = 5.0
 
 
-class Worker(ABC):
-    """A thread that ends with its ``with`` block."""
+class ViewThread(ABC):
+    """A thread of a view that ends with its ``with`` block."""
 
     def __init__(self, name: str) -> None:
         self.stop = threading.Event()
