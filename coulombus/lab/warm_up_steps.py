@@ -102,7 +102,7 @@ def _bus() -> Iterator[None]:
             writer.write(frames(1))
         read_pcapng(path)
     rows = TextRows()
-    rows.add("%s %s", [times_of(np.full(1, 10**9)), texts_of(np.zeros(1), False)])
+    rows.add("%s %s", [times_of(np.full(1, 10**9)), texts_of(np.zeros(1), False, {})])
     rows.joined(np.zeros(1))
     yield
     plants = new_records(PlantRecord)

@@ -55,6 +55,8 @@ class BusReader(ViewThread):
         self._batch_s = batch_s
         self._reader = BlockReader(client)
         self._waiting: list[Block] = []
+        self._quiet_until_s = time.monotonic()
+        self._question_s = self._quiet_until_s + ASK_S
 
     def facts(self) -> dict[str, Any]:
         """Return facts on the bus besides its frames."""
@@ -62,40 +64,47 @@ class BusReader(ViewThread):
         return {"bus": c.address, "bitrate_bit_s": c.bitrate_bit_s, "lost": c.lost, "malformed": c.malformed}
 
     def hand_over(self) -> None:
-        """Pass the frames received so far to the view; the caller holds the lock."""
+        """Pass the frames received by now to the view; the caller holds the lock."""
+        now_ns = time.time_ns()
+        if self.failure is None:
+            self._receive()
         block = Block.joined(self._waiting)
         self._waiting = []
         self._view.take(block)
+        self.until_ns = now_ns
         if self._incidents is not None:
             self._incidents.take(block)
 
+    def _receive(self) -> None:
+        """Keep what the socket has, and ask the bus for its state once a second."""
+        now = time.monotonic()
+        try:
+            if len(block := self._reader.receive()):
+                self._waiting.append(block)
+            if now >= self._question_s:
+                self._question_s = now + ASK_S
+                self._client.ask()
+        except BusDown as error:  # read on: frames may come again at once
+            if now >= self._quiet_until_s:
+                self._quiet_until_s = now + ASK_S
+                self._view.tell(time.time_ns(), str(error), grave=True)
+        except BusFull:
+            pass  # a failure to read shows as silence of all nodes
+        except OSError as error:
+            self.failure = error
+
     def _run(self) -> None:
-        last_question_s = last_batch_s = time.monotonic()
-        quiet_until_s = last_batch_s
+        last_batch_s = time.monotonic()
         pause_s = BATCH_S if self._client.address.packs_frames else COLLECT_S
-        while not self.stop.wait(pause_s):
-            now, now_ns = time.monotonic(), time.time_ns()
-            try:
-                if len(block := self._reader.receive()):
-                    with self._lock:
-                        self._waiting.append(block)
-                if now - last_question_s > ASK_S:
-                    last_question_s = now
-                    self._client.ask()
-            except BusDown as error:  # read on: frames may come again at once
-                if now >= quiet_until_s:
-                    quiet_until_s = now + ASK_S
-                    with self._lock:
-                        self._view.tell(time.time_ns(), str(error), grave=True)
-            except BusFull:
-                pass  # a failure to read shows as silence of all nodes
-            except OSError as error:
-                self.failure = error
-            if now - last_batch_s >= self._batch_s or self.failure is not None:
-                # so that batches are of that time on average
-                last_batch_s = max(last_batch_s + self._batch_s, now - pause_s)
-                with self._lock:
+        while self.failure is None and not self.stop.wait(pause_s):
+            now = time.monotonic()
+            with self._lock:
+                if now - last_batch_s >= self._batch_s:
+                    # so that batches are of that time on average
+                    last_batch_s = max(last_batch_s + self._batch_s, now - pause_s)
                     self.hand_over()
-                    self.until_ns = now_ns
-            if self.failure is not None:
-                return
+                else:
+                    self._receive()
+        if self.failure is not None:
+            with self._lock:
+                self.hand_over()

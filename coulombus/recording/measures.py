@@ -115,9 +115,10 @@ def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], l
     """Return the hold windows and the stick windows [s]; a stick window ends no later than its dwell."""
     holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind in HOLDS]
     sticks = []
+    plan = recording.rig.one_axis().phases
     for span in spans:
-        stroke = recording.rig.one_axis().phases[span.index]
-        if stroke.kind == "stroke":
+        stroke = plan[span.index] if span.index < len(plan) else None  # files of several runs have more phases
+        if stroke is not None and stroke.kind == "stroke":
             dwell = span.begin_s + stroke.move_s
             while dwell < span.end_s:
                 last = min(dwell + min(STICK_WINDOW_S[1], stroke.dwell_s), span.end_s)

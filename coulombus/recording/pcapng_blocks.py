@@ -81,7 +81,9 @@ OTHER_FORMATS = {
     "28b52ffd": "compressed twice: unpack it once with 'unzstd'",
 }
 """First bytes of other file formats -> their names."""
-KINDS = (INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)
+SECTION_MARK = struct.pack("<I", SECTION_HEADER)
+SECTION_ORDERS = {struct.pack(order + "I", BYTE_ORDER_MAGIC): order for order in "<>"}
+KINDS = (SECTION_HEADER, INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)
 KNOWN_BLOCK = {
     order: re.compile(b"|".join(re.escape(struct.pack(order + "I", kind)) for kind in KINDS)) for order in "<>"
 }
@@ -178,13 +180,17 @@ def read_attachment(body: bytes, most: int = 4 * MAX_BLOCK) -> tuple[str, bytes]
 
 
 def next_block(data: bytes, begin: int, order: str, longest: int) -> int | None:
-    """Return the offset of the first complete block of a known type in `data` from byte `begin`; it
-    has at most `longest` bytes.
+    """Return the offset of the first complete block of a known type in `data` from byte `begin`, or of a
+    section, which may have the other byte order; it has at most `longest` bytes.
     """
     for match in KNOWN_BLOCK[order].finditer(data, begin):
         place = match.start()
         size = data[place + 4 : place + 8]
-        length = int.from_bytes(size, "little" if order == "<" else "big")
+        magic = data[place + 8 : place + 12]
+        is_section = match[0] == SECTION_MARK
+        if is_section and magic not in SECTION_ORDERS:
+            continue
+        length = int.from_bytes(size, "little" if (SECTION_ORDERS[magic] if is_section else order) == "<" else "big")
         whole = 12 <= length <= longest and length % 4 == 0 and place + length <= len(data)
         if whole and data[place + length - 4 : place + length] == size:
             return place

@@ -100,8 +100,11 @@ def _unpack(
     count = count_inside = count_options = 0
     for packet in range(at.shape[0]):
         begin = at[packet]
-        total, captured = _word(words, begin + 1, swap), _word(words, begin + 5, swap)
-        interface = _word(words, begin + 2, swap)
+        total = _word(words, begin + 1, swap)
+        if total < HEAD + 4:
+            kinds[packet] = TORN
+            continue
+        interface, captured = _word(words, begin + 2, swap), _word(words, begin + 5, swap)
         if captured + HEAD + 4 > total or interface >= roles.shape[0]:
             kinds[packet] = TORN
             continue
@@ -155,7 +158,7 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     """
     described = len(interfaces)
     if not described:
-        number = column(words, at[:1] + 2, order)[0]
+        number = column(words, at[:1] + 2, order)[0]  # or what else stands there in a block without it
         raise BadPacketError(4 * int(at[0]), f"a packet on interface {number} where 0 are described")
     roles = np.array([description.role for description in interfaces])
     kinds, options = np.zeros(len(at), np.int64), np.zeros((len(at), 3), np.int64)
@@ -165,9 +168,7 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     options = options[: counts[2]]
     damaged = []
     for torn in at.compress(kinds == TORN).tolist():
-        total, interface, captured = column(words, torn + np.array([1, 2, 5]), order).tolist()
-        size = f"a packet of {captured} bytes in a block of {total}"
-        damaged.append((4 * torn, f"{size}, on interface {interface} where {described} are described"))
+        damaged.append((4 * torn, _torn(column(words, np.arange(torn, min(torn + 6, len(words))), order), described)))
     late, late_inside = _stamp(frames, interfaces), _stamp(inside, interfaces)
     for kind, problems in ((BUS, late), (INSIDE, late_inside)):
         places = at.compress(kinds == kind) if problems else at
@@ -178,6 +179,14 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     frames["source"] += earlier
     inside["source"] += earlier
     return Packets(frames, inside, [(row, 4 * begin, 4 * end) for row, begin, end in options.tolist()], sorted(damaged))
+
+
+def _torn(head: Integers, described: int) -> str:
+    """Return the problem of a packet block, from its first words."""
+    total = int(head[1])
+    if total < HEAD + 4:
+        return f"a packet's block of {total} bytes, expected {HEAD + 4} at least"
+    return f"a packet of {head[5]} bytes in a block of {total}, on interface {head[2]} where {described} are described"
 
 
 def _stamp(frames: Records, interfaces: Sequence[Interface]) -> dict[int, str]:

@@ -189,9 +189,10 @@ def iter_pcapng(path: str | Path, window: Window = ALL) -> Iterator[Capture]:
                 reader.seek()
                 more, at = reader.more(0), 0
                 if more:
-                    yield (capture := reader.take())
-                    if reader.own and len(capture.frames) and window.is_before(int(capture.frames["t_ns"][0])):
-                        return
+                    if reader.begun or any(map(len, reader.parts)):  # the first stretch has frames
+                        yield (capture := reader.take())
+                        if reader.own and len(capture.frames) and window.is_before(int(capture.frames["t_ns"][0])):
+                            return
                 elif not _resume(reader, 0, "a block that does not end"):
                     break
             count, at, reason = walk(reader.words, at, int(reader.order == ">"), offsets)

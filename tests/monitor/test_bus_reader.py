@@ -12,6 +12,7 @@ from coulombus.monitor.bus_reader import BusReader
 from coulombus.wire.client import BusDown, BusFull, BusGone
 from coulombus.wire.frame_batches import Block
 
+EMPTY = Block.of(())
 FRAME = Block.of([(1, 0x181, 1, bytes(8))])
 
 
@@ -22,7 +23,8 @@ class View:
         self.frames, self.told = [], []
 
     def take(self, block):
-        self.frames.append(len(block))
+        if len(block):
+            self.frames.append(len(block))
 
     def tell(self, t_ns, text, *, grave):
         self.told.append((text, grave))
@@ -47,7 +49,7 @@ def read(monkeypatch):
         answers = iter(given)
 
         def receive():
-            answer = next(answers)
+            answer = next(answers, EMPTY)
             if isinstance(answer, Exception):
                 raise answer
             return answer
@@ -69,6 +71,15 @@ def test_frames_wait_for_their_batch_and_for_who_asks(read):
     reader.hand_over()
     assert view.frames == [2]
     assert read(FRAME, FRAME)[0].frames == [1, 1]
+
+
+def test_who_asks_gets_what_the_socket_still_has(read):
+    view, reader = read(FRAME, batch_s=1e9)
+    reader._reader.receive = lambda: FRAME
+    before_ns = reader.until_ns
+    reader.hand_over()
+    assert view.frames == [2]
+    assert reader.until_ns > before_ns
 
 
 def test_a_bus_that_is_down_is_told_once_and_read_on(read):

@@ -136,6 +136,13 @@ def test_identified_friction_is_that_of_the_whole(tmp_path):
     assert identify(recorded).as_dict() == identify(read(recorded)).as_dict()
 
 
+def test_a_file_of_two_runs_is_measured(recorded):
+    """It has more phases than the rig."""
+    once = measure(read(recorded))
+    recorded.write_bytes(recorded.read_bytes() * 2)
+    assert measure(blocks(recorded)).hold_counts_p2p >= once.hold_counts_p2p
+
+
 def test_joined_captures_whose_stamps_go_back_are_not_fitted(recorded):
     """Samples are sought by their times: in a file that is not sorted by them, any would be
     found.

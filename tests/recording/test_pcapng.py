@@ -28,7 +28,7 @@ import coulombus.recording.pcapng_reader
 import coulombus.recording.pcapng_writer
 from coulombus.recording.file_content import Capture
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError, attachment_block
-from coulombus.recording.pcapng_reader import read_pcapng
+from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
 from places import ROOT
@@ -383,6 +383,50 @@ def test_a_packet_that_cannot_be_is_left_out_and_told(tmp_path: Path, damaged: b
     assert (len(capture.frames), capture.torn, capture.skipped) == (2, 0, 0)
     offset = len(section() + interface() + good)
     assert re.fullmatch(rf"{re.escape(str(path))}: offset {offset}: .*{text}", capture.warnings[0])
+
+
+@pytest.mark.parametrize("length", [12, 16, 20, 28])
+@pytest.mark.parametrize("behind", [True, False])
+def test_a_packet_block_that_is_too_short_is_left_out_at_the_files_end_too(tmp_path: Path, length: int, behind: bool):
+    path = tmp_path / "a.pcapng"
+    good = packet(1, can(1, b""))
+    short = block(6, bytes(length - 12))
+    path.write_bytes(section() + interface() + good + short + (good if behind else b""))
+    capture = read_pcapng(path)
+    assert len(capture.frames) == 1 + behind
+    assert f"a packet's block of {length} bytes, expected 32 at least: 1 packet was left out" in capture.warnings[0]
+
+
+@pytest.mark.parametrize("first", ["<", ">"])
+@pytest.mark.parametrize("second", ["<", ">"])
+def test_a_section_behind_damage_has_its_own_order_and_interfaces(tmp_path: Path, first: str, second: str):
+    """As where a file that a power cut has torn is joined with another one."""
+    path = tmp_path / "a.pcapng"
+    ns = struct.pack(first + "HHBxxxHH", 9, 1, 9, 0, 0)
+    torn = (
+        section(first)
+        + interface(first, options=ns)
+        + packet(3000, can(1, b"a"), first)
+        + packet(9, can(1, b""), first)[:-10]
+    )
+    other = (
+        section(second) + interface(second, linktype=1) + interface(second) + packet(3, can(2, b"b"), second, number=1)
+    )
+    for damage in (b"", b"\0\0\0", b"garbage!!", struct.pack("<III", 0x0A0D0D0A, 28, 7) * 3):
+        path.write_bytes(torn + damage + other)
+        capture = read_pcapng(path)
+        assert [row["t_ns"] for row in capture.frames] == [3000, 3000]
+        assert [row["can_id"] for row in capture.frames] == [1, 2]
+        assert "bytes were left out" in capture.warnings[0]
+
+
+def test_the_first_stretch_has_all_that_stands_before_the_frames(tmp_path: Path):
+    """Also where attachments of megabytes stand before the interface."""
+    path = tmp_path / "a.pcapng"
+    large = attachment_block("large", np.random.default_rng(1).bytes(3 << 20))
+    path.write_bytes(section() + large + interface() + packet(1, can(1, b"")))
+    first = next(iter(iter_pcapng(path)))
+    assert (list(first.attachments), len(first.frames), len(first.buses)) == (["large"], 1, 1)
 
 
 def test_the_comment_of_a_packet_with_an_invalid_stamp_moves_to_the_next_frame(tmp_path: Path):

@@ -127,6 +127,9 @@ def export(
     source = blocks(path, rig, channel)
     groups = groups_of(source, signals, grid_ns)
     about = _about(path)
+    if not any(group.columns for group in groups):
+        remedy = f"decode it with a rig (--rig), or export whole frames: {', '.join(FRAMES)}"
+        raise ExportError(f"{path}: it has no signals, for no PDO map of it is known; {remedy}")
     if grid_ns is not None:
         about["grid"] = f"{grid_ns / 1e9:g} s, values held"
     until, rows = 0.0, 0

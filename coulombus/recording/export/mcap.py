@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from zstandard import ZstdCompressor
 
+from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.text_rows import TextRows, texts_of
 from coulombus.recording.sample_groups import Array, Column, Group, Stretch
 
@@ -28,6 +29,8 @@ __all__ = ["McapWriter"]
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX = range(1, 9)
 STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 0x0B, 0x0C, 0x0D, 0x0E, 0x0F
+JSON_TEXTS = {"nan": "null", "inf": "1e999", "-inf": "-1e999"}
+"""JSON has no word for these numbers; every reader takes a number beyond its range for infinite."""
 MESSAGE_HEAD = np.dtype(
     {
         "names": ["op", "length", "channel", "sequence", "log", "publish"],
@@ -112,7 +115,7 @@ class McapWriter:
         for number, (group, template, rows) in enumerate(
             zip(self._groups, self._templates, stretch.rows, strict=True), 1
         ):
-            texts = [texts_of(v, c.word, "null") for c, v in zip(group.columns, rows.values, strict=True)]
+            texts = [texts_of(v, c.word, JSON_TEXTS) for c, v in zip(group.columns, rows.values, strict=True)]
             sizes = messages.add(template, texts)
             heads.append(self._head(number, rows.t_ns, sizes))
             messages.put_before(heads[-1])
@@ -131,7 +134,13 @@ class McapWriter:
         head["op"], head["channel"] = MESSAGE, channel
         head["length"] = sizes + MESSAGE_HEAD.itemsize - 9
         head["sequence"] = np.arange(self._count[channel - 1], self._count[channel - 1] + len(t_ns)) & 0xFFFFFFFF
-        head["log"] = head["publish"] = t_ns + self._base_ns
+        log_ns = t_ns + self._base_ns
+        if len(log_ns) and log_ns.min() < 0:
+            text = "begin the file with its earliest frame: reordercap IN OUT"
+            raise ExportError(
+                f"a frame is {-int(log_ns.min()) / 1e9:g} s before the first one, and mcap has no time below 0; {text}"
+            )
+        head["log"] = head["publish"] = log_ns
         self._count[channel - 1] += len(t_ns)
         return head
 

@@ -5,7 +5,7 @@ A signal has few distinct values, so each is formatted once; a row is a row of p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -26,13 +26,15 @@ Cells: TypeAlias = tuple[Sequence[str], Integers]
 """A column: its distinct texts, and the number of its text in each row."""
 
 
-def texts_of(values: Array, word: bool, absent: str = "") -> Cells:
-    """Return numbers as texts; NaN becomes `absent`."""
-    distinct, numbers = np.unique(values, return_inverse=True)  # NaN is the last
-    known = distinct.tolist()
-    missing = known.pop() if known and known[-1] != known[-1] else None
-    texts = list(map(str, map(int, known))) if word else list(map(repr, known))
-    return texts if missing is None else [*texts, absent], numbers
+def texts_of(values: Array, word: bool, others: Mapping[str, str]) -> Cells:
+    """Return numbers as texts; `others`: texts instead of ``nan``, ``inf`` and ``-inf``."""
+    distinct, numbers = np.unique(values, return_inverse=True)  # -inf is the first, inf and NaN are the last
+    finite = np.isfinite(distinct)
+    known = distinct[finite]
+    texts = list(map(repr, (known.astype(np.int64) if word and known.dtype.kind == "f" else known).tolist()))
+    odd = [others.get(text, text) for text in map(repr, distinct[~finite].tolist())]
+    first = int(np.count_nonzero(distinct == -np.inf))
+    return [*odd[:first], *texts, *odd[first:]], numbers
 
 
 @kernel

@@ -18,6 +18,8 @@ from coulombus.recording.sample_groups import Array, Column, Group, Stretch
 
 __all__ = ["CsvWriter"]
 
+ABSENT = {"nan": ""}
+
 
 class CsvWriter:
     """Writes the rows of `groups`; `about` goes into the comments."""
@@ -37,7 +39,7 @@ class CsvWriter:
         lines = TextRows()
         places: list[Array] = [rows.order for rows in stretch.rows]
         for group, template, rows in zip(self._groups, self._templates, stretch.rows, strict=True):
-            values = [texts_of(v, c.word) for c, v in zip(group.columns, rows.values, strict=True)]
+            values = [texts_of(v, c.word, ABSENT) for c, v in zip(group.columns, rows.values, strict=True)]
             lines.add(template, [times_of(rows.t_ns), *values])
         if stretch.markers:
             remarks = [f"# {t_s!r} {text}\n" for _, t_s, text in stretch.markers]

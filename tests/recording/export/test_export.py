@@ -19,6 +19,8 @@ from coulombus.eds.unfinished_file import unfinished
 from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.export import FRAMES, KINDS, SIGNALS, export
 from coulombus.recording.export.hdf import _Place
+from coulombus.recording.export.mcap import JSON_TEXTS
+from coulombus.recording.export.text_rows import texts_of
 from coulombus.recording.extras import MissingExtra
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording, UnknownSignal
@@ -386,6 +388,30 @@ def test_nothing_is_written_over_the_recording_itself(source, tmp_path, kind):
         with pytest.raises(ExportError, match="that is the recording itself"):
             export(copied, out, kind, force=True)
     assert copied.read_bytes() == source.read_bytes()
+
+
+@pytest.mark.parametrize("kind", list(SIGNALS))
+@pytest.mark.parametrize("grid_ns", [None, MS])
+def test_a_log_without_a_known_map_is_refused_with_what_to_do(tmp_path, kind, grid_ns):
+    if kind in LIBRARIES:
+        pytest.importorskip(LIBRARIES[kind], reason=f"{kind} needs the extra 'export'")
+    log = tmp_path / "log.log"
+    log.write_text("(1.0) can0 123#00\n")
+    with pytest.raises(ExportError, match=r"no PDO map of it is known; .*--rig.* candump"):
+        export(log, tmp_path / f"x{KINDS[kind]}", kind, grid_ns=grid_ns)
+    assert [path.name for path in tmp_path.iterdir()] == ["log.log"]
+
+
+def test_mcap_has_no_time_below_0_and_infinite_numbers_as_json(tmp_path):
+    pytest.importorskip("zstandard", reason="mcap needs the extra 'export'")
+    log = tmp_path / "log.log"
+    lines = [f"({t:.6f}) can0 181#3712000000000000\n" for t in (1_700_000_005, 1_700_000_001)]
+    log.write_text("".join(lines))
+    with pytest.raises(ExportError, match=r"a frame is 4 s before the first one.*reordercap"):
+        export(log, tmp_path / "x.mcap", "mcap", rig="bench")
+    assert not (tmp_path / "x.mcap").exists()
+    texts, _ = texts_of(np.array([np.inf, -np.inf, np.nan]), False, JSON_TEXTS)
+    assert json.loads("[" + ",".join(texts) + "]") == [-np.inf, np.inf, None]
 
 
 def test_a_name_of_another_kind_is_refused(source, tmp_path):

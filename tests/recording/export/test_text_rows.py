@@ -29,12 +29,25 @@ def test_the_edges_of_what_is_written_by_digits():
         assert times_of(np.array([t_ns]))[0] == [repr(t_ns / 1e9)]
 
 
-def test_numbers_are_texts_and_the_absent_is_named():
-    texts, numbers = texts_of(np.array([2.0, np.nan, 0.1, 2.0, np.nan]), False, "null")
-    assert [texts[k] for k in numbers] == ["2.0", "null", "0.1", "2.0", "null"]
-    texts, numbers = texts_of(np.array([2.0, np.nan, 7.0]), True)
-    assert [texts[k] for k in numbers] == ["2", "", "7"]
-    assert texts_of(np.array([], float), False)[0] == []
+@pytest.mark.parametrize(
+    ("values", "word", "others", "expected"),
+    [
+        ([2.0, np.nan, 0.1, 2.0, np.nan], False, {"nan": "null"}, ["2.0", "null", "0.1", "2.0", "null"]),
+        (
+            [np.inf, 1e300, -np.inf, -1.5],
+            False,
+            {"inf": "1e999", "-inf": "-1e999"},
+            ["1e999", "1e+300", "-1e999", "-1.5"],
+        ),
+        ([np.inf, np.nan, -np.inf], False, {"nan": ""}, ["inf", "", "-inf"]),
+        ([2.0, np.nan, -7.0], True, {"nan": ""}, ["2", "", "-7"]),
+        (np.array([2**64 - 1, 0], np.uint64), True, {}, ["18446744073709551615", "0"]),
+        ([], False, {}, []),
+    ],
+)
+def test_numbers_are_texts_and_others_are_named(values, word, others, expected):
+    texts, numbers = texts_of(np.asarray(values), word, others)
+    assert [texts[k] for k in numbers] == expected
 
 
 def test_rows_of_several_tables_come_in_the_order_of_their_places():
