@@ -26,6 +26,8 @@ from coulombus.recording.recorder import Recorder
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import Frame, new_records
 
+pytestmark = pytest.mark.slow  # in plain Python each packet takes some microseconds
+
 PACKINGS = {".gz": gzip.compress, ".zst": zstandard.ZstdCompressor(write_checksum=True).compress}
 COUNT = 30_000
 each_packing = pytest.mark.parametrize("suffix", PACKINGS)

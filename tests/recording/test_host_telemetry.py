@@ -34,6 +34,8 @@ from coulombus.recording.signals import series
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import Frame, new_records
 
+pytestmark = pytest.mark.slow  # in plain Python each packet takes some microseconds
+
 NAMES = [
     *("host.phase", "host.trip", "host.limits", "host.gain", "host.stuck", "host.position_age"),
     *("host.law_Nm", "host.law_brake_Nm", "host.velocity_rad_s", "host.x_stuck_rad"),

@@ -24,6 +24,8 @@ from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.wire.frame import Frame, Records, new_records
 
+pytestmark = pytest.mark.slow  # in plain Python each packet takes some microseconds
+
 CYCLES, MS = 4000, 1_000_000
 STRETCH = 120_000
 """Bytes read at a time: some hundred frames."""

@@ -13,6 +13,8 @@ from coulombus.recording.recorder import Recorder
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import Frame, new_records
 
+pytestmark = pytest.mark.slow  # in plain Python each packet takes some microseconds
+
 MS = 1_000_000
 
 
