@@ -97,7 +97,7 @@ def _bus() -> Iterator[None]:
     for name in BUILTIN_LAWS:
         load_law(name)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "one.pcapng"
+        path = Path(folder) / "frame.pcapng"
         with PcapngWriter(path, attachments={}) as writer:
             writer.write(frames(1))
         read_pcapng(path)

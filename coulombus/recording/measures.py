@@ -99,10 +99,10 @@ def phases(recording: Source) -> list[PhaseSpan]:
 
     The last one ends at ``phase end`` or with the recording.
     """
-    found = _Phases()
+    schedule = _Phases()
     for block in recording:
-        found.add(block)
-    return found.spans()
+        schedule.add(block)
+    return schedule.spans()
 
 
 def velocity(t_s: Floats, angle_rad: Floats, period_s: float) -> tuple[Floats, Floats]:
@@ -129,14 +129,14 @@ def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], l
 
 def _with_windows(recording: Source) -> Iterator[tuple[Recording, list[Window], list[Window]]]:
     """Yield the blocks, each with the windows so far, as soon as no later marker changes them within the block."""
-    found, waiting = _Phases(), deque[Recording]()
+    schedule, waiting = _Phases(), deque[Recording]()
     for block in recording:
-        found.add(block)
+        schedule.add(block)
         waiting.append(block)
-        windows = _windows(recording, found.spans())
-        while waiting and np.all(waiting[0]["motor.position_rad"].t_s[-1:] < found.end_s - HOLD_TAIL_S):
+        windows = _windows(recording, schedule.spans())
+        while waiting and np.all(waiting[0]["motor.position_rad"].t_s[-1:] < schedule.end_s - HOLD_TAIL_S):
             yield waiting.popleft(), *windows
-    windows = _windows(recording, found.spans())
+    windows = _windows(recording, schedule.spans())
     for block in waiting:
         yield block, *windows
 

@@ -92,7 +92,7 @@ class TextRows:
         self._tables: list[Integers] = []
         """Piece numbers, a row for each row of text."""
 
-    def pieces(self, texts: Sequence[str]) -> int:
+    def _pieces(self, texts: Sequence[str]) -> int:
         """Keep pieces; return the number of the first."""
         content = "".join(texts)
         if not content.isascii():
@@ -110,9 +110,9 @@ class TextRows:
         """Add a table: `template` with the cells of a row in place of each ``%s``. Return the bytes of each row."""
         literals = template.split("%s")
         table = np.empty((len(columns[0][1]), len(literals) + len(columns)), np.int64)
-        table[:, ::2] = self.pieces(literals) + np.arange(len(literals))
+        table[:, ::2] = self._pieces(literals) + np.arange(len(literals))
         for k, (texts, numbers) in enumerate(columns):
-            table[:, 2 * k + 1] = self.pieces(texts) + numbers
+            table[:, 2 * k + 1] = self._pieces(texts) + numbers
         self._tables.append(table)
         sizes: Integers = np.concatenate(self._sizes)[table].sum(axis=1)
         return sizes
@@ -129,10 +129,10 @@ class TextRows:
         order = np.argsort(places, kind="stable")
         begins = np.empty(len(sizes), np.int64)
         begins[order] = np.cumsum(sizes[order]) - sizes[order]
-        pool = np.frombuffer(b"".join(self._pool), np.uint8)
+        pool, pieces = np.frombuffer(b"".join(self._pool), np.uint8), np.append(0, np.cumsum(lengths))
         out = np.empty(int(sizes.sum()), np.uint8)
         done = 0
         for table in self._tables:
-            _put_together(pool, np.append(0, np.cumsum(lengths)), table, begins[done : done + len(table)], out)
+            _put_together(pool, pieces, table, begins[done : done + len(table)], out)
             done += len(table)
         return out.tobytes(), order, begins
