@@ -26,7 +26,7 @@ from coulombus.host.cycle.brake_hysteresis import coil_for, magnetise
 from coulombus.host.cycle.records import ControlRecord, HostRecord
 from coulombus.kernels.decorator import kernel
 
-__all__ = ["brake_level", "expect", "lead"]
+__all__ = ["brake_level", "expect", "lead", "rise"]
 
 FLUID_LEAD, COIL_LEAD = 3.0, 2.0
 
@@ -52,6 +52,18 @@ def lead(c: ControlRecord, h: HostRecord, level_Nm: float) -> float:
         coil_Nm = h.coil_Nm + COIL_LEAD * (coil_Nm - h.coil_Nm)
     setpoint_Nm: float = min(max(coil_Nm, 0.0), c.brake_limit_Nm)
     return setpoint_Nm
+
+
+@kernel
+def rise(c: ControlRecord, h: HostRecord, level_Nm: float) -> float:
+    """Return the set-point [Nm], at least the level, with which the brake's torque rises to `level_Nm` as fast as it can.
+
+    The lead has the same gain for a brake without lags in the rig file, which has the default lag.
+    """
+    setpoint_Nm = lead(c, h, level_Nm)
+    if setpoint_Nm == level_Nm:
+        setpoint_Nm = h.brake_lagged_Nm + FLUID_LEAD * COIL_LEAD * (level_Nm - h.brake_lagged_Nm)
+    return float(min(max(setpoint_Nm, level_Nm), c.brake_limit_Nm))
 
 
 @kernel

@@ -64,6 +64,10 @@ class Controllers:
         for controller in self.each[1:]:  # the first axis sends SYNC and the heartbeat
             controller.control["sync_cob_id"] = -1
             controller.control["heartbeat_ns"] = 0
+        for name in ("rise_cycles", "fade_cycles"):  # all axes end together
+            longest = max(int(controller.control[name][0]) for controller in self.each)
+            for controller in self.each:
+                controller.control[name] = longest
         self.owner = np.zeros(2048, np.int64)
         self.bus_of = np.full(2048, EVERY_BUS, np.int64)
         for k, controller in enumerate(self.each):
@@ -158,8 +162,8 @@ class Controllers:
 
     @property
     def ending_s(self) -> float:
-        """Longest time of any axis from its trip to the end of its brake's ramp [s]."""
-        return max(self._seconds(k, "safe_longest_cycles") for k in self)
+        """Longest time of any axis from the request to end, or its trip, to the end of its brake's ramp [s]."""
+        return max(self._seconds(k, "rise_cycles", "fade_cycles", "safe_longest_cycles") for k in self)
 
     @staticmethod
     def _seconds(controller: Controller, *cycles: str) -> float:

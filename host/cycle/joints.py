@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 
 from coulombus.host.cycle import step
-from coulombus.host.cycle.phases import advance
+from coulombus.host.cycle.phases import advance, bear, hands_over, ramp_gain
 from coulombus.host.cycle.records import AxisRecords, Phase, Trip
 from coulombus.host.plane.brake_split import expect_brakes, observe, release
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
@@ -115,12 +115,12 @@ def _doubt_tip(axes: AxisRecords, measured: bool) -> None:
 def _displays(axes: AxisRecords) -> bool:
     """Return whether all joints are in phase RUN and none doubts; ramp the law's gain."""
     for k in range(JOINTS):
-        h = axes[k].host
-        if h.phase != Phase.RUN or h.doubt != Trip.NONE or h.stop != 0:
+        c, h = axes[k].control, axes[k].host
+        if h.phase != Phase.RUN or h.doubt != Trip.NONE or (h.stop != 0 and not hands_over(c, h)):
             return False
     gain = 1.0
     for k in range(JOINTS):
-        axes[k].host.gain = min(axes[k].host.gain + axes[k].control.gain_step, 1.0)
+        ramp_gain(axes[k].control, axes[k].host)
         gain = min(gain, axes[k].host.gain)
     axes[0].plane.gain = gain
     return True
@@ -264,9 +264,11 @@ def _release_together(axes: AxisRecords) -> None:
     for k in range(JOINTS):
         h = axes[k].host
         if h.safe_from_Nm > 0.0:
-            share = max(share, h.brake_Nm / h.safe_from_Nm)
+            share = max(share, h.level_Nm / h.safe_from_Nm)
     for k in range(JOINTS):
-        axes[k].host.brake_Nm = min(share, 1.0) * axes[k].host.safe_from_Nm
+        h = axes[k].host
+        h.level_Nm = min(share, 1.0) * h.safe_from_Nm
+        h.brake_Nm = bear(axes[k].control, h)
 
 
 @kernel
@@ -281,9 +283,9 @@ def _align_brakes(axes: AxisRecords) -> None:
         c, h = axes[k].control, axes[k].host
         believed = believed and c.still_handle_Nm < math.inf and h.missed_in_a_row == 0 and h.trip != Trip.HANDLE_TORQUE
         if h.handle_Nm != 0.0:
-            multiple = min(multiple, h.brake_Nm / abs(h.handle_Nm))
+            multiple = min(multiple, h.level_Nm / abs(h.handle_Nm))
     for k in range(JOINTS):
         h = axes[k].host
-        h.safe_from_Nm = h.brake_Nm
+        h.safe_from_Nm = h.level_Nm
         if believed and 1.0 <= multiple < math.inf:
-            h.safe_from_Nm = min(multiple * abs(h.handle_Nm), h.brake_Nm)
+            h.safe_from_Nm = min(multiple * abs(h.handle_Nm), h.level_Nm)

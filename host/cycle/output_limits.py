@@ -8,6 +8,7 @@ from coulombus.rigs.axis import Axis
 
 __all__ = [
     "HYBRID_MARGIN",
+    "brake_bears_motor",
     "brake_end_Nm",
     "brake_limit",
     "brake_limit_raw",
@@ -84,6 +85,11 @@ def brake_limit(axis: Axis) -> tuple[float, str]:
     description, entry = axis.description(setpoint.node), setpoint.entry
     line = description.variable(entry.index, entry.subindex).line
     return device_Nm, f"the brake's {entry.index:04X}h:{entry.subindex:02X} ({description.path}:{line})"
+
+
+def brake_bears_motor(axis: Axis, mode: str) -> bool:
+    """Return whether the brake can hold the largest torque that the motor displays in a mode."""
+    return brake_limit(axis)[0] >= motor_limit_Nm(axis, mode)
 
 
 def torque_step_Nm(axis: Axis) -> float:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
-from coulombus.host.cycle.brake_model import brake_level, lead
+from coulombus.host.cycle.brake_model import brake_level, lead, rise
 from coulombus.host.cycle.passivity import observe
 from coulombus.host.cycle.records import (
     KINETIC_CYCLES,
@@ -33,10 +33,13 @@ from coulombus.kernels.decorator import kernel
 
 __all__ = [
     "advance",
+    "bear",
     "count_still",
     "disable",
     "enable",
     "enter",
+    "hands_over",
+    "ramp_gain",
     "run",
     "run_joint",
     "safe",
@@ -80,6 +83,8 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
             h.port_kinetic_J[k] = 0.0
         h.port_handle_Nm = h.handle_Nm
         h.port_pushed_Nm, h.port_way, h.port_slid_ns = 0.0, 0.0, 0
+        h.displayed_Nm = 0.0
+        h.end_cycles = 0
         forget(h)
         h.armed_ns = t_ns
     _begin(h, phase)
@@ -89,8 +94,8 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
 def trip_to_safe(c: ControlRecord, h: HostRecord, trip: int, t_ns: int) -> None:
     """Enter the safe state; only the first reason counts.
 
-    The brake begins with the torque that the hand feels: the brake's own torque, as expected behind its
-    lags, and in mode active also the motor's.
+    The brake begins with the torque that the hand feels (`_take_over`). After an orderly end's hand-over it
+    bears that torque already.
     """
     if h.phase >= Phase.SAFE:
         return
@@ -98,11 +103,42 @@ def trip_to_safe(c: ControlRecord, h: HostRecord, trip: int, t_ns: int) -> None:
         h.sign_result = SignResult.REFUSED
     h.trip = trip
     h.trip_ns = t_ns
-    displayed_Nm = h.brake_lagged_Nm
-    if h.phase == Phase.RUN and c.motor_active:
-        displayed_Nm += abs(h.torque_Nm)
-    h.brake_Nm = min(displayed_Nm, c.brake_limit_Nm)
+    if h.end_cycles == 0:
+        _take_over(c, h)
+    h.brake_Nm = bear(c, h)
     _begin(h, Phase.SAFE)
+
+
+@kernel
+def _take_over(c: ControlRecord, h: HostRecord) -> None:
+    """Set the torque that the brake bears from now on: its own torque, as expected behind its lags, and what
+    the motor displayed before any doubt.
+    """
+    h.level_Nm = min(h.brake_lagged_Nm + h.displayed_Nm, c.brake_limit_Nm)
+    h.takes_over = 1 if h.displayed_Nm > 0.0 else 0
+
+
+@kernel
+def bear(c: ControlRecord, h: HostRecord) -> float:
+    """Return the set-point [Nm] with which the brake bears `level_Nm`; a brake that takes over rises as fast as
+    it can.
+    """
+    return float(rise(c, h, h.level_Nm) if h.takes_over else h.level_Nm)
+
+
+@kernel
+def hands_over(c: ControlRecord, h: HostRecord) -> bool:
+    """Return whether an orderly end still displays, because the brake takes over from the motor first."""
+    return bool(h.stop == 1 and c.hands_over and h.phase == Phase.RUN and h.end_cycles < c.rise_cycles + c.fade_cycles)
+
+
+@kernel
+def ramp_gain(c: ControlRecord, h: HostRecord) -> None:
+    """Let the law's gain rise to 1; at an orderly end let it fall to 0, once the brake has risen."""
+    if h.end_cycles == 0:
+        h.gain = min(h.gain + c.gain_step, 1.0)
+    elif h.end_cycles > c.rise_cycles:
+        h.gain = max(h.gain - 1.0 / c.fade_cycles, 0.0)
 
 
 @kernel
@@ -239,7 +275,7 @@ def split_law(axis: AxisRecord) -> float:
     withheld part of the compensation is added to the brake's set-point.
     """
     c, h = axis.control, axis.host
-    h.gain = min(h.gain + c.gain_step, 1.0)
+    ramp_gain(c, h)
     torque_Nm, given_Nm, withheld_Nm = 0.0, 0.0, 0.0
     sense = 0.0
     if abs(h.slide_counts) > c.slide_band_counts:
@@ -264,7 +300,9 @@ def split_law(axis: AxisRecord) -> float:
     if axis.world.on:
         h.world_Nm, h.world_elastic_Nm = h.gain * axis.world.world_Nm, h.gain * axis.world.elastic_Nm
         h.world_most_J = axis.world.most_J
-    if c.brake_active:
+    if h.end_cycles > 0:
+        h.brake_Nm = bear(c, h)
+    elif c.brake_active:
         if not setpoint >= 0.0:  # negative or NaN
             h.negative_setpoints += 1
             setpoint = 0.0
@@ -301,7 +339,9 @@ def _not_too_fast(c: ControlRecord, h: HostRecord, setpoint: float) -> float:
 def run_joint(axis: AxisRecord, t_ns: int) -> tuple[float, int]:
     """RUN of a joint: bound the share that the law in the plane has given it (`host.cycle.joints`)."""
     c, h, state = axis.control, axis.host, axis.state
-    if c.brake_active:
+    if h.end_cycles > 0:
+        h.brake_Nm = bear(c, h)
+    elif c.brake_active:
         h.brake_Nm = _not_too_fast(c, h, _within_limit(c, h, max(state.brake_Nm, 0.0)))
     if h.full_gain_ns < 0 and h.gain >= 1.0:
         h.full_gain_ns = t_ns
@@ -362,12 +402,13 @@ def safe(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     fall_Nm = c.release_Nm
     if believed and load_Nm <= c.still_handle_Nm:
         fall_Nm = c.unloaded_Nm
-    elif believed and h.brake_Nm <= load_Nm + c.still_handle_Nm:
-        fall_Nm = h.brake_Nm / (left + 1)  # at most release_Nm, because of the upper bound below
+    elif believed and h.level_Nm <= load_Nm + c.still_handle_Nm:
+        fall_Nm = h.level_Nm / (left + 1)  # at most release_Nm, because of the upper bound below
     elif h.fresh and abs(h.v_counts) > c.release_counts:
         fall_Nm = 0.0
-    h.brake_Nm = max(min(h.brake_Nm - fall_Nm, c.release_Nm * left), 0.0)
-    return 0.0, Phase.SAFE if h.brake_Nm > 0.0 or h.phase_cycle <= 1 else Phase.DISABLE
+    h.level_Nm = max(min(h.level_Nm - fall_Nm, c.release_Nm * left), 0.0)
+    h.brake_Nm = bear(c, h)
+    return 0.0, Phase.SAFE if h.level_Nm > 0.0 or h.phase_cycle <= 1 else Phase.DISABLE
 
 
 @kernel
@@ -412,10 +453,15 @@ def advance(axis: AxisRecord, law_function: LawFunction | None, doubt: int, t_ns
     """Advance the axis' phase by one cycle; return the motor's torque [Nm] before the limits.
 
     A trip of a monitor (`doubt`) or of the phase itself, or a stop request, makes the axis safe in the
-    same cycle. Only the first reason counts. `law_function` None: see `run_joint`.
+    same cycle. Only the first reason counts. At an orderly end the brake first takes over what the motor
+    displays (`hands_over`). `law_function` None: see `run_joint`.
     """
     c, h = axis.control, axis.host
-    if doubt != Trip.NONE or h.stop != 0:
+    if doubt == Trip.NONE and hands_over(c, h):
+        if h.end_cycles == 0:
+            _take_over(c, h)
+        h.end_cycles += 1
+    elif doubt != Trip.NONE or h.stop != 0:
         trip_to_safe(c, h, doubt, t_ns)
     h.phase_cycle += 1
     torque_Nm, following = _act(axis, law_function, t_ns)
@@ -424,6 +470,6 @@ def advance(axis: AxisRecord, law_function: LawFunction | None, doubt: int, t_ns
         torque_Nm, following = _act(axis, law_function, t_ns)
     if following != h.phase:
         enter(axis, following, t_ns)
-    if h.enabled_ns >= 0 and h.phase < Phase.SAFE:
+    if h.enabled_ns >= 0 and h.phase < Phase.SAFE and h.end_cycles == 0:
         h.display_cycles += 1
     return torque_Nm

@@ -237,6 +237,13 @@ class ControlRecord(Record):
     deadman_key: int  # 1: HOST.deadman_ok is written from outside the cycle
     deadman_slot: int  # slot of the process image that holds the switch; -1: none
     deadman_mask: int  # bits that are all 1 while the switch is held; 0: any bit
+    # orderly end
+    hands_over: (
+        int  # 1: the motor displays torque on which a hand may lean; the brake takes it over before the motor ends
+    )
+    rise_cycles: int  # time for the brake to rise
+    fade_cycles: int  # time for the motor's torque to fall after that
+    ends_by_nmt: int  # 1: the drive ends its torque when NMT takes it out of OPERATIONAL
     # safe state
     safe_longest_cycles: int  # longest time to brake off
     release_Nm: float  # fall of the brake's set-point in a cycle of the safe state
@@ -298,6 +305,10 @@ class HostRecord(Record):
     brake_drive: int  # `PowerState` of the brake; of a brake without power states, that of the motor's drive
     # commanded
     gain: float  # gain of the law, 0 to 1
+    end_cycles: int  # cycles since the brake began to take over from the motor, at an orderly end; 0 before
+    displayed_Nm: float  # largest recent torque on the motor that a hand may lean on; it decays to 0
+    level_Nm: float  # torque that the brake bears, from the begin of the hand-over or of the safe state on
+    takes_over: int  # 1: the brake rises to that level
     torque_Nm: float  # torque of the motor
     brake_Nm: float  # torque of the brake
     brake_lagged_Nm: float  # brake torque that is expected at the handle

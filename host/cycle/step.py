@@ -19,7 +19,7 @@ Safety rules of this module:
 
 from __future__ import annotations
 
-from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.eds.codec import pack, unpack
 from coulombus.host.cycle.live_parameters import follow
 from coulombus.host.cycle.monitors import measure, watch
@@ -267,11 +267,36 @@ def observe(axis: AxisRecord, t_ns: int) -> int:
 
 
 @kernel
+def _follow_display(c: ControlRecord, h: HostRecord) -> None:
+    """Follow the torque on the motor that a hand may lean on: the law's part, and in mode active all of it.
+
+    Its largest values count, for the torque of a law in its limit cycle has no constant sign. While the position
+    is stale, the motor's command is 0 and the last value stays.
+    """
+    if h.phase == Phase.RUN and h.fresh and h.end_cycles == 0:
+        shown_Nm = min(abs(h.torque_Nm if c.motor_active else h.pushed_Nm), c.motor_limit_raw * abs(c.motor_Nm_raw))
+        h.displayed_Nm = max(shown_Nm, h.displayed_Nm * c.motor_lag_decay)
+
+
+@kernel
+def _take_the_drive(c: ControlRecord, h: HostRecord, t_ns: int, out: Queue) -> None:
+    """Send the drive to PRE-OPERATIONAL in the cycle in which another station turned out to command it.
+
+    There a drive obeys nobody's RPDO. A drive that does not end its torque there is left OPERATIONAL: it still
+    gets the host's disable command.
+    """
+    if h.phase == Phase.SAFE and h.phase_cycle == 1 and h.trip == Trip.SECOND_HOST and c.ends_by_nmt:
+        push(out, SOURCE_HOST, t_ns, CobId.NMT, 2, NmtCommand.ENTER_PRE_OPERATIONAL | c.node_id[0] << 8)
+
+
+@kernel
 def close_and_send(axis: AxisRecord, t_ns: int, out: Queue) -> None:
-    """Count a clipped law, and send the RPDOs."""
+    """Follow what the motor displays, count a clipped law, and send the RPDOs."""
     h = axis.host
+    _follow_display(axis.control, h)
     _doubt_clipped_law(axis.control, h)
     send(axis, t_ns, out)
+    _take_the_drive(axis.control, h, t_ns, out)
     h.arrived &= ~axis.control.by_timer  # a TPDO by timer that arrives from here on counts for the next cycle
 
 

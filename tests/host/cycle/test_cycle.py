@@ -505,7 +505,8 @@ def test_the_first_doubt_of_a_cycle_is_the_one_that_is_told():
 def test_a_wish_to_stop_leads_to_the_safe_state_once(phase, stop):
     bench = HostBench().enter(phase, counts=-300)
     bench.h.stop, bench.h.phase_cycle = stop, 40
-    bench.h.brake_Nm = bench.h.brake_lagged_Nm = 0.5
+    bench.h.level_Nm = bench.h.brake_lagged_Nm = 0.5
+    bench.h.end_cycles = bench.c.rise_cycles + bench.c.fade_cycles if stop == 1 else 0
     bench.cycle()
     stops = stop and phase < Phase.SAFE
     assert bench.h.trip == (stop if stops and stop > 1 else Trip.NONE)
@@ -566,7 +567,7 @@ def test_only_the_phases_of_an_enabled_drive_send_torque(phase):
 
 def test_the_safe_state_shows_the_brakes_torque_that_it_keeps():
     bench = HostBench().enter(Phase.SAFE, counts=50)
-    bench.h.brake_Nm, bench.h.handle_Nm, bench.c.release_Nm = 3.0, 2.0, 0.5
+    bench.h.level_Nm, bench.h.handle_Nm, bench.c.release_Nm = 3.0, 2.0, 0.5
     bench.c.still_handle_Nm = math.inf
     bench.cycle()
     assert bench.brake_Nm == 2.5

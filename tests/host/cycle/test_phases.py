@@ -42,7 +42,7 @@ def standing(phase, counts=-640, mode="hybrid", **control):
 
 def releasing(brake_Nm):
     bench = standing(Phase.SAFE)
-    bench.h.brake_Nm = brake_Nm
+    bench.h.brake_Nm = bench.h.level_Nm = brake_Nm
     return bench
 
 
@@ -125,15 +125,20 @@ def test_the_safe_state_begins_once_with_its_reason_and_the_torque_that_is_felt(
     assert h.sign_result == (SignResult.REFUSED if phase is Phase.SIGN else SignResult.NOT_RUN)
 
 
-@BOTH
-@pytest.mark.parametrize(
-    ("phase", "active", "begins"), [(Phase.RUN, 1, 1.25), (Phase.RUN, 0, 0.25), (Phase.SIGN, 1, 0.25)]
-)
-def test_the_brake_takes_over_what_the_motor_displayed(sign, phase, active, begins):
-    bench = standing(phase, counts=55, brake_limit_Nm=4.5, motor_active=active)
-    bench.h.brake_lagged_Nm, bench.h.torque_Nm = 0.25, sign * 1.0
+@pytest.mark.parametrize(("displayed", "level"), [(0.0, 0.25), (1.0, 1.25), (9.0, 4.5)])
+def test_the_brake_takes_over_what_the_motor_displayed(displayed, level):
+    bench = standing(Phase.RUN, counts=55, brake_limit_Nm=4.5, coil_step=0.0, fluid_step=0.0)
+    bench.h.brake_lagged_Nm, bench.h.displayed_Nm = 0.25, displayed
     trip_to_safe(bench.c, bench.h, int(Trip.NONE), T)
-    assert bench.h.brake_Nm == begins
+    assert bench.h.level_Nm == level
+    assert bench.h.brake_Nm == (min(0.25 + 6.0 * (level - 0.25), 4.5) if displayed else 0.25)
+
+
+def test_a_trip_within_the_hand_over_keeps_the_torque_that_the_brake_rises_to():
+    bench = standing(Phase.RUN, counts=55, brake_limit_Nm=4.5)
+    bench.h.brake_lagged_Nm, bench.h.displayed_Nm, bench.h.level_Nm, bench.h.end_cycles = 0.25, 0.5, 1.5, 3
+    trip_to_safe(bench.c, bench.h, int(Trip.SPEED), T)
+    assert bench.h.level_Nm == 1.5
 
 
 LONGEST, RELEASE, UNLOADED = 12, 0.125, 0.5
@@ -626,7 +631,7 @@ def test_a_law_that_is_no_number_makes_brake_and_controlword_safe_in_the_same_cy
 
 def test_the_safe_states_ramp_goes_on_by_one_step_a_cycle():
     bench = HostBench("hybrid").enter(Phase.SAFE, counts=40)
-    bench.h.brake_Nm, bench.h.stop, bench.c.release_Nm, bench.c.unloaded_Nm = 1.0, 1, 0.125, 0.125
+    bench.h.level_Nm, bench.h.stop, bench.c.release_Nm, bench.c.unloaded_Nm = 1.0, 1, 0.125, 0.125
     for steps in range(1, 6):
         bench.cycle()
         assert (bench.phase, bench.h.brake_Nm) == (Phase.SAFE, 1.0 - 0.125 * steps)

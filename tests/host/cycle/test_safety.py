@@ -4,6 +4,7 @@ safe.
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -298,3 +299,140 @@ def test_unknown_identifiers_do_nothing(can_id, length, data):
 
 
 UNKNOWN = HostBench()
+
+
+# the hand-over from motor to brake
+
+
+def leaning(*overrides, mode="active"):
+    """A handle at rest whose motor displays 1 Nm: 150 counts of a spring."""
+    bench = armed(mode, *overrides)
+    bench.k.law_function = SPRING
+    bench.counts, bench.handle_Nm = 150.0, 1.0
+    bench.cycles(60)
+    assert displayed(bench) == pytest.approx(1.0, abs=0.01)
+    return bench
+
+
+def spring(motion, law, state):
+    return 1.0
+
+
+SPRING = compile_law(spring)
+
+
+def displayed(bench):
+    return abs(bench.motor_pm * bench.c.motor_Nm_raw)
+
+
+def test_at_an_orderly_end_the_brake_is_up_before_the_motor_lets_go():
+    bench = leaning()
+    bench.k.stop()
+    motor, brake = [], []
+    while bench.phase is Phase.RUN:
+        bench.cycle()
+        motor.append(displayed(bench))
+        brake.append(float(bench.h.brake_lagged_Nm))
+    up = next(k for k, torque in enumerate(brake) if torque >= 0.95)
+    assert min(motor[: up + 1]) == pytest.approx(1.0, abs=0.01)
+    assert all(b <= a + 1e-9 for a, b in itertools.pairwise(motor[up:]))
+    assert motor[-2] < 0.05
+    assert min(brake[up:]) >= 0.95
+    assert bench.k.trip is None
+    bench.cycles(3000)
+    assert (bench.phase, bench.brake_Nm) == (Phase.DONE, 0.0)
+
+
+def test_the_display_counts_no_cycle_of_the_hand_over():
+    bench = leaning()
+    cycles = int(bench.h.display_cycles)
+    bench.k.stop()
+    bench.cycles(20)
+    assert (bench.phase, bench.h.display_cycles) == (Phase.RUN, cycles)
+
+
+@pytest.mark.parametrize("doubt", [jump, supply, lambda bench: bench.frame(0x081, 8, 0x7305)])
+def test_a_trip_within_the_hand_over_cuts_the_motor_at_once(doubt):
+    bench = leaning()
+    bench.k.stop()
+    bench.cycles(5)
+    assert bench.phase is Phase.RUN
+    doubt(bench)
+    bench.cycles(2)
+    assert bench.phase is Phase.SAFE
+    assert bench.motor_pm == 0
+    assert bench.h.level_Nm == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_brake_that_is_weaker_than_the_motor_lets_it_fade_slowly():
+    bench = leaning("limits.brake_torque_Nm=0.6", "limits.still_handle_torque_Nm=2.0")
+    bench.k.stop()
+    steps = [displayed(bench)]
+    while bench.phase is Phase.RUN:
+        bench.cycle()
+        steps.append(displayed(bench))
+    assert len(steps) > 1800
+    assert displayed(bench) == 0.0
+    assert steps[len(steps) // 2] == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("node", ["motor", "brake"])
+def test_lost_tpdos_let_the_brake_take_over_what_was_displayed_before(node):
+    bench = leaning()
+    bench.silent = {node}
+    bench.cycles(3)
+    assert bench.phase is Phase.SAFE
+    assert bench.brake_Nm >= 1.0
+    assert bench.h.level_Nm == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_limit_cycle_hands_over_its_largest_torque():
+    bench = leaning()
+    bench.k.law_function = FLIPPING
+    for _ in range(9):
+        bench.cycle()
+    bench.counts = 1e7
+    bench.cycle()
+    assert bench.phase is Phase.SAFE
+    assert bench.h.level_Nm == pytest.approx(1.0, abs=0.1)
+
+
+def flipping(motion, law, state):
+    state.user[0] += 1.0
+    return (1.0 if state.user[0] % 4.0 < 2.0 else -1.0) if state.user[0] % 2.0 < 1.0 else 0.0
+
+
+FLIPPING = compile_law(flipping)
+
+
+def test_in_hybrid_a_wall_hands_over_and_friction_ends_at_once():
+    wall = armed("hybrid", "law.function=wall")
+    assert wall.c.hands_over
+    friction = armed("hybrid")
+    friction.k.stop()
+    friction.cycle()
+    assert friction.phase is Phase.SAFE
+    wall.k.stop()
+    wall.cycle()
+    assert wall.phase is Phase.RUN
+
+
+def test_a_drive_that_a_stranger_commands_leaves_operational_in_the_same_cycle():
+    bench = armed("active")
+    bench.frame(0x201, 4, 0x000F | 500 << 16)
+    bench.cycle()
+    assert bench.k.trip.startswith("SECOND_HOST")
+    order = [(can_id, length, word) for _, can_id, length, word in bench.frames() if can_id == 0]
+    assert order == [(0, 2, 0x80 | 1 << 8)]
+    bench.cycle()
+    assert not [frame for frame in bench.frames() if frame[1] == 0]
+
+
+def test_a_drive_that_does_not_end_its_torque_so_keeps_its_disable_command():
+    bench = armed("active")
+    bench.c.ends_by_nmt = 0
+    bench.frame(0x201, 4, 0x000F | 500 << 16)
+    bench.cycle()
+    assert bench.k.trip.startswith("SECOND_HOST")
+    assert not [frame for frame in bench.frames() if frame[1] == 0]
+    assert bench.controlword == 0

@@ -109,7 +109,10 @@ ANYWHERE = {
     ),
     Trip.NMT_STATE: lambda bench: bench.h.nmt.__setitem__(1, 127),
     Trip.DRIVE_STATE: lambda bench: setattr(bench, "state", int(PowerState.SWITCHED_ON)),
-    Trip.NONE: set_host("stop", 1),
+    Trip.NONE: lambda bench: (
+        setattr(bench.h, "stop", 1),
+        setattr(bench.h, "end_cycles", bench.c.rise_cycles + bench.c.fade_cycles),  # the brake has taken over
+    ),
 }
 """What makes the watches doubt, or others ask for the safe state.
 
@@ -142,7 +145,7 @@ OWN = {
     (Phase.RUN, Phase.SAFE, Trip.LAW): lambda bench: setattr(bench.k, "law_function", NO_NUMBER),
     (Phase.SAFE, Phase.DISABLE, Trip.NONE): lambda bench: (
         setattr(bench.h, "phase_cycle", 1),
-        setattr(bench.h, "brake_Nm", 0.0),
+        setattr(bench.h, "level_Nm", 0.0),
     ),
     (Phase.DISABLE, Phase.DONE, Trip.NONE): lambda bench: setattr(bench, "state", int(PowerState.SWITCH_ON_DISABLED)),
 }
@@ -170,7 +173,7 @@ def make_happen(bench, phase, following, trip):
 @pytest.mark.parametrize(("phase", "following", "trip"), list(cases()))
 def test_every_row_happens(phase, following, trip):
     bench = HostBench("active").enter(phase, counts=40)
-    bench.h.brake_Nm = 0.5
+    bench.h.level_Nm = 0.5
     make_happen(bench, phase, following, trip)
     bench.cycle()
     assert bench.phase is following
@@ -188,7 +191,7 @@ def test_every_row_happens(phase, following, trip):
 @pytest.mark.parametrize("phase", Phase)
 def test_without_a_reason_a_phase_goes_on(phase):
     bench = HostBench("active").enter(phase, counts=40)
-    bench.h.brake_Nm = 2.0
+    bench.h.level_Nm = 2.0
     bench.cycle()
     assert bench.phase is phase
 
