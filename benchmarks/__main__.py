@@ -102,6 +102,10 @@ def run(what: str, options: argparse.Namespace) -> None:
         sweep(show)
     elif what == "observers":
         observers_of(options)
+    elif what == "releases":
+        from benchmarks.releases import releases
+
+        releases(show, options.ends)
     else:
         run_real_time(what, options)
 
@@ -185,6 +189,7 @@ def main() -> None:
     parser.add_argument("--groups", type=int, default=0, help="of observers, for the hierarchical fit")
     parser.add_argument("--document", type=Path, help="write the table of the observers there, between its marks")
     parser.add_argument("--rigs", type=int, default=10, help="random rigs that are commissioned")
+    parser.add_argument("--ends", type=int, default=0, help="random ends and trips of each mode, instead of the table")
     parser.add_argument("--seed", type=int, default=1, help="of the random rigs")
     parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")
     parser.add_argument("--smallest", action="store_true", help="as little as shows that it runs; no figure means much")

@@ -133,7 +133,7 @@ class _Findings:
         from coulombus.host.setup.device_plan import device_plans
         from coulombus.host.setup.law_demand import cut_off
         from coulombus.host.setup.limit_meanings import meanings_of
-        from coulombus.host.setup.release import release_of
+        from coulombus.host.setup.release import failure_of, release_of
         from coulombus.host.setup.settings import torque_limits
         from coulombus.rigs.devices import drive_axis_of
         from coulombus.rigs.draft.marks import guesses
@@ -173,6 +173,7 @@ class _Findings:
             )
             for axis in rig.axes
         ]
+        self.failures = [failure_of(axis) for axis in rig.axes if "active" in axis.mode and not axis.joint]
         self.meanings: list[str] = _once(
             text for axis in rig.axes for mode in axis.mode for text in meanings_of(axis, mode)
         )
@@ -223,6 +224,7 @@ class _Findings:
             "losses": self.losses,
             "reactions": [reaction._asdict() for reaction in self.reactions],
             "releases": [release._asdict() | {"gentle": release.is_gentle} for release in self.releases],
+            "motor_failures": [failure._asdict() for failure in self.failures],
             "limits": self.meanings,
             "accepted": list(self.rig.host.accept),
             "roles": [
@@ -267,6 +269,8 @@ class _Findings:
             echo(on_terminal(f"release: {release}", 4, PROSE))
             if not release.is_gentle:
                 echo(on_terminal(f"  that throws the hand: {GENTLER}", 4, PROSE))
+        for failure in self.failures:
+            echo(on_terminal(f"release: {failure}", 4, PROSE))
         for text in self.meanings:
             echo(on_terminal(f"limit: {text}", 4, PROSE))
         for text in self.tip:

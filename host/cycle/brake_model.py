@@ -26,9 +26,11 @@ from coulombus.host.cycle.brake_hysteresis import coil_for, magnetise
 from coulombus.host.cycle.records import ControlRecord, HostRecord
 from coulombus.kernels.decorator import kernel
 
-__all__ = ["brake_level", "expect", "lead", "rise"]
+__all__ = ["DEFAULT_LAG_S", "brake_level", "expect", "lead", "rise"]
 
 FLUID_LEAD, COIL_LEAD = 3.0, 2.0
+DEFAULT_LAG_S = 0.02
+"""Time constant of the brake's torque for a rig file without its lags: coil and fluid of a typical MR brake."""
 
 
 @kernel
@@ -60,9 +62,10 @@ def rise(c: ControlRecord, h: HostRecord, level_Nm: float) -> float:
 
     The lead has the same gain for a brake without lags in the rig file, which has the default lag.
     """
-    setpoint_Nm = lead(c, h, level_Nm)
-    if setpoint_Nm == level_Nm:
+    if c.coil_step <= 0.0 and c.fluid_step <= 0.0:
         setpoint_Nm = h.brake_lagged_Nm + FLUID_LEAD * COIL_LEAD * (level_Nm - h.brake_lagged_Nm)
+    else:
+        setpoint_Nm = lead(c, h, level_Nm)
     return float(min(max(setpoint_Nm, level_Nm), c.brake_limit_Nm))
 
 

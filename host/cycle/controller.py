@@ -13,6 +13,7 @@ from coulombus.eds.codec import PdoRecord
 from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
+from coulombus.host.cycle.brake_model import DEFAULT_LAG_S
 from coulombus.host.cycle.output_limits import (
     brake_bears_motor,
     brake_end_Nm,
@@ -54,8 +55,6 @@ COUNTERS = (
 """Counters that `Controller.counters` returns."""
 
 TARGET_TORQUE, MAX_TORQUE = 0x6071, 0x6072
-BRAKE_LAG_S = 0.02
-"""Default time constant of the brake's torque (coil and fluid of a typical MR brake)."""
 SIGN_HAND_S = 0.12
 """Averaging time of the sign check: a little more than the period of a hand's tremor (8-12 Hz)."""
 SIGN_HAND_NM = 0.008
@@ -306,7 +305,7 @@ class Controller:
         c["missed_cycles"] = limits.missed_tpdo_cycles
         c["coil_limit_A2"] = axis.brake.coil_continuous_A**2
         c["coil_decay"] = math.exp(-T / axis.brake.coil_time_constant_s)
-        c["brake_lag_decay"] = math.exp(-T / BRAKE_LAG_S)
+        c["brake_lag_decay"] = math.exp(-T / DEFAULT_LAG_S)
 
         c["still_cycles"] = _cycles(limits.still_s, T)
         c["still_handle_Nm"] = limits.still_handle_torque_Nm if handle else math.inf
@@ -342,7 +341,7 @@ class Controller:
         axis, T = self.axis, self.axis.bus.period_s
         pushes = law_pushes(axis) or axis.world is not None
         c["hands_over"] = self.mode == "active" or (self.mode == "hybrid" and pushes)
-        lag_s = axis.brake.coil_lag_s + axis.brake.fluid_lag_s or BRAKE_LAG_S
+        lag_s = axis.brake.coil_lag_s + axis.brake.fluid_lag_s or DEFAULT_LAG_S
         c["rise_cycles"] = _cycles(RISE_LAGS * lag_s, T)
         fade_s = FADE_S if brake_bears_motor(axis, self.mode) else axis.limits.safe_ramp_s
         c["fade_cycles"] = _cycles(fade_s, T)

@@ -19,7 +19,7 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.kinematics.pose_kernels import condition
 from coulombus.rigs.rig import Rig, RigError
 
-__all__ = ["check_demand", "cut_off", "remarks"]
+__all__ = ["check_demand", "cut_off", "law_extremes", "remarks"]
 
 
 class Demand(NamedTuple):
@@ -98,6 +98,11 @@ def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
         return ()
     values, place = axis_parameters(axis, own, mode), f"mode.{mode}" if own.uses_mode_keys else f"law.{own.name}"
     return tuple(Demand(f"{place}.{key}", getattr(values, key)) for key in own.extremes)
+
+
+def law_extremes(axis: Axis, mode: str) -> list[float]:
+    """Return the peak outputs of the rig's law in a mode [Nm]; empty if they are unknown."""
+    return [demand.torque_Nm for demand in _law(axis, mode)]
 
 
 def _expected(limit_Nm: float, torque_Nm: float, whose: str, key: str) -> str:

@@ -9,6 +9,10 @@ torque falls at the rate :math:`R`, the handle moves by
 Its speed begins at 0, approaches :math:`R / K`, and overshoots it by the share
 :math:`e^{-\pi\zeta/\sqrt{1-\zeta^2}}` with :math:`\zeta = B / (2\sqrt{JK})`. The pauses of the release
 only reduce the speed. A brake that is switched off at once gives the step response of the same system.
+
+In mode active the motor bears the load. An orderly end lets the brake rise first, so the same release follows.
+When the motor fails, the handle is free until the host notices, and the brake takes over behind its lags
+(`speed_of_failure`).
 """
 
 from __future__ import annotations
@@ -16,13 +20,27 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from coulombus.host.cycle.brake_model import DEFAULT_LAG_S
+from coulombus.host.cycle.output_limits import brake_bears_motor, brake_limit, motor_limit_Nm
+from coulombus.host.setup.law_demand import law_extremes
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.plant import Operator
 
-__all__ = ["GENTLE_RAD_S", "Release", "release_of", "speed_of_ramp", "speed_of_step"]
+__all__ = [
+    "GENTLE_RAD_S",
+    "MotorFailure",
+    "Release",
+    "failure_of",
+    "release_of",
+    "speed_of_failure",
+    "speed_of_ramp",
+    "speed_of_step",
+]
 
 GENTLE_RAD_S = 1.2
 """Largest speed of a release that does not throw a hand."""
+STEP_S, LONGEST_S = 1e-5, 0.5
+"""Step and end of the integration after the motor's failure."""
 LIGHT_HAND = Operator(
     inertia_kg_m2=5e-4, damping_Nms_rad=0.1, stiffness_Nm_rad=5.0, tremor_Nm=0.0, tremor_Hz=0.0, population=0.0
 )
@@ -110,3 +128,68 @@ def release_of(axis: Axis, load_Nm: float, driver_ramp_s: float) -> Release:
 
     within_s = max(limits.safe_ramp_s, axis.bus.period_s) + limits.safe_hold_s
     return Release(axis.name, load_Nm, ramped(limits.safe_ramp_s), within_s, ramped(driver_ramp_s))
+
+
+class MotorFailure(NamedTuple):
+    """A hand in mode active bears `load_Nm` besides the friction, and the motor's torque ends.
+
+    Attributes
+    ----------
+    load_Nm : the law's largest output, at most the motor's limit
+    noticed_s : longest time until the brake's set-point acts
+    speed_rad_s : largest speed of the handle
+    alone_rad_s : largest speed if the brake gives no torque either
+    brake_bears : whether the brake can bear as much as the motor
+    """
+
+    axis: str
+    load_Nm: float
+    noticed_s: float
+    speed_rad_s: float
+    alone_rad_s: float
+    brake_bears: bool
+
+    def __str__(self) -> str:
+        axis = f"{self.axis}: " if self.axis else ""
+        text = (
+            f"{axis}mode active: when the motor fails, the brake takes over {self.load_Nm:g} Nm after {1e3 * self.noticed_s:.3g} ms "
+            f"and its lag; the hand moves with at most {self.speed_rad_s:.2g} rad/s, and with {self.alone_rad_s:.2g} rad/s if "
+            "the brake has failed"
+        )
+        return text if self.brake_bears else f"{text}. The brake is weaker than the motor and bears only a part of it"
+
+
+def speed_of_failure(axis: Axis, load_Nm: float, noticed_s: float) -> float:
+    """Return the largest speed [rad/s] of a hand whose load on the motor falls to the brake.
+
+    The hand's equation is that of the release; the brake's torque is 0 for `noticed_s`, then that of its lags
+    (`[brake]`, else the default lag) behind a set-point at its limit, up to the load.
+    """
+    hand = axis.operator or LIGHT_HAND
+    J = axis.mechanics.inertia_kg_m2 + hand.inertia_kg_m2
+    B, K = axis.mechanics.viscous_Nms_rad + hand.damping_Nms_rad, hand.stiffness_Nm_rad
+    limit_Nm = brake_limit(axis)[0]
+    coil_s, fluid_s = axis.brake.coil_lag_s, axis.brake.fluid_lag_s
+    if coil_s <= 0.0 and fluid_s <= 0.0:
+        fluid_s = DEFAULT_LAG_S
+    v = x = coil = fluid = t = most = 0.0
+    dt = STEP_S
+    while v >= 0.0 and t < LONGEST_S:
+        asked = 0.0 if t < noticed_s else limit_Nm if fluid < load_Nm else load_Nm
+        coil = asked if coil_s <= 0.0 else coil + (asked - coil) * min(dt / coil_s, 1.0)
+        fluid = coil if fluid_s <= 0.0 else fluid + (coil - fluid) * min(dt / fluid_s, 1.0)
+        v += (load_Nm - min(fluid, load_Nm) - B * v - K * x) / J * dt
+        x += v * dt
+        t += dt
+        most = max(most, v)
+    return most
+
+
+def failure_of(axis: Axis) -> MotorFailure:
+    """Return the worst failure of an axis' motor in mode active: its power or its TPDOs are lost."""
+    limit_Nm = motor_limit_Nm(axis, "active")
+    load_Nm = min(max(law_extremes(axis, "active"), default=limit_Nm), limit_Nm)
+    noticed_s = (axis.limits.missed_tpdo_cycles + axis.bus.cycles_to_actuation) * axis.bus.period_s
+    speed = speed_of_failure(axis, load_Nm, noticed_s)
+    alone = speed_of_failure(axis, load_Nm, math.inf)
+    return MotorFailure(axis.name, load_Nm, noticed_s, speed, alone, brake_bears_motor(axis, "active"))

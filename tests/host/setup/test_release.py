@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import random
 
 import pytest
 
-from coulombus.host.setup.release import release_of, speed_of_ramp, speed_of_step
+from coulombus.host.setup.release import failure_of, release_of, speed_of_failure, speed_of_ramp, speed_of_step
 from coulombus.rigs.rig import load_rig
 
 
@@ -60,3 +61,27 @@ def test_a_short_ramp_throws_the_hand_and_a_driver_without_one_throws_it_most():
     assert not short.is_gentle
     assert short.speed_rad_s < short.alone_rad_s == none.speed_rad_s
     assert none.alone_rad_s == short.speed_rad_s
+
+
+def test_a_failed_motor_without_a_brake_is_the_step_of_the_load():
+    axis = load_rig("bench").axes[0]
+    J = axis.mechanics.inertia_kg_m2 + axis.operator.inertia_kg_m2
+    B, K = axis.mechanics.viscous_Nms_rad + axis.operator.damping_Nms_rad, axis.operator.stiffness_Nm_rad
+    assert speed_of_failure(axis, 1.2, math.inf) == pytest.approx(speed_of_step(1.2, B, K, J), rel=5e-3)
+
+
+def test_a_failed_motor_is_worse_the_later_it_is_noticed_and_the_slower_the_brake():
+    bench = load_rig("bench").axes[0]
+    slow = load_rig("bench", ("brake.coil_lag_s=0.003", "brake.fluid_lag_s=0.05")).axes[0]
+    late = load_rig("bench", ("limits.missed_tpdo_cycles=9",)).axes[0]
+    failures = [failure_of(axis) for axis in (bench, slow, late)]
+    assert failures[0].load_Nm == 1.2
+    assert failures[0].speed_rad_s < min(failures[1].speed_rad_s, failures[2].speed_rad_s)
+    assert all(failure.speed_rad_s < failure.alone_rad_s for failure in failures)
+
+
+def test_a_brake_weaker_than_the_motor_is_named():
+    weak = failure_of(load_rig("bench", ("limits.brake_torque_Nm=0.6",)).axes[0])
+    assert not weak.brake_bears
+    assert "weaker than the motor" in str(weak)
+    assert "weaker" not in str(failure_of(load_rig("bench").axes[0]))

@@ -1,0 +1,179 @@
+"""How fast a loaded hand is let go, by end, mode and rig: the table of docs/safety.md, from simulated runs.
+
+In each run a hand pushes slowly and rests, and bears a share of F_s when the display ends. The figure is the handle's
+largest speed behind the marker of the end, over 10 ms; of rigs with several axes, that of the encoders.
+
+    python -m benchmarks releases                  # the table
+    python -m benchmarks releases --ends 100       # as many random ends and trips in each mode
+"""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from coulombus import read, simulate
+from coulombus.rigs.rig import load_rig
+from coulombus.sim_bus.network.script import read_script
+
+__all__ = ["ENDS", "RIGS", "Ended", "ended", "random_ends", "releases", "table"]
+
+WINDOW_S = 0.01
+LOSS = '[[fault]]\nkind = "drop"\nafter = "enabled"\nat_s = {at}\non = {{frame = "{frame}", node = {node}, every = 1}}\nlost_for = "host"\n'
+BABBLE = '[[fault]]\nkind = "babble"\nafter = "enabled"\nat_s = {at}\nnode = "{node}"\ncan_id = {can_id}\ndata = "{data}"\nperiod_us = 1000\nduration_s = {lasts}\n'
+ACTION = '[[at]]\nt_s = {at}\nafter = "enabled"\nnode = "{node}"\naction = "{action}"\n'
+
+
+class End(NamedTuple):
+    """An end of a display: the fault file or the script that leads to it; neither: the run's own end."""
+
+    faults: str = ""
+    script: str = ""
+
+
+ENDS: Mapping[str, End] = {
+    "orderly end": End(),
+    "motor: EMCY, over-current": End(
+        script=ACTION.replace("{node}", "motor").replace("{action}", "fault") + 'fault = "over_current"\n'
+    ),
+    "motor: EMCY, encoder lost": End(
+        script=ACTION.replace("{node}", "motor").replace("{action}", "fault") + 'fault = "encoder_lost"\n'
+    ),
+    "motor: supply lost": End(
+        script=ACTION.replace("{node}", "motor").replace("{action}", "fault") + 'fault = "supply_low"\n'
+    ),
+    "motor: all power lost": End(script=ACTION.replace("{node}", "motor").replace("{action}", "power_off")),
+    "motor: TPDO lost": End(LOSS.replace("{frame}", "TPDO1").replace("{node}", "1")),
+    "motor: heartbeat lost": End(LOSS.replace("{frame}", "HEARTBEAT").replace("{node}", "1")),
+    "motor: NMT stop by another node": End(
+        BABBLE.replace("{node}", "brake")
+        .replace("{can_id}", "0")
+        .replace("{data}", "02 01")
+        .replace("{lasts}", "0.0005")
+    ),
+    "another node commands 1.5 Nm": End(
+        BABBLE.replace("{node}", "brake")
+        .replace("{can_id}", "0x201")
+        .replace("{data}", "0F 00 65 03")
+        .replace("{lasts}", "0.1")
+    ),
+    "brake: TPDO lost": End(LOSS.replace("{frame}", "TPDO1").replace("{node}", "2")),
+    "brake: EMCY, coil open": End(
+        script=ACTION.replace("{node}", "brake").replace("{action}", "fault") + 'fault = "coil_open"\n'
+    ),
+    "brake: all power lost": End(script=ACTION.replace("{node}", "brake").replace("{action}", "power_off")),
+}
+"""Ends by what leads to them. Each trip that no device's fault leads to ends as `another node commands` does, without its torque."""
+
+LAGS = ("plant.brake_fluid_lag_s=0.04", "brake.coil_lag_s=0.003")
+RIGS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
+    "bench": ("bench", (), ("active", "passive", "hybrid")),
+    "two axes": ("two_axes", (), ("active", "hybrid")),
+    "paper": ("paper", (), ("active", "hybrid")),
+    "plane": ("plane", (), ("active", "hybrid")),
+    "slow brake, 40 ms": ("bench", (*LAGS, "brake.fluid_lag_s=0.04"), ("active", "hybrid")),
+    "brake of 0.6 Nm": ("bench", ("limits.brake_torque_Nm=0.6",), ("active",)),
+    "backlash of 20 mrad": (
+        "bench",
+        (
+            "plant.cable.stiffness_Nm_rad=200",
+            "plant.cable.damping_Nms_rad=0.05",
+            "plant.cable.backlash_rad=0.02",
+            "plant.cable.motor_inertia_kg_m2=1e-3",
+        ),
+        ("active", "hybrid"),
+    ),
+}
+"""Packaged rig, overrides, and modes, by name."""
+
+
+class Ended(NamedTuple):
+    """A run's end: the marker, the handle's largest speed behind it, and the brake's largest set-point there."""
+
+    marker: str
+    speed_rad_s: float
+    setpoint_Nm: float
+
+
+def ended(
+    rig: str, mode: str, end: End, push: float, seconds: float, overrides: tuple[str, ...] = (), seed: int = 0
+) -> Ended:
+    """Simulate a display of a hand that pushes `push` times F_s, and its end after `seconds`."""
+    kind = "tip_hold" if load_rig(rig).kinematics else "hold"
+    phase = f'phase=[{{kind = "rest", duration_s = 1.0}}, {{kind = "{kind}", duration_s = 60.0, push_F_s = {push}, frequency_Hz = 0.1}}]'
+    with tempfile.TemporaryDirectory() as folder:
+        path, truth, faults, script = (
+            Path(folder, name) for name in ("run.pcapng", "truth.npz", "faults.toml", "script.toml")
+        )
+        known = load_rig(rig)
+        axis, nodes = next(iter(known.axis_names), ""), [node.name for node in known.nodes]
+        for file, text in ((faults, end.faults), (script, end.script)):
+            file.write_text(text.format(at=seconds).replace('node = "', f'node = "{axis}.' if axis else 'node = "'))
+        simulate(
+            rig,
+            mode,
+            seconds + (2.5 if end.faults or end.script else 0.0),
+            record=path,
+            truth=None if axis else truth,
+            overrides=(phase, *overrides),
+            faults=faults if end.faults else None,
+            script=(lambda world: world.plan(read_script(script, nodes))) if end.script else None,
+            seed=seed,
+        )
+        recording = read(path)
+        at, marker = next(
+            ((t, text) for t, text in recording.markers if text == "safe" or text.startswith("trip")), (np.inf, "none")
+        )
+        speed = setpoint = 0.0
+        for each in recording.axes:
+            position, brake = each["motor.position_rad"], each["brake.setpoint_Nm"]
+            t_s, x_rad = position.t_s, position.values
+            if not axis:  # the encoder may be lost
+                with np.load(truth) as columns:
+                    t_s, x_rad = columns["t_s"], columns["angle_rad"]
+            k = max(1, round(WINDOW_S / float(np.median(np.diff(t_s)))))
+            way = np.abs(x_rad[k:] - x_rad[:-k]) / (t_s[k:] - t_s[:-k])
+            speed = max(speed, float(way[t_s[k:] > at].max(initial=0.0)))
+            setpoint = max(setpoint, float(brake.values[brake.t_s > at].max(initial=0.0)))
+    return Ended(marker.split(":")[0], speed, setpoint)
+
+
+def table() -> Iterator[str]:
+    """Yield the rows of the table of docs/safety.md: the largest speeds of each rig in its modes."""
+    names = [f"{name}: {', '.join(modes)}" for name, (_, _, modes) in RIGS.items()]
+    yield f"| end | {' | '.join(names)} |"
+    yield "|---" * (len(RIGS) + 1) + "|"
+    for what, end in ENDS.items():
+        cells = []
+        for rig, overrides, modes in RIGS.values():
+            speeds = [ended(rig, mode, end, 0.9, 3.5, overrides).speed_rad_s for mode in modes]
+            cells.append(", ".join(f"{speed:.2f}" for speed in speeds))
+        yield f"| {what} | {' | '.join(cells)} |"
+
+
+def random_ends(mode: str, count: int) -> Iterator[tuple[str, float, Ended]]:
+    """Yield the end, the push and the course of `count` random ends of the bench in a mode."""
+    draw = random.Random(count)
+    for seed in range(count):
+        what = draw.choice([*ENDS])
+        push = draw.uniform(0.2, 0.97)
+        yield what, push, ended("bench", mode, ENDS[what], push, draw.uniform(2.5, 6.0), seed=seed)
+
+
+def releases(show: Callable[..., None], ends: int) -> None:
+    """Print the table, or the worst of `ends` random ends of each kind and mode."""
+    if not ends:
+        for row in table():
+            print(row, flush=True)
+        return
+    for mode in ("active", "passive", "hybrid"):
+        worst: dict[str, tuple[float, float]] = {}
+        for what, push, run in random_ends(mode, ends):
+            worst[what] = max(worst.get(what, (0.0, 0.0)), (run.speed_rad_s, push))
+        for what, (speed, push) in sorted(worst.items()):
+            show(f"{mode}, {what}", f"{speed:.2f} rad/s", f"the worst, at a push of {push:.2f} F_s")
