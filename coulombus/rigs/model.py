@@ -42,7 +42,7 @@ MOST_DELAY_CYCLES = 16
 """Maximum cycles from sampling to actuation, for studies of a longer delay."""
 WINDOW_CYCLES = 64
 """Longest window of the slow-velocity estimate [cycles]."""
-BRAKE_FALL_S = 0.01
+BRAKE_FALL_S, RISE_TO_FALL = 0.01, 4.0
 """Default time in which a law may reduce the brake's torque from full to zero."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 CHANNEL = r"^[a-z0-9_]{0,16}$"
@@ -298,6 +298,12 @@ class Limits(Section):
         le=1e9,
         description="rate at which the law may let the brake's set-point fall; none: brake_torque_Nm in 10 ms",
     )
+    brake_rise_Nm_s: float | None = Field(
+        None,
+        gt=0,
+        le=1e9,
+        description="rate at which the law may let the brake's set-point rise; none: four times that of its fall",
+    )
     speed_rad_s: float = Field(gt=0, le=1e4, description="trip above this speed")
     encoder_jump_counts: int = Field(ge=1, le=2**31 - 1, description="trip above this many counts in one cycle")
     net_work_J: float = Field(gt=0, le=1e6, description="trip above this net work of the motor on the handle ...")
@@ -339,6 +345,11 @@ class Limits(Section):
     def brake_fall(self) -> float:
         """Rate at which the law may let the brake's set-point fall [Nm/s]."""
         return max(self.brake_torque_Nm, 1e-9) / BRAKE_FALL_S if self.brake_fall_Nm_s is None else self.brake_fall_Nm_s
+
+    @property
+    def brake_rise(self) -> float:
+        """Rate at which the law may let the brake's set-point rise [Nm/s]."""
+        return RISE_TO_FALL * self.brake_fall if self.brake_rise_Nm_s is None else self.brake_rise_Nm_s
 
     @property
     def travel_limit_rad(self) -> float:

@@ -63,6 +63,8 @@ RISE_LAGS, FADE_S = 3.0, 0.05
 """Hand-over at an orderly end: rise of the brake in units of its lags, and the time in which the motor's torque ends."""
 CLIPPED_S = 0.5
 """Excess of clipped over unclipped time above which the host trips."""
+REVERSAL_S, REVERSAL_MARGIN = 0.25, 1.15
+"""Window in which reversals are counted, and the host trips above this multiple of the limit cycle's (docs/theory.md)."""
 UNLOADED_S = 0.1
 """Time in which the safe state releases an unloaded handle."""
 MISMATCH_SHARE = 0.2
@@ -287,7 +289,10 @@ class Controller:
         c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
         c["brake_limit_raw"] = brake_limit_raw(axis)
         c["brake_limit_Nm"] = min(limits.brake_torque_Nm, brake_end_Nm(axis))
-        c["brake_fall_Nm"] = limits.brake_fall * T
+        c["brake_fall_Nm"], c["brake_rise_Nm"] = limits.brake_fall * T, limits.brake_rise * T
+        c["reversal_decay"] = math.exp(-T / REVERSAL_S)
+        cycle_s = 4.0 * T * 2.0  # of the limit cycle of a sampled law whose output acts a cycle later
+        c["most_reversals"] = REVERSAL_MARGIN * 2.0 * REVERSAL_S / cycle_s
         c["clipped_cycles"] = _cycles(CLIPPED_S, T)
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J

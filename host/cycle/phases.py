@@ -85,6 +85,8 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
         h.port_pushed_Nm, h.port_way, h.port_slid_ns = 0.0, 0.0, 0
         h.displayed_Nm = 0.0
         h.end_cycles = 0
+        for k in range(2):
+            h.side[k], h.reversals[k] = 0, 0.0
         forget(h)
         h.armed_ns = t_ns
     _begin(h, phase)
@@ -309,7 +311,7 @@ def split_law(axis: AxisRecord) -> float:
         if c.level_is_felt:
             setpoint = brake_level(c, h, setpoint, given_Nm)
         setpoint = _within_limit(c, h, h.gain * setpoint + withheld_Nm)
-        h.brake_Nm = _not_too_fast(c, h, lead(c, h, setpoint))
+        h.brake_Nm = _at_its_rates(c, h, lead(c, h, setpoint))
     return h.gain * torque_Nm
 
 
@@ -325,11 +327,14 @@ def _within_limit(c: ControlRecord, h: HostRecord, setpoint: float) -> float:
 
 
 @kernel
-def _not_too_fast(c: ControlRecord, h: HostRecord, setpoint: float) -> float:
-    """Return the brake's set-point [Nm], which falls from the last one by at most ``brake_fall_Nm``."""
+def _at_its_rates(c: ControlRecord, h: HostRecord, setpoint: float) -> float:
+    """Return the brake's set-point [Nm], which rises and falls from the last one by at most its limits.
+
+    A fall that is too fast counts: the hand feels more than the law. A rise comes some milliseconds later.
+    """
     lowest_Nm = min(h.brake_Nm - c.brake_fall_Nm, c.brake_limit_Nm)
     if not setpoint < lowest_Nm:
-        return setpoint
+        return float(min(setpoint, h.brake_Nm + c.brake_rise_Nm))
     h.slowed_setpoints += 1
     h.clipped = 1
     return float(lowest_Nm)
@@ -342,7 +347,7 @@ def run_joint(axis: AxisRecord, t_ns: int) -> tuple[float, int]:
     if h.end_cycles > 0:
         h.brake_Nm = bear(c, h)
     elif c.brake_active:
-        h.brake_Nm = _not_too_fast(c, h, _within_limit(c, h, max(state.brake_Nm, 0.0)))
+        h.brake_Nm = _at_its_rates(c, h, _within_limit(c, h, max(state.brake_Nm, 0.0)))
     if h.full_gain_ns < 0 and h.gain >= 1.0:
         h.full_gain_ns = t_ns
     if h.image[Image.STATUSWORD] & INTERNAL_LIMIT:

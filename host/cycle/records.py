@@ -91,6 +91,7 @@ class Trip(IntEnum):
     LAW_CLIPPED = 27
     WORKSPACE = 28
     SINGULAR = 29
+    LAW_OSCILLATES = 30
     NOT_STILL = 32  # from here on: arming was refused
     HANDLE_LOADED = 33
     ENABLE_TIMEOUT = 34
@@ -203,6 +204,9 @@ class ControlRecord(Record):
     brake_limit_Nm: float  # the rig file's limit or the device's, whichever is less
     brake_limit_raw: int  # largest value of the brake's set-point object
     brake_fall_Nm: float  # largest fall of the law's set-point in a cycle
+    brake_rise_Nm: float  # largest rise of the law's set-point in a cycle
+    most_reversals: float  # reversals in the window above which the host trips
+    reversal_decay: float  # decay of the counted reversals in a cycle
     clipped_cycles: int  # excess of clipped over unclipped cycles above which the host trips
     speed_limit: float  # rad/s
     jump_counts: int  # largest plausible motion in a cycle
@@ -360,6 +364,11 @@ class HostRecord(Record):
     # counters
     clipped: int  # 1: a limit changes the law's output in this cycle
     clipped_balance: int  # clipped minus unclipped cycles, at least 0
+    side: Annotated[
+        IntegerField, 2
+    ]  # sign of the motor's last torque near its limit, and of the brake's last fast move
+    reversals: Annotated[FloatField, 2]  # their changes within the window
+    moved_from_Nm: float  # brake's set-point of the last cycle
     display_cycles: int  # cycles since Operation Enabled, until SAFE
     lost_pdos: int  # cycles that lacked a TPDO at the next SYNC
     late_cycles: int  # cycles whose RPDOs were sent after the next SYNC was due

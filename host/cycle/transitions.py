@@ -66,7 +66,10 @@ TRANSITIONS = (
     ),
     Transition((Phase.SETTLE,), "not so in time", Phase.SAFE, (Trip.NOT_STILL,)),
     Transition(
-        (Phase.RUN,), "the law returns no finite number, or is clipped", Phase.SAFE, (Trip.LAW, Trip.LAW_CLIPPED)
+        (Phase.RUN,),
+        "the law returns no finite number, is clipped, or oscillates",
+        Phase.SAFE,
+        (Trip.LAW, Trip.LAW_CLIPPED, Trip.LAW_OSCILLATES),
     ),
     Transition(BEFORE_SAFE, "a watch doubts", Phase.SAFE, ANY_TIME),
     Transition((Phase.SIGN, Phase.SETTLE, Phase.RUN), "the drive is not enabled", Phase.SAFE, (Trip.DRIVE_STATE,)),

@@ -816,21 +816,21 @@ def test_a_law_that_limits_clip_now_and_then_goes_on(law):
     assert bench.h.trip == Trip.NONE
 
 
-def test_the_brakes_set_point_falls_at_its_rate_and_rises_at_once():
+def test_the_brakes_set_point_falls_and_rises_at_its_rates():
     shown = []
     for bench in clipping((4.0, 4.0, 4.0, 0.0, 0.0, 0.0), 7, "passive"):
-        bench.c.brake_fall_Nm = 0.5
+        bench.c.brake_fall_Nm, bench.c.brake_rise_Nm = 0.5, 1.25
         shown.append(float(bench.h.brake_Nm))
-    assert shown == [4.0, 4.0, 4.0, 3.5, 3.0, 2.5, 4.0]
+    assert shown == pytest.approx([1.8, 3.05, 4.0, 3.5, 3.0, 2.5, 3.75])
     assert bench.h.slowed_setpoints == 3
 
 
 def test_a_set_point_that_falls_at_its_rate_itself_is_not_slowed():
     shown = []
-    for bench in clipping((4.0, 3.5, 3.0), 3, "passive"):
-        bench.c.brake_fall_Nm = 0.5
+    for bench in clipping((1.5, 1.0, 0.5), 3, "passive"):
+        bench.c.brake_fall_Nm, bench.c.brake_rise_Nm = 0.5, math.inf
         shown.append(float(bench.h.brake_Nm))
-    assert shown == [4.0, 3.5, 3.0]
+    assert shown == [1.5, 1.0, 0.5]
     assert (bench.h.slowed_setpoints, bench.h.clipped_balance) == (0, 0)
 
 
@@ -840,3 +840,33 @@ def test_a_law_that_the_brake_cannot_follow_trips(law):
         bench.c.brake_fall_Nm = 0.5
     assert bench.h.trip == Trip.LAW_CLIPPED
     assert ("clipped_setpoints" if law == (9.0,) else "slowed_setpoints") in bench.k.trip
+
+
+def shaking(mode, period, cycles, size=1.4, **limits):
+    """A square law of +-`size` with a period in cycles, on the motor or as the brake's set-point from 0 on."""
+    asked = [size if k < period // 2 else -size if mode == "active" else 0.0 for k in range(period)]
+    for bench in clipping(asked, cycles, mode):
+        bench.c.clipped_cycles = 10**6
+        for name, limit in limits.items():
+            setattr(bench.c, name, limit)
+    return bench
+
+
+@pytest.mark.parametrize("period", [2, 4, 6])
+@pytest.mark.parametrize("mode", ["active", "passive"])
+def test_a_law_that_shakes_motor_or_brake_trips(mode, period):
+    bench = shaking(mode, period, 600)
+    assert bench.h.trip == Trip.LAW_OSCILLATES
+    assert ("motor" if mode == "active" else "brake") in bench.k.trip
+    assert bench.h.trip_ns - bench.h.armed_ns < 560 * MS
+
+
+@pytest.mark.parametrize(
+    ("mode", "period", "size"), [("active", 8, 1.4), ("active", 6, 0.7), ("passive", 6, 0.1), ("passive", 8, 1.4)]
+)
+def test_a_law_as_fast_as_frictions_limit_cycle_or_far_below_the_limits_goes_on(mode, period, size):
+    assert shaking(mode, period, 900, size).h.trip == Trip.NONE
+
+
+def test_a_short_oscillation_does_not_trip():
+    assert shaking("active", 6, 200).h.trip == Trip.NONE
