@@ -21,6 +21,7 @@ from coulombus.host.cycle.output_limits import (
     law_pushes,
     motor_limit_Nm,
 )
+from coulombus.host.cycle.plausibility import MEAN_S, SMOOTH_S
 from coulombus.host.cycle.records import (
     AXIS,
     DRIVE_PDOS,
@@ -51,6 +52,7 @@ COUNTERS = (
     *("lost_pdos", "late_cycles", "stray_frames", "malformed_pdos", "malformed_services"),
     *("clipped_torque", "slowed_torque"),
     *("limited_by_drive", "clipped_setpoints", "slowed_setpoints", "negative_setpoints", "withheld_compensation"),
+    "implausible_torque",
 )
 """Counters that `Controller.counters` returns."""
 
@@ -306,6 +308,7 @@ class Controller:
         c["motor_mismatch_Nm"] = motor_mismatch_Nm(axis) if measured else math.inf
         c["motor_mismatch_cycles"], c["motor_lag_decay"] = _cycles(MOTOR_LAG_S, T), math.exp(-T / MOTOR_LAG_S)
         c["mismatch_Nm"] = limits.handle_mismatch_Nm if handle else math.inf
+        c["smooth_step"], c["mean_step"] = 1.0 - math.exp(-T / SMOOTH_S), 1.0 - math.exp(-T / MEAN_S)
         c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)
         c["missed_cycles"] = limits.missed_tpdo_cycles
         c["coil_limit_A2"] = axis.brake.coil_continuous_A**2

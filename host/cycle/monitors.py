@@ -8,6 +8,7 @@ from __future__ import annotations
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.host.cycle.brake_model import expect
+from coulombus.host.cycle.plausibility import compare_felt
 from coulombus.host.cycle.records import ControlRecord, HostRecord, Image, Phase, Trip
 from coulombus.kernels.decorator import kernel
 
@@ -132,7 +133,9 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
     else:
         mismatch = abs(h.handle_Nm + torque) - level
     h.mismatch = h.mismatch + 1 if mismatch > c.mismatch_Nm else 0
-    return Trip.HANDLE_TORQUE if h.mismatch > c.mismatch_cycles else Trip.NONE
+    if compare_felt(c, h, torque) or h.mismatch > c.mismatch_cycles:
+        return Trip.HANDLE_TORQUE
+    return Trip.NONE
 
 
 @kernel

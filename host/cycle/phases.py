@@ -85,6 +85,8 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
         h.port_pushed_Nm, h.port_way, h.port_slid_ns = 0.0, 0.0, 0
         h.displayed_Nm = 0.0
         h.end_cycles = 0
+        h.felt_v_counts = h.mean_v_counts = h.felt_error_Nm = h.mean_error_Nm = h.mean_size_Nm = 0.0
+        h.felt_wrong = 0
         for k in range(2):
             h.side[k], h.reversals[k] = 0, 0.0
         forget(h)

@@ -220,6 +220,8 @@ class ControlRecord(Record):
     motor_lag_decay: float  # decay of the command's envelope in a cycle
     mismatch_Nm: float  # largest transducer torque that motor and brake do not explain
     mismatch_cycles: int  # cycles in a row above mismatch_Nm after which the host trips
+    smooth_step: float  # step of the smoothed error of the felt torque in a cycle (`host.cycle.plausibility`)
+    mean_step: float  # step of its mean
     missed_cycles: int  # cycles in a row without a TPDO after which the host trips
     coil_limit_A2: float  # largest mean square of the coil's current
     coil_decay: float  # decay of the mean square of the coil's current in a cycle
@@ -351,6 +353,12 @@ class HostRecord(Record):
     commanded_low_Nm: float  # lower envelope of the motor's commands, which decays to 0
     motor_mismatch: int  # cycles in a row in which the measured torque is outside the envelopes
     mismatch: int  # cycles in a row in which the transducer torque is not explained
+    felt_v_counts: float  # speed with a short lag, in counts a cycle (`host.cycle.plausibility`)
+    mean_v_counts: float  # smoothed speed, in counts a cycle
+    felt_error_Nm: float  # smoothed difference of the felt from the displayed torque
+    mean_error_Nm: float  # its mean along the motion
+    mean_size_Nm: float  # mean of the displayed torque
+    felt_wrong: int  # cycles in a row in which the mean error is too large
     coil_A2: float  # mean square of the coil's current
     work_sum: float  # net work of the motor within the window [J]
     work_row: int  # next row of the window of the net work
@@ -382,6 +390,7 @@ class HostRecord(Record):
     slowed_setpoints: int  # the brake's set-point fell faster than its rate
     negative_setpoints: int  # the law gave a negative set-point for the brake
     withheld_compensation: int  # the passivity observer reduced the motor's compensation
+    implausible_torque: int  # the hand felt another torque than the displayed one
     # telemetry (`host.cycle.telemetry`)
     told_cycle: int  # last reported cycle
     last_counters: Annotated[IntegerField, 7]  # counters in the last report

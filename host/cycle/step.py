@@ -45,7 +45,8 @@ SOURCE_HOST = -1
 
 SDO_DOWNLOAD, SDO_BLOCK_DOWNLOAD = 1, 6
 """Client command specifiers of a request that writes (CiA 301, 7.2.4.3)."""
-NEAR_LIMIT = 0.5  # above this share of a limit a reversal counts as one of an oscillation
+NEAR_LIMIT = 0.85  # above this share of its limit the motor's torque counts as part of an oscillation ...
+FAST_SHARE = 0.5  # ... and above this share of its rate downwards a change of the brake's set-point
 SPEED_TAPER = 0.8  # above this share of the speed limit the motor may only brake
 
 
@@ -244,7 +245,7 @@ def _count_reversal(h: HostRecord, k: int, side: int) -> None:
 def _doubt_oscillating_law(c: ControlRecord, h: HostRecord) -> None:
     """Request the safe state if the law shakes motor or brake.
 
-    The motor reverses near its limits, or the brake's set-point alternately rises and falls as fast as it may fall,
+    The motor reverses near or at its limits, or the brake's set-point alternately rises and falls as fast as it may fall,
     more often than in the limit cycle of a sampled friction law, which is the fastest that friction itself does.
     """
     moved_Nm = h.brake_Nm - h.moved_from_Nm
@@ -253,9 +254,9 @@ def _doubt_oscillating_law(c: ControlRecord, h: HostRecord) -> None:
         return
     for k in range(2):
         h.reversals[k] *= c.reversal_decay
-    if abs(h.torque_Nm) > NEAR_LIMIT * c.motor_limit_raw * abs(c.motor_Nm_raw):
+    if h.clipped or abs(h.torque_Nm) > NEAR_LIMIT * c.motor_limit_raw * abs(c.motor_Nm_raw):
         _count_reversal(h, 0, 1 if h.torque_Nm > 0.0 else -1)
-    if abs(moved_Nm) > NEAR_LIMIT * c.brake_fall_Nm:
+    if abs(moved_Nm) > FAST_SHARE * c.brake_fall_Nm:
         _count_reversal(h, 1, 1 if moved_Nm > 0.0 else -1)
     if max(h.reversals[0], h.reversals[1]) > c.most_reversals and h.stop <= 1:
         h.stop = Trip.LAW_OSCILLATES
@@ -324,8 +325,8 @@ def close_and_send(axis: AxisRecord, t_ns: int, out: Queue) -> None:
     """Follow what the motor displays, doubt the law, and send the RPDOs."""
     h = axis.host
     _follow_display(axis.control, h)
-    _doubt_clipped_law(axis.control, h)
     _doubt_oscillating_law(axis.control, h)
+    _doubt_clipped_law(axis.control, h)
     send(axis, t_ns, out)
     _take_the_drive(axis.control, h, t_ns, out)
     h.arrived &= ~axis.control.by_timer  # a TPDO by timer that arrives from here on counts for the next cycle

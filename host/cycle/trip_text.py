@@ -16,7 +16,7 @@ TRIP_TEXT = {
     Trip.SPEED: "the handle was faster than limits.speed_rad_s",
     Trip.ENCODER_JUMP: "the encoder jumped by more than limits.encoder_jump_counts in a cycle",
     Trip.NET_WORK: "the motor put more than limits.net_work_J into the handle within limits.net_work_window_s: check mechanics.*_polarity",
-    Trip.HANDLE_TORQUE: "the handle torque did not fit the brake's command for limits.handle_mismatch_s",
+    Trip.HANDLE_TORQUE: "the handle torque did not fit what brake, friction and motor display for limits.handle_mismatch_s",
     Trip.TRAVEL: "the handle left +- limits.travel_rad",
     Trip.VOLTAGE: "the drive lost its supply (statusword: voltage enabled is 0)",
     Trip.COIL_I2T: "the brake's coil would overheat (I2t above brake.coil_continuous_A)",

@@ -17,6 +17,8 @@ CLIPPED = {
     "withheld_compensation": "the motor gave less than its compensation, because the hand and the stored energy did not pay for it: "
     "there is less friction than mechanics.friction_Nm, a weaker brake than its scale says, or an elastic transmission; "
     "coulombus commission --step friction and --step brake tell which",
+    "implausible_torque": "the hand felt another torque than the displayed one, by more than 0.3 of it: is the motor's or the brake's "
+    "scale or sign wrong, or the transducer's? coulombus commission measures them",
     "clipped_setpoints": "the law asked more of the brake than its limit (limits.brake_torque_Nm, or 7300h:01 in its EDS file)",
     "slowed_setpoints": "the law let the brake go faster than limits.brake_fall_Nm_s",
 }
