@@ -95,7 +95,9 @@ class VirtualWorld:
         joints = len(k.each) if world.rig.in_plane else 1  # an arm displays when all its joints do
         for number, said in enumerate(self._said):
             finished = int(k.host["waiting"][number]) == 0  # else its window is longer than the period
-            if finished and (k.host["phase"][number : number + joints] == RUN).all() and cycle % self._every == 0:
+            of_axes = k.host[number : number + joints]
+            displayed = (of_axes["phase"] == RUN).all() and not of_axes["end_cycles"].any()
+            if finished and displayed and cycle % self._every == 0:
                 self._ask(world, number, said)
         self._wait(world)
 

@@ -193,7 +193,7 @@ def test_another_law_is_measured_not_judged(recorded):
     found = host_replay(recorded, ["law.function=coulomb"])
     assert found.exit_status == 0
     assert found.rms["motor.target_torque_Nm"] > 0
-    assert found.rms["brake.setpoint_Nm"] < 0.3  # mode active leaves the brake alone until the end
+    assert found.rms["brake.setpoint_Nm"] < 0.6  # mode active leaves the brake alone until it takes over at the end
     same = host_replay(recorded, ["law.function=karnopp"])
     assert same.rms["motor.target_torque_Nm"] == 0
     assert same.difference is None
