@@ -27,10 +27,12 @@ WARM_UP = "COULOMBUS_TEST_WARM_UP"
 FAULTS = str(ROOT / "examples" / "faults.toml")
 RUNS = """
 import json, sys
+from click.testing import CliRunner
 from coulombus.cli.main import main
 
 for words in json.loads(sys.argv[1]):
-    main(words, standalone_mode=False)
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
 """
 WORLD = """
 from coulombus import simulate
