@@ -31,6 +31,9 @@ RULES = (
     (r"docs/service\.md: (?!.*socketcan)", "run by tests/test_commands.py, on a live bus"),
     (r"docs/gallery\.md: coulombus diff", "ends with 1, as they differ; the site runs it: tests/test_site_gallery.py"),
     (r"docs/gallery\.md: coulombus identify", "needs strokes, 13 s of a recording; the site runs it"),
+    (r": python examples/worlds/stability_map", "forty runs: tests/lab/test_world_examples.py draws the map of eight"),
+    (r"docs/plane\.md: coulombus analyse plane", "run by tests/cli/test_plane_command.py"),
+    (r": coulombus analyse laws", "run by tests/analysis/theory/test_law_benchmarks.py"),
     (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/cli/test_export_docs.py"),
     # what installs, tests and measures this project
     (r": (sudo|echo|for)", MACHINE),
