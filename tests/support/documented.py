@@ -29,7 +29,10 @@ RULES = (
     (r"docs/tutorials/sweep\.md: (dask|.*--dask)", "needs a cluster; tests/lab/sweep runs a sweep on one"),
     (r"docs/tutorials/", "run by tests/project/test_tutorials.py"),
     (r"docs/service\.md: (?!.*socketcan)", "run by tests/project/test_commands.py, on a live bus"),
-    (r"docs/gallery\.md: coulombus diff", "ends with 1, as they differ; the site runs it: tests/project/test_site_gallery.py"),
+    (
+        r"docs/gallery\.md: coulombus diff",
+        "ends with 1, as they differ; the site runs it: tests/project/test_site_gallery.py",
+    ),
     (r"docs/gallery\.md: coulombus identify", "needs strokes, 13 s of a recording; the site runs it"),
     (r": python examples/worlds/stability_map", "forty runs: tests/lab/test_world_examples.py draws the map of eight"),
     (r"docs/plane\.md: coulombus analyse plane", "run by tests/cli/test_plane_command.py"),
