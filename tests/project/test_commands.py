@@ -131,6 +131,7 @@ def test_the_commands_of_a_page(page, inputs, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.real_time
+@pytest.mark.patient
 def test_the_commands_of_a_live_bus(tmp_path, private_sockets):
     folder = tmp_path / "desk"
     folder.mkdir()
