@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numpy as np
 import pytest
 
-from coulombus.analysis.theory import plane_orbit
 from coulombus.analysis.theory.plane_orbit import TipLoop, predicted_orbit, response, settled_orbit
 
 T = 1e-3
@@ -17,14 +15,6 @@ LOOPS = (
     TipLoop(T, 3.0, window_cycles=3),
     TipLoop(T, 3.0, window_cycles=3, turn_cycles=12, turn_gain=0.25, lag_s=1e-3),
 )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def each_matrix_exponential_once():
-    """The search for the frequency needs that of one loop at thousands of angles."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plane_orbit, "_steps", cache(plane_orbit._steps))
-        yield
 
 
 def test_a_free_mass_turns_in_eight_samples():
