@@ -100,6 +100,25 @@ def pytest_runtest_protocol(item):
     return (yield)
 
 
+class AtOnce:
+    """Writes a failure when it happens; the summary has it again."""
+
+    def __init__(self, terminal):
+        self.terminal = terminal
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_runtest_logreport(self, report):
+        if report.failed:
+            self.terminal.write_line(f"\nFAILED {report.nodeid} ({report.when})\n{report.longreprtext}")
+
+
+def pytest_sessionstart(session):
+    plugins = session.config.pluginmanager
+    terminal = plugins.get_plugin("terminalreporter")
+    if session.config.option.at_once and terminal is not None:
+        plugins.register(AtOnce(terminal))
+
+
 def pytest_terminal_summary(terminalreporter):
     """Tell what failed before it was done again."""
     for report in terminalreporter.getreports("rerun"):
@@ -112,6 +131,7 @@ def pytest_sessionfinish(session):
 
 
 def pytest_addoption(parser):
+    parser.addoption("--at-once", action="store_true", help="write a failure when it happens, too")
     parser.addoption(
         "--every-fault", action="store_true", help="fault injection: many calls of each place in the code, not one"
     )

@@ -18,6 +18,7 @@ from coulombus.kernels.compile_notice import compiling, on_compiling
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED, Entry, kernel
 from coulombus.kernels.kernel_cache import KEPT, MARKER, alone, kept
 from coulombus.kernels.sources import source_key
+from coulombus.lab.simulate import simulate
 from places import ROOT
 
 import pytest  # isort: skip
@@ -80,9 +81,9 @@ COMPILED = "import numba; numba.njit(lambda x: x + 1)(1)"
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_nothing_compiles_on_the_second_start():
     """Others may compile into the same cache meanwhile: what this process compiles is counted."""
+    simulate("bench", "hybrid", 0.01)
     code = "from coulombus.lab.simulate import simulate; simulate('bench', 'hybrid', 0.01)"
     base = {"NUMBA_CACHE_DIR": str(CACHE_DIR)}
-    run(code, ROOT, **base)
     assert next(CACHE_DIR.rglob("*.nbc"), None) is not None
     assert run(f"{LISTENED}; {code}; {TOLD}; {COMPILED}; {TOLD}", ROOT, **base).split() == ["0", "1"]
 
@@ -111,7 +112,9 @@ def test_optimised_python_keeps_its_kernels_elsewhere(flag):
     assert keys[0] != keys[1]
 
 
-WHERE = "import coulombus.kernels.decorator; print(coulombus.kernels.decorator.CACHE_DIR)"
+WHERE = "from coulombus.kernels import kernel_cache, sources; print(kernel_cache.choose(sources.source_key()))"
+DECORATOR = "import coulombus.kernels.decorator as decorator; print(decorator.CACHE_DIR)"
+"""The same, and numba's start."""
 
 
 def made_before(base, number, mtime_s):
@@ -183,9 +186,9 @@ def test_a_child_takes_the_place_of_its_parent(tmp_path):
     child = (
         "import subprocess, sys; print(subprocess.check_output([sys.executable, '-c', sys.argv[1]], text=True).strip())"
     )
-    code = f"{WHERE}; import sys; sys.argv = ['', {WHERE!r}]; {child}"
+    code = f"{DECORATOR}; import sys; sys.argv = ['', {DECORATOR!r}]; {child}"
     first, second = run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)).splitlines()
-    assert first == second
+    assert first == second == run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
     other = str(tmp_path / "coulombus" / f"kernels-{5:016x}")  # of a parent with other sources
     assert run(WHERE, ROOT, NUMBA_CACHE_DIR=other) == first
 
@@ -264,17 +267,30 @@ def test_without_any_place_to_write_everything_is_compiled_in_memory(tmp_path):
 OWN = "from coulombus.kernels.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\n@kernel\ndef g(x):\n    return x - f(x)\n"
 
 
-@pytest.fixture
-def own_kernels(tmp_path):
-    """Return a call of two kernels in a process of its own: what it printed, and on stderr."""
-    (tmp_path / "own.py").write_text(OWN)
+class OwnKernels:
+    """Two kernels in a file of a folder, and their cache."""
 
-    def call(more="pass"):
-        code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; {more}; print(own.f(1), own.g(5), sum(own.f.stats.cache_hits.values()))"
-        done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    def __init__(self, folder):
+        self.folder, self.cache = folder, folder / "cache"
+        (folder / "own.py").write_text(OWN)
+
+    def call(self, more="pass"):
+        """Call both in a process of their own; return what it printed, and on stderr."""
+        done = self.python(f"{more}; print(own.f(1), own.g(5), sum(own.f.stats.cache_hits.values()))")
         return done.stdout.strip(), done.stderr
 
-    return call
+    def python(self, code):
+        imported = f"import sys; sys.path.append({str(self.folder)!r}); import own; "
+        return python(imported + code, ROOT, NUMBA_CACHE_DIR=str(self.cache))
+
+
+@pytest.fixture(scope="module")
+def cached_kernels(tmp_path_factory):
+    """Return kernels that have been compiled, and a copy of their cache."""
+    own = OwnKernels(tmp_path_factory.mktemp("own"))
+    assert own.call() == ("2 -1 0", "")
+    shutil.copytree(own.cache, own.folder / "copy")
+    return own
 
 
 SPOILT = """
@@ -291,18 +307,28 @@ except Exception as error:
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 @pytest.mark.parametrize("spoil", [lambda whole: b"", lambda whole: whole[: len(whole) // 2]], ids=["empty", "half"])
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_a_damaged_cache_is_told_and_removed(own_kernels, tmp_path, spoil, ending):
-    """As a power cut leaves it: the next start compiles again."""
-    assert own_kernels() == ("2 -1 0", "")
-    for path in (tmp_path / "cache").rglob(f"own.f-*.{ending}"):
+def test_a_damaged_cache_is_told_and_removed(cached_kernels, spoil, ending):
+    """As a power cut leaves it."""
+    shutil.rmtree(cached_kernels.cache)
+    shutil.copytree(cached_kernels.folder / "copy", cached_kernels.cache)
+    for path in cached_kernels.cache.rglob(f"own.f-*.{ending}"):
         path.write_bytes(spoil(path.read_bytes()))
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own{SPOILT}"
-    done = run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    done = cached_kernels.python(SPOILT).stdout.strip()
     assert done.startswith("the compiled code in")
     assert done.endswith("was damaged and is removed; start again")
-    assert list((tmp_path / "cache").rglob("*.nb?")) == []
-    assert own_kernels() == ("2 -1 0", "")
-    assert own_kernels() == ("2 -1 1", "")
+    assert list(cached_kernels.cache.rglob("*.nb?")) == []
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_kernels_of_a_removed_cache_are_compiled_again(cached_kernels):
+    shutil.rmtree(cached_kernels.cache)
+    shutil.copytree(cached_kernels.folder / "copy", cached_kernels.cache)
+    assert cached_kernels.call() == ("2 -1 1", "")
+    cached_kernels.python(
+        "from coulombus.kernels import decorator, kernel_cache; kernel_cache.empty(decorator.CACHE_DIR)"
+    )
+    assert cached_kernels.call() == ("2 -1 0", "")
+    assert cached_kernels.call() == ("2 -1 1", "")
 
 
 @kernel
@@ -438,7 +464,8 @@ def test_who_asked_hears_once_that_something_is_compiled():
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_a_compilation_is_told_and_what_is_loaded_is_not(own_kernels):
+def test_a_compilation_is_told_and_what_is_loaded_is_not(tmp_path):
+    own = OwnKernels(tmp_path)
     ask = "from coulombus.kernels import compile_notice; compile_notice.on_compiling(lambda: print('compiling'))"
-    counts = [own_kernels(ask)[0].count("compiling") for _ in range(2)]
+    counts = [own.call(ask)[0].count("compiling") for _ in range(2)]
     assert counts == [1, 0]

@@ -22,7 +22,18 @@ from coulombus.lab.warm_up import ARM, GROUPS, WORKERS, WarmUp, WarmUpError, war
 from places import ROOT
 
 COMPILED = pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+WARM_UP = "COULOMBUS_TEST_WARM_UP"
+"""Variable with the folder of a cache that only `coulombus warm-up` has written."""
 FAULTS = str(ROOT / "examples" / "faults.toml")
+RUNS = """
+import json, sys
+from click.testing import CliRunner
+from coulombus.cli.main import main
+
+for words in json.loads(sys.argv[1]):
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+"""
 WORLD = """
 from coulombus import simulate
 from coulombus.host.world.model_parts import Wall
@@ -174,6 +185,7 @@ def test_the_stamp_of_the_sources_changes_with_their_place_and_time(tmp_path, mo
 
 @COMPILED
 @pytest.mark.slow
+@pytest.mark.long
 def test_groups_that_may_run_at_the_same_time_have_two_kernels_in_common_at_most(tmp_path):
     before, compiled = {}, {}
     for name in GROUPS:
@@ -193,24 +205,38 @@ def test_groups_that_may_run_at_the_same_time_have_two_kernels_in_common_at_most
             assert names <= {"karnopp.karnopp", "recvmsg.receive"}, (one, other)
 
 
+@pytest.fixture
+def warmed_up(tmp_path):
+    """Return variables for a cache with nothing in it but what a warm-up compiles: that of `scripts/test`
+    is copied.
+    """
+    variables = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    if WARM_UP in os.environ:
+        shutil.copytree(os.environ[WARM_UP], tmp_path / "cache")
+    coulombus("warm-up", **variables)
+    return variables
+
+
 @COMPILED
 @pytest.mark.slow
 @pytest.mark.real_time
 @pytest.mark.patient
-def test_after_a_warm_up_no_verb_compiles(tmp_path):
-    variables = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    first = json.loads(coulombus("warm-up", "--json", **variables))
-    assert first["compiled"] > 300
+def test_after_a_warm_up_no_verb_compiles(tmp_path, warmed_up):
+    variables = warmed_up
     before = kernels(tmp_path)
+    assert len(before) > 300
     noise = tmp_path / "noise.toml"
     noise.write_text(NOISE)
     assert re.fullmatch("nothing to compile: all is kept in .*\n", coulombus("warm-up", **variables))
     quiet = ("--seconds", "0.2")
-    coulombus("simulate", *quiet, "--record", tmp_path / "run.pcapng", **variables)
-    coulombus("simulate", *quiet, "--faults", FAULTS, **variables)
-    coulombus("simulate", *quiet, "--rig", "two_axes", "--set", "axis.left.plant.stribeck_Nm=0.03", **variables)
-    coulombus("simulate", *quiet, "--rig", "plane", "--truth", tmp_path / "truth.npz", **variables)
-    coulombus("simulate", *quiet, "--rig", "plane", "--faults", noise, **variables)
+    runs = [
+        ["--record", str(tmp_path / "run.pcapng")],
+        ["--faults", FAULTS],
+        ["--rig", "two_axes", "--set", "axis.left.plant.stribeck_Nm=0.03"],
+        ["--rig", "plane", "--truth", str(tmp_path / "truth.npz")],
+        ["--rig", "plane", "--faults", str(noise)],
+    ]
+    python("-c", RUNS, json.dumps([["simulate", *quiet, *run] for run in runs]), **variables)
     python("-c", WORLD, **variables)
     emulation = subprocess.Popen(
         [sys.executable, "-m", "coulombus", "emulate", "--bus", f"coulombus:warm-{os.getpid()}", "--json"],

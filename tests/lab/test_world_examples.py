@@ -38,7 +38,7 @@ def test_the_latch_opens():
     assert events[0][1] == "open"
 
 
-def test_a_local_model_is_still_where_a_stream_of_torques_shakes():
+def test_a_local_model_is_still_where_a_stream_of_torques_shakes(tmp_path):
     example = runpy.run_path(str(FOLDER / "stability_map.py"))
     maps, tripped = example["in_virtual_time"](rates_Hz=(30, 1000), delays_ms=(0, 20))
     assert (maps["local model"] < example["STILL_RAD_S"]).all()
@@ -48,6 +48,8 @@ def test_a_local_model_is_still_where_a_stream_of_torques_shakes():
     *_, slow, fast = example["table"](maps, tripped, (30, 1000), (0, 20))
     assert slow == "| 30 | 0.015 / trips | 0.015 / trips |"
     assert fast.endswith(" / trips |")
+    example["draw"](maps, tmp_path / "map.png")
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_numbers_of_mujoco_become_a_wall_a_spring_and_friction():

@@ -3,7 +3,7 @@ the reason why not.
 
     .venv/bin/python tests/support/documented.py
 
-prints the list. A command is run by `tests/test_commands.py` unless a rule below says otherwise;
+prints the list. A command is run by `tests/project/test_commands.py` unless a rule below says otherwise;
 the first rule that matches "PAGE: COMMAND" counts. The site shows the same list.
 """
 
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from places import ROOT
 
-HERE = "run by tests/test_commands.py"
+HERE = "run by tests/project/test_commands.py"
 FIRST = re.compile(
     r"([A-Z_]+=\S+ )*(\S*/)?(coulombus|make|pip|python3?|tshark|git|podman|cantools|candump|canplayer|can_\w+|"
     r"ci|echo|printf|mkfifo|dask|wireshark|head|grep|sed|cmp|wc|kill|sudo|for|timeout)(?=\s|$)"
@@ -27,10 +27,16 @@ RULES = (
     # other tests run the page
     (r"docs/deploy\.md: ", "run by tests/cli/test_afternoon.py"),
     (r"docs/tutorials/sweep\.md: (dask|.*--dask)", "needs a cluster; tests/lab/sweep runs a sweep on one"),
-    (r"docs/tutorials/", "run by tests/test_tutorials.py"),
-    (r"docs/service\.md: (?!.*socketcan)", "run by tests/test_commands.py, on a live bus"),
-    (r"docs/gallery\.md: coulombus diff", "ends with 1, as they differ; the site runs it: tests/test_site_gallery.py"),
+    (r"docs/tutorials/", "run by tests/project/test_tutorials.py"),
+    (r"docs/service\.md: (?!.*socketcan)", "run by tests/project/test_commands.py, on a live bus"),
+    (
+        r"docs/gallery\.md: coulombus diff",
+        "ends with 1, as they differ; the site runs it: tests/project/test_site_gallery.py",
+    ),
     (r"docs/gallery\.md: coulombus identify", "needs strokes, 13 s of a recording; the site runs it"),
+    (r": python examples/worlds/stability_map", "forty runs: tests/lab/test_world_examples.py draws the map of eight"),
+    (r"docs/plane\.md: coulombus analyse plane", "run by tests/cli/test_plane_command.py"),
+    (r": coulombus analyse laws", "run by tests/analysis/theory/test_law_benchmarks.py"),
     (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/cli/test_export_docs.py"),
     # what installs, tests and measures this project
     (r": (sudo|echo|for)", MACHINE),
@@ -125,7 +131,7 @@ def as_page() -> str:
     lines = [
         "# All commands\n\nWhich command of these documents is run by which test, and why",
         f"the others are not. Of {len(found)} commands tests run {run}. Commands within sentences are not run:",
-        "`tests/test_docs.py` compares their verbs and options with the program.\n\n| page | command | |\n|---|---|---|",
+        "`tests/project/test_docs.py` compares their verbs and options with the program.\n\n| page | command | |\n|---|---|---|",
     ]
     escaped = ((one.page, one.line.replace("|", "\\|"), one.fate) for one in found)
     return "\n".join([*lines, *(f"| {page} | `{line}` | {fate} |" for page, line, fate in escaped)]) + "\n"

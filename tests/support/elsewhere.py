@@ -1,4 +1,5 @@
-"""Run `coulombus` as on a system that is no Linux: `python elsewhere.py WORDS`.
+"""Run `coulombus` as on a system that is no Linux: `python elsewhere.py LINE ...`, each line in a process
+forked from this one. It prints a JSON object for each: its exit status, and what it wrote on stderr.
 
 What only Linux has is hidden: modules, and attributes of `os`, `socket`, `select` and `signal`.
 """
@@ -6,11 +7,14 @@ What only Linux has is hidden: modules, and attributes of `os`, `socket`, `selec
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import select
+import shlex
 import signal
 import socket
 import sys
+import tempfile
 
 MODULES = ("fcntl", "termios", "tty", "resource", "pwd", "grp")
 ATTRIBUTES = {
@@ -41,8 +45,24 @@ def hide():
     ctypes.CDLL = CLibrary
 
 
-if __name__ == "__main__":
-    hide()
+def ended(line):
+    """Run a line in a child; return its exit status and its stderr."""
+    import coulombus.lab.simulate  # noqa: F401  most verbs import it
     from coulombus.cli.main import main
 
-    main(sys.argv[1:], prog_name="coulombus")
+    with tempfile.TemporaryFile("w+") as err:
+        pid = os.fork()
+        if pid == 0:
+            os.dup2(err.fileno(), 2)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            main(shlex.split(line), prog_name="coulombus")
+            sys.exit()
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        err.seek(0)
+        return {"status": status, "stderr": err.read()}
+
+
+if __name__ == "__main__":
+    hide()
+    for line in sys.argv[1:]:
+        print(json.dumps(ended(line)), flush=True)

@@ -57,7 +57,7 @@ def drawn(name, draw):
 )
 def test_no_random_parameters_refute_a_law_within_its_condition(name):
     draw = np.random.default_rng(34)
-    for seed in range(6):
+    for seed in range(3):
         assert search(given_law(name, drawn(name, draw)), starts=3, steps=60, seed=seed) is None
 
 

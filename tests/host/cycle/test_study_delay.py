@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 
 from coulombus.host.cycle.records import ASKED, Phase
@@ -21,9 +23,14 @@ def asking(motion, law, state):
     return motion.x_rad * 100.0
 
 
+@cache
+def compiled():
+    return compile_law(asking)
+
+
 def standing(n, mode="active", counts=5, *overrides):
     bench = HostBench(mode, f"bus.delay_cycles={n}", *overrides).enter(Phase.RUN, counts)
-    bench.k.law_function = compile_law(asking)
+    bench.k.law_function = compiled()
     bench.c.motor_rate_Nm = 100.0
     return bench
 

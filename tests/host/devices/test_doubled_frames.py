@@ -141,7 +141,7 @@ SERVICES = {
     "dump": dumped,
     "nmt": commanded,
 }
-MOST = 60
+MOST = 20, 60
 """Frames of one service that are doubled, one after the other: the first, and those at even distances."""
 BEGINNING = 12
 
@@ -153,12 +153,13 @@ def bus(doubled=(), again_ns=0):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("most", [MOST[0], pytest.param(MOST[1], marks=pytest.mark.long)])
 @pytest.mark.parametrize("again_ns", AGAIN_NS)
 @pytest.mark.parametrize("service", SERVICES)
-def test_a_service_with_any_frame_doubled_is_what_it_is(service, again_ns):
+def test_a_service_with_any_frame_doubled_is_what_it_is(service, again_ns, most):
     act, plain = SERVICES[service], bus()
     wanted, wrong = act(plain), {}
-    for number in {*range(BEGINNING), *range(0, plain.count, max(1, plain.count // MOST))}:
+    for number in {*range(BEGINNING), *range(0, plain.count, max(1, plain.count // most))}:
         try:
             found = act(bus([number], again_ns))
         except Exception as error:

@@ -87,13 +87,19 @@ def desk(folder, inputs, lines):
         made |= outputs
 
 
+SHORT = {"simulate": ("--seconds", SECONDS), "analyse plane": ("--grid", "4")}
+"""Verb -> an option of its length, and a value."""
+
+
 def shortened(words):
-    if words[0] != "simulate":
+    verb = next((verb for verb in SHORT if words[: len(verb.split())] == verb.split()), None)
+    if verb is None:
         return words
-    if "--seconds" in words:
-        at = words.index("--seconds")
+    option, value = SHORT[verb]
+    if option in words:
+        at = words.index(option)
         words = [*words[:at], *words[at + 2 :]]
-    return [*words, "--seconds", SECONDS]
+    return [*words, option, value]
 
 
 @pytest.mark.slow
@@ -125,6 +131,7 @@ def test_the_commands_of_a_page(page, inputs, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.real_time
+@pytest.mark.patient
 def test_the_commands_of_a_live_bus(tmp_path, private_sockets):
     folder = tmp_path / "desk"
     folder.mkdir()
