@@ -98,6 +98,7 @@ $(VENV)/.docs: pyproject.toml | $(VENV)/.made
 
 long: $(VENV)/.dev  ## what takes an hour: every mutant, a million frames against the bits, an afternoon of cycles
 	@$(BIN)/python scripts/mutate.py
+	@$(BIN)/python scripts/mutate.py --draw 100 --seed $$(date +%G%V)  # others each week
 	@$(BIN)/python -m benchmarks bits
 	@$(BIN)/python -m benchmarks loss --minutes 30
 	@$(BIN)/python -m benchmarks.explain truths --runs 2000
