@@ -242,9 +242,10 @@ def test_coulombus_stop_ends_a_measurement(monkeypatch, private_sockets):
         asked.send(b"stop")
         report("motor", 2)
 
+    def note(what, done):
+        steps.append(done)
+
+    monkeypatch.setattr(measuring, "measure_devices", devices)
     with asked, pytest.raises(SafetyTrip, match="ended by `coulombus stop`; nothing was armed"):
-        monkeypatch.setattr(measuring, "measure_devices", devices)
-        measuring.measure_rig(
-            load_rig("bench"), address, rounds=3, cycles=10, progress=lambda what, done: steps.append(done)
-        )
+        measuring.measure_rig(load_rig("bench"), address, rounds=3, cycles=10, progress=note)
     assert steps == [1]
