@@ -17,6 +17,7 @@ import select
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,8 +29,10 @@ import coverage
 import pytest
 from mutants import Mutant, Source
 
-__all__ = ["Verdict", "run"]
+__all__ = ["NOT_COVERED", "Tests", "Verdict", "run"]
 
+NOT_COVERED = "no test covers it"
+NOT_MADE = "cannot be exchanged: "
 SHORTEST_LIMIT_S = 2.0
 SHORTEST_WAIT_S = 20.0  # of wall clock: a mutant that waits for ever takes no processor time
 HEADROOM = 1 << 30  # bytes that a mutant may allocate beyond what the tests have
@@ -37,13 +40,26 @@ HEADROOM = 1 << 30  # bytes that a mutant may allocate beyond what the tests hav
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a mutant: killed, timeout (killed by its time), survived, or no test covers
-    it.
+    """What became of a mutant: killed, timeout (killed by its time), survived (or no test covers
+    it), not made (its code cannot be exchanged).
     """
 
     status: str
     by: str
     cpu_s: float
+
+
+@dataclass(frozen=True)
+class Tests:
+    """Files of tests; those that are left out, as pytest's -k has them, and by their marks.
+
+    With `budget_s` only those tests are used that pass, one after the other, in this wall clock, each in half of it.
+    """
+
+    files: tuple[str, ...]
+    left_out: str = ""
+    marks: str = ""
+    budget_s: float | None = None
 
 
 @dataclass
@@ -85,8 +101,10 @@ class _Failure:
 class _Runner:
     """A plugin of pytest that runs mutants in place of the tests."""
 
-    def __init__(self, source: Source, mutants: list[Mutant], jobs: int, factor: float) -> None:
-        self.source, self.mutants, self.jobs, self.factor = source, mutants, jobs, factor
+    def __init__(
+        self, source: Source, mutants: list[Mutant], jobs: int, factor: float, budget_s: float | None = None
+    ) -> None:
+        self.source, self.mutants, self.jobs, self.factor, self.budget_s = source, mutants, jobs, factor, budget_s
         self.tell: Callable[[int, Verdict], None] = lambda number, verdict: None
         self.error = ""
 
@@ -94,26 +112,35 @@ class _Runner:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Run every mutant."""
         session.config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]
-        self.module = importlib.import_module("coulombus." + self.source.path.removesuffix(".py").replace("/", "."))
+        self.module = importlib.import_module(
+            "coulombus." + self.source.path.removesuffix(".py").removeprefix("coulombus/").replace("/", ".")
+        )
         self.items = session.items
         pipe, pid = self._fork(self._baseline)
         said = _read_all(pipe)
         os.waitpid(pid, 0)
         base = json.loads(said or b'{"failed": "the base run died"}')
+        if self.budget_s is not None and not base.get("failed"):
+            self.items = [item for item in self.items if item.nodeid in base["passed"]]
         self.error = base.get("failed", "")
         if not self.error:
             gc.freeze()  # the children share these pages
             self.space = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE") + HEADROOM
-            self._control()
+            measured = _Base(base["seconds"], base["waits"], [set(lines) for lines in base["lines"]])
+            used = range(len(self.items))
+            if self.budget_s is not None:
+                used = sorted({k for mutant in self.mutants for k in self._chosen(mutant, measured)})
+            if used:
+                self._control([self.items[k] for k in used])
         if not self.error:
-            self._run_all(_Base(base["seconds"], base["waits"], [set(lines) for lines in base["lines"]]))
+            self._run_all(measured)
         return True
 
-    def _control(self) -> None:
-        """Run all tests as for a mutant, but without one: a child that fails for another reason
-        kills nothing.
+    def _control(self, items: list[pytest.Item]) -> None:
+        """Run tests as for a mutant, but without one: a child that fails for another reason kills
+        nothing.
         """
-        pipe, pid = self._fork(self._mutant_run(None, self.items, 3600.0))
+        pipe, pid = self._fork(self._mutant_run(None, items, 3600.0))
         self.error = _read_all(pipe).decode().partition(" ")[2]
         if os.waitpid(pid, 0)[1] and not self.error:
             self.error = "the process"
@@ -132,16 +159,22 @@ class _Runner:
         os.close(writing)
         return reading, pid
 
-    def _run_items(self, items: list[pytest.Item], before: Callable[[pytest.Item], None] = lambda item: None) -> str:
-        """Run `items` until one fails; return which."""
+    def _run_items(
+        self,
+        items: list[pytest.Item],
+        before: Callable[[pytest.Item], None] = lambda item: None,
+        ends: Callable[[pytest.Item, str], bool] = lambda item, failed: bool(failed),
+    ) -> str:
+        """Run `items` until one fails, or until `ends` says so of one; return which failed."""
         failure = _Failure()
         manager = items[0].config.pluginmanager
         manager.register(failure)
         for item, following in zip(items, [*items[1:], None], strict=True):
             before(item)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
-            if failure.nodeid:
+            if ends(item, failure.nodeid):
                 break
+            failure.nodeid = ""
         return failure.nodeid
 
     def _baseline(self, pipe: int) -> None:
@@ -151,25 +184,45 @@ class _Runner:
         starts: list[float] = []
         clock: list[float] = []
 
+        failed, passed = "", list[str]()
+
         def begin(item: pytest.Item) -> None:
             starts.append(time.process_time())
             clock.append(time.monotonic())
             measured.switch_context(item.nodeid)
+            if self.budget_s is not None:
+                signal.setitimer(signal.ITIMER_REAL, self.budget_s / 2)
 
         measured.start()
-        failed = self._run_items(self.items, begin)
+        if self.budget_s is None:
+            failed = self._run_items(self.items, begin)
+            passed = [item.nodeid for item in self.items]
+        else:
+            signal.signal(signal.SIGALRM, _too_long)
+            until = time.monotonic() + self.budget_s
+
+            def ends(item: pytest.Item, failed: str) -> bool:
+                if failed:
+                    del starts[-1], clock[-1]
+                else:
+                    passed.append(item.nodeid)
+                return time.monotonic() > until
+
+            self._run_items(self.items, begin, ends)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         starts.append(time.process_time())
         clock.append(time.monotonic())
         measured.stop()
-        answer: dict[str, Any] = {"failed": failed}
+        answer: dict[str, Any] = {"failed": failed, "passed": passed}
         if not failed:
-            by_line = measured.get_data().contexts_by_lineno(source)
-            covered: dict[str, set[int]] = {item.nodeid: set() for item in self.items}
+            with warnings.catch_warnings(action="ignore"):  # that no test covers it
+                by_line = measured.get_data().contexts_by_lineno(source)
+            covered: dict[str, set[int]] = {nodeid: set() for nodeid in passed}
             for line, contexts in by_line.items():
                 for context in contexts:
                     if context in covered:
                         covered[context].add(line)
-            answer["lines"] = [sorted(covered[item.nodeid]) for item in self.items]
+            answer["lines"] = [sorted(covered[nodeid]) for nodeid in passed]
             answer["seconds"] = [b - a for a, b in pairwise(starts)]
             answer["waits"] = [b - a for a, b in pairwise(clock)]
         _write_all(pipe, json.dumps(answer).encode())
@@ -198,7 +251,7 @@ class _Runner:
                     break
                 chosen = self._chosen(mutant, base)
                 if not chosen:
-                    self.tell(number, Verdict("survived", "no test covers it", 0.0))
+                    self.tell(number, Verdict("survived", NOT_COVERED, 0.0))
                     continue
                 limit = max(SHORTEST_LIMIT_S, self.factor * sum(base.seconds[k] for k in chosen))
                 wait = max(SHORTEST_WAIT_S, self.factor * sum(base.waits[k] for k in chosen))
@@ -213,9 +266,13 @@ class _Runner:
             signal.setitimer(signal.ITIMER_PROF, limit_s)
             signal.signal(signal.SIGPROF, signal.SIG_DFL)
             resource.setrlimit(resource.RLIMIT_AS, (self.space, self.space))
-            if mutant is not None:
-                mutant.apply()
-                self.source.install(self.module, mutant.unit)
+            try:
+                if mutant is not None:
+                    mutant.apply()
+                    self.source.install(self.module, mutant.unit)
+            except Exception as error:
+                _write_all(pipe, f"0 {NOT_MADE}{error!r}".encode())
+                return
             failed = self._run_items(items)
             _write_all(pipe, f"{time.process_time():.3f} {failed}".encode())
 
@@ -241,11 +298,16 @@ class _Runner:
             cpu_s = round(usage.ru_utime + usage.ru_stime, 3)
             if child.said:
                 failed = child.said.decode().partition(" ")[2]
-                self.tell(child.number, Verdict("killed" if failed else "survived", failed, cpu_s))
+                status = "not made" if failed.startswith(NOT_MADE) else "killed" if failed else "survived"
+                self.tell(child.number, Verdict(status, failed, cpu_s))
             elif child.hangs or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF):
                 self.tell(child.number, Verdict("timeout", "", cpu_s))
             else:  # it could not even be loaded, or ended the process
                 self.tell(child.number, Verdict("killed", "the process ended", cpu_s))
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError("it takes more than half of the budget")
 
 
 def _read_all(pipe: int) -> bytes:
@@ -261,18 +323,16 @@ def _write_all(pipe: int, data: bytes) -> None:
 def run(
     source: Source,
     mutants: list[Mutant],
-    tests: tuple[str, ...],
-    left_out: str,
+    tests: Tests,
     jobs: int,
     factor: float,
     tell: Callable[[int, Verdict], None],
 ) -> str:
-    """Run `mutants` of `source` against `tests` without those that `left_out` chooses as pytest's
-    -k does; `tell` gets each one's number and verdict.
+    """Run `mutants` of `source` against `tests`; `tell` gets each one's number and verdict.
 
     Return what went wrong, or "".
     """
-    runner = _Runner(source, mutants, jobs, factor)
+    runner = _Runner(source, mutants, jobs, factor, tests.budget_s)
     runner.tell = tell
     arguments = [
         "-q",
@@ -285,8 +345,9 @@ def run(
         "--tb=no",
         "--assert=plain",
         "-s",
-        *(["-k", f"not ({left_out})"] if left_out else []),
-        *tests,
+        *(["-k", f"not ({tests.left_out})"] if tests.left_out else []),
+        *(["-m", f"not ({tests.marks})"] if tests.marks else []),
+        *tests.files,
     ]
     with _silence():
         status = pytest.main(arguments, plugins=[runner])

@@ -206,6 +206,8 @@ class Source:
             undo = mutant.undone()
             try:
                 code = self._code(mutant.unit)
+            except SyntaxError:  # a deleted binding of a nonlocal name, a starred argument alone
+                continue
             finally:
                 undo()
             if code not in seen[mutant.unit]:
@@ -301,7 +303,10 @@ class Source:
             for name in unit.split("."):
                 function = vars(function)[name]
             while not isinstance(function, FunctionType):
-                function = getattr(function, "fget", None) or function.__wrapped__
+                inner = (
+                    getattr(function, name, None) for name in ("fget", "callback", "func", "py_func", "__wrapped__")
+                )
+                function = next(filter(None, inner))
             function.__code__ = find_code(code, unit)
             return
         before = dict(vars(module))

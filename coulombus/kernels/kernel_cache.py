@@ -23,6 +23,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -32,13 +33,15 @@ from coulombus.kernels.compile_notice import compiling
 from coulombus.system.file_lock import lock_file
 from coulombus.system.private_folder import make_private, reason_against, reason_against_above
 
-__all__ = ["KEPT", "MARKER", "alone", "choose", "damaged", "empty", "kept", "leave_lock_to_parent", "say"]
+__all__ = ["LONGEST_S", "MARKER", "alone", "choose", "damaged", "empty", "kept", "leave_lock_to_parent", "say"]
 
 OURS = "coulombus"
 MARKER = "coulombus-kernels"
 ENTRIES = "entries"
-KEPT = 4
-"""Number of newest directories that are kept; a directory in use is never removed."""
+LONGEST_S, MOST_BYTES = 7 * 86400, 2 << 30
+"""Directories that were used in this time are kept, the newest of them up to this size together; a directory in use is
+never removed.
+"""
 
 _NAME = re.compile(r"kernels-[0-9a-f]{16}")
 _FILES = re.compile(rf".+\.(nbi|nbc)(\.tmp\.[0-9a-f]+)?|{ENTRIES}")
@@ -241,13 +244,26 @@ def _stands(directory: Path, lock: int) -> bool:
 
 
 def _tidy(directory: Path) -> None:
-    """Remove the oldest directories of this module next to `directory`, except `KEPT`."""
+    """Remove the directories of this module next to `directory` that are beyond `LONGEST_S` or `MOST_BYTES`."""
     with suppress(OSError):
         if directory.parent.is_symlink():
             return
-        for stale in _others(directory)[KEPT - 1 :]:
-            with suppress(OSError):
-                _remove(stale)
+        oldest_ns = time.time_ns() - LONGEST_S * 1_000_000_000
+        size = _bytes(directory)
+        for other in _others(directory):
+            size += _bytes(other)
+            if _used_ns(other) < oldest_ns or size > MOST_BYTES:
+                with suppress(OSError):
+                    _remove(other)
+
+
+def _bytes(directory: Path) -> int:
+    """Return the bytes of the files in a directory."""
+    return sum(
+        os.stat(name, dir_fd=at, follow_symlinks=False).st_size
+        for _, _, files, at in os.fwalk(directory, follow_symlinks=False)
+        for name in files
+    )
 
 
 def _others(directory: Path) -> list[Path]:

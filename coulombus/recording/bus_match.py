@@ -25,6 +25,8 @@ __all__ = ["BusMatch", "Channel", "ChannelError", "bus_names", "channel_texts", 
 
 Channel: TypeAlias = str | Sequence[str] | None
 """A bus of the file, or several as ``RIG_BUS=BUS``."""
+MOST_NAMED, LONGEST_NAME = 10, 64
+"""Buses of a file, and characters of a bus, in a line: a hostile file has thousands."""
 
 
 class ChannelError(CoulombusError):
@@ -105,7 +107,7 @@ class BusMatch:
         if names != self._names:
             self._match(names)
         channels = tuple(self._channel_of.get(name) for name in capture.buses)
-        if any(channel is None and name in names for channel, name in zip(channels, capture.buses, strict=True)):
+        if any(channel is None and name for channel, name in zip(channels, capture.buses, strict=True)):
             capture = self._without(capture, np.array([channel is not None for channel in channels]))
         if len(self.channels) == 1:
             return capture
@@ -113,11 +115,17 @@ class BusMatch:
 
     def remarks(self) -> tuple[str, ...]:
         """Return remarks on frames left out so far, and on buses matched by order."""
+        counts = list(self.left_out.items())
         texts = [
-            f"{self.path}: {count} frames of the bus {name} were left out" for name, count in self.left_out.items()
+            f"{self.path}: {count} frames of the bus {_shown(name)} were left out"
+            for name, count in counts[:MOST_NAMED]
         ]
+        further = counts[MOST_NAMED:]
+        if further:
+            count = sum(count for _, count in further)
+            texts.append(f"{self.path}: {count} frames of {len(further)} further buses were left out")
         if self._in_order:
-            pairs = ", ".join(f"{name} is {channel}" for name, channel in self._channel_of.items())
+            pairs = ", ".join(f"{_shown(name)} is {channel}" for name, channel in self._channel_of.items())
             texts.append(
                 f"{self.path}: of its buses, in the order of their names, {pairs} of the rig; else say it with --channel"
             )
@@ -165,7 +173,7 @@ class BusMatch:
         if len(self.channels) == 1:
             return _several(self.path, names, self.single)
         listed = ", ".join(self.channels)
-        remedy = f"say which is which: --channel {self.channels[0]}={names[0] or 'NAME'}"
+        remedy = f"say which is which: --channel {self.channels[0]}={_shown(names[0]) or 'NAME'}"
         return ChannelError(f"{self.path}: {_has(names)}, and the rig has the buses {listed}; {remedy}")
 
     def _without(self, capture: Capture, kept: Any) -> Capture:
@@ -197,11 +205,17 @@ def one_bus(capture: Capture, given: tuple[str, ...]) -> tuple[Capture, tuple[st
 
 
 def _several(path: str, names: tuple[str, ...], why: str) -> ChannelError:
-    return ChannelError(f"{path}: {_has(names)}, and {why}; name one with --channel {names[0]}")
+    return ChannelError(f"{path}: {_has(names)}, and {why}; name one with --channel {_shown(names[0])}")
+
+
+def _shown(name: str) -> str:
+    """Return the begin of a name."""
+    return name[:LONGEST_NAME]
 
 
 def _has(names: tuple[str, ...]) -> str:
-    named = [name for name in names if name]
+    named = [_shown(name) for name in names if name]
     if len(named) > 1:
-        return f"the file has the buses {', '.join(named)}"
+        more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
+        return f"the file has the buses {', '.join(named[:MOST_NAMED])}{more}"
     return f"the file has the bus {named[0]}" if named else "the file has one bus, without a name"

@@ -195,9 +195,9 @@ def _stamp(frames: Records, interfaces: Sequence[Interface]) -> dict[int, str]:
     if not len(frames) or (usual and frames["t_ns"].min() >= 0):
         return {}
     late = {}
-    for number, description in enumerate(interfaces):
+    for number in np.unique(frames["source"]).tolist():
         rows = np.flatnonzero(frames["source"] == number)
-        frames["t_ns"][rows], problems = _stamps_ns(frames["t_ns"][rows], description)
+        frames["t_ns"][rows], problems = _stamps_ns(frames["t_ns"][rows], interfaces[number])
         late.update({int(rows[row]): what for row, what in problems.items()})
     return dict(sorted(late.items()))
 

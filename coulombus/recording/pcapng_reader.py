@@ -59,6 +59,9 @@ MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
 BLOCKS = 1 << 15  # walked at a time
 RESUMED = 1 << 16
 """Maximum bytes of the next block after damage."""
+MOST_DESCRIBED = 1 << 14
+"""Maximum number of sections and interfaces of a file together: 8,192 captures in a row, of an interface each."""
+MOST_LISTED = 10
 FEW = 64
 """Packets that are decoded of a stretch before the window: its end is known then."""
 
@@ -79,10 +82,13 @@ class _Reader:
     earlier: int = 0
     buses: list[str] = field(default_factory=list)
     """Name of the bus of each interface, of all sections so far; "" without a bus."""
+    sections: int = 0
     linktypes: set[int] = field(default_factory=set)
     texts: dict[int, str] = field(default_factory=dict)
     # of this stretch
     parts: list[Records] = field(default_factory=list)
+    rows: int = 0
+    """Number of frames in `parts`."""
     inside: list[Records] = field(default_factory=list)
     comments: list[tuple[int, str]] = field(default_factory=list)
     attachments: dict[str, bytes] = field(default_factory=dict)
@@ -143,7 +149,8 @@ class _Reader:
         )
         self.begun = self.begun or len(capture.frames) > 0
         self.inside = []
-        self.parts, self.comments, self.attachments, self.warnings, self.skipped = [], [], {}, [], 0
+        self.parts, self.comments, self.attachments, self.warnings = [], [], {}, []
+        self.rows = self.skipped = 0
         return capture
 
 
@@ -189,7 +196,7 @@ def iter_pcapng(path: str | Path, window: Window = ALL) -> Iterator[Capture]:
                 reader.seek()
                 more, at = reader.more(0), 0
                 if more:
-                    if reader.begun or any(map(len, reader.parts)):  # the first stretch has frames
+                    if reader.begun or reader.rows:  # the first stretch has frames
                         yield (capture := reader.take())
                         if reader.own and len(capture.frames) and window.is_before(int(capture.frames["t_ns"][0])):
                             return
@@ -318,6 +325,8 @@ def _section(reader: _Reader, at: int) -> tuple[int, int]:
         reader.texts.setdefault(code, text)
     reader.earlier += len(reader.interfaces)
     reader.interfaces = []
+    reader.sections += 1
+    _check_number(reader, start)
     return at + int(length) // 4, FULL
 
 
@@ -351,6 +360,7 @@ def _take(reader: _Reader, offsets: Integers) -> None:
             is_bus = interface.linktype == LINKTYPE_CAN_SOCKETCAN and not interface.inside
             reader.buses.append((interface.name or str(len(reader.interfaces))) if is_bus else "")
             reader.interfaces.append(interface)
+            _check_number(reader, 4 * at)
         elif kind == ATTACHMENT:
             most = MOST_ATTACHED + ATTACHED_SHARE * (reader.base + 4 * at) - reader.attached
             attached = read_attachment(body, most)
@@ -379,8 +389,8 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         (offset, what), count = decoded.damaged[0], len(decoded.damaged)
         packets_ = "1 packet was" if count == 1 else f"{count} packets were"
         reader.warnings.append(f"{reader.path}: offset {reader.base + offset}: {what}: {packets_} left out")
-    done = sum(len(part) for part in reader.parts)
-    frames, inside = decoded.frames, decoded.inside
+    done, frames, inside = reader.rows, decoded.frames, decoded.inside
+    reader.rows += len(frames)
     reader.parts.append(frames)
     reader.inside.append(inside)
     reader.skipped += len(packets) - len(frames) - len(inside) - len(decoded.damaged)
@@ -409,9 +419,17 @@ def _interface(reader: _Reader, start: int, body: bytes) -> Interface:
     return Interface(linktype, resolution, offset_s, name == HOST_INTERFACE, name)
 
 
+def _check_number(reader: _Reader, start: int) -> None:
+    """Refuse a file of more sections and interfaces than a recording has."""
+    if reader.sections + len(reader.buses) > MOST_DESCRIBED:
+        raise _damaged(reader, start, f"more than {MOST_DESCRIBED} sections and interfaces, which no recording has")
+
+
 def _check_linktypes(reader: _Reader) -> None:
     if reader.linktypes and LINKTYPE_CAN_SOCKETCAN not in reader.linktypes:
-        kinds = ", ".join(str(kind) for kind in sorted(reader.linktypes))
+        kinds = ", ".join(str(kind) for kind in sorted(reader.linktypes)[:MOST_LISTED])
+        if len(reader.linktypes) > MOST_LISTED:
+            kinds += f" and {len(reader.linktypes) - MOST_LISTED} more"
         raise PcapngError(
             f"{reader.path}: it holds link type {kinds}, expected {LINKTYPE_CAN_SOCKETCAN} (SocketCAN): "
             "record on a CAN interface (can0, vcan0), not on 'any' or a network card"

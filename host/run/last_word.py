@@ -1,7 +1,7 @@
 """Final report of a host: mode, cycles, time and reason of its end.
 
 The report is a file in the folder of the host's socket. Observers read it after the host's end, until
-the next host begins. A killed host leaves no report.
+the next host begins. A killed host leaves no report. The ten newest reports stay.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ __all__ = ["ending", "forget_word", "last_word", "leave_word"]
 
 SUFFIX = ".last"
 MOST_BYTES = 1 << 16
+KEPT = 10
+"""Number of newest reports that stay."""
 KINDS = {
     "mode": (str,),
     "cycles": (int,),
@@ -58,6 +60,14 @@ def leave_word(addresses: Iterable[BusAddress], outcome: Mapping[str, Any] | Non
                 new.replace(path)
             finally:
                 new.unlink(missing_ok=True)
+            _remove_old(path.parent)
+
+
+def _remove_old(folder: Path) -> None:
+    """Remove all reports except the `KEPT` newest."""
+    reports = sorted(folder.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
+    for report in reports[KEPT:]:
+        report.unlink(missing_ok=True)
 
 
 def forget_word(addresses: Iterable[BusAddress]) -> None:

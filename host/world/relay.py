@@ -37,6 +37,7 @@ __all__ = ["MalformedMessage", "Relay"]
 MOST_STATES = 2000
 """States that wait for a slow client: two seconds of an axis at 1 kHz. Beyond them the oldest are lost."""
 MOST_REFUSALS = 64
+MOST_SEQUENCE = 1 << 62
 AT_ONCE = 1 << 16
 HELLO_KEYS = {"type", "states", "key"}
 IN_PLANE = {"point_m", "normal", "K_N_m", "N", "N_m", "Ns_m", "force_N", "direction"}
@@ -135,10 +136,12 @@ class Relay:
         axis, sequence, t_ns = (fields.get(key, 0) for key in ("axis", "sequence", "t_ns"))
         if not all(type(value) is int and abs(value) < 1 << 63 for value in (axis, sequence, t_ns, number)):
             raise MalformedMessage("axis, sequence, t_ns and number of the profile: expected whole numbers of 64 bits")
+        if not 0 <= sequence < MOST_SEQUENCE:
+            raise MalformedMessage(f"sequence is {sequence}: expected a number above 0, and below 2^62; 0 for the next")
         record = Model(**values).record(self._slots.get(axis, {}), profile=number)
         record["axis"], record["t_ns"] = axis, t_ns
         record["sequence"] = sequence or self._sequence + 1
-        self._sequence = int(record["sequence"])
+        self._sequence = max(self._sequence, int(record["sequence"]))
         data: bytes = record.tobytes()
         return data
 

@@ -18,6 +18,7 @@ import math
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import Floats, RecordArray
 from coulombus.rigs.errors import RigError
+from coulombus.rigs.kinematics.kinematics_rules import SIMULATED
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.rig.plane_hand import drawn_hand
 from coulombus.sim_bus.rig.plane_plant import kinetic_J, step_plane, tip_force
@@ -124,14 +125,15 @@ def new_plane_plant(rig: Rig, seed: int = 0) -> RecordArray[PlanePlantRecord]:
     RigError
         the rig has no [plane], no [plant], a detailed plant, or another mechanism than two links in series
     """
-    kinematics, truth = rig.kinematics, None if rig.in_plane is None else rig.in_plane.plane
-    if kinematics is None or truth is None or kinematics.kind.strip() != "serial_2r":
+    truth = None if rig.in_plane is None else rig.in_plane.plane
+    if rig.in_plane is None or truth is None or rig.in_plane.kinematics.kind.strip() != SIMULATED:
         raise RigError(
             [
-                f'{rig.path}: the rig {rig.name} has no [plane] with kinematics.kind = "serial_2r": '
+                f'{rig.path}: the rig {rig.name} has no [plane] with kinematics.kind = "{SIMULATED}": '
                 "two links in series are the only mechanism that is simulated"
             ]
         )
+    kinematics = rig.in_plane.true_kinematics
     joints = [axis.simulation.plant for axis in rig.axes]
     for axis, joint in zip(rig.axes, joints, strict=True):
         if joint.in_detail:

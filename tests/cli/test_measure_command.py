@@ -5,6 +5,7 @@ live bus.
 from __future__ import annotations
 
 import json
+import socket
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,7 @@ from coulombus.cli.main import main
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run import measure as measuring
-from coulombus.host.run.control_socket import HostSocket
+from coulombus.host.run.control_socket import HostSocket, control_path
 from coulombus.host.run.host_latency import compute_times_ns
 from coulombus.host.run.measure import Measured, Spread, proposed_ns, quiet_mode
 from coulombus.host.setup.device_response import DeviceTimes, PdoTimes
@@ -225,3 +226,26 @@ def test_on_a_live_bus_the_times_are_found_and_nothing_is_armed(private_sockets,
         assert 10 <= one["tpdos"][0]["p50_us"] <= 70  # the simulated devices take 20 us
     assert document["host"]["count"] >= 20
     assert 0 < document["host"]["p50_us"] < 1000
+
+
+def test_coulombus_stop_ends_a_measurement(monkeypatch, private_sockets):
+    address = parse_address("coulombus:stopped")
+    nothing = {"close": lambda: None, "check_alone": lambda until: None, "wait_ns": lambda at_ns: None}
+    monkeypatch.setattr(measuring, "RealControlPlane", lambda rig, address: SimpleNamespace(**nothing))
+    monkeypatch.setattr(measuring, "_BusWire", lambda address: SimpleNamespace(**nothing))
+    asked = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    steps = []
+
+    def devices(controllers, control, wire, rounds, report):
+        report("motor", 1)
+        asked.connect(str(control_path(address)))
+        asked.send(b"stop")
+        report("motor", 2)
+
+    def note(what, done):
+        steps.append(done)
+
+    monkeypatch.setattr(measuring, "measure_devices", devices)
+    with asked, pytest.raises(SafetyTrip, match="ended by `coulombus stop`; nothing was armed"):
+        measuring.measure_rig(load_rig("bench"), address, rounds=3, cycles=10, progress=note)
+    assert steps == [1]

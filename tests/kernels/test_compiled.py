@@ -8,6 +8,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +17,7 @@ import numpy as np
 from coulombus.kernels import numba_inside
 from coulombus.kernels.compile_notice import compiling, on_compiling
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED, Entry, kernel
-from coulombus.kernels.kernel_cache import KEPT, MARKER, alone, kept
+from coulombus.kernels.kernel_cache import LONGEST_S, MARKER, alone, kept
 from coulombus.kernels.sources import source_key
 from coulombus.lab.simulate import simulate
 from places import ROOT
@@ -136,22 +137,31 @@ def test_directories_of_the_user_stay_whatever_they_are_called(tmp_path):
         directory.mkdir(parents=True)
         (directory / "data.nbi").write_text("mine")
     moved = made_before(tmp_path, 99, 1).rename(tmp_path / "coulombus" / f"kernels-{98:016x}")
-    for n in range(1000, 1000 + 2 * KEPT):
+    for n in range(1000, 1008):
         made_before(tmp_path, n, n)
     run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
     assert [path for path in user if not (path / "data.nbi").exists()] == []
     assert (moved / MARKER).exists()  # it says another name than its own
 
 
-def test_the_oldest_of_our_own_caches_are_removed(tmp_path):
-    old = [made_before(tmp_path, n, n) for n in range(1, 2 * KEPT)]
+def test_our_own_caches_are_removed_a_week_after_their_last_use(tmp_path):
+    used = [made_before(tmp_path, n, time.time() - LONGEST_S + 600 * (n - 2.5)) for n in range(10)]
     chosen = Path(run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path)))
     assert chosen.parent == tmp_path / "coulombus"
-    assert [path for path in old if path.exists()] == old[-(KEPT - 1) :]
+    assert [path.exists() for path in used] == [False] * 3 + [True] * 7
+
+
+def test_our_own_caches_are_kept_up_to_a_size_the_last_used_first(tmp_path):
+    used = [made_before(tmp_path, n, time.time() - 600 * n) for n in range(1, 5)]
+    for path in used:
+        with (path / "large.1.nbc").open("wb") as file:
+            file.truncate(900 << 20)  # without a block on the disk
+    run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
+    assert [path.exists() for path in used] == [True, True, False, False]
 
 
 def test_a_cache_that_a_process_uses_stays(tmp_path):
-    old = [made_before(tmp_path, n, n) for n in range(1, 2 * KEPT)]
+    old = [made_before(tmp_path, n, n) for n in range(1, 8)]
     with (old[0] / MARKER).open() as lock:
         fcntl.flock(lock, fcntl.LOCK_SH)
         run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
@@ -171,7 +181,7 @@ def test_no_link_is_followed_out_of_a_cache(tmp_path):
     base, user = tmp_path / "base", tmp_path / "user"
     user.mkdir()
     (user / "data.nbi").write_text("mine")
-    old = [made_before(base, n, n) for n in range(1, 2 * KEPT)]
+    old = [made_before(base, n, n) for n in range(1, 8)]
     (old[0] / "linked").symlink_to(user)
     (old[1] / "host_1a2b" / "notes.txt").write_text("mine")
     stranger = base / "coulombus" / f"kernels-{77:016x}"

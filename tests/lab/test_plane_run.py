@@ -63,6 +63,12 @@ def test_on_a_circle_the_hybrid_shows_the_laws_force(shown):
     assert shown["passive"].plane["angle_error_deg"]["p95"] > 30.0  # brakes alone cannot
 
 
+def test_a_link_that_the_host_believes_too_short_turns_the_force():
+    figures = simulate(load_rig("plane", ["plane.kinematics.l1_m=0.25"]), "hybrid", 8.0, seed=1).plane
+    assert figures["angle_error_deg"]["median"] > 5.0  # 0.5 with the true length
+    assert figures["force_ratio_p95"] > 0.1
+
+
 def test_the_motors_energy_is_bounded_by_what_the_whole_absorbs(shown):
     for run in shown.values():
         figures = run.plane

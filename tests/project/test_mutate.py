@@ -26,6 +26,7 @@ def load(name):
 
 Source = load("mutants").Source
 mutant_runs = load("mutant_runs")
+mutate = load("mutate")
 
 TEXT = '''"""A module."""
 
@@ -90,6 +91,62 @@ def test_every_mutant_differs_and_the_source_stays():
     assert source._code("limited") == before
     assert len({(m.unit, m.line, m.change) for m in mutants}) == len(mutants)
     assert [m.line for m in mutants if m.unit] == sorted(m.line for m in mutants if m.unit)
+
+
+def test_what_python_does_not_compile_is_no_mutant():
+    text = "def own(x):\n    last = 1\n    def inner():\n        nonlocal last\n        last = max(2, *x)\n    return inner\n"
+    assert "max(2, *x) -> 2" in changes(text, "own")
+    assert not changes(text, "own") & {"last = 1 -> deleted", "max(2, *x) -> *x"}
+
+
+def test_the_function_of_a_command_and_of_a_cached_property_is_exchanged():
+    text = (
+        "import functools, click\n@click.command()\ndef verb():\n    return 5 < 4\n"
+        "class Own:\n    @functools.cached_property\n    def size(self):\n        return 5 < 4\n"
+    )
+    for unit, result in (
+        ("verb", lambda module: module.verb.callback()),
+        ("Own.size", lambda module: module.Own().size),
+    ):
+        module = types.ModuleType("own")
+        module.__file__ = "own.py"
+        exec(text, vars(module))
+        source = Source("own.py", text)
+        next(m for m in source.mutants() if m.unit == unit and m.change == "5 < 4 -> 5 >= 4").apply()
+        source.install(module, unit)
+        assert result(module) is True
+
+
+def test_a_draw_runs_mutants_of_the_product_against_the_tests_that_name_them():
+    modules = mutate.product()
+    assert {"coulombus.host.laws.karnopp", "coulombus.recording.logs.blf", "coulombus.cli.main"} <= modules.keys()
+    assert not any("examples" in str(path) for path in modules.values())
+    tests = {
+        "tests/a.py": {"coulombus.cli.main"},
+        "tests/b.py": {"coulombus.wire.x", "y"},
+        "tests/c.py": {"coulombus.wire.x"},
+    }
+    named_by = {"coulombus.wire.x": {"coulombus.cli.main"}}
+    assert mutate._tests_of("coulombus.wire.x", named_by, tests) == ("tests/c.py", "tests/b.py", "tests/a.py")
+
+
+def test_the_same_seed_draws_the_same_mutants_and_another_draws_others():
+    command = [sys.executable, SCRIPTS / "mutate.py", "--draw", "4", "--list", "--seed"]
+    first, again, other = (subprocess.check_output([*command, seed], text=True, timeout=300) for seed in "334")
+    assert first == again != other
+    assert len(first.splitlines()) == len(other.splitlines()) == 4
+
+
+def test_a_drawn_mutant_is_killed_by_the_tests_that_name_its_module():
+    code = (
+        f"import sys; sys.path.insert(0, {str(SCRIPTS)!r})\n"
+        "import mutate\n"
+        "done = mutate._run_drawn('coulombus.host.run.histogram', (0, 1, 2), ('tests/host/run/test_histogram.py',))\n"
+        "print([drawn.status for drawn in done])\n"
+    )
+    said = subprocess.check_output([sys.executable, "-c", code], text=True, timeout=300, cwd=ROOT)
+    assert said.count("killed") + said.count("survived") == 3
+    assert "killed" in said
 
 
 def test_a_mutant_is_exchanged_in_the_loaded_module_where_others_have_taken_it_from():

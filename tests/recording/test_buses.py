@@ -263,3 +263,16 @@ def test_error_frames_of_candump_come_back_with_their_words(tmp_path):
     tape = load_tape(out)
     assert tape.frames["can_id"].tolist() == [SYNC]
     assert "511 error frames were left out" in tape.remarks[0]
+
+
+def test_a_line_names_the_first_of_many_buses_and_the_begin_of_each(tmp_path):
+    path = tmp_path / "many.log"
+    names = [f"can{number}{'x' * 300}" for number in range(2000)]
+    path.write_text("".join(f"(1700000000.{number:06d}) {name} 181#01\n" for number, name in enumerate(names)))
+    with pytest.raises(ChannelError, match=r"buses can0x+, .*can9x+ and 1990 more, and .*--channel can0x+$") as refused:
+        read(path, "bench")
+    assert len(str(refused.value)) - len(str(path)) < 1000
+    remarks = [text for text in read(path, "bench", channel=names[3]).remarks if "bus" in text]
+    assert len(remarks) == 11
+    assert remarks[-1] == f"{path}: 1989 frames of 1989 further buses were left out"
+    assert max(map(len, remarks)) - len(str(path)) < 200

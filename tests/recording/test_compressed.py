@@ -141,7 +141,8 @@ def test_what_is_no_recording_is_refused(plain, tmp_path, suffix):
 
 
 @each_packing
-def test_it_is_unpacked_piece_by_piece(tmp_path, suffix):
+def test_it_is_unpacked_piece_by_piece(tmp_path, suffix, monkeypatch):
+    monkeypatch.setattr(module, "FREE_BYTES", 1 << 28)
     path, size = tmp_path / "zeros", 1 << 28
     path.write_bytes(PACKINGS[suffix](bytes(size)))
     with Content(path) as content:
@@ -163,3 +164,37 @@ def test_it_is_unpacked_piece_by_piece(tmp_path, suffix):
 )
 def test_the_default_name_of_an_output(name, default):
     assert named_after(Path(name), ".csv").name == default
+
+
+HEADS = {
+    "a.log": b"(1700000000.000000) can0 181#0102\n" * 3,
+    "a.pcapng": bytes.fromhex(
+        "0a0d0d0a1c0000004d3c2b1a01000000ffffffffffffffff1c000000"  # a section
+        "0100000014000000e30000000000000014000000"  # an interface
+        "060000003000000000000000000000000100000010000000100000000000018102000000010200000000000030000000"  # a packet
+    ),
+}
+
+
+@each_packing
+@pytest.mark.parametrize("name", HEADS)
+def test_a_file_that_unpacks_to_gigabytes_is_read_to_a_bound(tmp_path, suffix, name, monkeypatch):
+    monkeypatch.setattr(module, "FREE_BYTES", 1 << 20)
+    path = tmp_path / f"{name}{suffix}"
+    path.write_bytes(PACKINGS[suffix](HEADS[name] + bytes(1 << 27)))
+    recording = read(path, "bench")
+    assert recording.frames["can_id"].tolist()[:1] == [0x181]
+    (told,) = [text for text in recording.remarks if "it unpacks to" in text]
+    bound = r"more than 1 MiB and 500 times its bytes, so that it is no log"
+    size = re.search(rf"offset \d+: it unpacks to (\d+) MiB, {bound}", told)
+    assert int(size[1]) <= 64
+
+
+@each_packing
+def test_a_log_of_equal_frames_is_read_whole(tmp_path, suffix, monkeypatch):
+    monkeypatch.setattr(module, "FREE_BYTES", 1 << 12)
+    path, count = tmp_path / f"a.log{suffix}", 40_000
+    lines = [f"(17000{k // 1000:05d}.{k % 1000:03d}000) can0 181#0000000000000000\n" for k in range(count)]
+    path.write_bytes(PACKINGS[suffix]("".join(lines).encode()))
+    recording = read(path, "bench")
+    assert (len(recording.frames), [text for text in recording.remarks if "unpacks" in text]) == (count, [])

@@ -11,6 +11,7 @@ import pytest
 
 from coulombus.recording.log_files import LogError, read_log
 from coulombus.recording.logs.blf import BASE, LEAST, MOST
+from coulombus.wire.can_flags import CAN_ERR_FLAG
 
 FRAMES = 300  # more than a container of 4 kB
 
@@ -76,3 +77,19 @@ def test_a_row_whose_stamp_no_clock_tells_is_left_out(tmp_path, stamp):
     log = read_log(path)
     assert len(log.frames) == 1
     assert log.remarks == (f"{path}: 1 row was left out: no frame of this format (the first is line 2)",)
+
+
+def test_error_frames_of_a_blf_are_read_on_their_bus(tmp_path):
+    path = tmp_path / "errors.blf"
+    with can.BLFWriter(path) as writer:
+        writer.on_message_received(can.Message(1.0, 0x181, is_extended_id=False, data=[1]))
+        writer.on_message_received(can.Message(2.0, 0x4, is_error_frame=True, dlc=8, data=range(8), channel=1))
+    old = struct.pack("<HHL", 2, 0, 0)  # CAN_ERROR: the channel alone
+    stamp = struct.pack("<LHHQ", 1, 0, 0, 300_000)
+    path.write_bytes(path.read_bytes() + BASE.pack(b"LOBJ", 32, 1, 32 + len(old), 2) + stamp + old)
+    log = read_log(path)
+    rows = [(int(f["t_ns"]) // 10**9, int(f["can_id"]), int(f["length"])) for f in log.frames]
+    assert rows == [(0, 0x181, 1), (1, CAN_ERR_FLAG | 0x4, 8), (3, CAN_ERR_FLAG | 0x80, 0)]
+    assert log.frames["word"].tolist()[1] == int.from_bytes(range(8), "little")
+    assert [log.buses[source] for source in log.frames["source"]] == ["1", "2", "2"]
+    assert log.remarks == ()

@@ -813,3 +813,35 @@ def test_files_made_by_text2pcap(tmp_path: Path):
     assert [(i, d) for _, i, d in as_rows(capture.frames)] == [
         (0x181, b"\x01\x02"), (0x80, b""), (0x282, bytes(range(8))),
     ]  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------
+# hostile files
+
+
+@pytest.mark.parametrize("part", [section(), section() + interface() + packet(1, can(1, b"")), interface()])
+def test_more_sections_and_interfaces_than_a_recording_has_are_refused(tmp_path: Path, part: bytes, monkeypatch):
+    path = tmp_path / "a.pcapng"
+    most = 40
+    monkeypatch.setattr(coulombus.recording.pcapng_reader, "MOST_DESCRIBED", most)
+    path.write_bytes(section() + interface() + packet(1, can(1, b"")) + part * (most + 1))
+    with pytest.raises(PcapngError, match=rf"offset \d+: more than {most} sections and interfaces.*head -c") as refused:
+        read_pcapng(path)
+    offset = int(re.search(r"offset (\d+)", str(refused.value))[1])
+    path.write_bytes(path.read_bytes()[:offset])  # the remedy that the text names
+    assert len(read_pcapng(path).frames) >= 1
+
+
+def test_a_thousand_captures_in_a_row_are_read(tmp_path: Path):
+    path = tmp_path / "a.pcapng"
+    path.write_bytes(b"".join(section() + interface() + packet(t, can(t, b"")) for t in range(1000)))
+    capture = read_pcapng(path)
+    assert capture.frames["can_id"].tolist() == capture.frames["source"].tolist() == list(range(1000))
+    assert capture.frames["t_ns"].tolist() == list(range(0, 1_000_000, 1000))
+
+
+def test_of_many_link_types_a_line_names_the_first(tmp_path: Path):
+    path = tmp_path / "a.pcapng"
+    path.write_bytes(section() + b"".join(interface(linktype=kind) for kind in range(1000, 1050)))
+    with pytest.raises(PcapngError, match=r"link type 1000, .*, 1009 and 40 more, expected 227"):
+        read_pcapng(path)

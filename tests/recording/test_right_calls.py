@@ -208,3 +208,9 @@ def test_numbers_of_a_simulation_and_of_a_device_are_numbers():
     assert_wrong_call(lambda: VirtualNetwork().add(eds, "five"), "node_id is 'five'")
     with pytest.raises(ValueError, match="bitrate_bit_s -1; expected bit/s"):
         VirtualNetwork(-1)
+
+
+@pytest.mark.parametrize("wrong", [(3,), (None,), ("brake.setpoint_Nm", 3)])
+def test_a_signal_of_series_is_a_text(recording, wrong):
+    right = "expected one text each, as in series(recording, 'motor.position_rad')"
+    assert_wrong_call(lambda: series(recording, *wrong), right)

@@ -87,7 +87,8 @@ def _channels(buses: Sequence[str]) -> Integers:
     numbers = [int(end[0]) + (end[0] != name) if end else 1 for name, end in zip(names, ends, strict=True)]
     if len(set(numbers)) < len(numbers) or 0 in numbers:
         numbers = list(range(1, len(names) + 1))
-    return np.array([numbers[names.index(name)] for name in buses], np.int64)
+    number_of = dict(zip(names, numbers, strict=True))
+    return np.array([number_of[name] for name in buses], np.int64)
 
 
 class CandumpWriter:
@@ -112,8 +113,9 @@ class CandumpWriter:
         lines.text(".")
         lines.decimal(t_us % 10**6, 6, 6)
         lines.text(") ")
-        for source, name in enumerate(_interfaces(buses)):
-            lines.text(f"{name} ", frames["source"] == source)
+        names = _interfaces(buses)
+        for source in np.unique(frames["source"]).tolist():
+            lines.text(f"{names[source]} ", frames["source"] == source)
         shown = np.where(error, can_id & (EXTENDED | CAN_ERR_FLAG), can_id & EXTENDED)
         lines.hexadecimal(shown, 8, long)
         lines.hexadecimal(can_id & STANDARD, 3, ~long)

@@ -17,6 +17,10 @@ SLICE = 1 << 11
 """Compressed bytes unpacked at a time: at most 64 MiB of content, in a file made for that."""
 LONGEST_LINE = 1 << 16
 """Maximum bytes of a line; a longer one is split, and no part is a frame."""
+MOST_RATIO, FREE_BYTES = 500, 32 << 20
+"""Maximum content of a compressed file: 32 MiB, and 500 times its bytes. A log's stamps differ, so that it has a few
+dozen times its bytes.
+"""
 GZIP_FORMAT = 31  # of zlib's `wbits`: a gzip header, and the largest window
 
 
@@ -41,7 +45,8 @@ class Content:
     packing : str
         "gzip", "zstd", or "" for a file that is not compressed.
     broken : str
-        If the compressed data are truncated or damaged, where and how; the data before are read.
+        If the compressed data are truncated or damaged, or unpack to more than a log can have, where and how; the
+        data before are read.
     given : int
         Bytes of the content read so far.
 
@@ -63,7 +68,7 @@ class Content:
             raise
         self.packing, member = next((PACKINGS[magic] for magic in PACKINGS if start.startswith(magic)), ("", None))
         self._chunks = self._plain(CHUNK) if member is None else self._unpacked(member)
-        self._waiting = b""
+        self._chunk, self._at = b"", 0
         self.broken = ""
         self.given = 0
 
@@ -77,20 +82,24 @@ class Content:
 
     def read(self, count: int) -> bytes:
         """Return this many bytes; fewer at the end of the content."""
-        parts, size = [self._waiting], len(self._waiting)
-        while size < count and (chunk := next(self._chunks, b"")):
-            parts.append(chunk)
-            size += len(chunk)
-        whole = b"".join(parts)
-        self._waiting = whole[count:]
-        self.given += min(count, size)
-        return whole[:count]
+        parts, left = [], count
+        while left:
+            if self._at == len(self._chunk):
+                self._chunk, self._at = next(self._chunks, b""), 0
+                if not self._chunk:
+                    break
+            part = self._chunk[self._at : self._at + left]
+            parts.append(part)
+            self._at += len(part)
+            left -= len(part)
+        self.given += count - left
+        return b"".join(parts)
 
     def seek(self, offset: int) -> None:
         """Go on at an offset of a file that is not compressed."""
         with naming(self._path):
             self._file.seek(offset)
-        self._waiting = b""
+        self._chunk, self._at = b"", 0
 
     def rest(self) -> int:
         """Skip to the end; return the number of bytes skipped."""
@@ -118,7 +127,7 @@ class Content:
                 yield chunk
 
     def _unpacked(self, member: Callable[[], Any]) -> Iterator[bytes]:
-        unpacker, at = member(), 0
+        unpacker, at, size = member(), 0, 0
         for packed in self._plain(SLICE):
             at += len(packed)
             while packed:
@@ -130,7 +139,14 @@ class Content:
                     self.broken = f"offset {at - len(packed)}: its {self.packing} data are damaged ({error})"
                     return
                 packed = unpacker.unused_data
+                size += len(chunk)
                 if chunk:
                     yield chunk
+                if size > FREE_BYTES + MOST_RATIO * at:
+                    self.broken = (
+                        f"offset {at}: it unpacks to {size >> 20} MiB, more than {FREE_BYTES >> 20} MiB and {MOST_RATIO} "
+                        "times its bytes, so that it is no log; unpack it yourself if it is"
+                    )
+                    return
         if not unpacker.eof:
             self.broken = f"offset {at}: its {self.packing} data end too early"

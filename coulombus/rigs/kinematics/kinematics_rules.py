@@ -17,10 +17,12 @@ from coulombus.rigs.kinematics.plane_phases import PLANE_KINDS
 from coulombus.rigs.model import Section
 from coulombus.rigs.toml_lines import Table
 
-__all__ = ["PLANE_SECTIONS", "PlaneSections", "check_kinematics", "check_phases", "read_plane"]
+__all__ = ["PLANE_SECTIONS", "SIMULATED", "PlaneSections", "check_kinematics", "check_phases", "read_plane"]
 
 PLANE_SECTIONS = frozenset(("kinematics", "plane"))
 """The sections that describe all axes as the joints of one mechanism."""
+SIMULATED = "serial_2r"
+"""The mechanism that is simulated."""
 SINGULAR = 0.005
 """A start whose Jacobian's condition is below this is singular: with equal links, an elbow of 1.4 degrees.
 kinematics.least_condition decides whether a pose is far enough from singular for a display.
@@ -32,6 +34,14 @@ class PlaneSections(Section):
 
     kinematics: Kinematics = Field(description="how the joints move the tip in the plane")
     plane: PlanePlant | None = Field(None, description="links and hand, for the simulation")
+
+    @property
+    def true_kinematics(self) -> Kinematics:
+        """[kinematics] with the values of [plane.kinematics], for the simulation."""
+        truth = None if self.plane is None else self.plane.kinematics
+        return (
+            self.kinematics if truth is None else self.kinematics.model_copy(update=truth.model_dump(exclude_none=True))
+        )
 
 
 def read_plane(values: Table, axes: tuple[str, ...], source: Source, *, attached: bool) -> PlaneSections | None:
@@ -60,6 +70,7 @@ def read_plane(values: Table, axes: tuple[str, ...], source: Source, *, attached
         _check_lengths(file["kinematics"], source)
     if sections is not None:
         check_kinematics(sections.kinematics, source, attached=attached)
+        _check_truth(sections, source)
     return sections
 
 
@@ -100,16 +111,13 @@ def check_kinematics(kinematics: Kinematics, source: Source, *, attached: bool =
         limits = getattr(kinematics, name)
         if limits is not None and not limits[0] < limits[1]:
             source.stands(("kinematics", name), limits, "two numbers that grow, in m")
-    if not set(kinematics.signs) <= {1, -1}:
-        source.stands(("kinematics", "signs"), kinematics.signs, "two numbers, each 1 or -1")
+    _check_signs(("kinematics", "signs"), kinematics.signs, source)
     if kinematics.radii_m_rad is not None and 0.0 in kinematics.radii_m_rad:
         source.stands(("kinematics", "radii_m_rad"), kinematics.radii_m_rad, "two numbers that are not 0, in m/rad")
     if any(key[0] == "kinematics" for key in source.wrong):
         return
     if kinematics.function is None:
-        pose = new_records(PoseRecord)[0]
-        pose["q_rad"] = kinematics.start_rad
-        locate(MECHANISMS[kinematics.kind.strip()], kinematics.record()[0], pose)
+        pose = _start_pose(kinematics)
     elif attached:
         return
     else:
@@ -120,17 +128,44 @@ def check_kinematics(kinematics: Kinematics, source: Source, *, attached: bool =
         except MechanismMistake as mistake:
             source.say(("kinematics", "kind"), f"got '{kinematics.kind}', but {mistake}")
             return
-    _check_start(kinematics, pose, source)
-
-
-def _check_start(kinematics: Kinematics, pose: PoseRecord, source: Source) -> None:
-    """Note a start that is unreachable, singular, or outside the workspace."""
-    key, start = ("kinematics", "start_rad"), kinematics.start_rad
+    _check_start(("kinematics",), kinematics.start_rad, pose, source)
     x_m, y_m = (float(value) for value in pose["x_m"])
+    if not source.is_wrong(("kinematics", "start_rad")) and not kinematics.contains(x_m, y_m):
+        expected = f"a start in the workspace x_m, y_m: the tip is at ({x_m:.3g}, {y_m:.3g}) m"
+        source.stands(("kinematics", "start_rad"), kinematics.start_rad, expected)
+
+
+def _check_truth(sections: PlaneSections, source: Source) -> None:
+    """Note true dimensions of another mechanism than the simulated one, and those in which it cannot start."""
+    if sections.plane is None or sections.plane.kinematics is None or source.wrong:
+        return
+    section, truth = ("plane", "kinematics"), sections.true_kinematics
+    if truth.kind.strip() != SIMULATED:
+        source.say(section, f'got kinematics.kind = "{truth.kind}", expected "{SIMULATED}": no other is simulated')
+        return
+    _check_signs((*section, "signs"), truth.signs, source)
+    if not source.is_wrong((*section, "signs")):
+        _check_start(section, truth.start_rad, _start_pose(truth), source)
+
+
+def _check_signs(key: tuple[str, ...], signs: tuple[int, int], source: Source) -> None:
+    if not set(signs) <= {1, -1}:
+        source.stands(key, signs, "two numbers, each 1 or -1")
+
+
+def _start_pose(kinematics: Kinematics) -> PoseRecord:
+    """Return the pose of a built-in mechanism at its start."""
+    pose = new_records(PoseRecord)[0]
+    pose["q_rad"] = kinematics.start_rad
+    locate(MECHANISMS[kinematics.kind.strip()], kinematics.record()[0], pose)
+    return pose
+
+
+def _check_start(section: tuple[str, ...], start: tuple[float, float], pose: PoseRecord, source: Source) -> None:
+    """Note a start that is unreachable or singular."""
+    key = (*section, "start_rad")
     found = condition(pose)
-    if not (math.isfinite(x_m) and math.isfinite(y_m)):
+    if not all(math.isfinite(value) for value in pose["x_m"]):
         source.stands(key, start, "angles that the mechanism can take: its links do not meet there")
     elif found < SINGULAR:
         source.stands(key, start, f"a start that is not singular: the Jacobian's condition is {found:.2g} there")
-    elif not kinematics.contains(x_m, y_m):
-        source.stands(key, start, f"a start in the workspace x_m, y_m: the tip is at ({x_m:.3g}, {y_m:.3g}) m")

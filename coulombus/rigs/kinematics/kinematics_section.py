@@ -12,7 +12,7 @@ from coulombus.kernels.records import RecordArray, new_records
 from coulombus.rigs.kinematics.mechanism_records import MechanismRecord
 from coulombus.rigs.model import Section
 
-__all__ = ["KINDS", "LENGTHS", "Kinematics", "PlanePlant"]
+__all__ = ["KINDS", "LENGTHS", "Kinematics", "PlanePlant", "TrueKinematics"]
 
 KIND = r"^\s*(serial_2r|five_bar|cartesian|[^:]+\.py:[A-Za-z_]\w*)\s*$"
 
@@ -104,9 +104,25 @@ class Kinematics(Section):
         )
 
 
+class TrueKinematics(Section):
+    """[plane.kinematics]: the true dimensions of two links where they differ from those of [kinematics]."""
+
+    l1_m: float | None = _length("first link")
+    l2_m: float | None = _length("second link")
+    offsets_rad: tuple[float, float] | None = _pair(None, "the mechanism's angles where the axes' are 0", "rad")
+    signs: tuple[int, int] | None = Field(
+        None,
+        strict=False,
+        description="sense of each joint in the mechanism",
+        json_schema_extra={"expected": "two numbers, each 1 or -1"},
+    )
+    start_rad: tuple[float, float] | None = _pair(None, "the joints' angles when the host starts", "rad")
+
+
 class PlanePlant(Section):
     """[plane]: true links and hand in the plane, for the simulation only."""
 
+    kinematics: TrueKinematics | None = Field(None, description="true dimensions that differ from [kinematics]")
     link_mass_kg: tuple[float, float] = _pair((0.0, 0.0), "mass of each link", "kg")
     link_centre_m: tuple[float, float] = _pair((0.0, 0.0), "from a link's joint to its centre of mass", "m")
     link_inertia_kg_m2: tuple[float, float] = _pair((0.0, 0.0), "inertia of each link about its centre", "kg m2")

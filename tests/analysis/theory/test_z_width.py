@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coulombus.analysis.theory.bounds import colgate_stiffness
+from coulombus.analysis.theory.bounds import colgate_stiffness, diolaiti_speed
 from coulombus.analysis.theory.z_width import Handle, hulin_stiffness, stable_predicted, stable_simulated, z_width
 
 
@@ -50,3 +50,11 @@ def test_a_soft_loop_with_delay_bears_what_hulin_says(cycles, B):
     near = 0.02 if B == 0.0 else 0.06
     assert stable_predicted(handle, (1 - near) * bound, B, "active")
     assert not stable_predicted(handle, (1 + near) * bound, B, "active")
+
+
+@pytest.mark.parametrize("coulomb", [0.01, 0.02])
+def test_no_speed_is_passive_where_a_count_generates_more_than_friction_takes(coulomb):
+    stiffness, count = 50.0, 2e-3  # half a count of the spring: 0.05 Nm
+    for viscous in (0.0, 10.0):  # with too little damping, and with enough of it
+        assert diolaiti_speed(stiffness, viscous, coulomb, 1e-3, 0.0, count) == 0.0
+    assert diolaiti_speed(stiffness, 0.0, coulomb + 0.05, 1e-3, 0.0, count) == pytest.approx(coulomb / 0.025)

@@ -1,6 +1,7 @@
 """The last word of a host: left at its end, read by observers, forgotten by the next host."""
 
 import json
+import os
 
 import pytest
 from click.testing import CliRunner
@@ -65,6 +66,19 @@ def test_a_word_that_cannot_be_left_raises_nothing(monkeypatch):
     leave_word([BUS], OUTCOME)
     forget_word([BUS])
     assert last_word(BUS) is None
+
+
+def test_the_ten_newest_reports_stay():
+    buses = [parse_address(f"coulombus:word{number}") for number in range(13)]
+    for age_s, bus in enumerate(buses):
+        leave_word([bus], OUTCOME)
+        host = control_path(bus)
+        os.utime(host.with_name(host.name + ".last"), (1e9 - age_s, 1e9 - age_s))
+    other = place().with_name("other.json")
+    other.write_text("{}")
+    leave_word([BUS], OUTCOME)
+    assert [bus for bus in (BUS, *buses) if last_word(bus)] == [BUS, *buses[:9]]
+    assert other.exists()
 
 
 def test_status_and_watch_tell_it():

@@ -87,6 +87,13 @@ def test_a_field_that_names_nothing_is_refused_by_its_name(name, values):
         assert why_not(record(**{name: value}), 2, 10**9).startswith(name)
 
 
+def test_a_refusal_names_what_is_expected():
+    assert why_not(record(axis=3), 3, 10**9) == "axis is 3: expected from 0 to 2"
+    assert why_not(record(axis=1), 2, 10**9, arm=True) == "axis is 1: expected from 0 to 0"
+    refused = why_not(record(life_ns=0), 1, 10**9)
+    assert refused == "life_ns is 0: expected from 1 to 1000000000 (world.longest_life_s)"
+
+
 def test_side_and_profile_are_not_checked_where_the_model_has_none():
     assert why_not(record(parts=2, wall_side=0, samples=99), 1, 10**9) is None
 

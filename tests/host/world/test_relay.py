@@ -106,6 +106,8 @@ def test_parts_with_vectors_are_those_of_the_plane():
         ('{"type": "model", "axis": 0.5}', "whole numbers"),
         ('{"type": "model", "sequence": 99999999999999999999}', "whole numbers of 64 bits"),
         ('{"type": "model", "t_ns": -9223372036854775808}', "whole numbers of 64 bits"),
+        ('{"type": "model", "sequence": -5}', "sequence is -5: expected a number above 0"),
+        ('{"type": "model", "sequence": 4611686018427387904}', "sequence is 4611686018427387904: expected"),
         (b"\x02\x00\x50\x02", "mixed"),
     ],
 )
@@ -119,6 +121,12 @@ def test_a_malformed_message_is_refused_and_the_next_one_is_taken(message, reaso
     assert reason in answer["reason"]
     assert relay.malformed == 1
     assert model(relay)["sequence"] == 1
+
+
+def test_a_number_that_falls_back_does_not_make_the_next_models_fall_back():
+    relay = opened()
+    sequences = [model(relay, **fields)["sequence"] for fields in ({"sequence": 7}, {"sequence": 3}, {}, {})]
+    assert sequences == [7, 3, 8, 9]
 
 
 def test_binary_messages_are_whole_records_of_the_socket():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coulombus.rigs.field_help import accepted_range, fields_of, unit_of
-from coulombus.rigs.kinematics.kinematics_section import Kinematics, PlanePlant
+from coulombus.rigs.kinematics.kinematics_section import Kinematics, PlanePlant, TrueKinematics
 from coulombus.rigs.kinematics.load_mechanism import load_mechanism
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text, packaged_rig
 from places import ROOT
@@ -150,6 +150,38 @@ def test_a_start_outside_the_workspace_is_refused():
     assert "kinematics.start_rad: got '[-0.95, 1.92]', expected a start in the workspace" in text
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("l1_m", "0.0", "expected a number above 0"),
+        ("signs", "[1, 2]", "each 1 or -1"),
+        ("start_rad", "[0.3, 0.0]", "a start that is not singular"),
+        ("l3_m", "0.2", "unknown key"),
+    ],
+)
+def test_a_truth_that_makes_no_mechanism_is_refused_with_its_line(tmp_path, key, value, words):
+    path = plane_file(tmp_path, ("\n[plane]\n", f"\n[plane.kinematics]\n{key} = {value}\n\n[plane]\n"))
+    (text,) = refusal(path)
+    line = line_of(path, "[plane.kinematics]") + 1
+    assert text.startswith(f"{path}:{line}: plane.kinematics.{key}: ")
+    assert words in text
+
+
+def test_a_truth_of_another_mechanism_than_the_simulated_one_is_refused():
+    lengths = [f"kinematics.{name}=0.25" for name in ("l3_m", "l4_m")]
+    five_bar = ("kinematics.kind=five_bar", "kinematics.base_m=0.1", "kinematics.start_rad=[2.0, 1.0]", *lengths)
+    (text,) = refusal("plane", *five_bar, "plane.kinematics.l1_m=0.3")
+    assert 'plane.kinematics: got kinematics.kind = "five_bar", expected "serial_2r"' in text
+
+
+def test_the_truth_is_the_belief_but_for_what_it_says():
+    rig = load_rig("plane", ["plane.kinematics.l2_m=0.3"])
+    truth = rig.in_plane.true_kinematics
+    assert (rig.kinematics.l2_m, truth.l2_m, truth.l1_m) == (0.2, 0.3, 0.2)
+    assert (truth.start_rad, truth.signs) == (rig.kinematics.start_rad, rig.kinematics.signs)
+    assert load_rig_text(rig.effective(), rig.path) == rig
+
+
 def test_a_five_bar_whose_links_do_not_meet_is_refused():
     lengths = [f"kinematics.{name}=0.05" for name in ("l1_m", "l2_m", "l3_m", "l4_m")]
     (text,) = refusal("plane", "kinematics.kind=five_bar", "kinematics.base_m=0.4", *lengths)
@@ -209,7 +241,10 @@ def test_a_recordings_mechanism_is_not_run(tmp_path):
         load_rig_text(text, str(tmp_path / "x.toml"), rig.eds_texts)
 
 
-@pytest.mark.parametrize(("heading", "model"), [("`[kinematics]`", Kinematics), ("`[plane]`", PlanePlant)])
+@pytest.mark.parametrize(
+    ("heading", "model"),
+    [("`[kinematics]`", Kinematics), ("`[plane]`", PlanePlant), ("`[plane.kinematics]`", TrueKinematics)],
+)
 def test_every_key_is_documented(heading, model):
     page = (ROOT / "docs" / "rig-file.md").read_text(encoding="utf-8")
     part = next(part for part in page.split("\n## ") if part.splitlines()[0].endswith(heading))

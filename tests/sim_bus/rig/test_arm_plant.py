@@ -84,6 +84,15 @@ def test_the_tip_moves_as_the_joints_say():
     np.testing.assert_allclose(both[0]["tip_y_m"], 0.2 * np.sin(q1) + 0.2 * np.sin(q1 + q2), atol=1e-12)
 
 
+def test_a_link_longer_than_believed_moves_the_tip_elsewhere():
+    truth = {"l1_m": 0.25, "l2_m": 0.15, "offsets_rad": [0.1, -0.2], "signs": [1, -1], "start_rad": [-0.9, -1.8]}
+    both = course(joints(*(f"plane.kinematics.{key}={value}" for key, value in truth.items())), push)
+    a1, a2 = -0.8 + both[0]["angle_rad"], 1.6 - both[1]["angle_rad"]
+    assert np.ptp(a2) > 0.01
+    np.testing.assert_allclose(both[0]["tip_x_m"], 0.25 * np.cos(a1) + 0.15 * np.cos(a1 + a2), atol=1e-12)
+    np.testing.assert_allclose(both[0]["tip_y_m"], 0.25 * np.sin(a1) + 0.15 * np.sin(a1 + a2), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("override", "reason"),
     [
