@@ -126,6 +126,7 @@ def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
         for row, text in block.capture.comments
         for line in text.splitlines()
     )
+    placed += tuple((2 * len(block.frames), (t_ns - block.epoch_ns) / 1e9, text) for t_ns, text in block.capture.late)
     return Stretch(tuple(rows), placed, float(block.t_s[-1]) if len(block.frames) else 0.0)
 
 

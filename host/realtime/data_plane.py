@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -163,7 +164,7 @@ class DataPlane:
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", self.MODULE, json.dumps(settings)],
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             pass_fds=fds,
@@ -190,6 +191,16 @@ class DataPlane:
             reason = "did not start in time" if status is None else f"ended at its start with status {status}"
             raise PlaneError(f"the data plane's process {reason}; its messages are above")
         self.real_time = json.loads(line)["real_time"]
+
+    def tell_recording(self, path: Path, zero_ns: int) -> None:
+        """Tell the process the recording, or the folder of its segments, and its time 0 of CLOCK_MONOTONIC.
+
+        After the end of the parent it appends the marker of the trip to it.
+        """
+        words = self._process.stdin
+        with suppress(OSError):  # it has ended
+            if words is not None:
+                print(json.dumps([str(path.absolute()), zero_ns]), file=words, flush=True)
 
     # state
 
@@ -292,6 +303,9 @@ class DataPlane:
             self._process.kill()
         self._process.wait()
         self._process.stdout.close()
+        if self._process.stdin is not None:
+            with suppress(OSError):  # what was not read by an ended process
+                self._process.stdin.close()
         self._close_clients()
         if self.states is not None:
             self.states.close()

@@ -24,6 +24,8 @@ from coulombus.recording.recorder import Recorder
 __all__ = ["SAFE_TIMEOUT_NS", "Course", "Figures"]
 
 FOREVER_NS = 1 << 62
+SAFE = "safe"
+"""Marker of the normal end."""
 
 SAFE_TIMEOUT_NS = 10_000_000_000
 """Longest wait for the end of the safe state, in addition to the brake's ramp."""
@@ -57,7 +59,8 @@ class Course(ABC):
         self.failure: str | None = None
         self.losses: tuple[str, ...] = ()
         self.marks = PhaseMarks(k.rig)
-        self._end_marked = False
+        self._end = ""
+        """Marker of the end; "": not set yet."""
 
     # time, start and safe state
 
@@ -114,7 +117,7 @@ class Course(ABC):
         self.stop()
         ends = self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
         while not self.k.done and self.now_ns < ends:
-            self.look(ends, lambda: self.k.done or (self.k.safe and not self._end_marked))
+            self.look(ends, lambda: self.k.done or (self.k.safe and not self._end))
         self.mark_end()
 
     def _one_more(self) -> bool:
@@ -142,12 +145,17 @@ class Course(ABC):
             self.mark_end()
 
     def mark_end(self) -> None:
-        """Set the marker of the safe state with its reason, once; at the present time if its start is unknown."""
-        if self._end_marked:
+        """Set the marker of the safe state with its reason, behind those of the schedules' end; once, and once more for a
+        trip after the normal end. Its time is the start of the safe state, or the present if that is unknown.
+        """
+        trip, safe_ns = self.k.trip or self.trip, self.safe_ns
+        if self._end and (trip is None or self._end != SAFE):
             return
-        self._end_marked = True
-        trip, safe_ns = self.k.trip, self.safe_ns
-        self.mark(self.now_ns if safe_ns is None else safe_ns, f"trip {trip}" if trip else "safe")
+        for marker in self.marks.end(self._shown_ns()):
+            self.mark(*marker)
+        t_ns = self.now_ns if safe_ns is None or self._end else safe_ns
+        self._end = SAFE if trip is None else f"trip {trip}"
+        self.mark(t_ns, self._end)
 
     def _shown_ns(self) -> int:
         """Return the end of the display so far: the present time, or the start of the safe state."""
@@ -179,7 +187,12 @@ class Course(ABC):
         none = [Measures() for _ in self.k]
         if self.path is None or (self.path.exists() and not self.path.is_file()):  # a device, such as /dev/null
             return Figures(none, None)
-        sha256 = file_sha256(self.path)
+        try:
+            sha256 = file_sha256(self.path)
+        except OSError:
+            if self.failure is None:
+                raise
+            return Figures(none, None)
         if self.failure is not None or self.enabled_ns is None:
             return Figures(none, sha256)
         return Figures([measure(axis) for axis in blocks(self.path).axes], sha256)
