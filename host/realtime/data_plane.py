@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -164,7 +163,7 @@ class DataPlane:
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", self.MODULE, json.dumps(settings)],
-            stdin=subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             text=True,
             pass_fds=fds,
@@ -197,10 +196,10 @@ class DataPlane:
 
         After the end of the parent it appends the marker of the trip to it.
         """
-        words = self._process.stdin
-        with suppress(OSError):  # it has ended
-            if words is not None:
-                print(json.dumps([str(path.absolute()), zero_ns]), file=words, flush=True)
+        name = os.fsencode(path.absolute())
+        if len(name) <= len(self.shared.recording):
+            self.shared.zero_ns[0] = zero_ns
+            self.shared.recording[: len(name)] = np.frombuffer(name, np.uint8)
 
     # state
 
@@ -295,6 +294,7 @@ class DataPlane:
         """
         if self._process.stdout is None or self._process.stdout.closed:
             return
+        self.shared.recording[:] = 0  # the parent has closed it
         self.shared.plane["command"] = PlaneCommand.QUIT
         deadline = time.monotonic() + timeout_s + self._controllers.ending_s
         while self.alive and time.monotonic() < deadline:
@@ -303,9 +303,6 @@ class DataPlane:
             self._process.kill()
         self._process.wait()
         self._process.stdout.close()
-        if self._process.stdin is not None:
-            with suppress(OSError):  # what was not read by an ended process
-                self._process.stdin.close()
         self._close_clients()
         if self.states is not None:
             self.states.close()

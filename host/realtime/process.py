@@ -47,9 +47,6 @@ from coulombus.wire.recvmsg import new_mailbox
 
 __all__ = ["main", "mark_trip", "new_buffers", "warm_up"]
 
-MOST_NAMED = 1 << 16
-"""Maximum bytes of the name of a recording in the pipe."""
-
 
 def new_buffers(fds: Sequence[int], shared: SharedPlane, world_fd: int = -1) -> Buffers:
     """Return the loop's buffers for the sockets of its buses, a shared memory, and a socket for the states."""
@@ -117,21 +114,19 @@ def main(settings: dict[str, Any]) -> int:
     print(json.dumps({"ready": True, "real_time": report.as_dict()}), flush=True)
     run_plane(buffers, law_function, arm)
     if os.getppid() != settings["parent"]:
-        mark_trip(shared, sys.stdin.fileno())
+        mark_trip(shared)
     return 0
 
 
-def mark_trip(shared: SharedPlane, fd: int) -> None:
-    """Append the marker of the first trip to the recording that the ended parent has left, if it has named one in the
-    pipe `fd` (`DataPlane.tell_recording`).
-    """
+def mark_trip(shared: SharedPlane) -> None:
+    """Append the marker of the first trip to the recording that the ended parent has left (`DataPlane.tell_recording`)."""
+    name = bytes(shared.recording).rstrip(b"\0")
     trips = [(int(k.host.trip_ns), Trip(int(k.host.trip))) for k in shared.axes if k.host.trip]
-    with suppress(OSError, ValueError):  # no recording, or it is gone: there is nobody to tell
-        os.set_blocking(fd, False)
-        path, zero_ns = json.loads(os.read(fd, MOST_NAMED))
-        if trips:
-            t_ns, trip = min(trips)
-            append_late(Path(path), [(t_ns - zero_ns, f"trip {trip.name}: {TRIP_TEXT[trip].partition('{')[0]}")])
+    if name and trips:
+        t_ns, trip = min(trips)
+        text = TRIP_TEXT[trip].partition("{")[0]  # the values belong to the rig, which is not known here
+        with suppress(OSError):  # the recording is gone, and there is nobody to tell
+            append_late(Path(os.fsdecode(name)), [(t_ns - int(shared.zero_ns[0]), f"trip {trip.name}: {text}".rstrip())])
 
 
 if __name__ == "__main__":

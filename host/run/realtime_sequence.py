@@ -157,13 +157,8 @@ class RealCourse(Course):
     def _give_up_recording(self) -> None:
         """Close the recording, with the marker of a trip, if it is still open; its content stays readable."""
         if self.recorder is not None:
-            self._attempt(self._mark_trip)
+            self._attempt(self.mark_trip)
             self._attempt(self.recorder.close, RecordingError)
-
-    def _mark_trip(self) -> None:
-        """Set the marker of a trip that came after the end of the course."""
-        if self.trip is not None:
-            self.mark_end()
 
     # the course
 
@@ -359,7 +354,7 @@ class RealCourse(Course):
             self.plane.end_cycle()
         if self._touched:
             self._attempt(lambda: shut_down(self.control), BusUnavailable)
-        self._attempt(self._mark_trip)
+        self._attempt(self.mark_trip)
         self._attempt(self.drain)
         self._attempt(self.world.close)
         self._give_up_recording()

@@ -24,8 +24,6 @@ from coulombus.recording.recorder import Recorder
 __all__ = ["SAFE_TIMEOUT_NS", "Course", "Figures"]
 
 FOREVER_NS = 1 << 62
-SAFE = "safe"
-"""Marker of the normal end."""
 
 SAFE_TIMEOUT_NS = 10_000_000_000
 """Longest wait for the end of the safe state, in addition to the brake's ramp."""
@@ -59,8 +57,7 @@ class Course(ABC):
         self.failure: str | None = None
         self.losses: tuple[str, ...] = ()
         self.marks = PhaseMarks(k.rig)
-        self._end = ""
-        """Marker of the end; "": not set yet."""
+        self._end_marked = self._trip_marked = False
 
     # time, start and safe state
 
@@ -109,15 +106,14 @@ class Course(ABC):
             display_ends = FOREVER_NS if seconds is None else enabled + round(seconds * 1e9)
             while self.now_ns < display_ends and self.look(display_ends, lambda: self.k.ending):
                 pass
-        for marker in self.marks.end(self._shown_ns()):
-            self.mark(*marker)
+        self._mark_display_end()
 
     def make_safe(self) -> None:
         """Request the safe state, and wait until the brakes are ramped off and the drives disabled."""
         self.stop()
         ends = self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
         while not self.k.done and self.now_ns < ends:
-            self.look(ends, lambda: self.k.done or (self.k.safe and not self._end))
+            self.look(ends, lambda: self.k.done or (self.k.safe and not self._end_marked))
         self.mark_end()
 
     def _one_more(self) -> bool:
@@ -142,20 +138,29 @@ class Course(ABC):
         for marker in self.marks.due(min(before_ns, self._shown_ns() + 1)):
             self.mark(*marker)
         if self.safe_ns is not None:
+            if self.k.trip is not None:  # the trip's marker is the last one
+                self._mark_display_end()
             self.mark_end()
 
-    def mark_end(self) -> None:
-        """Set the marker of the safe state with its reason, behind those of the schedules' end; once, and once more for a
-        trip after the normal end. Its time is the start of the safe state, or the present if that is unknown.
-        """
-        trip, safe_ns = self.k.trip or self.trip, self.safe_ns
-        if self._end and (trip is None or self._end != SAFE):
-            return
+    def _mark_display_end(self) -> None:
         for marker in self.marks.end(self._shown_ns()):
             self.mark(*marker)
-        t_ns = self.now_ns if safe_ns is None or self._end else safe_ns
-        self._end = SAFE if trip is None else f"trip {trip}"
-        self.mark(t_ns, self._end)
+
+    def mark_end(self) -> None:
+        """Set the marker of the safe state with its reason, once; at the present time if its start is unknown."""
+        if self._end_marked:
+            return
+        self._end_marked = True
+        trip, safe_ns = self.k.trip, self.safe_ns
+        self._trip_marked = trip is not None
+        self.mark(self.now_ns if safe_ns is None else safe_ns, f"trip {trip}" if trip else "safe")
+
+    def mark_trip(self) -> None:
+        """Set the marker of a trip that `mark_end` did not know. Call it before the recording is closed."""
+        trip = self.trip
+        if trip is not None and not self._trip_marked:
+            self._trip_marked = True
+            self.mark(self.now_ns, f"trip {trip}")
 
     def _shown_ns(self) -> int:
         """Return the end of the display so far: the present time, or the start of the safe state."""

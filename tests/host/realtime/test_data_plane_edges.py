@@ -106,6 +106,8 @@ def handle(monkeypatch):
         skew_bins=np.zeros(BINS, np.int64),
         ring=frames(8),
         trace=new_records(TraceRow, 8),
+        recording=np.zeros(16, np.uint8),
+        zero_ns=np.zeros(1, np.int64),
         close=lambda: found.closed.append("shared"),
     )
     found._batch, found._rows, found.real_time = frames(4), new_records(TraceRow, 4), []
