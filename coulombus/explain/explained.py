@@ -230,12 +230,19 @@ class Explainer:
         }
         frames = sum(count for key, count in self.bus.counts.items() if self.bus.sender(key) == number)
         well = not any(clue.node == number for incident in incidents for clue in incident.clues)
-        well &= not (number == self.bus.host and self.bus.tripped)
+        well &= number != self.bus.host or not (self.bus.tripped or self._is_cut)
         return NodeSummary(number, self.bus.names.get(number, ""), str(state), frames, ", ".join(sorted(sources)), well)
+
+    @property
+    def _is_cut(self) -> bool:
+        """Whether the recording has the beginning of the host's run and not its end, which is within the span."""
+        return self.bus.host_runs and self._span[1] is None
 
     def _remarks(self) -> list[str]:
         bus = self.bus
         remarks = []
+        if self._is_cut:
+            remarks.append("the end of the host's run is not recorded: its processes were killed, or the run goes on")
         extended = bus.counts.get(EXTENDED, 0)
         if bus.frames and not self._is_canopen:
             what = (

@@ -13,7 +13,7 @@ from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["HostMarkers"]
 
-TRIP, SAFE, PHASE = "trip ", "safe", "phase "
+RUN, TRIP, SAFE, PHASE = "run ", "trip ", "safe", "phase "
 BEFORE_NS, KEPT_NS = 1_000_000_000, 5_000_000_000
 """Time before a trip within which the host's telemetry may explain it; length of the kept telemetry."""
 WORDS = {
@@ -57,6 +57,9 @@ class HostMarkers:
     def mark(self, t_ns: int, line: str, row: int) -> None:
         """Process a marker; `row` is the frame that shows it."""
         plain = line.partition(".")[2] if "." in line.split(" ")[0] else line
+        self.bus.host_runs |= line.startswith(RUN)
+        if line.startswith(TRIP) or line == SAFE:
+            self.bus.host_runs = False
         if line.startswith(TRIP):
             self.bus.tripped = True
             self._trip(t_ns, line.removeprefix(TRIP), row)
