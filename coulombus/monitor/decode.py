@@ -3,7 +3,8 @@
 Every row has `t_s`, `can_id`, `node` (a name of the rig, a node id's number as text, or None) and
 `pdo` ("TPDO1" or None). A PDO of the rig adds its signals by name in SI units; any other frame adds
 `service`, `data` (hexadecimal) and the decoded service; a comment adds `marker`, a rig with several
-buses `bus`. A marker that no frame follows is a row of its own, whose `can_id` is None. `text_lines` prints the PDOs of a block as whole columns, without a dict for each.
+buses `bus`. A marker that no frame follows is a separate row, whose `can_id` is None. `text_lines`
+prints the PDOs of a block as whole columns, without a dict for each.
 """
 
 from __future__ import annotations

@@ -126,7 +126,9 @@ def mark_trip(shared: SharedPlane) -> None:
         t_ns, trip = min(trips)
         text = TRIP_TEXT[trip].partition("{")[0]  # the values belong to the rig, which is not known here
         with suppress(OSError):  # the recording is gone, and there is nobody to tell
-            append_late(Path(os.fsdecode(name)), [(t_ns - int(shared.zero_ns[0]), f"trip {trip.name}: {text}".rstrip())])
+            append_late(
+                Path(os.fsdecode(name)), [(t_ns - int(shared.zero_ns[0]), f"trip {trip.name}: {text}".rstrip())]
+            )
 
 
 if __name__ == "__main__":

@@ -32,7 +32,10 @@ def stuck(tmp_path_factory):
 def test_a_wire_that_stays_dominant_ends_with_the_trip_at_its_time(stuck):
     path, result = stuck
     recording = read(path)
-    assert recording.markers[-2:] == [(result.trip_ns / 1e9, "phase end"), (result.trip_ns / 1e9, f"trip {result.trip}")]
+    assert recording.markers[-2:] == [
+        (result.trip_ns / 1e9, "phase end"),
+        (result.trip_ns / 1e9, f"trip {result.trip}"),
+    ]
     assert recording.ends_s[1] < recording.markers[-1][0]
     assert result.trip.startswith("TPDO_LOST")
 

@@ -343,7 +343,9 @@ def test_a_marker_is_appended_to_a_recording_that_breaks_off(tmp_path, rig):
     assert not (tmp_path / "none.pcapng").exists()
 
 
-@pytest.mark.parametrize("content", [b"[1]", b"{", b'[["1", "x"]]', b"[[1, 2]]", b'[[true, "x"]]', b"[[1e300, 1]]", b"7"])
+@pytest.mark.parametrize(
+    "content", [b"[1]", b"{", b'[["1", "x"]]', b"[[1, 2]]", b'[[true, "x"]]', b"[[1e300, 1]]", b"7"]
+)
 def test_damaged_markers_are_left_out_and_named(tmp_path, rig, content):
     file = tmp_path / "r.pcapng"
     markers = with_late_markers(file, rig)
