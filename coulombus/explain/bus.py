@@ -81,6 +81,7 @@ class Bus:
         self.counts: dict[int, int] = {}
         self.safe_ns = -1  # time of the host's ordered end or trip; -1: none
         self.tripped = False
+        self.host_runs = False  # whether a host of this project has begun its cycle, and not ended
         self.canopen = 0  # frames that occur only in CANopen
         self.stale = True
         self.bitrate = 0

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.explain.bus import Bus, product
 from coulombus.explain.bus_load import BusLoad
 from coulombus.explain.disturbances import Disturbances
 from coulombus.explain.drive_states import Drives
 from coulombus.explain.drive_values import DriveValues
-from coulombus.explain.frames import ERROR, EXTENDED, Block, Pieces
+from coulombus.explain.frames import ERROR, EXTENDED, Block, Integers, Pieces
 from coulombus.explain.host_markers import HostMarkers
 from coulombus.explain.identifier_table import IdentifierRow, Identifiers
 from coulombus.explain.incidents import Incident, join
@@ -120,9 +121,19 @@ class Explainer:
         self._epoch_ns: int | None = None
         self._shown: dict[int, tuple[int, int, bytes]] = {}
         self._rows: set[int] = set()
+        self._late: list[tuple[int, str]] = []
 
-    def take(self, frames: Records, comments: Iterable[tuple[int, str]] = (), inside: Records | None = None) -> None:
-        """Process frames; `comments`: (row of `frames`, text), `inside`: the host's telemetry of the same time."""
+    def take(
+        self,
+        frames: Records,
+        comments: Iterable[tuple[int, str]] = (),
+        inside: Records | None = None,
+        late: Iterable[tuple[int, str]] = (),
+    ) -> None:
+        """Process frames; `comments`: (row of `frames`, text), `inside`: the host's telemetry of the same time, `late`:
+        time [ns] and text of the markers that no frame follows.
+        """
+        self._late += late
         if inside is not None:
             self._host.take_inside(inside)
         remarks = list(comments)
@@ -140,6 +151,9 @@ class Explainer:
     def end(self) -> None:
         """Process the remaining frames, and note overdue events once more."""
         self._block(self._pieces.end())
+        for t_ns, text in self._late:
+            if self._is_in_span(np.array([t_ns])).all():
+                self._host.mark(t_ns, text, self.bus.frames - 1)
         self.look()
         self._rare.end(self.bus.last_ns)
 
@@ -174,11 +188,19 @@ class Explainer:
         begin, end = self._span
         if begin is None and end is None:
             return frames, comments
-        t_s = (frames["t_ns"] - (self._epoch_ns or 0)) / 1e9
-        keep = (t_s >= (-np.inf if begin is None else begin)) & (t_s < (np.inf if end is None else end))
+        keep = self._is_in_span(frames["t_ns"])
         behind = np.cumsum(keep)
         kept = [(int(behind[row]) - 1, text) for row, text in comments if row < len(keep) and keep[row]]
         return frames[keep], kept
+
+    def _is_in_span(self, t_ns: Integers) -> npt.NDArray[np.bool_]:
+        """Return whether each of these times is within the span."""
+        begin, end = self._span
+        t_s = (t_ns - (self._epoch_ns or 0)) / 1e9
+        inside: npt.NDArray[np.bool_] = (t_s >= (-np.inf if begin is None else begin)) & (
+            t_s < (np.inf if end is None else end)
+        )
+        return inside
 
     def _block(self, block: Block) -> None:
         self.bus.take(block)
@@ -208,11 +230,19 @@ class Explainer:
         }
         frames = sum(count for key, count in self.bus.counts.items() if self.bus.sender(key) == number)
         well = not any(clue.node == number for incident in incidents for clue in incident.clues)
+        well &= number != self.bus.host or not (self.bus.tripped or self._is_cut)
         return NodeSummary(number, self.bus.names.get(number, ""), str(state), frames, ", ".join(sorted(sources)), well)
+
+    @property
+    def _is_cut(self) -> bool:
+        """Whether the recording has the beginning of the host's run and not its end, which is within the span."""
+        return self.bus.host_runs and self._span[1] is None
 
     def _remarks(self) -> list[str]:
         bus = self.bus
         remarks = []
+        if self._is_cut:
+            remarks.append("the end of the host's run is not recorded: its processes were killed, or the run goes on")
         extended = bus.counts.get(EXTENDED, 0)
         if bus.frames and not self._is_canopen:
             what = (
@@ -275,7 +305,7 @@ def explain(
     for capture in captures_of_bus(Path(path), channel, remarks):
         if explainer is None:
             explainer = Explainer(rig or attached_rig(capture, remarks), eds, span)
-        explainer.take(capture.frames, capture.comments, capture.inside)
+        explainer.take(capture.frames, capture.comments, capture.inside, capture.late)
     assert explainer is not None  # a log without a frame is refused
     explainer.end()
     return explainer.explanation(remarks)

@@ -121,6 +121,9 @@ def screen(explanation: Explanation, source: str) -> Iterator[str]:
         yield ""
         yield f"{incident.number}  {incident.status.upper()}  {_when(explanation, incident)}  {title(explanation, incident)}"
         yield f"   cause ({incident.sure}): {cause(incident)}"
+        trip = next((clue for clue in incident.clues if clue.kind == "host_trip"), incident.root)
+        if trip is not incident.root:
+            yield f"   the host tripped: {trip.text}"
         outcome = incident.root.end_text
         if outcome and incident.status == "recovered":
             yield f"   over: {outcome}"

@@ -13,7 +13,7 @@ from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["HostMarkers"]
 
-TRIP, SAFE, PHASE = "trip ", "safe", "phase "
+RUN, TRIP, SAFE, PHASE = "run ", "trip ", "safe", "phase "
 BEFORE_NS, KEPT_NS = 1_000_000_000, 5_000_000_000
 """Time before a trip within which the host's telemetry may explain it; length of the kept telemetry."""
 WORDS = {
@@ -52,14 +52,21 @@ class HostMarkers:
             at = min(row, len(block.t_ns) - 1)
             t_ns = int(block.t_ns[at]) if at >= 0 else self.bus.last_ns
             for line in text.splitlines():
-                plain = line.partition(".")[2] if "." in line.split(" ")[0] else line
-                if line.startswith(TRIP):
-                    self.bus.tripped = True
-                    self._trip(t_ns, line.removeprefix(TRIP), block.first_row + max(at, 0))
-                elif line == SAFE:
-                    self.bus.safe_ns = t_ns
-                elif plain.startswith(PHASE) and plain != "phase end":
-                    self.clues.end("host_trip", None, t_ns, "it displays again")
+                self.mark(t_ns, line, block.first_row + max(at, 0))
+
+    def mark(self, t_ns: int, line: str, row: int) -> None:
+        """Process a marker; `row` is the frame that shows it."""
+        plain = line.partition(".")[2] if "." in line.split(" ")[0] else line
+        self.bus.host_runs |= line.startswith(RUN)
+        if line.startswith(TRIP) or line == SAFE:
+            self.bus.host_runs = False
+        if line.startswith(TRIP):
+            self.bus.tripped = True
+            self._trip(t_ns, line.removeprefix(TRIP), row)
+        elif line == SAFE:
+            self.bus.safe_ns = t_ns
+        elif plain.startswith(PHASE) and plain != "phase end":
+            self.clues.end("host_trip", None, t_ns, "it displays again")
 
     def _trip(self, t_ns: int, text: str, row: int) -> None:
         inside = self._inside

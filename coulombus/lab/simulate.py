@@ -177,6 +177,7 @@ class _VirtualRun(Course):
 
     def close(self) -> None:
         """Write the rest and close the recording."""
+        self.mark_trip()
         self.world.flush()
         if self.recorder is not None:
             try:

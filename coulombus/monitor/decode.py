@@ -3,7 +3,8 @@
 Every row has `t_s`, `can_id`, `node` (a name of the rig, a node id's number as text, or None) and
 `pdo` ("TPDO1" or None). A PDO of the rig adds its signals by name in SI units; any other frame adds
 `service`, `data` (hexadecimal) and the decoded service; a comment adds `marker`, a rig with several
-buses `bus`. `text_lines` prints the PDOs of a block as whole columns, without a dict for each.
+buses `bus`. A marker that no frame follows is a separate row, whose `can_id` is None. `text_lines`
+prints the PDOs of a block as whole columns, without a dict for each.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from coulombus.eds.sdo_frames import where
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
+from coulombus.recording.file_content import Capture
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pdo_columns import PdoTable
@@ -88,6 +90,14 @@ def _block_rows(block: Recording, services: Mapping[str, _Services]) -> Iterator
         if i in comments:
             row_of_frame["marker"] = comments[i]
         yield row_of_frame
+    yield from _late_rows(block.capture, block.epoch_ns)
+
+
+def _late_rows(capture: Capture, epoch_ns: int) -> Iterator[Row]:
+    """Yield a row for each marker that no frame follows."""
+    for t_ns, text in capture.late:
+        common: Row = {"t_s": (t_ns - epoch_ns) / 1e9, "can_id": None, "node": None, "pdo": None}
+        yield common | {"service": "marker", "marker": text}
 
 
 def _of_sources(block: Recording, services: Mapping[str, _Services]) -> tuple[_Services, list[_Services]]:
@@ -121,6 +131,8 @@ def text_lines(recording: Source) -> Iterator[list[str]]:
     for block in recording:
         if len(block.frames):
             yield _block_lines(block, services, kept)
+        if block.capture.late:
+            yield [printable(as_text(row)) for row in _late_rows(block.capture, block.epoch_ns)]
 
 
 def _block_lines(
@@ -208,6 +220,7 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -
                 if i in comments:
                     row["marker"] = comments[i].replace("\n", "; ")
                 yield row
+        yield from _late_rows(capture, epoch_ns or 0)
 
 
 def _objects(pdo: RigPdo, word: int, length: int) -> Row:
@@ -329,7 +342,8 @@ def _time_text(t_s: float) -> str:
 
 def _head(row: Row) -> str:
     """Return the columns before the content."""
-    can_id = f"{row['can_id']:08X}" if row.get("extended") else f"{row['can_id']:03X}"
+    number = row["can_id"]
+    can_id = "-" if number is None else f"{number:08X}" if row.get("extended") else f"{number:03X}"
     what = row["pdo"] or row["service"]
     return f"{_time_text(row['t_s'])}  {can_id:>8}  {row['node'] or '-':<6} {what:<10}"
 

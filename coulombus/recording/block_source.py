@@ -157,13 +157,14 @@ def _parts(capture: Capture, window: Window) -> Iterator[tuple[Capture, int, boo
     if window == ALL:
         yield capture, 0, True
         return
-    empty = replace(capture, comments=[], attachments={}, torn=0, skipped=0, warnings=())
+    empty = replace(capture, comments=[], attachments={}, torn=0, skipped=0, warnings=(), late=())
     rows, inside = window.places(capture.frames["t_ns"]), window.places(capture.inside["t_ns"])
     if (rows < 0).any() or (inside < 0).any():
         yield empty.part(rows < 0, inside < 0), 0, False
-    if capture.attachments or capture.warnings or (rows == 0).any() or (inside == 0).any():
+    late = tuple(marker for marker in capture.late if not window.places(np.array([marker[0]]))[0])
+    if capture.attachments or capture.warnings or late or (rows == 0).any() or (inside == 0).any():
         first = int(np.argmax(rows == 0)) if len(rows) else 0
-        yield capture.part(rows == 0, inside == 0), first, True
+        yield replace(capture.part(rows == 0, inside == 0), late=late), first, True
 
 
 def captures(path: str | Path, window: Window = ALL) -> Iterator[Capture]:

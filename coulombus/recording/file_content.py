@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,9 +11,56 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.folders import segments_of
+from coulombus.recording.pcapng_blocks import attachment_block
 from coulombus.wire.frame import FRAME, Records
 
-__all__ = ["Capture", "joined"]
+__all__ = ["LATE", "Capture", "append_late", "joined", "pack_late", "unpack_late"]
+
+LATE = "markers"
+"""Attachment with the markers after which no frame follows."""
+
+
+def pack_late(markers: Sequence[tuple[int, str]]) -> bytes:
+    """Return the content of the attachment `LATE`: a JSON list of [stamp in ns, text]."""
+    return json.dumps(markers).encode()
+
+
+def append_late(path: Path, markers: Sequence[tuple[int, str]]) -> None:
+    """Append the attachment `LATE` to a recording whose writer has ended.
+
+    Parameters
+    ----------
+    path : the recording, or a run's folder: then its newest segment
+
+    Raises
+    ------
+    OSError
+        the recording is not there, or cannot be written
+    """
+    paths = segments_of(path) if path.is_dir() else [path]
+    fd = os.open(paths[-1] if paths else path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        os.write(fd, attachment_block(LATE, pack_late(markers)))
+    finally:
+        os.close(fd)
+
+
+def unpack_late(content: bytes) -> list[tuple[int, str]]:
+    """Return the markers of an attachment `LATE`.
+
+    Raises
+    ------
+    ValueError
+        the content has another form
+    """
+    try:
+        markers = [(t_ns, text) for t_ns, text in json.loads(content)]
+    except (TypeError, RecursionError) as error:
+        raise ValueError(str(error)) from None
+    if not all(type(t_ns) is int and abs(t_ns) < 1 << 63 and isinstance(text, str) for t_ns, text in markers):
+        raise ValueError("a marker is not a stamp of 64 bits and a text")
+    return markers
 
 
 def joined(path: str | Path, parts: Sequence[Capture]) -> Capture:
@@ -30,6 +79,7 @@ def joined(path: str | Path, parts: Sequence[Capture]) -> Capture:
         skipped=sum(part.skipped for part in parts),
         warnings=tuple(text for part in parts for text in part.warnings),
         inside=np.concatenate([part.inside for part in parts]),
+        late=tuple(marker for part in parts for marker in part.late),
     )
 
 
@@ -62,6 +112,8 @@ class Capture:
     """Name of the bus of each `source`, as in the file; "" for an interface without a bus."""
     channels: tuple[str, ...] | None = None
     """The rig's bus of each `source` (`recording.bus_match`); None: the rig's only bus."""
+    late: tuple[tuple[int, str], ...] = ()
+    """Markers after which no frame follows: stamp like the frames', and text."""
 
     def part(self, rows: npt.NDArray[np.bool_], inside: npt.NDArray[np.bool_]) -> Capture:
         """Return the content with some of the frames, and of those of the host's telemetry; comments of others are left out."""

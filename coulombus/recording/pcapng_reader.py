@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from coulombus.eds.regular_file import require_regular
-from coulombus.recording.file_content import Capture, joined
+from coulombus.recording.file_content import LATE, Capture, joined, unpack_late
 from coulombus.recording.folders import present, segments
 from coulombus.recording.logs.content import Content
 from coulombus.recording.pcapng_blocks import (
@@ -91,6 +91,7 @@ class _Reader:
     """Number of frames in `parts`."""
     inside: list[Records] = field(default_factory=list)
     comments: list[tuple[int, str]] = field(default_factory=list)
+    late: list[tuple[int, str]] = field(default_factory=list)
     attachments: dict[str, bytes] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     skipped: int = 0
@@ -146,9 +147,10 @@ class _Reader:
             warnings=tuple(self.warnings),
             inside=_joined(self.inside),
             buses=tuple(self.buses),
+            late=tuple(self.late),
         )
         self.begun = self.begun or len(capture.frames) > 0
-        self.inside = []
+        self.inside, self.late = [], []
         self.parts, self.comments, self.attachments, self.warnings = [], [], {}, []
         self.rows = self.skipped = 0
         return capture
@@ -372,8 +374,8 @@ def _take(reader: _Reader, offsets: Integers) -> None:
             elif isinstance(attached, str):
                 reader.warnings.append(f"{reader.path}: offset {reader.base + 4 * at}: {attached}")
             elif attached is not None:
-                reader.attachments[attached[0]] = attached[1]
                 reader.attached += len(attached[1])
+                _attach(reader, *attached, 4 * at)
         elif kind in (PACKET, SIMPLE_PACKET):
             reader.skipped += 1
     packets = offsets[kinds == ENHANCED_PACKET]
@@ -401,6 +403,18 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         for code, value in iter_options(reader.data[begin:end], reader.order):
             if code == OPT_COMMENT:
                 reader.comments.append((done + row, value.decode(errors="replace")))
+
+
+def _attach(reader: _Reader, name: str, content: bytes, start: int) -> None:
+    """Keep an attachment; that of the markers after the last frame is read."""
+    if name != LATE or not reader.own:
+        reader.attachments[name] = content
+        return
+    try:
+        reader.late += unpack_late(content)
+    except ValueError as error:
+        text = f"attachment {name!r} is damaged ({error}) and was left out"
+        reader.warnings.append(f"{reader.path}: offset {reader.base + start}: {text}")
 
 
 def _interface(reader: _Reader, start: int, body: bytes) -> Interface:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import struct
 from collections.abc import Mapping
 from contextlib import suppress
@@ -105,7 +106,7 @@ class PcapngWriter:
     Raises
     ------
     RecordingError
-        The file cannot be opened or written; also raised by every later call but `close`.
+        The file cannot be opened or written, or was removed; also raised by every later call but `close`.
     """
 
     def __init__(
@@ -144,6 +145,7 @@ class PcapngWriter:
                 f"{self.path}: the recording cannot be created ({error.strerror}); "
                 "choose a folder that exists and can be written"
             ) from error
+        self._is_file = stat.S_ISREG(os.fstat(self._fd).st_mode)
         try:
             self._write(head)
         except BaseException:  # without its header it is no recording, and would block the next one
@@ -218,12 +220,18 @@ class PcapngWriter:
         """Return the file's descriptor, -1 when it is closed."""
         return self._fd
 
+    @property
+    def failed(self) -> bool:
+        """Whether the file can no longer be written."""
+        return self._failure is not None
+
     def close(self) -> None:
         """Close the file; idempotent."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             try:
                 os.close(fd)
+                self._check_there()
             except OSError as error:  # a network file system may refuse only here
                 if self._failure is None:
                     raise self._fail(error) from error
@@ -243,6 +251,7 @@ class PcapngWriter:
             raise ValueError(f"{self.path}: the recording is closed")
         rest = memoryview(data)
         try:
+            self._check_there()
             while rest:  # one call, unless the disk fills up or it is a pipe
                 rest = rest[os.write(self._fd, rest) :]
         except OSError as error:
@@ -252,11 +261,17 @@ class PcapngWriter:
             raise self._fail(error) from error
         self.bytes += len(data)
 
+    def _check_there(self) -> None:
+        """Raise an OSError if the file is no longer at its path: without one, a removed file can be written."""
+        if self._is_file:
+            os.stat(self.path)
+
     def _fail(self, error: OSError) -> RecordingError:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        gone = error.errno in (errno.ENOENT, errno.ENOTDIR)
         self._failure = (
-            f"{self.path}: the recording stopped after {self.frames} frames, {self.bytes} bytes "
-            f"({error.strerror}); what was written stays readable; "
+            f"{self.path}: the recording stopped after {self.frames} frames, {self.bytes} bytes ({error.strerror}); "
+            + ("the file or its folder was removed; " if gone else "what was written stays readable; ")
             + ("free some space, or record to another disk" if full else "record to another place")
         )
         return RecordingError(self._failure)

@@ -1,5 +1,7 @@
 """Record a run: frames as received; rig, EDS files and law attached; markers as comments of the next frames.
 
+Markers that no frame follows are an attachment at the end (`recording.file_content.LATE`).
+
 Each bus has an interface of the file. The host's telemetry (`recording.host_telemetry`) goes to the last one.
 """
 
@@ -15,6 +17,7 @@ from types import MappingProxyType, TracebackType
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.file_content import LATE, pack_late
 from coulombus.recording.host_telemetry import HOST_INTERFACE, SOURCE_INSIDE, inside_attachment
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.trace import MODELS, NAME, SENT, pack, pack_models, pack_sent
@@ -65,6 +68,11 @@ class Markers:
         for row, (_, _, text) in zip(rows, due, strict=True):
             comments[row] = f"{comments[row]}\n{text}" if row in comments else text
         return comments
+
+    def rest(self) -> list[tuple[int, str]]:
+        """Return time and text of the pending markers, in their order; none is pending then."""
+        waiting, self._waiting = sorted(self._waiting), []
+        return [(t_ns, text) for t_ns, _, text in waiting]
 
 
 @dataclass(frozen=True)
@@ -153,7 +161,7 @@ class Recorder:
         self._writer.attach(name, content)
 
     def mark(self, t_ns: int, text: str) -> None:
-        """Attach the comment `text` to the first frame at or after `t_ns`."""
+        """Attach the comment `text` to the first frame at or after `t_ns`; without such a frame `close` writes it."""
         self._markers.add(t_ns, text)
 
     def write(self, frames: Records) -> None:
@@ -202,10 +210,18 @@ class Recorder:
         if self._rows:
             self._write_trace()
 
+    def _write_rest(self) -> None:
+        """Write the rest of the trace, and the markers that no frame follows."""
+        self._flush_trace()
+        if (late := self._markers.rest()) and not self._writer.failed:
+            self._writer.attach(LATE, pack_late(late))
+
     def close(self) -> None:
-        """Write the rest and close the file."""
+        """Write the rest and close the file; idempotent."""
+        if self._writer.fileno() < 0:
+            return
         try:
-            self._flush_trace()
+            self._write_rest()
         finally:
             self._writer.close()
 

@@ -126,6 +126,7 @@ def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
         for row, text in block.capture.comments
         for line in text.splitlines()
     )
+    placed += tuple((2 * len(block.frames), (t_ns - block.epoch_ns) / 1e9, text) for t_ns, text in block.capture.late)
     return Stretch(tuple(rows), placed, float(block.t_s[-1]) if len(block.frames) else 0.0)
 
 
@@ -165,15 +166,15 @@ def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:
             instants = (first + np.arange(max(count, 0), dtype=np.int64)) * grid_ns
             values = tuple(held[column.name].at(instants) for column in group.columns)
             places = np.arange(seen, seen + len(instants), dtype=np.int64)
-            here = [(t, text) for t, text in markers if t * 1e9 <= end_ns]
-            at = np.searchsorted(instants, [round(t * 1e9) for t, _ in here])
-            placed = tuple((seen + int(k), t, text) for k, (t, text) in zip(at, here, strict=True))
+            at = np.searchsorted(instants, [round(t * 1e9) for t, _ in markers])
+            placed = tuple((seen + int(k), t, text) for k, (t, text) in zip(at, markers, strict=True))
             markers = []
             following, seen = first + len(instants), seen + len(instants)
             yield Stretch((Rows(places, instants, values),), placed, end_ns / 1e9)
 
     for block in source:
         if not len(block.frames):
+            yield from rows(until, block.markers)
             continue
         t_ns = block.frames["t_ns"] - block.epoch_ns
         for table in block.tables:

@@ -292,7 +292,7 @@ class SegmentedRecorder(Recorder):
         if self._index < 0:
             return
         try:
-            self._flush_trace()
+            self._write_rest()
         finally:
             self._end_segment()
             os.close(self._index)

@@ -162,7 +162,7 @@ class Recording(Source):
     signals
         Name -> `Series`, in the order of the rig's PDOs; empty for a PDO that was never received.
     markers
-        (time [s], text) of each line of the comments, in the file's order.
+        (time [s], text) of each line of the comments, in the file's order; then those that no frame follows.
     malformed
         "motor.TPDO1" -> frames of a wrong length, which are omitted from the signals.
     before
@@ -414,6 +414,7 @@ def decode(
     def at_s(row: int) -> float:
         return float((frames["t_ns"][row] - epoch_ns) / 1e9)
 
+    markers = [(at_s(row), line) for row, text in capture.comments for line in text.splitlines()]
     return Recording(
         path=capture.path,
         known_rig=rig,
@@ -421,7 +422,7 @@ def decode(
         epoch_ns=epoch_ns,
         tables=tables,
         signals=SignalsOfTables(tables, epoch_ns),
-        markers=[(at_s(row), line) for row, text in capture.comments for line in text.splitlines()],
+        markers=markers + [((t_ns - epoch_ns) / 1e9, text) for t_ns, text in capture.late],
         malformed=MappingProxyType({table.name: table.malformed for table in tables if not table.inside}),
         before=MappingProxyType(dict(before)),
         inside=inside,

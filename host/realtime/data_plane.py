@@ -191,6 +191,16 @@ class DataPlane:
             raise PlaneError(f"the data plane's process {reason}; its messages are above")
         self.real_time = json.loads(line)["real_time"]
 
+    def tell_recording(self, path: Path, zero_ns: int) -> None:
+        """Tell the process the recording, or the folder of its segments, and its time 0 of CLOCK_MONOTONIC.
+
+        After the end of the parent it appends the marker of the trip to it.
+        """
+        name = os.fsencode(path.absolute())
+        if len(name) <= len(self.shared.recording):
+            self.shared.zero_ns[0] = zero_ns
+            self.shared.recording[: len(name)] = np.frombuffer(name, np.uint8)
+
     # state
 
     @property
@@ -284,6 +294,7 @@ class DataPlane:
         """
         if self._process.stdout is None or self._process.stdout.closed:
             return
+        self.shared.recording[:] = 0  # the parent has closed it
         self.shared.plane["command"] = PlaneCommand.QUIT
         deadline = time.monotonic() + timeout_s + self._controllers.ending_s
         while self.alive and time.monotonic() < deadline:

@@ -5,7 +5,8 @@ parent's interpreter, so no lock, garbage collection or thread of the parent can
 is ready, it dies with its parent (PR_SET_PDEATHSIG). From then on the loop monitors the parent: when the
 parent has ended, the loop makes the rig safe as after a trip, and the process ends
 (`host.realtime.loop`). Only the parent handles the signals that end a verb: this process blocks them, and
-has its own session, which the terminal does not signal.
+has its own session, which the terminal does not signal. It appends the marker of the trip to the recording
+of a parent that has ended (`mark_trip`).
 
 One line of JSON on the standard output reports that it is ready, with the granted and refused real-time
 rights.
@@ -14,14 +15,18 @@ rights.
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from coulombus.host.cycle.records import Trip
+from coulombus.host.cycle.trip_text import TRIP_TEXT
 from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
 from coulombus.host.laws.plane.plane_laws import load_plane_law
@@ -31,6 +36,7 @@ from coulombus.host.realtime.loop import run_plane
 from coulombus.host.realtime.shared_memory import PlaneCommand, SharedPlane
 from coulombus.host.world.records import StateRecord
 from coulombus.kernels.decorator import Entry
+from coulombus.recording.file_content import append_late
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
 from coulombus.rigs.kinematics.load_mechanism import load_mechanism
@@ -39,7 +45,7 @@ from coulombus.system.stop_signals import SIGNALS
 from coulombus.wire.frame import QUEUE_CAPACITY, Frame, new_queue, new_records
 from coulombus.wire.recvmsg import new_mailbox
 
-__all__ = ["main", "new_buffers", "warm_up"]
+__all__ = ["main", "mark_trip", "new_buffers", "warm_up"]
 
 
 def new_buffers(fds: Sequence[int], shared: SharedPlane, world_fd: int = -1) -> Buffers:
@@ -107,7 +113,22 @@ def main(settings: dict[str, Any]) -> int:
     outlive_parent()
     print(json.dumps({"ready": True, "real_time": report.as_dict()}), flush=True)
     run_plane(buffers, law_function, arm)
+    if os.getppid() != settings["parent"]:
+        mark_trip(shared)
     return 0
+
+
+def mark_trip(shared: SharedPlane) -> None:
+    """Append the marker of the first trip to the recording that the ended parent has left (`DataPlane.tell_recording`)."""
+    name = bytes(shared.recording).rstrip(b"\0")
+    trips = [(int(k.host.trip_ns), Trip(int(k.host.trip))) for k in shared.axes if k.host.trip]
+    if name and trips:
+        t_ns, trip = min(trips)
+        text = TRIP_TEXT[trip].partition("{")[0]  # the values belong to the rig, which is not known here
+        with suppress(OSError):  # the recording is gone, and there is nobody to tell
+            append_late(
+                Path(os.fsdecode(name)), [(t_ns - int(shared.zero_ns[0]), f"trip {trip.name}: {text}".rstrip())]
+            )
 
 
 if __name__ == "__main__":

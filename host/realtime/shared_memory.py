@@ -25,6 +25,9 @@ __all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "PlaneCommand", "PlaneS
 RING_FRAMES = 1 << 17
 """Size of the ring: about nine seconds of frames and telemetry at 1 kHz; a power of two."""
 
+PATH_BYTES = 4096
+"""Size of the recording's path, filled up with zeros; a longer one is not told."""
+
 BINS = 20_000
 """Number of bins of the histograms, each 1 us wide.
 
@@ -119,6 +122,8 @@ def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ..
         ("skew_bins", np.dtype(np.int64), (BINS,)),
         ("ring", FRAME, (RING_FRAMES,)),
         ("trace", TRACE, (TRACE_ROWS,)),
+        ("recording", np.dtype(np.uint8), (PATH_BYTES,)),  # its path; written by the parent
+        ("zero_ns", np.dtype(np.int64), (1,)),  # its time 0, of CLOCK_MONOTONIC
     )
 
 
@@ -146,6 +151,8 @@ class SharedPlane:
     wakeup_bins: np.ndarray[Any, np.dtype[np.int64]]
     latency_bins: np.ndarray[Any, np.dtype[np.int64]]
     skew_bins: np.ndarray[Any, np.dtype[np.int64]]
+    recording: np.ndarray[Any, np.dtype[np.uint8]]
+    zero_ns: np.ndarray[Any, np.dtype[np.int64]]
 
     def __init__(self, fd: int, axes: int = 1) -> None:
         self.fd, self.axis_count = fd, axes

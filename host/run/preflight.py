@@ -16,6 +16,9 @@ from coulombus.wire.address import BusAddress
 
 __all__ = ["check_no_delay", "check_no_guess", "check_no_rehearsal", "place_of", "refusing"]
 
+PROJECT = Path(__file__).parents[__name__.count(".") - 1]
+"""Folder of the package."""
+
 
 def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
     """Refuse a rig file for simulated devices on a real bus.
@@ -78,7 +81,11 @@ def refusing() -> Iterator[None]:
 
 
 def place_of(trace: TracebackType | None) -> str:
-    """Return the file and line of an error's origin."""
-    while trace is not None and trace.tb_next is not None:
+    """Return the file and line of an error's origin: the innermost of this project, not of a library."""
+    place = ""
+    while trace is not None:
+        file = Path(trace.tb_frame.f_code.co_filename)
+        if file.is_relative_to(PROJECT):
+            place = f"{file.name}:{trace.tb_lineno}"
         trace = trace.tb_next
-    return "" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
+    return place

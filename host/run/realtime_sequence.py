@@ -110,6 +110,8 @@ class RealCourse(Course):
             self.recorder = begin_recording(outputs, self.k, self.zero_ns)
             if isinstance(self.recorder, SegmentedRecorder):
                 self.path = self.recorder.run
+            if self.path is not None:
+                self.plane.tell_recording(self.path, self.zero_ns)
             self._stack.callback(self._give_up_recording)
         except BaseException:
             self._stack.close()
@@ -153,8 +155,9 @@ class RealCourse(Course):
         self.record(lambda recorder: batch.write(recorder, self._bits))
 
     def _give_up_recording(self) -> None:
-        """Close the recording, if it is still open; its content stays readable."""
+        """Close the recording, with the marker of a trip, if it is still open; its content stays readable."""
         if self.recorder is not None:
+            self._attempt(self.mark_trip)
             self._attempt(self.recorder.close, RecordingError)
 
     # the course
@@ -351,6 +354,7 @@ class RealCourse(Course):
             self.plane.end_cycle()
         if self._touched:
             self._attempt(lambda: shut_down(self.control), BusUnavailable)
+        self._attempt(self.mark_trip)
         self._attempt(self.drain)
         self._attempt(self.world.close)
         self._give_up_recording()

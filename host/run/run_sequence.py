@@ -57,7 +57,7 @@ class Course(ABC):
         self.failure: str | None = None
         self.losses: tuple[str, ...] = ()
         self.marks = PhaseMarks(k.rig)
-        self._end_marked = False
+        self._end_marked = self._trip_marked = False
 
     # time, start and safe state
 
@@ -106,8 +106,7 @@ class Course(ABC):
             display_ends = FOREVER_NS if seconds is None else enabled + round(seconds * 1e9)
             while self.now_ns < display_ends and self.look(display_ends, lambda: self.k.ending):
                 pass
-        for marker in self.marks.end(self._shown_ns()):
-            self.mark(*marker)
+        self._mark_display_end()
 
     def make_safe(self) -> None:
         """Request the safe state, and wait until the brakes are ramped off and the drives disabled."""
@@ -139,7 +138,13 @@ class Course(ABC):
         for marker in self.marks.due(min(before_ns, self._shown_ns() + 1)):
             self.mark(*marker)
         if self.safe_ns is not None:
+            if self.k.trip is not None:  # the trip's marker is the last one
+                self._mark_display_end()
             self.mark_end()
+
+    def _mark_display_end(self) -> None:
+        for marker in self.marks.end(self._shown_ns()):
+            self.mark(*marker)
 
     def mark_end(self) -> None:
         """Set the marker of the safe state with its reason, once; at the present time if its start is unknown."""
@@ -147,7 +152,15 @@ class Course(ABC):
             return
         self._end_marked = True
         trip, safe_ns = self.k.trip, self.safe_ns
+        self._trip_marked = trip is not None
         self.mark(self.now_ns if safe_ns is None else safe_ns, f"trip {trip}" if trip else "safe")
+
+    def mark_trip(self) -> None:
+        """Set the marker of a trip that `mark_end` did not know. Call it before the recording is closed."""
+        trip = self.trip
+        if trip is not None and not self._trip_marked:
+            self._trip_marked = True
+            self.mark(self.now_ns, f"trip {trip}")
 
     def _shown_ns(self) -> int:
         """Return the end of the display so far: the present time, or the start of the safe state."""
@@ -179,7 +192,12 @@ class Course(ABC):
         none = [Measures() for _ in self.k]
         if self.path is None or (self.path.exists() and not self.path.is_file()):  # a device, such as /dev/null
             return Figures(none, None)
-        sha256 = file_sha256(self.path)
+        try:
+            sha256 = file_sha256(self.path)
+        except OSError:
+            if self.failure is None:
+                raise
+            return Figures(none, None)
         if self.failure is not None or self.enabled_ns is None:
             return Figures(none, sha256)
         return Figures([measure(axis) for axis in blocks(self.path).axes], sha256)

@@ -2,6 +2,7 @@
 
 import math
 import os
+import shutil
 import struct
 from pathlib import Path
 
@@ -11,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.eds.pdo import Entry
+from coulombus.recording.file_content import append_late
 from coulombus.recording.log_files import LogError
-from coulombus.recording.pcapng_blocks import PcapngError
+from coulombus.recording.pcapng_blocks import PcapngError, RecordingError, attachment_block
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.pdo_columns import decode_field
@@ -305,3 +307,60 @@ def test_a_marker_is_the_comment_of_the_first_frame_at_or_after_its_time(tmp_pat
             frames["t_ns"] = stamps
             recorder.write(frames)
     assert list(read_pcapng(file).comments) == [(0, "at its time"), (1, "first\nsecond"), (4, "later")]
+    assert read_pcapng(file).late == ((41, "behind the end"),)
+
+
+def with_late_markers(file, rig):
+    """Record a frame, and two markers behind it."""
+    with Recorder(file, rig, "hybrid") as recorder:
+        recorder.mark(3_000_000_000, "trip SPEED")
+        recorder.mark(2_000_000_000, "phase end")
+        frames = np.zeros(1, FRAME)
+        frames["t_ns"] = 1_000_000_000
+        recorder.write(frames)
+    return [(2.0, "phase end"), (3.0, "trip SPEED")]
+
+
+def test_markers_that_no_frame_follows_keep_their_times(tmp_path, rig):
+    file = tmp_path / "r.pcapng"
+    markers = with_late_markers(file, rig)
+    recording = read(file)
+    assert recording.markers == [marker for block in blocks(file) for marker in block.markers] == markers
+    assert recording.ends_s == (1.0, 1.0)
+    assert "markers" not in recording.attachments
+    assert [text for block in blocks(file).within(0.5, 2.5) for _, text in block.markers] == ["phase end"]
+
+
+def test_a_marker_is_appended_to_a_recording_that_breaks_off(tmp_path, rig):
+    file = tmp_path / "r.pcapng"
+    markers = with_late_markers(file, rig)
+    with file.open("ab") as torn:
+        torn.write(bytes.fromhex("0600000030000000"))
+    append_late(file, [(4_000_000_000, "trip HOST")])
+    assert read(file).markers == [*markers, (4.0, "trip HOST")]
+    with pytest.raises(FileNotFoundError):
+        append_late(tmp_path / "none.pcapng", [(1, "trip HOST")])
+    assert not (tmp_path / "none.pcapng").exists()
+
+
+@pytest.mark.parametrize(
+    "content", [b"[1]", b"{", b'[["1", "x"]]', b"[[1, 2]]", b'[[true, "x"]]', b"[[1e300, 1]]", b"7"]
+)
+def test_damaged_markers_are_left_out_and_named(tmp_path, rig, content):
+    file = tmp_path / "r.pcapng"
+    markers = with_late_markers(file, rig)
+    with file.open("ab") as more:
+        more.write(attachment_block("markers", content))
+    assert read(file).markers == markers
+    assert any("attachment 'markers' is damaged" in remark for remark in read(file).remarks)
+
+
+def test_a_removed_recording_is_an_error_at_the_next_write_and_at_its_end(tmp_path, rig):
+    for name, writes in (("a", True), ("b", False)):
+        file = tmp_path / name / "r.pcapng"
+        file.parent.mkdir()
+        recorder = Recorder(file, rig, "hybrid")
+        shutil.rmtree(file.parent)
+        frames = np.zeros(1, FRAME)
+        with pytest.raises(RecordingError, match=r"the file or its folder was removed; record to another place"):
+            recorder.write(frames) if writes else recorder.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.recording import segments as module
+from coulombus.recording.file_content import append_late
 from coulombus.recording.folders import runs, segments
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError
 from coulombus.recording.pcapng_reader import iter_pcapng
@@ -329,3 +331,24 @@ def test_the_state_of_the_clock_is_told_or_not_known(monkeypatch):
 @pytest.mark.parametrize("content", [None, b"", b"[]", b"{", b"\xff", b"[" * 99999])
 def test_a_damaged_attachment_is_an_empty_one(content):
     assert attached_object(content) == {}
+
+
+def test_a_marker_behind_the_last_frame_is_in_the_last_segment(tmp_path):
+    with recorder(tmp_path, SMALL) as made:
+        for number in range(12):
+            made.write(batch(number))
+        made.mark(7_000_000_000, "trip SPEED")
+    assert read(made.run).markers == [(7.0, "trip SPEED")]
+    append_late(made.run, [(8_000_000_000, "trip HOST")])
+    assert read(segments(made.run)[-1]).markers == [(7.0, "trip SPEED"), (8.0, "trip HOST")]
+
+
+def test_a_run_whose_folder_is_removed_is_an_error_at_the_next_write(tmp_path):
+    made = recorder(tmp_path, SMALL)
+    made.write(batch(0))
+    shutil.rmtree(made.run)
+    with pytest.raises(RecordingError, match="the file or its folder was removed"):
+        made.write(batch(1))
+    with pytest.raises(RecordingError):
+        made.write(batch(2))
+    made.close()

@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import signal
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +26,10 @@ from coulombus.host.realtime.data_plane import (
     Spread,
     rig_filters,
 )
-from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus
+from coulombus.host.realtime.process import mark_trip
+from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus, SharedPlane
+from coulombus.recording.reading import read
+from coulombus.recording.recorder import Recorder
 from coulombus.recording.trace import TraceRow
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import BusAddress
@@ -106,6 +110,8 @@ def handle(monkeypatch):
         skew_bins=np.zeros(BINS, np.int64),
         ring=frames(8),
         trace=new_records(TraceRow, 8),
+        recording=np.zeros(16, np.uint8),
+        zero_ns=np.zeros(1, np.int64),
         close=lambda: found.closed.append("shared"),
     )
     found._batch, found._rows, found.real_time = frames(4), new_records(TraceRow, 4), []
@@ -209,6 +215,66 @@ def test_a_process_is_told_to_end_and_ended_where_it_does_not(handle, ends_s, lo
     handle.close()
     assert (handle._process.log, handle.closed) == (log, ["client", "shared"])
     assert told(handle, "command") == PlaneCommand.LISTEN
+
+
+def test_the_recording_is_told_until_the_parent_has_closed_it(handle):
+    handle.tell_recording(Path("/r.pcapng"), 77)
+    assert (bytes(handle.shared.recording), told_zero(handle)) == (b"/r.pcapng".ljust(16, b"\0"), 77)
+    handle._process.ends_s = 100.0
+    handle.close()
+    assert not handle.shared.recording.any()
+
+
+@pytest.mark.parametrize(("name", "is_told"), [("/sixteen.letters", True), ("/seventeen.letter", False)])
+def test_a_path_that_does_not_fit_is_not_told(handle, name, is_told):
+    handle.tell_recording(Path(name), 77)
+    assert (bytes(handle.shared.recording) == name.encode(), told_zero(handle) == 77) == (is_told, is_told)
+
+
+def told_zero(handle):
+    return int(handle.shared.zero_ns[0])
+
+
+def orphan(path):
+    """Return the shared memory of two axes whose parent has ended, with a recording at `path`."""
+    shared = SharedPlane.create(2)
+    shared.zero_ns[0] = 1_000
+    if path is not None:
+        shared.recording[: len(str(path))] = np.frombuffer(str(path).encode(), np.uint8)
+    return shared
+
+
+def trips_of(shared, *trips):
+    for axis, (t_ns, trip) in zip(shared.axes, trips, strict=False):
+        axis.host.trip_ns, axis.host.trip = t_ns, trip
+
+
+@pytest.mark.parametrize(
+    ("trips", "marker"),
+    [
+        ([(5_000, Trip.HOST), (4_000, Trip.NONE)], (4e-6, "trip HOST: the host's process failed, ended or hung")),
+        ([(5_000, Trip.HOST), (4_000, Trip.TPDO_LOST)], (3e-6, "trip TPDO_LOST: no complete set of TPDOs for")),
+        ([], None),
+    ],
+)
+def test_the_trip_of_an_ended_parent_is_appended_to_its_recording(tmp_path, trips, marker):
+    path = tmp_path / "r.pcapng"
+    with Recorder(path, load_rig("bench"), "hybrid") as recorder:
+        recorder.write(frames(1))
+    shared = orphan(path)
+    trips_of(shared, *trips)
+    mark_trip(shared)
+    assert read(path).markers == ([] if marker is None else [marker])
+    shared.close()
+
+
+@pytest.mark.parametrize("is_named", [True, False])
+def test_without_a_recording_the_trip_of_an_ended_parent_is_no_error(tmp_path, is_named):
+    shared = orphan(tmp_path / "none.pcapng" if is_named else None)
+    trips_of(shared, (5_000, Trip.HOST))
+    mark_trip(shared)
+    assert list(tmp_path.iterdir()) == []
+    shared.close()
 
 
 def test_a_process_whose_pipe_is_not_there_is_left_alone(handle):

@@ -269,6 +269,45 @@ def test_an_error_of_the_parent_is_a_trip_with_its_name(bench, monkeypatch):
     assert judge(found) == []
 
 
+def test_a_trip_after_the_safe_end_is_the_last_marker(bench, monkeypatch):
+    def broken(control):
+        raise RuntimeError("no more")
+
+    monkeypatch.setattr(realtime_sequence, "shut_down", broken)
+    found = bench()
+    assert found.result.trip.startswith("HOST: RuntimeError: no more (realtime_sequence.py:")
+    markers = [text for _, text in read(found.record).markers]
+    assert markers[-2:] == ["safe", f"trip {found.result.trip}"]
+
+
+def test_a_data_plane_that_dies_is_the_last_marker_at_its_time(bench, monkeypatch):
+    live = PlayedPlane.live
+
+    def die(self, t_ns):
+        live(self, t_ns)
+        if self.armed:
+            self._process.status = -9
+
+    monkeypatch.setattr(PlayedPlane, "live", die)
+    monkeypatch.setattr(PlayedPlane, "fate", "was ended by signal 9: Killed")
+    found = bench()
+    assert found.result.trip.startswith("DATA_PLANE")
+    recording = read(found.record)
+    at_s, text = recording.markers[-1]
+    assert text.startswith("trip DATA_PLANE")
+    assert at_s == found.result.trip_ns / 1e9 > recording.ends_s[1]
+
+
+def test_a_recording_that_is_removed_is_a_trip_while_it_runs(bench, tmp_path):
+    """It was a FileNotFoundError of the library at the end."""
+    found = bench(before=lambda: (tmp_path / "r.pcapng").unlink())
+    assert found.result.exit_status == 7
+    assert found.result.trip.startswith(f"RECORDING: {tmp_path / 'r.pcapng'}")
+    assert "the file or its folder was removed" in found.result.trip
+    assert found.plane.shared.plane["stop"][0] == Trip.RECORDING
+    assert found.plane._controllers.host["phase"][0] == Phase.DONE
+
+
 def test_a_stop_by_command_is_no_fault(bench):
     requests = []
     found = bench(before=lambda: requests.append(StopRequest(BUS)))
@@ -330,7 +369,7 @@ def test_an_error_before_arming_is_a_refusal_with_its_place(bench, monkeypatch):
     found = bench(arming=False)
     assert found.refusal.exit_status == 7
     assert str(found.refusal).startswith(
-        "arming refused: OSError: [Errno 24] Too many open files (test_host_faults.py:"
+        "arming refused: OSError: [Errno 24] Too many open files (realtime_sequence.py:"
     )
     assert len(done) == 1  # the nodes were sent to PRE-OPERATIONAL
     assert judge_refusal(found) == []

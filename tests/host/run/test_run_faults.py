@@ -9,6 +9,7 @@ import ctypes
 import json
 import os
 import resource
+import shutil
 import signal
 import threading
 import time
@@ -16,10 +17,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from coulombus.explain.explained import explain
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.recording.reading import read
 from coulombus.wire.client import BusFull, pack_frame
-from real_bench import HOLD, STROKE, Observer, children, gone, host, result, simulation
+from real_bench import HOLD, PATIENCE_S, STROKE, Observer, children, gone, host, result, simulation
 
 pytestmark = [
     pytest.mark.real_time,
@@ -125,6 +127,49 @@ def test_the_parent_alone_dies_or_stands_still(number):
                 assert data["trip"].endswith("(it hung for 2 s)")
         finally:
             run.kill()
+
+
+@pytest.mark.parametrize(
+    ("victim", "number", "trips"),
+    [
+        ("data plane", signal.SIGKILL, ("trip DATA_PLANE",)),
+        ("data plane", signal.SIGSTOP, ("trip DATA_PLANE",)),
+        ("parent", signal.SIGKILL, ("trip HOST",)),
+        ("bus", signal.SIGKILL, ("trip BUS_LOST", "trip TPDO_LOST")),
+        ("wire", None, ("trip BUS_LOST", "trip TPDO_LOST")),
+    ],
+)
+def test_the_last_marker_of_the_recording_is_the_trip(tmp_path, victim, number, trips):
+    """Each process in turn: who lives writes it. It was lost where no frame followed."""
+    stuck = tmp_path / "stuck.toml"
+    stuck.write_text('[[fault]]\nkind = "stuck_dominant"\nafter = "enabled"\nat_s = 0.3\n')
+    path = tmp_path / "r.pcapng"
+    faults = ("--faults", stuck) if victim == "wire" else ()
+    with simulation(BUS, *faults) as sim, Observer(BUS) as observer, host(BUS, "--record", path) as run:
+        observer.until_enabled(run)
+        (plane,) = children(run.pid)
+        if number is not None:
+            os.kill({"data plane": plane, "parent": run.pid, "bus": sim.pid}[victim], number)
+        assert result(run)[0] == (-signal.SIGKILL if victim == "parent" else 7)
+        deadline = time.monotonic() + PATIENCE_S
+        while not gone(plane) and time.monotonic() < deadline:
+            observer.watch(0.02)
+    _, marker = read(path).markers[-1]
+    assert marker.startswith(trips)
+    clues = [clue for incident in explain(path).incidents for clue in incident.clues]
+    assert [clue for clue in clues if clue.kind == "host_trip"]
+
+
+def test_a_recording_folder_that_is_removed_is_a_trip_at_once(tmp_path):
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    with simulation(BUS), Observer(BUS) as observer, host(BUS, "--record", folder / "r.pcapng") as run:
+        observer.until_enabled(run)
+        shutil.rmtree(folder)
+        status, data, err = result(run)
+    assert status == 7, err
+    assert data["trip"].startswith(f"RECORDING: {folder / 'r.pcapng'}")
+    assert data["cycles"] < 15_000  # half of the display at most
 
 
 def test_the_bus_is_killed_and_comes_back():
