@@ -25,7 +25,10 @@ __all__ = ["ENDS", "RIGS", "Ended", "ended", "random_ends", "releases", "table"]
 
 WINDOW_S = 0.01
 LOSS = '[[fault]]\nkind = "drop"\nafter = "enabled"\nat_s = {at}\non = {{frame = "{frame}", node = {node}, every = 1}}\nlost_for = "host"\n'
-BABBLE = '[[fault]]\nkind = "babble"\nafter = "enabled"\nat_s = {at}\nnode = "{node}"\ncan_id = {can_id}\ndata = "{data}"\nperiod_us = 1000\nduration_s = {lasts}\n'
+BABBLE = (
+    '[[fault]]\nkind = "babble"\nafter = "enabled"\nat_s = {at}\nnode = "{node}"\n'
+    'can_id = {can_id}\ndata = "{data}"\nperiod_us = 1000\nduration_s = {lasts}\n'
+)
 ACTION = '[[at]]\nt_s = {at}\nafter = "enabled"\nnode = "{node}"\naction = "{action}"\n'
 
 

@@ -61,7 +61,8 @@ class Target:
 
 TARGETS = {
     "host/cycle/monitors.py": Target(("test_monitors", "test_cycle", "test_cycle_roles")),
-    "host/cycle/step.py": Target(("test_cycle", "test_cycle_roles", "test_live_parameters")),
+    "host/cycle/plausibility.py": Target(("test_plausibility",)),
+    "host/cycle/step.py": Target(("test_cycle", "test_safety", "test_cycle_roles", "test_live_parameters")),
     "host/cycle/phases.py": Target(
         (
             "test_phases",

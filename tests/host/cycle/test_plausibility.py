@@ -1,0 +1,120 @@
+"""The torque that the hand feels against the displayed one: what counts, what trips, and what says nothing."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from coulombus.host.cycle.plausibility import compare_felt
+from coulombus.host.cycle.records import Phase
+from host_bench import HostBench
+
+LEVEL_NM, SPEED_COUNTS = 1.0, 5.0
+
+
+class Felt:
+    """An axis in RUN that displays 1 Nm; the hand's torque and the speed are given cycle by cycle."""
+
+    def __init__(self, sign=1, **control):
+        bench = HostBench("hybrid").enter(Phase.RUN)
+        self.c, self.h = bench.c, bench.h
+        self.c.rad_count = sign * abs(self.c.rad_count)
+        self.c.viscous = self.c.inertia = self.c.friction_Nm = 0.0
+        for name, value in control.items():
+            setattr(self.c, name, value)
+        self.h.brake_lagged_Nm, self.h.fresh = LEVEL_NM, 1
+        self.sign = sign
+
+    def cycles(self, count, felt_Nm, counts=SPEED_COUNTS, motor_Nm=0.0):
+        """Go on; return whether it trips, and in how many cycles the error counted."""
+        before, trips = int(self.h.implausible_torque), False
+        for k in range(count):
+            self.h.v_counts = counts(k) if callable(counts) else counts
+            self.h.handle_Nm = felt_Nm(k) if callable(felt_Nm) else felt_Nm
+            trips = compare_felt(self.c, self.h, motor_Nm) or trips
+        return trips, int(self.h.implausible_torque) - before
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("felt_Nm", "trips", "counts"),
+    [
+        *((1.0, False, False), (0.75, False, False), (1.25, False, False)),
+        *((0.62, False, True), (1.38, False, True), (0.3, True, True), (1.7, True, True), (-0.5, True, True)),
+    ],
+)
+def test_the_error_along_the_motion_is_compared_with_the_displayed_torque(sign, felt_Nm, trips, counts):
+    for direction in (1, -1):
+        felt = Felt(sign)
+        tripped, counted = felt.cycles(3000, sign * direction * felt_Nm, direction * SPEED_COUNTS)
+        assert tripped == trips
+        assert (counted > 0) == counts
+
+
+def test_the_motors_torque_belongs_to_the_balance():
+    assert Felt().cycles(3000, 0.5, motor_Nm=0.5) == (False, 0)
+    assert Felt().cycles(3000, 1.0, motor_Nm=0.5)[1] > 0
+
+
+def test_a_trip_needs_its_time_and_the_error_in_a_row():
+    felt = Felt(mismatch_cycles=400)
+    first = next(k for k in range(3000) if felt.cycles(1, 0.0)[0])
+    assert felt.h.felt_wrong == 401
+    felt = Felt(mismatch_cycles=400)
+    assert felt.cycles(first - 350, 0.0)[0] is False
+    assert felt.cycles(2000, 1.0)[0] is False
+    assert felt.h.felt_wrong == 0
+
+
+@pytest.mark.parametrize("felt_Nm", [0.0, 0.4, -0.9])
+def test_a_handle_that_rests_within_the_level_says_nothing(felt_Nm):
+    felt = Felt()
+    felt.cycles(2000, 0.62)
+    error, size = float(felt.h.mean_error_Nm), float(felt.h.mean_size_Nm)
+    felt.cycles(100, felt_Nm, counts=0.0)
+    settled = float(felt.h.mean_error_Nm), float(felt.h.mean_size_Nm)
+    felt.cycles(3000, felt_Nm, counts=0.0)
+    assert (felt.h.mean_error_Nm, felt.h.mean_size_Nm) == settled
+    assert settled == pytest.approx((error, size), abs=0.1)
+
+
+def test_a_handle_that_is_held_above_the_level_is_locked():
+    assert Felt().cycles(3000, 2.0, counts=0.0)[0]
+    assert Felt().cycles(3000, -2.0, counts=0.0)[0]
+
+
+def test_an_oscillation_around_the_displayed_torque_is_none():
+    def inertia(k):
+        return 1.0 + 0.8 * math.sin(2 * math.pi * 0.02 * k)
+
+    assert Felt().cycles(4000, inertia) == (False, 0)
+
+
+def test_the_inertia_of_the_rig_file_is_in_the_balance():
+    rad_s2 = 40.0
+    step = rad_s2 * 1e-6 / abs(Felt().c.rad_count)
+
+    def speed(k):
+        return SPEED_COUNTS + step * k
+
+    assert Felt(inertia=0.0).cycles(400, 1.0 + 0.025 * rad_s2, speed)[1] > 0
+    assert Felt(inertia=0.025).cycles(400, 1.0 + 0.025 * rad_s2, speed)[1] == 0
+
+
+@pytest.mark.parametrize(
+    "absent", [{"still_handle_Nm": math.inf}, {"fresh": 0}, {"phase": int(Phase.SETTLE)}, {"phase": int(Phase.SAFE)}]
+)
+def test_without_a_transducer_a_position_or_a_display_nothing_is_compared(absent):
+    felt = Felt()
+    for name, value in absent.items():
+        setattr(felt.c if name == "still_handle_Nm" else felt.h, name, value)
+    assert felt.cycles(3000, 5.0) == (False, 0)
+    assert felt.h.mean_error_Nm == 0.0
+
+
+def test_a_small_torque_is_not_compared_with_itself_alone():
+    weak = Felt(still_handle_Nm=0.25)
+    weak.h.brake_lagged_Nm = 0.05
+    assert weak.cycles(3000, 0.15) == (False, 0)
+    assert weak.cycles(3000, 0.5)[0]
