@@ -59,7 +59,6 @@ class MeasuredFrames:
 
     def recordings(self) -> tuple[Recording, ...]:
         """Return each axis' view (`Recording.axes`): the measured signals and the markers, without frames."""
-        self._markers += [(t_ns / 1e9, text) for t_ns, text in self._waiting.rest()]
         names = self._rig.axis_names
         rigs = [self._rig.alone(name) for name in names] or [self._rig]
         return tuple(self._seen(name, rig) for name, rig in zip(names or ("",), rigs, strict=True))
