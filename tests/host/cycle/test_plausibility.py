@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 
@@ -118,3 +119,60 @@ def test_a_small_torque_is_not_compared_with_itself_alone():
     weak.h.brake_lagged_Nm = 0.05
     assert weak.cycles(3000, 0.15) == (False, 0)
     assert weak.cycles(3000, 0.5)[0]
+
+
+def equations(c, cycles):
+    """The module's equations, cycle by cycle: mean error, size, and the counted cycles."""
+    rad_s = c.rad_count * 1e9 / c.period_ns
+    sign = math.copysign(1.0, c.rad_count)
+    short = smooth_v = smooth_r = error = size = 0.0
+    counted = wrong = 0
+
+    def direction(v, band):
+        return 0 if abs(v) <= band else math.copysign(1, v)
+
+    for v, felt, level, motor in cycles:
+        short, before = short + (v - short) / 5, smooth_v
+        smooth_v += c.smooth_step * (v - smooth_v)
+        moving = sign * direction(short, max(0.2 * c.velocity_band_counts, 0.2 * abs(smooth_v)))
+        along = sign * direction(smooth_v, 0.2 * c.velocity_band_counts)
+        lam, balance = level + c.friction_Nm, felt + motor
+        if moving:
+            r = balance - moving * lam - c.viscous * v * rad_s
+        else:
+            r = math.copysign(max(abs(balance) - lam, 0.0), balance)
+        smooth_r += c.smooth_step * (r - smooth_r)
+        if moving or r:
+            inertia = c.inertia * (smooth_v - before) * rad_s / (c.period_ns * 1e-9)
+            rest = smooth_r - inertia
+            error += c.mean_step * ((along * rest if along else abs(rest)) - error)
+            size += c.mean_step * (lam + abs(motor) + 3 * abs(inertia) - size)
+            counted += abs(error) > max(0.3 * size, 0.5 * c.still_handle_Nm)
+            wrong = wrong + 1 if abs(error) > max(0.5 * size, c.still_handle_Nm) else 0
+        yield error, size, counted, wrong
+
+
+def drawn(draw, count):
+    """Speed [counts], hand's, brake's and motor's torque in each cycle: strokes, rests, pushes."""
+    v = felt = level = motor = 0.0
+    for k in range(count):
+        if k % 97 == 0:
+            v, felt = draw.choice((0.0, 0.0, draw.uniform(-40, 40))), draw.uniform(-2, 2)
+            level, motor = draw.uniform(0, 2), draw.choice((0.0, draw.uniform(-1, 1)))
+        yield draw.choice((v, v, v + draw.uniform(-2, 2))), felt + draw.uniform(-0.1, 0.1), level, motor
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_cycle_is_that_of_the_equations(seed):
+    draw = random.Random(seed)
+    felt = Felt(draw.choice((1, -1)), viscous=0.05, inertia=0.002, friction_Nm=0.14, velocity_band_counts=2.0)
+    felt.c.still_handle_Nm, felt.c.period_ns = draw.uniform(0.05, 0.4), draw.choice((1_000_000, 2_000_000))
+    felt.c.mismatch_cycles = 50
+    cycles = list(drawn(draw, 3000))
+    for (v, felt_Nm, level, motor), expected in zip(cycles, equations(felt.c, cycles), strict=True):
+        felt.h.brake_lagged_Nm, before = level, float(felt.h.mean_size_Nm)
+        trips, _ = felt.cycles(1, felt_Nm, v, motor)
+        state = felt.h.mean_error_Nm, felt.h.mean_size_Nm, felt.h.implausible_torque, felt.h.felt_wrong
+        assert state == pytest.approx(expected, abs=1e-9)
+        assert trips == (felt.h.felt_wrong > 50 and felt.h.mean_size_Nm != before)
+    assert felt.h.implausible_torque > 100
