@@ -191,12 +191,12 @@ class DataPlane:
             raise PlaneError(f"the data plane's process {reason}; its messages are above")
         self.real_time = json.loads(line)["real_time"]
 
-    def tell_recording(self, path: Path, zero_ns: int) -> None:
-        """Tell the process the recording, or the folder of its segments, and its time 0 of CLOCK_MONOTONIC.
+    def tell_recording(self, path: Path | None, zero_ns: int) -> None:
+        """Tell the process the recording, or the folder of its segments, and its time 0 of CLOCK_MONOTONIC; None: there is none.
 
         After the end of the parent it appends the marker of the trip to it.
         """
-        name = os.fsencode(path.absolute())
+        name = b"" if path is None else os.fsencode(path.absolute())
         if len(name) <= len(self.shared.recording):
             self.shared.zero_ns[0] = zero_ns
             self.shared.recording[: len(name)] = np.frombuffer(name, np.uint8)

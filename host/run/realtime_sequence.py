@@ -110,8 +110,7 @@ class RealCourse(Course):
             self.recorder = begin_recording(outputs, self.k, self.zero_ns)
             if isinstance(self.recorder, SegmentedRecorder):
                 self.path = self.recorder.run
-            if self.path is not None:
-                self.plane.tell_recording(self.path, self.zero_ns)
+            self.plane.tell_recording(self.path, self.zero_ns)
             self._stack.callback(self._give_up_recording)
         except BaseException:
             self._stack.close()
@@ -156,9 +155,8 @@ class RealCourse(Course):
 
     def _give_up_recording(self) -> None:
         """Close the recording, with the marker of a trip, if it is still open; its content stays readable."""
-        if self.recorder is not None:
-            self._attempt(self.mark_trip)
-            self._attempt(self.recorder.close, RecordingError)
+        for what in () if self.recorder is None else (self.mark_trip, self.recorder.close):
+            self._attempt(what, RecordingError)
 
     # the course
 
@@ -180,11 +178,10 @@ class RealCourse(Course):
         for right in self.plane.real_time:
             if not right["granted"]:
                 say(f"coulombus: {right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
-        if self.deadman == "none":
-            if self.address.moves_hardware:
-                say("coulombus: no dead man's switch: host.deadman is none")
-        else:
+        if self.deadman != "none":
             say(f"coulombus: dead man's switch: {self.deadman}")
+        elif self.address.moves_hardware:
+            say("coulombus: no dead man's switch: host.deadman is none")
         self._touched = True
         self.losses = bring_up(self.k, self.control)
         for text in self.losses:
@@ -216,9 +213,8 @@ class RealCourse(Course):
         if switch is not None:
             self._await_hand(switch)
         if self.changes.arm_key:
-            say(
-                f"coulombus: arm key, which coulombus set and the page need to change a parameter: {self.changes.arm_key}"
-            )
+            need = "which coulombus set and the page need to change a parameter"
+            say(f"coulombus: arm key, {need}: {self.changes.arm_key}")
         self.signals.defer()
         self.signals.stop()
         if not self.plane.alive or self.plane.status in (PlaneStatus.LOST, PlaneStatus.ENDED):
