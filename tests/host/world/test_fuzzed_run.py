@@ -147,7 +147,7 @@ def test_random_messages_leave_the_bus_within_the_limits_and_the_server_alive(me
 
     motor, brake = setpoints(bus.log, 0x201), setpoints(bus.log, 0x202)
     most, rate = int(MOTOR_NM / motor_Nm_raw), RATE_NM_S * PERIOD_S / motor_Nm_raw + 1
-    assert {min(value for _, value in motor), max(value for _, value in motor)} == {-most, most}
+    assert max(abs(value) for _, value in motor) == most  # reached, and never exceeded
     assert len(changes(motor)) > messages // 10
     # without a new position the motor has no torque
     assert all(after == 0 or abs(after - before) <= rate for before, after in changes(motor))
