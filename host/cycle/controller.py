@@ -14,8 +14,8 @@ from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.brake_model import DEFAULT_LAG_S
+from coulombus.host.cycle.hand_over import set_hand_over
 from coulombus.host.cycle.output_limits import (
-    brake_bears_motor,
     brake_end_Nm,
     brake_limit_raw,
     law_pushes,
@@ -61,10 +61,7 @@ SIGN_HAND_S = 0.12
 """Averaging time of the sign check: a little more than the period of a hand's tremor (8-12 Hz)."""
 SIGN_HAND_NM = 0.008
 SETTLE_S = 0.05
-RISE_LAGS, FADE_S = 3.0, 0.05
-"""Hand-over at an orderly end: rise of the brake in units of its lags, and the time in which the motor's torque ends."""
-CLIPPED_S = 0.5
-"""Excess of clipped over unclipped time above which the host trips."""
+CLIPPED_S = 0.5  # excess of clipped over unclipped time above which the host trips
 REVERSAL_S, REVERSAL_MARGIN = 0.25, 1.15
 """Window in which reversals are counted, and the host trips above this multiple of the limit cycle's (docs/theory.md)."""
 UNLOADED_S = 0.1
@@ -293,8 +290,7 @@ class Controller:
         c["brake_limit_Nm"] = min(limits.brake_torque_Nm, brake_end_Nm(axis))
         c["brake_fall_Nm"], c["brake_rise_Nm"] = limits.brake_fall * T, limits.brake_rise * T
         c["reversal_decay"] = math.exp(-T / REVERSAL_S)
-        cycle_s = 4.0 * T * 2.0  # of the limit cycle of a sampled law whose output acts a cycle later
-        c["most_reversals"] = REVERSAL_MARGIN * 2.0 * REVERSAL_S / cycle_s
+        c["most_reversals"] = REVERSAL_MARGIN * 2.0 * REVERSAL_S / (8.0 * T)  # friction's limit cycle has 8 periods
         c["clipped_cycles"] = _cycles(CLIPPED_S, T)
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
@@ -332,29 +328,13 @@ class Controller:
         c["deadman_mask"] = deadman_mask(axis.host.deadman)
 
         c["law_keeps"] = sum(size for _, size in self.law_state)
-        self._set_hand_over(c)
+        set_hand_over(c, axis, self.mode)
         ramp_cycles = _cycles(limits.safe_ramp_s, T)
         c["safe_longest_cycles"] = ramp_cycles + round(limits.safe_hold_s / T)
         c["release_Nm"] = c["brake_limit_Nm"] / ramp_cycles
         c["unloaded_Nm"] = max(c["brake_limit_Nm"] / _cycles(UNLOADED_S, T), c["release_Nm"])
         c["release_counts"] = limits.safe_speed_rad_s * T / abs(c["rad_count"])
         return control
-
-    def _set_hand_over(self, c: ControlRecord) -> None:
-        """Set the hand-over from motor to brake at an orderly end.
-
-        The brake rises for three times its lags. Then the motor's torque ends; slowly, as in the safe state, if the
-        brake cannot bear as much as the motor.
-        """
-        axis, T = self.axis, self.axis.bus.period_s
-        pushes = law_pushes(axis) or axis.world is not None
-        c["hands_over"] = self.mode == "active" or (self.mode == "hybrid" and pushes)
-        lag_s = axis.brake.coil_lag_s + axis.brake.fluid_lag_s or DEFAULT_LAG_S
-        c["rise_cycles"] = _cycles(RISE_LAGS * lag_s, T)
-        fade_s = FADE_S if brake_bears_motor(axis, self.mode) else axis.limits.safe_ramp_s
-        c["fade_cycles"] = _cycles(fade_s, T)
-        description = axis.description("motor")
-        c["ends_by_nmt"] = is_own("motor", told_identity(description))
 
     def _check_counts(self, c: ControlRecord) -> None:
         """Refuse limits in radians for which the encoder is too coarse."""

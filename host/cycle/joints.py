@@ -20,7 +20,8 @@ from __future__ import annotations
 import math
 
 from coulombus.host.cycle import step
-from coulombus.host.cycle.phases import advance, bear, hands_over, ramp_gain
+from coulombus.host.cycle.hand_over import bear, hands_over, ramp_gain
+from coulombus.host.cycle.phases import advance
 from coulombus.host.cycle.records import AxisRecords, Phase, Trip
 from coulombus.host.plane.brake_split import expect_brakes, observe, release
 from coulombus.host.plane.plane_host_record import PlaneHostRecord

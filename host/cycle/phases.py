@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
-from coulombus.host.cycle.brake_model import brake_level, lead, rise
+from coulombus.host.cycle.brake_model import brake_level, lead
+from coulombus.host.cycle.hand_over import bear, hands_over, ramp_gain, take_over
 from coulombus.host.cycle.passivity import observe
 from coulombus.host.cycle.records import (
     KINETIC_CYCLES,
@@ -33,13 +34,10 @@ from coulombus.kernels.decorator import kernel
 
 __all__ = [
     "advance",
-    "bear",
     "count_still",
     "disable",
     "enable",
     "enter",
-    "hands_over",
-    "ramp_gain",
     "run",
     "run_joint",
     "safe",
@@ -98,7 +96,7 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
 def trip_to_safe(c: ControlRecord, h: HostRecord, trip: int, t_ns: int) -> None:
     """Enter the safe state; only the first reason counts.
 
-    The brake begins with the torque that the hand feels (`_take_over`). After an orderly end's hand-over it
+    The brake begins with the torque that the hand feels (`take_over`). After an orderly end's hand-over it
     bears that torque already.
     """
     if h.phase >= Phase.SAFE:
@@ -108,41 +106,9 @@ def trip_to_safe(c: ControlRecord, h: HostRecord, trip: int, t_ns: int) -> None:
     h.trip = trip
     h.trip_ns = t_ns
     if h.end_cycles == 0:
-        _take_over(c, h)
+        take_over(c, h)
     h.brake_Nm = bear(c, h)
     _begin(h, Phase.SAFE)
-
-
-@kernel
-def _take_over(c: ControlRecord, h: HostRecord) -> None:
-    """Set the torque that the brake bears from now on: its own torque, as expected behind its lags, and what
-    the motor displayed before any doubt.
-    """
-    h.level_Nm = min(h.brake_lagged_Nm + h.displayed_Nm, c.brake_limit_Nm)
-    h.takes_over = 1 if h.displayed_Nm > 0.0 else 0
-
-
-@kernel
-def bear(c: ControlRecord, h: HostRecord) -> float:
-    """Return the set-point [Nm] with which the brake bears `level_Nm`; a brake that takes over rises as fast as
-    it can.
-    """
-    return float(rise(c, h, h.level_Nm) if h.takes_over else h.level_Nm)
-
-
-@kernel
-def hands_over(c: ControlRecord, h: HostRecord) -> bool:
-    """Return whether an orderly end still displays, because the brake takes over from the motor first."""
-    return bool(h.stop == 1 and c.hands_over and h.phase == Phase.RUN and h.end_cycles < c.rise_cycles + c.fade_cycles)
-
-
-@kernel
-def ramp_gain(c: ControlRecord, h: HostRecord) -> None:
-    """Let the law's gain rise to 1; at an orderly end let it fall to 0, once the brake has risen."""
-    if h.end_cycles == 0:
-        h.gain = min(h.gain + c.gain_step, 1.0)
-    elif h.end_cycles > c.rise_cycles:
-        h.gain = max(h.gain - 1.0 / c.fade_cycles, 0.0)
 
 
 @kernel
@@ -466,7 +432,7 @@ def advance(axis: AxisRecord, law_function: LawFunction | None, doubt: int, t_ns
     c, h = axis.control, axis.host
     if doubt == Trip.NONE and hands_over(c, h):
         if h.end_cycles == 0:
-            _take_over(c, h)
+            take_over(c, h)
         h.end_cycles += 1
     elif doubt != Trip.NONE or h.stop != 0:
         trip_to_safe(c, h, doubt, t_ns)

@@ -344,9 +344,7 @@ class HostRecord(Record):
     # monitors
     still: int  # cycles in a row without motion
     missed_in_a_row: int  # cycles in a row that lack a TPDO
-    tpdo_age: Annotated[
-        IntegerField, DRIVE_PDOS
-    ]  # cycles since each TPDO by timer arrived: 1 in the cycle of its arrival
+    tpdo_age: Annotated[IntegerField, DRIVE_PDOS]  # cycles since each TPDO by timer arrived: 1 in that cycle
     oldest_tpdo: int  # largest of the ages of the TPDOs by timer
     voltage_low: int  # cycles in a row in which the drive lacked its supply
     commanded_high_Nm: float  # upper envelope of the motor's commands, which decays to 0
