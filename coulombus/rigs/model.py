@@ -322,6 +322,12 @@ class Limits(Section):
         gt=0, le=1e4, description="trip when transducer and brake command differ by more ..."
     )
     handle_mismatch_s: float = Field(gt=0, le=60, description="... for this long")
+    handle_mismatch_share: float = Field(
+        0.5,
+        gt=0,
+        le=1e6,
+        description="... or, in the mean along the motion, by this share of the displayed torque; 0.6 of it gives a remark",
+    )
     motor_mismatch_Nm: float | None = Field(
         None,
         gt=0,

@@ -239,13 +239,15 @@ def exercise(
     """Return a run of one of `host.laws.exercises`, for the length of its `phases`.
 
     With motor torque it is in mode active, which begins with the sign check. Else it is in mode passive,
-    in which the motor has no torque. The rig file's limits are unchanged.
+    in which the motor has no torque. The rig file's limits are unchanged, but for the share of
+    `HANDLE_TORQUE`.
     """
     mode = "active" if motor_Nm > 0 else "passive"
     law_keys = {"K_p_Nm_rad": 1.0, "F_s_Nm": 0.0, "F_d_Nm": 0.0, "compensation": 0.0, "motor_limit_Nm": motor_Nm}
     schedule = f"phase=[{', '.join(phases)}]"
     chosen = rig.variant(
         f'law.function="{EXERCISES}:{law}"',
+        "limits.handle_mismatch_share=1e6",  # scales and signs are what it measures
         f"law.user={[float(number) for number in user]}",
         *(f"mode.{mode}.{key}={value!r}" for key, value in law_keys.items()),
         schedule,

@@ -64,10 +64,8 @@ SETTLE_S = 0.05
 CLIPPED_S = 0.5  # excess of clipped over unclipped time above which the host trips
 REVERSAL_S, REVERSAL_MARGIN = 0.25, 1.15
 """Window in which reversals are counted, and the host trips above this multiple of the limit cycle's (docs/theory.md)."""
-UNLOADED_S = 0.1
-"""Time in which the safe state releases an unloaded handle."""
-MISMATCH_SHARE = 0.2
-"""Default of `limits.motor_mismatch_Nm`, as a share of the rated torque."""
+UNLOADED_S = 0.1  # time in which the safe state releases an unloaded handle
+MISMATCH_SHARE = 0.2  # default of `limits.motor_mismatch_Nm`, as a share of the rated torque
 MOTOR_LAG_S = 0.05
 """Time constant of the envelope of the motor's commands, and the longest time for which the measured
 torque may lie outside it.
@@ -290,7 +288,8 @@ class Controller:
         c["brake_limit_Nm"] = min(limits.brake_torque_Nm, brake_end_Nm(axis))
         c["brake_fall_Nm"], c["brake_rise_Nm"] = limits.brake_fall * T, limits.brake_rise * T
         c["reversal_decay"] = math.exp(-T / REVERSAL_S)
-        c["most_reversals"] = REVERSAL_MARGIN * 2.0 * REVERSAL_S / (8.0 * T)  # friction's limit cycle has 8 periods
+        cycle_s = 4.0 * T * (2.0 if axis.bus.actuation == "next_sync" else 1.0)  # friction's limit cycle at its fastest
+        c["most_reversals"] = REVERSAL_MARGIN * 2.0 * REVERSAL_S / cycle_s
         c["clipped_cycles"] = _cycles(CLIPPED_S, T)
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
@@ -304,6 +303,7 @@ class Controller:
         c["motor_mismatch_Nm"] = motor_mismatch_Nm(axis) if measured else math.inf
         c["motor_mismatch_cycles"], c["motor_lag_decay"] = _cycles(MOTOR_LAG_S, T), math.exp(-T / MOTOR_LAG_S)
         c["mismatch_Nm"] = limits.handle_mismatch_Nm if handle else math.inf
+        c["mismatch_share"] = limits.handle_mismatch_share
         c["smooth_step"], c["mean_step"] = 1.0 - math.exp(-T / SMOOTH_S), 1.0 - math.exp(-T / MEAN_S)
         c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)
         c["missed_cycles"] = limits.missed_tpdo_cycles

@@ -14,7 +14,8 @@ motor, over 50 ms. :math:`e` follows :math:`(\bar r - J \dot{\bar v})\,\mathrm{s
 and cancels. The size :math:`m` follows :math:`\lambda + |\tau| + 3 J |\dot{\bar v}|`. A handle that rests within
 :math:`\lambda` says nothing, and nothing changes.
 
-:math:`|e| > 0.3\,m` is counted and gives a remark; :math:`|e| > 0.5\,m` for `mismatch_cycles` trips. Both are at least
+:math:`|e| > 0.6\,\mu m` is counted and gives a remark; :math:`|e| > \mu m` for `mismatch_cycles` trips, with the share
+:math:`\mu` of `limits.handle_mismatch_share`. Both are at least
 a part of the torque with which a handle counts as loaded. The joints of an arm are compared one by one: a force at the
 tip is wrong if, and only if, a joint's torque is.
 """
@@ -33,7 +34,7 @@ SMOOTH_S, MEAN_S = 0.05, 0.25
 SPEED_STEP = 0.2  # the direction of motion has a lag of five cycles: one count is not motion yet
 STOPPED_SHARE = 0.2  # below this share of the smoothed speed the handle has stopped
 INERTIA_DOUBT = 3.0  # an arm's links have more inertia than their joint
-REMARK_SHARE, TRIP_SHARE = 0.3, 0.5
+REMARK_SHARE = 0.6  # of the error that trips
 LOADED_SHARE = 0.5  # least error that is counted, as a share of `still_handle_Nm`
 
 
@@ -72,9 +73,9 @@ def compare_felt(c: ControlRecord, h: HostRecord, motor_Nm: float) -> bool:
     h.mean_error_Nm += c.mean_step * (shown_Nm - h.mean_error_Nm)
     size_Nm = level_Nm + abs(motor_Nm) + INERTIA_DOUBT * abs(inertia_Nm)
     h.mean_size_Nm += c.mean_step * (size_Nm - h.mean_size_Nm)
-    least_Nm = LOADED_SHARE * c.still_handle_Nm
-    if abs(h.mean_error_Nm) > max(REMARK_SHARE * h.mean_size_Nm, least_Nm):
+    most_Nm, least_Nm = c.mismatch_share * h.mean_size_Nm, LOADED_SHARE * c.still_handle_Nm
+    if abs(h.mean_error_Nm) > max(REMARK_SHARE * most_Nm, least_Nm):
         h.implausible_torque += 1
-    wrong = abs(h.mean_error_Nm) > max(TRIP_SHARE * h.mean_size_Nm, 2.0 * least_Nm)
+    wrong = abs(h.mean_error_Nm) > max(most_Nm, 2.0 * least_Nm)
     h.felt_wrong = h.felt_wrong + 1 if wrong else 0
     return bool(h.felt_wrong > c.mismatch_cycles)

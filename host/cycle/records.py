@@ -132,8 +132,7 @@ class Image(IntEnum):
 IMAGE_SLOTS = Image.CONSTANT + MOST_CONSTANTS
 TRACK = WINDOW_CYCLES
 """Largest number of positions in the window of the slow-velocity estimate."""
-ASKED = MOST_DELAY_CYCLES - 1
-"""Largest number of cycles for which the law's output is held back."""
+ASKED = MOST_DELAY_CYCLES - 1  # largest number of cycles for which the law's output is held back
 KINETIC_CYCLES = 4
 """Number of cycles over which the passivity observer takes the largest and the smallest kinetic energy."""
 DRIVE_PDOS = MOST_PDOS
@@ -205,8 +204,8 @@ class ControlRecord(Record):
     brake_limit_raw: int  # largest value of the brake's set-point object
     brake_fall_Nm: float  # largest fall of the law's set-point in a cycle
     brake_rise_Nm: float  # largest rise of the law's set-point in a cycle
-    most_reversals: float  # reversals in the window above which the host trips
-    reversal_decay: float  # decay of the counted reversals in a cycle
+    most_reversals: float  # counted reversals above which the host trips
+    reversal_decay: float  # decay of their count in a cycle
     clipped_cycles: int  # excess of clipped over unclipped cycles above which the host trips
     speed_limit: float  # rad/s
     jump_counts: int  # largest plausible motion in a cycle
@@ -220,6 +219,7 @@ class ControlRecord(Record):
     motor_lag_decay: float  # decay of the command's envelope in a cycle
     mismatch_Nm: float  # largest transducer torque that motor and brake do not explain
     mismatch_cycles: int  # cycles in a row above mismatch_Nm after which the host trips
+    mismatch_share: float  # largest mean error of the felt torque, as a share of the displayed torque
     smooth_step: float  # step of the smoothed error of the felt torque in a cycle (`host.cycle.plausibility`)
     mean_step: float  # step of its mean
     missed_cycles: int  # cycles in a row without a TPDO after which the host trips

@@ -242,15 +242,17 @@ def _count_reversal(h: HostRecord, k: int, side: int) -> None:
 
 
 @kernel
-def _doubt_oscillating_law(c: ControlRecord, h: HostRecord) -> None:
+def _doubt_oscillating_law(axis: AxisRecord) -> None:
     """Request the safe state if the law shakes motor or brake.
 
     The motor reverses near or at its limits, or the brake's set-point alternately rises and falls as fast as it may fall,
     more often than in the limit cycle of a sampled friction law, which is the fastest that friction itself does.
+    What another program's model does is no doubt of the law.
     """
+    c, h = axis.control, axis.host
     moved_Nm = h.brake_Nm - h.moved_from_Nm
     h.moved_from_Nm = h.brake_Nm
-    if h.phase != Phase.RUN or h.end_cycles > 0:
+    if h.phase != Phase.RUN or h.end_cycles > 0 or (axis.world.on and axis.world.share > 0.0):
         return
     for k in range(2):
         h.reversals[k] *= c.reversal_decay
@@ -325,7 +327,7 @@ def close_and_send(axis: AxisRecord, t_ns: int, out: Queue) -> None:
     """Follow what the motor displays, doubt the law, and send the RPDOs."""
     h = axis.host
     _follow_display(axis.control, h)
-    _doubt_oscillating_law(axis.control, h)
+    _doubt_oscillating_law(axis)
     _doubt_clipped_law(axis.control, h)
     send(axis, t_ns, out)
     _take_the_drive(axis.control, h, t_ns, out)

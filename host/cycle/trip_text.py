@@ -37,7 +37,7 @@ TRIP_TEXT = {
     Trip.SECOND_HOST: "another sender uses identifiers that belong to this host: {foreign}",
     Trip.MOTOR_TORQUE: "the motor's measured torque (6077h) is off from its commands by more than limits.motor_mismatch_Nm",
     Trip.LAW_CLIPPED: "a limit acted on the friction law {law} in most cycles, so the hand did not feel this law: {clipped}",
-    Trip.LAW_OSCILLATES: "the friction law {law} shakes the {shaken}, faster than friction oscillates at this period ({cycle_Hz:.0f} Hz)",
+    Trip.LAW_OSCILLATES: "the friction law {law} shakes the {shaken}, faster than friction oscillates at this bus.period_s",
     Trip.WORKSPACE: "the tip left the workspace kinematics.x_m, kinematics.y_m",
     Trip.SINGULAR: "the arm is too near to a singular pose (kinematics.least_condition)",
     Trip.DEADMAN: "the dead man's switch was not held",
@@ -72,7 +72,6 @@ def trip_text(axis: Axis, control: Records, host: Records) -> str | None:
         sign_counts=int(control["sign_counts"][0]),
         still_because=_still_because(host),
         shaken="motor" if host["reversals"][0][0] > host["reversals"][0][1] else "brake",
-        cycle_Hz=1e9 / (8.0 * float(control["period_ns"][0])),
         clipped=", ".join(f"{name} {int(host[name][0])}" for name in CLIPPING if host[name][0])
         or "the joint's motor or brake cannot give its share of the force",
     )

@@ -868,5 +868,13 @@ def test_a_law_as_fast_as_frictions_limit_cycle_or_far_below_the_limits_goes_on(
     assert shaking(mode, period, 900, size).h.trip == Trip.NONE
 
 
+def test_on_reception_friction_itself_oscillates_faster():
+    bounds = [
+        HostBench("active", f'bus.actuation="{actuation}"').c.most_reversals
+        for actuation in ("next_sync", "on_reception")
+    ]
+    assert bounds == pytest.approx([1.15 * 2 * 0.25 / 8e-3, 1.15 * 2 * 0.25 / 4e-3])
+
+
 def test_a_short_oscillation_does_not_trip():
     assert shaking("active", 6, 200).h.trip == Trip.NONE

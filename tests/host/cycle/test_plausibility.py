@@ -114,6 +114,11 @@ def test_without_a_transducer_a_position_or_a_display_nothing_is_compared(absent
     assert felt.h.mean_error_Nm == 0.0
 
 
+def test_the_share_is_that_of_the_rig_file():
+    assert Felt(mismatch_share=1e6).cycles(3000, 0.0) == (False, 0)
+    assert Felt(mismatch_share=0.2).cycles(3000, 0.6)[0]
+
+
 def test_a_small_torque_is_not_compared_with_itself_alone():
     weak = Felt(still_handle_Nm=0.25)
     weak.h.brake_lagged_Nm = 0.05
