@@ -258,7 +258,8 @@ def _doubt_oscillating_law(axis: AxisRecord) -> None:
         h.reversals[k] *= c.reversal_decay
     if h.clipped or abs(h.torque_Nm) > NEAR_LIMIT * c.motor_limit_raw * abs(c.motor_Nm_raw):
         _count_reversal(h, 0, 1 if h.torque_Nm > 0.0 else -1)
-    if abs(moved_Nm) > FAST_SHARE * c.brake_fall_Nm:
+    leads = c.coil_step > 0.0 or c.fluid_step > 0.0  # the lead of a brake's lags alternates by itself
+    if not leads and abs(moved_Nm) > FAST_SHARE * c.brake_fall_Nm:
         _count_reversal(h, 1, 1 if moved_Nm > 0.0 else -1)
     if max(h.reversals[0], h.reversals[1]) > c.most_reversals and h.stop <= 1:
         h.stop = Trip.LAW_OSCILLATES

@@ -876,5 +876,9 @@ def test_on_reception_friction_itself_oscillates_faster():
     assert bounds == pytest.approx([1.15 * 2 * 0.25 / 8e-3, 1.15 * 2 * 0.25 / 4e-3])
 
 
+def test_the_lead_of_a_brakes_lags_is_no_oscillation_of_the_law():
+    assert shaking("passive", 6, 900, fluid_step=0.5).h.trip == Trip.NONE
+
+
 def test_a_short_oscillation_does_not_trip():
     assert shaking("active", 6, 200).h.trip == Trip.NONE
