@@ -319,7 +319,8 @@ def _take_the_drive(c: ControlRecord, h: HostRecord, t_ns: int, out: Queue) -> N
     There a drive obeys nobody's RPDO. A drive that does not end its torque there is left OPERATIONAL: it still
     gets the host's disable command.
     """
-    if h.phase == Phase.SAFE and h.phase_cycle == 1 and h.trip == Trip.SECOND_HOST and c.ends_by_nmt:
+    commanded = h.trip == Trip.SECOND_HOST or h.foreign_id >= 0  # another trip may have come first in this cycle
+    if h.phase == Phase.SAFE and h.phase_cycle == 1 and commanded and c.ends_by_nmt:
         push(out, SOURCE_HOST, t_ns, CobId.NMT, 2, NmtCommand.ENTER_PRE_OPERATIONAL | c.node_id[0] << 8)
 
 

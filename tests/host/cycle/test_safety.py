@@ -436,3 +436,12 @@ def test_a_drive_that_does_not_end_its_torque_so_keeps_its_disable_command():
     assert bench.k.trip.startswith("SECOND_HOST")
     assert not [frame for frame in bench.frames() if frame[1] == 0]
     assert bench.controlword == 0
+
+
+def test_a_strangers_command_beside_another_trip_takes_the_drive_too():
+    bench = armed("active")
+    bench.frame(0x201, 4, 0x000F | 500 << 16)
+    bench.frame(0x082, 8, 0x8140)
+    bench.cycle()
+    assert bench.k.trip.startswith("EMCY_BRAKE")
+    assert [can_id for _, can_id, _, _ in bench.frames()].count(0) == 1
