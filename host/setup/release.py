@@ -76,6 +76,13 @@ class Release(NamedTuple):
         return self.speed_rad_s <= GENTLE_RAD_S
 
 
+def _loaded(axis: Axis) -> tuple[float, float, float]:
+    """Return damping, stiffness and inertia of the hand on the handle."""
+    hand = axis.operator or LIGHT_HAND
+    B = axis.mechanics.viscous_Nms_rad + hand.damping_Nms_rad
+    return B, hand.stiffness_Nm_rad, axis.mechanics.inertia_kg_m2 + hand.inertia_kg_m2
+
+
 def _damping(B: float, K: float, J: float) -> float:
     """Return the damping ratio."""
     return B / (2.0 * math.sqrt(J * K))
@@ -118,9 +125,8 @@ def release_of(axis: Axis, load_Nm: float, driver_ramp_s: float) -> Release:
     load_Nm : the brake's limit
     driver_ramp_s : time in which the brake's own driver ramps it off; 0: at once
     """
-    limits, hand = axis.limits, axis.operator or LIGHT_HAND
-    J = axis.mechanics.inertia_kg_m2 + hand.inertia_kg_m2
-    B, K = axis.mechanics.viscous_Nms_rad + hand.damping_Nms_rad, hand.stiffness_Nm_rad
+    limits = axis.limits
+    B, K, J = _loaded(axis)
     at_once = speed_of_step(load_Nm, B, K, J)
 
     def ramped(time_s: float) -> float:
@@ -165,9 +171,7 @@ def speed_of_failure(axis: Axis, load_Nm: float, noticed_s: float) -> float:
     The hand's equation is that of the release; the brake's torque is 0 for `noticed_s`, then that of its lags
     (`[brake]`, else the default lag) behind a set-point at its limit, up to the load.
     """
-    hand = axis.operator or LIGHT_HAND
-    J = axis.mechanics.inertia_kg_m2 + hand.inertia_kg_m2
-    B, K = axis.mechanics.viscous_Nms_rad + hand.damping_Nms_rad, hand.stiffness_Nm_rad
+    B, K, J = _loaded(axis)
     limit_Nm = brake_limit(axis)[0]
     coil_s, fluid_s = axis.brake.coil_lag_s, axis.brake.fluid_lag_s
     if coil_s <= 0.0 and fluid_s <= 0.0:
