@@ -24,12 +24,6 @@ from coulombus.sim_bus.network.script import read_script
 __all__ = ["ENDS", "RIGS", "Ended", "ended", "random_ends", "releases", "table"]
 
 WINDOW_S = 0.01
-LOSS = '[[fault]]\nkind = "drop"\nafter = "enabled"\nat_s = {at}\non = {{frame = "{frame}", node = {node}, every = 1}}\nlost_for = "host"\n'
-BABBLE = (
-    '[[fault]]\nkind = "babble"\nafter = "enabled"\nat_s = {at}\nnode = "{node}"\n'
-    'can_id = {can_id}\ndata = "{data}"\nperiod_us = 1000\nduration_s = {lasts}\n'
-)
-ACTION = '[[at]]\nt_s = {at}\nafter = "enabled"\nnode = "{node}"\naction = "{action}"\n'
 
 
 class End(NamedTuple):
@@ -38,38 +32,50 @@ class End(NamedTuple):
     faults: str = ""
     script: str = ""
 
+    def files(self, at_s: float, axis: str) -> tuple[str, str]:
+        """Return the texts of both files for a time after enabling and the first of several axes."""
+        node = f'node = "{axis}.' if axis else 'node = "'
+        faults, script = (
+            text.replace("= AT", f'= {at_s}\nafter = "enabled"').replace('node = "', node) for text in self
+        )
+        return faults, script
+
+
+def _lost(frame: str, node: int) -> End:
+    """Return the end when the host no longer receives a node's frames of a kind."""
+    on = f'on = {{frame = "{frame}", node = {node}, every = 1}}'
+    return End(f'[[fault]]\nkind = "drop"\nat_s = AT\n{on}\nlost_for = "host"\n')
+
+
+def _sent(can_id: int, data: str, lasts_s: float) -> End:
+    """Return the end when the brake sends a frame that is not its own, each millisecond."""
+    frame = f'node = "brake"\ncan_id = {can_id}\ndata = "{data}"'
+    return End(f'[[fault]]\nkind = "babble"\nat_s = AT\n{frame}\nperiod_us = 1000\nduration_s = {lasts_s}\n')
+
+
+def _done(node: str, action: str, more: str = "") -> End:
+    """Return the end by an action of a script."""
+    return End(script=f'[[at]]\nt_s = AT\nnode = "{node}"\naction = "{action}"\n{more}\n')
+
+
+def _failed(node: str, fault: str) -> End:
+    """Return the end by a fault of a device."""
+    return _done(node, "fault", f'fault = "{fault}"')
+
 
 ENDS: Mapping[str, End] = {
     "orderly end": End(),
-    "motor: EMCY, over-current": End(
-        script=ACTION.replace("{node}", "motor").replace("{action}", "fault") + 'fault = "over_current"\n'
-    ),
-    "motor: EMCY, encoder lost": End(
-        script=ACTION.replace("{node}", "motor").replace("{action}", "fault") + 'fault = "encoder_lost"\n'
-    ),
-    "motor: supply lost": End(
-        script=ACTION.replace("{node}", "motor").replace("{action}", "fault") + 'fault = "supply_low"\n'
-    ),
-    "motor: all power lost": End(script=ACTION.replace("{node}", "motor").replace("{action}", "power_off")),
-    "motor: TPDO lost": End(LOSS.replace("{frame}", "TPDO1").replace("{node}", "1")),
-    "motor: heartbeat lost": End(LOSS.replace("{frame}", "HEARTBEAT").replace("{node}", "1")),
-    "motor: NMT stop by another node": End(
-        BABBLE.replace("{node}", "brake")
-        .replace("{can_id}", "0")
-        .replace("{data}", "02 01")
-        .replace("{lasts}", "0.0005")
-    ),
-    "another node commands 1.5 Nm": End(
-        BABBLE.replace("{node}", "brake")
-        .replace("{can_id}", "0x201")
-        .replace("{data}", "0F 00 65 03")
-        .replace("{lasts}", "0.1")
-    ),
-    "brake: TPDO lost": End(LOSS.replace("{frame}", "TPDO1").replace("{node}", "2")),
-    "brake: EMCY, coil open": End(
-        script=ACTION.replace("{node}", "brake").replace("{action}", "fault") + 'fault = "coil_open"\n'
-    ),
-    "brake: all power lost": End(script=ACTION.replace("{node}", "brake").replace("{action}", "power_off")),
+    "motor: EMCY, over-current": _failed("motor", "over_current"),
+    "motor: EMCY, encoder lost": _failed("motor", "encoder_lost"),
+    "motor: supply lost": _failed("motor", "supply_low"),
+    "motor: all power lost": _done("motor", "power_off"),
+    "motor: TPDO lost": _lost("TPDO1", 1),
+    "motor: heartbeat lost": _lost("HEARTBEAT", 1),
+    "motor: NMT stop by another node": _sent(0, "02 01", 0.0005),
+    "another node commands 1.5 Nm": _sent(0x201, "0F 00 65 03", 0.1),
+    "brake: TPDO lost": _lost("TPDO1", 2),
+    "brake: EMCY, coil open": _failed("brake", "coil_open"),
+    "brake: all power lost": _done("brake", "power_off"),
 }
 """Ends by what leads to them. Each trip that no device's fault leads to ends as `another node commands` does, without its torque."""
 
@@ -107,42 +113,44 @@ def ended(
     rig: str, mode: str, end: End, push: float, seconds: float, overrides: tuple[str, ...] = (), seed: int = 0
 ) -> Ended:
     """Simulate a display of a hand that pushes `push` times F_s, and its end after `seconds`."""
-    kind = "tip_hold" if load_rig(rig).kinematics else "hold"
+    known = load_rig(rig)
+    kind = "tip_hold" if known.kinematics else "hold"
     phase = f'phase=[{{kind = "rest", duration_s = 1.0}}, {{kind = "{kind}", duration_s = 60.0, push_F_s = {push}, frequency_Hz = 0.1}}]'
+    axis, nodes = next(iter(known.axis_names), ""), [node.name for node in known.nodes]
+    faults, script = end.files(seconds, axis)
     with tempfile.TemporaryDirectory() as folder:
-        path, truth, faults, script = (
+        path, truth, plan, orders = (
             Path(folder, name) for name in ("run.pcapng", "truth.npz", "faults.toml", "script.toml")
         )
-        known = load_rig(rig)
-        axis, nodes = next(iter(known.axis_names), ""), [node.name for node in known.nodes]
-        for file, text in ((faults, end.faults), (script, end.script)):
-            file.write_text(text.format(at=seconds).replace('node = "', f'node = "{axis}.' if axis else 'node = "'))
+        plan.write_text(faults)
+        orders.write_text(script)
         simulate(
             rig,
             mode,
-            seconds + (2.5 if end.faults or end.script else 0.0),
+            seconds + (2.5 if faults or script else 0.0),
             record=path,
             truth=None if axis else truth,
             overrides=(phase, *overrides),
-            faults=faults if end.faults else None,
-            script=(lambda world: world.plan(read_script(script, nodes))) if end.script else None,
+            faults=plan if faults else None,
+            script=(lambda world: world.plan(read_script(orders, nodes))) if script else None,
             seed=seed,
         )
         recording = read(path)
-        at, marker = next(
-            ((t, text) for t, text in recording.markers if text == "safe" or text.startswith("trip")), (np.inf, "none")
-        )
-        speed = setpoint = 0.0
-        for each in recording.axes:
-            position, brake = each["motor.position_rad"], each["brake.setpoint_Nm"]
-            t_s, x_rad = position.t_s, position.values
-            if not axis:  # the encoder may be lost
-                with np.load(truth) as columns:
-                    t_s, x_rad = columns["t_s"], columns["angle_rad"]
-            k = max(1, round(WINDOW_S / float(np.median(np.diff(t_s)))))
-            way = np.abs(x_rad[k:] - x_rad[:-k]) / (t_s[k:] - t_s[:-k])
-            speed = max(speed, float(way[t_s[k:] > at].max(initial=0.0)))
-            setpoint = max(setpoint, float(brake.values[brake.t_s > at].max(initial=0.0)))
+        angle = {}
+        if not axis:  # the encoder may be lost
+            with np.load(truth) as columns:
+                angle = {name: columns[name] for name in ("t_s", "angle_rad")}
+    at, marker = next(
+        ((t, text) for t, text in recording.markers if text == "safe" or text.startswith("trip")), (np.inf, "none")
+    )
+    speed = setpoint = 0.0
+    for each in recording.axes:
+        position, brake = each["motor.position_rad"], each["brake.setpoint_Nm"]
+        t_s, x_rad = angle.get("t_s", position.t_s), angle.get("angle_rad", position.values)
+        k = max(1, round(WINDOW_S / float(np.median(np.diff(t_s)))))
+        way = np.abs(x_rad[k:] - x_rad[:-k]) / (t_s[k:] - t_s[:-k])
+        speed = max(speed, float(way[t_s[k:] > at].max(initial=0.0)))
+        setpoint = max(setpoint, float(brake.values[brake.t_s > at].max(initial=0.0)))
     return Ended(marker.split(":")[0], speed, setpoint)
 
 

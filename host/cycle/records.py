@@ -135,8 +135,7 @@ TRACK = WINDOW_CYCLES
 ASKED = MOST_DELAY_CYCLES - 1  # largest number of cycles for which the law's output is held back
 KINETIC_CYCLES = 4
 """Number of cycles over which the passivity observer takes the largest and the smallest kinetic energy."""
-DRIVE_PDOS = MOST_PDOS
-"""Size of the host's PDO tables, for each direction."""
+DRIVE_PDOS = MOST_PDOS  # size of the host's PDO tables, for each direction
 
 
 class ControlRecord(Record):
@@ -341,6 +340,7 @@ class HostRecord(Record):
     handle_samples: int  # number of summed samples
     emcy: int  # `Trip` of a received EMCY
     foreign_id: int  # identifier of a host's frame that another station sent; -1: none
+    drive_taken: int  # 1: NMT has taken the drive out of OPERATIONAL, because another station commands it
     # monitors
     still: int  # cycles in a row without motion
     missed_in_a_row: int  # cycles in a row that lack a TPDO

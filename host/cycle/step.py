@@ -203,8 +203,9 @@ def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -
         return 0
     if _only_of_host(axis, can_id, data):
         h.stray_frames += 1
-        if Phase.OFF < h.phase < Phase.SAFE and h.stop <= 1:
+        if Phase.OFF < h.phase < Phase.DONE and h.foreign_id < 0:
             h.foreign_id = can_id
+        if Phase.OFF < h.phase < Phase.SAFE and h.stop <= 1:
             h.stop = Trip.SECOND_HOST
         return 0
     for k in range(c.nodes):
@@ -314,13 +315,14 @@ def _follow_display(c: ControlRecord, h: HostRecord) -> None:
 
 @kernel
 def _take_the_drive(c: ControlRecord, h: HostRecord, t_ns: int, out: Queue) -> None:
-    """Send the drive to PRE-OPERATIONAL in the cycle in which another station turned out to command it.
+    """Send the drive to PRE-OPERATIONAL once another station commands it, before or in the safe state.
 
     There a drive obeys nobody's RPDO. A drive that does not end its torque there is left OPERATIONAL: it still
     gets the host's disable command.
     """
-    commanded = h.trip == Trip.SECOND_HOST or h.foreign_id >= 0  # another trip may have come first in this cycle
-    if h.phase == Phase.SAFE and h.phase_cycle == 1 and commanded and c.ends_by_nmt:
+    commanded = h.trip == Trip.SECOND_HOST or h.foreign_id >= 0  # another trip may have come first
+    if commanded and Phase.SAFE <= h.phase < Phase.DONE and c.ends_by_nmt and not h.drive_taken:
+        h.drive_taken = 1
         push(out, SOURCE_HOST, t_ns, CobId.NMT, 2, NmtCommand.ENTER_PRE_OPERATIONAL | c.node_id[0] << 8)
 
 

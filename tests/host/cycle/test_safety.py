@@ -445,3 +445,30 @@ def test_a_strangers_command_beside_another_trip_takes_the_drive_too():
     bench.cycle()
     assert bench.k.trip.startswith("EMCY_BRAKE")
     assert [can_id for _, can_id, _, _ in bench.frames()].count(0) == 1
+
+
+@pytest.mark.parametrize("trip", [True, False])
+def test_a_stranger_that_commands_the_drive_in_the_safe_state_loses_it_once(trip):
+    bench = armed("active")
+    if trip:
+        bench.frame(0x082, 8, 0x8140)
+    else:
+        bench.k.stop()
+    while bench.phase is not Phase.SAFE:
+        bench.cycle()
+    assert not [frame for frame in bench.frames() if frame[1] == 0]
+    for nmt in (1, 0):
+        bench.frame(0x201, 4, 0x000F | 500 << 16)
+        bench.cycle()
+        assert [can_id for _, can_id, _, _ in bench.frames()].count(0) == nmt
+    assert bench.h.trip == (Trip.EMCY_BRAKE if trip else Trip.NONE)
+
+
+def test_a_stranger_that_commands_the_drive_after_the_end_has_it():
+    bench = armed("active")
+    bench.k.stop()
+    while bench.phase is not Phase.DONE:
+        bench.cycle()
+    bench.frame(0x201, 4, 0x000F | 500 << 16)
+    bench.cycle()
+    assert not [frame for frame in bench.frames() if frame[1] == 0]
