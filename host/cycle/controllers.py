@@ -12,6 +12,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.hand_over import end_together
 from coulombus.host.cycle.records import AxisRecord, AxisRecords, Phase, SignResult, Trip
 from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
@@ -64,10 +65,7 @@ class Controllers:
         for controller in self.each[1:]:  # the first axis sends SYNC and the heartbeat
             controller.control["sync_cob_id"] = -1
             controller.control["heartbeat_ns"] = 0
-        for name in ("rise_cycles", "fade_cycles"):  # all axes end together
-            longest = max(int(controller.control[name][0]) for controller in self.each)
-            for controller in self.each:
-                controller.control[name] = longest
+        end_together([controller.control for controller in self.each])
         self.owner = np.zeros(2048, np.int64)
         self.bus_of = np.full(2048, EVERY_BUS, np.int64)
         for k, controller in enumerate(self.each):

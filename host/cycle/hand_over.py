@@ -9,14 +9,17 @@ it can (docs/safety.md, The safe state).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.host.cycle.brake_model import DEFAULT_LAG_S, rise
 from coulombus.host.cycle.output_limits import brake_bears_motor, law_pushes
 from coulombus.host.cycle.records import ControlRecord, HostRecord, Phase
 from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Records
 from coulombus.rigs.axis import Axis
 
-__all__ = ["bear", "hands_over", "ramp_gain", "set_hand_over", "take_over"]
+__all__ = ["bear", "end_together", "hands_over", "ramp_gain", "set_hand_over", "take_over"]
 
 RISE_LAGS, FADE_S = 3.0, 0.05
 """Rise of the brake in units of its lags, and the time in which the motor's torque ends."""
@@ -35,6 +38,14 @@ def set_hand_over(c: ControlRecord, axis: Axis, mode: str) -> None:
     fade_s = FADE_S if brake_bears_motor(axis, mode) else axis.limits.safe_ramp_s
     c["fade_cycles"] = max(1, round(fade_s / period_s))
     c["ends_by_nmt"] = is_own("motor", told_identity(axis.description("motor")))
+
+
+def end_together(controls: Sequence[Records]) -> None:
+    """Let all axes of a bus hand over for as long as the slowest does."""
+    for name in ("rise_cycles", "fade_cycles"):
+        longest = max(int(control[name][0]) for control in controls)
+        for control in controls:
+            control[name] = longest
 
 
 @kernel

@@ -15,9 +15,8 @@ and cancels. The size :math:`m` follows :math:`\lambda + |\tau| + 3 J |\dot{\bar
 :math:`\lambda` says nothing, and nothing changes.
 
 :math:`|e| > 0.6\,\mu m` is counted and gives a remark; :math:`|e| > \mu m` for `mismatch_cycles` trips, with the share
-:math:`\mu` of `limits.handle_mismatch_share`. Both are at least
-a part of the torque with which a handle counts as loaded. The joints of an arm are compared one by one: a force at the
-tip is wrong if, and only if, a joint's torque is.
+:math:`\mu` of `limits.handle_mismatch_share`. Both are at least a part of the torque with which a handle counts as
+loaded. The joints of an arm are compared one by one: a force at the tip is wrong if, and only if, a joint's torque is.
 """
 
 from __future__ import annotations

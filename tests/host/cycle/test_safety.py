@@ -13,8 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.eds.cia402 import PowerState
+from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.laws.laws import compile_law
+from coulombus.rigs.rig import load_rig
 from host_bench import VELOCITY, HostBench, armed
 
 
@@ -472,3 +474,10 @@ def test_a_stranger_that_commands_the_drive_after_the_end_has_it():
     bench.frame(0x201, 4, 0x000F | 500 << 16)
     bench.cycle()
     assert not [frame for frame in bench.frames() if frame[1] == 0]
+
+
+def test_all_axes_hand_over_for_as_long_as_the_slowest():
+    slow = "axis.right.brake.fluid_lag_s=0.2", "axis.left.limits.brake_torque_Nm=0.5"
+    controls = [c.control[0] for c in Controllers(load_rig("two_axes", overrides=slow), "active").each]
+    assert {int(c.rise_cycles) for c in controls} == {round(3 * 0.2 / 0.002)}
+    assert {int(c.fade_cycles) for c in controls} == {round(1.8 / 0.002)}
