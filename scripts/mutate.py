@@ -9,11 +9,8 @@ for the module have to fail with it. A survivor is a hole in the tests, or equiv
     .venv/bin/python scripts/mutate.py --module host/cycle/monitors.py
     .venv/bin/python scripts/mutate.py --sample 100 --seed 3
     .venv/bin/python scripts/mutate.py --list --module host/cycle/step.py
-    .venv/bin/python scripts/mutate.py --draw 100 --seed 202648  # of the whole product
 
-`--draw` draws from all modules: a module by its number of lines, then one of its mutants, so that
-each mutant of the product is about as likely. It is run against the nearest tests: those of the
-files that name the module, then those that name a module which names it (`_tests_of`).
+`mutate_drawn.py` draws mutants of the whole product.
 
 A run that was broken off goes on where it was: the results are in `out/mutants.jsonl`, and one is
 used again while the module, and for a survivor the tests, are the same. Exit status: 0, all
@@ -27,22 +24,18 @@ import hashlib
 import json
 import os
 import random
-import re
 import sys
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
-from mutant_runs import NOT_COVERED, Tests, Verdict, run  # noqa: E402
+from mutant_runs import Tests, Verdict, run  # noqa: E402
 from mutants import Mutant, Source  # noqa: E402
 
 EQUIVALENTS = ROOT / "scripts" / "mutants_equivalent.toml"
@@ -391,7 +384,6 @@ def main() -> int:
     add("--jobs", type=int, default=os.cpu_count() or 1, help="mutants at the same time")
     add("--sample", type=int, default=0, help="only so many mutants of each module, drawn with --seed")
     add("--seed", type=int, default=0)
-    add("--draw", type=int, default=0, help="so many mutants of the whole product, drawn with --seed")
     add("--timeout", type=float, default=10.0, help="processor time of a mutant, in multiples of its tests' own")
     add("--results", type=Path, default=ROOT / "out" / "mutants.jsonl", help="where the verdicts are kept")
     add("--fresh", action="store_true", help="forget the verdicts of earlier runs")
@@ -399,8 +391,6 @@ def main() -> int:
     add("--list", action="store_true", help="list the mutants and run none")
     options = parser.parse_args()
     os.chdir(ROOT)
-    if options.draw:
-        return draw(options)
     os.environ["NUMBA_DISABLE_JIT"] = "1"  # before anything imports numba
     listed, results = Equivalents(EQUIVALENTS), Results(options.results, options.fresh)
     tallies, wrong = [], []
@@ -415,122 +405,6 @@ def main() -> int:
     if not options.list:
         print(_table(tallies))
     return 1 if wrong else 0
-
-
-TOPS = ("coulombus", "node", "host", "eds", "sim_bus")
-NAMED = re.compile(r"coulombus(?:\.\w+)+")
-NEAREST, BUDGET_S, DRAWN_TIMEOUT = 8, 15.0, 3.0
-"""Files of tests for a drawn mutant, the wall clock for these without a mutant, and `--timeout`."""
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A drawn mutant: where it is, its edit, and what became of it."""
-
-    where: str
-    status: str
-    by: str
-
-
-def _names(path: Path, modules: Mapping[str, Path]) -> set[str]:
-    """Return the modules that a file names: in an import, or in a text, as the commands are loaded."""
-    named = set()
-    for match in NAMED.findall(path.read_text(encoding="utf-8")):
-        name = match
-        while name and name not in modules:
-            name = name.rpartition(".")[0]
-        named.add(name)
-    return named - {"", "coulombus"}
-
-
-def product() -> dict[str, Path]:
-    """Return the product's modules by the names of their import, without the examples."""
-    paths = (path for top in TOPS for path in sorted((ROOT / top).rglob("*.py")) if "examples" not in path.parts)
-    modules = {}
-    for path in paths:
-        parts = path.relative_to(ROOT).with_suffix("").parts
-        name = ".".join(parts if parts[0] == "coulombus" else ("coulombus", *parts))
-        modules[name.removesuffix(".__init__")] = path
-    return modules
-
-
-def _tests_of(name: str, named_by: Mapping[str, set[str]], tests: Mapping[str, set[str]]) -> tuple[str, ...]:
-    """Return the nearest files of tests: of those as near, those first that are called like the
-    module, and that name the fewest modules.
-    """
-    chosen: list[str] = []
-    ring, seen = {name}, {name}
-    while ring and len(chosen) < NEAREST:
-        here = [test for test, named in tests.items() if named & ring and test not in chosen]
-        stem = name.rpartition(".")[2]
-        chosen += sorted(here, key=lambda test: (stem not in test, len(tests[test])))
-        packages = {module.rpartition(".")[0] for module in ring} - {"coulombus", ""}
-        ring = (packages | {user for module in ring for user in named_by.get(module, ())}) - seen
-        seen |= ring
-    return tuple(chosen[:NEAREST])
-
-
-def _run_drawn(name: str, numbers: tuple[int, ...], tests: tuple[str, ...]) -> list[Drawn]:
-    """Run some mutants of a module, in a process of its own."""
-    path = product()[name]
-    text = path.read_text(encoding="utf-8")
-    compiled = "coulombus.kernels" not in text  # its kernels, if it has any, are not mutated as machine code
-    os.environ["NUMBA_DISABLE_JIT"] = "0" if compiled else "1"
-    source = Source(str(path.relative_to(ROOT)), text)
-    mutants = [source.mutants()[k] for k in numbers]
-    verdicts: dict[int, Verdict] = {}
-    marks = "real_time" if compiled else "real_time or slow"
-    error = run(source, mutants, Tests(tests, marks=marks, budget_s=BUDGET_S), 1, DRAWN_TIMEOUT, verdicts.__setitem__)
-    lost = Verdict("not run", error, 0.0)
-    return [
-        Drawn(f"{source.path}:{m.line}: {m.operator}: {m.change}", v.status, v.by)
-        for m, v in ((mutant, verdicts.get(k, lost)) for k, mutant in enumerate(mutants))
-    ]
-
-
-def draw(options: argparse.Namespace) -> int:
-    """Draw mutants of the whole product, run them, print the survivors and their share."""
-    modules = product()
-    names, lines = list(modules), [path.read_text(encoding="utf-8").count("\n") for path in modules.values()]
-    named_by: dict[str, set[str]] = {}
-    for user, path in modules.items():
-        for name in _names(path, modules):
-            named_by.setdefault(name, set()).add(user)
-    tests = {str(path.relative_to(ROOT)): _names(path, modules) for path in sorted((ROOT / "tests").rglob("test_*.py"))}
-    random_ = random.Random(f"draw {options.seed}")
-    numbers: dict[str, set[int]] = {}
-    sizes: dict[str, int] = {}
-    while sum(map(len, numbers.values())) < options.draw:
-        (name,) = random_.choices(names, lines)
-        if name not in sizes:
-            path = modules[name]
-            sizes[name] = len(Source(str(path), path.read_text(encoding="utf-8")).mutants())
-        if sizes[name]:
-            numbers.setdefault(name, set()).add(random_.randrange(sizes[name]))
-    if options.list:
-        print(*(f"{name} {number}" for name, some in sorted(numbers.items()) for number in sorted(some)), sep="\n")
-        return 0
-    drawn: list[Drawn] = []
-    with ProcessPoolExecutor(options.jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
-        runs = [
-            pool.submit(_run_drawn, name, tuple(sorted(some)), _tests_of(name, named_by, tests))
-            for name, some in numbers.items()
-        ]
-        for done in as_completed(runs):
-            drawn += done.result()
-            for mutant in done.result():
-                if mutant.status in ("survived", "not made", "not run"):
-                    reason = f" ({mutant.by})" if mutant.by else ""
-                    print(f"{mutant.status.upper()} {mutant.where}{reason}", flush=True)
-    counts = Counter(mutant.status for mutant in drawn)
-    run_ = sum(counts[status] for status in ("killed", "timeout", "survived"))
-    bare = sum(mutant.by == NOT_COVERED for mutant in drawn)
-    print(f"{run_} mutants of {len(numbers)} modules, seed {options.seed}: {counts['survived']} survived, ", end="")
-    print(
-        f"{100 * counts['survived'] / max(run_, 1):.1f} %; no test reached {bare} of these in {BUDGET_S:g} s; ", end=""
-    )
-    print(f"{counts['not made'] + counts['not run']} not run")
-    return 0
 
 
 def _in_child(name: str, options: argparse.Namespace, listed: Equivalents, results: Results) -> tuple[Tally, list[str]]:

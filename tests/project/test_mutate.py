@@ -26,7 +26,7 @@ def load(name):
 
 Source = load("mutants").Source
 mutant_runs = load("mutant_runs")
-mutate = load("mutate")
+mutate, mutate_drawn = load("mutate"), load("mutate_drawn")
 
 TEXT = '''"""A module."""
 
@@ -118,7 +118,7 @@ def test_the_function_of_a_command_and_of_a_cached_property_is_exchanged():
 
 
 def test_a_draw_runs_mutants_of_the_product_against_the_tests_that_name_them():
-    modules = mutate.product()
+    modules = mutate_drawn.product()
     assert {"coulombus.host.laws.karnopp", "coulombus.recording.logs.blf", "coulombus.cli.main"} <= modules.keys()
     assert not any("examples" in str(path) for path in modules.values())
     tests = {
@@ -127,11 +127,13 @@ def test_a_draw_runs_mutants_of_the_product_against_the_tests_that_name_them():
         "tests/c.py": {"coulombus.wire.x"},
     }
     named_by = {"coulombus.wire.x": {"coulombus.cli.main"}}
-    assert mutate._tests_of("coulombus.wire.x", named_by, tests) == ("tests/c.py", "tests/b.py", "tests/a.py")
+    nearest = ("tests/c.py", "tests/b.py", "tests/a.py")
+    assert mutate_drawn.tests_of("coulombus.wire.x", named_by, tests, 8) == nearest
+    assert mutate_drawn.tests_of("coulombus.wire.x", named_by, tests, 2) == nearest[:2]
 
 
 def test_the_same_seed_draws_the_same_mutants_and_another_draws_others():
-    command = [sys.executable, SCRIPTS / "mutate.py", "--draw", "4", "--list", "--seed"]
+    command = [sys.executable, SCRIPTS / "mutate_drawn.py", "4", "--list", "--seed"]
     first, again, other = (subprocess.check_output([*command, seed], text=True, timeout=300) for seed in "334")
     assert first == again != other
     assert len(first.splitlines()) == len(other.splitlines()) == 4
@@ -140,8 +142,9 @@ def test_the_same_seed_draws_the_same_mutants_and_another_draws_others():
 def test_a_drawn_mutant_is_killed_by_the_tests_that_name_its_module():
     code = (
         f"import sys; sys.path.insert(0, {str(SCRIPTS)!r})\n"
-        "import mutate\n"
-        "done = mutate._run_drawn('coulombus.host.run.histogram', (0, 1, 2), ('tests/host/run/test_histogram.py',))\n"
+        "from mutate_drawn import run_drawn\n"
+        "tests = ('tests/host/run/test_histogram.py',)\n"
+        "done = run_drawn('coulombus.host.run.histogram', (0, 1, 2), tests, 15.0)\n"
         "print([drawn.status for drawn in done])\n"
     )
     said = subprocess.check_output([sys.executable, "-c", code], text=True, timeout=300, cwd=ROOT)
