@@ -44,6 +44,7 @@ from scipy.optimize import brentq
 __all__ = ["PredictedOrbit", "SettledOrbit", "TipLoop", "predicted_orbit", "response", "settled_orbit"]
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 ANGLES = 2000
 SETTLE, KEPT = 3000, 4096
 FIRST = 0.02
@@ -114,19 +115,19 @@ def _steps(loop: TipLoop, mass: float, damping: float = 0.0, stiffness: float = 
     return phi, gamma
 
 
-def _at(loop: TipLoop, angle: float) -> tuple[complex, complex]:
-    """Return H, and the ratio of the true velocity to the estimate, at an angle a sample, for a unit mass."""
-    z = complex(math.cos(angle), math.sin(angle))
+def _at(loop: TipLoop, angles: npt.ArrayLike) -> tuple[Complexes, Complexes]:
+    """Return H, and the ratio of the true velocity to the estimate, at each angle a sample, for a unit mass."""
+    z = np.exp(1j * np.atleast_1d(angles))
     phi, gamma = _steps(loop, 1.0)
-    x, v, _ = np.linalg.solve(z * np.eye(3) - phi, gamma.astype(complex))
+    x, v, _ = np.linalg.solve(z[:, None, None] * np.eye(3) - phi, gamma.astype(complex)[:, None])[..., 0].T
     n, m, g = loop.window_cycles, loop.turn_cycles, loop.turn_gain
     estimate = x * (1 - z**-n) / (n * loop.period_s) * (1 + g - g * z**-m)
-    return complex(estimate / z), complex(v / estimate)
+    return estimate / z, v / estimate
 
 
 def response(loop: TipLoop, frequency_Hz: float) -> complex:
     """Return H at a frequency, from force to estimated velocity of a unit mass [s/kg]."""
-    return _at(loop, 2 * math.pi * frequency_Hz * loop.period_s)[0]
+    return complex(_at(loop, 2 * math.pi * frequency_Hz * loop.period_s)[0][0])
 
 
 def _gains(shape: float) -> tuple[float, float]:
@@ -141,16 +142,15 @@ def _gains(shape: float) -> tuple[float, float]:
 def predicted_orbit(loop: TipLoop, masses_kg: tuple[float, float]) -> PredictedOrbit:
     """Return the limit cycle that the describing function predicts, for ascending masses [kg]."""
     angles = np.linspace(FIRST, math.pi - 1e-6, 4000)
-    phase = np.unwrap([np.angle(-_at(loop, float(angle))[0]) for angle in angles])
+    phase = np.unwrap(np.angle(-_at(loop, angles)[0]))
     phase -= 2 * math.pi * round((phase[0] - math.pi / 2) / (2 * math.pi))  # at 0 the mass alone: -1/(j w)
     k = int(np.flatnonzero(phase <= 0.0)[0])
 
     def off(angle: float) -> float:
-        value = -_at(loop, angle)[0]
-        return math.atan2(value.imag, value.real)
+        return float(np.angle(-_at(loop, angle)[0][0]))
 
     angle = float(brentq(off, angles[k - 1], angles[k])) if k else float(angles[0])
-    gain, true = _at(loop, angle)
+    gain, true = (complex(each[0]) for each in _at(loop, angle))
     ratio = masses_kg[1] / masses_kg[0]
 
     def mismatch(shape: float) -> float:
