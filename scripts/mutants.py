@@ -203,17 +203,28 @@ class Source:
         for mutant in self._walk_module():
             if mutant.unit not in seen:
                 seen[mutant.unit] = {self._code(mutant.unit)}
-            undo = mutant.undone()
-            try:
-                code = self._code(mutant.unit)
-            except SyntaxError:  # a deleted binding of a nonlocal name, a starred argument alone
-                continue
-            finally:
-                undo()
-            if code not in seen[mutant.unit]:
+            code = self._code_of(mutant)
+            if code is not None and code not in seen[mutant.unit]:
                 seen[mutant.unit].add(code)
                 found.append(mutant)
         return found
+
+    def edits(self) -> list[Mutant]:
+        """Return every edit in the order of the lines, without a look at the code that comes of it."""
+        return list(self._walk_module())
+
+    def changes(self, edit: Mutant) -> bool:
+        """Whether an edit gives code, and another one."""
+        return self._code_of(edit) not in (None, self._code(edit.unit))
+
+    def _code_of(self, mutant: Mutant) -> Any:
+        undo = mutant.undone()
+        try:
+            return self._code(mutant.unit)
+        except SyntaxError:  # a deleted binding of a nonlocal name, a starred argument alone
+            return None
+        finally:
+            undo()
 
     def _code(self, unit: str) -> Any:
         code = find_code(self.compiled(), unit)

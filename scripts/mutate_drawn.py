@@ -49,7 +49,7 @@ ROUNDS = (Round(8, 15.0), Round(24, 60.0))
 
 @dataclass(frozen=True)
 class Drawn:
-    """A drawn mutant: its module and number there, where it is, its edit, and what became of it."""
+    """A drawn mutant: its module and number there (of `Source.edits`), where it is, its edit, and what became of it."""
 
     name: str
     number: int
@@ -108,7 +108,8 @@ def run_drawn(name: str, numbers: tuple[int, ...], tests: tuple[str, ...], budge
     compiled = "coulombus.kernels" not in text  # its kernels, if it has any, are not mutated as machine code
     os.environ["NUMBA_DISABLE_JIT"] = "0" if compiled else "1"
     source = Source(str(path.relative_to(ROOT)), text)
-    mutants = [source.mutants()[k] for k in numbers]
+    edits = source.edits()
+    mutants = [edits[k] for k in numbers]
     verdicts: dict[int, Verdict] = {}
     marks = "real_time" if compiled else "real_time or slow"
     error = run(source, mutants, Tests(tests, marks=marks, budget_s=budget_s), 1, TIMEOUT, verdicts.__setitem__)
@@ -120,19 +121,18 @@ def run_drawn(name: str, numbers: tuple[int, ...], tests: tuple[str, ...], budge
 
 
 def drawn(count: int, seed: int) -> dict[str, tuple[int, ...]]:
-    """Draw mutants of the product: the numbers in each module."""
+    """Draw mutants of the product: their numbers among the edits of each module."""
     modules = product()
     names, lines = list(modules), [path.read_text(encoding="utf-8").count("\n") for path in modules.values()]
     random_ = random.Random(f"draw {seed}")
     numbers: dict[str, set[int]] = {}
-    sizes: dict[str, int] = {}
     while sum(map(len, numbers.values())) < count:
         (name,) = random_.choices(names, lines)
-        if name not in sizes:
-            path = modules[name]
-            sizes[name] = len(Source(str(path), path.read_text(encoding="utf-8")).mutants())
-        if sizes[name]:
-            numbers.setdefault(name, set()).add(random_.randrange(sizes[name]))
+        source = Source(name, modules[name].read_text(encoding="utf-8"))
+        edits = source.edits()
+        k = random_.randrange(len(edits)) if edits else -1
+        if k >= 0 and source.changes(edits[k]):
+            numbers.setdefault(name, set()).add(k)
     return {name: tuple(sorted(some)) for name, some in numbers.items()}
 
 
