@@ -13,6 +13,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; 
 unexport PYTHONDONTWRITEBYTECODE  # without bytecode each of a thousand starts of the tests compiles all sources anew
 unexport PYTHONUNBUFFERED  # a user's output has a buffer
 
+test fast long: export OPENBLAS_NUM_THREADS := 1  # its threads wait busily for a processor that another test has
+
 .PHONY: demo test fast long check docs bench coverage wheel constraints clean help
 .DEFAULT_GOAL := demo
 

@@ -389,8 +389,12 @@ def main() -> int:
     add("--fresh", action="store_true", help="forget the verdicts of earlier runs")
     add("--check-equivalents", action="store_true", help="run the listed mutants too")
     add("--list", action="store_true", help="list the mutants and run none")
+    add("--tests", action="store_true", help="name the files of tests, and run none")
     options = parser.parse_args()
     os.chdir(ROOT)
+    if options.tests:
+        print(*sorted({_file(test) for target in TARGETS.values() for test in target.tests}), sep="\n")
+        return 0
     os.environ["NUMBA_DISABLE_JIT"] = "1"  # before anything imports numba
     listed, results = Equivalents(EQUIVALENTS), Results(options.results, options.fresh)
     tallies, wrong = [], []
