@@ -5,7 +5,6 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
-FAST := $(addprefix tests/,wire eds rigs recording $(addprefix host/cycle/test_,cycle.py phases.py host_control.py monitors.py transitions.py))
 NEEDED := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
 	"$$p" -c '$(NEEDED)' 2>/dev/null && { echo "$$p"; break; }; done)
@@ -15,7 +14,7 @@ unexport PYTHONUNBUFFERED  # a user's output has a buffer
 
 test fast long: export OPENBLAS_NUM_THREADS := 1  # its threads wait busily for a processor that another test has
 
-.PHONY: demo test fast long check docs bench coverage wheel constraints clean help
+.PHONY: demo test fast long check docs bench wheel constraints clean help
 .DEFAULT_GOAL := demo
 
 help:  ## this list
@@ -27,20 +26,9 @@ demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
 test: $(VENV)/.dev  ## all tests: those against the wall clock, and beside them those in virtual time
 	@PYTHON=$(BIN)/python scripts/test
 
-fast: $(VENV)/.dev  ## a minute of tests in plain Python: nothing is compiled
-	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --durations=3 -m "not real_time and not slow" $(FAST)
-
-COVERED := $(BIN)/python -m coverage run --parallel-mode -m pytest -q -p no:cacheprovider -m "not real_time and not slow"
-REACHED := coulombus/wire/*,eds/*,coulombus/rigs/*,coulombus/recording/*,host/cycle/*
-
-coverage: $(VENV)/.dev  ## which lines those tests reach, kernels included
-	@rm -f .coverage .coverage.*
-	@export NUMBA_DISABLE_JIT=1; $(COVERED) $(wordlist 4,9,$(FAST)) & other=$$!; \
-	$(COVERED) $(wordlist 1,3,$(FAST)); first=$$?; wait $$other && exit $$first
-	@$(BIN)/python -m coverage combine -q
-	@$(BIN)/python -m coverage report --include='$(REACHED)' --skip-covered
-	@echo "lines and branches of $(REACHED) that the fast tests reach, kernels included: \
-	$$($(BIN)/python -m coverage report --include='$(REACHED)' --format=total) %"
+fast: $(VENV)/.dev  ## a minute of tests in plain Python: what decides about torque, brake and arming
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --durations=3 \
+	-m "not real_time and not slow and not long" $$($(BIN)/python scripts/mutate.py --tests)
 
 wheel: $(VENV)/.dev  ## build the wheel, install it somewhere else, and run it there
 	@scripts/try-wheel

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
-import subprocess
-import sys
 from typing import Annotated
 
 import numpy as np
@@ -92,45 +89,6 @@ def test_copies_are_of_their_own():
     assert list(records["n"]) == [0, 0]
     overwrite(records, other)
     assert list(records["n"]) == [3, 3]
-
-
-PLANTED = """
-from typing import Annotated
-
-from coulombus.kernels.records import IntegerField, Record, RecordArray
-
-
-class State(Record):
-    phase: int
-    gain: float
-    track: Annotated[IntegerField, 4]
-
-
-def step(h: State, states: RecordArray[State]) -> int:
-    h.phase = 1
-    h.gain = 1
-    h.phse = 1
-    h.phase = 0.5
-    states[0].phse = 1
-    states[0].track[1] = 2
-    states[0].track[1] = 0.5
-    return states[0].phase
-"""
-
-
-@pytest.mark.slow
-def test_a_misspelt_field_and_a_wrong_type_are_found_by_mypy(tmp_path):
-    path = tmp_path / "planted.py"
-    path.write_text(PLANTED)
-    command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path), str(path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=800)
-    messages = dict(re.findall(r":(\d+): error: (.*)  \[", done.stdout))
-    assert messages == {
-        "16": '"State" has no attribute "phse"; maybe "phase"?',
-        "17": 'Incompatible types in assignment (expression has type "float", variable has type "int")',
-        "18": '"State" has no attribute "phse"; maybe "phase"?',
-        "20": 'No overload variant of "__setitem__" of "IntegerField" matches argument types "int", "float"',
-    }
 
 
 def test_no_record_of_a_kernel_is_of_any_type():

@@ -43,7 +43,7 @@ RULES = (
     (r": (make|git|pip|python3 -m venv|scripts/ci)", "installs or tests this checkout: .ci/run does the same"),
     (r": .*(-m pytest|scripts/mutate)", "runs tests within tests: .ci/run and docs/safety.md have the runs"),
     (r": .*-m benchmarks", "a measurement of minutes to hours; the page has its figures"),
-    (r": NUMBA_DISABLE_JIT=1 ", "everything in plain Python: `make fast` and `make coverage` do it"),
+    (r": NUMBA_DISABLE_JIT=1 ", "everything in plain Python: `make fast` does it"),
     # hardware
     (r"socketcan:|: candump", "needs a CAN interface: tests/vm runs such verbs in a virtual machine"),
     (r"docs/months\.md: ", LIVE + "tests/host and tests/recording run `run --rotate`, `status` and `systemd`"),
