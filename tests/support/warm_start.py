@@ -2,11 +2,11 @@
 loaded the loops of bus and host: most of a short run is Python's start otherwise.
 
 `Warm` is a `subprocess.Popen` whose child is made by the server below, one for each test process.
-The child has the given files, folder and environment, and ends as any Python does. What it starts
-of this project, as a host its data plane, is forked from it in turn (`Forked`). Two things it does
-not do, as it would take a second: lock its memory, which has all modules of the project in it, and
-listen for another host for longer than `LISTEN_S`. What a variable changes at import is the
-server's: tests of the start itself use `subprocess`.
+The child has the given files, folder and environment. What it starts
+of this project, as a host its data plane, is forked from it in turn (`Forked`). Three things it does
+not do, as it would take a second: lock its memory, which has all modules of the project in it,
+listen for another host for longer than `LISTEN_S`, and take its modules apart at its end. What a
+variable changes at import is the server's: tests of the start itself use `subprocess`.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import traceback
 from contextlib import suppress
 from pathlib import Path
@@ -267,6 +268,22 @@ def leave_out():
     realtime.lock_memory = lambda: realtime.Right("locked memory", True, "mlockall", "")
 
 
+def leave(code):
+    """End as Python does, but leave its memory to the system: to take all modules apart takes half a second."""
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join()
+    status = code if isinstance(code, int) else int(code is not None)
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            try:
+                stream.flush()
+            except OSError as error:
+                print(f"Exception ignored in: {stream!r}: {error}", file=sys.__stderr__)
+                status = 120
+    os._exit(status)
+
+
 def load_loops():
     """Load, or compile, the loop of a bus with its rig, and that of a data plane."""
     from coulombus.host.cycle.controllers import Controllers
@@ -299,4 +316,7 @@ if __name__ == "__main__":
     serve(int(sys.argv[1]))
     from coulombus.cli.main import main
 
-    main(prog_name="coulombus")
+    try:
+        main(prog_name="coulombus")
+    except SystemExit as end:
+        leave(end.code)
