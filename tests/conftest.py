@@ -4,6 +4,7 @@ background job, too.
 Real-time tests are done again if the machine stood still when they failed.
 """
 
+import gc
 import os
 import pty
 import signal
@@ -75,6 +76,12 @@ def pytest_ignore_collect(collection_path, config):
         return None
     text = collection_path.read_text()
     return None if all(one in text for one in wanted if not one.startswith("not ")) else True
+
+
+@pytest.fixture(scope="module", autouse=True)
+def frozen_memory():
+    """What the tests before have loaded stays: the collector, which some code calls, need not look at it again."""
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(session, items):

@@ -22,7 +22,7 @@ from coulombus.monitor.bus_reader import BATCH_S, BusReader
 from coulombus.monitor.live_incidents import IncidentReader
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.capture import LiveCapture
-from coulombus.monitor.web.page import SESSIONS, Page, application
+from coulombus.monitor.web.page import Page, application
 from coulombus.monitor.web.page_state import HostDoor
 from coulombus.monitor.web.reader import CurveReader, HostReader
 from coulombus.rigs.rig import Rig
@@ -94,7 +94,7 @@ def _bound(host: str, port: int) -> socket.socket:
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind(place)
-        made.listen(SESSIONS)
+        made.listen(CONNECTIONS)
         made.setblocking(False)
     except OSError:
         made.close()

@@ -178,7 +178,7 @@ def test_a_client_that_does_not_read_slows_nobody_and_is_told_its_losses():
                 slow = await at.connect()
                 await slow.write_message(Greeting().record(), binary=True)
                 await until(lambda: bench.server.readers == 2)
-                slow.protocol.stream.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                slow.protocol.stream.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
                 seen = 0
                 relays = [client.relay for client in at.gateway.clients]
                 while not any(relay.lost for relay in relays):
