@@ -69,6 +69,7 @@ TARGETS = {
             "test_study_delay",
         )
     ),
+    "host/cycle/hand_over.py": Target(("test_safety",)),
     "host/cycle/study_delay.py": Target(("test_study_delay",)),
     "host/cycle/telemetry.py": Target(("test_telemetry",)),
     "host/cycle/brake_hysteresis.py": Target(("test_brake_hysteresis",)),
