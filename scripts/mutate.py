@@ -55,7 +55,9 @@ class Target:
 TARGETS = {
     "host/cycle/monitors.py": Target(("test_monitors", "test_cycle", "test_cycle_roles")),
     "host/cycle/plausibility.py": Target(("test_plausibility",)),
-    "host/cycle/step.py": Target(("test_cycle", "test_safety", "test_cycle_roles", "test_live_parameters")),
+    "host/cycle/step.py": Target(
+        ("test_cycle", "test_hand_over", "test_safety", "test_cycle_roles", "test_live_parameters")
+    ),
     "host/cycle/phases.py": Target(
         (
             "test_phases",
@@ -69,7 +71,7 @@ TARGETS = {
             "test_study_delay",
         )
     ),
-    "host/cycle/hand_over.py": Target(("test_safety",)),
+    "host/cycle/hand_over.py": Target(("test_hand_over", "test_safety")),
     "host/cycle/study_delay.py": Target(("test_study_delay",)),
     "host/cycle/telemetry.py": Target(("test_telemetry",)),
     "host/cycle/brake_hysteresis.py": Target(("test_brake_hysteresis",)),
