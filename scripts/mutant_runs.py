@@ -51,13 +51,12 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Tests:
-    """Files of tests; those that are left out, as pytest's -k has them, and by their marks.
+    """Files of tests; the marks of those that are left out, as pytest's -m has them.
 
     With `budget_s` only those tests are used that pass, one after the other, in this wall clock, each in half of it.
     """
 
     files: tuple[str, ...]
-    left_out: str = ""
     marks: str = ""
     budget_s: float | None = None
 
@@ -345,7 +344,6 @@ def run(
         "--tb=no",
         "--assert=plain",
         "-s",
-        *(["-k", f"not ({tests.left_out})"] if tests.left_out else []),
         *(["-m", f"not ({tests.marks})"] if tests.marks else []),
         *tests.files,
     ]

@@ -43,13 +43,13 @@ EQUIVALENTS = ROOT / "scripts" / "mutants_equivalent.toml"
 
 @dataclass(frozen=True)
 class Target:
-    """A module's tests, the functions that are meant when not all are, and the tests that are left
-    out, as pytest's -k has them: they simulate whole runs, which takes minutes in plain Python.
+    """A module's tests, the functions that are meant when not all are, and the mark of the tests that
+    are left out: they simulate whole runs, which takes minutes in plain Python.
     """
 
     tests: tuple[str, ...]
     units: tuple[str, ...] = ()
-    left_out: str = ""
+    marks: str = ""
 
 
 TARGETS = {
@@ -87,7 +87,7 @@ TARGETS = {
     "host/cycle/output_limits.py": Target(("test_output_limits", "test_cycle_roles")),
     "host/setup/law_demand.py": Target(
         ("test_law_demand_edges", "test_law_demand"),
-        left_out="counted_and_told or nowhere or displays_its or begins_before or run_is_refused",
+        marks="slow",
     ),
     "host/cycle/live_parameters.py": Target(("test_live_parameters",)),
     "host/world/local_model.py": Target(("test_local_model", "test_local_model_edges")),
@@ -338,7 +338,7 @@ def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results:
         error = run(
             source,
             [mutants[k] for k in missing],
-            Tests(tuple(tests), target.left_out),
+            Tests(tuple(tests), target.marks),
             options.jobs,
             options.timeout,
             tell,

@@ -154,6 +154,7 @@ def test_check_tells_that_the_size_of_a_users_law_is_not_known(tmp_path):
     assert "is not known before it runs" in done.output
 
 
+@pytest.mark.slow
 def test_a_run_is_refused_before_its_recording_begins(tmp_path):
     record = tmp_path / "run.pcapng"
     with pytest.raises(RigError, match=r"mode\.hybrid\.F_s_Nm"):
@@ -169,6 +170,7 @@ def test_a_run_is_refused_before_its_recording_begins(tmp_path):
     ("mode", "counter", "whose"),
     [("passive", "clipped_setpoints", "limits.brake_torque_Nm"), ("active", "clipped_torque", "6072h")],
 )
+@pytest.mark.slow
 def test_what_is_cut_off_of_a_users_law_is_counted_and_told(tmp_path, mode, counter, whose):
     (tmp_path / "mine.py").write_text(PUSHY_LAW)
     result = simulate("bench", mode, 1.5, overrides=(f"law.function={tmp_path}/mine.py:law",))
@@ -178,6 +180,7 @@ def test_what_is_cut_off_of_a_users_law_is_counted_and_told(tmp_path, mode, coun
     assert whose in told
 
 
+@pytest.mark.slow
 def test_a_law_within_its_limits_is_counted_nowhere():
     result = simulate("bench", "hybrid", 1.5)
     names = ("clipped_torque", "slowed_torque", "limited_by_drive", "clipped_setpoints", "negative_setpoints")
@@ -241,6 +244,7 @@ def test_the_two_brakes_differ_in_their_range_alone():
     assert values == [(f"{key}=5000", f"{key}=20000") for key in ("HighLimit", "DefaultValue", "HighLimit")]
 
 
+@pytest.mark.slow
 def test_the_papers_rig_displays_its_10_N_with_the_brake(tmp_path):
     """7300h:01 of the 5 Nm brake cut them to 5, and nothing told."""
     seen = {}
@@ -257,6 +261,7 @@ def test_the_papers_rig_displays_its_10_N_with_the_brake(tmp_path):
 
 
 @pytest.mark.parametrize(("rest_s", "told"), [(2, False), (1, True)])
+@pytest.mark.slow
 def test_a_hand_that_begins_before_the_law_is_whole_is_told(rest_s, told):
     result = simulate("paper", "active", 2.2, overrides=(f"phase.0.duration_s={rest_s}",))
     assert 1.0 < result.full_gain_s < 2.0

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
 
 from coulombus.host.cycle.output_limits import torque_step_Nm
@@ -59,3 +62,42 @@ def test_a_count_has_no_sign_where_a_brakes_table_falls(sense, F_s_Nm, cut):
     texts = {"motor.eds": MOTOR, "mr_brake.eds": edit(BRAKE, "7300sub1", LowLimit=-5000)}
     rig = load_rig_text(BENCH + table, "r.toml", texts, [f"mode.hybrid.F_s_Nm={F_s_Nm}"])
     assert len(cut_off(rig, "hybrid")) == cut
+
+
+REACH_M = {"shoulder": 2 * 0.2 * math.cos(1.92 / 2), "elbow": 0.2}
+"""Distances of the tip from the joints at the plane rig's start: two links of 0.2 m, bent by 1.92 rad."""
+
+
+@pytest.mark.parametrize(("mode", "limit_Nm", "whose"), [("passive", 4.5, "brake_torque_Nm"), ("active", 1.5, "motor")])
+def test_the_largest_force_at_the_tip_is_the_weakest_joints(mode, limit_Nm, whose):
+    bound_N = {name: (limit_Nm + 0.14) / length_m for name, length_m in REACH_M.items()}
+    for force_N, named in (
+        (0.999 * bound_N["shoulder"], []),
+        (1.001 * bound_N["shoulder"], ["shoulder"]),
+        (1.001 * bound_N["elbow"], ["shoulder", "elbow"]),
+    ):
+        found = cut_off(load_rig("plane", [f"law.plane_karnopp.F_s_N={force_N:.9g}"]), mode)
+        assert len(found) == len(named), force_N
+        for text, name in zip(found, named, strict=True):
+            assert f"at most {bound_N[name]:.4g} N at the start: " in text
+            assert whose in text
+            assert f" of {name} ends there" in text
+            assert "law.plane_karnopp.F_s_N" in text
+
+
+def test_a_start_as_near_to_singular_as_is_allowed_is_not_refused():
+    rig = load_rig("plane")
+    x, y = 1 + math.cos(1.92), math.sin(1.92)
+    jacobian = np.array([[-y, -y], [x, math.cos(1.92)]])
+    sizes = np.linalg.svd(jacobian, compute_uv=False)
+    found = float(sizes[1] / sizes[0])
+    for least, refused in ((found * 0.999, False), (found * 1.001, True)):
+        force_N = 40 if refused else 3.3  # a start that is refused has no force that the joints bear
+        given = [f"kinematics.least_condition={least:.9g}", f"law.plane_karnopp.F_s_N={force_N}"]
+        text = cut_off(load_rig("plane", given), "hybrid")
+        assert bool(text) == refused
+        if refused:
+            assert len(text) == 1
+            assert f"kinematics.start_rad: the Jacobian's condition is {found:.2g} there" in text[0]
+            line = next(k for k, row in enumerate(rig.text.splitlines(), 1) if row.startswith("start_rad"))
+            assert text[0].startswith(f"{rig.path}:{line}: ")
