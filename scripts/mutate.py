@@ -60,6 +60,8 @@ TARGETS = {
     ),
     "host/cycle/phases.py": Target(
         (
+            "test_hand_over",
+            "test_safety",
             "test_phases",
             "test_slow_velocity",
             "test_brake_model",
