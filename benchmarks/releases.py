@@ -115,17 +115,17 @@ def ended(
     rig: str, mode: str, end: End, push: float, seconds: float, overrides: tuple[str, ...] = (), seed: int = 0
 ) -> Ended:
     """Simulate a display of a hand that pushes `push` times F_s, and its end after `seconds`."""
-    known = load_rig(rig)
-    kind = "tip_hold" if known.kinematics else "hold"
+    packaged_rig = load_rig(rig)
+    kind = "tip_hold" if packaged_rig.kinematics else "hold"
     phase = f'phase=[{{kind = "rest", duration_s = 1.0}}, {{kind = "{kind}", duration_s = 60.0, push_F_s = {push}, frequency_Hz = 0.1}}]'
-    axis, nodes = next(iter(known.axis_names), ""), [node.name for node in known.nodes]
+    axis, nodes = next(iter(packaged_rig.axis_names), ""), [node.name for node in packaged_rig.nodes]
     faults, script = end.files(seconds, axis)
     with tempfile.TemporaryDirectory() as folder:
-        path, truth, plan, orders = (
+        path, truth, fault_file, script_file = (
             Path(folder, name) for name in ("run.pcapng", "truth.npz", "faults.toml", "script.toml")
         )
-        plan.write_text(faults)
-        orders.write_text(script)
+        fault_file.write_text(faults)
+        script_file.write_text(script)
         simulate(
             rig,
             mode,
@@ -133,8 +133,8 @@ def ended(
             record=path,
             truth=truth,
             overrides=(phase, *overrides),
-            faults=plan if faults else None,
-            script=(lambda world: world.plan(read_script(orders, nodes))) if script else None,
+            faults=fault_file if faults else None,
+            script=(lambda world: world.plan(read_script(script_file, nodes))) if script else None,
             seed=seed,
         )
         recording = read(path)

@@ -89,16 +89,16 @@ def tests_of(name: str, named_by: Mapping[str, set[str]], tests: Mapping[str, se
     """Return at most so many of the nearest files of tests: of those as near, those first that are called like the
     module, and that name the fewest modules.
     """
-    chosen: list[str] = []
+    nearest: list[str] = []
     ring, seen = {name}, {name}
-    while ring and len(chosen) < most:
-        here = [test for test, named in tests.items() if named & ring and test not in chosen]
+    while ring and len(nearest) < most:
+        here = [test for test, named in tests.items() if named & ring and test not in nearest]
         stem = name.rpartition(".")[2]
-        chosen += sorted(here, key=lambda test: (stem not in test, len(tests[test])))
+        nearest += sorted(here, key=lambda test: (stem not in test, len(tests[test])))
         packages = {module.rpartition(".")[0] for module in ring} - {"coulombus", ""}
         ring = (packages | {user for module in ring for user in named_by.get(module, ())}) - seen
         seen |= ring
-    return tuple(chosen[:most])
+    return tuple(nearest[:most])
 
 
 def run_drawn(name: str, numbers: tuple[int, ...], tests: tuple[str, ...], budget_s: float) -> list[Drawn]:
@@ -145,20 +145,20 @@ def run_all(numbers: Mapping[str, tuple[int, ...]], jobs: int) -> list[Drawn]:
             named_by.setdefault(name, set()).add(user)
     tests = {str(path.relative_to(ROOT)): _names(path, modules) for path in sorted((ROOT / "tests").rglob("test_*.py"))}
     ended: dict[tuple[str, int], Drawn] = {}
-    left = dict(numbers)
+    living = dict(numbers)
     for round_ in ROUNDS:
         with ProcessPoolExecutor(jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
             runs = [
-                pool.submit(run_drawn, name, some, tests_of(name, named_by, tests, round_.files), round_.budget_s)
-                for name, some in left.items()
+                pool.submit(run_drawn, name, edits, tests_of(name, named_by, tests, round_.files), round_.budget_s)
+                for name, edits in living.items()
             ]
             for k, done in enumerate(as_completed(runs), 1):
                 ended |= {(mutant.name, mutant.number): mutant for mutant in done.result()}
                 alive = sum(mutant.lives for mutant in ended.values())
                 print(f"\r{round_.files} files: {k} of {len(runs)} modules, {alive} live ", end="", file=sys.stderr)
         print(file=sys.stderr)
-        left = {name: tuple(k for k in some if ended[name, k].lives) for name, some in left.items()}
-        left = {name: some for name, some in left.items() if some}
+        living = {name: tuple(k for k in edits if ended[name, k].lives) for name, edits in living.items()}
+        living = {name: edits for name, edits in living.items() if edits}
     return list(ended.values())
 
 

@@ -2,11 +2,11 @@
 loaded the loops of bus and host: most of a short run is Python's start otherwise.
 
 `Warm` is a `subprocess.Popen` whose child is made by the server below, one for each test process.
-The child has the given files, folder and environment. What it starts
-of this project, as a host its data plane, is forked from it in turn (`Forked`). Three things it does
-not do, as it would take a second: lock its memory, which has all modules of the project in it,
-listen for another host for longer than `LISTEN_S`, and take its modules apart at its end. What a
-variable changes at import is the server's: tests of the start itself use `subprocess`.
+The child has the given files, folder and environment. What it starts of this project, as a host
+its data plane, is forked from it in turn (`Forked`). Three things it does not do, as it would take
+a second: lock its memory, which has all modules of the project in it, listen for another host for
+longer than `LISTEN_S`, and take its modules apart at its end. What a variable changes at import is
+the server's: tests of the start itself use `subprocess`.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ import pytest
 
 from coulombus.host.cycle import hand_over, step
 from coulombus.host.cycle.records import Phase, Trip
-from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.wire.frame import new_queue
 from host_bench import HostBench, armed
 from plain_records import record_for_kernels
@@ -108,10 +107,6 @@ def doubted(bench, torques=(), brakes=()):
     return [round(float(n), 1) for n in bench.h.reversals]
 
 
-only_plain = pytest.mark.skipif(not JIT_DISABLED, reason="the kernel is called alone: NUMBA_DISABLE_JIT=1, make fast")
-
-
-@only_plain
 @pytest.mark.parametrize("sign", [1, -1])
 def test_reversals_near_the_motors_limit_are_counted(sign):
     bench = running()
@@ -129,7 +124,6 @@ def test_reversals_near_the_motors_limit_are_counted(sign):
     assert doubted(bench, [0.5, 0.0]) == [7.0, 0.0]
 
 
-@only_plain
 @pytest.mark.parametrize(
     ("fields", "counted"),
     [
@@ -145,7 +139,6 @@ def test_only_a_display_is_doubted(fields, counted):
     assert any(doubted(bench, [limit_Nm(bench), -limit_Nm(bench)])) == counted
 
 
-@only_plain
 @pytest.mark.parametrize(("on", "share", "counted"), [(1, 0.5, 0), (1, 0.0, 1), (0, 1.0, 1), (0, 0.0, 1)])
 def test_what_a_world_does_is_no_doubt_of_the_law(on, share, counted):
     bench = running()
@@ -153,7 +146,6 @@ def test_what_a_world_does_is_no_doubt_of_the_law(on, share, counted):
     assert any(doubted(bench, [limit_Nm(bench), -limit_Nm(bench)])) == counted
 
 
-@only_plain
 @pytest.mark.parametrize(("fields", "counted"), [({}, 3.0), ({"coil_step": 0.5}, 0.0), ({"fluid_step": 0.5}, 0.0)])
 def test_a_brake_that_alternates_is_counted_unless_its_lags_are_led(fields, counted):
     bench = running(**fields)
@@ -164,7 +156,6 @@ def test_a_brake_that_alternates_is_counted_unless_its_lags_are_led(fields, coun
     assert doubted(bench, brakes=[step.FAST_SHARE * bench.c.brake_fall_Nm]) == [0.0, counted]  # as fast as that is slow
 
 
-@only_plain
 @pytest.mark.parametrize(("stop", "after"), [(0, True), (1, True), (2, False), (int(Trip.NET_WORK), False)])
 @pytest.mark.parametrize("k", [0, 1])
 def test_more_reversals_than_a_limit_cycle_has_trip_but_write_over_no_trip(stop, after, k):
@@ -181,7 +172,6 @@ def test_more_reversals_than_a_limit_cycle_has_trip_but_write_over_no_trip(stop,
 # what the motor displayed, and whose drive it is
 
 
-@only_plain
 @pytest.mark.parametrize(
     ("fields", "active", "shown"),
     [
@@ -202,7 +192,6 @@ def test_the_largest_torque_on_which_a_hand_leans_is_followed(fields, active, sh
     assert bench.h.displayed_Nm == pytest.approx(limit_Nm(bench) if shown is None else shown)
 
 
-@only_plain
 @pytest.mark.parametrize("phase", Phase)
 @pytest.mark.parametrize(
     ("trip", "foreign_id", "commanded"),

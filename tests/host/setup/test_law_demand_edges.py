@@ -93,8 +93,8 @@ def test_a_start_as_near_to_singular_as_is_allowed_is_not_refused():
     found = float(sizes[1] / sizes[0])
     for least, refused in ((found * 0.999, False), (found * 1.001, True)):
         force_N = 40 if refused else 3.3  # a start that is refused has no force that the joints bear
-        given = [f"kinematics.least_condition={least:.9g}", f"law.plane_karnopp.F_s_N={force_N}"]
-        text = cut_off(load_rig("plane", given), "hybrid")
+        overrides = [f"kinematics.least_condition={least:.9g}", f"law.plane_karnopp.F_s_N={force_N}"]
+        text = cut_off(load_rig("plane", overrides), "hybrid")
         assert bool(text) == refused
         if refused:
             assert len(text) == 1
