@@ -90,7 +90,7 @@ long: $(VENV)/.dev  ## what takes an hour: every mutant, a million frames agains
 	@$(BIN)/python -m pytest -q --durations=0 -m "long and not real_time" -n auto --maxprocesses 4
 	@$(BIN)/python -m pytest -q --durations=0 -m "long and real_time"
 	@$(BIN)/python scripts/mutate.py
-	@$(BIN)/python scripts/mutate_drawn.py 100 --seed $$(date +%G%V)  # others each week
+	@$(BIN)/python scripts/mutate_drawn.py 100 --map --seed $$(date +%G%V)  # others each week
 	@$(BIN)/python -m benchmarks bits
 	@$(BIN)/python -m benchmarks loss --minutes 30
 	@$(BIN)/python -m benchmarks.explain truths --runs 2000

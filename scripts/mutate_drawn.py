@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Mutation test of the whole product: mutants drawn at random, and the tests nearest to each.
+"""Mutation test of the whole product: mutants drawn at random, and the tests that cover each.
 
     .venv/bin/python scripts/mutate_drawn.py 100 --seed 202648
     .venv/bin/python scripts/mutate_drawn.py 100 --seed 202648 --list
 
 A module is drawn by its number of lines, then one of its mutants, so that each mutant of the
-product is about as likely. It is run against the nearest tests: those of the files that name the
-module, then those that name a module which names it (`tests_of`). What survives these is run
-against more of them, and for longer (`ROUNDS`). Exit status: 0; a survivor is no error.
+product is about as likely. `mutant_map.py` says which tests cover its lines: one run of the tests
+in virtual time, once (`--map`: anew). The shortest of them are run against it (`BUDGET_S`). Exit
+status: 0; a survivor is no error.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from __future__ import annotations
 import argparse
 import os
 import random
-import re
+import shutil
+import subprocess
 import sys
 from collections import Counter
 from collections.abc import Mapping
@@ -23,28 +24,23 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "scripts")]
 
+from mutant_map import FOLDER, Map  # noqa: E402
 from mutant_runs import NOT_COVERED, Tests, Verdict, run  # noqa: E402
-from mutants import Source  # noqa: E402
+from mutants import Mutant, Source  # noqa: E402
 
 TOPS = ("coulombus", "node", "host", "eds", "sim_bus")
-NAMED = re.compile(r"coulombus(?:\.\w+)+")
+BUDGET_S = 20.0
+"""Of processor time, without a mutant: the tests that are run against one."""
+
+FILES = 12
+"""From so many files at most: pytest reads each of them first."""
+
+VIRTUAL = "not real_time and not slow and not long"
 TIMEOUT = 3.0  # processor time of a mutant, in multiples of its tests' own
-
-
-class Round(NamedTuple):
-    """How many files of tests a mutant is run against, and for how long they run without one [s]."""
-
-    files: int
-    budget_s: float
-
-
-ROUNDS = (Round(8, 15.0), Round(24, 60.0))
-"""What survives the first is run again in the second."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +59,6 @@ class Drawn:
         return self.status not in ("killed", "timeout")
 
 
-def _names(path: Path, modules: Mapping[str, Path]) -> set[str]:
-    """Return the modules that a file names: in an import, or in a text, as the commands are loaded."""
-    named = set()
-    for match in NAMED.findall(path.read_text(encoding="utf-8")):
-        name = match
-        while name and name not in modules:
-            name = name.rpartition(".")[0]
-        named.add(name)
-    return named - {"", "coulombus"}
-
-
 def product() -> dict[str, Path]:
     """Return the product's modules by the names of their import, without the examples."""
     paths = (path for top in TOPS for path in sorted((ROOT / top).rglob("*.py")) if "examples" not in path.parts)
@@ -85,35 +70,46 @@ def product() -> dict[str, Path]:
     return modules
 
 
-def tests_of(name: str, named_by: Mapping[str, set[str]], tests: Mapping[str, set[str]], most: int) -> tuple[str, ...]:
-    """Return at most so many of the nearest files of tests: of those as near, those first that are called like the
-    module, and that name the fewest modules.
-    """
-    nearest: list[str] = []
-    ring, seen = {name}, {name}
-    while ring and len(nearest) < most:
-        here = [test for test, named in tests.items() if named & ring and test not in nearest]
-        stem = name.rpartition(".")[2]
-        nearest += sorted(here, key=lambda test: (stem not in test, len(tests[test])))
-        packages = {module.rpartition(".")[0] for module in ring} - {"coulombus", ""}
-        ring = (packages | {user for module in ring for user in named_by.get(module, ())}) - seen
-        seen |= ring
-    return tuple(nearest[:most])
+def make_map() -> None:
+    """Run the tests in virtual time, as plain Python, and write which lines each covers."""
+    shutil.rmtree(FOLDER, ignore_errors=True)
+    side_by_side = ("-n", str(min(os.cpu_count() or 1, 4)), "--dist", "loadfile", "--tb=no")
+    subprocess.run(  # those that take too long are ended, and fail
+        (sys.executable, "-m", "pytest", "-q", "-p", "mutant_map", *side_by_side, "-m", VIRTUAL),
+        env=os.environ | {"PYTHONPATH": str(ROOT / "scripts"), "NUMBA_DISABLE_JIT": "1", "OPENBLAS_NUM_THREADS": "1"},
+        check=False,
+    )
 
 
-def run_drawn(name: str, numbers: tuple[int, ...], tests: tuple[str, ...], budget_s: float) -> list[Drawn]:
+def tests_of(path: Path, mutant: Mutant, covering: Map) -> set[str]:
+    """Return the tests to run against a mutant: the shortest that cover a line of it."""
+    lines = mutant.lines if mutant.unit else range(1, 1 + path.read_text(encoding="utf-8").count("\n"))
+    chosen, files, total_s = set[str](), set[str](), 0.0
+    for test in covering.tests(path, lines):
+        file = test.partition("::")[0]
+        if len(files | {file}) <= FILES and total_s < BUDGET_S:
+            chosen.add(test)
+            files.add(file)
+            total_s += covering.seconds[test]
+    return chosen
+
+
+def run_drawn(name: str, numbers: tuple[int, ...]) -> list[Drawn]:
     """Run some mutants of a module, in a process of its own."""
-    path = product()[name]
+    path, covering = product()[name], Map()
     text = path.read_text(encoding="utf-8")
-    compiled = "coulombus.kernels" not in text  # its kernels, if it has any, are not mutated as machine code
-    os.environ["NUMBA_DISABLE_JIT"] = "0" if compiled else "1"
+    # A module's own kernels are not mutated as machine code.
+    os.environ["NUMBA_DISABLE_JIT"] = "1" if "coulombus.kernels" in text else "0"
     source = Source(str(path.relative_to(ROOT)), text)
     edits = source.edits()
     mutants = [edits[k] for k in numbers]
     verdicts: dict[int, Verdict] = {}
-    marks = "real_time" if compiled else "real_time or slow"
-    error = run(source, mutants, Tests(tests, marks=marks, budget_s=budget_s), 1, TIMEOUT, verdicts.__setitem__)
-    lost = Verdict("not run", error, 0.0)
+    tests = sorted(set().union(*(tests_of(path, mutant, covering) for mutant in mutants)))
+    error = ""
+    if tests:
+        budget_s = 2 * BUDGET_S * len(mutants)
+        error = run(source, mutants, Tests(tuple(tests), budget_s=budget_s), 1, TIMEOUT, verdicts.__setitem__)
+    lost = Verdict("not run", error, 0.0) if tests else Verdict("survived", NOT_COVERED, 0.0)
     return [
         Drawn(name, number, f"{source.path}:{m.line}: {m.operator}: {m.change}", v.status, v.by)
         for number, m, v in ((numbers[k], m, verdicts.get(k, lost)) for k, m in enumerate(mutants))
@@ -137,29 +133,16 @@ def drawn(count: int, seed: int) -> dict[str, tuple[int, ...]]:
 
 
 def run_all(numbers: Mapping[str, tuple[int, ...]], jobs: int) -> list[Drawn]:
-    """Run drawn mutants round by round; return them all."""
-    modules = product()
-    named_by: dict[str, set[str]] = {}
-    for user, path in modules.items():
-        for name in _names(path, modules):
-            named_by.setdefault(name, set()).add(user)
-    tests = {str(path.relative_to(ROOT)): _names(path, modules) for path in sorted((ROOT / "tests").rglob("test_*.py"))}
-    ended: dict[tuple[str, int], Drawn] = {}
-    living = dict(numbers)
-    for round_ in ROUNDS:
-        with ProcessPoolExecutor(jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
-            runs = [
-                pool.submit(run_drawn, name, edits, tests_of(name, named_by, tests, round_.files), round_.budget_s)
-                for name, edits in living.items()
-            ]
-            for k, done in enumerate(as_completed(runs), 1):
-                ended |= {(mutant.name, mutant.number): mutant for mutant in done.result()}
-                alive = sum(mutant.lives for mutant in ended.values())
-                print(f"\r{round_.files} files: {k} of {len(runs)} modules, {alive} live ", end="", file=sys.stderr)
-        print(file=sys.stderr)
-        living = {name: tuple(k for k in edits if ended[name, k].lives) for name, edits in living.items()}
-        living = {name: edits for name, edits in living.items() if edits}
-    return list(ended.values())
+    """Run drawn mutants, module by module; return them all."""
+    ended: list[Drawn] = []
+    with ProcessPoolExecutor(jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
+        runs = [pool.submit(run_drawn, name, edits) for name, edits in numbers.items()]
+        for k, done in enumerate(as_completed(runs), 1):
+            ended += done.result()
+            alive = sum(mutant.lives for mutant in ended)
+            print(f"\r{k} of {len(runs)} modules, {alive} live ", end="", file=sys.stderr)
+    print(file=sys.stderr)
+    return ended
 
 
 def main() -> int:
@@ -170,12 +153,15 @@ def main() -> int:
     add("--seed", type=int, default=0)
     add("--jobs", type=int, default=os.cpu_count() or 1, help="modules at the same time")
     add("--list", action="store_true", help="list the mutants and run none")
+    add("--map", action="store_true", help="see anew which test covers which line")
     options = parser.parse_args()
     os.chdir(ROOT)
     numbers = drawn(options.count, options.seed)
     if options.list:
         print(*(f"{name} {number}" for name, some in sorted(numbers.items()) for number in some), sep="\n")
         return 0
+    if options.map or not FOLDER.exists():
+        make_map()
     mutants = run_all(numbers, options.jobs)
     for mutant in mutants:
         if mutant.lives:
@@ -185,8 +171,8 @@ def main() -> int:
     bare = sum(mutant.by == NOT_COVERED for mutant in mutants)
     print(
         f"{ran} mutants of {len(numbers)} modules, seed {options.seed}: {counts['survived']} survived, "
-        f"{100 * counts['survived'] / max(ran, 1):.1f} %; no test of {ROUNDS[-1].files} files reached {bare} of these "
-        f"in {ROUNDS[-1].budget_s:g} s; {counts['not made'] + counts['not run']} not run"
+        f"{100 * counts['survived'] / max(ran, 1):.1f} %; no test of the map covers {bare} of these; "
+        f"{counts['not made'] + counts['not run']} not run"
     )
     return 0
 

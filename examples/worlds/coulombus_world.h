@@ -38,7 +38,7 @@ struct coulombus_head {
 struct coulombus_hello {
     struct coulombus_head head;
     char magic[8]; /* COULWRLD */
-    int64_t version; /* 1 */
+    int64_t version; /* 2 */
     int64_t flags; /* 1: send states */
     char key[32]; /* arm key of a real rig, ASCII, zero bytes behind it */
 };
@@ -82,7 +82,9 @@ struct coulombus_state {
     double x_rad, v_rad_s, handle_Nm, motor_Nm, brake_Nm, law_Nm, world_Nm, world_brake_Nm;
     double tip_x_m, tip_y_m, tip_vx_m_s, tip_vy_m_s, hand_x_N, hand_y_N, world_x_N, world_y_N; /* of an arm */
     double share;
-    int64_t model, clipped, lost, sent_ns;
+    int64_t model, clipped;
+    double softened;
+    int64_t lost, sent_ns;
 };
 
 struct coulombus_refused {
@@ -108,7 +110,7 @@ COULOMBUS_SIZE(coulombus_hello, 64);
 COULOMBUS_SIZE(coulombus_model, 776);
 COULOMBUS_SIZE(coulombus_welcome, 64);
 COULOMBUS_SIZE(coulombus_parameter, 88);
-COULOMBUS_SIZE(coulombus_state, 216);
+COULOMBUS_SIZE(coulombus_state, 224);
 COULOMBUS_SIZE(coulombus_refused, 256);
 
 struct coulombus_world {
@@ -182,7 +184,8 @@ static inline int coulombus_connect(struct coulombus_world *world, const char *b
     hello.head.kind = COULOMBUS_HELLO;
     hello.head.size = sizeof hello;
     memcpy(hello.magic, "COULWRLD", 8);
-    hello.version = hello.flags = 1;
+    hello.version = 2;
+    hello.flags = 1;
     memcpy(hello.key, key, strlen(key) < sizeof hello.key ? strlen(key) : sizeof hello.key);
     world->sequence = 0;
     world->fd = socket(AF_UNIX, SOCK_STREAM, 0);

@@ -37,4 +37,5 @@ def describe(axes: AxisRecords, number: int, now_ns: int, state: StateRecord) ->
         state.hand_x_N, state.hand_y_N = tip.hand_N[0], tip.hand_N[1]
         state.world_x_N, state.world_y_N = 0.0 - w.psi_N[0], 0.0 - w.psi_N[1]
     state.clipped = w.clipped
+    state.softened = w.softened
     state.sent_ns = now_ns

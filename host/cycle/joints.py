@@ -33,6 +33,7 @@ from coulombus.host.plane.tip_model import (
     resist_at_rest,
     unpaid,
 )
+from coulombus.host.world.softening import feeds_a_swing, soften
 from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS
 from coulombus.wire.frame import Queue
@@ -95,6 +96,9 @@ def _measure(axes: AxisRecords, arm: PlaneFunctions) -> bool:
     measure_plane(arm.mechanism, plane)
     if axes[0].world.on:
         axes[0].host.unpaid_J = unpaid(axes[0].world, plane)
+        for i in range(JOINTS):
+            if feeds_a_swing(axes[i].world, axes[i].host.counts * axes[i].control.rad_count):
+                soften(axes[0].world)
     observe(plane.control, plane.split, plane.v_rad_s)
     expect_brakes(plane.control, plane.split)
     return known

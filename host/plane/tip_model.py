@@ -21,10 +21,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from coulombus.host.laws.law import LawRecord
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.world.local_model import PASSIVE, advance_model, parameter_of, sampled
 from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts
+from coulombus.host.world.softening import come_back
 from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS
 
@@ -60,22 +63,21 @@ def unpaid(w: LocalModelRecord, plane: PlaneHostRecord) -> float:
 
 
 @kernel
-def _elastic(w: LocalModelRecord, plane: PlaneHostRecord) -> tuple[float, float]:
-    """Return what wall, spring and field exert [N]; set the energy that they can return at most."""
+def _elastic(w: LocalModelRecord, x: float, y: float) -> tuple[float, float]:
+    """Return what wall, spring and field exert at a point [N]; set the energy that they can return at most."""
     m, px, py, most_J = w.offered[w.taken % OFFERS], 0.0, 0.0, 0.0
-    x, y = plane.motion.x_m[0], plane.motion.x_m[1]
     if m.parts & WALL:
         nx, ny = m.plane_wall_normal[0], m.plane_wall_normal[1]
         depth = nx * (m.plane_wall_point_m[0] - x) + ny * (m.plane_wall_point_m[1] - y)
         if depth > 0.0:
-            wall_N = m.plane_wall_K_N_m * depth
+            wall_N = (1.0 - w.softened) * m.plane_wall_K_N_m * depth
             px -= wall_N * nx
             py -= wall_N * ny
             most_J += wall_N * depth
     if m.parts & SPRING:
         ex, ey = x - m.plane_spring_point_m[0], y - m.plane_spring_point_m[1]
         away = math.hypot(ex, ey)
-        spring_N = min(m.plane_spring_K_N_m * away, m.plane_spring_most_N)
+        spring_N = min((1.0 - w.softened) * m.plane_spring_K_N_m * away, m.plane_spring_most_N)
         if away > 0.0:
             px += spring_N * ex / away
             py += spring_N * ey / away
@@ -83,6 +85,8 @@ def _elastic(w: LocalModelRecord, plane: PlaneHostRecord) -> tuple[float, float]
     if m.parts & FIELD:
         fx = m.plane_field_N[0] + m.plane_field_N_m[0] * x + m.plane_field_N_m[1] * y
         fy = m.plane_field_N[1] + m.plane_field_N_m[2] * x + m.plane_field_N_m[3] * y
+        if np.any(m.plane_field_N_m != 0.0):
+            fx, fy = (1.0 - w.softened) * fx, (1.0 - w.softened) * fy
         px -= fx
         py -= fy
         most_J += math.hypot(fx, fy) * math.hypot(x - w.field_from_m[0], y - w.field_from_m[1])
@@ -91,8 +95,8 @@ def _elastic(w: LocalModelRecord, plane: PlaneHostRecord) -> tuple[float, float]
 
 
 @kernel
-def _moving(w: LocalModelRecord, plane: PlaneHostRecord) -> tuple[float, float, float, float]:
-    """Return the damping of wall, spring and field [N], and what drives: the profile, and the field's other part.
+def _moving(w: LocalModelRecord, plane: PlaneHostRecord, x: float, y: float) -> tuple[float, float, float, float]:
+    """Return the damping of wall, spring and field at a point [N], and what drives: the profile, and the field's other part.
 
     Of a field's force by the velocity, the part along the velocity damps where it opposes it. The rest drives.
     """
@@ -102,8 +106,7 @@ def _moving(w: LocalModelRecord, plane: PlaneHostRecord) -> tuple[float, float, 
     ax, ay = -profile_N * m.profile_direction[0], -profile_N * m.profile_direction[1]
     if m.parts & WALL:
         nx, ny = m.plane_wall_normal[0], m.plane_wall_normal[1]
-        depth = nx * (m.plane_wall_point_m[0] - plane.motion.x_m[0])
-        depth += ny * (m.plane_wall_point_m[1] - plane.motion.x_m[1])
+        depth = nx * (m.plane_wall_point_m[0] - x) + ny * (m.plane_wall_point_m[1] - y)
         if depth > 0.0:  # the wall never pulls
             wall_N = max(-m.plane_wall_B_Ns_m * (nx * vx + ny * vy), -m.plane_wall_K_N_m * depth)
             dx -= wall_N * nx
@@ -123,7 +126,8 @@ def _moving(w: LocalModelRecord, plane: PlaneHostRecord) -> tuple[float, float, 
         dy -= along * vy
         ax -= fx - along * vx
         ay -= fy - along * vy
-    return w.share * dx, w.share * dy, w.share * ax, w.share * ay
+    damped = w.share * (1.0 - w.softened)
+    return damped * dx, damped * dy, w.share * ax, w.share * ay
 
 
 @kernel
@@ -146,12 +150,18 @@ def add_tip_model(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
         plane.psi_N[i] *= w.law_share
         plane.push_N[i] *= w.law_share
     plane.hold_N *= w.law_share
-    ex, ey = _elastic(w, plane)
-    dx, dy, ax, ay = _moving(w, plane)
+    x, y = plane.motion.x_m[0], plane.motion.x_m[1]
+    ahead_x, ahead_y = x + plane.motion.v_m_s[0] * w.ahead_s, y + plane.motion.v_m_s[1] * w.ahead_s
+    ex, ey = _elastic(w, ahead_x, ahead_y)
+    dx, dy, ax, ay = _moving(w, plane, ahead_x, ahead_y)
     kept = 0.0 if w.mode == PASSIVE else _kept(plane, plane.gain * (ex + ax), plane.gain * (ey + ay))
     w.psi_N[0], w.psi_N[1] = plane.gain * (ex + ax + dx), plane.gain * (ey + ay + dy)
     w.push_N[0], w.push_N[1] = plane.gain * kept * (ex + ax), plane.gain * kept * (ey + ay)
-    w.elastic_N[0], w.elastic_N[1] = plane.gain * kept * ex, plane.gain * kept * ey
+    sx, sy = _elastic(w, x, y)
+    w.elastic_N[0], w.elastic_N[1] = plane.gain * kept * sx, plane.gain * kept * sy
+    if kept > 0.0:
+        w.asked = max(w.asked, 1.0 / kept)
+    come_back(w, sx != 0.0 or sy != 0.0)
     w.clipped += 1 if w.mode != PASSIVE and kept < 1.0 else 0
     for i in range(2):
         plane.psi_N[i] += w.psi_N[i]

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from coulombus.host.laws.law import USER, LawRecord, LawStateRecord, MotionRecord
 from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts, ModelRecord
+from coulombus.host.world.softening import come_back, feeds_a_swing, keep_stiffness, soften
 from coulombus.kernels.decorator import kernel
 
 __all__ = ["ACTIVE", "HYBRID", "PASSIVE", "add_model", "advance_model", "follow_model", "parameter_of", "sampled"]
@@ -48,6 +49,7 @@ def _take(w: LocalModelRecord) -> bool:
     before = w.offered[w.taken % OFFERS].parts if w.share > 0.0 else 0
     w.taken = w.wanted
     m = w.offered[w.taken % OFFERS]
+    keep_stiffness(w)
     w.left_ns = m.life_ns
     w.share = 1.0
     if m.parts & PROFILE and m.profile != w.profile:
@@ -116,6 +118,8 @@ def _set_law(w: LocalModelRecord, law: LawRecord, state: LawStateRecord, x_rad: 
 @kernel
 def follow_model(w: LocalModelRecord, motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> None:
     """Begin a cycle of an axis: advance the model, and set the law's parameters."""
+    if feeds_a_swing(w, motion.x_rad):
+        soften(w)
     if advance_model(w):
         w.field_from_rad = motion.x_rad
     _set_law(w, law, state, motion.x_rad)
@@ -128,15 +132,18 @@ def _elastic(w: LocalModelRecord, x_rad: float) -> float:
     if m.parts & WALL:
         depth = m.wall_side * (x_rad - m.wall_x_rad)
         if depth > 0.0:
-            elastic_Nm += m.wall_side * m.wall_K_Nm_rad * depth
-            most_J += min(m.wall_K_Nm_rad * depth, w.motor_limit_Nm) * depth
+            wall_Nm = (1.0 - w.softened) * m.wall_K_Nm_rad * depth
+            elastic_Nm += m.wall_side * wall_Nm
+            most_J += min(wall_Nm, w.motor_limit_Nm) * depth
     if m.parts & SPRING:
         away = x_rad - m.spring_x_rad
-        spring_Nm = _clip(m.spring_K_Nm_rad * away, m.spring_most_Nm)
+        spring_Nm = _clip((1.0 - w.softened) * m.spring_K_Nm_rad * away, m.spring_most_Nm)
         elastic_Nm += spring_Nm
         most_J += min(abs(spring_Nm), w.motor_limit_Nm) * abs(away)
     if m.parts & FIELD:
         field_Nm = -(m.field_Nm + m.field_Nm_rad * x_rad)
+        if m.field_Nm_rad != 0.0:
+            field_Nm *= 1.0 - w.softened
         elastic_Nm += field_Nm
         most_J += min(abs(field_Nm), w.motor_limit_Nm) * abs(x_rad - w.field_from_rad)
     w.most_J = w.share * most_J
@@ -144,11 +151,11 @@ def _elastic(w: LocalModelRecord, x_rad: float) -> float:
 
 
 @kernel
-def _damping(w: LocalModelRecord, motion: MotionRecord) -> float:
+def _damping(w: LocalModelRecord, x_rad: float, v: float) -> float:
     """Return what resists the motion [Nm]."""
-    m, v, damping_Nm = w.offered[w.taken % OFFERS], motion.v_rad_s, 0.0
+    m, damping_Nm = w.offered[w.taken % OFFERS], 0.0
     if m.parts & WALL:
-        depth = m.wall_side * (motion.x_rad - m.wall_x_rad)
+        depth = m.wall_side * (x_rad - m.wall_x_rad)
         if depth > 0.0:
             wall_Nm = m.wall_side * m.wall_B_Nms_rad * v  # positive: on the way in
             damping_Nm += m.wall_side * max(wall_Nm, -m.wall_K_Nm_rad * depth)
@@ -156,7 +163,7 @@ def _damping(w: LocalModelRecord, motion: MotionRecord) -> float:
         damping_Nm += _clip(m.spring_B_Nms_rad * v, m.spring_most_Nm)
     if m.parts & FIELD and m.field_Nms_rad < 0.0:
         damping_Nm -= m.field_Nms_rad * v
-    return w.share * damping_Nm
+    return w.share * (1.0 - w.softened) * damping_Nm
 
 
 @kernel
@@ -188,7 +195,8 @@ def add_model(
     `compensation_Nm`, for which its limit leaves room.
     """
     base_Nm, base_brake_Nm = w.law_share * law_Nm, w.law_share * law_brake_Nm
-    elastic_Nm, damping_Nm = _elastic(w, motion.x_rad), _damping(w, motion)
+    ahead_rad = motion.x_rad + motion.v_rad_s * w.ahead_s  # where the handle is when the torque acts
+    elastic_Nm, damping_Nm = _elastic(w, ahead_rad), _damping(w, ahead_rad, motion.v_rad_s)
     drive_Nm = _drive(w, motion.v_rad_s)
     push_Nm = elastic_Nm + drive_Nm
     own_Nm = push_Nm + damping_Nm if w.mode == ACTIVE else push_Nm if w.mode == HYBRID else 0.0
@@ -201,7 +209,11 @@ def add_model(
         torque_Nm = min(max(torque_Nm, w.pushed_Nm - w.motor_rate_Nm), w.pushed_Nm + w.motor_rate_Nm)
     w.world_Nm = torque_Nm - base_Nm
     # by the position alone: else what a limited motor returns on the way out is not what the hand has put in
-    w.elastic_Nm = 0.0 if w.mode == PASSIVE else _clip(elastic_Nm, room_Nm)
+    stored_Nm = _elastic(w, motion.x_rad)
+    w.elastic_Nm = 0.0 if w.mode == PASSIVE else _clip(stored_Nm, room_Nm)
+    if room_Nm > 0.0:
+        w.asked = max(w.asked, abs(elastic_Nm) / room_Nm)
+    come_back(w, stored_Nm != 0.0)
 
     left_Nm = push_Nm - w.world_Nm  # what the motor does not show
     resisting_Nm = 0.0 if w.mode == ACTIVE else max(_sense(w, motion) * (left_Nm + damping_Nm), 0.0)

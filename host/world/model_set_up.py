@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from coulombus.host.world.local_model import ACTIVE, HYBRID, PASSIVE
+from coulombus.host.world.softening import DRIVE_LAG_S
 from coulombus.rigs.axis import Axis
 
 __all__ = ["set_up_model"]
 
+SWING_COUNTS = 3
+"""Smaller swings are those of the encoder."""
 MODES = {"passive": PASSIVE, "hybrid": HYBRID, "active": ACTIVE}
 
 
@@ -32,3 +36,8 @@ def set_up_model(record: Any, axis: Axis, mode: str, control: Any) -> None:
     record["motor_rate_Nm"] = control["motor_rate_Nm"]
     record["brake_limit_Nm"] = control["brake_limit_Nm"]
     record["brake_fall_Nm"] = control["brake_fall_Nm"]
+    record["acts_at_once"] = axis.bus.actuation != "next_sync"
+    # a command waits for its SYNC, and is held for a cycle; the velocity is that of the last two differences
+    record["ahead_s"] = (axis.bus.cycles_to_actuation + 1.5) * period_s + DRIVE_LAG_S
+    record["drive_step"] = 1.0 - math.exp(-period_s / DRIVE_LAG_S)
+    record["swing_band_rad"] = SWING_COUNTS * abs(float(control["rad_count"]))

@@ -10,7 +10,7 @@ HELLO        64  program               first record of a connection
 MODEL       776  program               `host.world.records.ModelRecord`
 WELCOME      64  host                  answer to HELLO; `parameters` records follow it
 PARAMETER    88  host                  a parameter of a law, or a limit
-STATE       216  host                  `host.world.records.StateRecord`, of each axis after each cycle
+STATE       224  host                  `host.world.records.StateRecord`, of each axis after each cycle
 REFUSED     256  host                  a model, or the connection, was refused
 =========  ====  ====================  ==========================================================
 """
@@ -41,7 +41,7 @@ __all__ = [
     "records_in",
 ]
 
-MAGIC, VERSION = b"COULWRLD", 1
+MAGIC, VERSION = b"COULWRLD", 2
 WITH_STATES = 1
 """Flag of HELLO: the host sends states."""
 _HEAD = struct.Struct("<HHI")

@@ -130,6 +130,7 @@ class StateRecord(Record):
     share: float  # share of the model: 1, less while it fades, 0 without
     model: int  # `sequence` of the model in use; 0: none yet
     clipped: int  # cycles so far in which a limit changed the model's output
+    softened: float  # share of the model's stiffness that is withheld, because the handle would swing
     lost: int  # states so far that this reader did not get
     sent_ns: int  # CLOCK_MONOTONIC at the end of the cycle; 0 in virtual time
 
@@ -150,6 +151,10 @@ class LocalModelRecord(Record):
     motor_rate_Nm: float  # largest change of the motor's torque in a cycle
     brake_limit_Nm: float  # largest torque of the brake
     brake_fall_Nm: float  # largest fall of the brake's torque in a cycle
+    ahead_s: float  # time from the measured position to the effect of the torque
+    acts_at_once: int  # 1: a command acts in its own cycle; 0: with the next SYNC
+    drive_step: float  # 1 - exp(-period / lag of the drive)
+    swing_band_rad: float  # way back that ends a swing: some counts of the encoder
     # messages
     offered: Annotated[RecordArray[ModelRecord], OFFERS]  # ring; model n is in row n % OFFERS
     published: int  # number of the newest model, written by the process that receives it
@@ -179,6 +184,21 @@ class LocalModelRecord(Record):
     elastic_N: Annotated[FloatField, 2]  # what of that wall, spring and field return
     tip_m: Annotated[FloatField, 2]  # the tip's position
     stored_J: float  # energy that the hand has stored in wall, spring and field
+    # swings of the handle (`host.world.softening`)
+    softened: float  # share of the model's stiffness and damping that is withheld
+    stiffness: float  # of the model in use: sum of its parts
+    falls: int  # 0: the handle swings in its positive sense; 1: in the other
+    swing_x_rad: float  # its position in the last cycle
+    extreme_rad: float  # the farthest position of this swing
+    turned_rad: float  # where it began
+    swing_rad: float  # size of the swing before; 0: that was slow
+    swing_ns: int  # time since it turned
+    acting_Nm: Annotated[FloatField, 2]  # parts of model and law for the motor that act now, with the sign of psi
+    before_Nm: Annotated[FloatField, 2]  # these parts of the cycle before
+    given_J: Annotated[FloatField, 2]  # energy that they gave in this swing
+    given_before_J: Annotated[FloatField, 2]  # and in the swing before
+    asked: float  # most that wall, spring and field asked of the motor in this swing, by its limit
+    asked_before: float  # and in the swing before
     # counters
     clipped: int  # cycles in which a limit changed the model's output
     fades: int  # models that faded to the end

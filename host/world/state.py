@@ -66,6 +66,8 @@ class State(NamedTuple):
     """Number of the model in use, as its sender counts; 0: none yet."""
     clipped: int
     """Cycles so far in which a limit changed what the model asked for."""
+    softened: float
+    """Share of the model's stiffness that is withheld: with all of it the handle would swing."""
     lost: int
     """States so far that this reader did not get, because it was slow."""
     sent_ns: int

@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from coulombus.host.world.model_check import ModelRefused
 from coulombus.host.world.model_parts import LinearField, Model, Spring, Wall
@@ -95,6 +96,43 @@ def test_a_spring_that_stands_does_no_net_work_and_one_that_moves_trips(mode):
 def test_a_wall_that_damps_and_is_too_stiff_for_the_motor_does_no_net_work():
     wall = Model(wall=Wall(0.2, 2.0, 0.1), law=0.0)
     assert simulate("bench", "active", 9, world=lambda state: wall).trip is None
+
+
+STEADY_PUSH = (
+    'phase = [{kind = "rest", duration_s = 1.0}, {kind = "hold", duration_s = 9.0, push_F_s = 0.6, '
+    "frequency_Hz = 0.05, taps_s = [0.6, 1.6], tap_Nm = 0.6, tap_s = 0.01}]"
+)
+"""A hand that leans on what it meets, and taps twice."""
+
+
+@pytest.mark.parametrize(
+    ("mode", "K_Nm_rad", "B_Nms_rad", "hand", "softened"),
+    [
+        ("active", 60.0, 0.0, (), 0.0),
+        ("active", 150.0, 0.1, (), 0.0),
+        ("active", 400.0, 0.2, (), 0.2),
+        ("active", 3000.0, 0.0, (), 0.9),
+        ("active", 600.0, 0.0, ("operator.damping_Nms_rad = 0.01", "operator.inertia_kg_m2 = 1e-4"), 0.8),
+        ("active", 200.0, 0.0, ("plant.motor_lag_s = 5e-3",), 0.7),
+        ("hybrid", 3000.0, 0.0, (), 0.0),
+        ("passive", 3000.0, 0.0, (), 0.0),
+    ],
+)
+def test_a_stiff_wall_does_not_shake_a_hand_that_leans_on_it(mode, K_Nm_rad, B_Nms_rad, hand, softened):
+    seen = []
+
+    def world(state):
+        seen.append(state)
+        return Model(wall=Wall(0.02, K_Nm_rad, B_Nms_rad), law=0.0)
+
+    result = simulate("bench", mode, 5, world=world, overrides=(STEADY_PUSH, *hand))
+    assert result.trip is None
+    x_rad = np.array([state.x_rad for state in seen])
+    # a command acts a cycle later, and behind the drive's lag
+    acting_Nm = lfilter([1 - math.exp(-1)], [1, -math.exp(-1)], [0.0, *(state.motor_Nm for state in seen[:-2])])
+    assert np.sqrt(np.mean(((x_rad[-1000:] - x_rad[-1010:-10]) / 0.01) ** 2)) < 0.05
+    assert acting_Nm[-3000:] @ np.diff(x_rad)[-3000:] < 0.02
+    assert seen[-1].softened == pytest.approx(softened, abs=0.1)
 
 
 def test_a_torque_that_drives_the_handle_trips():

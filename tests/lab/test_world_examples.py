@@ -52,6 +52,14 @@ def test_a_local_model_is_still_where_a_stream_of_torques_shakes(tmp_path):
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_brake_makes_a_wall_many_times_as_stiff_as_a_motor_can():
+    felt = runpy.run_path(str(FOLDER / "stiffness.py"))["felt"]
+    (active, withheld, _), (hybrid, none, trip) = felt("active", 1000.0), felt("hybrid", 1000.0)
+    assert 200.0 < active < hybrid / 5.0
+    assert 0.3 < withheld < 0.8
+    assert (none, trip) == (0.0, None)
+
+
 def test_the_numbers_of_mujoco_become_a_wall_a_spring_and_friction():
     door = runpy.run_path(str(FOLDER / "door_mujoco.py"))
     model_of, stop, catch = door["model_of"], door["Stop"], door["Catch"]

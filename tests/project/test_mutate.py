@@ -25,7 +25,7 @@ def load(name):
 
 
 Source = load("mutants").Source
-mutant_runs = load("mutant_runs")
+mutant_runs, mutant_map = load("mutant_runs"), load("mutant_map")
 mutate, mutate_drawn = load("mutate"), load("mutate_drawn")
 
 TEXT = '''"""A module."""
@@ -117,19 +117,28 @@ def test_the_function_of_a_command_and_of_a_cached_property_is_exchanged():
         assert result(module) is True
 
 
-def test_a_draw_runs_mutants_of_the_product_against_the_tests_that_name_them():
+def test_a_draw_is_of_the_product_without_its_examples():
     modules = mutate_drawn.product()
     assert {"coulombus.host.laws.karnopp", "coulombus.recording.logs.blf", "coulombus.cli.main"} <= modules.keys()
     assert not any("examples" in str(path) for path in modules.values())
-    tests = {
-        "tests/a.py": {"coulombus.cli.main"},
-        "tests/b.py": {"coulombus.wire.x", "y"},
-        "tests/c.py": {"coulombus.wire.x"},
-    }
-    named_by = {"coulombus.wire.x": {"coulombus.cli.main"}}
-    nearest = ("tests/c.py", "tests/b.py", "tests/a.py")
-    assert mutate_drawn.tests_of("coulombus.wire.x", named_by, tests, 8) == nearest
-    assert mutate_drawn.tests_of("coulombus.wire.x", named_by, tests, 2) == nearest[:2]
+
+
+def test_a_mutant_is_run_against_the_shortest_tests_that_cover_its_line_and_pass(tmp_path):
+    folder = tmp_path / "map"
+    code = f"import mutant_map, pytest, sys; mutant_map.FOLDER = mutant_map.Path({str(folder)!r})\n" + (
+        "sys.exit(pytest.main(['-q', '-p', 'mutant_map', '-p', 'no:cacheprovider', 'tests/host/run/test_histogram.py']))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(SCRIPTS)})
+    covering = mutant_map.Map(folder)
+    path = ROOT / "host/run/histogram.py"
+    found = covering.tests(path, range(1, 1000))
+    assert found == sorted(found, key=covering.seconds.__getitem__) != []
+    assert all(test.startswith("tests/host/run/test_histogram.py::") for test in found)
+    assert covering.tests(path, [1]) == covering.tests(ROOT / "host/run/deadman.py", range(1, 1000)) == []
+    covering.failed = {found[0]}
+    assert covering.tests(path, range(1, 1000)) == found[1:]
+    mutant = Source("host/run/histogram.py", path.read_text()).mutants()[0]
+    assert mutate_drawn.tests_of(path, mutant, covering) <= set(found[1:])
 
 
 def test_the_same_seed_draws_the_same_mutants_and_another_draws_others():
@@ -137,19 +146,6 @@ def test_the_same_seed_draws_the_same_mutants_and_another_draws_others():
     first, again, other = (subprocess.check_output([*command, seed], text=True, timeout=300) for seed in "334")
     assert first == again != other
     assert len(first.splitlines()) == len(other.splitlines()) == 4
-
-
-def test_a_drawn_mutant_is_killed_by_the_tests_that_name_its_module():
-    code = (
-        f"import sys; sys.path.insert(0, {str(SCRIPTS)!r})\n"
-        "from mutate_drawn import run_drawn\n"
-        "tests = ('tests/host/run/test_histogram.py',)\n"
-        "done = run_drawn('coulombus.host.run.histogram', (0, 1, 2), tests, 15.0)\n"
-        "print([drawn.status for drawn in done])\n"
-    )
-    said = subprocess.check_output([sys.executable, "-c", code], text=True, timeout=300, cwd=ROOT)
-    assert said.count("killed") + said.count("survived") == 3
-    assert "killed" in said
 
 
 def test_a_mutant_is_exchanged_in_the_loaded_module_where_others_have_taken_it_from():

@@ -16,6 +16,7 @@ from coulombus.host.world.model_check import ModelRefused, why_not
 from coulombus.host.world.model_parts import Model, Spring, TorqueProfile, Wall
 from coulombus.host.world.protocol import (
     SIZES,
+    VERSION,
     Greeting,
     Kind,
     read_named,
@@ -172,7 +173,7 @@ def test_on_a_real_rig_a_model_needs_the_key_and_a_reader_none():
         b"GET / HTTP/1.1\r\n\r\n" * 8,
         wall(1),
         Greeting(magic=b"COULWRLX").record(),
-        Greeting(version=2).record(),
+        Greeting(version=VERSION + 1).record(),
         Greeting().record() + b"\xff" * 8,
         Greeting().record() + Greeting().record(),
     ],
@@ -421,7 +422,7 @@ def test_the_records_have_the_documented_sizes():
         "MODEL": 776,
         "WELCOME": 64,
         "PARAMETER": 88,
-        "STATE": 216,
+        "STATE": 224,
         "REFUSED": 256,
     }
     assert MODEL.itemsize == 776

@@ -1,0 +1,94 @@
+r"""A model that keeps the handle swinging gets softer, compiled.
+
+What a sampled model returns comes late, and what comes late gives energy (Colgate and Schenkel 1997,
+doi:10.1016/S0005-1098(96)00165-8). So a model acts on the place where the handle will be when the torque acts,
+:math:`x + v \tau`: that takes back the energy of the delay :math:`\tau`. It is not enough if the stiffness is too
+high for the period, the encoder and the hand. Then the handle swings, and the model feeds the swings.
+
+A swing that ends within `CHATTER_NS` is fed if it is nearly as large as the one before, and if the motor's
+part of the model gave energy during both, and more than that of the law (an energy account at the hand's
+port, with the torque that acted; Hannaford and Ryu 2002, doi:10.1109/70.988969). With each one the stiffness
+and the damping are multiplied by `SOFTENS`; a motor at its limit is as stiff as this limit by the swing. So
+they end where the hand's own damping is enough. Off the model they come back slowly.
+
+    w : the `LocalModelRecord` of an axis
+"""
+
+from __future__ import annotations
+
+from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts
+from coulombus.kernels.decorator import kernel
+
+__all__ = ["DRIVE_LAG_S", "come_back", "feeds_a_swing", "keep_stiffness", "soften"]
+
+DRIVE_LAG_S = 1e-3
+"""Lag of a drive's torque behind its set-point, of which no device tells anything."""
+CHATTER_NS = 50_000_000
+"""Longest swing of an oscillation; a hand is slower."""
+KEPT = 0.8
+"""A swing that is smaller than this share of the one before dies by itself."""
+SOFTENS = 0.8
+MOST = 0.999
+RECOVERY_S = 2.0
+"""Time in which the stiffness grows e-fold while the model exerts nothing."""
+WALL, SPRING, FIELD = int(ModelParts.WALL), int(ModelParts.SPRING), int(ModelParts.FIELD)
+
+
+@kernel
+def keep_stiffness(w: LocalModelRecord) -> None:
+    """Take the newest model: one that is stiffer than the last is softened down to what was displayed."""
+    m = w.offered[w.taken % OFFERS]
+    stiffness = 0.0
+    if m.parts & WALL:
+        stiffness += m.wall_K_Nm_rad + m.plane_wall_K_N_m
+    if m.parts & SPRING:
+        stiffness += m.spring_K_Nm_rad + m.plane_spring_K_N_m
+    if m.parts & FIELD:
+        stiffness += abs(m.field_Nm_rad)
+        for k in range(4):
+            stiffness += abs(m.plane_field_N_m[k])
+    if w.softened > 0.0 and stiffness != w.stiffness:
+        displayed = (1.0 - w.softened) * w.stiffness
+        w.softened = max(1.0 - displayed / stiffness, 0.0) if stiffness > 0.0 else 0.0
+    w.stiffness = stiffness
+
+
+@kernel
+def feeds_a_swing(w: LocalModelRecord, x_rad: float) -> bool:
+    """Follow the handle's swings, once a cycle; return whether one ends in this cycle that the model has fed."""
+    for k in range(2):
+        part_Nm = w.world_Nm if k == 0 else w.pushed_Nm - w.world_Nm
+        w.given_J[k] -= w.acting_Nm[k] * (x_rad - w.swing_x_rad)
+        w.acting_Nm[k] += ((part_Nm if w.acts_at_once else w.before_Nm[k]) - w.acting_Nm[k]) * w.drive_step
+        w.before_Nm[k] = part_Nm
+    w.swing_x_rad = x_rad
+    w.swing_ns += w.period_ns
+    back_rad = x_rad - w.extreme_rad if w.falls else w.extreme_rad - x_rad
+    if back_rad <= 0.0:
+        w.extreme_rad = x_rad
+    if back_rad <= w.swing_band_rad:
+        return False
+    size_rad = abs(w.extreme_rad - w.turned_rad)
+    fast = w.swing_ns < CHATTER_NS
+    model_J, law_J = w.given_J[0] + w.given_before_J[0], w.given_J[1] + w.given_before_J[1]
+    fed = fast and size_rad > KEPT * w.swing_rad > 0.0 and model_J > max(law_J, 0.0)
+    w.swing_rad = size_rad if fast else 0.0
+    w.turned_rad, w.extreme_rad, w.falls = w.extreme_rad, x_rad, 1 - w.falls
+    for k in range(2):
+        w.given_before_J[k], w.given_J[k] = w.given_J[k], 0.0
+    w.swing_ns = 0
+    w.asked_before, w.asked = w.asked, 0.0
+    return fed
+
+
+@kernel
+def soften(w: LocalModelRecord) -> None:
+    """Display a softer model: softer than the torque that the motor gave makes it, where that was at its limit."""
+    w.softened = min(1.0 - (1.0 - w.softened) * SOFTENS / max(w.asked_before, 1.0), MOST)
+
+
+@kernel
+def come_back(w: LocalModelRecord, exerts: bool) -> None:
+    """Let the stiffness grow again while the handle is off the model, and does not swing."""
+    if w.softened > 0.0 and not exerts and w.swing_ns >= CHATTER_NS:
+        w.softened = max(1.0 - (1.0 - w.softened) * (1.0 + 1e-9 * w.period_ns / RECOVERY_S), 0.0)

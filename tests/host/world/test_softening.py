@@ -1,0 +1,177 @@
+"""A model that feeds the handle's swings gets softer, and no other does."""
+
+import math
+
+import numpy as np
+import pytest
+
+from coulombus.host.world import softening
+from coulombus.host.world.model_parts import LinearField, Model, Spring, Wall
+from coulombus.host.world.records import LocalModelRecord
+from coulombus.host.world.softening import come_back, feeds_a_swing, keep_stiffness, soften
+from coulombus.kernels.records import new_records
+from model_cycle import cycle_of
+from plain_records import record_for_kernels
+
+PERIOD_NS = 1_000_000
+FIRST_SWINGS = 20
+"""Cycles in which a swing has no whole one before it."""
+
+
+def record():
+    w = record_for_kernels(new_records(LocalModelRecord)[0])
+    w.period_ns, w.swing_band_rad, w.drive_step, w.acts_at_once = PERIOD_NS, 0.001, 1.0, 1
+    return w
+
+
+def swing(w, periods, frequency_Hz=50.0, size_rad=0.01, decay=1.0, gain_Nm=0.0, law_Nm=0.0):
+    """Swing the handle; the model's torque along its velocity is `gain_Nm`, that of the law `law_Nm`. Return the
+    numbers of the cycles in which a fed swing ends.
+    """
+    fed = []
+    for k in range(round(periods * 1000 / frequency_Hz)):
+        t = k / 1000
+        phase = 2 * math.pi * frequency_Hz * t
+        if feeds_a_swing(w, size_rad * decay ** (frequency_Hz * t) * math.sin(phase)):
+            fed.append(k)
+        # what acts until the next position: with the sign of psi, a torque against the motion is positive
+        ahead = math.cos(2 * math.pi * frequency_Hz * (t + 0.0005))
+        w.world_Nm = -gain_Nm * ahead
+        w.pushed_Nm = w.world_Nm - law_Nm * ahead
+    return [k for k in fed if k >= FIRST_SWINGS]
+
+
+def test_a_model_that_gives_energy_feeds_each_swing():
+    fed = swing(record(), 6, gain_Nm=1.0)
+    assert len(fed) == 10
+    assert set(np.diff(fed)) == {10}  # a half period of 50 Hz
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        {"gain_Nm": -1.0},  # it takes energy
+        {"gain_Nm": 0.0},
+        {"gain_Nm": 1.0, "frequency_Hz": 9.0},  # a hand does that
+        {"gain_Nm": 1.0, "size_rad": 0.0004},  # the encoder's counts
+        {"gain_Nm": 1.0, "decay": 0.6},  # it dies by itself: 0.77 of the swing before
+        {"gain_Nm": 1.0, "law_Nm": 1.1},  # the law feeds it
+    ],
+)
+def test_no_other_swing_is_fed(what):
+    assert swing(record(), 8, **what) == []
+
+
+@pytest.mark.parametrize("what", [{"decay": 0.7}, {"frequency_Hz": 11.0}, {"size_rad": 0.0006}, {"law_Nm": 0.9}])
+def test_a_swing_just_within_the_bounds_is_fed(what):
+    assert swing(record(), 8, **({"gain_Nm": 1.0} | what))
+
+
+def test_the_other_sense_changes_nothing():
+    mirrored = record()
+    mirrored.falls = 1
+    assert swing(mirrored, 6, size_rad=-0.01, gain_Nm=-1.0) == swing(record(), 6, gain_Nm=1.0)
+
+
+def test_a_torque_acts_with_the_next_sync_and_behind_the_drives_lag():
+    w = record()
+    w.acts_at_once, w.drive_step = 0, 0.5
+    w.world_Nm = w.pushed_Nm = -2.0
+    given = []
+    for k in range(5):
+        feeds_a_swing(w, 0.01 * k)
+        given.append(round(float(w.given_J[0]), 12))
+        w.world_Nm = w.pushed_Nm = 0.0
+    assert given == [0.0, 0.0, 0.01, 0.015, 0.0175]
+
+
+def test_each_fed_swing_takes_a_fifth_and_more_where_the_motor_is_at_its_limit():
+    w = record()
+    soften(w)
+    soften(w)
+    assert w.softened == pytest.approx(1.0 - 0.8 * 0.8)
+    w.asked_before = 10.0
+    soften(w)
+    assert w.softened == pytest.approx(1.0 - 0.8 * 0.8 * 0.08)
+    for _ in range(100):
+        soften(w)
+    assert w.softened == softening.MOST
+
+
+def test_the_most_that_was_asked_is_that_of_the_swing_before():
+    w = record()
+    swing(w, 2)
+    w.asked = 7.0
+    swing(w, 0.51)
+    assert (w.asked_before, w.asked) == (7.0, 0.0)
+
+
+def test_the_stiffness_comes_back_off_the_model_and_at_rest_alone():
+    w = record()
+    w.softened = 0.5
+    w.swing_ns = softening.CHATTER_NS
+    come_back(w, True)
+    assert w.softened == 0.5
+    w.swing_ns -= 1
+    come_back(w, False)
+    assert w.softened == 0.5
+    w.swing_ns += 1
+    for _ in range(1000):
+        come_back(w, False)
+    assert 1.0 - w.softened == pytest.approx(0.5 * math.exp(1.0 / softening.RECOVERY_S), rel=1e-3)
+    for _ in range(1000):
+        come_back(w, False)
+    assert w.softened == 0.0
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (Model(wall=Wall(0.0, 100.0)), Model(wall=Wall(0.1, 400.0))),
+        (Model(spring=Spring(0.0, 100.0)), Model(wall=Wall(0.1, 300.0), spring=Spring(0.0, 100.0))),
+        (Model(field=LinearField(0.0, -100.0)), Model(spring=Spring(0.0, 400.0))),
+    ],
+)
+def test_a_stiffer_model_is_softened_down_to_what_was_displayed(first, second):
+    c = cycle_of(2)
+    c.render(first)
+    c.at(0.0)
+    c.w.softened = 0.5
+    c.render(second)
+    c.at(0.0)
+    assert c.w.softened == pytest.approx(1.0 - 50.0 / 400.0)
+    c.render(Model(wall=Wall(0.0, 20.0)))
+    c.at(1.0)
+    assert c.w.softened == 0.0
+
+
+def test_a_model_without_stiffness_forgets_the_softening():
+    w = record()
+    w.softened, w.stiffness = 0.5, 10.0
+    keep_stiffness(w)
+    assert (w.softened, w.stiffness) == (0.0, 0.0)
+
+
+def test_what_is_softened_is_wall_spring_and_stiff_field_with_their_damping():
+    def at(model, x_rad, v_rad_s=0.0, softened=0.75):
+        c = cycle_of(2, motor_Nm=100.0)
+        c.render(model)
+        c.w.softened = softened
+        c.w.stiffness = 4.0
+        return c.at(x_rad, v_rad_s)[0]
+
+    for model in (
+        Model(wall=Wall(0.0, 4.0, 0.5)),
+        Model(spring=Spring(0.0, 4.0, 0.5)),
+        Model(field=LinearField(0, -4.0, -0.5)),
+    ):
+        assert at(model, 1.0, 2.0) == pytest.approx(0.25 * at(model, 1.0, 2.0, softened=0.0)) != 0.0
+
+
+def test_a_model_acts_where_the_handle_will_be():
+    c = cycle_of(2, motor_Nm=100.0)
+    c.w.ahead_s = 0.25
+    c.render(Model(wall=Wall(1.0, 4.0, 0.5)))
+    assert c.at(0.75, 2.0)[0] == pytest.approx(4.0 * 0.25 + 0.5 * 2.0)  # not yet in the wall
+    assert c.at(1.25, -2.0)[0] == 0.0  # out of it when the torque acts
+    assert c.w.elastic_Nm == pytest.approx(4.0 * 0.25)  # the account has the place where it is
