@@ -86,7 +86,8 @@ class Map:
         for path in sorted(folder.glob("*.sqlite")):
             self.data.append(coverage.CoverageData(str(path)))
             self.data[-1].read()
-        rows = [json.loads(line) for path in sorted(folder.glob("*.jsonl")) for line in path.open(encoding="utf-8")]
+        texts = (path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.jsonl")))
+        rows = [json.loads(line) for text in texts for line in text.splitlines()]
         self.seconds: dict[str, float] = {}
         for row in rows:
             self.seconds[row["test"]] = self.seconds.get(row["test"], 0.0) + row["s"]

@@ -105,7 +105,7 @@ class _Runner:
     ) -> None:
         self.source, self.mutants, self.jobs, self.factor, self.budget_s = source, mutants, jobs, factor, budget_s
         self.tell: Callable[[int, Verdict], None] = lambda number, verdict: None
-        self.error = ""
+        self.error, self.left_out = "", set[int]()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
@@ -126,23 +126,31 @@ class _Runner:
             gc.freeze()  # the children share these pages
             self.space = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE") + HEADROOM
             measured = _Base(base["seconds"], base["waits"], [set(lines) for lines in base["lines"]])
-            used = range(len(self.items))
+            used = set(range(len(self.items)))
             if self.budget_s is not None:
-                used = sorted({k for mutant in self.mutants for k in self._chosen(mutant, measured)})
-            if used:
-                self._control([self.items[k] for k in used])
+                used = {k for mutant in self.mutants for k in self._chosen(mutant, measured)}
+            self._control(used)
         if not self.error:
             self._run_all(measured)
         return True
 
-    def _control(self, items: list[pytest.Item]) -> None:
+    def _control(self, used: set[int]) -> None:
         """Run tests as for a mutant, but without one: a child that fails for another reason kills
         nothing.
+
+        With a budget a test that fails so is left out.
         """
-        pipe, pid = self._fork(self._mutant_run(None, items, 3600.0))
-        self.error = _read_all(pipe).decode().partition(" ")[2]
-        if os.waitpid(pid, 0)[1] and not self.error:
-            self.error = "the process"
+        while used:
+            pipe, pid = self._fork(self._mutant_run(None, [self.items[k] for k in sorted(used)], 3600.0))
+            self.error = _read_all(pipe).decode().partition(" ")[2]
+            if os.waitpid(pid, 0)[1] and not self.error:
+                self.error = "the process"
+            failing = {k for k in used if self.items[k].nodeid == self.error}
+            if self.budget_s is None or not failing:
+                return
+            used -= failing
+            self.left_out |= failing
+            self.error = ""
 
     def _fork(self, work: Callable[[int], None]) -> tuple[int, int]:
         reading, writing = os.pipe()
@@ -228,7 +236,8 @@ class _Runner:
 
     def _chosen(self, mutant: Mutant, base: _Base) -> list[int]:
         lines = set(mutant.lines) if mutant.unit else set()
-        found = [k for k in range(len(self.items)) if not lines or lines & base.lines[k]]
+        here = [k for k in range(len(self.items)) if k not in self.left_out]
+        found = [k for k in here if not lines or lines & base.lines[k]]
         return sorted(found, key=lambda k: base.waits[k])
 
     def _run_all(self, base: _Base) -> None:

@@ -18,7 +18,7 @@ from coulombus.rigs.rig import Rig, RigError
 __all__ = ["PLANE_MODES", "PlaneModel", "load_plane", "new_plane_host"]
 
 PLANE_MODES = {"active": ACTIVE, "passive": PASSIVE, "hybrid": HYBRID}
-TURN_S = 0.024
+TURN_S = 0.04
 """Time over which the change of the speeds is computed, to predict the tip's direction."""
 REVERSAL_LAGS = 4.0
 """A brake is released early if its joint will come to rest within this many of its lags."""

@@ -55,7 +55,7 @@ class PlaneHostRecord(Record):
     law: PlaneLawRecord
     mode: int
     window_cycles: int  # window of the joints' speeds, at most TRACK // 2 - 1
-    turn_cycles: int  # window of the speeds' change for the law; together with the speeds' window below TRACK
+    turn_cycles: int  # time of the speeds' change; together with the speeds' window below TRACK
     count_rad: Annotated[FloatField, JOINTS]  # angle of an encoder count at the joint
     start_rad: Annotated[FloatField, JOINTS]  # the joints' angles at count 0
     least_condition: float  # smallest condition of a pose with force; below it, the pose is too near to singular
@@ -67,7 +67,7 @@ class PlaneHostRecord(Record):
     track: Annotated[IntegerField, (TRACK, JOINTS)]  # counts of the last cycles
     cycle: int
     v_rad_s: Annotated[FloatField, JOINTS]
-    rate_rad_s2: Annotated[FloatField, JOINTS]  # change of the speeds, over two windows
+    rate_rad_s2: Annotated[FloatField, JOINTS]  # change of the speeds over `turn_cycles`
     pose: PoseRecord
     motion: PlaneMotionRecord
     state: PlaneStateRecord

@@ -82,10 +82,7 @@ def measure_plane(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
     for i in range(JOINTS):
         moved = h.counts[i] - h.track[(h.cycle - window) % TRACK, i] if window > 0 else 0
         h.v_rad_s[i] = moved * h.count_rad[i] / (window * h.control.period_s) if window > 0 else 0.0
-        h.rate_rad_s2[i] = 0.0
-        if 0 < window <= h.cycle // 2:
-            earlier = h.track[(h.cycle - window) % TRACK, i] - h.track[(h.cycle - 2 * window) % TRACK, i]
-            h.rate_rad_s2[i] = (moved - earlier) * h.count_rad[i] / (window * h.control.period_s) ** 2
+        h.rate_rad_s2[i] = _rate(h, i)
         h.track[h.cycle % TRACK, i] = h.counts[i]
         h.pose.q_rad[i] = h.start_rad[i] + h.counts[i] * h.count_rad[i]
     locate(mechanism, h.mechanism, h.pose)
@@ -103,15 +100,21 @@ def measure_plane(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
 
 
 @kernel
-def _soon(h: PlaneHostRecord, joint: int) -> float:
-    """Return a joint's speed at the time when the commands act: the measured speed, extrapolated by its
-    change over ``turn_cycles``.
+def _rate(h: PlaneHostRecord, joint: int) -> float:
+    """Return the change of a joint's speed over ``turn_cycles`` [rad/s^2].
 
-    This window is long enough to smooth the encoder's counts, and short enough to follow a turning motion.
+    This time is long enough to smooth the encoder's counts, and short enough to follow a turning motion.
     """
-    v, window, back = h.v_rad_s[joint], h.window_cycles, h.turn_cycles
-    if back <= 0 or h.cycle < back + window or v == 0.0:
-        return v
+    window, back = h.window_cycles, h.turn_cycles
+    if back <= 0 or h.cycle < back + window:
+        return 0.0
     moved = h.track[(h.cycle - back) % TRACK, joint] - h.track[(h.cycle - back - window) % TRACK, joint]
     earlier = moved * h.count_rad[joint] / (window * h.control.period_s)
-    return v + (v - earlier) * h.control.lead_s / (back * h.control.period_s)
+    return (h.v_rad_s[joint] - earlier) / (back * h.control.period_s)
+
+
+@kernel
+def _soon(h: PlaneHostRecord, joint: int) -> float:
+    """Return a joint's speed at the time when the commands act; a joint at rest stays there."""
+    v = h.v_rad_s[joint]
+    return v + h.rate_rad_s2[joint] * h.control.lead_s if v != 0.0 else v

@@ -88,6 +88,16 @@ def test_other_elbows_show_it_too(elbow_deg):
     assert figures["force_ratio"] == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.parametrize("elbow_deg", [90, 110, 130])
+def test_a_slow_turn_of_a_joint_is_foreseen(elbow_deg):
+    q2 = math.radians(elbow_deg)
+    figures = simulate("plane", "hybrid", 9.0, overrides=(f"kinematics.start_rad=[{-q2 / 2}, {q2}]",
+        'phase=[{kind = "rest", duration_s = 2.5}, {kind = "tip_circle", duration_s = 6.0, radius_m = 0.05, frequency_Hz = 0.25}]'),
+    ).plane  # fmt: skip
+    assert figures["angle_error_deg"]["p95"] <= 4.0
+    assert figures["force_ratio_p95"] <= 0.03
+
+
 def test_the_same_seed_gives_the_same_bytes_and_both_replays_agree(tmp_path):
     first, second = tmp_path / "a.pcapng", tmp_path / "b.pcapng"
     for path in (first, second):
