@@ -21,13 +21,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from coulombus.host.laws.law import LawRecord
 from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.world.local_model import PASSIVE, advance_model, parameter_of, sampled
 from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts
-from coulombus.host.world.softening import come_back
+from coulombus.host.world.softening import come_back, field_stiffness
 from coulombus.kernels.decorator import kernel
 from coulombus.rigs.kinematics.mechanism_records import JOINTS
 
@@ -85,7 +83,7 @@ def _elastic(w: LocalModelRecord, x: float, y: float) -> tuple[float, float]:
     if m.parts & FIELD:
         fx = m.plane_field_N[0] + m.plane_field_N_m[0] * x + m.plane_field_N_m[1] * y
         fy = m.plane_field_N[1] + m.plane_field_N_m[2] * x + m.plane_field_N_m[3] * y
-        if np.any(m.plane_field_N_m != 0.0):
+        if field_stiffness(m) > 0.0:
             fx, fy = (1.0 - w.softened) * fx, (1.0 - w.softened) * fy
         px -= fx
         py -= fy

@@ -16,10 +16,10 @@ they end where the hand's own damping is enough. Off the model they come back sl
 
 from __future__ import annotations
 
-from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts
+from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts, ModelRecord
 from coulombus.kernels.decorator import kernel
 
-__all__ = ["DRIVE_LAG_S", "come_back", "feeds_a_swing", "keep_stiffness", "soften"]
+__all__ = ["DRIVE_LAG_S", "come_back", "feeds_a_swing", "field_stiffness", "keep_stiffness", "soften"]
 
 DRIVE_LAG_S = 1e-3
 """Lag of a drive's torque behind its set-point, of which no device tells anything."""
@@ -35,6 +35,15 @@ WALL, SPRING, FIELD = int(ModelParts.WALL), int(ModelParts.SPRING), int(ModelPar
 
 
 @kernel
+def field_stiffness(m: ModelRecord) -> float:
+    """Return the sum of a field's stiffness in the plane, 0 for a constant force."""
+    stiffness = 0.0
+    for k in range(4):
+        stiffness += abs(m.plane_field_N_m[k])
+    return stiffness
+
+
+@kernel
 def keep_stiffness(w: LocalModelRecord) -> None:
     """Take the newest model: one that is stiffer than the last is softened down to what was displayed."""
     m = w.offered[w.taken % OFFERS]
@@ -44,10 +53,8 @@ def keep_stiffness(w: LocalModelRecord) -> None:
     if m.parts & SPRING:
         stiffness += m.spring_K_Nm_rad + m.plane_spring_K_N_m
     if m.parts & FIELD:
-        stiffness += abs(m.field_Nm_rad)
-        for k in range(4):
-            stiffness += abs(m.plane_field_N_m[k])
-    if w.softened > 0.0 and stiffness != w.stiffness:
+        stiffness += abs(m.field_Nm_rad) + field_stiffness(m)
+    if w.softened > 0.0:
         displayed = (1.0 - w.softened) * w.stiffness
         w.softened = max(1.0 - displayed / stiffness, 0.0) if stiffness > 0.0 else 0.0
     w.stiffness = stiffness
@@ -63,10 +70,8 @@ def feeds_a_swing(w: LocalModelRecord, x_rad: float) -> bool:
         w.before_Nm[k] = part_Nm
     w.swing_x_rad = x_rad
     w.swing_ns += w.period_ns
-    back_rad = x_rad - w.extreme_rad if w.falls else w.extreme_rad - x_rad
-    if back_rad <= 0.0:
-        w.extreme_rad = x_rad
-    if back_rad <= w.swing_band_rad:
+    w.extreme_rad = min(w.extreme_rad, x_rad) if w.falls else max(w.extreme_rad, x_rad)
+    if abs(w.extreme_rad - x_rad) <= w.swing_band_rad:
         return False
     size_rad = abs(w.extreme_rad - w.turned_rad)
     fast = w.swing_ns < CHATTER_NS
@@ -90,5 +95,5 @@ def soften(w: LocalModelRecord) -> None:
 @kernel
 def come_back(w: LocalModelRecord, exerts: bool) -> None:
     """Let the stiffness grow again while the handle is off the model, and does not swing."""
-    if w.softened > 0.0 and not exerts and w.swing_ns >= CHATTER_NS:
+    if not exerts and w.swing_ns >= CHATTER_NS:
         w.softened = max(1.0 - (1.0 - w.softened) * (1.0 + 1e-9 * w.period_ns / RECOVERY_S), 0.0)

@@ -470,3 +470,68 @@ def test_a_model_of_another_kind_of_rig_is_refused_with_the_kind():
 def test_a_wrong_part_is_refused_where_it_is_made(call):
     with pytest.raises(WrongCall):
         call()
+
+
+STIFF = [
+    Model(law=0.0, wall=WALL),
+    Model(law=0.0, spring=PlaneSpring((0.0, 0.1), 400.0, 10.0)),
+    Model(law=0.0, field=PlaneField((1.0, 2.0), ((-30.0, 4.0), (4.0, -20.0)), ((-3.0, 0.0), (0.0, -3.0)))),
+]
+
+
+def softened_at(model, x_m, v_m_s, softened):
+    c = cycle_of(ACTIVE, motor_Nm=1e4)
+    c.render(model)
+    c.at((0.0, 0.0))
+    c.w.softened = softened
+    return np.array(c.at(x_m, v_m_s)[0])
+
+
+@pytest.mark.parametrize("model", STIFF)
+def test_a_softened_model_has_less_stiffness_and_damping(model):
+    whole = softened_at(model, (0.15, 0.05), (0.2, -0.1), 0.0)
+    assert np.abs(whole).max() > 1.0
+    assert softened_at(model, (0.15, 0.05), (0.2, -0.1), 0.75) == pytest.approx(0.25 * whole)
+
+
+def test_a_constant_force_is_no_stiffness():
+    constant = Model(law=0.0, field=PlaneField((1.0, 2.0)))
+    assert softened_at(constant, (0.0, 0.0), (0.0, 0.0), 0.5).tolist() == [-1.0, -2.0]
+    ones = Model(law=0.0, field=PlaneField((1.0, 2.0), ((1.0, 0.0), (0.0, 0.0))))
+    assert softened_at(ones, (0.0, 0.0), (0.0, 0.0), 0.5).tolist() == [-0.5, -1.0]
+
+
+def test_a_model_acts_where_the_tip_will_be():
+    for axis in range(2):
+        c = cycle_of(ACTIVE, motor_Nm=1e4)
+        c.w.ahead_s = 0.5
+        c.render(Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0)))
+        v_m_s = [0.0, 0.0]
+        v_m_s[axis] = 0.2
+        assert c.at((0.01, 0.02), v_m_s)[0] == pytest.approx([1.0 + 10.0 * (axis == 0), 2.0 + 10.0 * (axis == 1)])
+        assert list(c.w.elastic_N) == pytest.approx([1.0, 2.0])  # the account has the place where it is
+
+
+def test_what_the_model_asks_of_the_motors_is_kept_until_a_joint_turns():
+    c = cycle_of(ACTIVE, motor_Nm=1.0)
+    c.render(Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0)))
+    for x, asked in ((0.01, 1.0), (0.2, 4.0), (0.1, 4.0), (0.25, 5.0)):
+        c.at((0.0, x))
+        assert c.w.asked == pytest.approx(asked)
+    none = cycle_of(PASSIVE)
+    none.render(Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0)))
+    none.at((0.0, 0.1))
+    assert none.w.asked == 0.0
+
+
+@pytest.mark.parametrize(
+    ("x_m", "comes"),
+    [((0.0, 0.0), True), ((0.1, 0.0), False), ((0.0, 0.1), False), ((0.01, 0.0), False), ((0.0, 0.01), False)],
+)
+def test_the_stiffness_comes_back_where_the_model_exerts_nothing(x_m, comes):
+    c = cycle_of(ACTIVE)
+    c.render(Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0)))
+    c.at(x_m)
+    c.w.softened, c.w.swing_ns = 0.5, 60_000_000
+    c.at(x_m)
+    assert (c.w.softened < 0.5) == comes

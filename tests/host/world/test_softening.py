@@ -7,9 +7,11 @@ import pytest
 
 from coulombus.host.world import softening
 from coulombus.host.world.model_parts import LinearField, Model, Spring, Wall
+from coulombus.host.world.model_set_up import set_up_model
 from coulombus.host.world.records import LocalModelRecord
 from coulombus.host.world.softening import come_back, feeds_a_swing, keep_stiffness, soften
-from coulombus.kernels.records import new_records
+from coulombus.kernels.records import dtype_of, new_records
+from coulombus.rigs.rig import load_rig
 from model_cycle import cycle_of
 from plain_records import record_for_kernels
 
@@ -116,9 +118,9 @@ def test_the_stiffness_comes_back_off_the_model_and_at_rest_alone():
     come_back(w, False)
     assert w.softened == 0.5
     w.swing_ns += 1
-    for _ in range(1000):
+    for _ in range(1001):
         come_back(w, False)
-    assert 1.0 - w.softened == pytest.approx(0.5 * math.exp(1.0 / softening.RECOVERY_S), rel=1e-3)
+    assert 1.0 - w.softened == pytest.approx(0.5 * math.exp(1.001 / softening.RECOVERY_S), rel=1e-3)
     for _ in range(1000):
         come_back(w, False)
     assert w.softened == 0.0
@@ -145,11 +147,81 @@ def test_a_stiffer_model_is_softened_down_to_what_was_displayed(first, second):
     assert c.w.softened == 0.0
 
 
-def test_a_model_without_stiffness_forgets_the_softening():
+@pytest.mark.parametrize(
+    ("parts", "stiffness"), [(1, 0.25 + 0.5), (2, 2.0 + 4.0), (4, 8.0 + 1 + 2 + 3 + 4), (3, 6.75), (0, 0.0)]
+)
+def test_the_stiffness_of_a_model_is_the_sum_of_the_parts_that_it_has(parts, stiffness):
     w = record()
-    w.softened, w.stiffness = 0.5, 10.0
+    m = w.offered[0]
+    m.parts, m.wall_K_Nm_rad, m.plane_wall_K_N_m, m.spring_K_Nm_rad, m.plane_spring_K_N_m = parts, 0.25, 0.5, 2.0, 4.0
+    m.field_Nm_rad = -8.0
+    for k, value in enumerate((1.0, -2.0, 3.0, -4.0)):
+        m.plane_field_N_m[k] = value
+    w.softened, w.stiffness = 0.5, 0.5
     keep_stiffness(w)
-    assert (w.softened, w.stiffness) == (0.0, 0.0)
+    assert w.stiffness == stiffness
+    assert w.softened == (1.0 - 0.25 / stiffness if stiffness else 0.0)
+
+
+def turning(size_rad=4.0, swing_rad=4.0, model_J=(1.0, 0.0), law_J=(0.0, 0.0), ns=40_000_000, back_rad=0.5):
+    """Return a record, and whether the swing that turns in its next cycle is fed. `model_J` and `law_J` are the
+    energies of this swing and the one before.
+    """
+    w = record()
+    w.turned_rad, w.extreme_rad, w.swing_x_rad, w.swing_rad = -size_rad, 0.0, -back_rad, swing_rad
+    w.swing_ns, w.swing_band_rad = ns - PERIOD_NS, 0.25
+    for k, (now, before) in enumerate((model_J, law_J)):
+        w.given_J[k], w.given_before_J[k] = now, before
+    return w, feeds_a_swing(w, -back_rad)
+
+
+@pytest.mark.parametrize(
+    ("what", "fed"),
+    [
+        ({}, True),
+        ({"model_J": (0.0, 1.0)}, True),
+        ({"model_J": (-1.0, 1.0)}, False),
+        ({"model_J": (1.0, 1.0), "law_J": (1.0, 0.5)}, True),
+        ({"model_J": (1.0, 1.0), "law_J": (1.0, 1.0)}, False),
+        ({"model_J": (1.0, 1.0), "law_J": (0.5, 2.0)}, False),
+        ({"model_J": (1.0, 1.0), "law_J": (3.0, -0.5)}, False),
+        ({"model_J": (-0.25, -0.25), "law_J": (-1.0, -1.0)}, False),
+        ({"size_rad": 4.0, "swing_rad": 5.0}, False),
+        ({"size_rad": 4.5, "swing_rad": 5.0}, True),
+        ({"swing_rad": 0.0}, False),
+        ({"ns": 49_999_999}, True),
+        ({"ns": 50_000_000}, False),
+        ({"back_rad": 0.25}, False),
+    ],
+)
+def test_which_swing_is_fed(what, fed):
+    assert turning(**what)[1] == fed
+
+
+def test_a_turn_begins_the_next_swing():
+    w, _ = turning(model_J=(1.0, 7.0), law_J=(2.0, 8.0))
+    assert (w.turned_rad, w.extreme_rad, w.falls, w.swing_rad, w.swing_ns) == (0.0, -0.5, 1, 4.0, 0)
+    assert (list(w.given_before_J), list(w.given_J)) == ([1.0, 2.0], [0.0, 0.0])
+    slow, _ = turning(ns=60_000_000)
+    assert slow.swing_rad == 0.0
+
+
+def test_a_handle_that_goes_on_does_not_turn():
+    w = record()
+    for k in range(10):
+        assert not feeds_a_swing(w, 0.01 * k)
+    assert (w.falls, w.turned_rad, w.extreme_rad, w.swing_ns) == (0, 0.0, 0.09, 10 * PERIOD_NS)
+
+
+@pytest.mark.parametrize(("rig", "ahead_s"), [("bench", 3.5e-3), ("paper", 3.5e-3), ("plane", 6e-3)])
+def test_how_far_ahead_a_model_acts(rig, ahead_s):
+    axis = load_rig(rig, ('world.rest = "law"',)).axes[0]
+    w = np.zeros(1, dtype_of(LocalModelRecord))[0]
+    names = "motor_limit_raw", "motor_Nm_raw", "motor_rate_Nm", "brake_limit_Nm", "brake_fall_Nm"
+    set_up_model(w, axis, "active", dict.fromkeys(names, 1.0) | {"period_ns": PERIOD_NS, "rad_count": -2.0})
+    assert w["ahead_s"] == pytest.approx(ahead_s)
+    assert w["drive_step"] == pytest.approx(1.0 - math.exp(-axis.bus.period_s / 1e-3))
+    assert (w["swing_band_rad"], w["acts_at_once"]) == (6.0, 0)
 
 
 def test_what_is_softened_is_wall_spring_and_stiff_field_with_their_damping():
@@ -175,3 +247,51 @@ def test_a_model_acts_where_the_handle_will_be():
     assert c.at(0.75, 2.0)[0] == pytest.approx(4.0 * 0.25 + 0.5 * 2.0)  # not yet in the wall
     assert c.at(1.25, -2.0)[0] == 0.0  # out of it when the torque acts
     assert c.w.elastic_Nm == pytest.approx(4.0 * 0.25)  # the account has the place where it is
+
+
+def test_a_constant_field_is_no_stiffness():
+    c = cycle_of(2)
+    c.w.softened = 0.5
+    c.w.stiffness = 1.0
+    c.render(Model(field=LinearField(1.0)))
+    c.w.wanted, c.w.taken = c.number, c.number  # in use already
+    c.w.share, c.w.left_ns = 1.0, 10 * PERIOD_NS
+    assert c.at(0.0)[0] == -1.0
+    c.render(Model(field=LinearField(1.0, 1.0)))
+    c.at(0.0)
+    c.w.softened = 0.5
+    assert c.at(0.0)[0] == -0.5
+
+
+def test_what_the_parts_ask_of_the_motor_is_kept_until_the_handle_turns():
+    c = cycle_of(2, motor_Nm=0.5)
+    c.compensation_Nm = 0.25
+    c.w.swing_band_rad = 10.0
+    c.render(Model(spring=Spring(0.0, 4.0)))
+    for x_rad, asked in ((-0.5, 8.0), (0.25, 8.0), (0.75, 12.0), (0.0, 12.0)):
+        c.at(x_rad)
+        assert c.w.asked == pytest.approx(asked)
+    none = cycle_of(2, motor_Nm=0.25)
+    none.compensation_Nm = 0.25
+    none.render(Model(spring=Spring(0.0, 4.0)))
+    none.at(1.0)
+    assert none.w.asked == 0.0
+
+
+def test_a_cycle_softens_what_is_fed_and_recovers_off_the_model():
+    c = cycle_of(2, motor_Nm=100.0)
+    c.w.swing_band_rad = 0.25
+    c.render(Model(wall=Wall(0.0, 1.0)))
+    c.at(0.0)
+    c.w.turned_rad, c.w.extreme_rad, c.w.swing_rad, c.w.swing_ns, c.w.given_J[0] = -4.0, 1.0, 4.0, 0, 1.0
+    c.at(0.5)
+    assert c.w.softened == pytest.approx(0.2)
+    c.w.swing_ns = 60_000_000
+    c.at(0.5)
+    assert c.w.softened == pytest.approx(0.2)  # at the wall
+    c.at(1.0)
+    assert c.w.softened == pytest.approx(0.2)
+    c.at(0.9)
+    c.w.swing_ns, c.w.swing_band_rad = 60_000_000, 10.0
+    c.at(-0.1)
+    assert c.w.softened == pytest.approx(1.0 - 0.8 * 1.0005)
