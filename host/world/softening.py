@@ -11,7 +11,7 @@ port, with the torque that acted; Hannaford and Ryu 2002, doi:10.1109/70.988969)
 and the damping are multiplied by `SOFTENS`; a motor at its limit is as stiff as this limit by the swing. So
 they end where the hand's own damping is enough. Off the model they come back slowly.
 
-    w : the `LocalModelRecord` of an axis
+    w : the `LocalModelRecord` of an axis        m : a `ModelRecord`
 """
 
 from __future__ import annotations
