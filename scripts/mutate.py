@@ -63,6 +63,7 @@ TARGETS = {
             "test_hand_over",
             "test_safety",
             "test_phases",
+            "test_joint_phases",
             "test_slow_velocity",
             "test_brake_model",
             "test_passivity",

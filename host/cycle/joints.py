@@ -197,6 +197,7 @@ def _share_model(axes: AxisRecords) -> None:
         a, b = plane.pose.jacobian[0, i], plane.pose.jacobian[1, i]
         h, w = axes[i].host, axes[i].world
         w.world_Nm = h.world_Nm = a * first.push_N[0] + b * first.push_N[1]
+        w.driven_Nm = a * first.driven_N[0] + b * first.driven_N[1]
         h.world_elastic_Nm = a * first.elastic_N[0] + b * first.elastic_N[1]
         resisting_Nm = abs(a * first.psi_N[0] + b * first.psi_N[1] - w.world_Nm)
         w.world_brake_Nm = min(resisting_Nm, plane.split.brake_Nm[i])

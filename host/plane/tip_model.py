@@ -155,6 +155,10 @@ def add_tip_model(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
     kept = 0.0 if w.mode == PASSIVE else _kept(plane, plane.gain * (ex + ax), plane.gain * (ey + ay))
     w.psi_N[0], w.psi_N[1] = plane.gain * (ex + ax + dx), plane.gain * (ey + ay + dy)
     w.push_N[0], w.push_N[1] = plane.gain * kept * (ex + ax), plane.gain * kept * (ey + ay)
+    m = w.offered[w.taken % OFFERS]
+    constant = w.share if m.parts & FIELD and field_stiffness(m) == 0.0 else 0.0
+    w.driven_N[0] = plane.gain * kept * (ax - constant * m.plane_field_N[0])
+    w.driven_N[1] = plane.gain * kept * (ay - constant * m.plane_field_N[1])
     sx, sy = _elastic(w, x, y)
     w.elastic_N[0], w.elastic_N[1] = plane.gain * kept * sx, plane.gain * kept * sy
     if kept > 0.0:

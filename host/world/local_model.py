@@ -208,6 +208,9 @@ def add_model(
     if limited:
         torque_Nm = min(max(torque_Nm, w.pushed_Nm - w.motor_rate_Nm), w.pushed_Nm + w.motor_rate_Nm)
     w.world_Nm = torque_Nm - base_Nm
+    m = w.offered[w.taken % OFFERS]
+    constant_Nm = w.share * m.field_Nm if m.parts & FIELD and m.field_Nm_rad == 0.0 else 0.0
+    w.driven_Nm = 0.0 if w.mode == PASSIVE else _clip(drive_Nm - constant_Nm, room_Nm)
     # by the position alone: else what a limited motor returns on the way out is not what the hand has put in
     stored_Nm = _elastic(w, motion.x_rad)
     w.elastic_Nm = 0.0 if w.mode == PASSIVE else _clip(stored_Nm, room_Nm)

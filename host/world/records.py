@@ -193,7 +193,9 @@ class LocalModelRecord(Record):
     turned_rad: float  # where it began
     swing_rad: float  # size of the swing before; 0: that was slow
     swing_ns: int  # time since it turned
-    acting_Nm: Annotated[FloatField, 2]  # parts of model and law for the motor that act now, with the sign of psi
+    driven_Nm: float  # what of the motor's part profile, driving field and constant field give, with the sign of psi
+    driven_N: Annotated[FloatField, 2]  # the tip's
+    acting_Nm: Annotated[FloatField, 2]  # the motor's parts that act now: of what is stiff or damps, and the rest
     before_Nm: Annotated[FloatField, 2]  # these parts of the cycle before
     given_J: Annotated[FloatField, 2]  # energy that they gave in this swing
     given_before_J: Annotated[FloatField, 2]  # and in the swing before

@@ -5,9 +5,9 @@ doi:10.1016/S0005-1098(96)00165-8). So a model acts on the place where the handl
 :math:`x + v \tau`: that takes back the energy of the delay :math:`\tau`. It is not enough if the stiffness is too
 high for the period, the encoder and the hand. Then the handle swings, and the model feeds the swings.
 
-A swing that ends within `CHATTER_NS` is fed if it is nearly as large as the one before, and if the motor's
-part of the model gave energy during both, and more than that of the law (an energy account at the hand's
-port, with the torque that acted; Hannaford and Ryu 2002, doi:10.1109/70.988969). With each one the stiffness
+A swing that ends within `CHATTER_NS` is fed if it is nearly as large as the one before, and if what is stiff
+or damps gave energy by the motor during both, and more than law, profile and constant force (an energy account
+at the hand's port, with the torque that acted; Hannaford and Ryu 2002, doi:10.1109/70.988969). With each one the stiffness
 and the damping are multiplied by `SOFTENS`; a motor at its limit is as stiff as this limit by the swing. So
 they end where the hand's own damping is enough. Off the model they come back slowly.
 
@@ -56,15 +56,16 @@ def keep_stiffness(w: LocalModelRecord) -> None:
         stiffness += abs(m.field_Nm_rad) + field_stiffness(m)
     if w.softened > 0.0:
         displayed = (1.0 - w.softened) * w.stiffness
-        w.softened = max(1.0 - displayed / stiffness, 0.0) if stiffness > 0.0 else 0.0
+        w.softened = min(max(1.0 - displayed / stiffness, 0.0), MOST) if displayed * stiffness > 0.0 else 0.0
     w.stiffness = stiffness
 
 
 @kernel
 def feeds_a_swing(w: LocalModelRecord, x_rad: float) -> bool:
     """Follow the handle's swings, once a cycle; return whether one ends in this cycle that the model has fed."""
+    stiff_Nm = w.world_Nm - w.driven_Nm
     for k in range(2):
-        part_Nm = w.world_Nm if k == 0 else w.pushed_Nm - w.world_Nm
+        part_Nm = stiff_Nm if k == 0 else w.pushed_Nm - stiff_Nm
         w.given_J[k] -= w.acting_Nm[k] * (x_rad - w.swing_x_rad)
         w.acting_Nm[k] += ((part_Nm if w.acts_at_once else w.before_Nm[k]) - w.acting_Nm[k]) * w.drive_step
         w.before_Nm[k] = part_Nm
@@ -75,8 +76,8 @@ def feeds_a_swing(w: LocalModelRecord, x_rad: float) -> bool:
         return False
     size_rad = abs(w.extreme_rad - w.turned_rad)
     fast = w.swing_ns < CHATTER_NS
-    model_J, law_J = w.given_J[0] + w.given_before_J[0], w.given_J[1] + w.given_before_J[1]
-    fed = fast and size_rad > KEPT * w.swing_rad > 0.0 and model_J > max(law_J, 0.0)
+    stiff_J, rest_J = w.given_J[0] + w.given_before_J[0], w.given_J[1] + w.given_before_J[1]
+    fed = fast and size_rad > KEPT * w.swing_rad > 0.0 and stiff_J > max(rest_J, 0.0)
     w.swing_rad = size_rad if fast else 0.0
     w.turned_rad, w.extreme_rad, w.falls = w.extreme_rad, x_rad, 1 - w.falls
     for k in range(2):

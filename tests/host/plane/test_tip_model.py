@@ -535,3 +535,23 @@ def test_the_stiffness_comes_back_where_the_model_exerts_nothing(x_m, comes):
     c.w.softened, c.w.swing_ns = 0.5, 60_000_000
     c.at(x_m)
     assert (c.w.softened < 0.5) == comes
+
+
+def test_what_drives_the_tip_is_no_stiffness():
+    c = cycle_of(ACTIVE, motor_Nm=1.0)
+    drive = PlaneField((2.0, 1.0), Ns_m=((1.0, 0.0), (0.0, 1.0)))
+    c.render(Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0), field=drive))
+    c.at((0.0, 0.0), (0.5, 0.0))
+    assert list(c.w.driven_N) == pytest.approx([-2.5, -1.0])
+    c.at((0.2, 0.0), (0.5, 0.0))
+    kept = c.w.push_N[0] / (20.0 - 2.5)
+    assert kept < 0.9
+    assert list(c.w.driven_N) == pytest.approx([-2.5 * kept, -1.0 * kept])
+    c.render(Model(law=0.0, field=PlaneField((2.0, 1.0), ((-1.0, 0.0), (0.0, 0.0)))))
+    c.at((0.0, 0.0))
+    assert list(c.w.driven_N) == [0.0, 0.0]
+    spring = Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0)).record({})
+    spring["plane_field_N"] = 3.0, 4.0  # of a part that the model does not have
+    c.place(spring)
+    c.at((0.0, 0.0))
+    assert list(c.w.driven_N) == [0.0, 0.0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from coulombus.host.world import softening
-from coulombus.host.world.model_parts import LinearField, Model, Spring, Wall
+from coulombus.host.world.model_parts import LinearField, Model, Spring, TorqueProfile, Wall
 from coulombus.host.world.model_set_up import set_up_model
 from coulombus.host.world.records import LocalModelRecord
 from coulombus.host.world.softening import come_back, feeds_a_swing, keep_stiffness, soften
@@ -161,6 +161,56 @@ def test_the_stiffness_of_a_model_is_the_sum_of_the_parts_that_it_has(parts, sti
     keep_stiffness(w)
     assert w.stiffness == stiffness
     assert w.softened == (1.0 - 0.25 / stiffness if stiffness else 0.0)
+
+
+def test_a_model_that_is_not_softened_may_get_stiffer():
+    w = record()
+    w.offered[0].parts, w.offered[0].wall_K_Nm_rad, w.stiffness = 1, 8.0, 4.0
+    keep_stiffness(w)
+    assert w.softened == 0.0
+
+
+@pytest.mark.parametrize(("before", "now", "softened"), [(0.0, 4.0, 0.0), (4.0, 4e9, softening.MOST), (4.0, 1.0, 0.0)])
+def test_what_was_displayed_bounds_what_is_softened(before, now, softened):
+    w = record()
+    w.offered[0].parts, w.offered[0].wall_K_Nm_rad = 1, now
+    w.softened, w.stiffness = 0.5, before
+    keep_stiffness(w)
+    assert w.softened == softened
+
+
+def test_what_drives_is_no_stiffness():
+    c = cycle_of(2, motor_Nm=0.75)
+    c.render(
+        Model(wall=Wall(0.0, 4.0), field=LinearField(-0.25, 0.0, 0.125), profile=TorqueProfile((0.125,) * 64, 1.0))
+    )
+    for v_rad_s, driven_Nm in ((0.0, 0.125), (1.0, 0.0), (8.0, -0.75), (-8.0, 0.75)):
+        c.at(0.0, v_rad_s)
+        assert c.w.driven_Nm == driven_Nm
+    c.render(Model(field=LinearField(-0.25, -1.0)))
+    c.at(0.0)
+    assert c.w.driven_Nm == 0.0
+    wall = Model(wall=Wall(0.0, 4.0)).record({}, profile=0)
+    wall["field_Nm"] = 0.5  # of a part that the model does not have
+    c.place(wall)
+    c.at(0.0)
+    assert c.w.driven_Nm == 0.0
+    passive = cycle_of(0)
+    passive.render(Model(field=LinearField(-0.25)))
+    passive.at(0.0)
+    assert passive.w.driven_Nm == 0.0
+
+
+def test_a_stream_of_torques_that_shakes_the_handle_softens_nothing():
+    w = record()
+    fed = []
+    for k in range(200):
+        phase = 2 * math.pi * 50.0 * k / 1000
+        if feeds_a_swing(w, 0.01 * math.sin(phase)):
+            fed.append(k)
+        w.world_Nm = w.pushed_Nm = -math.cos(2 * math.pi * 50.0 * (k / 1000 + 0.0005))
+        w.driven_Nm = 0.8 * w.world_Nm
+    assert fed == []
 
 
 def turning(size_rad=4.0, swing_rad=4.0, model_J=(1.0, 0.0), law_J=(0.0, 0.0), ns=40_000_000, back_rad=0.5):
