@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
-from coulombus.host.cycle.phases import run, run_joint, settle, still
+from coulombus.host.cycle.phases import advance, enter, run, run_joint, settle, split_law, still
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.world.model_parts import Model, Spring
 from coulombus.host.world.records import MODEL, OFFERS
@@ -115,3 +115,56 @@ def test_a_model_acts_beside_the_law_with_the_gain_and_gives_it_its_parameters(g
     assert run(axis, law, T) == (-gain * 0.125, Phase.RUN)
     assert h.world_Nm == 9.0
     assert seen[1] != 0.25
+
+
+def test_a_brake_that_is_nearly_off_gets_no_negative_set_point():
+    bench = joint(brake_Nm=-0.5)
+    bench.h.brake_Nm = 0.0625
+    run_joint(bench.axis, T)
+    assert bench.h.brake_Nm == 0.0
+
+
+def test_a_display_begins_without_what_an_earlier_one_left():
+    bench = HostBench().enter(Phase.SETTLE)
+    h = bench.h
+    names = "displayed_Nm", "felt_v_counts", "mean_v_counts", "felt_error_Nm", "mean_error_Nm", "mean_size_Nm"
+    counts = "ready", "end_cycles", "felt_wrong"
+    for name in (*names, *counts):
+        setattr(h, name, 3)
+    h.side[:], h.reversals[:] = [1, 1], [2.0, 2.0]
+    enter(bench.axis, int(Phase.RUN), T)
+    assert [getattr(h, name) for name in (*names, *counts)] == [0] * 9
+    assert (list(h.side), list(h.reversals)) == ([0, 0], [0.0, 0.0])
+
+
+@pytest.mark.parametrize(("end_cycles", "shown"), [(0, 0.75), (1, 0.375), (2, 0.375)])
+def test_at_an_end_the_brake_bears_the_load_and_not_the_law(end_cycles, shown):
+    bench = HostBench().enter(Phase.RUN)
+    c, h = bench.c, bench.h
+    c.gain_step, h.gain, h.brake_Nm, bench.axis.state.brake_Nm = 1.0, 1.0, 0.75, 0.75
+    h.end_cycles, h.level_Nm = end_cycles, 0.375
+    split_law(bench.axis)
+    assert h.brake_Nm == shown
+
+
+@pytest.mark.parametrize(("end_cycles", "count"), [(0, 6), (1, 5), (2, 5)])
+def test_the_cycles_of_an_end_are_none_of_the_display(end_cycles, count):
+    bench = HostBench().enter(Phase.RUN)
+    h = bench.h
+    h.enabled_ns, h.display_cycles, h.end_cycles = 0, 5, end_cycles
+    advance(bench.axis, lambda motion, law, state: 0.0, 0, T)
+    assert h.display_cycles == count
+
+
+def test_the_brake_takes_over_in_the_first_cycle_of_an_end_and_once():
+    bench = HostBench("active").enter(Phase.RUN)
+    c, h = bench.c, bench.h
+    c.hands_over, c.rise_cycles, c.fade_cycles = 1, 5, 5
+    h.stop, h.displayed_Nm = 1, 0.5
+    advance(bench.axis, lambda motion, law, state: 0.0, 0, T)
+    assert (h.end_cycles, h.takes_over) == (1, 1)
+    level_Nm = h.level_Nm
+    assert level_Nm > 0.0
+    h.displayed_Nm = 2.0
+    advance(bench.axis, lambda motion, law, state: 0.0, 0, T)
+    assert (h.end_cycles, h.level_Nm) == (2, level_Nm)
