@@ -193,6 +193,7 @@ class LocalModelRecord(Record):
     turned_rad: float  # where it began
     swing_rad: float  # size of the swing before; 0: that was slow
     swing_ns: int  # time since it turned
+    swings: int  # swings in a row that are too fast for a hand, and kept up
     driven_Nm: float  # what of the motor's part profile, driving field and constant field give, with the sign of psi
     driven_N: Annotated[FloatField, 2]  # the tip's
     acting_Nm: Annotated[FloatField, 2]  # the motor's parts that act now: of what is stiff or damps, and the rest

@@ -7,7 +7,8 @@ high for the period, the encoder and the hand. Then the handle swings, and the m
 
 A swing that ends within `CHATTER_NS` is fed if it is nearly as large as the one before, and if what is stiff
 or damps gave energy by the motor during both, and more than law, profile and constant force (an energy account
-at the hand's port, with the torque that acted; Hannaford and Ryu 2002, doi:10.1109/70.988969). With each one the stiffness
+at the hand's port, with the torque that acted; Hannaford and Ryu 2002, doi:10.1109/70.988969). A drive that lags more than
+is believed hides this energy: `SUSTAINED` swings that are too fast for a hand, and fed by nothing else, count, too. With each one the stiffness
 and the damping are multiplied by `SOFTENS`; a motor at its limit is as stiff as this limit by the swing. So
 they end where the hand's own damping is enough. Off the model they come back slowly.
 
@@ -23,8 +24,12 @@ __all__ = ["DRIVE_LAG_S", "come_back", "feeds_a_swing", "field_stiffness", "keep
 
 DRIVE_LAG_S = 1e-3
 """Lag of a drive's torque behind its set-point, of which no device tells anything."""
-CHATTER_NS = 50_000_000
-"""Longest swing of an oscillation; a hand is slower."""
+CHATTER_NS = 80_000_000
+"""Longest swing of an oscillation."""
+HAND_NS = 50_000_000
+"""A hand's own swings are longer."""
+SUSTAINED = 8
+"""So many swings in a row that are shorter are no hand's."""
 KEPT = 0.8
 """A swing that is smaller than this share of the one before dies by itself."""
 SOFTENS = 0.8
@@ -77,7 +82,9 @@ def feeds_a_swing(w: LocalModelRecord, x_rad: float) -> bool:
     size_rad = abs(w.extreme_rad - w.turned_rad)
     fast = w.swing_ns < CHATTER_NS
     stiff_J, rest_J = w.given_J[0] + w.given_before_J[0], w.given_J[1] + w.given_before_J[1]
-    fed = fast and size_rad > KEPT * w.swing_rad > 0.0 and stiff_J > max(rest_J, 0.0)
+    kept = fast and size_rad > KEPT * w.swing_rad > 0.0
+    w.swings = w.swings + 1 if kept and w.swing_ns < HAND_NS else 0
+    fed = kept and (stiff_J > max(rest_J, 0.0) or (w.swings >= SUSTAINED and rest_J <= 0.0))
     w.swing_rad = size_rad if fast else 0.0
     w.turned_rad, w.extreme_rad, w.falls = w.extreme_rad, x_rad, 1 - w.falls
     for k in range(2):

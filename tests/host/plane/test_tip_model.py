@@ -532,7 +532,7 @@ def test_the_stiffness_comes_back_where_the_model_exerts_nothing(x_m, comes):
     c = cycle_of(ACTIVE)
     c.render(Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0)))
     c.at(x_m)
-    c.w.softened, c.w.swing_ns = 0.5, 60_000_000
+    c.w.softened, c.w.swing_ns = 0.5, 90_000_000
     c.at(x_m)
     assert (c.w.softened < 0.5) == comes
 
