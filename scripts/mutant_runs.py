@@ -35,7 +35,7 @@ NOT_COVERED = "no test covers it"
 NOT_MADE = "cannot be exchanged: "
 SHORTEST_LIMIT_S = 2.0
 SHORTEST_WAIT_S = 20.0  # of wall clock: a mutant that waits for ever takes no processor time
-HEADROOM = 1 << 30  # bytes that a mutant may allocate beyond what the tests have
+HEADROOM = 3 << 30  # bytes that a mutant may allocate beyond what the tests have; LLVM reserves much of it
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import canopen
@@ -20,6 +21,7 @@ from coulombus.conformance.report import as_dict, summary, verdict, write_junit,
 from coulombus.conformance.runner import ConformanceRefused, DeviceSilent, WrongDevice, check_before, run, select
 from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Timing, Unit
+from coulombus.eds.reader import read_eds
 from coulombus.wire import bus_link as link_module
 from coulombus.wire.address import BusUnavailable, parse_address
 from coulombus.wire.bus_link import RTR, BusFrame, BusLink
@@ -177,6 +179,19 @@ def test_the_eds_of_another_device_is_refused():
         check_before(unit)
     check_before(unit, force=True)
     assert WrongDevice.exit_status == 3
+
+
+@pytest.mark.parametrize(("subindex", "name"), [(1, "vendor"), (2, "product")])
+def test_a_device_of_the_same_profile_but_another_make_is_refused(tmp_path, subindex, name):
+    unit = new_unit("motor")
+    text = Path(unit.description.path).read_text()
+    own = text.partition(f"[1018sub{subindex}]")[2].partition("DefaultValue=")[2].split()[0]
+    head, mark, rest = text.partition(f"[1018sub{subindex}]")
+    other = tmp_path / "other.eds"
+    other.write_text(head + mark + rest.replace(f"DefaultValue={own}", "DefaultValue=0x12345678", 1))
+    unit.description = read_eds(other)
+    with pytest.raises(WrongDevice, match=rf"another {name} .*1018h:0{subindex} is .*, and 12345678h in"):
+        check_before(unit)
 
 
 def test_a_report_that_cannot_be_written_does_not_take_the_result_away(private_directory, monkeypatch, tmp_path):

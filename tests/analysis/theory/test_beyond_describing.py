@@ -12,7 +12,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from coulombus.analysis.figures.report import nyquist_lines
 from coulombus.analysis.theory.absolute import absolute_stability
+from coulombus.analysis.theory.crossings import crossings
 from coulombus.analysis.theory.linear import alias_sum, alias_terms, alias_weights, frequency_response, sample
 from coulombus.analysis.theory.operators import Operator
 from coulombus.analysis.theory.orbits import orbits, pattern_of
@@ -240,3 +242,13 @@ def test_alias_terms_add_up_to_the_response(delay_s):
     total = alias_terms(f, parameters, 5000).sum(axis=1)
     assert total == pytest.approx(alias_sum(f, parameters), rel=1e-6)
     assert total == pytest.approx(frequency_response(f, parameters), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("proved", "how"), [(True, "proved at every frequency"), (False, "verified at 77 frequencies")]
+)
+def test_the_report_says_whether_a_slope_is_proved(proved, how):
+    found = absolute_stability(PAPER)
+    certificate = replace(found.certificate, proved=proved, points=77)
+    (line,) = (k for k in nyquist_lines(crossings(PAPER), replace(found, certificate=certificate)) if "taps" in k)
+    assert how in line

@@ -402,6 +402,11 @@ def test_a_log_without_a_known_map_is_refused_with_what_to_do(tmp_path, kind, gr
     assert [path.name for path in tmp_path.iterdir()] == ["log.log"]
 
 
+def test_an_unknown_kind_is_refused_with_those_that_there_are(tmp_path):
+    with pytest.raises(ExportError, match=r"'xlsx': expected one of .*csv.*parquet"):
+        export(tmp_path / "a.pcapng", tmp_path / "a.xlsx", "xlsx")
+
+
 def test_mcap_has_no_time_below_0_and_infinite_numbers_as_json(tmp_path):
     pytest.importorskip("zstandard", reason="mcap needs the extra 'export'")
     log = tmp_path / "log.log"

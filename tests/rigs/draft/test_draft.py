@@ -114,6 +114,14 @@ def test_the_larger_reading_of_the_rated_torque_is_the_safe_one(draft, torque, r
     assert mark in marks(made, "motor.rated_torque_Nm")
 
 
+def test_a_weak_motor_lowers_the_law_of_mode_active_alone(draft):
+    modes = draft(edit(FOREIGN, "6076", DefaultValue=10)).rig.one_axis().mode
+    assert modes["active"].F_s_Nm < 0.2
+    assert modes["active"].F_d_Nm / modes["active"].F_s_Nm == pytest.approx(1.0 / 1.2, rel=0.02)
+    assert (modes["hybrid"].F_s_Nm, modes["passive"].F_s_Nm) == (3.5, 3.5)
+    assert modes["hybrid"].motor_limit_Nm < 0.168
+
+
 @pytest.mark.parametrize(
     ("name", "vendor", "rated_Nm"),
     [
