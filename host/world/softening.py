@@ -1,16 +1,17 @@
 r"""A model that keeps the handle swinging gets softer, compiled.
 
-What a sampled model returns comes late, and what comes late gives energy (Colgate and Schenkel 1997,
-doi:10.1016/S0005-1098(96)00165-8). So a model acts on the place where the handle will be when the torque acts,
-:math:`x + v \tau`: that takes back the energy of the delay :math:`\tau`. It is not enough if the stiffness is too
-high for the period, the encoder and the hand. Then the handle swings, and the model feeds the swings.
+What a sampled model returns comes late, and what comes late gives energy (Colgate and Schenkel, J. Robotic
+Systems 14(1), 1997). So a model acts on the place where the handle will be when the torque acts,
+:math:`x + v \tau`: that takes back the energy of the delay :math:`\tau`. It is not enough if the stiffness
+is too high for the period, the encoder and the hand. Then the handle swings, and the model feeds the swings.
 
 A swing that ends within `CHATTER_NS` is fed if it is nearly as large as the one before, and if what is stiff
 or damps gave energy by the motor during both, and more than law, profile and constant force (an energy account
-at the hand's port, with the torque that acted; Hannaford and Ryu 2002, doi:10.1109/70.988969). A drive that lags more than
-is believed hides this energy: `SUSTAINED` swings that are too fast for a hand, and fed by nothing else, count, too. With each one the stiffness
-and the damping are multiplied by `SOFTENS`; a motor at its limit is as stiff as this limit by the swing. So
-they end where the hand's own damping is enough. Off the model they come back slowly.
+at the hand's port, with the torque that acted; Hannaford and Ryu 2002, doi:10.1109/70.988969). A drive that
+lags more than is believed hides this energy: `SUSTAINED` swings that are too fast for a hand, and fed by
+nothing else, count, too. With each one the stiffness and the damping are multiplied by `SOFTENS`; a motor at
+its limit is as stiff as this limit by the swing. So they end where the hand's own damping is enough. Off the
+model they come back slowly.
 
     w : the `LocalModelRecord` of an axis        m : a `ModelRecord`
 """
