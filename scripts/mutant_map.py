@@ -20,10 +20,12 @@ from types import FrameType
 import coverage
 import pytest
 
-__all__ = ["FOLDER", "Map"]
+__all__ = ["FOLDER", "TOPS", "Map"]
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "out" / "mutant-map"
+TOPS = ("coulombus", "node", "host", "eds", "sim_bus")
+"""The folders of the product."""
 LIMIT_S = 4.0
 
 
@@ -41,7 +43,7 @@ class _Recorder:
     def __init__(self, worker: str) -> None:
         FOLDER.mkdir(parents=True, exist_ok=True)
         data, self.tests = FOLDER / f"{worker}.sqlite", (FOLDER / f"{worker}.jsonl").open("w", encoding="utf-8")
-        include = [f"{ROOT / top}/*" for top in ("coulombus", "node", "host", "eds", "sim_bus")]
+        include = [f"{ROOT / top}/*" for top in TOPS]
         data.unlink(missing_ok=True)
         self.covered = coverage.Coverage(data_file=str(data), include=include, config_file=False)
         self.covered.start()

@@ -29,11 +29,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "scripts")]
 
-from mutant_map import FOLDER, Map  # noqa: E402
+from mutant_map import FOLDER, TOPS, Map  # noqa: E402
 from mutant_runs import NOT_COVERED, Tests, Verdict, run  # noqa: E402
 from mutants import Mutant, Source  # noqa: E402
 
-TOPS = ("coulombus", "node", "host", "eds", "sim_bus")
 BUDGET_S = 20.0
 """Of processor time, without a mutant: the tests that are run against one."""
 
@@ -84,14 +83,14 @@ def make_map() -> None:
 
 def tests_of(path: Path, mutant: Mutant, covering: Map) -> set[str]:
     """Return the tests to run against a mutant: the shortest that cover a line of it."""
-    chosen, files, total_s = set[str](), set[str](), 0.0
+    selected, files, total_s = set[str](), set[str](), 0.0
     for test in covering.tests(path, mutant.lines) if mutant.unit else ():
         file = test.partition("::")[0]
         if len(files | {file}) <= FILES and total_s < BUDGET_S:
-            chosen.add(test)
+            selected.add(test)
             files.add(file)
             total_s += covering.seconds[test]
-    return chosen
+    return selected
 
 
 def files_of(path: Path) -> set[str]:
@@ -111,13 +110,16 @@ def run_drawn(name: str, numbers: tuple[int, ...], by_map: bool) -> list[Drawn]:
     source = Source(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8"))
     edits = source.edits()
     mutants = [edits[k] for k in numbers]
-    covering = Map()
-    tests = set[str]().union(*(tests_of(path, mutant, covering) for mutant in mutants)) if by_map else files_of(path)
+    if by_map:
+        covering = Map()
+        tests = set[str]().union(*(tests_of(path, mutant, covering) for mutant in mutants))
+    else:
+        tests = files_of(path)
     verdicts: dict[int, Verdict] = {}
     error = ""
     if tests:
-        chosen = Tests(tuple(sorted(tests)), marks="real_time", budget_s=2 * BUDGET_S * len(mutants))
-        error = run(source, mutants, chosen, 1, TIMEOUT, verdicts.__setitem__)
+        suite = Tests(tuple(sorted(tests)), marks="real_time", budget_s=2 * BUDGET_S * len(mutants))
+        error = run(source, mutants, suite, 1, TIMEOUT, verdicts.__setitem__)
     lost = Verdict("not run", error, 0.0) if tests else Verdict("survived", NOT_COVERED, 0.0)
     return [
         Drawn(name, number, f"{source.path}:{m.line}: {m.operator}: {m.change}", v.status, v.by)

@@ -162,7 +162,7 @@ def add_tip_model(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
     sx, sy = _elastic(w, x, y)
     w.elastic_N[0], w.elastic_N[1] = plane.gain * kept * sx, plane.gain * kept * sy
     if kept > 0.0:
-        w.asked = max(w.asked, 1.0 / kept)
+        w.demand = max(w.demand, 1.0 / kept)
     come_back(w, sx != 0.0 or sy != 0.0)
     w.clipped += 1 if w.mode != PASSIVE and kept < 1.0 else 0
     for i in range(2):

@@ -215,7 +215,7 @@ def add_model(
     stored_Nm = _elastic(w, motion.x_rad)
     w.elastic_Nm = 0.0 if w.mode == PASSIVE else _clip(stored_Nm, room_Nm)
     if room_Nm > 0.0:
-        w.asked = max(w.asked, abs(elastic_Nm) / room_Nm)
+        w.demand = max(w.demand, abs(elastic_Nm) / room_Nm)
     come_back(w, stored_Nm != 0.0)
 
     left_Nm = push_Nm - w.world_Nm  # what the motor does not show

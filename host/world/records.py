@@ -200,8 +200,8 @@ class LocalModelRecord(Record):
     before_Nm: Annotated[FloatField, 2]  # these parts of the cycle before
     given_J: Annotated[FloatField, 2]  # energy that they gave in this swing
     given_before_J: Annotated[FloatField, 2]  # and in the swing before
-    asked: float  # most that wall, spring and field asked of the motor in this swing, by its limit
-    asked_before: float  # and in the swing before
+    demand: float  # largest torque of wall, spring and field in this swing, by the motor's limit
+    demand_before: float  # and in the swing before
     # counters
     clipped: int  # cycles in which a limit changed the model's output
     fades: int  # models that faded to the end

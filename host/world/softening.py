@@ -83,22 +83,22 @@ def feeds_a_swing(w: LocalModelRecord, x_rad: float) -> bool:
     size_rad = abs(w.extreme_rad - w.turned_rad)
     fast = w.swing_ns < CHATTER_NS
     stiff_J, rest_J = w.given_J[0] + w.given_before_J[0], w.given_J[1] + w.given_before_J[1]
-    kept = fast and size_rad > KEPT * w.swing_rad > 0.0
-    w.swings = w.swings + 1 if kept and w.swing_ns < HAND_NS else 0
-    fed = kept and (stiff_J > max(rest_J, 0.0) or (w.swings >= SUSTAINED and rest_J <= 0.0))
+    sustained = fast and size_rad > KEPT * w.swing_rad > 0.0
+    w.swings = w.swings + 1 if sustained and w.swing_ns < HAND_NS else 0
+    fed = sustained and (stiff_J > max(rest_J, 0.0) or (w.swings >= SUSTAINED and rest_J <= 0.0))
     w.swing_rad = size_rad if fast else 0.0
     w.turned_rad, w.extreme_rad, w.falls = w.extreme_rad, x_rad, 1 - w.falls
     for k in range(2):
         w.given_before_J[k], w.given_J[k] = w.given_J[k], 0.0
     w.swing_ns = 0
-    w.asked_before, w.asked = w.asked, 0.0
+    w.demand_before, w.demand = w.demand, 0.0
     return fed
 
 
 @kernel
 def soften(w: LocalModelRecord) -> None:
     """Display a softer model: softer than the torque that the motor gave makes it, where that was at its limit."""
-    w.softened = min(1.0 - (1.0 - w.softened) * SOFTENS / max(w.asked_before, 1.0), MOST)
+    w.softened = min(1.0 - (1.0 - w.softened) * SOFTENS / max(w.demand_before, 1.0), MOST)
 
 
 @kernel

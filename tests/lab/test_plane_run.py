@@ -77,12 +77,19 @@ def test_the_motors_energy_is_bounded_by_what_the_whole_absorbs(shown):
         assert 0.15 < figures["smallest_condition"] < 0.6
 
 
+def circle(elbow_deg, rest_s, circle_s, frequency_Hz, seconds):
+    """Return the figures of a circle of 5 cm, with the elbow at an angle."""
+    q2 = math.radians(elbow_deg)
+    phases = (
+        f'phase=[{{kind = "rest", duration_s = {rest_s}}}, {{kind = "tip_circle", duration_s = {circle_s}, '
+        f"radius_m = 0.05, frequency_Hz = {frequency_Hz}}}]"
+    )
+    return simulate("plane", "hybrid", seconds, overrides=(f"kinematics.start_rad=[{-q2 / 2}, {q2}]", phases)).plane
+
+
 @pytest.mark.parametrize("elbow_deg", [90, 130])
 def test_other_elbows_show_it_too(elbow_deg):
-    q2 = math.radians(elbow_deg)
-    figures = simulate("plane", "hybrid", 6.0, overrides=(f"kinematics.start_rad=[{-q2 / 2}, {q2}]",
-        'phase=[{kind = "rest", duration_s = 1.2}, {kind = "tip_circle", duration_s = 4.8, radius_m = 0.05, frequency_Hz = 1.0}]'),
-    ).plane  # fmt: skip
+    figures = circle(elbow_deg, 1.2, 4.8, 1.0, seconds=6.0)
     assert figures["angle_error_deg"]["median"] <= 2.0
     assert figures["angle_error_deg"]["p95"] <= 12.0
     assert figures["force_ratio"] == pytest.approx(1.0, abs=0.02)
@@ -90,10 +97,7 @@ def test_other_elbows_show_it_too(elbow_deg):
 
 @pytest.mark.parametrize("elbow_deg", [90, 110, 130])
 def test_a_slow_turn_of_a_joint_is_foreseen(elbow_deg):
-    q2 = math.radians(elbow_deg)
-    figures = simulate("plane", "hybrid", 9.0, overrides=(f"kinematics.start_rad=[{-q2 / 2}, {q2}]",
-        'phase=[{kind = "rest", duration_s = 2.5}, {kind = "tip_circle", duration_s = 6.0, radius_m = 0.05, frequency_Hz = 0.25}]'),
-    ).plane  # fmt: skip
+    figures = circle(elbow_deg, 2.5, 6.0, 0.25, seconds=9.0)
     assert figures["angle_error_deg"]["p95"] <= 4.0
     assert figures["force_ratio_p95"] <= 0.03
 

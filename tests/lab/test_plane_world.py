@@ -140,13 +140,17 @@ def turns(values, band):
 
 
 @pytest.mark.parametrize(
-    ("mode", "model"),
+    ("mode", "model", "least"),
     [
-        ("active", Model(law=0.0, field=PlaneField((0.0, 0.0), Ns_m=((-300.0, 0.0), (0.0, -300.0))))),
-        ("hybrid", Model(law=0.0, wall=PlaneWall((0.0, 0.0), (-1.0, 0.0), 300.0, 1000.0))),
+        (
+            "active",
+            Model(law=0.0, field=PlaneField((0.0, 0.0), Ns_m=((-300.0, 0.0), (0.0, -300.0)))),
+            40,
+        ),  # it swings, and gets softer
+        ("hybrid", Model(law=0.0, wall=PlaneWall((0.0, 0.0), (-1.0, 0.0), 300.0, 1000.0)), 100),
     ],
 )
-def test_a_limit_that_acts_on_a_model_is_counted_and_is_none_of_the_law(mode, model):
+def test_a_limit_that_acts_on_a_model_is_counted_and_is_none_of_the_law(mode, model, least):
     counts = []
 
     def world(state):
@@ -155,4 +159,4 @@ def test_a_limit_that_acts_on_a_model_is_counted_and_is_none_of_the_law(mode, mo
 
     assert simulate("plane", mode, 3, world=world, measured=False).trip is None
     assert np.isin(np.diff(counts), (0, 1)).all()
-    assert 20 < counts[-1] < len(counts)  # in active the damping swings, and gets softer
+    assert least < counts[-1] < len(counts)

@@ -15,6 +15,14 @@ SLOT_NAMES = {"K_p_Nm_rad": 0, "F_s_Nm": 1, "F_d_Nm": 2}
 MS = 1_000_000
 
 
+def offer(w, record, number):
+    """Let the next cycle take model `number`."""
+    row = w.offered[number % OFFERS]
+    for name, value in zip(MODEL.names, record.tolist(), strict=True):
+        row[name] = value
+    w.wanted = number
+
+
 @dataclass
 class Cycle:
     """The local model in a cycle, with a law of constant output."""
@@ -35,10 +43,7 @@ class Cycle:
     def place(self, record):
         """Let the next cycle take a record."""
         self.number += 1
-        row = self.w.offered[self.number % OFFERS]
-        for name, value in zip(MODEL.names, record.tolist(), strict=True):
-            row[name] = value
-        self.w.wanted = self.number
+        offer(self.w, record, self.number)
 
     def at(self, x_rad, v_rad_s=0.0, handle_Nm=0.0):
         """Run a cycle at a position; return the torques of motor (sign of psi) and brake."""

@@ -9,8 +9,8 @@ from coulombus.host.cycle.phases import advance, enter, run, run_joint, settle, 
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.laws.laws import compile_law
 from coulombus.host.world.model_parts import Model, Spring
-from coulombus.host.world.records import MODEL, OFFERS
 from host_bench import MS, HostBench
+from model_cycle import offer
 
 T = 123 * MS
 FREE = compile_law(lambda motion, law, state: 0.0)
@@ -21,10 +21,8 @@ def joint(mode="hybrid", brake_Nm=0.75, motor_Nm=0.5):
     bench = HostBench(mode).enter(Phase.RUN)
     c, h, state = bench.c, bench.h, bench.axis.state
     c.brake_limit_Nm, c.brake_fall_Nm, c.brake_rise_Nm, c.brake_Nm_raw = 1.0, 0.25, 0.5, 0.0625
-    h.brake_Nm, state.brake_Nm, state.motor_Nm, h.full_gain_ns, h.gain, h.limited_by_drive = (
-        *(0.5, brake_Nm, motor_Nm, -1, 0.5),
-        7,
-    )
+    state.brake_Nm, state.motor_Nm = brake_Nm, motor_Nm
+    h.brake_Nm, h.gain, h.full_gain_ns, h.limited_by_drive = 0.5, 0.5, -1, 7
     return bench
 
 
@@ -98,11 +96,9 @@ def test_a_model_acts_beside_the_law_with_the_gain_and_gives_it_its_parameters(g
     bench = HostBench("active", 'world.rest = "law"').enter(Phase.RUN, 0)
     c, h, axis = bench.c, bench.h, bench.axis
     w = axis.world
-    row = w.offered[1 % OFFERS]
     model = Model(law=1.0, spring=Spring(0.0, 4.0), parameters={"F_d_Nm": 0.25}).record({"F_d_Nm": 2}, profile=0)
-    for name, value in zip(MODEL.names, model.tolist(), strict=True):
-        row[name] = value
-    w.wanted, w.motor_rate_Nm, w.motor_limit_Nm = 1, 100.0, 100.0
+    offer(w, model, 1)
+    w.motor_rate_Nm, w.motor_limit_Nm = 100.0, 100.0
     h.counts, c.rad_count, c.gain_step, h.gain, h.fresh = 64, 2.0**-7, 0.0, gain, 1
     assert run(axis, DYNAMIC, T) == (-gain * (4.0 * 0.5 + 0.25), Phase.RUN)
     assert (h.world_Nm, h.world_elastic_Nm, h.world_most_J) == (gain * 2.0, gain * 2.0, 1.0)

@@ -25,9 +25,10 @@ from coulombus.host.world.model_parts import (
     Wall,
     model_of,
 )
-from coulombus.host.world.records import MODEL, OFFERS, LocalModelRecord
+from coulombus.host.world.records import LocalModelRecord
 from coulombus.kernels.records import new_records
 from coulombus.rigs.arguments import WrongCall
+from model_cycle import offer
 from plain_records import record_for_kernels
 
 MS = 1_000_000
@@ -52,10 +53,7 @@ class Cycle:
     def place(self, record):
         """Let the next cycle take a record."""
         self.number += 1
-        row = self.w.offered[self.number % OFFERS]
-        for name in MODEL.names:
-            row[name] = record[name].tolist()
-        self.w.wanted = self.number
+        offer(self.w, record, self.number)
 
     def at(self, x_m, v_m_s=(0.0, 0.0), *, hand_Nm=(0.0, 0.0), psi_N=(0.0, 0.0), push_N=(0.0, 0.0), hold_N=0.0):
         """Run a cycle at a place of the tip; return psi and push [N]."""
@@ -515,13 +513,13 @@ def test_a_model_acts_where_the_tip_will_be():
 def test_what_the_model_asks_of_the_motors_is_kept_until_a_joint_turns():
     c = cycle_of(ACTIVE, motor_Nm=1.0)
     c.render(Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0)))
-    for x, asked in ((0.01, 1.0), (0.2, 4.0), (0.1, 4.0), (0.25, 5.0)):
+    for x, demand in ((0.01, 1.0), (0.2, 4.0), (0.1, 4.0), (0.25, 5.0)):
         c.at((0.0, x))
-        assert c.w.asked == pytest.approx(asked)
+        assert c.w.demand == pytest.approx(demand)
     none = cycle_of(PASSIVE)
     none.render(Model(law=0.0, spring=PlaneSpring((0.0, 0.0), 100.0)))
     none.at((0.0, 0.1))
-    assert none.w.asked == 0.0
+    assert none.w.demand == 0.0
 
 
 @pytest.mark.parametrize(
