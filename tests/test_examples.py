@@ -1,9 +1,11 @@
-"""Each example runs as a user runs it: as a program of its own, in a directory of its own."""
+"""Each example runs, in a directory of its own."""
 
 from __future__ import annotations
 
-import subprocess
+import runpy
 import sys
+
+import pytest
 
 from coulombus import simulate
 from coulombus.lab.study.study import read_study
@@ -13,21 +15,21 @@ from places import ROOT
 EXAMPLES = ROOT / "examples"
 
 
-def run(name, folder, *arguments):
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name), *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Run an example in a directory of its own; return what it printed."""
+
+    def run(name, *arguments):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
 
 
-def test_simulate_and_plot(tmp_path):
-    out = run("simulate_and_plot.py", tmp_path, "--seconds", "6", "--png")
+def test_simulate_and_plot(run, tmp_path):
+    out = run("simulate_and_plot.py", "--seconds", "6", "--png")
     assert "trip: None" in out
     assert "hold: 0 counts" in out
     assert "phase hold" in out
@@ -35,24 +37,24 @@ def test_simulate_and_plot(tmp_path):
     assert (tmp_path / "hybrid.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_own_law(tmp_path):
-    out = run("own_law.py", tmp_path)
+def test_own_law(run):
+    out = run("own_law.py")
     assert "trip: None; hold: 0 counts" in out
     low, high = out.split("told ")[1].split(" Nm")[0].split(" to ")
     assert 1.45 <= float(low) < 2.0  # F_d in the moves
     assert float(high) == 3.5  # F_s in the dwells
 
 
-def test_fault_script(tmp_path):
-    out = run("fault_script.py", tmp_path)
+def test_fault_script(run):
+    out = run("fault_script.py")
     assert "exit status 7: TPDO_LOST" in out
     assert 0.0 < float(out.split("tripped ")[1].split(" ms")[0]) <= 5.0
     assert "at most 3." in out
     assert 0.0 < float(out.split("0 after ")[1].split(" s")[0]) <= 1.91
 
 
-def test_release_of_a_hand(tmp_path):
-    out = run("release.py", tmp_path)
+def test_release_of_a_hand(run, tmp_path):
+    out = run("release.py")
     at_once, released = (float(part.split(" rad/s")[0]) for part in out.split(": ")[1:3])
     assert released <= 1.2 < at_once
     assert (tmp_path / "release.png").read_bytes().startswith(b"\x89PNG")
@@ -70,15 +72,15 @@ def test_every_example_is_run():
     }
 
 
-def test_two_axes(tmp_path):
-    out = run("two_axes.py", tmp_path).splitlines()
+def test_two_axes(run):
+    out = run("two_axes.py").splitlines()
     assert out[0].startswith("node 1: the brake held up to 3.50 Nm")
     assert out[1].startswith("node 3: the brake held up to 2.50 Nm")
     assert out[2:] == [f"{name}: moved 0 counts while it was held, sign check agreed" for name in ("left", "right")]
 
 
-def test_virtual_network(tmp_path):
-    out = run("virtual_network.py", tmp_path)
+def test_virtual_network(run):
+    out = run("virtual_network.py")
     assert out.count("boot-up of node") == 2
     assert "node 2 is of device type 0x00020192" in out
     assert "100 SYNCs, TPDO1 of node 1: 100, of node 2: 100" in out

@@ -43,13 +43,13 @@ GROUPS: Mapping[str, KernelGroup] = MappingProxyType(
         "nodes": KernelGroup(2),
         "server": KernelGroup(1, ("bus", "nodes")),
         "host": KernelGroup(1, ("nodes",)),
-        "loops": KernelGroup(2, ("host", "server")),
+        "loop": KernelGroup(1, ("host", "server")),
         "arm": KernelGroup(3, ("bus", "host")),
-        "arm_loops": KernelGroup(2, ("arm", "loops")),
+        "arm_loop": KernelGroup(1, ("arm", "loop")),
     }
 )
 """By name; of those that can begin, the first does."""
-ARM = frozenset({"arm", "arm_loops"})
+ARM = frozenset({"arm", "arm_loop"})
 """Groups that only an arm in the plane needs."""
 
 

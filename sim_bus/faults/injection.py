@@ -70,7 +70,6 @@ class Injection:
                     ("fault", plan.faults[row], "node"), "the host is another process here, with a clock of its own"
                 )
         world.injection = self
-        world.look_closely()
 
     def _plan(self, row: int, t_ns: int) -> None:
         """Schedule Python's part of a fault: a reset, a drifting clock."""

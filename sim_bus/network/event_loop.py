@@ -6,11 +6,6 @@ a fixed order: a frame's end first (so that a received frame is handled before a
 checked), then the script, the devices, the host, and at last the start of the next frame (so that
 every ready frame takes part in the arbitration).
 
-It exists in two versions, compiled from one source when first needed. Rare events of a bus (a
-bit-level simulation, scripted faults, a cut cable, a drifting clock) are a third of the machine
-code. So the first version has none of them, and reports when they are needed (`Exit.CLOSELY`); the
-second version, with the argument `closely`, then continues with the same records.
-
 A device is a row of the node records; that row is its station number. An axis is a motor's row, a
 brake's row, and the rig between them: a row of the plants and one of the blocks of the operator's
 force. Further devices of an axis show the quantities of the rig's roles (`sim_bus.rig.coupling`). A
@@ -63,7 +58,6 @@ __all__ = [
     "HostCycle",
     "World",
     "actuate",
-    "end_closely",
     "next_event",
     "refresh",
     "run",
@@ -87,7 +81,6 @@ class Exit(IntEnum):
     PHASE = 5  # the host entered another phase
     SCRIPT = 6  # a script's entry is due
     FAULT = 7  # a frame has triggered a fault that the bus cannot inject itself
-    CLOSELY = 8  # the next event needs the detailed loop
 
 
 FRAME_END, SCRIPT, DEVICE, HOST, FRAME_START, NOTHING = 0, 1, 2, 3, 4, 5
@@ -108,7 +101,6 @@ class WorldRecord(Clock):
     stale: int  # 1: Python has changed the records since the kernel last read all of them
     host_on: int  # 1: the host's cycle runs
     host_elsewhere: int  # 1: the host is another process, or there is none
-    drifting: int  # devices with a local clock
     phase: int  # phases of the host's axes as Python knows them, four bits each
     log_count: int
     # only for a replay of the host (`recording.trace`)
@@ -238,8 +230,8 @@ def _keep(w: WorldRecord, out: Queue, first: int) -> None:
 
 
 @kernel
-def end_closely(world: World, course: CourseFunction, b: BusRecord) -> None:
-    """End a frame on the detailed path, or a bit-level simulation.
+def _end(world: World, course: CourseFunction, b: BusRecord) -> None:
+    """End a frame, or a bit-level simulation.
 
     Report the states of the controllers to their devices.
     """
@@ -274,9 +266,6 @@ def refresh(
     """Update all lookup tables from the records that Python may have written."""
     w.stale = 0
     look_again(nodes, deadlines, wants)
-    w.drifting = 0
-    for i in range(nodes.shape[0]):
-        w.drifting += nodes[i].clock_on
     w.to_begin = 0
     w.force_end_ns = FAR_NS
     for a in range(axes.shape[0]):
@@ -311,12 +300,11 @@ def run(
     law_function: LawFunction | None,
     course: CourseFunction,
     arm: PlaneFunctions | None,
-    closely: int | None,
 ) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
-    `law_function` None: there is no host in this world. `arm`: the host's axes are the joints of one arm. `closely` None: stop when the detailed path
-    is needed. Numba omits code that depends on an argument that is None.
+    `law_function` None: there is no host in this world. `arm`: the host's axes are the joints of one arm. Numba omits
+    code that depends on an argument that is None.
     """
     world, host = borrowed(world), borrowed(host)  # each use of an array would change its reference count
     w, bus, out, nodes = world.state, world.bus, world.out, world.nodes
@@ -324,21 +312,16 @@ def run(
     cable = bus[0]
     if w.stale:
         refresh(w, nodes, axes, deadlines, wants)
-    if closely is None and cable.cut + w.drifting != 0:
-        return Exit.CLOSELY
     while True:
         if w.log_count + MOST_ROWS > world.log.shape[0] or w.sent_count + QUEUE_CAPACITY > SENT_FRAMES:
             return Exit.LOG
         if w.told_count + MOST_FRAMES * host.axes.shape[0] > TOLD_FRAMES:
             return Exit.LOG
-        b = cable
-        if closely is not None:
-            if cable.cut != 0:
-                b = bus[choose(bus, out)]
-            if cable.fault_calls != 0:
-                for a in range(axes.shape[0]):
-                    _look(world, course, a, w.t_ns)
-                return Exit.FAULT
+        b = cable if cable.cut == 0 else bus[choose(bus, out)]
+        if cable.fault_calls != 0:
+            for a in range(axes.shape[0]):
+                _look(world, course, a, w.t_ns)
+            return Exit.FAULT
         t, what = next_event(w, b, out, deadlines, host.axes)
         if t < w.t_ns:
             t = w.t_ns
@@ -354,8 +337,6 @@ def run(
         w.t_ns = t
         if what == FRAME_START:
             if not start_frame(b, out, t):
-                if closely is None:
-                    return Exit.CLOSELY
                 attempt(b, out, t)
             continue
         if what in (NOTHING, SCRIPT):
@@ -375,7 +356,7 @@ def run(
             a = axis_of[i]
             if a >= 0:
                 _look(world, course, a, t)
-            if closely is None or nodes[i].clock_on == 0:
+            if nodes[i].clock_on == 0:
                 core.on_time(nodes[i], t, out)
             else:
                 own_time.on_time(nodes[i], t, out)
@@ -383,13 +364,9 @@ def run(
             if a >= 0:
                 actuate(world, course, a, t)
         else:
-            if closely is None:
-                end_frame(b, world.log, w.log_count)
-                w.log_count += 1
-            else:
-                end_closely(world, course, b)
-                if b.delivered == Delivered.NOBODY:
-                    continue
+            _end(world, course, b)
+            if b.delivered == Delivered.NOBODY:
+                continue
             w.services = w.control_plane = w.heard = 0
             if b.can_id == CobId.SYNC or b.can_id == CobId.NMT:
                 for a in range(axes.shape[0]):
@@ -397,8 +374,8 @@ def run(
             plain = b.can_id <= 0x7FF
             for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
                 i = wants[b.can_id, k + 1] if plain else k
-                if nodes[i].powered and receives(b, i) and (closely is None or on_its_bus(b, i)):
-                    if closely is None or nodes[i].clock_on == 0:
+                if nodes[i].powered and receives(b, i) and on_its_bus(b, i):
+                    if nodes[i].clock_on == 0:
                         request = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     else:
                         request = own_time.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)

@@ -216,12 +216,11 @@ class VirtualNetwork:
         for wire in self.bus[: len(rates)]:
             for station in (TAP, *([] if mechanics is None else [SOURCE_HOST])):
                 attach(wire, station)
-        self._closely: int | None = None
         self._run = Entry(run)
 
     @property
     def arguments(self) -> tuple[World, HostCycle, LawFunction, CourseFunction, PlaneFunctions | None]:
-        """Arguments of `sim_bus.network.event_loop.run` except `closely`.
+        """Arguments of `sim_bus.network.event_loop.run`.
 
         Python may have changed the records since the last run.
         """
@@ -312,10 +311,8 @@ class VirtualNetwork:
 
     @property
     def plain(self) -> bool:
-        """Whether the network has only devices and a host: no station, no fault, no script entry, no detailed
-        path.
-        """
-        return not (self._stations or self._script or self._closely) and self.injection is None
+        """Whether the network has only devices and a host: no station, no fault, no script entry."""
+        return not (self._stations or self._script) and self.injection is None
 
     def wait_ns(self, duration_ns: int) -> None:
         """Let `duration_ns` pass."""
@@ -324,32 +321,15 @@ class VirtualNetwork:
     def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
         """Run to `t_ns`, or until `condition` holds after an exit of the kernel."""
         self._world["until_ns"] = t_ns
-        while self._go_on(condition) is Exit.CLOSELY:
-            self.look_closely()
-
-    def _go_on(self, condition: Callable[[], bool] | None) -> Exit:
-        """Run to `until_ns`, until `condition` holds, or until the detailed path is needed.
-
-        Return the last exit.
-        """
-        self._run.load(*self._arguments, self._closely)  # a signal may end it here: compiling may take half a minute
+        self._run.load(*self._arguments)  # a signal may end it here: compiling may take half a minute
         with InterruptsHeld() as interrupts:
             while True:
-                reason = Exit(self._run(*self.arguments, self._closely))
+                reason = Exit(self._run(*self.arguments))
                 self.exits[reason] += 1
-                if reason is Exit.CLOSELY:
-                    return reason
                 self.answer(reason)
                 interrupts.pass_on()
                 if reason is Exit.UNTIL or (condition is not None and condition()):
-                    return reason
-
-    def look_closely(self) -> None:
-        """Run the detailed loop from now on.
-
-        Otherwise it is compiled, or loaded, at the first rare event.
-        """
-        self._closely, self._run = 1, Entry(run)
+                    return
 
     def at(self, t_ns: int, action: Callable[[Self], None]) -> None:
         """Schedule `action(network)` at the virtual time `t_ns`, as a script entry."""

@@ -145,8 +145,7 @@ def serve(
 
     Call `sim_bus.server.python_worker.drain_jobs` next: it completes Python's concurrent jobs.
 
-    The world's loop is always the detailed version: nothing is compiled while clients wait. A host
-    is a separate process, so this loop has none.
+    A host is a separate process, so the world's loop has none.
     """
     p, w, bus, out = pace[0], world.state, world.bus, world.out
     slots, batches, cable = clients.slots, clients.batches, bus[0]
@@ -165,14 +164,12 @@ def serve(
             return need
         # the world up to the present, event by event: each start of a frame makes room for its sender's next
         while True:
-            b = cable
-            if cable.cut != 0:
-                b = bus[choose(bus, out)]
+            b = cable if cable.cut == 0 else bus[choose(bus, out)]
             t_event, _ = next_event(w, b, out, world.deadlines, host.axes)
             if t_event > t_ns:
                 break
             w.until_ns = max(t_event, w.t_ns)
-            reason = run(world, host, None, course, None, 1)
+            reason = run(world, host, None, course, None)
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
                 lost = hand_out(w, p, bus, world.log, clients)

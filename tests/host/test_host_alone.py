@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 
@@ -44,13 +43,6 @@ def host_rig() -> str:
 def alone(tmp_path_factory):
     """Return a function that runs a verb in an installation of the host alone."""
     root = tmp_path_factory.mktemp("rigs-pc")
-    package = root / "coulombus"
-    package.mkdir()
-    for file in (ROOT / "coulombus").glob("*.py"):
-        shutil.copy(file, package)
-    for room in (ROOT / "coulombus").iterdir():
-        if room.is_dir() and room.name not in (*FAR, "__pycache__"):
-            shutil.copytree(room, package / room.name, ignore=shutil.ignore_patterns("__pycache__"))
     (root / "sitecustomize.py").write_text(REFUSING)  # in every process of the run
     (root / "rig.toml").write_text(host_rig())
 
@@ -58,7 +50,7 @@ def alone(tmp_path_factory):
         return subprocess.run(
             [sys.executable, "-P", "-m", "coulombus", *map(str, words)],
             cwd=root,
-            env={**os.environ, "PYTHONPATH": str(root)},
+            env={**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{ROOT}"},
             capture_output=True,
             text=True,
             timeout=500,
@@ -101,7 +93,7 @@ def test_the_hosts_verbs_need_the_hosts_rooms_only(alone, words, status, text):
 
 
 @pytest.mark.real_time
-def test_a_run_comes_to_its_end_on_a_bus_of_another_installation(alone, tmp_path):
+def test_a_run_comes_to_its_end_on_a_bus_of_a_whole_installation(alone, tmp_path):
     bus, record = f"coulombus:alone-{os.getpid()}", tmp_path / "run.pcapng"
     sets = [word for text in SHARED_MACHINE for word in ("--set", text)]
     with simulation(bus):

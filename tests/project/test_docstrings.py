@@ -40,8 +40,8 @@ def examples():
     for folder, below, names in os.walk(ROOT / "coulombus", followlinks=True):
         below[:] = sorted(name for name in below if name != "__pycache__")
         for path in sorted(Path(folder) / name for name in names if name.endswith(".py")):
-            tree = ast.parse(path.read_text())
-            for node in ast.walk(tree):
+            text = path.read_text()
+            for node in ast.walk(ast.parse(text)) if BLOCK.search(text) else ():
                 if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
                     for block in BLOCK.findall(ast.get_docstring(node) or ""):
                         yield str(path.relative_to(ROOT / "coulombus")), textwrap.dedent(block)

@@ -181,8 +181,8 @@ def foreign(path):
     ("recorded_once", "kind"),
     [
         ("bench", lambda path: path),
-        ("two_axes", lambda path: path),
-        ("bench", lambda path: packed(path, gzip.compress)),
+        pytest.param("two_axes", lambda path: path, marks=pytest.mark.long),
+        pytest.param("bench", lambda path: packed(path, gzip.compress), marks=pytest.mark.long),
         ("bench", lambda path: packed(path, ZSTD)),
         ("two_axes", foreign),
     ],

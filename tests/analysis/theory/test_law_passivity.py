@@ -19,7 +19,13 @@ def test_every_law_has_its_claim():
     assert list(CLAIMS) == list(BUILTIN_LAWS)
 
 
-@pytest.mark.parametrize("name", CLAIMS)
+LONG = {"elastoplastic", "leuven", "gms", "lugre"}
+"""Laws whose search takes more than a second."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long if name in LONG else ()) for name in CLAIMS]
+)
 def test_the_search_refutes_a_law_where_the_claim_is_conditional(name):
     results = dict(trials(name))
     assert results["holds"] is None

@@ -5,6 +5,7 @@ sends; both senses, away from 0.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import pytest
 
@@ -669,14 +670,16 @@ def told(motion, law, state):
     return law.user[0] + k
 
 
-TOLD = compile_law(told)
+@cache
+def told_law():
+    return compile_law(told)
 
 
 @BOTH
 @pytest.mark.parametrize("encoder", [1, -1])
 def test_the_law_is_told_the_handle_in_the_handles_sense(sign, encoder):
     bench = HostBench("active", f"mechanics.encoder_polarity={encoder}").enter(Phase.RUN, counts=700)
-    bench.k.law_function = TOLD
+    bench.k.law_function = told_law()
     bench.k.law[0].user[0], bench.k.law[0].user[1] = 0.0625, 0.5
     bench.counts += encoder * sign * 30
     bench.handle_Nm = sign * 0.5
@@ -692,7 +695,7 @@ def test_the_law_is_told_the_handle_in_the_handles_sense(sign, encoder):
 @pytest.mark.parametrize("phase", Phase)
 def test_the_law_is_asked_in_the_phase_run_only(phase):
     bench = HostBench("active").enter(phase, counts=40)
-    bench.k.law_function = TOLD
+    bench.k.law_function = told_law()
     bench.cycle()
     assert bench.k.state[0].user[5] == (phase is Phase.RUN)
 
@@ -711,7 +714,7 @@ NO_NUMBERS = (math.nan, math.inf, -math.inf)
 )
 def test_a_law_that_gives_no_finite_number_trips_and_is_not_kept(psi, brake, motor):
     bench = HostBench("active").enter(Phase.RUN, counts=40)
-    bench.k.law_function = TOLD
+    bench.k.law_function = told_law()
     bench.k.law[0].user[0], bench.k.law[0].user[1], bench.k.law[0].user[2] = psi, brake, motor
     bench.k.state[0].psi_Nm = 0.25
     bench.cycle()
@@ -759,7 +762,7 @@ def test_the_brakes_set_point_is_rounded_not_negative_and_within_its_object(brak
 @pytest.mark.parametrize("motor", [1, -1])
 def test_the_target_torque_is_rounded_and_in_the_motors_sense(sign, motor):
     bench = HostBench("active", f"mechanics.motor_polarity={motor}").enter(Phase.RUN, counts=5)
-    bench.k.law_function = TOLD
+    bench.k.law_function = told_law()
     bench.k.law[0].user[0] = -sign * 100.4 * abs(bench.c.motor_Nm_raw)
     bench.cycle()
     assert bench.motor_pm == motor * sign * 100
@@ -786,7 +789,9 @@ def asked(motion, law, state):
     return law.user[0]
 
 
-ASKED = compile_law(asked)
+@cache
+def asked_law():
+    return compile_law(asked)
 
 
 def clipping(law_Nm, cycles, mode="active"):
@@ -796,7 +801,7 @@ def clipping(law_Nm, cycles, mode="active"):
     bench = HostBench(mode).enter(Phase.RUN, counts=40)
     bench.c.clipped_cycles, bench.c.gain_step, bench.c.friction_Nm, bench.h.gain = 10, 1.0, 0.0, 1.0
     bench.c.compensation_Nm, bench.c.passivity_J = 0.0, math.inf
-    bench.k.law_function = ASKED
+    bench.k.law_function = asked_law()
     for k in range(cycles):
         bench.k.law[0].user[0] = law_Nm[k % len(law_Nm)]
         bench.cycle()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
@@ -13,8 +15,16 @@ from host_bench import MS, HostBench
 from model_cycle import offer
 
 T = 123 * MS
-FREE = compile_law(lambda motion, law, state: 0.0)
-DYNAMIC = compile_law(lambda motion, law, state: law.F_d)
+
+
+@cache
+def free_law():
+    return compile_law(lambda motion, law, state: 0.0)
+
+
+@cache
+def dynamic_law():
+    return compile_law(lambda motion, law, state: law.F_d)
 
 
 def joint(mode="hybrid", brake_Nm=0.75, motor_Nm=0.5):
@@ -100,10 +110,10 @@ def test_a_model_acts_beside_the_law_with_the_gain_and_gives_it_its_parameters(g
     offer(w, model, 1)
     w.motor_rate_Nm, w.motor_limit_Nm = 100.0, 100.0
     h.counts, c.rad_count, c.gain_step, h.gain, h.fresh = 64, 2.0**-7, 0.0, gain, 1
-    assert run(axis, DYNAMIC, T) == (-gain * (4.0 * 0.5 + 0.25), Phase.RUN)
+    assert run(axis, dynamic_law(), T) == (-gain * (4.0 * 0.5 + 0.25), Phase.RUN)
     assert (h.world_Nm, h.world_elastic_Nm, h.world_most_J) == (gain * 2.0, gain * 2.0, 1.0)
     w.on, h.world_Nm = 0, 9.0
-    assert run(axis, DYNAMIC, T) == (-gain * axis.law.F_d, Phase.RUN)
+    assert run(axis, dynamic_law(), T) == (-gain * axis.law.F_d, Phase.RUN)
     assert h.world_Nm == 9.0
 
 
@@ -142,7 +152,7 @@ def test_the_cycles_of_an_end_are_none_of_the_display(end_cycles, count):
     bench = HostBench().enter(Phase.RUN)
     h = bench.h
     h.enabled_ns, h.display_cycles, h.end_cycles = 0, 5, end_cycles
-    advance(bench.axis, FREE, 0, T)
+    advance(bench.axis, free_law(), 0, T)
     assert h.display_cycles == count
 
 
@@ -151,10 +161,10 @@ def test_the_brake_takes_over_in_the_first_cycle_of_an_end_and_once():
     c, h = bench.c, bench.h
     c.hands_over, c.rise_cycles, c.fade_cycles = 1, 5, 5
     h.stop, h.displayed_Nm = 1, 0.5
-    advance(bench.axis, FREE, 0, T)
+    advance(bench.axis, free_law(), 0, T)
     assert (h.end_cycles, h.takes_over) == (1, 1)
     level_Nm = h.level_Nm
     assert level_Nm > 0.0
     h.displayed_Nm = 2.0
-    advance(bench.axis, FREE, 0, T)
+    advance(bench.axis, free_law(), 0, T)
     assert (h.end_cycles, h.level_Nm) == (2, level_Nm)

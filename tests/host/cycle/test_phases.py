@@ -5,6 +5,7 @@ polarity, away from 0.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import pytest
 
@@ -29,7 +30,11 @@ BOTH = pytest.mark.parametrize("sign", [1, -1])
 POLARITIES = pytest.mark.parametrize(("motor", "encoder"), [(1, 1), (1, -1), (-1, 1), (-1, -1)])
 SWITCHED_ON = int(PowerState.SWITCHED_ON)
 T = 123 * MS
-NO_NUMBER = compile_law(lambda motion, law, state: math.nan)
+
+
+@cache
+def no_number_law():
+    return compile_law(lambda motion, law, state: math.nan)
 
 
 def standing(phase, counts=-640, mode="hybrid", **control):
@@ -621,7 +626,7 @@ def test_the_law_begins_with_run_only(phase):
 def test_a_law_that_is_no_number_makes_brake_and_controlword_safe_in_the_same_cycle():
     bench = HostBench("hybrid").enter(Phase.RUN, counts=40)
     bench.c.brake_lag_decay, bench.c.release_Nm, bench.c.unloaded_Nm, bench.h.brake_Nm = 0.0, 0.25, 0.25, 3.0
-    bench.k.law_function = NO_NUMBER
+    bench.k.law_function = no_number_law()
     bench.cycle()
     assert (bench.phase, bench.h.trip) == (Phase.SAFE, Trip.LAW)
     assert bench.h.brake_Nm == 2.75

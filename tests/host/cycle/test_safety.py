@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -192,7 +193,7 @@ def mad(motion, law, state):
 @pytest.mark.parametrize("mode", ["active", "hybrid"])
 def test_a_mad_law_cannot_get_past_the_limits(mode, psi, brake):
     bench = armed(mode)
-    bench.k.law_function = MAD
+    bench.k.law_function = mad_law()
     bench.k.law[0].user[:2] = psi, brake
     for _ in range(3):
         bench.counts += 10
@@ -210,7 +211,9 @@ def test_a_mad_law_cannot_get_past_the_limits(mode, psi, brake):
         assert bench.h.negative_setpoints > 0
 
 
-MAD = compile_law(mad)
+@cache
+def mad_law():
+    return compile_law(mad)
 
 
 def test_the_brake_never_becomes_motor_torque():
@@ -239,7 +242,7 @@ def test_compensation_is_zero_when_stuck():
 
 def test_near_the_speed_limit_the_motor_may_only_brake():
     bench = armed("active", "limits.net_work_J=100.0", "limits.handle_mismatch_Nm=100.0")
-    bench.k.law_function = MAD
+    bench.k.law_function = mad_law()
     counts = 0
     for _ in range(40):
         counts = min(counts + 5, 165)  # 13.2 rad/s of 15
@@ -309,7 +312,7 @@ UNKNOWN = HostBench()
 def leaning(*overrides, mode="active"):
     """A handle at rest whose motor displays 1 Nm: 150 counts of a spring."""
     bench = armed(mode, *overrides)
-    bench.k.law_function = SPRING
+    bench.k.law_function = spring_law()
     bench.counts, bench.handle_Nm = 150.0, 1.0
     bench.cycles(60)
     assert displayed(bench) == pytest.approx(1.0, abs=0.01)
@@ -320,7 +323,9 @@ def spring(motion, law, state):
     return 1.0
 
 
-SPRING = compile_law(spring)
+@cache
+def spring_law():
+    return compile_law(spring)
 
 
 def displayed(bench):
@@ -390,7 +395,7 @@ def test_lost_tpdos_let_the_brake_take_over_what_was_displayed_before(node):
 
 def test_a_limit_cycle_hands_over_its_largest_torque():
     bench = leaning()
-    bench.k.law_function = FLIPPING
+    bench.k.law_function = flipping_law()
     for _ in range(9):
         bench.cycle()
     bench.counts = 1e7
@@ -404,7 +409,9 @@ def flipping(motion, law, state):
     return (1.0 if state.user[0] % 4.0 < 2.0 else -1.0) if state.user[0] % 2.0 < 1.0 else 0.0
 
 
-FLIPPING = compile_law(flipping)
+@cache
+def flipping_law():
+    return compile_law(flipping)
 
 
 def test_in_hybrid_a_wall_hands_over_and_friction_ends_at_once():

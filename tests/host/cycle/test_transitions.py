@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import random
+from functools import cache
 
 import pytest
 
@@ -20,7 +21,9 @@ def no_number(motion, law, state):
     return math.nan
 
 
-NO_NUMBER = compile_law(no_number)
+@cache
+def no_number_law():
+    return compile_law(no_number)
 
 
 def still(bench, **fields):
@@ -142,7 +145,7 @@ OWN = {
     (Phase.SIGN, Phase.SAFE, Trip.SIGN_NO_MOTION): stuck,
     (Phase.SETTLE, Phase.RUN, Trip.NONE): settled,
     (Phase.SETTLE, Phase.SAFE, Trip.NOT_STILL): late,
-    (Phase.RUN, Phase.SAFE, Trip.LAW): lambda bench: setattr(bench.k, "law_function", NO_NUMBER),
+    (Phase.RUN, Phase.SAFE, Trip.LAW): lambda bench: setattr(bench.k, "law_function", no_number_law()),
     (Phase.SAFE, Phase.DISABLE, Trip.NONE): lambda bench: (
         setattr(bench.h, "phase_cycle", 1),
         setattr(bench.h, "level_Nm", 0.0),

@@ -9,7 +9,7 @@ from coulombus.lab.study.observer import Observer
 SHORT = 'kind = "constant"\nlevels = [1.2, 1.6, 2.4, 2.8]\nrepeats = 5\n'
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_observer_judges_what_its_hand_felt_of_each_display(monkeypatch):
     monkeypatch.setitem(observer_displays.METHODS, "short", SHORT)
     judged = []

@@ -52,6 +52,7 @@ def many(sweep_file):
     return Job.of(sweep), [order_of(sweep, run) for run in range(sweep.runs)]
 
 
+@pytest.mark.long
 def test_a_worker_killed_in_mid_batch_changes_no_byte_of_the_table(sweep_file, tmp_path, monkeypatch):
     sweep = read_sweep(sweep_file())
     monkeypatch.setattr(module, "on_processes", lambda job, orders, _: (carry_out(job, order) for order in orders))

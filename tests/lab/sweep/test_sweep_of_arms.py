@@ -18,6 +18,7 @@ def test_the_example_has_two_hundred_points_in_both_modes():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_motors_alone_oscillate_and_brakes_with_motors_hold(tmp_path):
     path = tmp_path / "few.toml"
     path.write_text(EXAMPLE.read_text().replace("runs = 200", "runs = 4"))

@@ -11,7 +11,7 @@ from coulombus.lab.simulate import simulate
 from coulombus.recording.friction.identify import identify
 from coulombus.rigs.rig import load_rig
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 RIGS = 40
 STROKES = ", ".join(

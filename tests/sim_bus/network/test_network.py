@@ -14,10 +14,8 @@ from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.record import new_nodes
 from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, new_deadlines, new_wants, next_device
-from coulombus.sim_bus.network.event_loop import Exit
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.bits import frame_bits
-from coulombus.wire.clock import set_clock
 from coulombus.wire.frame import CAN_RTR_FLAG, arbitration_key
 from places import EDS
 
@@ -231,14 +229,9 @@ def test_an_interrupt_waits_until_the_kernel_has_returned():
     assert network.t_ns == 2 * MS
 
 
-def collision(closely):
-    """What is on the wire when two stations begin the same frame with other data in one bit, and
-    the network.
-    """
+def test_two_stations_that_begin_the_same_frame_with_other_data_collide():
     carried = []
     network = network_of(2, on_frames=lambda frames: carried.extend(frames.tolist()))
-    if closely:
-        network.look_closely()
     one, two = network.station(), network.station()
     network.power_on()
     one.send(0x000, START)
@@ -247,23 +240,4 @@ def collision(closely):
         sender.send(0x123, data, at_ns=25 * MS)
     network.wait_ns(20 * MS)
     network.flush()
-    return carried, network
-
-
-def test_a_close_look_is_taken_when_first_needed_and_changes_nothing():
-    later, network = collision(closely=False)
-    assert network.exits[Exit.CLOSELY] == 1
-    from_the_first, network = collision(closely=True)
-    assert network.exits[Exit.CLOSELY] == 0
-    assert later == from_the_first
-    assert any(can_id >> 29 & 1 for _, can_id, *_ in later)  # the collision was told by an error frame
-
-
-def test_a_clock_that_drifts_wants_the_close_look():
-    network = network_of(1)
-    network.power_on()
-    network.wait_ns(5 * MS)
-    assert network.exits[Exit.CLOSELY] == 0
-    set_clock(network.nodes[0], 0, 100_000)
-    network.wait_ns(5 * MS)
-    assert network.exits[Exit.CLOSELY] == 1
+    assert any(can_id >> 29 & 1 for _, can_id, *_ in carried)  # the collision was told by an error frame

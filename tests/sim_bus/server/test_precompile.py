@@ -119,7 +119,9 @@ def test_after_the_trial_no_service_and_no_schedule_loads_a_kernel():
     assert loaded(RIG) == ""
 
 
-@pytest.mark.parametrize("node_id", ["5", "255"], ids=["numbered", "for an LSS master"])
+@pytest.mark.parametrize(
+    "node_id", [pytest.param("5", marks=pytest.mark.long), "255"], ids=["numbered", "for an LSS master"]
+)
 def test_after_the_trial_a_live_node_loads_no_kernel(node_id):
     assert loaded(NODE, node_id) == ""
 

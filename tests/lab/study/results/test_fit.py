@@ -52,7 +52,7 @@ def holds(bounds, truth):
     return (low is None or low <= truth) and (high is None or truth <= high)
 
 
-LONG = ("staircase", "weighted", "quest")
+LONG = ("staircase", "weighted", "quest", "above")
 """The fit knows levels and answers, not the method that chose them."""
 
 
@@ -74,7 +74,9 @@ def test_the_intervals_hold_the_truth_in_90_to_99_of_100_studies(kind):
     assert np.median(fits) == pytest.approx(JND, rel=0.1)
 
 
-@pytest.mark.parametrize("kind", ["constant", "staircase", "weighted", "quest"])
+@pytest.mark.parametrize(
+    "kind", ["staircase", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("constant", "weighted", "quest"))]
+)
 def test_a_shifted_pse_and_an_interval_bias_leave_the_jnd_right(kind):
     fits = [fitted(kind, seed, shift=1 / 3, bias=0.5) for seed in range(24)]
     assert np.median([fit.jnd for fit in fits]) == pytest.approx(JND, rel=0.12)
