@@ -11,7 +11,7 @@ from coulombus.cli.analyse_options import figures_option, loop_options, paramete
 from coulombus.cli.analyse_output import steps, tell, tell_paths
 from coulombus.cli.analyse_plane import plane
 from coulombus.cli.analyse_rig import felt, hold, map_command, z_width
-from coulombus.cli.analyse_theory import fig10, laws_command, limit_cycle, nyquist, stuck
+from coulombus.cli.analyse_theory import chatter_command, fig10, laws_command, limit_cycle, nyquist, stuck
 from coulombus.cli.common import json_option, printed, rig_option, say, seed_option, set_option
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.tables import echo
@@ -105,5 +105,17 @@ def study(folder: Path, figures: Path | None, exploration: bool, felt: bool, as_
                 echo("\n".join(lines(result)))
 
 
-for verb in (nyquist, limit_cycle, stuck, fig10, laws_command, hold, felt, z_width, map_command, plane):
+for verb in (
+    nyquist,
+    limit_cycle,
+    stuck,
+    fig10,
+    laws_command,
+    hold,
+    felt,
+    z_width,
+    map_command,
+    chatter_command,
+    plane,
+):
     analyse.add_command(verb)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -10,11 +11,11 @@ from typing import Any
 import click
 
 from coulombus.cli.analyse_options import figures_option, loop_options, parameters_of
-from coulombus.cli.analyse_output import steps, tell, tell_paths
+from coulombus.cli.analyse_output import bar, steps, tell, tell_paths
 from coulombus.cli.common import json_option, seed_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors
 
-__all__ = ["fig10", "laws_command", "limit_cycle", "nyquist", "stuck"]
+__all__ = ["chatter_command", "fig10", "laws_command", "limit_cycle", "nyquist", "stuck"]
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -213,3 +214,64 @@ def laws_command(figures: Path | None, as_json: bool) -> None:
                 lambda: {**plain(results, swept), "curves": published_curves.plain(curves)},
                 lambda: chain(lines(results, swept), [""], published_curves.lines(curves)),
             )
+
+
+@click.command("chatter", epilog=EXIT_STATUS, short_help="The most friction that a motor alone displays quietly.")
+@click.option("--inertia", type=float, required=True, metavar="KG_M2", help="Inertia of the device at the handle.")
+@click.option("--rate", type=float, required=True, metavar="HZ", help="Samples a second.")
+@click.option(
+    "--counts", type=float, required=True, metavar="N", help="Encoder's counts a turn of the handle, all edges."
+)
+@click.option("--delay", default=0.0, show_default=True, metavar="S", help="From sampling to actuation.")
+@click.option("--damping", default=0.0, show_default=True, metavar="NMS/RAD", help="The device's own viscous damping.")
+@click.option("--friction", default=0.0, show_default=True, metavar="NM", help="The device's own Coulomb friction.")
+@click.option("--lag", default=0.0, show_default=True, metavar="S", help="The motor's lag.")
+@click.option("--limit", type=float, default=None, metavar="NM", help="The motor's torque limit.  [default: none]")
+@click.option("--brake", default=0.0, metavar="NM", help="Torque of a brake beside the motor.  [default: no brake]")
+@click.option(
+    "--hand",
+    nargs=3,
+    type=float,
+    default=(0.0, 0.0, 0.0),
+    metavar="KG_M2 NMS/RAD NM/RAD",
+    help="Inertia, damping and stiffness of the hand that holds it.  [default: none]",
+)
+@figures_option
+@json_option
+def chatter_command(**options: Any) -> None:
+    """Find the most friction, and the stiffest wall, that a motor alone may display on a device before it
+    rattles, and what each remedy buys.
+
+    For wheels, knobs and handles that chatter. Every level is a simulation of the sampled loop after taps; the
+    friction is c sgn(v) of the encoder's difference.
+
+    \b
+    Examples:
+      coulombus analyse chatter --inertia 2.5e-3 --rate 1000 --counts 78537 --delay 1e-3 --damping 0.005 --friction 0.14
+      coulombus analyse chatter --inertia 4e-6 --rate 1000 --counts 16384 --damping 1e-5 --friction 2e-3 --json
+    """
+    with errors():
+        from coulombus.analysis.rig.chatter import chatter, device
+
+        o = options
+        try:
+            loop = device(
+                o["inertia"],
+                o["rate"],
+                o["counts"],
+                o["delay"],
+                damping_Nms_rad=o["damping"],
+                friction_Nm=o["friction"],
+                lag_s=o["lag"],
+                limit_Nm=math.inf if o["limit"] is None else o["limit"],
+                hand=o["hand"],
+            )
+            with bar("chatter") as report:
+                found = chatter(loop, brake_Nm=o["brake"], curves=o["figures"] is not None, progress=report)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
+        tell(o["as_json"], found.as_dict, found.lines)
+        if o["figures"]:
+            from coulombus.analysis.figures.rig import write_chatter
+
+            tell_paths(write_chatter(o["figures"], found))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from coulombus.analysis.rig.chatter import Chatter
 from coulombus.analysis.rig.friction_study import FrictionStudy
 from coulombus.analysis.rig.hold import HoldStudy
 from coulombus.analysis.rig.maps import OscillationMap, at
@@ -27,6 +28,7 @@ __all__ = [
     "draw_identification",
     "draw_map",
     "write_bus_figure",
+    "write_chatter",
     "write_fig12",
     "write_fig13",
     "write_fig14",
@@ -330,3 +332,38 @@ def write_wall_plane(directory: Path, study: WallPlane) -> list[Path]:
         axes.legend(loc="best")
         label(axes, "damping B [Nms/rad]", "stiffness K [Nm/rad]", f"virtual wall, rig {study.rig}")
         return [*save(made, directory, "z-width")]
+
+
+def write_chatter(directory: Path, found: Chatter) -> list[Path]:
+    """The quiet friction over the rate, for three encoders, and what each remedy buys."""
+    from matplotlib.ticker import LogLocator
+
+    with figure(10.5, 3.8, 1, 2) as (made, axes):
+        curves, remedies = axes
+        for curve, colour, dashes in zip(found.curves, (VERMILION, BLUE, GREY), DASHES, strict=False):
+            shown = np.isfinite(curve.friction_Nm) & (curve.friction_Nm > 0)
+            curves.loglog(curve.rate_Hz[shown], curve.friction_Nm[shown], color=colour, ls=dashes, label=curve.name)
+        if 0.0 < found.quiet.friction_Nm < np.inf:
+            curves.plot(found.loop.rate_Hz, found.quiet.friction_Nm, "o", color=BLACK, label="this device")
+        if found.brake_Nm:
+            curves.axhline(found.brake_Nm, color=BLACK, ls=":", label=f"a brake of {found.brake_Nm:g} Nm")
+        curves.set_xticks(found.curves[0].rate_Hz[::2])
+        curves.minorticks_off()
+        curves.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        for axis in (curves.xaxis, curves.yaxis):
+            axis.set_major_formatter("{x:g}")
+        curves.legend(loc="upper left", bbox_to_anchor=(0.0, 0.93))
+        label(curves, "rate [Hz]", "friction [Nm]", "below: quiet by the motor alone; above: chatter")
+        rows = [("this device", found.quiet), *found.remedies.items()][::-1]
+        for what, height, colour, text in (
+            ("friction_Nm", 0.2, VERMILION, "friction"),
+            ("stiffness_Nm_rad", -0.2, BLUE, "stiffness of a wall"),
+        ):
+            now = getattr(found.quiet, what)
+            gains = [getattr(quiet, what) / now if 0.0 < now < np.inf else np.nan for _, quiet in rows]
+            remedies.barh([k + height for k in range(len(rows))], gains, 0.4, color=colour, label=text)
+        remedies.set_yticks(range(len(rows)), [name for name, _ in rows])
+        remedies.axvline(1.0, color=GREY, lw=0.8)
+        remedies.legend(loc="lower right")
+        label(remedies, "times as much", "", "what a remedy buys")
+        return [*save(made, directory, "chatter")]
