@@ -220,6 +220,8 @@ def chatter(
     ValueError
         a parameter is out of range; the text has its name
     """
+    if not 0 <= brake_Nm < math.inf:
+        raise ValueError(f"brake_Nm = {brake_Nm!r}: expected a finite number of at least 0")
     useful = [(name, factors) for name, factors in REMEDIES if all(getattr(loop, key) > 0 for key in factors)]
     encoders = ENCODERS if curves else ()
     steps, done = 1 + len(useful) + len(encoders) * len(RATES), 0

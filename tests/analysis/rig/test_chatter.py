@@ -143,7 +143,13 @@ def test_the_verb_tells_and_draws(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("given", "told"),
-    [("--inertia 0", "inertia_kg_m2"), ("--counts 0", "counts"), ("--rate -1", "rate_Hz"), ("--delay 1", "delay_s")],
+    [
+        ("--inertia 0", "inertia_kg_m2"),
+        ("--counts 0", "counts"),
+        ("--rate -1", "rate_Hz"),
+        ("--delay 1", "delay_s"),
+        ("--brake nan", "brake_Nm"),
+    ],
 )
 def test_a_wrong_number_is_refused_with_its_name(given, told):
     words = "analyse chatter --inertia 5e-6 --rate 1000 --counts 16384 --damping 2e-5"
