@@ -4,8 +4,8 @@ r"""Fit a law's parameters to a recording: the law, driven along the recorded mo
           \qquad \hat\theta = \arg\min \sum_k e_k^2
 
 J and f_0 are linear: they are solved for each theta (variable projection) if the recording contains
-inertia and bias. Scale parameters are searched in their logarithm, from several starts, within the
-ranges that the law declares. The fit uses the law's compiled function, so any law with named
+inertia and bias. Scale parameters are searched in their logarithm, from starts that fill a box around
+a guess, within the ranges that the law declares. The fit uses the law's compiled function, so any law with named
 parameters can be fitted, including user-defined ones.
 
 **Intervals** of 95 %: the covariance is that of Gauss and Newton, with the residuals' correlation
@@ -31,6 +31,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
+from scipy.stats import qmc
 from scipy.stats import t as student
 
 from coulombus.host.laws.along import GivenLaw, given_law
@@ -45,7 +46,8 @@ __all__ = ["LawFit", "Stretch", "fit_law", "lines", "periods", "stretches_of"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
-STARTS = 5
+STARTS, SPREAD = 16, 2.0
+"""Starts around the guess, a power of 2, and how far they reach, as a logarithm."""
 PERIOD = "period_rad"
 CANDIDATES, LIKELY, MOST_ROWS = 300, 3, 3000
 FINEST, LONGEST = 60.0, 4.0
@@ -56,8 +58,6 @@ WEAK = 1e-5
 NO_PART = 1e-9
 """Relative contribution to the torque below which a parameter is not determined."""
 LEAST_SAMPLES = 50
-AGAIN = 1e-3
-"""Relative difference of costs below which two starts have found the same minimum."""
 NOTHING = 1e-12
 """Cost relative to the squared torque at which the search ends."""
 SMOOTH = 15
@@ -141,14 +141,14 @@ class _Search:
 
     def starts(self, data: Sequence[Stretch]) -> Iterator[Floats]:
         """Yield the starts: the guess, with each of the `periods` if the law has one; then others around it."""
-        guess, draw = np.where(self.scale, 0.0, 1.0), np.random.default_rng(0)
+        guess = np.where(self.scale, 0.0, 1.0)
         at = next((k for k, name in enumerate(self.names) if name == PERIOD), None)
         for period in [math.nan] if at is None else periods(data):
             if at is not None:
                 guess[at] = math.log(period / self.guess[at])
             yield guess.copy()
-        for _ in range(STARTS - 1):
-            spread = draw.uniform(-1.5, 1.5, len(self.names))
+        for point in qmc.Sobol(len(self.names), scramble=False).random(STARTS):
+            spread = SPREAD * (2.0 * point - 1.0)
             if at is not None:
                 spread[at] = guess[at]
             yield np.where(self.scale, spread, np.exp(spread))
@@ -300,10 +300,9 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
         fit = least_squares(
             residual, start, bounds=search.bounds, x_scale="jac", diff_step=1e-4, max_nfev=MOST_EVALUATIONS
         )
-        again = best is not None and abs(fit.cost - best.cost) <= AGAIN * best.cost
         if best is None or fit.cost < best.cost:
             best = fit
-        if again or best.cost <= NOTHING * float(y @ y):
+        if best.cost <= NOTHING * float(y @ y):
             break
     assert best is not None
     return _fit_of(search, best, residual, (y - law_torque(best.x), linear), data)

@@ -51,6 +51,28 @@ def test_what_was_put_in_comes_out(name):
     assert found.residual_rms_Nm < 1e-6
 
 
+@pytest.mark.parametrize(
+    ("amplitude_rad", "frequency_Hz", "parts", "truth"),
+    [
+        (0.34, 0.62, 6, (0.96, 1.54, 0.92, 138.0, 0.43, 0.12)),
+        (0.07, 2.0, 0, (1.37, 1.65, 0.94, 678.0, 0.57, 0.32)),
+        (0.29, 1.64, 0, (0.83, 1.2, 0.7, 839.0, 0.86, 0.15)),
+    ],
+)
+def test_a_wrong_minimum_is_left_for_the_right_one(amplitude_rad, frequency_Hz, parts, truth):
+    """From the guess alone F_c ended up to a third off, and the Stribeck speed a hundredfold."""
+    t = np.arange(3000) * 1e-3
+    x = amplitude_rad * np.sin(2 * np.pi * frequency_Hz * t)
+    x = x + amplitude_rad / parts * np.sin(2 * np.pi * 4.1 * frequency_Hz * t) if parts else x * np.sin(1.3 * t + 0.5)
+    values = dict(zip(TRUE["lugre"], truth, strict=True))
+    law = given_law("lugre", [f"{name}={value}" for name, value in values.items()])
+    torque = law.along(t, x).samples["torque_Nm"] + 0.015 * np.random.default_rng(1).normal(size=len(t))
+    found = fit_law("lugre", [Stretch(t, x, torque)], rig=False)
+    assert found.residual_rms_Nm == pytest.approx(0.015, rel=0.03)
+    assert found.values["F_c_Nm"] == pytest.approx(values["F_c_Nm"], rel=0.01)
+    assert found.values["v_s_rad_s"] == pytest.approx(values["v_s_rad_s"], rel=0.25)
+
+
 def test_the_intervals_hold_the_truth():
     held = dict.fromkeys(TRUE["dahl"], 0)
     for seed in range(40):
