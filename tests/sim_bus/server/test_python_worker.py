@@ -72,7 +72,7 @@ def running(server):
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        yield failure
+        yield thread, failure
     finally:
         server.stop()
         thread.join(TIMEOUT_S)
@@ -175,11 +175,10 @@ def test_a_job_that_fails_ends_the_bus_and_is_told(server, monkeypatch):
         raise MemoryError("no room")
 
     monkeypatch.setattr(server.world, "serve", broken)
-    with running(server) as failure, Client() as client:
+    with running(server) as (thread, failure), Client() as client:
         client.send(frame(0x601, UPLOAD_NAME))
-        with contextlib.suppress(OSError):
-            while client.socket.recv(1 << 16):
-                pass
+        thread.join(TIMEOUT_S)
+        assert not thread.is_alive()
     assert [type(one) for one in failure] == [MemoryError]
 
 
