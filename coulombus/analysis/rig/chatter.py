@@ -8,7 +8,7 @@ stop it changes the torque's sign again.
 
 The answer is a simulation, not a formula: `analysis.theory.sampled_loop` with the law, after taps of 32 speeds
 (`analysis.rig.maps`). Whether a level chatters depends on the tap, because what decides is where between two
-counts the handle comes to rest. So two levels are told, each enclosed to 1 %: the most at which fewer than half of
+counts the handle comes to rest. So two levels are told, each enclosed to 1.5 %: the most at which fewer than half of
 the taps start a limit cycle, and the sure one, at which none does.
 
 The wall is a spring without damping, on both sides. Its loop is linear, so its bound is exact: the stiffness at which
