@@ -261,20 +261,21 @@ def test_figures_are_written_and_are_the_same_bytes_again(tmp_path, cycles, fric
         "delay_s": [0.0, 1e-3],
     }
     found = oscillation_map(small)
-    once, twice = tmp_path / "a", tmp_path / "b"
-    maps = write_map(once, found)
-    written = (
-        write_fig12(once)
-        + write_fig13(once, friction)
-        + write_fig14(once, hold)
-        + write_stick_figure(once, hold)
-        + write_bus_figure(once, cycles)
-    )
-    assert len(written + maps) == 12
-    for path in written + maps:
-        assert path.read_bytes().startswith(PNG if path.suffix == ".png" else SVG)
-    for first, again in zip(maps, write_map(twice, found), strict=True):
-        assert first.read_bytes() == again.read_bytes()
+    written = []
+    for directory in (tmp_path / "a", tmp_path / "b"):
+        written.append(
+            write_fig12(directory)
+            + write_fig13(directory, friction)
+            + write_fig14(directory, hold)
+            + write_stick_figure(directory, hold)
+            + write_bus_figure(directory, cycles)
+            + write_map(directory, found)
+        )
+    assert len(written[0]) == 12
+    for first, again in zip(*written, strict=True):
+        content = first.read_bytes()
+        assert content.startswith(PNG if first.suffix == ".png" else SVG)
+        assert content == again.read_bytes()
     with pytest.raises(ValueError, match="have both among the axes"):
         write_map(tmp_path, oscillation_map({"delay_s": [0.0]}))
 

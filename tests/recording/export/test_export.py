@@ -343,7 +343,15 @@ def killed(source: Path, out: Path, number: int) -> int:
     return subprocess.run(words, capture_output=True, timeout=300, check=False).returncode
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGINT,
+        signal.SIGHUP,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.long),
+        pytest.param(signal.SIGQUIT, marks=pytest.mark.long),
+    ],
+)
 def test_an_export_that_a_signal_ends_leaves_nothing(source, tmp_path, number):
     assert killed(source, tmp_path / "x.csv", number) == 128 + number
     assert list(tmp_path.iterdir()) == []

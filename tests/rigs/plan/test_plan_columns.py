@@ -96,7 +96,7 @@ def rigs(draw):
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=60)
 @given(rigs(), st.sampled_from([Errors(), Errors(), Errors(1, 10_000_000)]))
 def test_the_columns_are_enough_to_compute_them_anew(chosen, errors):
     rig = load_rig(*chosen)
