@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from coulombus.analysis.rig.display_errors import felt_study
     from coulombus.analysis.rig.friction_study import friction_study
     from coulombus.analysis.rig.hold import hold_study
-    from coulombus.analysis.rig.law_fit import Stretch, fit_law, stretches_of
+    from coulombus.analysis.rig.law_fit import fit_law, stretches_of
+    from coulombus.analysis.rig.law_search import Stretch
     from coulombus.analysis.rig.maps import oscillation_map
     from coulombus.analysis.theory.absolute import absolute_stability
     from coulombus.analysis.theory.bounds import bounds
@@ -94,7 +95,7 @@ _PLACES = {
     "Operator": "coulombus.analysis.theory.operators",
     "ParameterError": "coulombus.analysis.theory.operators",
     "Parameters": "coulombus.analysis.theory.parameters",
-    "Stretch": "coulombus.analysis.rig.law_fit",
+    "Stretch": "coulombus.analysis.rig.law_search",
     "absolute_stability": "coulombus.analysis.theory.absolute",
     "bounds": "coulombus.analysis.theory.bounds",
     "coulomb_psi": "coulombus.analysis.theory.describing",
