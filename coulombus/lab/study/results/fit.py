@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from coulombus.lab.study.results.goodness import goodness
+from coulombus.lab.study.results.goodness import drift, goodness
 from coulombus.lab.study.results.posterior import Posterior, counted, posterior
 
 __all__ = ["LEAST_TRIALS", "Fit", "Magnitudes", "fit_answers", "fit_comparisons", "fit_magnitudes"]
@@ -47,6 +47,8 @@ class Fit:
     deviance, probability : how far the answers are from the function, and the share of simulated
         answers that are as far; below 0.05 the function does not describe the subject
     overdispersion : deviance over the mean of the simulated ones; 1: answers vary as they should
+    drift, drift_probability : of the point of subjective equality from the first trial to the last, in units
+        of the level, and the probability of one as large by chance
     one_sided : no level is on the other side of the reference, so shift and slope are hardly told apart
     """
 
@@ -64,6 +66,8 @@ class Fit:
     deviance: float
     probability: float
     overdispersion: float
+    drift: float
+    drift_probability: float
     one_sided: bool
 
     def as_dict(self) -> dict[str, Any]:
@@ -109,6 +113,8 @@ def fit_answers(
     lapse_low, lapse, lapse_high = (float(share) for share in belief.lapse_at(QUANTILES))
     bias_low, bias, bias_high = (float(bias) for bias in belief.bias_at(QUANTILES))
     deviance, probability, overdispersion = goodness(answers, lapse)
+    order = np.zeros(len(x)) if second is None else np.where(np.asarray(second, bool), 1.0, -1.0)
+    way, by_chance = drift(x - reference, order, judged, lapse)
     fit = Fit(
         trials=len(x),
         pse=pse,
@@ -124,6 +130,8 @@ def fit_answers(
         deviance=deviance,
         probability=probability,
         overdispersion=overdispersion,
+        drift=way,
+        drift_probability=by_chance,
         one_sided=bool(x.min() >= reference or x.max() <= reference),
     )
     return fit, belief

@@ -8,7 +8,7 @@ from typing import Any
 __all__ = ["between", "lines"]
 
 POOR = 0.05
-"""Below this probability of the deviance the fit is said to be poor."""
+"""Below this probability of the deviance the fit is said to be poor, and the PSE to drift."""
 
 
 def _hand_text(hand: Mapping[str, Any]) -> str:
@@ -71,6 +71,11 @@ def _fit_text(fit: Mapping[str, Any], unit: str) -> str:
     )
     if fit["probability"] < POOR:
         text += "; the function does not describe these answers"
+    if fit["drift_probability"] < POOR:
+        text += (
+            f"; the PSE drifts by {fit['drift']:.2g}{unit} over the trials (p = {fit['drift_probability']:.1g}), which "
+            "widens the JND"
+        )
     if fit["one_sided"]:
         text += "; levels on one side of the reference: PSE and slope are hardly told apart"
     return text

@@ -24,15 +24,16 @@ METHODS = {
 }
 
 
-def simulated(method, rng, shift=0.0, bias=0.0, lapse=0.0):
-    """Answers of an observer; `shift` in JND, `bias` in sigma."""
+def simulated(method, rng, shift=0.0, bias=0.0, lapse=0.0, drift=0.0):
+    """Answers of an observer; `shift`, and its `drift` over 120 trials, in JND, `bias` in sigma."""
     sigma = JND / ndtri(0.75)
     levels, larger, second, orders = [], [], [], []
     while not method.done:
         level = method.level()
         orders = orders or list(rng.permutation([-1, 1]))
         order = orders.pop()
-        middle = (level - REFERENCE - shift * JND) / sigma + order * bias
+        moved = shift + drift * (len(levels) / 120 - 0.5)
+        middle = (level - REFERENCE - moved * JND) / sigma + order * bias
         judged = bool(rng.random() < lapse / 2 + (1 - lapse) * ndtr(middle))
         levels.append(level)
         larger.append(judged)
@@ -115,6 +116,31 @@ def test_the_deviance_finds_a_subject_who_changes_and_no_other():
     odd = fit_comparisons(levels, rng.random(240) < chance, REFERENCE)
     assert odd.probability < 0.05
     assert odd.overdispersion > 2
+
+
+def test_a_drift_is_found_and_none_where_there_is_none():
+    """A staircase follows the subject: the deviance does not see it, and the JND is too large."""
+    still = [fitted("staircase", seed, bias=0.3) for seed in range(60)]
+    assert sum(fit.drift_probability < 0.05 for fit in still) <= 8
+    assert 0.3 < np.median([fit.drift_probability for fit in still]) < 0.7
+    drifts = [fitted("staircase", seed, drift=drift) for drift in (2.0, -2.0) for seed in range(10)]
+    assert sum(fit.drift_probability < 0.05 for fit in drifts) >= 13
+    assert sum(fit.probability < 0.05 for fit in drifts) <= 6
+    assert np.median([fit.drift for fit in drifts[:10]]) == pytest.approx(2 * JND, rel=0.25)
+    assert np.median([fit.drift for fit in drifts[10:]]) == pytest.approx(-2 * JND, rel=0.25)
+
+
+def test_a_drift_goes_with_the_trials_order():
+    levels, larger, second = simulated(
+        METHODS["constant"](np.random.default_rng(3)), np.random.default_rng(4), drift=2.0
+    )
+    forth = fit_comparisons(levels, larger, REFERENCE, second)
+    back = fit_comparisons(levels[::-1], larger[::-1], REFERENCE, second[::-1])
+    assert back.drift == pytest.approx(-forth.drift)
+    assert back.drift_probability == pytest.approx(forth.drift_probability)
+    assert (back.pse, back.jnd) == (forth.pse, forth.jnd)
+    up = fit_comparisons([10 * level for level in levels], larger, 10 * REFERENCE, second)
+    assert up.drift == pytest.approx(10 * forth.drift, rel=1e-3)
 
 
 def test_the_same_answers_give_the_same_fit():

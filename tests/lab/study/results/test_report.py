@@ -9,7 +9,7 @@ from scipy.special import ndtr, ndtri
 
 from coulombus.cli.main import main
 from coulombus.lab.study.methods import Mirrored, Staircase
-from coulombus.lab.study.observer import Observer
+from coulombus.lab.study.observer import Observer, levels
 from coulombus.lab.study.results.fit import LEAST_TRIALS
 from coulombus.lab.study.results.pictures import write_figures
 from coulombus.lab.study.results.report import _mixed, _study_of, report
@@ -22,6 +22,7 @@ from coulombus.lab.study.study_folder import StudyFolderError, SubjectFolder
 from study_text import TEXT
 
 STAIRS = 'kind = "staircase"\nstart = 2.1\nlow = 2.0\nhigh = 3.2\nsteps = [0.05]\ntrials = 80\n'
+CONSTANT = TEXT.replace("[1.6, 2.4]", "[1.6, 1.8, 1.9, 2.1, 2.2, 2.4]").replace("repeats = 2", "repeats = 20")
 TWO = TEXT[: TEXT.index("kind =")] + STAIRS + '[[condition]]\nname = "a"\n[[condition]]\nname = "b"\nmode = "passive"\n'
 
 PAIRS = ((0.10, 0.16), (0.12, 0.17), (0.15, 0.22), (0.18, 0.28), (0.20, 0.29))
@@ -195,3 +196,23 @@ def test_two_staircases_come_to_one_threshold_and_a_shift_cancels(shift):
         [x for x in levels if x > 2.0], [took for x, took in zip(levels, larger, strict=True) if x > 2.0], 2.0
     )
     assert folded["turns"] < turned["turns"]
+
+
+def test_a_pse_that_drifts_is_named(tmp_path):
+    (tmp_path / "study.toml").write_text(CONSTANT)
+    study = read_study(tmp_path / "study.toml")
+
+    def drifting(trial):
+        own = trial.first - 1
+        return [level - (k == own) * (trial.number - 60) / 120 for k, level in enumerate(trial.levels)]
+
+    for folder, judged in (("still", levels), ("drifts", drifting)):
+        with SubjectFolder(study, tmp_path / folder, "S01", {}) as own:
+            people = People(
+                tell=lambda text: None, ask=Observer(0.15, 3, own.number, judged).answer, go_on=lambda text: True
+            )
+            assert run_session(SubjectSession(own, Nowhere()), people).complete
+    assert "drifts" not in "\n".join(lines(report(tmp_path / "still")))
+    text = "\n".join(lines(report(tmp_path / "drifts")))
+    assert "; the PSE drifts by " in text
+    assert "which widens the JND" in text
