@@ -6,8 +6,9 @@ the first stair, with the brake off. Up and down differ by the brake's hysteresi
 both.
 
 The interval of a point combines the scatter of its stairs' means over independent samples
-(`host.commission.samples.independent`), that of the first stair, and the transducer's scale. The table
-is given with the widest of these intervals.
+(`host.commission.samples.independent`), that of the first stair, and the transducer's scale. Where up and
+down differ by more than they scatter, it reaches to the farther of the two, so the interval holds both
+branches. The table is given with the widest of these intervals.
 """
 
 from __future__ import annotations
@@ -135,11 +136,26 @@ class Brake(Step):
             raise CommissionError(
                 f"the brake's torque does not grow with the set-point ({text}): is the coil connected?"
             )
-        ups = {stair.raw: stair.slip_Nm for stair in stairs if stair.up}
-        downs = {stair.raw: stair.slip_Nm for stair in stairs if not stair.up}
-        gap = max((abs(ups[raw] - downs[raw]) for raw in ups.keys() & downs.keys()), default=0.0)
-        reach = max(reaches)
+        ups = {stair.raw: stair for stair in stairs if stair.up}
+        downs = {stair.raw: stair for stair in stairs if not stair.up}
         gap_reach = math.sqrt(2) * max(stair.reach_Nm for stair in stairs)
+        pairs = [(ups[raw], downs[raw]) for raw in ups.keys() & downs.keys()]
+        gap = max((abs(up.slip_Nm - down.slip_Nm) for up, down in pairs), default=0.0)
+        torques = {raw: zero + torque for raw, torque in table}
+        branches = [
+            abs(stair.slip_Nm - torques[stair.raw]) + stair.reach_Nm
+            for up, down in pairs
+            if abs(up.slip_Nm - down.slip_Nm) > math.hypot(up.reach_Nm, down.reach_Nm)
+            for stair in (up, down)
+        ]
+        reach = max(*reaches, *branches)
+        remarks = given.exact({"the transducer's scale (step weight)": (SCALE,)})
+        if branches:
+            remarks = (
+                *remarks,
+                f"up and down differ by up to {gap:.3g} Nm, as iron or fluid remembers: the table's interval holds both "
+                "branches; coulombus identify --iron fits the iron",
+            )
         lets = [
             stair.breakaway_Nm / stair.slip_Nm
             for stair in stairs
@@ -173,8 +189,7 @@ class Brake(Step):
             ),
             "believed": ([float(raw) for raw, _ in table], believed, ":"),
         }
-        exact = given.exact({"the transducer's scale (step weight)": (SCALE,)})
-        return Outcome(findings, exact, (Curve("Brake's torque", "set-point [counts]", "[Nm]", lines),))
+        return Outcome(findings, remarks, (Curve("Brake's torque", "set-point [counts]", "[Nm]", lines),))
 
 
 def _believed(axis: Axis, raw: float) -> float:

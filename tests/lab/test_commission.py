@@ -314,7 +314,21 @@ def test_the_brakes_table_is_found_within_3_percent(afternoon):
         true = np.interp(raw, *zip(*TABLE, strict=True))
         assert torque == pytest.approx(true, rel=0.03), raw
     assert found(done, "brake's hysteresis, up against down").new < 0.05
+    assert found(done, "brake's table").uncertainty < 0.03
+    assert not any("both branches" in text for text in done.outcome.remarks)
     assert found(done, "inherent friction in the stroke, coil off").new == pytest.approx(0.145, abs=0.02)
+
+
+def test_the_interval_of_a_brakes_table_holds_both_branches_of_its_iron(afternoon):
+    """It was that of the mean: +-2 mNm where up and down differ by 100."""
+    truth = (f"role.brake_setpoint.table={[list(point) for point in TABLE]}", "plant.brake_remanence=0.05")
+    session, (done,) = afternoon("brake", truth=truth)
+    table, apart = found(done, "brake's table"), found(done, "brake's hysteresis, up against down")
+    assert apart.new > 5 * apart.uncertainty
+    assert apart.new < table.uncertainty < apart.new + 0.05  # it remembers most with the coil off again
+    assert any("the table's interval holds both branches" in text for text in done.outcome.remarks)
+    for raw, torque in session.rig().one_axis().role.brake_setpoint.table[1:]:
+        assert abs(torque - np.interp(raw, *zip(*TABLE, strict=True))) < table.uncertainty
 
 
 def test_the_brakes_answer_to_a_step_is_found(afternoon):
