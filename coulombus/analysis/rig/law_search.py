@@ -288,5 +288,7 @@ class _SmoothMotion:
         return np.asarray(self._spline((t_s - self._begin_s) / self._period_s))
 
     def acceleration_rad_s2(self, t_s: Floats) -> Floats:
+        if self._spline.k < 2:
+            return np.zeros_like(t_s)
         second = self._spline.derivative(2)
         return np.asarray(second((t_s - self._begin_s) / self._period_s) / self._period_s**2)

@@ -204,6 +204,14 @@ def test_inertia_and_bias_are_told_apart_from_the_law():
     assert found.offset_Nm == pytest.approx(0.05, abs=2e-3)
 
 
+@pytest.mark.parametrize("samples", [2, 4, 5])
+def test_a_short_stretch_beside_a_long_one_is_no_hindrance(samples):
+    one = stretch("dahl", **TRUE["dahl"])
+    short = Stretch(one.t_s[:samples], one.x_rad[:samples], one.torque_Nm[:samples])
+    fit = fit_law("dahl", [one, short])
+    assert fit.values == pytest.approx(TRUE["dahl"], rel=1e-3)
+
+
 def test_a_parameter_that_the_data_do_not_tell_is_said_so():
     t = np.linspace(0, 1, 800)
     fast = Stretch(t, 50 * t, given_law("lugre").along(t, 50 * t).samples["torque_Nm"])  # no stiction in it
