@@ -162,11 +162,9 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
     best = motion.minimum(starts[0])
     minima = [best]
     if not motion.explains(best):
-        smooth = Motion(search, measured)
-        smooth.smooth(SEARCH_PARTS)
-        minima = sorted((smooth.minimum(start, SEARCH_TOLERANCE) for start in starts), key=lambda fit: float(fit.cost))
+        coarse, smooth = Motion(search, measured, SEARCH_PARTS), Motion(search, measured, FINAL_PARTS)
+        minima = sorted((coarse.minimum(start, SEARCH_TOLERANCE) for start in starts), key=lambda fit: float(fit.cost))
         best = motion.minimum(minima[0].x)
-        smooth.smooth(FINAL_PARTS)
         final = smooth.minimum(minima[0].x)
         if final.cost < best.cost:
             motion, best = smooth, final
@@ -197,16 +195,16 @@ def _fit_of(search: Search, best: Any, minima: Sequence[Any], motion: Motion, me
     weak = singular <= WEAK * singular[0]
     parts = np.sqrt(np.sum(V[weak] ** 2, axis=0)) if np.any(weak) else np.zeros(n)
     inverse = V.T @ np.diag(np.where(weak, 0.0, 1.0 / np.where(weak, 1.0, singular) ** 2)) @ V / np.outer(sizes, sizes)
-    cluster, first = measured.clusters()
-    scores = np.zeros((first, n))
+    cluster, clusters = measured.clusters()
+    scores = np.zeros((clusters, n))
     np.add.at(scores, cluster, J * e[:, None])
-    free = max(first - n, 1)
-    covariance = inverse @ (scores.T @ scores) @ inverse * first / free
+    free = max(clusters - n, 1)
+    covariance = inverse @ (scores.T @ scores) @ inverse * clusters / free
     classical = inverse * float(e @ e) / max(len(e) - n, 1)
-    weights = np.zeros((first, n))
+    weights = np.zeros((clusters, n))
     np.add.at(weights, cluster, (J @ inverse) ** 2)
-    decide = np.sum(weights, axis=0) ** 2 / np.maximum(np.sum(weights**2, axis=0), 1e-300)
-    quantile = student.ppf(0.975, np.clip(decide, 1.0, free))
+    deciding = np.sum(weights, axis=0) ** 2 / np.maximum(np.sum(weights**2, axis=0), 1e-300)
+    quantile = student.ppf(0.975, np.clip(deciding, 1.0, free))
     half = quantile * np.sqrt(np.maximum(np.diag(covariance), np.diag(classical)))
     likely, constrained = _as_likely(search, minima, len(e)), search.constrained(u)
     estimates: dict[str, Estimate | None] = {}
@@ -214,24 +212,21 @@ def _fit_of(search: Search, best: Any, minima: Sequence[Any], motion: Motion, me
     for k, name in enumerate(search.names):
         at_end = constrained[k] or values[k] >= search.high[k] * (1 - 1e-6) or values[k] <= search.low[k] * (1 + 1e-6)
         zero = search.low[k] == 0.0 and values[k] <= 0.0
-        if parts[k] > 0.1 or (at_end and not zero) or np.linalg.norm(J[:, k]) <= NO_PART * largest:
-            not_determined.append(name)
-            estimates[name] = None
-            continue
         if search.scale[k]:
             low, high = values[k] * math.exp(-min(half[k], 700)), values[k] * math.exp(min(half[k], 700))
         else:
             low, high = values[k] - half[k] * search.guess[k], values[k] + half[k] * search.guess[k]
-        if np.any(np.abs(likely[:, k] - likely[0, k]) > high - low):
+        weakly = parts[k] > 0.1 or (at_end and not zero) or np.linalg.norm(J[:, k]) <= NO_PART * largest
+        if weakly or np.any(np.abs(likely[:, k] - likely[0, k]) > high - low):
             not_determined.append(name)
             estimates[name] = None
             continue
         estimates[name] = Estimate(float(values[k]), max(float(low), float(search.low[k])), float(high))
     left = measured.torque_Nm - motion.law_torque(u)
     extra = np.linalg.lstsq(measured.linear, left, rcond=None)[0] if measured.linear.shape[1] else None
-    dumped = search.given.parameters.model_dump()
+    dumped = search.initial.parameters.model_dump()
     return LawFit(
-        law=search.given.name,
+        law=search.initial.name,
         estimates=estimates,
         values=dict(zip(search.names, map(float, values), strict=True)),
         held={name: value for name, value in dumped.items() if name not in search.names},

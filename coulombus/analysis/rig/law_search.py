@@ -20,7 +20,7 @@ from coulombus.host.laws.law import Declaration
 from coulombus.host.laws.laws import LawError
 from coulombus.rigs.field_help import unit_of
 
-__all__ = ["CLUSTER_S", "Floats", "Motion", "Search", "Stretch", "TorqueSamples", "periods"]
+__all__ = ["Floats", "Motion", "Search", "Stretch", "TorqueSamples", "periods"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -51,12 +51,12 @@ class Stretch:
 class Search:
     """Search variables: the free parameters, logarithmic for scales."""
 
-    def __init__(self, given: GivenLaw, declared: Declaration, held: set[str], data: Sequence[Stretch]) -> None:
-        self.given, self.declared = given, declared
+    def __init__(self, initial: GivenLaw, declared: Declaration, fixed: set[str], data: Sequence[Stretch]) -> None:
+        self.initial, self.declared = initial, declared
         self.names = tuple(
             name
             for name, info in declared.parameters.model_fields.items()
-            if name not in held and not get_args(info.annotation)
+            if name not in fixed and not get_args(info.annotation)
         )
         self.low, self.high = (np.array([_range(declared, name)[end] for name in self.names]) for end in (0, 1))
         self.guess = np.array([_guess(declared, name, data) for name in self.names])
@@ -94,10 +94,10 @@ class Search:
         rules += [(a, b, 1.0 + 1e-6) for a, b in self.declared.parameters.above.items()]
         for name, other, factor in rules:
             if name in place:
-                floor = values[place[other]] if other in place else getattr(self.given.parameters, other)
+                floor = values[place[other]] if other in place else getattr(self.initial.parameters, other)
                 values[place[name]] = max(values[place[name]], floor * factor)
             elif other in place:
-                ceiling = getattr(self.given.parameters, name) / factor
+                ceiling = getattr(self.initial.parameters, name) / factor
                 values[place[other]] = min(values[place[other]], ceiling)
         return values
 
@@ -113,10 +113,10 @@ class Search:
         """Return the law with these parameters."""
         new = dict(zip(self.names, map(float, values), strict=True))
         try:
-            parameters = type(self.given.parameters)(**{**self.given.parameters.model_dump(), **new})
+            parameters = type(self.initial.parameters)(**{**self.initial.parameters.model_dump(), **new})
         except ValidationError as error:  # a rule of the law
-            raise LawError(f"law {self.given.name!r}: no such parameters: {error}") from error
-        return GivenLaw(self.given.name, self.given.pointer, self.declared, parameters)
+            raise LawError(f"law {self.initial.name!r}: no such parameters: {error}") from error
+        return GivenLaw(self.initial.name, self.initial.pointer, self.declared, parameters)
 
 
 def periods(data: Sequence[Stretch]) -> Floats:
@@ -183,12 +183,12 @@ class TorqueSamples:
 
     def __init__(self, data: Sequence[Stretch], rig: bool) -> None:
         self.data = data
-        self.counts = np.concatenate([_behind_lead(stretch) for stretch in data])
-        self.torque_Nm = np.concatenate([stretch.torque_Nm for stretch in data])[self.counts]
+        self.used = np.concatenate([_behind_lead(stretch) for stretch in data])
+        self.torque_Nm = np.concatenate([stretch.torque_Nm for stretch in data])[self.used]
         self.linear = np.zeros((len(self.torque_Nm), 0))
         if rig:
             a = [motion.acceleration_rad_s2(one.t_s) for motion, one in zip(self.motions, data, strict=True)]
-            self.linear = np.column_stack((np.concatenate(a)[self.counts], np.ones(len(self.torque_Nm))))
+            self.linear = np.column_stack((np.concatenate(a)[self.used], np.ones(len(self.torque_Nm))))
         self._basis = np.linalg.qr(self.linear)[0]
 
     @cached_property
@@ -207,7 +207,7 @@ class TorqueSamples:
             size = max(1, round(CLUSTER_S / max(float(np.median(np.diff(stretch.t_s))), 1e-12)))
             labels.append(first + np.arange(len(stretch.t_s)) // size)
             first = int(labels[-1][-1]) + 1
-        return np.concatenate(labels)[self.counts], first
+        return np.concatenate(labels)[self.used], first
 
     def noise_Nm(self) -> float:
         """Return the standard deviation of white noise with such third differences; a jump of the torque is none."""
@@ -223,18 +223,17 @@ def _behind_lead(stretch: Stretch) -> npt.NDArray[np.bool_]:
 class Motion:
     """The motion of all stretches, as straight lines between the samples or as a smooth curve in parts."""
 
-    def __init__(self, search: Search, measured: TorqueSamples) -> None:
-        self._search, self._measured = search, measured
-        self.parts = 1
-        self._courses = [(stretch.t_s, stretch.x_rad) for stretch in measured.data]
-
-    def smooth(self, parts: int) -> None:
-        """Drive the law along the smooth curve, `parts` times as finely as the samples are."""
-        self.parts, self._courses = parts, []
-        for stretch, motion in zip(self._measured.data, self._measured.motions, strict=True):
-            fine = np.arange((len(stretch.t_s) - 1) * parts + 1) / parts
-            t_s = np.interp(fine, np.arange(len(stretch.t_s)), stretch.t_s)
-            self._courses.append((t_s, motion.angle_rad(t_s)))
+    def __init__(self, search: Search, measured: TorqueSamples, parts: int = 1) -> None:
+        """One part of an interval is a straight line, several are along the smooth curve."""
+        self._search, self._measured, self.parts = search, measured, parts
+        if parts == 1:
+            self._courses = [(stretch.t_s, stretch.x_rad) for stretch in measured.data]
+        else:
+            self._courses = [
+                (t_s, motion.angle_rad(t_s))
+                for stretch, motion in zip(measured.data, measured.motions, strict=True)
+                for t_s in (_divided(stretch.t_s, parts),)
+            ]
 
     def law_torque(self, u: Floats) -> Floats:
         """Return the law's torque at the samples that count.
@@ -247,7 +246,7 @@ class Motion:
         def torque(step: int) -> Floats:
             courses = [law.along(t_s[::step], x_rad[::step], 1e-9) for t_s, x_rad in self._courses]
             samples = [course.samples["torque_Nm"][:: self.parts // step] for course in courses]
-            return np.asarray(np.concatenate(samples)[self._measured.counts])
+            return np.asarray(np.concatenate(samples)[self._measured.used])
 
         return torque(1) if self.parts == 1 else 2.0 * torque(1) - torque(2)
 
@@ -273,6 +272,11 @@ class Motion:
     def explains(self, result: Any) -> bool:
         """Tell whether nothing of the torque is left."""
         return bool(result.cost <= NOTHING * float(self._measured.torque_Nm @ self._measured.torque_Nm))
+
+
+def _divided(t_s: Floats, parts: int) -> Floats:
+    """Return times `parts` times as fine."""
+    return np.asarray(np.interp(np.arange((len(t_s) - 1) * parts + 1) / parts, np.arange(len(t_s)), t_s))
 
 
 class _SmoothMotion:

@@ -109,7 +109,7 @@ def body(seed):
     return Stretch(t, np.round(x(t) / count) * count if count else x(t), torque), truth, noise
 
 
-def held(seeds):
+def coverage(seeds):
     """How many intervals hold the truth, and how many there are, by parameter."""
     holds, of = dict.fromkeys(TRUE["lugre"], 0), dict.fromkeys(TRUE["lugre"], 0)
     for seed in seeds:
@@ -126,14 +126,14 @@ def held(seeds):
 
 def test_a_bodys_friction_is_in_the_intervals():
     """With straight lines between the samples sigma_1 was 5 % off, and the minimum another one."""
-    holds, of = held(range(2))
+    holds, of = coverage(range(2))
     assert sum(holds.values()) >= sum(of.values()) - 1
     assert sum(of.values()) >= 9
 
 
 @pytest.mark.long
 def test_a_bodys_friction_is_in_95_of_100_intervals():
-    holds, of = held(range(100))
+    holds, of = coverage(range(100))
     assert {name: holds[name] / of[name] >= 0.9 for name in of} == dict.fromkeys(of, True)
     assert sum(of.values()) >= 500
     assert any(holds[name] < of[name] for name in of)  # and no interval that holds anything

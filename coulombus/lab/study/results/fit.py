@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from coulombus.lab.study.results.goodness import drift, goodness
-from coulombus.lab.study.results.posterior import Posterior, counted, posterior
+from coulombus.lab.study.results.posterior import Posterior, counted, orders, posterior
 
 __all__ = ["LEAST_TRIALS", "Fit", "Magnitudes", "fit_answers", "fit_comparisons", "fit_magnitudes"]
 
@@ -113,8 +113,7 @@ def fit_answers(
     lapse_low, lapse, lapse_high = (float(share) for share in belief.lapse_at(QUANTILES))
     bias_low, bias, bias_high = (float(bias) for bias in belief.bias_at(QUANTILES))
     deviance, probability, overdispersion = goodness(answers, lapse)
-    order = np.zeros(len(x)) if second is None else np.where(np.asarray(second, bool), 1.0, -1.0)
-    way, by_chance = drift(x - reference, order, judged, lapse)
+    pse_drift, drift_probability = drift(x - reference, orders(second, len(x)), judged, lapse)
     fit = Fit(
         trials=len(x),
         pse=pse,
@@ -130,8 +129,8 @@ def fit_answers(
         deviance=deviance,
         probability=probability,
         overdispersion=overdispersion,
-        drift=way,
-        drift_probability=by_chance,
+        drift=pse_drift,
+        drift_probability=drift_probability,
         one_sided=bool(x.min() >= reference or x.max() <= reference),
     )
     return fit, belief

@@ -47,14 +47,12 @@ def goodness(answers: Answers, lapse: float) -> tuple[float, float, float]:
     The same answers give the same bytes: the simulation has a seed of its own.
     """
     trials = answers.larger + answers.smaller
-    scale = np.abs(answers.distance).max()
-    design = np.stack([answers.distance / scale, np.ones_like(trials), answers.order], axis=1)
-    design = design[:, design.any(axis=0)]
-    chance = _fitted(answers.larger[None, :], trials, design, lapse)
+    design = _design(answers.distance, answers.order)
+    chance, _ = _fit(answers.larger[None, :], trials, design, lapse)
     deviance = float(_deviance(answers.larger[None, :], trials, chance)[0])
     random = np.random.default_rng(0)
     simulated = random.binomial(trials.astype(int), chance[0], (SIMULATIONS, len(trials))).astype(float)
-    others = _deviance(simulated, trials, _fitted(simulated, trials, design, lapse))
+    others = _deviance(simulated, trials, _fit(simulated, trials, design, lapse)[0])
     share = (1 + int(np.sum(others >= deviance - 1e-9))) / (SIMULATIONS + 1)
     return deviance, share, deviance / max(float(others.mean()), 1e-9)
 
@@ -74,13 +72,11 @@ def drift(distance: Floats, order: Floats, larger: npt.NDArray[np.bool_], lapse:
     drift : from the first trial to the last, in units of the level; 0 where nothing tells it from the function
     probability : of a drift as large, either way, of a subject that has none
     """
-    scale = float(np.abs(distance).max())
-    design = np.stack([distance / scale, np.ones_like(distance), order], axis=1)
-    design = design[:, design.any(axis=0)]
+    design = _design(distance, order)
     time = np.linspace(-1.0, 1.0, len(distance))
     chance, weights = _fit(larger[None, :].astype(float), np.ones(len(distance)), design, lapse)
     p, middle = chance[0], np.clip(design @ weights[0], -FARTHEST, FARTHEST)
-    slope = (1 - lapse) * np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi)
+    slope = _slope(middle, lapse)
     score = float(time @ ((larger - p) * slope / (p * (1 - p))))
     weight = slope**2 / (p * (1 - p))
     fitted = design.T @ (weight[:, None] * design) + 1e-6 * np.eye(design.shape[1])
@@ -88,12 +84,20 @@ def drift(distance: Floats, order: Floats, larger: npt.NDArray[np.bool_], lapse:
     variance = float(time @ (weight * time) - cross @ np.linalg.solve(fitted, cross))
     if variance <= 1e-9 or weights[0, 0] <= 0.0:
         return 0.0, 1.0
-    return -2.0 * score / variance * scale / float(weights[0, 0]), float(chi2.sf(score**2 / variance, 1))
+    return -2.0 * score / variance * float(np.abs(distance).max()) / float(weights[0, 0]), float(
+        chi2.sf(score**2 / variance, 1)
+    )
 
 
-def _fitted(larger: Floats, trials: Floats, design: Floats, lapse: float) -> Floats:
-    """Return the chances of most likelihood of each row of answers."""
-    return _fit(larger, trials, design, lapse)[0]
+def _design(distance: Floats, order: Floats) -> Floats:
+    """Return a row for each cell or trial: its distance as a share of the largest, 1, and its order if there is one."""
+    columns = np.stack([distance / np.abs(distance).max(), np.ones_like(distance), order], axis=1)
+    return np.asarray(columns[:, columns.any(axis=0)])
+
+
+def _slope(middle: Floats, lapse: float) -> Floats:
+    """Return the derivative of the chance with respect to the distance in sigma."""
+    return np.asarray((1 - lapse) * np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi))
 
 
 def _fit(larger: Floats, trials: Floats, design: Floats, lapse: float) -> tuple[Floats, Floats]:
@@ -103,7 +107,7 @@ def _fit(larger: Floats, trials: Floats, design: Floats, lapse: float) -> tuple[
     for _ in range(STEPS):
         middle = np.clip(weights @ design.T, -FARTHEST, FARTHEST)
         chance = np.clip(lapse / 2 + (1 - lapse) * ndtr(middle), 1e-9, 1 - 1e-9)
-        slope = (1 - lapse) * np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi)
+        slope = _slope(middle, lapse)
         spread = chance * (1 - chance)
         gradient = ((larger - trials * chance) * slope / spread) @ design
         information = np.einsum("sc,ci,cj->sij", trials * slope**2 / spread, design, design)

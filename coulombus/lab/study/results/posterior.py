@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-__all__ = ["Answers", "Posterior", "counted", "posterior"]
+__all__ = ["Answers", "Posterior", "counted", "orders", "posterior"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -68,12 +68,17 @@ class Answers:
     smaller: Floats
 
 
+def orders(second: Sequence[bool] | None, trials: int) -> Floats:
+    """Return the order of each trial's displays, as in `Answers`."""
+    return np.zeros(trials) if second is None else np.where(np.asarray(second, bool), 1.0, -1.0)
+
+
 def counted(
     levels: Sequence[float], larger: Sequence[bool], reference: float, second: Sequence[bool] | None
 ) -> Answers:
     """Return answers counted by level and order; `second`: whether the level was the second display."""
     judged = np.asarray(larger, bool)
-    order = np.zeros(len(judged)) if second is None else np.where(np.asarray(second, bool), 1.0, -1.0)
+    order = orders(second, len(judged))
     trials = np.stack([np.asarray(levels, float) - reference, order], axis=1)
     cells, where = np.unique(trials, axis=0, return_inverse=True)
     where = where.ravel()
