@@ -124,8 +124,9 @@ class Wire(canopen.Network):
 
 
 def theirs(bus):
-    """The client of the package canopen."""
+    """The client of the package canopen, which gives up by the wall clock: not on a loaded machine."""
     node = canopen.RemoteNode(NODE, canopen.ObjectDictionary())
+    node.sdo.RESPONSE_TIMEOUT = 60.0
     Wire(bus).add_node(node)
     return node.sdo
 
