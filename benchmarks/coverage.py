@@ -25,6 +25,7 @@ import numpy as np
 
 from benchmarks.size import size
 from coulombus.host.commission.encoder import MOVE_S
+from coulombus.host.commission.friction import SECONDS
 from coulombus.host.commission.session import Runner, Session
 from coulombus.host.commission.step import Exercise, Finding, Given
 from coulombus.host.commission.steps import STEPS
@@ -125,6 +126,8 @@ def random_rig(seed: int) -> RandomRig:
     ]
     if iron:
         truth.append(f"plant.iron={{play_Nm=[0.3, 0.8], weights=[{rng.uniform(0.02, 0.1)!r}, 0.05]}}")
+    effects, drift = _effects(rng, friction - off) if seed % 3 == 2 else ({}, 0.0)
+    truth += [f"plant.{key}={value}" for key, value in effects.items()]
     believed = (f"motor.encoder_counts_rev={counts}", f"limits.encoder_jump_counts={jump}")
     truth += believed
     figures = {
@@ -132,7 +135,7 @@ def random_rig(seed: int) -> RandomRig:
         "role.handle_torque.scale_Nm": scale,
         "mechanics.ratio": ratio,
         "motor.rated_torque_Nm": rated,
-        "mechanics.friction_Nm": friction,
+        "mechanics.friction_Nm": friction + (friction - off) * drift * SECONDS / 2,
         "mechanics.viscous_Nms_rad": viscous,
         "mechanics.inertia_kg_m2": inertia,
         "mechanics.cogging_Nm": cogging,
@@ -147,8 +150,35 @@ def random_rig(seed: int) -> RandomRig:
         "brake: faster lag (coil)": 1e3 * min(coil, fluid),
         "brake: slower lag (fluid)": 1e3 * max(coil, fluid),
     }
+    if "angle_share" in effects.get("friction", ""):
+        del figures["mechanics.friction_Nm"]  # the least over the angle is written
     error = float(rng.standard_normal()) * Given().marks_reach_rad / 1.96
     return RandomRig(seed, tuple(truth), believed, figures, table, iron, error)
+
+
+def _effects(rng: np.random.Generator, coulomb_Nm: float) -> tuple[dict[str, str], float]:
+    """Return two effects that a third of the rigs has beside the bench's model, by the key of [plant], and
+    the friction's drift [1/s].
+    """
+    uneven = (
+        f"angle_share={rng.uniform(0.05, 0.2)!r}, angle_periods={rng.integers(1, 7)}, "
+        f"angle_phase_rad={rng.uniform(0, 2 * math.pi)!r}"
+    )
+    bristle_rad = float(np.exp(rng.uniform(math.log(1e-4), math.log(3e-3))))
+    stiffness = coulomb_Nm / bristle_rad
+    bristles = f"law='lugre', sigma_0_Nm_rad={stiffness!r}, sigma_1_Nms_rad={0.01 * math.sqrt(stiffness)!r}"
+    kinds = rng.choice(("uneven", "bristles", "stribeck", "ripple", "drift"), 2, replace=False)
+    friction = [text for kind, text in (("uneven", uneven), ("bristles", bristles)) if kind in kinds]
+    drift = rng.uniform(-1e-3, 1e-3) if "drift" in kinds else 0.0
+    if drift:
+        friction.append(f"drift_1_s={drift!r}")
+    effects = {"friction": f"{{{', '.join(friction)}}}"} if friction else {}
+    if "stribeck" in kinds:
+        effects["stribeck_Nm"] = repr(rng.uniform(0.05, 0.5) * coulomb_Nm)
+        effects["stribeck_rad_s"] = repr(rng.uniform(0.02, 0.2))
+    if "ripple" in kinds:
+        effects["ripple"] = f"{{share={rng.uniform(0.01, 0.05)!r}, periods={rng.integers(4, 40)}}}"
+    return effects, drift
 
 
 def _runner(drawn: RandomRig, truth: Rig) -> Runner:

@@ -336,6 +336,9 @@ class Limits(Section):
     )
     missed_tpdo_cycles: int = Field(ge=1, le=1000, description="trip after this many cycles without a TPDO")
     still_s: float = Field(ge=0, le=60, description="before arming the handle is still this long ...")
+    still_rad: float = Field(
+        0.001, ge=0, le=0.1, description="... within this angle or one encoder count, if that is more, ..."
+    )
     still_handle_torque_Nm: float = Field(gt=0, le=1e4, description="... with less than this on it ...")
     still_timeout_s: float = Field(gt=0, le=600, description="... within this time")
     sign_check_rate_Nm_s: float = Field(gt=0, le=1e4, description="torque ramp of the sign check")

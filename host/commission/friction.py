@@ -42,6 +42,7 @@ from coulombus.host.commission.step import (
     lacks_roles,
 )
 from coulombus.host.cycle.output_limits import HYBRID_MARGIN
+from coulombus.recording.friction.angle_waves import find_uneven
 from coulombus.recording.friction.equations import Equations, equations
 from coulombus.recording.friction.identify import Identification, identified
 from coulombus.recording.friction.regression import Column, Estimate, regress, widened
@@ -49,7 +50,7 @@ from coulombus.recording.friction.sliding import Floats, IdentifyError, Sliding,
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["FREE_HAND", "REVERSAL_S", "SECONDS", "WINDOW_S", "Friction", "sweep_exercise", "sweep_risk"]
+__all__ = ["FREE_HAND", "REVERSAL_S", "SECONDS", "WINDOW_S", "Friction", "reversal_rad", "sweep_exercise", "sweep_risk"]
 
 FREE_HAND = (
     "operator.inertia_kg_m2=0.0",
@@ -68,6 +69,8 @@ WINDOW_S, REVERSAL_S = 0.031, 0.003
 """Window and reversal time of the regression, shorter than for the felt friction, because the motor's torque
 is measured.
 """
+REVERSAL_SHARE = 0.025
+"""Share of the sweep's half travel after a reversal in which a bearing's bristles may bend."""
 SECTORS = 8
 LEAST_SECTOR = 12
 UNEVEN = 0.1
@@ -102,6 +105,11 @@ def sweep_risk(axis: Axis) -> Risk:
     )
 
 
+def reversal_rad(axis: Axis) -> float:
+    """Return the angle after a reversal that is left out."""
+    return REVERSAL_SHARE * sweep_risk(axis).travel_rad
+
+
 def _speeds(axis: Axis) -> tuple[float, ...]:
     scale = min(1.0, SPEED_SHARE * axis.limits.speed_rad_s / SPEEDS_RAD_S[-1])
     return tuple(speed * scale for speed in SPEEDS_RAD_S)
@@ -130,9 +138,10 @@ class Friction(Step):
         """Return the friction, and the motor's limit that follows from it."""
         recording, mechanics = runs[0].recording, axis.mechanics
         try:
-            slides = sliding(recording, WINDOW_S, REVERSAL_S)
+            slides = sliding(recording, WINDOW_S, REVERSAL_S, reversal_rad(axis))
             count = abs(recording.scale("motor.torque_Nm")) if recording.has("motor.torque_Nm") else 0.0
-            identification = identified(slides, recording.path, WINDOW_S, mechanics.ratio, count)
+            uneven = find_uneven(slides)
+            identification = identified(slides, recording.path, WINDOW_S, mechanics.ratio, count, uneven)
         except IdentifyError as error:
             raise CommissionError(
                 f"{error}; is the handle free, and sign_check_torque_Nm more than its friction?"

@@ -2,10 +2,11 @@ r"""Step "motor": sign and torque constant of the motor, against the transducer,
 
 While the handle slides,
 
-.. math:: f = -k\,(\tau_m + \delta\,\dot\tau_m) + c\,\mathrm{sgn}(v) + b v + J\dot v + f_0 + A \sin(\kappa x + \varphi)
+.. math:: f = -k\,(\tau_m + \delta\,\dot\tau_m) + F(v, x)\,\mathrm{sgn}(v) + J\dot v + f_0 + A \sin(\kappa x + \varphi)
 
-with the motor's torque :math:`\tau_m` according to the rig file, delayed by :math:`\delta`, its cogging
-(`recording.friction.cogging`), and the hand's torque f from the transducer. k is the ratio of the true to
+with the motor's torque :math:`\tau_m` according to the rig file, delayed by :math:`\delta`, the friction
+F (`recording.friction.friction_fit`) that may be uneven, the cogging (`recording.friction.angle_waves`),
+and the hand's torque f from the transducer. k is the ratio of the true to
 the assumed torque. The interval of k is that of clusters (`recording.friction.regression`), combined with
 the transducer's scale. The interval of the torque constant also includes the ratio's.
 
@@ -23,7 +24,14 @@ from dataclasses import replace
 import numpy as np
 
 from coulombus.host.commission.earlier import ANGLE, HANDLE_TORQUE, SCALE, rounded
-from coulombus.host.commission.friction import REVERSAL_S, SECONDS, WINDOW_S, sweep_exercise, sweep_risk
+from coulombus.host.commission.friction import (
+    REVERSAL_S,
+    SECONDS,
+    WINDOW_S,
+    reversal_rad,
+    sweep_exercise,
+    sweep_risk,
+)
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
     CommissionError,
@@ -39,10 +47,11 @@ from coulombus.host.commission.step import (
     move_s,
     strokes,
 )
-from coulombus.recording.friction.cogging import find_cogging
+from coulombus.recording.friction.angle_waves import find_cogging, find_uneven
 from coulombus.recording.friction.equations import equations
+from coulombus.recording.friction.friction_fit import fit_friction
 from coulombus.recording.friction.identify import torque_delay
-from coulombus.recording.friction.regression import Column, regress, widened
+from coulombus.recording.friction.regression import Column, widened
 from coulombus.recording.friction.sliding import IdentifyError, sliding
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -102,21 +111,17 @@ class Motor(Step):
             why = f"the sign check: {SIGN}; the encoder's sign is as the step encoder left it"
             return Outcome((Finding("mechanics.motor_polarity", "motor's sign", old, -old, "", None, why),), again=True)
         try:
-            slides = sliding(runs[0].recording, WINDOW_S, REVERSAL_S)
+            slides = sliding(runs[0].recording, WINDOW_S, REVERSAL_S, reversal_rad(axis))
             rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
-            cogging = find_cogging(slides, mechanics.ratio, None)
-            columns: dict[str, Column] = {
-                "motor": (-rows.motor_Nm, 0.0),
-                "coulomb": (np.sign(rows.v), 0.0),
-                "viscous": (rows.v, rows.v_variance),
-                "inertia": (rows.a, rows.a_variance),
-                "offset": (np.ones_like(rows.v), 0.0),
-            }
-            columns |= torque_delay(rows, slides) | ({} if cogging is None else cogging.columns(rows, slides.slides))
-            coefficients = regress(columns, rows.hand_Nm, rows.slide)
+            uneven = find_uneven(slides, None)
+            cogging = find_cogging(slides, mechanics.ratio, None, uneven)
+            columns: dict[str, Column] = {"motor": (-rows.motor_Nm, 0.0)} | torque_delay(rows, slides)
+            for wave in (uneven, cogging):
+                columns |= {} if wave is None else wave.columns(rows, slides.slides)
+            fit = fit_friction(rows, rows.hand_Nm, None, columns)
         except IdentifyError as error:
             raise CommissionError(f"{error}; hold the handle more loosely") from error
-        gain = widened(coefficients["motor"], given.share(SCALE))
+        gain = widened(fit.others["motor"], given.share(SCALE))
         k, reach = gain.value, gain.reach
         if reach > MOST_REACH or k < LEAST_SHARE:
             raise CommissionError(
@@ -146,9 +151,8 @@ class Motor(Step):
                 changed,
             ),
         )
-        rest = rows.hand_Nm - sum(
-            coefficients[name].value * values for name, (values, _) in columns.items() if name != "motor"
-        )
+        rest = rows.hand_Nm - fit.friction_Nm(rows.v) - fit.inertia_and_offset_Nm(rows.a)
+        rest -= sum(fit.others[name].value * values for name, (values, _) in columns.items() if name != "motor")
         ends = [float(np.min(rows.motor_Nm)), float(np.max(rows.motor_Nm))]
         curve = Curve(
             "Hand against motor",

@@ -311,6 +311,7 @@ class Controller:
         c["coil_decay"] = math.exp(-T / axis.brake.coil_time_constant_s)
         c["brake_lag_decay"] = math.exp(-T / DEFAULT_LAG_S)
 
+        c["still_counts"] = max(1, int(limits.still_rad / abs(c["rad_count"])))
         c["still_cycles"] = _cycles(limits.still_s, T)
         c["still_handle_Nm"] = limits.still_handle_torque_Nm if handle else math.inf
         c["still_timeout_cycles"] = _cycles(limits.still_timeout_s, T)

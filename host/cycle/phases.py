@@ -48,7 +48,6 @@ __all__ = [
     "trip_to_safe",
 ]
 
-STILL_COUNTS = 1
 SIGN_TRAVEL_FACTOR = 4  # the ramp ends at this multiple of the counts that the encoder's verdict needs
 SETTLE_STEPS = 5.0  # the sign check's torque falls this many times as fast as it rose
 DISABLE_CYCLES = 100  # longest wait for the drive to report that it is disabled
@@ -119,9 +118,9 @@ def _refuse(h: HostRecord, trip: int) -> tuple[float, int]:
 
 
 @kernel
-def count_still(h: HostRecord) -> None:
+def count_still(c: ControlRecord, h: HostRecord) -> None:
     """Count the cycles in a row in which the handle is still."""
-    if not h.fresh or abs(h.counts - h.reference_counts) > STILL_COUNTS:
+    if not h.fresh or abs(h.counts - h.reference_counts) > c.still_counts:
         h.reference_counts = h.counts
         h.still = 0
     else:
@@ -133,7 +132,7 @@ def still(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """STILL: wait without torque, with the drive switched on, until the handle has been still and not
     loaded for long enough.
     """
-    count_still(h)
+    count_still(c, h)
     loaded = abs(h.handle_Nm) > c.still_handle_Nm
     if h.held:
         h.still = h.phase_cycle = 0
@@ -224,7 +223,7 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
 @kernel
 def settle(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """SETTLE: ramp the sign check's torque to 0, and wait until the handle is still, and all joints are."""
-    count_still(h)
+    count_still(c, h)
     torque_Nm = max(abs(h.torque_Nm) - SETTLE_STEPS * c.sign_step_Nm, 0.0) * h.sign_direction
     h.ready = 1 if torque_Nm == 0.0 and h.still >= c.settle_cycles else 0
     if h.ready and not h.held:

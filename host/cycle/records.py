@@ -226,6 +226,7 @@ class ControlRecord(Record):
     coil_decay: float  # decay of the mean square of the coil's current in a cycle
     brake_lag_decay: float  # decay of the error of the expected brake torque in a cycle
     # arming
+    still_counts: int  # motion that counts as standstill
     still_cycles: int  # cycles in a row without motion that count as standstill
     still_handle_Nm: float  # torque on the handle above which it counts as loaded
     still_timeout_cycles: int  # longest wait for standstill; then arming is refused

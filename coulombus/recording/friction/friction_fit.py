@@ -2,7 +2,7 @@ r"""The regression of `recording.friction.identify`: coefficients, intervals, an
 
 The encoder's quantisation gives v and a errors of known variance; `recording.friction.regression`
 corrects for them, and has intervals for correlated residuals. Cogging adds a sine and a cosine of
-the motor's angle to the columns (`recording.friction.cogging`).
+the motor's angle to the columns (`recording.friction.angle_waves`).
 
 Stribeck's term is the best fit over a grid of speeds v_S. The best of many is never exactly 0 by
 chance, so it stays only if it clearly lowers Schwarz's criterion *and* its interval at
@@ -75,6 +75,15 @@ class Fit:
             level += self.stribeck_Nm.value * np.exp(-((v / self.stribeck_rad_s) ** 2))
         friction: Floats = np.sign(v) * level
         return friction
+
+    def inertia_and_offset_Nm(self, a: Floats) -> Floats:
+        """Return the fitted rest of the torque [Nm] at the accelerations `a`."""
+        rest = np.zeros_like(a)
+        if self.inertia_kg_m2 is not None:
+            rest += self.inertia_kg_m2.value * a
+        if self.offset_Nm is not None:
+            rest += self.offset_Nm.value
+        return rest
 
     def as_dict(self) -> dict[str, Any]:
         """Return value and interval of each parameter."""

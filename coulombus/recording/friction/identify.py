@@ -8,7 +8,7 @@ This is the friction that the hand *feels*: the device's own, minus the motor's 
 the display. With the motor's torque (6077h) added on the left it is the *device's* friction,
 compensated or not. Both are fitted.
 
-Significant cogging adds :math:`A\,\sin(\kappa x + \varphi)` (`recording.friction.cogging`). The
+Significant cogging adds :math:`A\,\sin(\kappa x + \varphi)` (`recording.friction.angle_waves`). The
 drive's measured torque may be late by :math:`\delta`: the device's fit includes
 :math:`\delta\,\dot\tau_m`, so that the delay is not mistaken for inertia.
 
@@ -28,7 +28,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.friction.cogging import Cogging, find_cogging
+from coulombus.recording.friction.angle_waves import AngleWave, find_cogging
 from coulombus.recording.friction.equations import Equations, equations
 from coulombus.recording.friction.friction_fit import Fit, fit_friction
 from coulombus.recording.friction.regression import Column, Levels
@@ -59,7 +59,7 @@ class Identification:
     left_out: dict[str, int]
     """Number of omitted samples by reason."""
     remarks: tuple[str, ...]
-    cogging: Cogging | None
+    cogging: AngleWave | None
     """The motor's cogging, if significant; its coefficients are in `device`."""
     v_rad_s: Floats
     felt_Nm: Floats
@@ -98,7 +98,12 @@ def identify(
 
 
 def identified(
-    slides: Sliding, path: str, window_s: float, ratio: float | None, count_Nm: float = 0.0
+    slides: Sliding,
+    path: str,
+    window_s: float,
+    ratio: float | None,
+    count_Nm: float = 0.0,
+    uneven: AngleWave | None = None,
 ) -> Identification:
     """Identify friction from slides.
 
@@ -106,6 +111,7 @@ def identified(
     ----------
     ratio : of the motor; None: cogging is not fitted
     count_Nm : resolution of the motor's measured torque if a controller holds the speeds; 0: its error averages out
+    uneven : friction's change with the angle, also fitted
 
     Raises
     ------
@@ -114,20 +120,21 @@ def identified(
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad, window_s)
     notes = list(slides.remarks)
-    cogging = None if ratio is None else find_cogging(slides, ratio)
-    waves = {} if cogging is None else cogging.columns(rows, slides.slides)
+    cogging = None if ratio is None else find_cogging(slides, ratio, uneven=uneven)
     delay = torque_delay(rows, slides)
     levels = Levels.of(rows.v, count_Nm) if count_Nm > 0 else None
-    device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | delay, levels)
-    if cogging is not None and not cogging.stands_out(device.others):
-        cogging, waves = None, {}
-        device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, delay, levels)
+
+    def fitted(waves: dict[str, Column]) -> Fit:
+        return fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | delay, levels)
+
+    waves = {} if uneven is None else uneven.columns(rows, slides.slides)
+    if cogging is not None:
+        cogs = cogging.columns(rows, slides.slides)
+        device = fitted(waves | cogs)
+        cogging, waves = (cogging, waves | cogs) if cogging.stands_out(device.others) else (None, waves)
+    if cogging is None:
+        device = fitted(waves)
     felt = fit_friction(rows, rows.hand_Nm, notes, waves)
-    rest = rows.hand_Nm.copy()
-    if felt.inertia_kg_m2 is not None:
-        rest -= felt.inertia_kg_m2.value * rows.a
-    if felt.offset_Nm is not None:
-        rest -= felt.offset_Nm.value
     return Identification(
         path=path,
         felt=felt,
@@ -138,7 +145,7 @@ def identified(
         remarks=tuple(notes),
         cogging=cogging,
         v_rad_s=rows.v,
-        felt_Nm=rest,
+        felt_Nm=rows.hand_Nm - felt.inertia_and_offset_Nm(rows.a),
     )
 
 

@@ -309,11 +309,17 @@ def one_sense(
     return whole & (np.arange(n) >= half), np.sign(span)
 
 
-def sliding(recording: Source, window_s: float = WINDOW_S, reversal_s: float = REVERSAL_S) -> Sliding:
+def sliding(
+    recording: Source, window_s: float = WINDOW_S, reversal_s: float = REVERSAL_S, reversal_rad: float = 0.0
+) -> Sliding:
     """Return the samples of a recording that obey the regression.
 
-    `reversal_s`: time ignored at the beginning of a slide. Felt friction needs `REVERSAL_S`. With
-    the motor's torque measured by the drive, a few milliseconds are enough.
+    Parameters
+    ----------
+    window_s : length of each equation's window
+    reversal_s : time ignored at the beginning of a slide. Felt friction needs `REVERSAL_S`. With
+        the motor's torque measured by the drive, a few milliseconds are enough.
+    reversal_rad : angle ignored at the beginning of a slide: there a bearing's bristles still bend
 
     Raises
     ------
@@ -339,9 +345,10 @@ def sliding(recording: Source, window_s: float = WINDOW_S, reversal_s: float = R
     samples.keep(f"faster than {SPEED_SHARE:g} of the speed limit", slow)
     one_way = samples.good & np.concatenate(([False], sense[1:] * sense[:-1] > 0.0))
     one_way[1:] &= samples.good[:-1]
-    samples.keep(
-        f"within {reversal_s * 1e3:g} ms of a stop or a reversal", since(one_way) >= round(reversal_s / period)
-    )
+    slid = since(one_way)
+    moved_rad = np.abs(x - x[np.maximum(np.arange(len(x)) - slid, 0)])
+    near = f"within {reversal_s * 1e3:g} ms" + (f" or {reversal_rad:.3g} rad" if reversal_rad > 0.0 else "")
+    samples.keep(f"{near} of a stop or a reversal", (slid >= round(reversal_s / period)) & ~(moved_rad < reversal_rad))
     constant = since(np.concatenate(([True], brake[1:] == brake[:-1]))) >= round(COIL_S / period)
     off = constant & (brake == 0.0)
     coil_off = int(np.sum(samples.good & off)) >= LEAST_SAMPLES

@@ -244,11 +244,11 @@ def test_still_is_one_count_about_where_it_stood_in_either_sense(sign):
         (500, 0, 500),
     ):
         h.counts = counts
-        count_still(h)
+        count_still(c, h)
         assert (h.still, h.reference_counts) == (count, reference)
     h.still, h.fresh = 5, 0
     h.counts = 501
-    count_still(h)
+    count_still(c, h)
     assert (h.still, h.reference_counts) == (0, 501)
 
 

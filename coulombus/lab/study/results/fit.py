@@ -19,11 +19,12 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from coulombus.lab.study.results.goodness import drift, goodness
-from coulombus.lab.study.results.posterior import Posterior, counted, orders, posterior
+from coulombus.lab.study.results.posterior import Posterior, counted, orders, posterior, sigma_of_lapses
 
 __all__ = ["LEAST_TRIALS", "Fit", "Magnitudes", "fit_answers", "fit_comparisons", "fit_magnitudes"]
 
 QUARTER = float(ndtri(0.75))
+MANY_LAPSES = 0.1
 LEAST_TRIALS = 20
 """A report fits no fewer answers than this: the function has four parameters."""
 QUANTILES = (0.025, 0.5, 0.975)
@@ -39,6 +40,8 @@ class Fit:
     pse, pse_95 : point of subjective equality and its interval, in units of the level
     jnd : just noticeable difference, in units of the level
     jnd_95 : its interval; None: the answers bound it on neither side, or not on that one
+    jnd_lapses : the JND if a tenth of the answers were lapses, which the prior takes to be rare and the
+        answers themselves hardly tell
     weber : `jnd` over the reference; None where that is 0
     right : share of right answers
     lapse, lapse_95 : share of the answers that were drawn at random, and its interval
@@ -57,6 +60,7 @@ class Fit:
     pse_95: tuple[float, float]
     jnd: float
     jnd_95: tuple[float | None, float | None]
+    jnd_lapses: float
     weber: float | None
     right: float
     lapse: float
@@ -120,6 +124,7 @@ def fit_answers(
         pse_95=(pse_low, pse_high),
         jnd=jnd,
         jnd_95=(None if belief.open_below else low, None if belief.open_above else high),
+        jnd_lapses=QUARTER * sigma_of_lapses(answers, belief, MANY_LAPSES),
         weber=jnd / abs(reference) if reference else None,
         right=float(np.mean(np.where(x == reference, 0.5, judged == (x > reference)))),
         lapse=lapse,

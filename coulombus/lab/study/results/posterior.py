@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-__all__ = ["Answers", "Posterior", "counted", "orders", "posterior"]
+__all__ = ["Answers", "Posterior", "counted", "orders", "posterior", "sigma_of_lapses"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -193,6 +193,15 @@ def posterior(answers: Answers) -> Posterior:
         open_below=bool(np.isclose(axes[0][0], edges[0]) and likelihood[0] > peak - bounded),
         open_above=bool(np.isclose(axes[0][-1], edges[1]) and likelihood[-1] > peak - bounded),
     )
+
+
+def sigma_of_lapses(answers: Answers, belief: Posterior, lapse: float) -> float:
+    """Return the median of sigma if a share `lapse` of the answers are lapses."""
+    span = float(np.max(np.abs(answers.distance)))
+    supposed = _log_posterior(answers, (belief.log_sigma, belief.shift, belief.bias), np.array([lapse]), span)
+    weight = np.exp(supposed - supposed.max()).sum(axis=(1, 2, 3))
+    (log_sigma,) = _quantiles(belief.log_sigma, weight / weight.sum(), (0.5,))
+    return float(np.exp(log_sigma))
 
 
 def _lapses(count: int) -> Floats:

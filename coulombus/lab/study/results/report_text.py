@@ -63,7 +63,7 @@ def lines(results: Mapping[str, Any]) -> Iterable[str]:
 def _fit_text(fit: Mapping[str, Any], unit: str) -> str:
     text = f", JND {fit['jnd']:.4g}{unit}{between(fit['jnd_95'])}, PSE {fit['pse']:.4g}{unit}{between(fit['pse_95'])}"
     text += "" if fit["weber"] is None else f", Weber fraction {fit['weber']:.3g}"
-    text += f", {fit['right']:.1%} right, lapses {fit['lapse']:.1%}"
+    text += f", {fit['right']:.1%} right, lapses {fit['lapse']:.1%} (if 10 %: JND {fit['jnd_lapses']:.4g}{unit})"
     if fit["bias"] is not None:
         text += f", interval bias {fit['bias']:.2g}{unit}{between(fit['bias_95'])}"
     text += (

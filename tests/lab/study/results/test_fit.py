@@ -118,6 +118,18 @@ def test_the_deviance_finds_a_subject_who_changes_and_no_other():
     assert odd.overdispersion > 2
 
 
+def test_the_jnd_of_a_tenth_of_lapses_is_that_of_an_observer_who_has_them():
+    """The answers hardly tell the lapses: the fit's own JND is too large then."""
+    rng = np.random.default_rng(7)
+    levels = np.tile([1.5, 1.7, 1.8, 1.9, 2.0, 2.1, 2.2, 2.3, 2.5], 20)
+    fits = [
+        fit_comparisons(levels, rng.random(180) < 0.05 + 0.9 * ndtr((levels - 2.0) / 0.2), REFERENCE) for _ in range(40)
+    ]
+    jnd = 0.2 * ndtri(0.75)
+    assert np.median([fit.jnd_lapses for fit in fits]) == pytest.approx(jnd, rel=0.1)
+    assert np.median([fit.jnd for fit in fits]) > 1.1 * jnd
+
+
 def test_a_drift_is_found_and_none_where_there_is_none():
     """A staircase follows the subject: the deviance does not see it, and the JND is too large."""
     still = [fitted("staircase", seed, bias=0.3) for seed in range(60)]
