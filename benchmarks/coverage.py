@@ -126,7 +126,7 @@ def random_rig(seed: int) -> RandomRig:
     ]
     if iron:
         truth.append(f"plant.iron={{play_Nm=[0.3, 0.8], weights=[{rng.uniform(0.02, 0.1)!r}, 0.05]}}")
-    effects, drift = _effects(rng, friction - off) if seed % 3 == 2 else ({}, 0.0)
+    effects, drift = _effects(rng, friction - off) if seed % 3 == 0 else ({}, 0.0)
     truth += [f"plant.{key}={value}" for key, value in effects.items()]
     believed = (f"motor.encoder_counts_rev={counts}", f"limits.encoder_jump_counts={jump}")
     truth += believed

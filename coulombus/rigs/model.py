@@ -336,13 +336,13 @@ class Limits(Section):
     )
     missed_tpdo_cycles: int = Field(ge=1, le=1000, description="trip after this many cycles without a TPDO")
     still_s: float = Field(ge=0, le=60, description="before arming the handle is still this long ...")
-    still_rad: float = Field(
-        0.001, ge=0, le=0.1, description="... within this angle or one encoder count, if that is more, ..."
-    )
+    still_rad: float = Field(0.0004, ge=0, le=0.1, description="... within this angle, or a count if that is more, ...")
     still_handle_torque_Nm: float = Field(gt=0, le=1e4, description="... with less than this on it ...")
     still_timeout_s: float = Field(gt=0, le=600, description="... within this time")
     sign_check_rate_Nm_s: float = Field(gt=0, le=1e4, description="torque ramp of the sign check")
-    sign_check_counts: int = Field(ge=1, le=2**31 - 1, description="motion that the sign check looks for")
+    sign_check_counts: int = Field(
+        ge=1, le=2**31 - 1, description="motion that the sign check looks for, 4 times still_rad at least"
+    )
     sign_check_torque_Nm: float = Field(gt=0, le=1e4, description="the sign check gives up above this torque")
     sign_check_travel_rad: float = Field(gt=0, le=1e3, description="the sign check aborts beyond this angle")
     safe_ramp_s: float = Field(ge=0, le=60, description="safe state: brake_torque_Nm is ramped to 0 in this time ...")

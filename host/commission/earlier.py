@@ -15,12 +15,14 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["ANGLE", "HANDLE_TORQUE", "INERTIA", "SCALE", "rounded", "shares"]
+__all__ = ["ANGLE", "HANDLE_TORQUE", "INERTIA", "SCALE", "TABLE", "rounded", "shares"]
 
 SCALE = "role.handle_torque.scale_Nm"
 HANDLE_TORQUE = "torque at the handle at 1000 per mille"
 """The motor's torque times the ratio; it is measured as a product, so the ratio's interval has no part in it."""
 ANGLE = ("mechanics.ratio", "role.position.scale_rad")
+TABLE = "role.brake_setpoint.table"
+"""The brake's; its reach is relative to the largest torque, and holds both branches of a hysteresis."""
 INERTIA = "mechanics.inertia_kg_m2"
 
 
@@ -34,6 +36,8 @@ def shares(steps: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
         for finding in step["findings"]:
             old, new, reach = finding["old"], finding["new"], finding["uncertainty"]
             name = finding["key"] or finding["name"]
+            if name == TABLE and reach is not None and new:
+                known[name] = reach / max(abs(torque) for _, torque in new)
             if reach is None or not isinstance(new, int | float):
                 continue
             kept = new if finding["changed"] else old

@@ -95,8 +95,13 @@ class LagFit:
         """Whether the two time constants may be equal."""
         return bool(np.mean(self.draws[2] >= 1.0) > TOGETHER)
 
-    def figures(self) -> dict[str, tuple[float, float]]:
-        """Return each time [s] with half of its 95 % interval."""
+    def figures(self, iron_share: float = 0.0) -> dict[str, tuple[float, float]]:
+        """Return each time [s] with half of its 95 % interval.
+
+        `iron_share`: share of the torque by which the brake's iron remembers. That share follows the coil later, by
+        about the coil's time, which the recording does not tell from a delay: so the intervals include it.
+        """
+        late_s = iron_share * 0.5 * float(self.best[1]) * (1 - math.sqrt(max(1 - float(self.best[2]), 0.0)))
         names: dict[str, Callable[[float, float, float], float]] = {
             "brake: 63 % after": lambda delay, total, q: _reached(1 - math.exp(-1), delay, total, q),
             "brake: 95 % after": lambda delay, total, q: _reached(0.95, delay, total, q),
@@ -109,7 +114,7 @@ class LagFit:
             value = float(figure(*self.best))
             every = self.draws.T if "after" not in name else self.draws.T[: DRAWS // 20]
             low, high = np.percentile([figure(*draw) for draw in every], (2.5, 97.5))
-            figures[name] = value, float(max(high - value, value - low))
+            figures[name] = value, math.hypot(float(max(high - value, value - low)), late_s)
         return figures
 
 

@@ -1,7 +1,8 @@
 """Step "response": the brake's response to a step of its set-point, coil and fluid, at the hand.
 
 A hand strokes the handle while the brake is switched on and off. `host.commission.lag_fit` fits two lags in
-series to the hand's torque. The 95 % intervals of the two time constants include that of the inertia. A
+series to the hand's torque. The 95 % intervals of the two time constants include that of the inertia, and
+the hysteresis of the brake's table: iron that remembers a share of the torque follows later than the coil. A
 remark says whether they may be equal within their intervals.
 """
 
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from coulombus.host.commission.brake import STROKING_HAND
-from coulombus.host.commission.earlier import INERTIA, rounded
+from coulombus.host.commission.earlier import INERTIA, TABLE, rounded
 from coulombus.host.commission.lag_fit import fit_lags, step_answer
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
@@ -29,6 +30,7 @@ from coulombus.host.commission.step import (
     move_s,
     strokes,
 )
+from coulombus.host.cycle.output_limits import brake_end_Nm
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
@@ -76,12 +78,13 @@ class Response(Step):
         mechanics = axis.mechanics
         wave_rad = mechanics.cogging_periods * mechanics.ratio if mechanics.cogging_Nm > 0 else None
         fit = fit_lags(runs[0].recording, mechanics.inertia_kg_m2, given.share(INERTIA), wave_rad)
+        iron_share = given.share(TABLE) * brake_end_Nm(axis) / self._brake(axis)
         basis = f"{fit.samples} samples in slip, inertia {mechanics.inertia_kg_m2:g} kg m2 taken off"
         findings = tuple(
             Finding("", name, None, rounded(1e3 * value, 1e3 * reach), "ms", 1e3 * reach, basis)
-            for name, (value, reach) in fit.figures().items()
+            for name, (value, reach) in fit.figures(iron_share).items()
         )
-        remarks = given.exact({"the inertia (step friction)": (INERTIA,)})
+        remarks = given.exact({"the inertia (step friction)": (INERTIA,), "the brake's table (step brake)": (TABLE,)})
         if fit.together:
             remarks += ("coil and fluid cannot be told apart: their lags may be equal within the intervals",)
         t = np.linspace(0.0, float(fit.curve[0][-1]), 200)

@@ -61,6 +61,8 @@ SIGN_HAND_S = 0.12
 """Averaging time of the sign check: a little more than the period of a hand's tremor (8-12 Hz)."""
 SIGN_HAND_NM = 0.008
 SETTLE_S = 0.05
+SIGN_OF_STILL = 4
+"""The sign check looks for this many times the motion of a still handle: a hand that drifts is not taken for the motor."""
 CLIPPED_S = 0.5  # excess of clipped over unclipped time above which the host trips
 REVERSAL_S, REVERSAL_MARGIN = 0.25, 1.15
 """Window in which reversals are counted, and the host trips above this multiple of the limit cycle's (docs/theory.md)."""
@@ -311,14 +313,16 @@ class Controller:
         c["coil_decay"] = math.exp(-T / axis.brake.coil_time_constant_s)
         c["brake_lag_decay"] = math.exp(-T / DEFAULT_LAG_S)
 
-        c["still_counts"] = max(1, int(limits.still_rad / abs(c["rad_count"])))
+        within = int(limits.still_rad / abs(c["rad_count"]))
+        c["still_counts"] = max(within, 1)
         c["still_cycles"] = _cycles(limits.still_s, T)
         c["still_handle_Nm"] = limits.still_handle_torque_Nm if handle else math.inf
         c["still_timeout_cycles"] = _cycles(limits.still_timeout_s, T)
         c["enable_timeout_cycles"] = _cycles(ENABLE_TIMEOUT_S, T)
         c["sign_check"] = c["motor_limit_raw"] > 0
         c["sign_step_Nm"] = limits.sign_check_rate_Nm_s * T
-        c["sign_counts"], c["sign_torque_Nm"] = limits.sign_check_counts, limits.sign_check_torque_Nm
+        c["sign_counts"] = max(limits.sign_check_counts, SIGN_OF_STILL * within)
+        c["sign_torque_Nm"] = limits.sign_check_torque_Nm
         c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
         c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM if handle else math.inf, _cycles(SIGN_HAND_S, T)
         c["settle_cycles"] = _cycles(SETTLE_S, T)
@@ -340,13 +344,13 @@ class Controller:
     def _check_counts(self, c: ControlRecord) -> None:
         """Refuse limits in radians for which the encoder is too coarse."""
         limits, rad_count = self.axis.limits, abs(float(c["rad_count"]))
-        speed, travel = rad_count / self.axis.bus.period_s, limits.sign_check_counts * rad_count
+        speed, travel = rad_count / self.axis.bus.period_s, int(c["sign_counts"]) * rad_count
         if speed >= limits.speed_rad_s:
             expected = f"more than {speed:.3g}: one encoder count in a cycle is that fast already; take a longer bus.period_s or a finer encoder"
             raise self.axis.mistake("limits.speed_rad_s", expected)
         if c["sign_check"] and travel >= limits.sign_check_travel_rad:
             most = math.ceil(limits.sign_check_travel_rad / rad_count) - 1
-            expected = f"at most {most}: {limits.sign_check_counts} counts are {travel:.3g} rad, and limits.sign_check_travel_rad ends before that"
+            expected = f"at most {most}: {c['sign_counts']} counts are {travel:.3g} rad, and limits.sign_check_travel_rad ends before that"
             raise self.axis.mistake("limits.sign_check_counts", expected)
 
     def _set_tpdos(self, c: ControlRecord, pdos: tuple[RigPdo, ...]) -> None:

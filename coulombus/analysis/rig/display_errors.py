@@ -171,6 +171,7 @@ def _levels(rig: Rig, mode: str, F_s_Nm: float, F_d_Nm: float, *more: str) -> Ri
         "operator.tremor_Nm=0.0",
         "limits.speed_rad_s=100.0",
         "limits.net_work_J=5.0",
+        "limits.still_rad=0.0",
         "limits.sign_check_counts=4",  # such a damped hand permits no larger motion
         *more,
     )

@@ -649,7 +649,7 @@ def test_settling_waits_for_torque_zero_and_a_still_handle(sign):
     h.sign_direction, h.torque_Nm, h.still = sign, sign * 0.0125, c.settle_cycles - 1
     bench.cycle()  # still for long enough, but there is torque
     assert bench.phase is Phase.SETTLE
-    bench.counts += 2 * sign
+    bench.counts += (c.still_counts + 1) * sign
     bench.cycles(2)
     assert h.still == 1
     assert bench.phase is Phase.SETTLE

@@ -232,15 +232,18 @@ def test_a_brake_without_torque_is_not_held_and_safe_lasts_a_cycle():
 
 
 @BOTH
-def test_still_is_one_count_about_where_it_stood_in_either_sense(sign):
+@pytest.mark.parametrize("most", [1, 6])
+def test_still_is_some_counts_about_where_it_stood_in_either_sense(sign, most):
     bench = standing(Phase.STILL, counts=500)
-    h = bench.h
+    c, h = bench.c, bench.h
+    c.still_counts = most
+    near, off = most * sign, (most + 1) * sign
     for counts, count, reference in (
         (500, 1, 500),
-        (500 + sign, 2, 500),
-        (500 - sign, 3, 500),
-        (500 + 2 * sign, 0, 500 + 2 * sign),
-        (500 + 2 * sign, 1, 500 + 2 * sign),
+        (500 + near, 2, 500),
+        (500 - near, 3, 500),
+        (500 + off, 0, 500 + off),
+        (500 + off, 1, 500 + off),
         (500, 0, 500),
     ):
         h.counts = counts
@@ -252,12 +255,21 @@ def test_still_is_one_count_about_where_it_stood_in_either_sense(sign):
     assert (h.still, h.reference_counts) == (0, 501)
 
 
+@pytest.mark.parametrize(
+    ("still_rad", "still_counts", "sign_counts"), [(0.0, 1, 20), (1e-5, 1, 20), (0.0004, 4, 20), (0.001, 12, 48)]
+)
+def test_still_is_an_angle_of_a_count_or_more_and_the_sign_check_looks_for_more(still_rad, still_counts, sign_counts):
+    """A count is 80 urad: a hand that drifts is not taken for the motor."""
+    c = HostBench("hybrid", f"limits.still_rad={still_rad}").c
+    assert (c.still_counts, c.sign_counts) == (still_counts, sign_counts)
+
+
 @BOTH
 def test_the_handle_is_enabled_after_its_time_with_the_mean_torque_before(sign):
     bench = standing(Phase.STILL, still_cycles=4, still_handle_Nm=0.25)
     c, h = bench.c, bench.h
     h.handle_before_Nm, h.handle_samples, h.still = 7.0, 5, 0
-    h.counts += 5  # not still: what was summed is forgotten
+    h.counts += c.still_counts + 1  # not still: what was summed is forgotten
     for handle in (0.0625, 0.125, 0.25, 0.125, 0.0):
         assert h.phase == Phase.STILL
         h.handle_Nm = sign * handle
