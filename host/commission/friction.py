@@ -12,7 +12,8 @@ the exercise is in mode active, whose sign check may push with ``limits.sign_che
 compensates nothing. Samples of the sign check, of the gain's ramp and of reversals are left out
 (`recording.friction.sliding`).
 
-Cogging is part of the fit if it is significant, and so is a delay of the measured torque. Each interval is
+Significant waves over the angle (`recording.friction.angle_waves`) are part of the fit, and so is a delay of
+the measured torque. Each interval is
 that of the fit (`recording.friction.regression`), combined with the intervals of the motor's torque and of
 the angle from earlier steps (`host.commission.earlier`).
 """
@@ -42,7 +43,7 @@ from coulombus.host.commission.step import (
     lacks_roles,
 )
 from coulombus.host.cycle.output_limits import HYBRID_MARGIN
-from coulombus.recording.friction.angle_waves import find_uneven
+from coulombus.recording.friction.angle_waves import ALL_KINDS, wave_columns
 from coulombus.recording.friction.equations import Equations, equations
 from coulombus.recording.friction.identify import Identification, identified
 from coulombus.recording.friction.regression import Column, Estimate, regress, widened
@@ -140,8 +141,7 @@ class Friction(Step):
         try:
             slides = sliding(recording, WINDOW_S, REVERSAL_S, reversal_rad(axis))
             count = abs(recording.scale("motor.torque_Nm")) if recording.has("motor.torque_Nm") else 0.0
-            uneven = find_uneven(slides)
-            identification = identified(slides, recording.path, WINDOW_S, mechanics.ratio, count, uneven)
+            identification = identified(slides, recording.path, WINDOW_S, mechanics.ratio, count, ALL_KINDS)
         except IdentifyError as error:
             raise CommissionError(
                 f"{error}; is the handle free, and sign_check_torque_Nm more than its friction?"
@@ -311,8 +311,7 @@ def _by_sector(slides: Sliding, identification: Identification) -> tuple[Floats,
         "inertia": (rows.a, rows.a_variance),
         "offset": (np.ones_like(x), 0.0),
     }
-    if identification.cogging is not None:
-        columns |= identification.cogging.columns(rows, slides.slides)
+    columns |= wave_columns([wave for wave in identification.waves if wave.kind != "uneven"], rows, slides.slides)
     inside = np.isin(sector, [k for k, name in enumerate(names) if name is not None])
     some = {name: (values[inside], variance) for name, (values, variance) in columns.items()}
     try:

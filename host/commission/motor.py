@@ -5,8 +5,8 @@ While the handle slides,
 .. math:: f = -k\,(\tau_m + \delta\,\dot\tau_m) + F(v, x)\,\mathrm{sgn}(v) + J\dot v + f_0 + A \sin(\kappa x + \varphi)
 
 with the motor's torque :math:`\tau_m` according to the rig file, delayed by :math:`\delta`, the friction
-F (`recording.friction.friction_fit`) that may be uneven, the cogging (`recording.friction.angle_waves`),
-and the hand's torque f from the transducer. k is the ratio of the true to
+F (`recording.friction.friction_fit`), and the hand's torque f from the transducer. Cogging, ripple and
+uneven friction are fitted where significant (`recording.friction.angle_waves`). k is the ratio of the true to
 the assumed torque. The interval of k is that of clusters (`recording.friction.regression`), combined with
 the transducer's scale. The interval of the torque constant also includes the ratio's.
 
@@ -47,7 +47,7 @@ from coulombus.host.commission.step import (
     move_s,
     strokes,
 )
-from coulombus.recording.friction.angle_waves import find_cogging, find_uneven
+from coulombus.recording.friction.angle_waves import ALL_KINDS, find_waves, wave_columns
 from coulombus.recording.friction.equations import equations
 from coulombus.recording.friction.friction_fit import fit_friction
 from coulombus.recording.friction.identify import torque_delay
@@ -113,11 +113,9 @@ class Motor(Step):
         try:
             slides = sliding(runs[0].recording, WINDOW_S, REVERSAL_S, reversal_rad(axis))
             rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
-            uneven = find_uneven(slides, None)
-            cogging = find_cogging(slides, mechanics.ratio, None, uneven)
+            waves = find_waves(slides, mechanics.ratio, ALL_KINDS, None)
             columns: dict[str, Column] = {"motor": (-rows.motor_Nm, 0.0)} | torque_delay(rows, slides)
-            for wave in (uneven, cogging):
-                columns |= {} if wave is None else wave.columns(rows, slides.slides)
+            columns |= wave_columns(waves, rows, slides.slides)
             fit = fit_friction(rows, rows.hand_Nm, None, columns)
         except IdentifyError as error:
             raise CommissionError(f"{error}; hold the handle more loosely") from error

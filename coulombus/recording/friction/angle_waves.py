@@ -1,23 +1,24 @@
-r"""Torques that change with the angle, from slides: the motor's cogging, and friction that is uneven.
+r"""Torques that change with the angle, from slides: cogging, uneven friction, and the motor's ripple.
 
 While the handle slides, motor and hand balance the device's friction and the motor's cogging:
 
 .. math::
 
-    \tau_m + f = J\,\dot v + (c + b\,|v| + U \sin(\nu x + \chi))\,\mathrm{sgn}(v) + f_0
-                 + A\,\sin(\kappa x + \varphi)
+    \tau_m (1 + R \sin(\mu x + \psi)) + f = J\,\dot v + (c + b\,|v| + U \sin(\nu x + \chi))\,\mathrm{sgn}(v)
+    + f_0 + A\,\sin(\kappa x + \varphi)
 
 with :math:`\kappa = k i`, i motor revolutions per handle revolution and an integer k of periods per
-motor revolution; :math:`\nu` is near an integer of periods per handle revolution. The sense of motion
-distinguishes the two. For each k all coefficients are fitted together. Sine and cosine pass the same
-filter as the torques (`recording.friction.equations.Equations.smooth`), so averaging over a period in
-a fast slide does not reduce the amplitude. The k with the smallest residual is taken, and reported
-only if significant (`STANDS_OUT` standard deviations). :math:`\kappa` is then refined by itself,
-because the ratio i is only known to its interval. :math:`\nu` is refined by half a period, because a
-sweep over a part of a revolution sees a part of whatever shape the friction has.
+motor revolution, as is :math:`\mu`; :math:`\nu` is near an integer of periods per handle revolution. The
+sense of motion and the motor's torque distinguish the three. For each k all coefficients are fitted
+together. Sine and cosine pass the same filter as the torques
+(`recording.friction.equations.Equations.smooth`), so averaging over a period in a fast slide does not
+reduce the amplitude. The k with the smallest residual is taken, and reported only if significant
+(`STANDS_OUT` standard deviations). :math:`\kappa` is then refined by itself, because the ratio i is only
+known to its interval. :math:`\nu` is refined by half a period, because a sweep over a part of a
+revolution sees a part of whatever shape the friction has.
 
-Cogging accelerates the handle, and uneven friction is mistaken for torque of the motor or of the hand.
-So a fit without these columns is biased: `AngleWave.columns` goes into each fit.
+Cogging and ripple accelerate the handle, and uneven friction is mistaken for torque of the motor or of
+the hand. So a fit without these columns is biased: `AngleWave.columns` goes into each fit.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -33,7 +34,10 @@ from coulombus.recording.friction.equations import Equations, equations
 from coulombus.recording.friction.regression import Column, Estimate
 from coulombus.recording.friction.sliding import Floats, Slide, Sliding
 
-__all__ = ["AngleWave", "find_cogging", "find_uneven"]
+__all__ = ["ALL_KINDS", "AngleWave", "Kind", "find_waves", "wave_columns"]
+
+Kind: TypeAlias = Literal["cogging", "uneven", "ripple"]
+ALL_KINDS: tuple[Kind, ...] = ("uneven", "cogging", "ripple")
 
 WINDOW_S = 0.021
 """A shorter window than friction's: it averages over less of a period."""
@@ -61,20 +65,19 @@ class AngleWave:
 
     Attributes
     ----------
-    periods : in one revolution of the motor (cogging), or of the handle
+    kind : cogging; uneven: friction, whose sign is that of the motion; ripple: a share of the motor's torque
+    periods : in one revolution of the motor, or of the handle if it is uneven friction
     wave_rad : phase of the sine per rad of the handle
-    uneven : whether it is friction, whose sign is that of the motion
     """
 
+    kind: Kind
     periods: int
     wave_rad: float
-    uneven: bool = False
 
     @property
     def names(self) -> tuple[str, str]:
         """Names of its two columns."""
-        kind = "uneven friction's" if self.uneven else "cogging"
-        return f"{kind} sine", f"{kind} cosine"
+        return f"{self.kind} sine", f"{self.kind} cosine"
 
     def columns(self, rows: Equations, slides: tuple[Slide, ...]) -> dict[str, Column]:
         """Return its sine and cosine as regression columns for the `rows` of `slides`.
@@ -82,10 +85,12 @@ class AngleWave:
         Those of friction have the mean 0, so that the Coulomb friction is the mean over the angles of the slides.
         """
         used = [slide for slide in slides if len(slide.t_s) >= len(rows.weight)]
+        factors = [slide.motor_Nm if self.kind == "ripple" else np.ones(len(slide.t_s)) for slide in used]
         smooth = [
-            rows.smooth([function(self.wave_rad * slide.x_rad) for slide in used]) for function in (np.sin, np.cos)
+            rows.smooth([f * wave(self.wave_rad * slide.x_rad) for f, slide in zip(factors, used, strict=True)])
+            for wave in (np.sin, np.cos)
         ]
-        if self.uneven:
+        if self.kind == "uneven":
             smooth = [np.sign(rows.v) * (values - np.mean(values)) for values in smooth]
         return {name: (values, 0.0) for name, values in zip(self.names, smooth, strict=True)}
 
@@ -99,28 +104,29 @@ class AngleWave:
         return lambda x_rad: sine * np.sin(self.wave_rad * x_rad) + cosine * np.cos(self.wave_rad * x_rad)
 
 
-def find_cogging(
-    slides: Sliding, ratio: float, gain: float | None = 1.0, uneven: AngleWave | None = None
-) -> AngleWave | None:
-    """Return the cogging of the slides; None if none is significant or one direction is missing.
+def find_waves(slides: Sliding, ratio: float, kinds: Sequence[Kind], gain: float | None = 1.0) -> tuple[AngleWave, ...]:
+    """Return the significant waves of the slides, one after another; none if one direction is missing.
 
     Parameters
     ----------
     ratio : motor revolutions per handle revolution
+    kinds : to look for, in this order; each is fitted with those before it
     gain : of the motor's torque; None: also fitted (the hand must resist the motor)
-    uneven : the uneven friction, also fitted
     """
-    waves = [AngleWave(k, k * ratio) for k in range(1, MOST_PERIODS + 1)]
-    return _found(slides, gain, waves, [] if uneven is None else [uneven], lambda k: RATIO_SHARE * k * ratio)
+    waves: tuple[AngleWave, ...] = ()
+    for kind in kinds:
+        if kind == "uneven":
+            candidates, reach = [AngleWave(kind, k, k) for k in range(1, MOST_UNEVEN_PERIODS + 1)], 0.5
+        else:
+            candidates, reach = [AngleWave(kind, k, k * ratio) for k in range(1, MOST_PERIODS + 1)], 0.0
+        found = _found(slides, gain, candidates, waves, reach)
+        waves += () if found is None else (found,)
+    return waves
 
 
-def find_uneven(slides: Sliding, gain: float | None = 1.0) -> AngleWave | None:
-    """Return the friction's change with the angle; None if none is significant or one direction is missing.
-
-    `gain`: of the motor's torque; None: also fitted.
-    """
-    waves = [AngleWave(k, k, uneven=True) for k in range(1, MOST_UNEVEN_PERIODS + 1)]
-    return _found(slides, gain, waves, [], lambda k: 0.5)
+def wave_columns(waves: Sequence[AngleWave], rows: Equations, slides: tuple[Slide, ...]) -> dict[str, Column]:
+    """Return the columns of all waves."""
+    return {name: column for wave in waves for name, column in wave.columns(rows, slides).items()}
 
 
 def _found(
@@ -128,11 +134,11 @@ def _found(
     gain: float | None,
     candidates: Sequence[AngleWave],
     others: Sequence[AngleWave],
-    reach: Callable[[int], float],
+    reach: float,
 ) -> AngleWave | None:
     """Return the wave that leaves the least residual, if it is significant.
 
-    `reach`: by how much the phase per rad may differ from the candidate's, by its periods.
+    `reach`: by how much the phase per rad may differ from the candidate's, besides `RATIO_SHARE` of it.
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
     if len(rows.v) < LEAST_ROWS or rows.v.min() >= 0 or rows.v.max() <= 0:
@@ -142,8 +148,7 @@ def _found(
     common = [np.sign(rows.v), rows.v, rows.a, np.ones(len(rows.v))]
     if gain is None:
         common.append(rows.motor_Nm)
-    for other in others:
-        common += [column for column, _ in other.columns(rows, slides.slides).values()]
+    common += [column for column, _ in wave_columns(others, rows, slides.slides).values()]
     base, _ = np.linalg.qr(np.stack(common, 1)[here])
     left = torque - base @ (base.T @ torque)
 
@@ -159,7 +164,7 @@ def _found(
     best = min(candidates, key=remaining)
     from scipy.optimize import minimize_scalar  # slow to load: imported only for a fit
 
-    middle, half = best.wave_rad, reach(best.periods)
+    middle, half = best.wave_rad, reach + RATIO_SHARE * best.wave_rad
     refined = minimize_scalar(
         lambda wave_rad: remaining(replace(best, wave_rad=wave_rad)),
         bounds=(middle - half, middle + half),

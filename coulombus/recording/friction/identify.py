@@ -21,6 +21,7 @@ Source: the paper, section 5 and Fig. 13.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -28,7 +29,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.friction.angle_waves import AngleWave, find_cogging
+from coulombus.recording.friction.angle_waves import AngleWave, Kind, find_waves, wave_columns
 from coulombus.recording.friction.equations import Equations, equations
 from coulombus.recording.friction.friction_fit import Fit, fit_friction
 from coulombus.recording.friction.regression import Column, Levels
@@ -59,11 +60,16 @@ class Identification:
     left_out: dict[str, int]
     """Number of omitted samples by reason."""
     remarks: tuple[str, ...]
-    cogging: AngleWave | None
-    """The motor's cogging, if significant; its coefficients are in `device`."""
+    waves: tuple[AngleWave, ...]
+    """Significant torque waves over the angle; their coefficients are in `device`."""
     v_rad_s: Floats
     felt_Nm: Floats
     """The samples without inertia and offset; for the plot."""
+
+    @property
+    def cogging(self) -> AngleWave | None:
+        """The motor's cogging, if significant."""
+        return next((wave for wave in self.waves if wave.kind == "cogging"), None)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values: felt friction at the top, the device's under "device"."""
@@ -103,7 +109,7 @@ def identified(
     window_s: float,
     ratio: float | None,
     count_Nm: float = 0.0,
-    uneven: AngleWave | None = None,
+    kinds: Sequence[Kind] = ("cogging",),
 ) -> Identification:
     """Identify friction from slides.
 
@@ -111,7 +117,7 @@ def identified(
     ----------
     ratio : of the motor; None: cogging is not fitted
     count_Nm : resolution of the motor's measured torque if a controller holds the speeds; 0: its error averages out
-    uneven : friction's change with the angle, also fitted
+    kinds : of torque waves over the angle to look for
 
     Raises
     ------
@@ -120,20 +126,19 @@ def identified(
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad, window_s)
     notes = list(slides.remarks)
-    cogging = None if ratio is None else find_cogging(slides, ratio, uneven=uneven)
+    found = () if ratio is None else find_waves(slides, ratio, kinds)
     delay = torque_delay(rows, slides)
     levels = Levels.of(rows.v, count_Nm) if count_Nm > 0 else None
 
-    def fitted(waves: dict[str, Column]) -> Fit:
-        return fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, waves | delay, levels)
+    def fitted(waves: Sequence[AngleWave]) -> Fit:
+        columns = wave_columns(waves, rows, slides.slides) | delay
+        return fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, columns, levels)
 
-    waves = {} if uneven is None else uneven.columns(rows, slides.slides)
-    if cogging is not None:
-        cogs = cogging.columns(rows, slides.slides)
-        device = fitted(waves | cogs)
-        cogging, waves = (cogging, waves | cogs) if cogging.stands_out(device.others) else (None, waves)
-    if cogging is None:
-        device = fitted(waves)
+    device = fitted(found)
+    kept = tuple(wave for wave in found if wave.kind != "cogging" or wave.stands_out(device.others))
+    if kept != found:
+        device = fitted(kept)
+    waves = wave_columns(kept, rows, slides.slides)
     felt = fit_friction(rows, rows.hand_Nm, notes, waves)
     return Identification(
         path=path,
@@ -143,7 +148,7 @@ def identified(
         coil_off=slides.coil_off,
         left_out=slides.left_out,
         remarks=tuple(notes),
-        cogging=cogging,
+        waves=kept,
         v_rad_s=rows.v,
         felt_Nm=rows.hand_Nm - felt.inertia_and_offset_Nm(rows.a),
     )
