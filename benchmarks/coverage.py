@@ -56,6 +56,8 @@ class RandomRig:
     truth, believed : overrides of the bench rig
     figures : what is true, by the finding's key or name
     table : (raw, Nm) of the brake
+    iron : whether its iron remembers
+    effects : whether it has two effects beside the bench's model
     marks_error_rad : by which the hand misses the marks
     """
 
@@ -65,6 +67,7 @@ class RandomRig:
     figures: Mapping[str, float]
     table: tuple[tuple[int, float], ...]
     iron: bool
+    effects: bool
     marks_error_rad: float
 
 
@@ -153,7 +156,7 @@ def random_rig(seed: int) -> RandomRig:
     if "angle_share" in effects.get("friction", ""):
         del figures["mechanics.friction_Nm"]  # the least over the angle is written
     error = float(rng.standard_normal()) * Given().marks_reach_rad / 1.96
-    return RandomRig(seed, tuple(truth), believed, figures, table, iron, error)
+    return RandomRig(seed, tuple(truth), believed, figures, table, iron, bool(effects), error)
 
 
 def _effects(rng: np.random.Generator, coulomb_Nm: float) -> tuple[dict[str, str], float]:
@@ -275,9 +278,8 @@ def coverage(rigs: int, seed: int, steps: Sequence[str] = MEASURED) -> dict[str,
         passed += not failures
         for failure in failures:
             print(f"rig {drawn.seed}: {failure}", flush=True)
-    by_name = scores(results)
-    print(
-        f"\n{passed} of {rigs} rigs pass all {len(steps)} steps; {(time.perf_counter() - begin) / rigs:.1f} s a rig\n"
-    )
-    print("\n".join(table(by_name)), flush=True)
-    return {"passed": passed, "scores": by_name}
+    print(f"\n{passed} of {rigs} rigs pass all {len(steps)} steps; {(time.perf_counter() - begin) / rigs:.1f} s a rig")
+    for title, effects in (("as the bench", False), ("with two effects beside its model", True)):
+        some = [(drawn, findings) for drawn, findings in results if drawn.effects == effects]
+        print(f"\n{len(some)} rigs {title}:\n\n" + "\n".join(table(scores(some))), flush=True)
+    return {"passed": passed, "scores": scores(results)}

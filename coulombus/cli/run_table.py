@@ -101,8 +101,12 @@ def _arm(title: str, plane: dict[str, Any]) -> str:
     text = f"net work of the motors: {works}, absorbed by all: {plane['absorbed_J']:.3g} J"
     off = plane.get("angle_error_deg", {})
     if off.get("median") is not None:
+        felt = plane["felt"]["angle_error_deg"]
         angle = f"{off['median']:.2g} deg from the law's direction (95 %: {off['p95']:.2g})"
-        text = f"{angle}, {plane['force_ratio']:.3g} times its size; {text}"
+        text = (
+            f"{angle}, {plane['force_ratio']:.3g} times its size; with the arm's inertia, as the hand feels it, "
+            f"{felt['median']:.2g} deg (95 %: {felt['p95']:.2g}), {plane['felt']['force_ratio']:.3g} times; {text}"
+        )
     return f"tip, {title}: {text}"
 
 

@@ -31,6 +31,7 @@ class TipSamples:
     shown_N : force of motors, brakes and joints' friction on the hand
     wanted_N : the law's force on the hand along the true motion
     hand_N : force of the hand
+    felt_N : force on the hand: displayed, and the inertia of the arm that the hand moves
     compared : shape (n,), whether displayed and desired force are compared: the schedule moves the tip along a line,
         a circle (without its approach) or a figure of eight, faster than `LEAST_M_S`
     """
@@ -41,14 +42,27 @@ class TipSamples:
     shown_N: Floats
     wanted_N: Floats
     hand_N: Floats
+    felt_N: Floats
     compared: npt.NDArray[np.bool_]
 
     @property
     def off_deg(self) -> Floats:
         """Return the angle between displayed and desired force of each sample [deg]."""
-        cross = self.shown_N[:, 0] * self.wanted_N[:, 1] - self.shown_N[:, 1] * self.wanted_N[:, 0]
-        off: Floats = np.degrees(np.arctan2(np.abs(cross), (self.shown_N * self.wanted_N).sum(axis=1)))
-        return off
+        return _angle_deg(self.shown_N, self.wanted_N)
+
+    def errors(self, force_N: Floats) -> dict[str, Any]:
+        """Return how a force differs from the desired one in the samples that are compared."""
+        kept = self.compared
+        if not kept.any():
+            return {"angle_error_deg": {"median": None, "p95": None}, "force_ratio": None, "force_ratio_p95": None}
+        force_N, wanted_N = force_N[kept], self.wanted_N[kept]
+        off_deg = _angle_deg(force_N, wanted_N)
+        ratio = np.hypot(*force_N.T) / np.maximum(np.hypot(*wanted_N.T), np.finfo(float).tiny)
+        return {
+            "angle_error_deg": {"median": float(np.median(off_deg)), "p95": float(np.percentile(off_deg, 95))},
+            "force_ratio": float(np.median(ratio)),
+            "force_ratio_p95": float(np.percentile(np.abs(ratio - 1.0), 95)),
+        }
 
 
 def tip_samples(rig: Rig, law: PlaneLaw, course: Mapping[str, Any], begin_s: float) -> TipSamples:
@@ -64,7 +78,9 @@ def tip_samples(rig: Rig, law: PlaneLaw, course: Mapping[str, Any], begin_s: flo
     x_m, v_m_s, shown_N, hand_N = (_pair(course, name) for name in names)
     compared = (np.hypot(*v_m_s.T) > LEAST_M_S) & _moving(rig, t_s)
     wanted_N = -law.along(t_s, x_m, v_m_s) if len(t_s) > 1 else np.zeros_like(x_m)
-    return TipSamples(t_s, x_m, v_m_s, shown_N, wanted_N, hand_N, compared)
+    assert rig.in_plane is not None and rig.in_plane.plane is not None
+    moving_N = rig.in_plane.plane.hand_mass_kg * np.gradient(v_m_s, t_s, axis=0) if len(t_s) > 1 else np.zeros_like(x_m)
+    return TipSamples(t_s, x_m, v_m_s, shown_N, wanted_N, hand_N, moving_N - hand_N, compared)
 
 
 def plane_figures(rig: Rig, law: PlaneLaw, course: Mapping[str, Any], begin_s: float) -> dict[str, Any]:
@@ -81,24 +97,17 @@ def plane_figures(rig: Rig, law: PlaneLaw, course: Mapping[str, Any], begin_s: f
     -------
     dict
         ``angle_error_deg`` (``median``, ``p95``), ``force_ratio`` (median of displayed over wanted) and
-        ``force_ratio_p95`` (95th percentile of its deviation from 1); None without such samples
+        ``force_ratio_p95`` (95th percentile of its deviation from 1); None without such samples. ``felt`` has
+        the same of the force on the hand, which also moves the arm's inertia
     """
     samples = tip_samples(rig, law, course, begin_s)
-    kept = samples.compared
-    if not kept.any():
-        return {
-            "angle_error_deg": {"median": None, "p95": None},
-            "force_ratio": None,
-            "force_ratio_p95": None,
-        }
-    off_deg = samples.off_deg[kept]
-    wanted = np.maximum(np.hypot(*samples.wanted_N[kept].T), np.finfo(float).tiny)
-    ratio = np.hypot(*samples.shown_N[kept].T) / wanted
-    return {
-        "angle_error_deg": {"median": float(np.median(off_deg)), "p95": float(np.percentile(off_deg, 95))},
-        "force_ratio": float(np.median(ratio)),
-        "force_ratio_p95": float(np.percentile(np.abs(ratio - 1.0), 95)),
-    }
+    return samples.errors(samples.shown_N) | {"felt": samples.errors(samples.felt_N)}
+
+
+def _angle_deg(force_N: Floats, other_N: Floats) -> Floats:
+    """Return the angles between two forces, shape (n,)."""
+    cross = force_N[:, 0] * other_N[:, 1] - force_N[:, 1] * other_N[:, 0]
+    return np.asarray(np.degrees(np.arctan2(np.abs(cross), (force_N * other_N).sum(axis=1))), np.float64)
 
 
 def _pair(course: Mapping[str, Any], name: str) -> Floats:

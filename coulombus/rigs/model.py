@@ -360,6 +360,10 @@ class Limits(Section):
         """Rate at which the law may let the brake's set-point rise [Nm/s]."""
         return RISE_TO_FALL * self.brake_fall if self.brake_rise_Nm_s is None else self.brake_rise_Nm_s
 
+    def still_counts(self, rad_count: float) -> int:
+        """Return the encoder's counts, of `rad_count` each, within which a handle is still."""
+        return max(1, int(self.still_rad / abs(rad_count)))
+
     @property
     def travel_limit_rad(self) -> float:
         """`travel_rad` as a number, infinite when unlimited."""

@@ -72,6 +72,10 @@ is measured.
 """
 REVERSAL_SHARE = 0.025
 """Share of the sweep's half travel after a reversal in which a bearing's bristles may bend."""
+SAMPLED_SHARE = 0.01
+"""Relative 95 % error of the cogging's amplitude: the motor's torque is known at the samples alone, and the
+sweep's control changes it between them.
+"""
 SECTORS = 8
 LEAST_SECTOR = 12
 UNEVEN = 0.1
@@ -201,7 +205,7 @@ class _Wave:
         sine, cosine = (identification.device.others[f"cogging {name}"] for name in ("sine", "cosine"))
         size = math.hypot(sine.value, cosine.value)
         reach = math.hypot(sine.value * sine.reach, cosine.value * cosine.reach) / size
-        amplitude = widened(Estimate(size, size - reach, size + reach), torque_share)
+        amplitude = widened(Estimate(size, size - reach, size + reach), torque_share, SAMPLED_SHARE)
         return cls(identification.cogging.periods, amplitude, identification.cogging.wave(sine.value, cosine.value))
 
 

@@ -313,15 +313,14 @@ class Controller:
         c["coil_decay"] = math.exp(-T / axis.brake.coil_time_constant_s)
         c["brake_lag_decay"] = math.exp(-T / DEFAULT_LAG_S)
 
-        within = int(limits.still_rad / abs(c["rad_count"]))
-        c["still_counts"] = max(within, 1)
+        c["still_counts"] = limits.still_counts(float(c["rad_count"]))
         c["still_cycles"] = _cycles(limits.still_s, T)
         c["still_handle_Nm"] = limits.still_handle_torque_Nm if handle else math.inf
         c["still_timeout_cycles"] = _cycles(limits.still_timeout_s, T)
         c["enable_timeout_cycles"] = _cycles(ENABLE_TIMEOUT_S, T)
         c["sign_check"] = c["motor_limit_raw"] > 0
         c["sign_step_Nm"] = limits.sign_check_rate_Nm_s * T
-        c["sign_counts"] = max(limits.sign_check_counts, SIGN_OF_STILL * within)
+        c["sign_counts"] = max(limits.sign_check_counts, int(SIGN_OF_STILL * limits.still_rad / abs(c["rad_count"])))
         c["sign_torque_Nm"] = limits.sign_check_torque_Nm
         c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
         c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM if handle else math.inf, _cycles(SIGN_HAND_S, T)

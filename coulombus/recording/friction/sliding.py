@@ -55,7 +55,6 @@ COIL_S = 0.25
 """Time of constant brake set-point, after which the fluid has followed to 1e-6."""
 SETTLE_S = 0.05
 """Time of rest after the sign check (`host.cycle.controller.SETTLE_S`)."""
-SETTLE_COUNTS = 1
 STILL_MARGIN_S = 0.05
 SPEED_SHARE = 0.8
 """Share of the speed limit above which the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`)."""
@@ -128,18 +127,18 @@ def runs(flags: Flags) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _armed(counts: Floats, target: Floats, settle: int) -> int | None:
+def _armed(counts: Floats, target: Floats, settle: int, within: int) -> int | None:
     """Return the sample of an enabled stretch at which the law begins, or None.
 
     Without any motor torque there was no sign check. Otherwise the law begins when the handle has
-    been at rest, without torque, for `settle` samples after the check.
+    been at rest within some counts, without torque, for `settle` samples after the check.
     """
     driven = np.flatnonzero(target != 0.0)
     if not len(driven):
         return 0
     still, reference = 0, math.nan
     for i in range(int(driven[0]), len(counts)):
-        if target[i] != 0.0 or not abs(counts[i] - reference) <= SETTLE_COUNTS:
+        if target[i] != 0.0 or not abs(counts[i] - reference) <= within:
             reference, still = counts[i], 0
         else:
             still += 1
@@ -174,9 +173,10 @@ def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tup
     words = statusword.held(t, 0.0).astype(np.int64)
     enabled = (np.asarray(STATE_OF_STATUSWORD)[words & 0x7F] == PowerState.OPERATION_ENABLED) & (t >= statusword.t_s[0])
     torque = target.held(t, 0.0)
+    within = axis.limits.still_counts(recording.scale("motor.position_rad"))
     shown, notes = np.zeros(len(t), bool), list[str]()
     for first, end in runs(enabled):
-        armed = _armed(counts[first:end], torque[first:end], round(SETTLE_S / period))
+        armed = _armed(counts[first:end], torque[first:end], round(SETTLE_S / period), within)
         if armed is None and not marked and len(torque[first:end]):
             notes.append(
                 "the sign check is not seen to end, so the phases are not known: all samples with the drive enabled count"

@@ -50,3 +50,9 @@ def test_each_time_has_an_interval_and_the_lags_their_order():
     assert all(0.0 < reach < value for value, reach in figures.values())
     wide = fit(1.0, 0.02).figures()["brake: faster lag (coil)"]
     assert wide[1] > 5 * coil[1]
+
+
+def test_iron_that_remembers_a_share_widens_each_interval_by_that_share_of_the_coils_time():
+    known, iron = fit(0.64, 0.02).figures(), fit(0.64, 0.02).figures(0.1)
+    for name, (value, reach) in known.items():
+        assert iron[name] == (value, pytest.approx(np.hypot(reach, 0.1 * 0.004)))

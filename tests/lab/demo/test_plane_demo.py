@@ -30,7 +30,7 @@ def on_a_circle(turn_deg=0.0, size=1.0, count=3600):
     wanted_N = -10.0 * v_m_s
     turn = math.radians(turn_deg)
     shown_N = size * wanted_N @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-    return TipSamples(angle, x_m, v_m_s, shown_N, wanted_N, -shown_N, np.ones(count, bool))
+    return TipSamples(angle, x_m, v_m_s, shown_N, wanted_N, -shown_N, shown_N, np.ones(count, bool))
 
 
 @pytest.fixture(scope="module")

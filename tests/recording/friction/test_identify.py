@@ -15,7 +15,7 @@ from coulombus.eds.cia402 import PowerState
 from coulombus.recording.friction.equations import equations, weights
 from coulombus.recording.friction.friction_fit import fit_friction
 from coulombus.recording.friction.identify import identify, lines
-from coulombus.recording.friction.sliding import IdentifyError, Slide
+from coulombus.recording.friction.sliding import IdentifyError, Slide, sliding
 from coulombus.recording.signals import Series, Source
 from coulombus.rigs.rig import load_rig
 
@@ -210,6 +210,24 @@ def test_sign_check_and_safe_state_are_left_out_and_counted(markers):
     assert identification.samples + sum(identification.left_out.values()) == len(recording["motor.position_rad"])
     assert f"left out {display:>8}: not in the display" in "\n".join(lines(identification))
     assert identification.as_dict()["left_out"] == identification.left_out
+
+
+@pytest.mark.parametrize("reversal_rad", [0.05, 0.1])
+def test_an_angle_after_a_reversal_is_left_out_where_it_is_asked(reversal_rad):
+    """There a bearing's bristles still bend."""
+    recording = made_run(np.random.default_rng(0))
+    x = recording["motor.position_rad"].values
+    part = sliding(recording, reversal_rad=reversal_rad)
+    for slide in part.slides:
+        first = start = round(slide.t_s[0] / PERIOD)
+        sense = np.sign(slide.x_rad[-1] - slide.x_rad[0])
+        while (x[start] - x[start - 1]) * sense > 0:
+            start -= 1
+        assert abs(x[first] - x[start]) >= reversal_rad
+        assert first - start <= 25 or abs(x[first - 3] - x[start]) < reversal_rad
+    assert part.samples < sliding(recording).samples
+    reasons = [reason for reason in part.left_out if "reversal" in reason]
+    assert reasons == [f"within 20 ms or {reversal_rad:g} rad of a stop or a reversal"]
 
 
 def test_without_a_motor_there_is_no_sign_check_to_wait_for():
