@@ -78,7 +78,8 @@ def tip_samples(rig: Rig, law: PlaneLaw, course: Mapping[str, Any], begin_s: flo
     x_m, v_m_s, shown_N, hand_N = (_pair(course, name) for name in names)
     compared = (np.hypot(*v_m_s.T) > LEAST_M_S) & _moving(rig, t_s)
     wanted_N = -law.along(t_s, x_m, v_m_s) if len(t_s) > 1 else np.zeros_like(x_m)
-    assert rig.in_plane is not None and rig.in_plane.plane is not None
+    assert rig.in_plane is not None
+    assert rig.in_plane.plane is not None
     moving_N = rig.in_plane.plane.hand_mass_kg * np.gradient(v_m_s, t_s, axis=0) if len(t_s) > 1 else np.zeros_like(x_m)
     return TipSamples(t_s, x_m, v_m_s, shown_N, wanted_N, hand_N, moving_N - hand_N, compared)
 
