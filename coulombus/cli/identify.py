@@ -31,6 +31,7 @@ __all__ = ["identify"]
 @click.option("--ratio", type=float, metavar="N", help="Of a table: motor turns for one of the angle; finds cogging.")
 @click.option("--iron", is_flag=True, help="Fit the magnetic hysteresis of the brake instead.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="With --law: hold a parameter at a value.")
+@click.option("--to", "target", type=click.Choice(["mjcf"]), help="Print a MuJoCo model of one hinge instead.")
 @json_option
 def identify(
     file: Path, rig_name: str | None, figure: Path | None, overwrite: bool, axis: str | None, **options: Any
@@ -51,6 +52,9 @@ def identify(
     With --iron the brake's magnetic hysteresis is sought, as [brake.iron] of the rig file takes it.
     The brake's set-point must change up and down while the handle slides.
 
+    With --to mjcf the device's own friction is printed as MuJoCo's frictionloss, damping and armature,
+    the law lugre as its dcmotor.
+
     \b
     Examples:
       coulombus simulate --mode active --record active.pcapng && coulombus identify active.pcapng
@@ -59,8 +63,14 @@ def identify(
       coulombus identify strokes.csv --law lugre --set sigma_2_Nms_rad=0
       coulombus identify bench.mat --column angle=phi --unit angle=deg
       coulombus identify damper.pcapng --iron
+      coulombus identify strokes.csv --law lugre --to mjcf > joint.xml
     """
     as_json = options["as_json"]
+    if options["target"] is not None:
+        if options["iron"] or as_json or figure is not None:
+            raise click.UsageError("--to goes with none of --iron, --json and --figure")
+        if options["law"] not in (None, "lugre"):
+            raise click.UsageError(f"MuJoCo has no law {options['law']}: give --law lugre, or leave it out")
     table = _is_table(file)
     _check_kind(file, table, {"--rig": rig_name, "--axis": axis}, options)
     if options["iron"]:
@@ -100,7 +110,9 @@ def identify(
                 write_identification(path, fit)
             say(f"figure: {figure}")
         with printed():
-            if as_json:
+            if options["target"] is not None:
+                _print_mjcf(fit.device, file)
+            elif as_json:
                 print_json(fit.as_dict())
             else:
                 _print(friction.lines(fit))
@@ -143,10 +155,18 @@ def _identify_table(file: Path, figure: Path | None, overwrite: bool, options: d
             write_identification(path, fit.identification)
         say(f"figure: {figure}")
     with printed():
-        if options["as_json"]:
+        if options["target"] is not None:
+            _print_mjcf(fit.identification.device, file)
+        elif options["as_json"]:
             print_json(fit.as_dict())
         else:
             _print(table_lines(fit))
+
+
+def _print_mjcf(fit: Any, file: Path) -> None:
+    from coulombus.recording.friction.mjcf import friction_mjcf
+
+    echo(friction_mjcf(fit, file.name))
 
 
 def _print(lines: Iterable[str]) -> None:
@@ -192,11 +212,15 @@ def _identify_law(file: Path, table: bool, rig_name: str | None, axis: str | Non
         finally:
             remark(seen.remarks)
     try:
-        fit = fit_law(options["law"], data, options["overrides"], rig=not table)
+        fit = fit_law(options["law"], data, options["overrides"], rig=None if table else True)
     except IdentifyError as error:
         raise IdentifyError(f"{file}: {error}".replace(f"{file}: {file}:", f"{file}:")) from error
     with printed():
-        if options["as_json"]:
+        if options["target"] is not None:
+            from coulombus.recording.friction.mjcf import lugre_mjcf
+
+            echo(lugre_mjcf(fit.values, fit.estimates, fit.inertia_kg_m2, file.name))
+        elif options["as_json"]:
             print_json(fit.as_dict())
         else:
             _print(lines(fit))

@@ -287,6 +287,10 @@ class Modes(Section):
         return (name for name in MODES if getattr(self, name) is not None)
 
 
+SIGN_OF_STILL = 4
+"""The sign check looks for this many times the motion of a still handle."""
+
+
 class Limits(Section):
     """[limits]: trip limits, and the safe state."""
 
@@ -363,6 +367,12 @@ class Limits(Section):
     def still_counts(self, rad_count: float) -> int:
         """Return the encoder's counts, of `rad_count` each, within which a handle is still."""
         return max(1, int(self.still_rad / abs(rad_count)))
+
+    def sign_counts(self, rad_count: float) -> int:
+        """Return the encoder's counts, of `rad_count` each, that decide its sign: a hand that drifts while it counts
+        as still is not taken for the motor.
+        """
+        return max(self.sign_check_counts, int(SIGN_OF_STILL * self.still_rad / abs(rad_count)))
 
     @property
     def travel_limit_rad(self) -> float:

@@ -61,8 +61,6 @@ SIGN_HAND_S = 0.12
 """Averaging time of the sign check: a little more than the period of a hand's tremor (8-12 Hz)."""
 SIGN_HAND_NM = 0.008
 SETTLE_S = 0.05
-SIGN_OF_STILL = 4
-"""The sign check looks for this many times the motion of a still handle: a hand that drifts is not taken for the motor."""
 CLIPPED_S = 0.5  # excess of clipped over unclipped time above which the host trips
 REVERSAL_S, REVERSAL_MARGIN = 0.25, 1.15
 """Window in which reversals are counted, and the host trips above this multiple of the limit cycle's (docs/theory.md)."""
@@ -313,15 +311,13 @@ class Controller:
         c["coil_decay"] = math.exp(-T / axis.brake.coil_time_constant_s)
         c["brake_lag_decay"] = math.exp(-T / DEFAULT_LAG_S)
 
-        c["still_counts"] = limits.still_counts(float(c["rad_count"]))
-        c["still_cycles"] = _cycles(limits.still_s, T)
+        c["still_counts"], c["still_cycles"] = limits.still_counts(float(c["rad_count"])), _cycles(limits.still_s, T)
         c["still_handle_Nm"] = limits.still_handle_torque_Nm if handle else math.inf
         c["still_timeout_cycles"] = _cycles(limits.still_timeout_s, T)
         c["enable_timeout_cycles"] = _cycles(ENABLE_TIMEOUT_S, T)
         c["sign_check"] = c["motor_limit_raw"] > 0
         c["sign_step_Nm"] = limits.sign_check_rate_Nm_s * T
-        c["sign_counts"] = max(limits.sign_check_counts, int(SIGN_OF_STILL * limits.still_rad / abs(c["rad_count"])))
-        c["sign_torque_Nm"] = limits.sign_check_torque_Nm
+        c["sign_counts"], c["sign_torque_Nm"] = limits.sign_counts(float(c["rad_count"])), limits.sign_check_torque_Nm
         c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
         c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM if handle else math.inf, _cycles(SIGN_HAND_S, T)
         c["settle_cycles"] = _cycles(SETTLE_S, T)

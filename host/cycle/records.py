@@ -226,8 +226,8 @@ class ControlRecord(Record):
     coil_decay: float  # decay of the mean square of the coil's current in a cycle
     brake_lag_decay: float  # decay of the error of the expected brake torque in a cycle
     # arming
-    still_counts: int  # motion that counts as standstill
-    still_cycles: int  # cycles in a row without motion that count as standstill
+    still_counts: int  # motion of a handle that stands still
+    still_cycles: int  # cycles in a row that count as standstill
     still_handle_Nm: float  # torque on the handle above which it counts as loaded
     still_timeout_cycles: int  # longest wait for standstill; then arming is refused
     enable_timeout_cycles: int  # longest wait for Operation Enabled; then arming is refused
@@ -239,8 +239,7 @@ class ControlRecord(Record):
     sign_hand_Nm: float  # change of the handle torque that decides the transducer's sign
     sign_hand_cycles: int  # cycles over which the handle torque is averaged in the sign check
     settle_cycles: int  # cycles of standstill without torque after the sign check
-    # dead man's switch
-    deadman_key: int  # 1: HOST.deadman_ok is written from outside the cycle
+    deadman_key: int  # dead man's switch; 1: HOST.deadman_ok is written from outside the cycle
     deadman_slot: int  # slot of the process image that holds the switch; -1: none
     deadman_mask: int  # bits that are all 1 while the switch is held; 0: any bit
     # orderly end

@@ -123,7 +123,7 @@ def stretches_of(recording: Source) -> tuple[Stretch, ...]:
     return tuple(Stretch(stretch.t_s, stretch.x_rad, stretch.hand_Nm) for stretch in stretches(recording))
 
 
-def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *, rig: bool = True) -> LawFit:
+def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *, rig: bool | None = True) -> LawFit:
     """Fit a law's parameters.
 
     Parameters
@@ -131,7 +131,8 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
     name : the law, as in ``law.function``
     data : stretches of samples; the torque is the friction, positive against a positive speed
     overrides : "KEY=VALUE" holds a parameter at a value
-    rig : whether the torque includes inertia and a transducer's bias
+    rig : whether the torque includes inertia and a transducer's bias; None: it does if the law alone leaves
+        more than noise, and more than it leaves with them
 
     Raises
     ------
@@ -140,6 +141,11 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
     coulombus.host.laws.laws.LawError, coulombus.rigs.rig.RigError
         there is no such law, or a held parameter is refused
     """
+    if rig is None:
+        alone = fit_law(name, data, overrides, rig=False)
+        if alone.misfit is None:
+            return alone
+        return min(alone, fit_law(name, data, overrides, rig=True), key=lambda fit: fit.residual_rms_Nm)
     given = given_law(name, overrides)
     if given.declaration is None:
         raise LawError(f"law {name!r} names no parameters: there is nothing to identify (docs/laws.md)")
