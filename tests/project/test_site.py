@@ -201,3 +201,10 @@ def test_every_page_is_in_the_list_of_pages():
     }
     assert len(listed) == len(set(listed))
     assert set(listed) == written | made
+
+
+def test_the_site_needs_none_of_the_development_tools():
+    """`make docs` in a copy that only ran `make demo` has the extra `docs` alone."""
+    blocked = "import sys; sys.modules |= dict.fromkeys(('pytest', '_pytest', 'hypothesis', 'xdist', 'coverage'));"
+    code = f"{blocked} sys.path.insert(0, 'scripts'); import site_hooks"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=120)

@@ -3,9 +3,13 @@
 No test reaches outside of the repository but by `CORPUS` and `CASES`; where these are absent it is skipped, by `beside`.
 """
 
-from pathlib import Path
+from __future__ import annotations
 
-import pytest
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 RIGS = ROOT / "coulombus" / "rigs"
@@ -18,4 +22,6 @@ CASES = ROOT.parent / "shared" / "conformance" / "cases.csv"
 
 def beside(place: Path) -> pytest.MarkDecorator:
     """A test that needs `place`: skipped with its reason where it is absent."""
+    import pytest  # the site is built from places, too, and without it
+
     return pytest.mark.skipif(not place.exists(), reason=f"{place.name} does not stand beside this copy")
